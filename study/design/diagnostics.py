@@ -270,3 +270,25 @@ def quoted_path(key: str) -> str:
         As written, of any length; what is shown ends at 500 characters.
     """
     return ".".join(quoted(part) for part in key[:500].split("."))
+
+
+def is_about(fault: Fault, table: str) -> bool:
+    """Whether a fault is one of a table, or of a key in it.
+
+    Parameters
+    ----------
+    fault, table : Fault, str
+        The table by its dotted name.
+    """
+    return fault.where == table or fault.where.startswith(f"{table}.")
+
+
+def all_about(faults: Faults, table: str) -> bool:
+    """Whether nothing but one table has faults, so that all others can be relied on.
+
+    Parameters
+    ----------
+    faults, table : Faults, str
+        What was found so far; the table by its dotted name.
+    """
+    return all(is_about(fault, table) for fault in faults)

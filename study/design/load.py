@@ -14,7 +14,7 @@ from typing import TypeVar
 
 from study.design import overlay, plausibility, toml_document
 from study.design.checks import check_cells
-from study.design.diagnostics import Faults, Table, entries, read_table
+from study.design.diagnostics import Faults, Table, entries, is_about, read_table
 from study.design.factors import exclusions_from, factors_from, grouped, presets_from, set_whole
 from study.design.layout.schemes import scheme_from
 from study.design.resolve import calibration_from, resolve_calibration, resolve_problem
@@ -150,7 +150,7 @@ def loads_problem(
     if (
         material.model
         and not material.constants
-        and not any(_is_about(f, "material") for f in faults)
+        and not any(is_about(f, "material") for f in faults)
     ):
         faults.add("material", "has no constants", 'for example C10 = "5 kPa"')
     plausibility.check_stability(problem, faults)
@@ -296,15 +296,6 @@ def _check_override(tables: Table, path: Sequence[str]) -> None:
     if hiding:
         rule = f"is set by {', '.join(hiding[:3])}, which would hide this"
         raise InputError(Fault(f"-s {key}", rule, f"change it there: -s '{hiding[0]}...=...'"))
-
-
-def _is_about(fault: Fault, table: str) -> bool:
-    return fault.where == table or fault.where.startswith(f"{table}.")
-
-
-def _all_about(faults: Faults, table: str) -> bool:
-    """Whether nothing but one table has faults, so that all others can be relied on."""
-    return all(_is_about(fault, table) for fault in faults)
 
 
 def _design(file: DesignFile, tables: Tables, faults: Faults, source: str, text: str) -> Design:

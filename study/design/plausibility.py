@@ -12,7 +12,7 @@ from study.material.compressibility import Compressibility
 from study.material.loading import LOADINGS
 from study.material.material import Material
 from study.material.registry import ENERGIES
-from study.material.stability import stability, surface_warning
+from study.material.stability import PLAUSIBLE_MU0, stability, surface_warning
 from study.setup.geometry import (
     Cone,
     Cylinder,
@@ -28,9 +28,6 @@ from study.setup.plate_motion import PlateMotion
 from study.setup.section import values_of
 from study.setup.setup import Model, Setup
 from study.setup.test_section import TEST_KINDS
-
-#: window of moduli of tissue and silicone (MPa), 100 Pa to 10 MPa; outside it a unit is suspect
-PLAUSIBLE_MPA = (1e-4, 10.0)
 
 
 def check(problem: CellProblem, faults: Faults, places: Mapping[str, str]) -> None:
@@ -352,7 +349,7 @@ def cautions(setup: Setup, material: MaterialSection) -> tuple[str, ...]:
 def _moduli(material: MaterialSection) -> Iterator[str]:
     """Moduli that no tissue or silicone has: a unit may be wrong."""
     mu0 = initial_shear_modulus(material)
-    low, high = PLAUSIBLE_MPA
+    low, high = PLAUSIBLE_MU0
     if mu0 is not None and not low <= mu0 <= high:
         yield (
             f"material: an initial shear modulus of {mu0 * 1e3:.4g} kPa is outside {low * 1e3:g} "

@@ -6,7 +6,15 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from study.design import overlay, plausibility
-from study.design.diagnostics import Faults, Table, is_known, noted, read_table, with_values
+from study.design.diagnostics import (
+    Faults,
+    Table,
+    all_about,
+    is_known,
+    noted,
+    read_table,
+    with_values,
+)
 from study.design.sections.calibration import ANALYTIC_KEYS, Bounds, Calibration, Fitting, bounds_of
 from study.design.sections.calibration_design import CalibratedTest, CalibrationDesign
 from study.design.sections.cell import Cell, CellProblem
@@ -229,11 +237,10 @@ def resolve_calibration(
         Of no use where it brought a fault.
     """
     problems = [_test(tables, test, f"tests[{i}]", faults) for i, test in enumerate(file.tests)]
-    is_read = all(fault.where.startswith("calibration") for fault in faults)
-    if is_read and not any(test.role == "fit" for test in file.tests):
+    if all_about(faults, "calibration") and not any(test.role == "fit" for test in file.tests):
         faults.add("tests", "has no test with role fit", 'write role = "fit" in one of them')
-    is_read = all(fault.where.startswith("calibration") for fault in faults)
-    bounds = _bounds(file.calibration, problems[0].material if is_read else None, faults)
+    material = problems[0].material if all_about(faults, "calibration") else None
+    bounds = _bounds(file.calibration, material, faults)
     shared = nuisance_from(file.nuisance, overlay.dimension, "nuisance", faults)
     own = [
         nuisance_from(test.nuisance, overlay.dimension, f"tests[{i}].nuisance", faults)

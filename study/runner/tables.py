@@ -13,7 +13,7 @@ from study.forward.closed_form import height_and_area
 from study.measurement.quantities import Gauge
 from study.measurement.section import MeasurementSpec
 from study.setup.material_section import MaterialSection
-from study.setup.section import table_of
+from study.setup.section import table_of, with_table
 from study.setup.setup import Problem, Setup, Tables
 
 #: tables that make a problem; ``forward`` stands there where another program predicts
@@ -40,26 +40,6 @@ class CalibrationTable:
         """Read the table ``calibration``; without one everything is left to the program."""
         table = table_of(tables, "calibration")
         return cls(str(table.get("method") or "auto"), table_of(table, "problem") or None)
-
-
-def with_table(tables: Tables, name: str, **changes: object) -> dict[str, object]:
-    """Copy a document with other values in one table.
-
-    Parameters
-    ----------
-    tables : mapping
-        Document of a problem.
-    name : str
-        Table, such as ``"test"``.
-    **changes
-        Values by their keys, in internal units.
-
-    Examples
-    --------
-    >>> with_table({"test": {"kind": "compression"}}, "test", steps=20)
-    {'test': {'kind': 'compression', 'steps': 20}}
-    """
-    return {**tables, name: {**table_of(tables, name), **changes}}
 
 
 def with_both(tables: Tables, name: str, **changes: object) -> dict[str, object]:

@@ -14,7 +14,7 @@ from study.errors import Fault, InputError
 from study.forward import finite_element
 from study.forward.closed_form import height_and_area
 from study.material.homogeneous import response
-from study.setup.section import table_of
+from study.setup.section import with_table
 from study.setup.setup import Problem, Tables, is_homogeneous, problem_of
 
 if TYPE_CHECKING:  # it loads compiled kernels
@@ -76,8 +76,7 @@ def force_model(tables: Tables, farthest_mm: float) -> ForceModel:
     farthest_mm : float
         Largest displacement that will be asked for.
     """
-    reached = {**table_of(tables, "test"), "displacement_mm": farthest_mm}
-    problem = problem_of({**tables, "test": reached})
+    problem = problem_of(with_table(tables, "test", displacement_mm=farthest_mm))
     if problem.material.relaxation:
         rule = "is not known to sensors: their rows have positions and forces, and no times"
         raise InputError(Fault("material.relaxation", rule, "leave it out"))

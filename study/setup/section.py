@@ -252,6 +252,26 @@ def table_of(resolved: Mapping[str, object], name: str) -> Mapping[str, object]:
     return found if isinstance(found, Mapping) else {}
 
 
+def with_table(resolved: Mapping[str, object], name: str, **changes: object) -> dict[str, object]:
+    """Copy a document with other values in one table.
+
+    Parameters
+    ----------
+    resolved : mapping
+        Document of a problem.
+    name : str
+        Table, such as ``"test"``.
+    **changes
+        Values by their keys, in internal units.
+
+    Examples
+    --------
+    >>> with_table({"test": {"kind": "compression"}}, "test", steps=20)
+    {'test': {'kind': 'compression', 'steps': 20}}
+    """
+    return {**resolved, name: {**table_of(resolved, name), **changes}}
+
+
 def values_of(value: object) -> dict[str, object]:
     """Values of a section by their names, in internal units; sections within it stay.
 

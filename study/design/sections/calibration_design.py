@@ -52,10 +52,6 @@ class CalibratedTest:
         """Its measured file, or the pattern of its files."""
         return str(self.measurements.file or self.measurements.files)
 
-    def with_tables(self, **changes: object) -> CalibratedTest:
-        """Copy the test with other tables, such as ``model``."""
-        return replace(self, tables={**self.tables, **changes})
-
 
 @dataclass(frozen=True)
 class CalibrationDesign:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.reporting.content.cases.fit_tables import fit_name, fit_rank
-from study.reporting.figure.axes import name_rows, plain_ticks, wrap
+from study.reporting.figure.axes import clean_left, name_rows, plain_ticks, wrap
 from study.reporting.figure.style import RULE, WIDTH_IN, canvas, color_of
 from study.reporting.text import clean
 from study.study_result.report_data import ReportData
@@ -109,7 +109,6 @@ def _panel(ax: Axes, frame: pd.DataFrame, color: str) -> None:
             markeredgewidth=0.8,
         )
     ax.grid(axis="y", color=RULE, linewidth=0.4)
-    ax.spines["left"].set_visible(False)
-    ax.tick_params(axis="y", length=0)
+    clean_left(ax)
     plain_ticks(ax, "x")
     ax.locator_params(axis="x", nbins=4)

@@ -15,7 +15,7 @@ from study.runner.calibration.calibrate import calibrate
 from study.runner.calibration.measured_tests import problem_of
 from study.runner.calibration.result import CalibrationResult
 from study.runner.fitting.staged_fit import Progress
-from study.runner.tables import with_table
+from study.setup.section import with_table
 
 #: energies compared: name, order, label
 CANDIDATES = (

@@ -13,9 +13,8 @@ from study.forward.finite_element import load_compiled, solve
 from study.measurement.marker_section import MarkerSpec
 from study.record.document import MarkerDocument, Quantity
 from study.runner.fitting.solution import Predicted
-from study.runner.tables import with_table
 from study.setup.geometry import Block
-from study.setup.section import table_of
+from study.setup.section import table_of, with_table
 from study.setup.setup import Tables, problem_of
 from study.shape_validation.marker_states import read_markers
 from study.shape_validation.plate_fit import plate_fits

@@ -24,8 +24,8 @@ from study.runner.expansion import case_job
 from study.runner.job import CaseJob, Work, varied
 from study.runner.numerical.case_series import force_at_places
 from study.runner.numerical.study_refinement import every_cell
-from study.runner.tables import CalibrationTable, measurements_of, value_named, with_table
-from study.setup.section import table_of
+from study.runner.tables import CalibrationTable, measurements_of, value_named
+from study.setup.section import table_of, with_table
 from study.setup.setup import Tables, known_height_mm
 
 #: levels of the factors that are no discretization

@@ -26,7 +26,8 @@ from study.runner.fitting.staged_fit import Checkpoint, Part, Progress, single_s
 from study.runner.numerical.formal_order import formal_order
 from study.runner.numerical.series_uncertainty import MIN_ORDER, TWO_MESH_FACTOR
 from study.runner.response import scale_of
-from study.runner.tables import on_mesh, with_table
+from study.runner.tables import on_mesh
+from study.setup.section import with_table
 from study.setup.setup import MESH_LEVELS, Model, Setup, problem_of
 
 if TYPE_CHECKING:

@@ -16,7 +16,8 @@ from study.forward import finite_element
 from study.forward.external import External
 from study.forward.finite_element import load_compiled
 from study.runner.provenance import code_version
-from study.runner.tables import PROBLEM, on_mesh, with_table
+from study.runner.tables import PROBLEM, on_mesh
+from study.setup.section import with_table
 from study.setup.setup import Setup, Tables, problem_of
 
 if TYPE_CHECKING:  # it loads compiled kernels

@@ -15,8 +15,8 @@ from study.runner.job import CaseJob, Work
 from study.runner.numerical.formal_order import base_size_mm
 from study.runner.numerical.solve_task import SolveResult, SolveTask
 from study.runner.numerical.study_refinement import meshed_cells
-from study.runner.tables import with_table
 from study.setup.geometry import Block
+from study.setup.section import with_table
 from study.setup.setup import Setup, Tables
 
 SPACES = ("axisymmetric", "3d")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.analysis.unreplicated import pseudo_standard_error
-from study.reporting.figure.axes import name_rows, plain_ticks, wrap
+from study.reporting.figure.axes import clean_left, name_rows, plain_ticks, wrap
 from study.reporting.figure.style import BAND, INK, MUTED, WIDTH_IN, canvas
 from study.reporting.report import Facts
 from study.reporting.text import term_name
@@ -131,8 +131,7 @@ def _pareto(ax: Axes, frame: pd.DataFrame, label: str) -> None:
         )
     name_rows(ax, places, [wrap(name, 30) for name in frame["name"]])
     ax.set_ylim(len(frame) - 0.4, -0.6)
-    ax.spines["left"].set_visible(False)
-    ax.tick_params(axis="y", length=0)
+    clean_left(ax)
     ax.set_xlabel(f"{label}; limits for one, for all")
     plain_ticks(ax, "x")
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.reporting.figure.axes import name_rows, plain_ticks, wrap
+from study.reporting.figure.axes import clean_left, name_rows, plain_ticks, wrap
 from study.reporting.figure.style import (
     BAND,
     MUTED,
@@ -274,8 +274,7 @@ def draw_spread(frame: pd.DataFrame, facts: Facts) -> Canvas:
     ax.set_ylim(len(frame) - 0.4, -0.6)
     ax.set_xlim(left=0)
     ax.grid(axis="y", color=RULE, linewidth=0.4)
-    ax.spines["left"].set_visible(False)
-    ax.tick_params(axis="y", length=0)
+    clean_left(ax)
     unit = "log ratio" if facts.ratio else facts.difference_unit
     shown = f" ({unit})" if unit else ""
     ax.set_xlabel(f"standard deviation of residuals{shown}, 95 % Bonferroni intervals")

@@ -26,7 +26,7 @@ from study.runner.calibration.nuisance.parameters import (
 )
 from study.runner.fitting import fit_task
 from study.runner.fitting.staged_fit import Part
-from study.runner.tables import with_table
+from study.setup.section import with_table
 from study.setup.setup import Tables
 
 #: standard uncertainties that an offset may reach
