@@ -52,6 +52,14 @@ PROPORTIONAL = {
         "linear-elastic", {"youngs_modulus": 3e-2}, incompressible=True
     ),
 }
+#: K follows mu0, and a limit of the stretches stands under a fraction
+LIMITED = {
+    "gent": Material("gent", {"mu": 1e-2, "Jm": 3.0}, **NU),
+    "arruda-boyce": Material("arruda-boyce", {"mu": 1e-2, "lambda_m": 1.5}, **NU),
+    "van-der-waals": Material(
+        "van-der-waals", {"mu": 1e-2, "lambda_m": 3.0, "a": 0.5, "beta": 0.4}, **NU
+    ),
+}
 EXACT = Options(newton=NewtonSettings(tolerance=1e-11))
 
 
@@ -91,6 +99,19 @@ def test_every_constant(key: str, space: str) -> None:
     problem = bonded(MATERIALS[key], space)
     base = solve(problem, options=EXACT)
     for name in problem.material.names:
+        left = remainders(problem, base, name, step(problem.material, name))
+        slopes = np.log2(left[:-1] / left[1:])
+        assert 1.9 <= slopes.min() <= slopes.max() <= 2.1, (name, slopes, left)
+
+
+@pytest.mark.parametrize("key", LIMITED)
+def test_limited_stretches_with_a_bulk_modulus_that_follows(key: str) -> None:
+    """The force is proportional to mu; in the other constants the remainder has slope 2."""
+    problem = bonded(LIMITED[key], "axisymmetric")
+    base = solve(problem, options=EXACT)
+    force, gradient = base.curve.force_N[-1], base.curve.force_gradient
+    assert gradient["mu"][-1] * problem.material.constants["mu"] == pytest.approx(force, rel=1e-9)
+    for name in set(problem.material.names) - {"mu"}:
         left = remainders(problem, base, name, step(problem.material, name))
         slopes = np.log2(left[:-1] / left[1:])
         assert 1.9 <= slopes.min() <= slopes.max() <= 2.1, (name, slopes, left)

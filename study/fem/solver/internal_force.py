@@ -21,7 +21,7 @@ from study.fem.element.assembly import ElementEnergy, Sums
 from study.fem.element.function_space import Discretization
 from study.fem.element.sparsity import Pattern, Slabs, slabs, symmetric_product
 from study.fem.element.stored_energy import stored_energy
-from study.material.energy import Law
+from study.material.energy import Law, PointLaw
 from study.material.material import Material
 
 #: bound of the local bulk modulus over the shear modulus. A coarse cone 2 mm deep is 0.5 % too
@@ -69,15 +69,19 @@ class StoredEnergy(NamedTuple):
 
 
 def without_shear(material: Material) -> Law:
-    """Law of the same kind whose isochoric stress vanishes.
+    """Law whose isochoric stress vanishes; its constants have the shape of the material's.
+
+    A function of the invariants becomes the polynomial without terms: at constants of zero some
+    of them divide by a limit of their stretches.
 
     Parameters
     ----------
     material : Material
-        With numbers; the law keeps its kind and the shape of its constants.
+        With numbers.
     """
     law = material.law()
-    return Law(law.kind, np.zeros_like(law.constants))
+    kind = PointLaw.POLYNOMIAL if law.kind >= PointLaw.POLYNOMIAL else law.kind
+    return Law(kind, np.zeros_like(law.constants))
 
 
 class BulkSplit(NamedTuple):
