@@ -73,7 +73,7 @@ _UNKNOWNS = {"quadratic": 5.0, "linear": 4.0}
 
 
 def surface_mesh(setup: Setup) -> Mesh:
-    """Tetrahedra in a specimen given as a surface.
+    """Tetrahedra in a specimen given as a surface; a ``mesh_seed`` gives others of the same size.
 
     Parameters
     ----------
@@ -88,8 +88,8 @@ def surface_mesh(setup: Setup) -> Mesh:
         If gmsh fails, or the elements are too large to follow the shape.
     """
     found = _body_of(setup)
-    frame = standard_frame(found)
-    field = _field(setup, frame.body)
+    frame = standard_frame(found, setup.model.mesh_seed)
+    field = _field(setup, standard_frame(found).body)
     plates = _bonded(setup, frame.body)
     sizes = graded_table(frame.body, field.size_mm, plates) if plates else field
     points, cells = _tetrahedra(frame.body, sizes)
@@ -121,7 +121,7 @@ def expected_unknowns(setup: Setup) -> float:
     setup : Setup
         Specimen given as a surface, whose file is read.
     """
-    found = _body_of(setup)
+    found = standard_frame(_body_of(setup)).body
     field = _field(setup, found)
     plates, finest = _bonded(setup, found), field.size_mm
     if isinstance(setup.grading, AroundContact):
