@@ -97,7 +97,7 @@ def _rounded(points: Array) -> Array:
         step = 2.0 ** (exponent - digits)
         rounded = np.round(points / step) * step + 0.0  # no negative zeros
         if len(np.unique(rounded, axis=0)) == len(points):
-            return rounded
+            return np.asarray(rounded)
     return points
 
 
@@ -111,7 +111,7 @@ def _orientations(body: Body) -> Array:
     away = (body.points[:, :2] - middle) @ np.array([1.0, 1.0j])
     size, weight = float(np.abs(away).max()), np.abs(away) * (1 + body.points[:, 2])
     unit = away / np.maximum(np.abs(away), 1e-300)
-    powers, moments = weight.astype(complex), []
+    powers, moments = weight.astype(complex), list[complex]()
     while len(moments) < _HIGHEST and (not moments or abs(moments[-1]) < _CLEAR):
         powers = powers * unit
         moments.append(complex(powers.sum()) / float(weight.sum()))
