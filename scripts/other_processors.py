@@ -19,7 +19,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 
-#: kernels and results of each setting; kernels are compiled once for all runs
+#: results of each setting, and kernels where they are others
 FOLDER = ROOT / ".venv" / "other-processors"
 
 #: hides PARDISO in every process of a run: a module that is None is not found
@@ -49,7 +49,8 @@ def environment(setting: str) -> dict[str, str]:
     hidden = FOLDER / "without-pardiso" / "sitecustomize.py"
     hidden.parent.mkdir(parents=True, exist_ok=True)
     hidden.write_text(WITHOUT_PARDISO, encoding="utf-8")
-    cache = {"NUMBA_CACHE_DIR": str(FOLDER / setting)}
+    compiled = any(name.startswith("NUMBA") for name in SETTINGS[setting])
+    cache = {"NUMBA_CACHE_DIR": str(FOLDER / setting)} if compiled else {}
     return {**os.environ, **ONE_THREAD, **cache, **SETTINGS[setting]}
 
 
