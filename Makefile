@@ -7,6 +7,7 @@
 #   make gallery  the shipped studies that are quick, run and photographed for the documentation
 #   make docs     the documentation site: docs/_build/index.html
 #   make newest   the test suite with the newest versions of all packages instead of the locked ones
+#   make other-processors   TESTS=... as other processors and installations would run them
 #   make check    the gates: style, types, layers, generated code, doctests
 
 PYTEST_WORKERS ?= 2
@@ -17,7 +18,7 @@ one_thread := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 NUMBA_N
 
 export PYTHON
 
-.PHONY: help setup newest demo test verify bench elements gallery docs check lint format-check types layers generated doctests
+.PHONY: help setup newest demo test other-processors verify bench elements gallery docs check lint format-check types layers generated doctests
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -39,6 +40,9 @@ demo: $(ready)
 
 test: $(ready)
 	@$(one_thread) .venv/bin/python -m pytest -n $(PYTEST_WORKERS) --dist loadfile -q
+
+other-processors: $(ready)
+	@.venv/bin/python scripts/other_processors.py --workers $(PYTEST_WORKERS) $(TESTS)
 
 verify: $(ready)
 	@$(one_thread) .venv/bin/python -m pytest -m verify -s -q tests

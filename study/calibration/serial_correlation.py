@@ -35,10 +35,6 @@ _NEGLIGIBLE = 15.0
 #: values of rho over which is averaged: 7 to a standard error
 _VALUES = 81
 
-#: most steps of Newton's method, and the relative one whose square is rounding
-_STEPS = 50
-_LAST_STEP = 1e-8
-
 #: rounding of a sum of squares relative to its first term
 _ROUNDING = 1e-13
 
@@ -211,7 +207,8 @@ def intervals(
     total = scaled if known is None else scaled + known
     variances = np.diagonal(total, axis1=1, axis2=2).T
     own = np.diagonal(scaled, axis1=1, axis2=2).T
-    satterthwaite = freedom * ((variances / own) @ weight) ** 2
+    with np.errstate(over="ignore"):  # infinitely many are those of a normal error
+        satterthwaite = freedom * ((variances / own) @ weight) ** 2
     half = _half_widths(np.sqrt(variances), weight, satterthwaite)
     likely = -0.5 * freedom * np.log(squares) - determinant
     deviance = rows * np.log(squares / rows) - moments.series * np.log1p(-(rho**2))
@@ -361,37 +358,29 @@ def _powers(base: Array, count: int) -> Array:
 
 
 def _half_widths(errors: Array, weight: Array, freedom: Array) -> Array:
-    """Half widths that hold 95 % of mixtures of Student's t of several scales.
+    """Half widths that hold 95 % of mixtures of Student's t of several scales, shape (p,).
 
-    The distribution function is concave above zero, so that Newton's method does not pass the
-    answer from below, where it is at the latest after its first step.
-
-    Parameters
-    ----------
-    errors : ndarray, shape (p, k)
-        Scales of each mixture.
-    weight : ndarray, shape (k,)
-        Of the scales.
-    freedom : ndarray, shape (p,)
-        Degrees of freedom.
-
-    Returns
-    -------
-    ndarray, shape (p,)
+    ``errors`` has the scales of each mixture, shape (p, k), ``weight`` those of the scales, and
+    ``freedom`` the degrees of freedom, shape (p,), up to infinity. Brent's method needs the
+    distribution function alone, which is exact for every freedom; in a density, the ratio of two
+    gamma functions of 1e19 degrees of freedom is a difference of logarithms near 1e20.
     """
-    from scipy.special import gammaln, stdtr, stdtrit
+    from scipy.optimize import brentq
+    from scipy.special import stdtr, stdtrit
 
-    nu, wanted = freedom[:, None], 1 - _OUTSIDE / 2
-    quantile = stdtrit(freedom, wanted)
-    low = quantile * errors.min(axis=1)
-    log_density = gammaln((nu + 1) / 2) - gammaln(nu / 2) - 0.5 * np.log(nu * np.pi)
-    half = np.asarray(quantile * np.sqrt(errors**2 @ weight))
-    for _ in range(_STEPS):
-        t = half[:, None] / errors
-        missing = wanted - stdtr(nu, t) @ weight
-        density = np.exp(log_density - 0.5 * (nu + 1) * np.log1p(t**2 / nu))
-        step = missing / ((density / errors) @ weight)
-        half = np.maximum(half + step, low)
-        if np.all(np.abs(step) <= _LAST_STEP * half):
-            break
-    return half
+    inside = 1 - _OUTSIDE / 2
+
+    def half_width(scales: Array, nu: float) -> float:
+        mean = float(np.sqrt(scales**2 @ weight))
+        if not 0 < mean < math.inf:
+            return math.nan
+        # in units of the mean scale's quantile, which the narrowest's and the widest's enclose;
+        # twice as far, so that a single scale lies between them too
+        unit, ends = float(stdtrit(nu, inside)) * mean, (scales.min() / mean, scales.max() / mean)
+        root: float = brentq(
+            lambda half: stdtr(nu, half * unit / scales) @ weight - inside,
+            0.5 * ends[0], 2 * ends[1], xtol=1e-15,
+        )  # fmt: skip
+        return root * unit
+
+    return np.array([half_width(*row) for row in zip(errors, freedom, strict=True)])

@@ -320,14 +320,15 @@ def _safeguarded_newton(
         inside = (new >= low) & (new <= high)
         new = np.where(inside, new, 0.5 * (low + high))
         new = np.where(value == 0, z, new)
-        last, moved = moved, float(np.max(np.abs(new - z), initial=0.0))
+        step = np.abs(new - z)
+        last, moved = moved, float(np.max(step, initial=0.0))
         z = new
         if moved <= _LAST_STEP and (moved <= 4e-16 or inside.all()):
             break
         # rounding of the stress leaves the last digit of z moving to and fro
         if last <= moved < 1e-13:
             break
-    return np.where(below & above, z, np.nan)
+    return np.where(below & above & (step <= _LAST_STEP), z, np.nan)
 
 
 def _linear(material: Material, mode: Mode, stretch: Array) -> Response:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from study.arrays import Array
-from study.errors import Fault, InputError
+from study.errors import Fault, InputError, RefusedError
 from study.registration.robust import biweight, inlier_scale, sandwich
 
 #: Fewest points that fix a sphere and leave one over for its scatter.
@@ -26,6 +26,9 @@ SCALE_SETTLES = 10
 
 #: Relative change of center and radius at which the fit has converged.
 CONVERGED = 1e-12
+
+#: the same above which there is no answer after the last of them
+SETTLED = 1e-6
 
 #: Residuals below this share of the radius are rounding.
 ROUNDING_SHARE = 1e-12
@@ -217,6 +220,9 @@ def _geometric(points: Array, start: Array) -> tuple[Array, float]:
             scale = _scale(points, values)
         if np.abs(step).max() < CONVERGED * abs(values[3]):
             break
+    # of points on a small cap rounding leaves the last digits moving to and fro
+    if not np.abs(step).max() < SETTLED * abs(values[3]):
+        raise RefusedError(f"no sphere fits the points: not settled in {MAX_STEPS} steps")
     return values, scale
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.arrays import Array, Flags
-from study.errors import Fault, InputError
+from study.errors import Fault, InputError, RefusedError
 from study.measurement.marker_section import MarkerSpec
 from study.record.document import PlateFitDocument
 from study.setup.setup import Problem
@@ -183,6 +183,10 @@ class _Fitter:
             self.at = self.motion.at(moved, self.at)
             if np.abs(change * length).max() < _SETTLED * self.size_mm:
                 break
+        else:
+            rule = f"the motion of the {plate} plate has not settled in {_MOST_STEPS} steps"
+            mend = "see whether the markers belong to this test and to this displacement"
+            raise RefusedError(str(Fault("markers", rule, mend)))
         errors = self._errors(self.at)
         spread = np.zeros(7)
         spread[:free] = _standard_errors(self._slope(self.at, free, chosen), errors[chosen])

@@ -9,6 +9,7 @@ import pytest
 from scipy.stats import nct
 from scipy.stats import t as student
 
+from study.analysis.effects.comparisons import scale_rule
 from study.analysis.effects.power.verdict_power import (
     contrast_sd,
     fewest_blocks,
@@ -34,6 +35,15 @@ def simulated(blocks: int, sd: float, truth: float, u: float, n: int, seed: int)
     able = claims(d - half, d + half)
     lost = (claim == 0) & (able != 0)
     return np.array([np.mean(claim == 1), np.mean(claim == -1), np.mean(lost), np.mean(able == 0)])
+
+
+@pytest.mark.parametrize("df", [1.0, 5.5, 49.0, 51.0, 1e3, 1e5, 1e7, 1e10, 1e13, 1e15, 1e300])
+def test_a_scale_has_its_moments_whatever_its_freedom(df: float) -> None:
+    """E 1 = E chi2_df / df = 1, its variance 2 / df, by a density of any number of rows."""
+    s, weights = scale_rule(df)
+    assert weights.sum() == pytest.approx(1.0, abs=1e-9)
+    assert weights @ s**2 == pytest.approx(1.0, abs=1e-9)
+    assert weights @ (s**2 - 1) ** 2 == pytest.approx(2 / df, rel=1e-6, abs=2e-14)
 
 
 @pytest.mark.parametrize("blocks", [2, 5, 9])

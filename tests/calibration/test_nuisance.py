@@ -18,6 +18,7 @@ from study.errors import InputError
 from study.forward import closed_form
 from study.material.material import Material
 from study.runner.calibration.calibrate import calibrate
+from study.runner.calibration.nuisance import propagation
 from study.setup.setup import specimen_of
 from tests.runner.test_calibrate import RP2, SPECIMEN, case, write
 
@@ -124,6 +125,18 @@ def test_offset_and_zero_of_a_test_are_found(tmp_path, capsys):
     assert run(["calibrate", str(nuisance(tmp_path, declared, {**RAW, "range": '["1 %", "28 %"]'})),
                 "--data", str(tmp_path), "--results", str(tmp_path / "r")]) == 0  # fmt: skip
     assert "pseudo-observation" in capsys.readouterr().out
+
+
+def test_weights_that_have_not_settled_are_no_answer(tmp_path, monkeypatch):
+    """Of the first of several fits the noise, and so the weight of a prior, is a guess."""
+    write(tmp_path / "a.csv", "reduced-polynomial", RP2, noise=0.02)
+    path = nuisance(tmp_path, 'force_zero = "0.3 N"', {**RAW, "range": '["1 %", "28 %"]'})
+    assert api.calibrate(path, data=tmp_path).converged
+    monkeypatch.setattr(propagation, "_ROUNDS", 1)
+    monkeypatch.setattr(propagation, "_SETTLED", 0.0)
+    found = api.calibrate(path, data=tmp_path).fit
+    assert not found.converged
+    assert "has not settled in 1 fits" in found.message
 
 
 def test_friction_between_two_plates_is_the_mixture_of_both(tmp_path):

@@ -1,6 +1,7 @@
 """Intervals from recorded rows: coverage by simulation, and answers known otherwise."""
 
 import json
+import math
 
 import numpy as np
 import pytest
@@ -107,6 +108,54 @@ def test_seven_rows_count_as_independent():
     assert found.serial.effective_rows == 7
     assert found.ci95 == pytest.approx(plain.ci95, rel=1e-8)
     assert found.aicc == pytest.approx(plain.aicc, rel=1e-10)
+
+
+def test_a_certain_covariance_leaves_the_quantile_of_students_t_up_to_the_normal():
+    """Two rows, one constant: 1 degree of freedom, and as many more as is certain of the whole."""
+    rows = [Series(np.array([1.0, -1.0]), np.ones((2, 1)), np.full((1, 2), 0.5))]
+    alone = intervals(rows)
+    assert alone is not None
+    variance = alone.covariance[0, 0]
+    # quantiles at 97.5 %: of a Cauchy distribution, of the next from tables, then of the normal
+    tables = {1: math.tan(0.475 * math.pi), 2: 4.302652729911275, 5: 2.570581835636314,
+              30: 2.042272456301238, 120: 1.979930405052777, 1000: 1.962339080826408}  # fmt: skip
+    for nu in [1, 2, 5, 30, 120, 1000, *np.logspace(4, 300, 75)]:
+        found = intervals(rows, known=np.array([[variance * (math.sqrt(nu) - 1)]]))
+        assert found is not None
+        # Cornish and Fisher's expansion about the normal (Abramowitz and Stegun 1964, 26.7.5)
+        z = 1.959963984540054
+        second = (5 * z**5 + 16 * z**3 + 3 * z) / 96
+        expected = tables.get(nu, z + (z**3 + z) / (4 * nu) + second / nu / nu)
+        error = math.sqrt(found.covariance[0, 0])
+        assert found.half_width[0] / error == pytest.approx(expected, rel=1e-8)
+
+
+@pytest.mark.parametrize("certain", [1e6, 1e9, 1e10, 1e12, 1e20, 1e100, 1e153, 1e200])
+def test_the_interval_of_a_mixture_holds_95_percent_of_normal_errors(certain):
+    """So much more is certain than the rows tell that the errors are normal at each rho."""
+    rng = np.random.default_rng(2011)
+    for rows in (8, 60, 400):
+        design = np.ones((rows, 1))
+        series = [Series(rng.normal(size=rows), design, design.T / rows)]
+        alone = intervals(series)
+        assert alone is not None
+        found = intervals(series, known=certain * alone.covariance)
+        assert found is not None
+        z = found.half_width[0] / np.sqrt(found.mixture.covariance[:, 0, 0])
+        inside = found.mixture.weight @ [math.erf(t / math.sqrt(2)) for t in z]
+        assert inside == pytest.approx(0.95, rel=1e-11)
+
+
+def test_the_interval_of_a_mixture_of_cauchy_errors_holds_95_percent():
+    rng = np.random.default_rng(2011)
+    design = rng.normal(size=(8, 7))  # one degree of freedom is left
+    influence = np.linalg.pinv(design)
+    error = rng.normal(size=8)
+    found = intervals([Series(error - design @ (influence @ error), design, influence)])
+    assert found is not None
+    for i in range(7):
+        t = found.half_width[i] / np.sqrt(found.mixture.covariance[:, i, i])
+        assert found.mixture.weight @ np.arctan(t) * 2 / np.pi == pytest.approx(0.95, rel=1e-12)
 
 
 def test_verb_gives_the_same_interval_however_the_rows_are_resampled(tmp_path, capsys):

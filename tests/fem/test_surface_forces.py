@@ -90,27 +90,40 @@ def test_bonded_forces_are_those_of_block_and_cylinder(block: Surface, disc: Sur
     assert medium / reference - 1 < coarse / reference - 1 < 0.008
 
 
-def against_a_quarter(disc: Surface, size: float, order: str) -> float:
-    """Force of the whole disc over that of the quarter model at the same size, less one."""
-    whole, _ = force(compressed(disc, 0.6, "bonded", size, element_order=order))
+#: seeds of one mesh, and of several equally good ones
+ALONE: tuple[int | None, ...] = (None,)
+SEVERAL: tuple[int | None, ...] = (1, 2, 3, 4, 5, 6)
+
+
+def against_a_quarter(
+    disc: Surface, size: float, order: str, seeds: tuple[int | None, ...] = ALONE
+) -> float:
+    """Force of the whole disc over that of the quarter model at the same size, less one.
+
+    Mean of several meshes of the whole: at 5 mm one differs from another by up to 0.4 %.
+    """
+    whole = [
+        force(compressed(disc, 0.6, "bonded", size, element_order=order, mesh_seed=seed))[0]
+        for seed in seeds
+    ]
     quarter, _ = force(compressed(Cylinder(10, 12), 0.6, "bonded", size, element_order=order))
-    return whole / (POLYGON * quarter) - 1
+    return float(np.mean(whole)) / (POLYGON * quarter) - 1
 
 
 @pytest.mark.parametrize(
-    ("order", "size", "apart"),
+    ("order", "size", "seeds", "apart"),
     [
-        ("linear", 5.0, 0.015),
-        ("linear", 3.6, 0.015),
-        ("linear", 2.5, 0.012),
-        ("quadratic", 2.5, 0.003),
+        ("linear", 5.0, SEVERAL, 0.015),
+        ("linear", 3.6, ALONE, 0.015),
+        ("linear", 2.5, ALONE, 0.012),
+        ("quadratic", 2.5, ALONE, 0.003),
     ],
 )
 def test_one_size_is_as_stiff_in_the_whole_as_in_a_quarter(
-    disc: Surface, order: str, size: float, apart: float
+    disc: Surface, order: str, size: float, seeds: tuple[int | None, ...], apart: float
 ) -> None:
     # measured: 1.4, 0.6, 0.9 and 0.1 %; with elements of one size it was 7.5 % and 0.5 % at 2.5 mm
-    assert abs(against_a_quarter(disc, size, order)) < apart
+    assert abs(against_a_quarter(disc, size, order, seeds)) < apart
 
 
 @pytest.mark.parametrize(("height", "apart"), [(12.0, 0.015), (6.0, 0.015)])
@@ -191,7 +204,9 @@ def test_a_specimen_that_is_not_balanced_is_said(tmp_path: Path) -> None:
 
 
 def test_a_round_top_is_pressed_by_contact(tmp_path: Path) -> None:
-    dome = Surface(write(tmp_path / "ball.stl", sphere(5, 3)), clamp_below_mm=0.0)
+    # with one division fewer the facets of the ball lie a tenth of the depth below it, and equally
+    # good meshes give 11 to 20 % less than a ball; with this one 2 to 8 %
+    dome = Surface(write(tmp_path / "ball.stl", sphere(5, 4)), clamp_below_mm=0.0)
     found, solution = force(compressed(dome, 0.25, "frictionless", 1.2))
     # Hertz 1882 for a ball on a rigid plane; elements are as large as the contact radius
     hertz = 4 / 3 * (3 * GEL.mu0 / 0.75) * np.sqrt(5) * 0.25**1.5

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import binom, t
 
-from study.errors import InputError
+from study.errors import InputError, RefusedError
+from study.registration import sphere
 from study.registration.sphere import fit_sphere
 from tests.registration.bodies import cap
 
@@ -73,3 +74,11 @@ def test_a_cap_too_flat_for_a_radius_is_refused() -> None:
     rng = np.random.default_rng(5)
     with pytest.raises(InputError, match=r"radius is open|plane"):
         fit_sphere(cap(np.zeros(3), 10.0, 0.0005, 60, 0.05, rng))
+
+
+def test_a_search_that_has_not_settled_gives_no_sphere(monkeypatch: pytest.MonkeyPatch) -> None:
+    points = cap(np.zeros(3), 10.0, 0.3, 200, 0.05, np.random.default_rng(2011))
+    fit_sphere(points)
+    monkeypatch.setattr(sphere, "MAX_STEPS", 1)
+    with pytest.raises(RefusedError, match="not settled in 1 steps"):
+        fit_sphere(points)

@@ -10,11 +10,15 @@ import pytest
 from study import api
 from study.design.load import load, load_problem
 from study.errors import InputError
+from study.record.document import ResponseDocument
+from study.record.record import Record
 from study.runner import provenance
 from study.runner.calibration import model_selection
 from study.runner.expansion import expand
 from study.runner.fitting.fit_problem import fit_problem
 from study.runner.fitting.staged_fit import Part, cheaper
+from study.runner.job import CaseJob
+from study.runner.numerical.study_refinement import chosen_series, refinement_work
 from study.setup.setup import Setup, specimen_of
 from tests.fem.surfaces import box, write
 
@@ -197,3 +201,28 @@ def test_energies_are_weighed_on_a_surface(home: Path, monkeypatch: pytest.Monke
     assert chosen.best == "neo-hookean"
     alone = api.calibrate(home / "calibration.toml", data=home.parent / "measurements")
     assert chosen.fits["neo-hookean"].fit.values == pytest.approx(alone.fit.values, rel=1e-9)
+
+
+def test_numerical_uncertainty_knows_how_far_two_meshes_of_a_size_differ(home: Path) -> None:
+    """One value on the study's mesh, its refinements, and the other mesh: by the closed rules."""
+    work = expand(load(home / "design.toml"), home.parent / "measurements")
+    series = chosen_series(work, {})[0]
+    assert series.other is not None
+    base, again = (job.case.config["model"] for job in (series.base, series.other))
+    assert again == {**base, "mesh_seed": 1}
+    assert series.other in refinement_work(work).jobs
+
+    def record(job: CaseJob, mu0: float) -> Record:
+        responses: dict[str, ResponseDocument] = {"mu0": {"value": mu0, "unit": "kPa"}}
+        return Record(job.case.case_id, "surface", responses=responses)
+
+    for number, job in enumerate(series.jobs):
+        series.add(job, record(job, 10.0 + 0.4 * 0.5**number))
+    assert series.due() == [series.other]
+    alone = series.uncertainty("mu0", "kPa")
+    assert alone.u_num is not None
+    assert "no other mesh" in alone.note
+    series.add(series.other, record(series.other, 10.4 - 0.3))
+    both = series.uncertainty("mu0", "kPa")
+    assert both.u_num == pytest.approx(np.hypot(alone.u_num, 3 * 0.3))
+    assert "another mesh of the study's own size gives 10.1 kPa" in both.note

@@ -303,23 +303,34 @@ def range_cdf(w: Array, k: int) -> Array:
     return np.asarray(k * (inner ** (k - 1)) @ density)
 
 
+#: degrees of freedom from which a sum over s is its value at 1 in every digit
+_NORMAL = 1e14
+
+#: half the degrees of freedom from which Stirling's series has every digit
+_STIRLING = 25.0
+
+
 @lru_cache(maxsize=256)
-def _scale_rule(df: float) -> tuple[Array, Array]:
-    """Nodes and weights for s = sqrt(chi2_df / df)."""
+def scale_rule(df: float) -> tuple[Array, Array]:
+    """Nodes and weights of expectations over s = sqrt(chi2_df / df), up to infinite ``df``."""
     from scipy.special import gammainccinv, gammaincinv, gammaln
 
-    low = math.sqrt(2 * float(gammaincinv(df / 2, 1e-14)) / df)
-    high = math.sqrt(2 * float(gammainccinv(df / 2, 1e-14)) / df)
+    if df > _NORMAL:
+        return np.ones(1), np.ones(1)
+    a = df / 2
+    low = math.sqrt(2 * float(gammaincinv(a, 1e-14)) / df)
+    high = math.sqrt(2 * float(gammainccinv(a, 1e-14)) / df)
     nodes, weights = _legendre(128)
     s = low + (high - low) * (nodes + 1) / 2
-    log_density = (
-        math.log(2)
-        + df / 2 * math.log(df / 2)
-        - float(gammaln(df / 2))
-        + (df - 1) * np.log(s)
-        - df * s**2 / 2
-    )
-    return s, np.asarray(weights * (high - low) / 2 * np.exp(log_density))
+    if a < _STIRLING:
+        log_density = a * math.log(a) - float(gammaln(a)) + (df - 1) * np.log(s) - df * s**2 / 2
+    else:
+        # a ln a - ln Gamma(a) and df ln s are differences of numbers as large as df: taken together
+        # with a, what is left of both is small (Abramowitz and Stegun 1964, 6.1.41)
+        rest = 1 / (12 * a) - 1 / (360 * a**3) + 1 / (1260 * a**5) - 1 / (1680 * a**7)
+        bent = np.log1p(s - 1) - (s - 1) - (s - 1) ** 2 / 2
+        log_density = 0.5 * math.log(a / (2 * math.pi)) - rest + df * bent - np.log(s)
+    return s, np.asarray(weights * (high - low) * np.exp(log_density))
 
 
 def studentized_range_cdf(q: float, k: int, df: float) -> float:
@@ -336,7 +347,7 @@ def studentized_range_cdf(q: float, k: int, df: float) -> float:
     """
     if q <= 0:
         return 0.0
-    s, weights = _scale_rule(float(df))
+    s, weights = scale_rule(float(df))
     return min(1.0, float(range_cdf(q * s, k) @ weights))
 
 

@@ -10,6 +10,7 @@ from scipy.linalg import qr
 from scipy.optimize import minimize
 
 from study.arrays import Array, Ints
+from study.errors import RefusedError
 
 # of the longest column: what an axis keeps below this share of it is rounding
 _ROUNDING = 1e-12
@@ -149,8 +150,8 @@ class Likelihood:
                 lambda v: self.deviance(full(v), restricted), start, method="Nelder-Mead",
                 options={"xatol": 1e-9, "fatol": 1e-10, "maxiter": 4000},
             )  # fmt: skip
-            if best is None or found.fun < best[0]:
+            if found.success and (best is None or found.fun < best[0]):
                 best = (float(found.fun), full(np.asarray(found.x)))
         if best is None:
-            raise ValueError("no start")
+            raise RefusedError(f"no variance components have the least deviance: {found.message}")
         return best[1], best[0]

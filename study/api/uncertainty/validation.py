@@ -107,16 +107,17 @@ def _mesh_shares(
     Where the meshes are a factor nothing was refined, and the study's own cases are the series.
     """
     series = study_refinement.own_series(work, records)
-    if series:
+    finest = bool(series)
+    series = series or study_refinement.chosen_series(work, records)
+    known = store.by_case({j.case.case_id: j.input_hash for one in series for j in one.every})
+    for one in series:
+        one.records.update(known)
+    if finest:
         own = {case: share for one in series for case, share in one.shares().items()}
         of_cell = {_cell(job): own.get(job.case.case_id) for one in series for job in one.jobs}
         return lambda job: of_cell.get(_cell(job))
-    series = study_refinement.chosen_series(work, records)
-    hashes = {job.case.case_id: job.input_hash for one in series for job in one.jobs}
-    known = store.by_case(hashes)
     of_model = {}
     for one in series:
-        one.records.update(known)
         share = one.shares().get(one.base.case.case_id)
         of_model[study_refinement.discretization_key(one.base.case.config)] = share
     return lambda job: of_model.get(study_refinement.discretization_key(job.case.config))

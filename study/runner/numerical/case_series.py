@@ -6,6 +6,7 @@ are a factor of the study, and the finest of them is what the others are compare
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
@@ -29,6 +30,7 @@ from study.runner.numerical.judgement import SeriesJudgement, Values, combined, 
 from study.runner.numerical.refinement import FEWEST
 from study.runner.numerical.retry import has_other_mesh
 from study.runner.numerical.series_uncertainty import (
+    TWO_MESH_FACTOR,
     fine_uncertainty,
     ratio_of,
     series_uncertainty,
@@ -60,17 +62,25 @@ class CaseSeries:
         Which mesh is the study's.
     records : dict of str to Record or None
         What is computed of them, by case id; None where that failed to give a record.
+    other : CaseJob or None
+        The case on another mesh of the study's own size, where a generator chooses among many.
     """
 
     jobs: tuple[CaseJob, ...]
     ratio: float
     own: Literal["coarsest", "finest"] = "coarsest"
     records: dict[str, Record | None] = field(default_factory=dict)
+    other: CaseJob | None = None
 
     @property
     def base(self) -> CaseJob:
         """The case on the coarsest mesh."""
         return self.jobs[0]
+
+    @property
+    def every(self) -> tuple[CaseJob, ...]:
+        """Cases of the series and that on another mesh."""
+        return self.jobs if self.other is None else (*self.jobs, self.other)
 
     @property
     def levels(self) -> dict[str, str]:
@@ -95,7 +105,7 @@ class CaseSeries:
 
     def due(self) -> list[CaseJob]:
         """Cases that were not computed yet: all of them, for none depends on another."""
-        return [job for job in self.jobs if job.case.case_id not in self.records]
+        return [job for job in self.every if job.case.case_id not in self.records]
 
     def add(self, step: CaseJob, found: Record | None) -> None:
         """Take the record of a case."""
@@ -122,7 +132,12 @@ class CaseSeries:
         return series_uncertainty(values, self.ratio, sizes, formal)
 
     def uncertainty(self, response: str, unit: str) -> NumericalUncertainty:
-        """Numerical uncertainty of a response on the study's mesh."""
+        """Numerical uncertainty of a response on the study's mesh.
+
+        What the size of the elements and the choice of a mesh of that size move is independent,
+        and adds up in squares. Thrice the difference of two meshes holds the deviation of one from
+        the mean of all in 89 of 100 cases.
+        """
         known = [(job, r, v) for job, r in self.good if (v := r.value(response)) is not None]
         values = tuple(value for _, _, value in known)
         lacking = self._lacking([job for job, _, _ in known])
@@ -134,11 +149,25 @@ class CaseSeries:
             )
         sizes, formal = self.sizes([record for _, record, _ in known]), self.formal
         behaviour, u = self.half_width(values, sizes, formal.order)
-        value = values[0] if self.own == "coarsest" else values[-1]
+        value, note = values[0] if self.own == "coarsest" else values[-1], self._note(len(known))
+        if self.other is not None:
+            again = None if self._again is None else self._again.value(response)
+            if again is None:
+                note += "; no other mesh of the study's own size gave an answer"
+            else:
+                note += f"; another mesh of the study's own size gives {again:.4g} {unit}".rstrip()
+                u = math.hypot(u, TWO_MESH_FACTOR * abs(again - value))
         return NumericalUncertainty(
-            self.levels, response, value, u, unit, behaviour, self._note(len(known)),
-            sizes, values, formal.order, formal.why,
+            self.levels, response, value, u, unit, behaviour, note, sizes, values,
+            formal.order, formal.why,
         )  # fmt: skip
+
+    @property
+    def _again(self) -> Record | None:
+        """Answer on another mesh of the study's own size."""
+        record = None if self.other is None else self.records.get(self.other.case.case_id)
+        usable = record is not None and record.converged and not has_other_mesh(record)
+        return record if usable else None
 
     def _lacking(self, known: Sequence[CaseJob]) -> str:
         """Why the meshes with an answer are too few; empty if they are enough."""
@@ -170,6 +199,9 @@ class CaseSeries:
         forces = np.array([force_at_places(record) for _, record in good])
         sizes, formal = self.sizes([record for _, record in good]), self.formal.order
         u = np.array([self.half_width(list(place), sizes, formal)[1] for place in forces.T])
+        if self._again is not None:
+            own = forces[0 if self.own == "coarsest" else -1]
+            u = np.hypot(u, TWO_MESH_FACTOR * np.abs(force_at_places(self._again) - own))
         if self.own == "coarsest":
             return {self.base.case.case_id: u / np.abs(forces[0])}
         return {

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 
@@ -27,10 +27,14 @@ from study.runner.numerical.case_series import CaseSeries
 from study.runner.numerical.formal_order import base_size_mm
 from study.runner.numerical.refinement import FEWEST
 from study.runner.tables import CalibrationTable, on_mesh
+from study.setup.geometry import Enclosed
 from study.setup.section import table_of
 from study.setup.setup import Tables
 
 PURPOSE: Final = "refinement"
+
+#: Seed of the other mesh of a surface, whose difference tells how far a choice of meshes moves it.
+OTHER_MESH = 1
 
 #: Seconds below which the solution on a third mesh is predicted to be cheap, so that it is made.
 CHEAP_S = 20.0
@@ -98,7 +102,7 @@ def refinement_work(work: Work, bases: Sequence[CaseJob] = ()) -> Work:
         :func:`chosen`, twice where that is cheap and once elsewhere.
     """
     series = every_series(work, bases, {}) if bases else chosen_series(work, {})
-    return replace(work, jobs=tuple(job for one in series for job in one.jobs[1:]))
+    return replace(work, jobs=tuple(job for one in series for job in one.every[1:]))
 
 
 def refined_series(
@@ -127,7 +131,7 @@ def refined_series(
         )
         for level in range(1, times + 1)
     ]
-    return _series((base, *finer), ratio, records)
+    return _series(work, (base, *finer), records)
 
 
 def every_series(
@@ -168,15 +172,29 @@ def own_series(work: Work, records: Mapping[str, Record]) -> list[CaseSeries]:
     series = []
     for jobs in found.values():
         ordered = sorted(jobs, key=lambda job: -base_size_mm(job))
-        own = _series(tuple(ordered), work.design.converge.ratio, records)
-        own.own = "finest"
-        series.append(own)
+        series.append(_series(work, tuple(ordered), records, "finest"))
     return series
 
 
-def _series(jobs: tuple[CaseJob, ...], ratio: float, records: Mapping[str, Record]) -> CaseSeries:
-    known = {job.case.case_id: records.get(job.case.case_id) for job in jobs}
-    return CaseSeries(jobs, ratio, records={k: r for k, r in known.items() if r is not None})
+def _series(
+    work: Work,
+    jobs: tuple[CaseJob, ...],
+    records: Mapping[str, Record],
+    own: Literal["coarsest", "finest"] = "coarsest",
+) -> CaseSeries:
+    """Series with its records; of a surface with another mesh of the study's own size."""
+    base = jobs[0 if own == "coarsest" else -1]
+    other = None
+    if isinstance(base.case.setup.specimen, Enclosed):
+        case = varied(base.case, on_mesh(base.case.config, mesh_seed=OTHER_MESH), PURPOSE)
+        origin = Origin(purpose=PURPOSE, of=base.case.case_id, level=0)
+        other = case_job(case, work.data, work.design, origin)
+    series = CaseSeries(jobs, work.design.converge.ratio, own, other=other)
+    for job in series.every:
+        record = records.get(job.case.case_id)
+        if record is not None:
+            series.add(job, record)
+    return series
 
 
 def chosen(work: Work) -> list[CaseJob]:

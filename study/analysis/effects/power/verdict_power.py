@@ -11,17 +11,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
-from study.arrays import Array
+from study.analysis.effects.comparisons import scale_rule
 from study.errors import Fault, InputError
 
 #: numbers of blocks beyond this are not looked for
 MOST_BLOCKS = 200
-#: nodes of the integral over s; halving them changes no probability by 1e-9
-_NODES = 160
 
 
 @dataclass(frozen=True)
@@ -141,34 +138,12 @@ def _claimed(
     from scipy.special import ndtr, stdtrit
 
     error = sd / math.sqrt(blocks)
-    s, weights = _scale(blocks - 1)
+    s, weights = scale_rule(blocks - 1)
     half = float(stdtrit(blocks - 1, 1 - alpha / 2)) * error * s
     outer, inner = practical + u + half, practical - u - half
     above = ndtr((truth - outer) / error) + ndtr((-outer - truth) / error)
     within = ndtr((inner - truth) / error) - ndtr((-inner - truth) / error)
     return float(weights @ above), float(weights @ np.maximum(within, 0.0))
-
-
-@lru_cache(maxsize=1)
-def _legendre() -> tuple[Array, Array]:
-    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
-    return nodes, weights
-
-
-def _scale(df: int) -> tuple[Array, Array]:
-    """Nodes and weights for the expectation over s = sqrt(chi2_df / df)."""
-    from scipy.special import gammainccinv, gammaincinv, gammaln
-
-    tail = 1e-13
-    low = math.sqrt(2 * float(gammaincinv(df / 2, tail)) / df)
-    high = math.sqrt(2 * float(gammainccinv(df / 2, tail)) / df)
-    nodes, weights = _legendre()
-    s = low + (high - low) * (nodes + 1) / 2
-    log_density = (
-        math.log(2) + df / 2 * math.log(df / 2) - float(gammaln(df / 2))
-        + (df - 1) * np.log(s) - df * s**2 / 2
-    )  # fmt: skip
-    return s, weights * (high - low) / 2 * np.exp(log_density)
 
 
 def planned_verdicts(

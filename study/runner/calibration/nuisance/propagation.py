@@ -19,6 +19,7 @@ from study.arrays import Array
 from study.calibration.covariance import scaled_inverse
 from study.calibration.fit import Fit, fit
 from study.calibration.influence import with_serial_correlation
+from study.calibration.iteration import Status
 from study.calibration.measured_curve import MeasuredCurve
 from study.calibration.prior import NuisanceEstimate, Prior, pseudo_jacobian
 from study.curve import Curve
@@ -176,6 +177,11 @@ def _settled(task: _Task, fitted: Sequence[NuisanceParameter], found: Fit) -> tu
         if not joint.converged or abs(now - noise) <= _SETTLED * noise:
             break
         noise, start = now, plain.values
+    else:
+        why = f"the weight of the pseudo-observations has not settled in {_ROUNDS} fits"
+        plain, joint = (
+            replace(one, status=Status.max_evaluations, failure=why) for one in (plain, joint)
+        )
     return plain, joint
 
 

@@ -1,0 +1,102 @@
+"""gmsh is given one body however it lies: position, orientation and order change no element."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from study.fem.mesh.mesh import Mesh
+from study.fem.mesh.mesher import build_mesh
+from study.fem.mesh.standard_frame import standard_frame
+from study.setup.geometry import Sphere, Surface
+from study.setup.setup import Model, Problem
+from study.setup.test_kind import Test
+from study.surface.surface import body
+from tests.fem.problems import GEL
+from tests.fem.surfaces import Array, Shape, box, cylinder, sphere, write
+
+RNG = np.random.default_rng(2011)
+PLACE = np.array([1.0, 0.7])
+
+
+def scan() -> Shape:
+    """Body without any symmetry."""
+    points, triangles = sphere(8, 3)
+    return points * (1.2 + 0.2 * np.sin(points[:, [1, 2, 0]] / 3)), triangles
+
+
+def moved(shape: Shape, angle: float, shift: Array) -> Shape:
+    """Turned about the vertical, moved, and written down in another order."""
+    points, triangles = shape
+    c, s = np.cos(angle), np.sin(angle)
+    turned = points @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + shift
+    order = RNG.permutation(len(points))
+    cells = np.argsort(order)[triangles][RNG.permutation(len(triangles))]
+    return turned[order], np.roll(cells, 1, axis=1)
+
+
+def mesh(tmp_path: Path, shape: Shape, angle: float, shift: Array, **model: object) -> Mesh:
+    """Mesh of a moved body, pressed at the same of its places, in its first coordinates."""
+    c, s = np.cos(angle), np.sin(angle)
+    x, y = PLACE @ np.array([[c, s], [-s, c]]) + shift[:2]
+    file = write(tmp_path / "body.obj", moved(shape, angle, shift))
+    placed = Surface(file, press_x_mm=float(x), press_y_mm=float(y), clamp_below_mm=shift[2] + 1.0)
+    test = Test("indentation", 0.4, "frictionless", "bonded", steps=1, indenter=Sphere(4))
+    settings = replace(Model(space="3d", element_order="linear", mesh="coarse"), **model)  # type: ignore[arg-type]
+    made = build_mesh(Problem(placed, test, GEL, settings).setup)
+    return replace(made, points=made.points @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]))
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [scan(), sphere(8, 3), box(12, 10, 6), cylinder(7, 6, 24)],
+    ids=["scan", "sphere", "box", "cylinder"],
+)
+def test_position_orientation_and_order_change_no_element(tmp_path: Path, shape: Shape) -> None:
+    first = mesh(tmp_path, shape, 0.0, np.zeros(3))
+    for angle, shift in [
+        (0.0, [0.1, -0.3, 0.7]),
+        (np.pi / 2, [0.0, 0.0, 0.0]),
+        (-2.1, [-312.4, 77.3, 1001.9]),
+    ]:
+        other = mesh(tmp_path, shape, angle, np.array(shift))
+        assert np.array_equal(other.cells, first.cells)
+        assert other.points == pytest.approx(first.points, abs=1e-9)
+
+
+def test_the_last_digits_change_no_element(tmp_path: Path) -> None:
+    """Another processor adds in another order."""
+    points, triangles = scan()
+    first = mesh(tmp_path, (points, triangles), 0.0, np.zeros(3))
+    for _ in range(3):
+        noise = 1 + 2e-16 * RNG.integers(-4, 5, size=points.shape)
+        other = mesh(tmp_path, (points * noise, triangles), 0.0, np.zeros(3))
+        assert np.array_equal(other.cells, first.cells)
+
+
+def test_a_seed_gives_another_mesh_of_the_same_body(tmp_path: Path) -> None:
+    first, *others = (
+        mesh(tmp_path, scan(), 0.0, np.zeros(3), mesh_seed=seed) for seed in (None, 1, 2, 1)
+    )
+    assert len({len(one.points) for one in (first, *others[:2])}) == 3
+    assert others[0].digest() == others[2].digest()
+    for other in others:
+        assert len(other.cells) == pytest.approx(len(first.cells), rel=0.1)
+        assert other.size_mm == first.size_mm
+        assert np.ptp(other.points, axis=0) == pytest.approx(np.ptp(first.points, axis=0), rel=0.02)
+
+
+def test_the_way_back_leads_to_the_body(tmp_path: Path) -> None:
+    file = write(tmp_path / "body.obj", moved(scan(), 0.4, np.array([30.0, 7.0, 2.0])))
+    placed = body(Surface(file))
+    frame = standard_frame(placed)
+    back = frame.back(frame.body.points)
+    extent = np.ptp(placed.points, axis=0).max()
+    # rounded to 2^-22 of the extent
+    nearest = np.linalg.norm(back[:, None] - placed.points[None], axis=2).min(axis=1)
+    assert nearest.max() < 1e-6 * extent
+    assert back[:, 2].max() == pytest.approx(placed.height_mm, rel=1e-15)
+    assert frame.body.volume_mm3 == pytest.approx(placed.volume_mm3, rel=1e-6)
