@@ -98,15 +98,14 @@ def solve(
         If a program is missing, fails, takes too long, or writes no whole curve.
     """
     document: ProgramDocument = {
-        "version": said_version(command.version),
+        "version": said_version(command.version, command.contents),
         "digest": command.digest,
         "steps": [],
     }
     limit = None if command.timeout_s is None else time.monotonic() + command.timeout_s
     with program.fresh_folder() as folder:
         wanted = json.dumps(exchange.request(problem, displacement_mm), indent=1)
-        for file, text in {**command.contents, exchange.PROBLEM_FILE: wanted}.items():
-            (folder / file).write_text(text, encoding="utf-8")
+        _write(folder, {**command.contents, exchange.PROBLEM_FILE: wanted})
         for argv in command.argv:
             document["steps"].append(_step(argv, folder, command, limit))
             _check(document["steps"][-1], command)
@@ -126,13 +125,15 @@ def path_of(word: str) -> str | None:
     return sys.executable if word == PYTHON else shutil.which(word)
 
 
-def said_version(argv: tuple[str, ...]) -> str:
+def said_version(argv: tuple[str, ...], contents: Mapping[str, str]) -> str:
     """First line that a program says of itself, whatever its return code; ``ccx -v`` gives 201.
 
     Parameters
     ----------
     argv : tuple of str
-        Command that asks for the version, ended after 20 s; may be empty.
+        Command that asks for the version, ended after 20 s or 64 kB; may be empty.
+    contents : mapping of str to str
+        Name and text of every file that it finds in its folder, as the solution does.
 
     Returns
     -------
@@ -143,10 +144,16 @@ def said_version(argv: tuple[str, ...]) -> str:
     if path is None:
         return ""
     with program.fresh_folder() as folder:
+        _write(folder, contents)
         until = time.monotonic() + _VERSION_S
         ended = program.run([path, *argv[1:]], folder, until, _VERSION_BYTES)
     lines = ended.beginning.splitlines()
     return next((line.strip()[:200] for line in lines if line.strip()), "")
+
+
+def _write(folder: Path, contents: Mapping[str, str]) -> None:
+    for file, text in contents.items():
+        (folder / file).write_text(text, encoding="utf-8")
 
 
 def _step(

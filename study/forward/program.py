@@ -14,7 +14,7 @@ import sys
 import tempfile
 import time
 import uuid
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -71,7 +71,11 @@ def fresh_folder() -> Iterator[Path]:
 
 
 def run(
-    argv: Sequence[str], folder: Path, until: float | None = None, output_bytes: int = OUTPUT_BYTES
+    argv: Sequence[str],
+    folder: Path,
+    until: float | None = None,
+    output_bytes: int = OUTPUT_BYTES,
+    environment: Mapping[str, str] | None = None,
 ) -> Ended:
     """Run a program in a folder, and end all that it started with it.
 
@@ -85,6 +89,8 @@ def run(
         Time of :func:`time.monotonic` at which it is ended.
     output_bytes : int
         Bytes that it may say.
+    environment : mapping of str to str, optional
+        Its environment; that of this process by default.
     """
     lifeline, held = os.pipe()
     answer, status = os.pipe()
@@ -94,7 +100,7 @@ def run(
         process = subprocess.Popen(
             [sys.executable, "-I", "-S", str(_LAUNCHER), str(lifeline), str(status),
              str(FOLDER_BYTES), *argv],
-            cwd=folder, stdin=subprocess.DEVNULL, stdout=output, stderr=output,
+            cwd=folder, env=environment, stdin=subprocess.DEVNULL, stdout=output, stderr=output,
             pass_fds=(lifeline, status), start_new_session=True,
         )  # fmt: skip
         for end in (lifeline, status, output):

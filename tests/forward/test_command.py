@@ -258,17 +258,16 @@ def test_the_output_lies_out_of_reach_of_the_program(deed):
 
 
 def test_output_without_end_ends_the_program(monkeypatch):
-    monkeypatch.setattr(program.run, "__defaults__", (None, 1_000_000))
+    monkeypatch.setattr(program.run, "__defaults__", (None, 1_000_000, None))
     found = refusal(script("while True: print('x' * 1000)"))
     assert (found.status, "said more than 1 MB" in str(found)) == ("failed", True)
 
 
 def test_a_version_without_end_is_its_first_line():
-    assert command.said_version(("yes",)) == "y"
-    assert (
-        command.said_version(("python", "-c", "print(); print('v2'); print('x' * 10**4)")) == "v2"
-    )
-    assert command.said_version(("no-such-program-8141",)) == ""
+    long = "print(); print('v2'); print('x' * 10**4)"
+    assert command.said_version(("yes",), {}) == "y"
+    assert command.said_version(("python", "-c", long), {}) == "v2"
+    assert command.said_version(("no-such-program-8141",), {}) == ""
 
 
 @pytest.mark.parametrize(
@@ -403,6 +402,48 @@ def test_a_function_in_python_is_a_level_like_any_other(folder):
     values = [record.value("C10") for record in found.records]
     assert values[0] == pytest.approx(values[1], rel=1e-9)
     assert values == pytest.approx([1e3 * C10] * 2, rel=2e-4)
+
+
+HOSTILE = {
+    "brackets": WRITES.format(CURVE) + "open('facts.json', 'w').write('[' * 100_000)",
+    "negative": WRITES.format(CURVE) + "open('facts.json', 'w').write('{\"elements\": -5}')",
+    "huge": WRITES.format(CURVE.replace("20", "1e308")),
+    "pipe": "import os; os.mkfifo('curve.csv'); os.mkfifo('.output')",
+    "unknown gradient": WRITES.format("displacement_mm,force_N,dforce_XYZ\n1,1,1\n6,20,2\n"),
+    "large": WRITES.format("displacement_mm,force_N\n1,1e29\n6,-1e29\n"),
+}
+
+
+def test_hostile_answers_are_statuses_of_their_cases(folder):
+    """Through the public verb: every case ends, and says what was wrong."""
+    from study import api
+
+    presets = ""
+    for k, text in enumerate(HOSTILE.values()):
+        (folder / f"solvers/hostile-{k}.py").write_text(text)
+        presets += (
+            f'[presets.forward.hostile-{k}]\nmodel = "command"\n'
+            f'argv = [["python", "hostile-{k}.py"]]\nfiles = ["solvers/hostile-{k}.py"]\n'
+            'version = ["yes"]\n'
+        )
+    levels = ", ".join(f'"hostile-{k}"' for k in range(len(HOSTILE)))
+    text = DESIGN.replace("[factors]", presets + "[factors]")
+    text = text.replace('["built-in", "differences", "gradients"]', f'["built-in", {levels}]')
+    (folder / "design.toml").write_text(text)
+    study = api.run(
+        folder / "design.toml", data=folder, results=folder / "results", reports=None, jobs=1,
+        allow_commands=True,
+    )  # fmt: skip
+    records = {record.levels["forward"]: record for record in study.records}
+    assert records.pop("built-in").status == "converged"
+    said = {name: records[f"hostile-{k}"].message for k, name in enumerate(HOSTILE)}
+    assert not any("Traceback" in str(record.extra) for record in records.values())
+    for name, reason in (
+        ("brackets", "facts.json: is not valid JSON"), ("negative", "whole number"),
+        ("huge", "beyond 1e+30"), ("pipe", "no file but a pipe"),
+    ):  # fmt: skip
+        assert reason in said[name], said
+    assert {record.status for record in records.values()} <= {"failed", "not-converged"}
 
 
 @pytest.mark.skipif(shutil.which("ccx") is None, reason="needs ccx: apt-get install calculix-ccx")
