@@ -70,6 +70,10 @@ class Desk:
     group: str = ""
 
 
+def _is_result(content: object) -> bool:
+    return isinstance(content, dict) and isinstance(content.get("status"), str)
+
+
 @dataclass
 class Supervisor:
     """Runs the tasks of a queue on slots.
@@ -193,8 +197,8 @@ class Supervisor:
         except UnreadableError as error:
             return self._died(desk, tasks, seconds, str(error))
         results = found if len(tasks) > 1 and isinstance(found, list) else [found]
-        if len(results) != len(tasks) or not all(isinstance(one, dict) for one in results):
-            return self._died(desk, tasks, seconds, "a worker's answer is of another kind")
+        if len(results) != len(tasks) or not all(map(_is_result, results)):
+            return self._died(desk, tasks, seconds, "a worker's answer is no result")
         each = seconds / len(tasks)
         return [Outcome(one.key, result, each) for one, result in zip(tasks, results, strict=True)]
 
