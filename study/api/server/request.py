@@ -45,26 +45,14 @@ class Refused(Exception):
 
 
 class StudyServer(ThreadingHTTPServer):
-    """Server of some folders on the loopback interface.
-
-    Parameters
-    ----------
-    folders : Folders
-        Results and reports.
-    port : int
-        0 takes a free one.
-    """
+    """Server of some folders on the loopback interface; port 0 takes a free one."""
 
     daemon_threads = True
 
     def __init__(self, folders: Folders, port: int) -> None:
         super().__init__((LOOPBACK, port), Handler)
         self.folders = folders
-
-    @property
-    def address(self) -> str:
-        """Address to be opened in a browser."""
-        return f"http://{LOOPBACK}:{self.server_port}/"
+        self.address = f"http://{LOOPBACK}:{self.server_port}/"
 
 
 class Handler(BaseHTTPRequestHandler):
@@ -170,17 +158,7 @@ class Handler(BaseHTTPRequestHandler):
 def report_file(reports: Path, address: str) -> Path:
     """File of a report that an address names, links followed.
 
-    Parameters
-    ----------
-    reports : Path
-        Folder of the reports; nothing outside it is given out.
-    address : str
-        Below ``/reports/``, with ``%`` signs as the browser sent it.
-
-    Raises
-    ------
-    Refused
-        If it leaves the folder, is hidden, or is no file of a report.
+    Refused if it leaves the folder of the reports, is hidden, or is no file of a report.
     """
     absent = Refused(HTTPStatus.NOT_FOUND, "there is no such file")
     try:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import itertools
 import os
-from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote
 
@@ -34,43 +33,34 @@ MOST_RECORDS = 3000
 _LONGEST = 300
 
 
-@dataclass(frozen=True)
-class _Study:
-    """What a manifest says: the question, and the input of every case."""
-
-    question: str
-    cases: dict[str, str]
-
-
 class Folders:
-    """Results and reports that are shown; what was read of a file is kept while it stands.
-
-    Parameters
-    ----------
-    results, reports : Path
-        Folders that ``study run`` writes.
-    """
+    """Folders of results and reports; what was read of a file in them is kept while it stands."""
 
     def __init__(self, results: Path, reports: Path) -> None:
         self.results, self.reports = results, reports
-        self._studies: dict[Path, tuple[FileStamp, _Study | None]] = {}
+        #: question and inputs of the cases of a manifest, and status and input of a record
+        self._studies: dict[Path, tuple[FileStamp, str, dict[str, str] | None]] = {}
         self._records: dict[str, tuple[FileStamp, str, str]] = {}
 
     def states(self) -> list[StudyState]:
         """Every study of the results, by name; one whose manifest cannot be read is left out."""
-        states = []
+        states: list[StudyState] = []
         left = MOST_RECORDS
         for folder in self._folders():
-            study = self._study(folder)
-            if study is not None:
-                state, left = self._state(folder, study, left)
-                states.append(state)
+            question, cases = self._study(folder)
+            if cases is not None:
+                counted, left = self._counted(folder / "cases", cases, left)
+                page = self.reports / folder.name / f"{slug(folder.name)}.html"
+                address = "/".join(quote(os.fsencode(part)) for part in (folder.name, page.name))
+                link = f"/reports/{address}" if os.path.isfile(page) else ""
+                progress = progress_of(folder)
+                states.append(StudyState(folder.name, question, counted, progress, link))
         return states
 
     def running(self) -> dict[str, dict[str, object]]:
         """Progress of the studies at work, by their names."""
         progress = {folder.name: progress_of(folder) for folder in self._folders()}
-        return {name: one.to_json() for name, one in progress.items() if one is not None}
+        return {name: vars(one) for name, one in progress.items() if one is not None}
 
     def _folders(self) -> list[Path]:
         """Folders with a manifest, by name."""
@@ -78,42 +68,39 @@ class Folders:
         studies = (folder for folder in folders if os.path.exists(folder / "study.json"))
         return list(itertools.islice(studies, MOST_STUDIES))
 
-    def _study(self, folder: Path) -> _Study | None:
-        stamp = FileStamp.of(folder / "study.json")
-        known = self._studies.get(folder)
-        if stamp is not None and (known is None or known[0] != stamp):
-            known = self._studies[folder] = stamp, _read_study(folder / "study.json")
-        return None if stamp is None or known is None else known[1]
+    def _study(self, folder: Path) -> tuple[str, dict[str, str] | None]:
+        """Question of a study and the input of every case; None where it cannot be read."""
+        path = folder / "study.json"
+        stamp = FileStamp.of(path)
+        if stamp is None:
+            return "", None
+        if folder not in self._studies or self._studies[folder][0] != stamp:
+            self._studies[folder] = stamp, *_read_study(path)
+        return self._studies[folder][1:]
 
-    def _state(self, folder: Path, study: _Study, left: int) -> tuple[StudyState, int]:
-        """State of a study, of which so many records may be read; how many more may be."""
-        home = folder / "cases"
-        statuses = []
-        unread = 0
-        for name in study.cases.keys() & _names(home):
+    def _counted(self, home: Path, cases: dict[str, str], left: int) -> tuple[str, int]:
+        """Cases in words, of which so many records may be read; how many more may be."""
+        done = failed = unread = 0
+        for name in cases.keys() & _names(home):
             path = f"{home}{os.sep}{name}{os.sep}{CURRENT}"
             stamp = FileStamp.of(path)
             if stamp is None:
                 continue
-            known = self._records.get(path)
-            if known is None or known[0] != stamp:
+            if path not in self._records or self._records[path][0] != stamp:
+                unread += not left
                 if not left:
-                    unread += 1
                     continue
                 left -= 1
-                known = self._records[path] = stamp, *_read_record(path)
-            if known[2] == study.cases[name]:
-                statuses.append(known[1])
-        done = statuses.count(CONVERGED)
-        failed = len(statuses) - done - statuses.count("")
-        stem = slug(folder.name)
-        page = self.reports / folder.name / f"{stem}.html"
-        address = "/".join(quote(os.fsencode(part)) for part in (folder.name, f"{stem}.html"))
-        state = StudyState(
-            folder.name, study.question, len(study.cases), done, failed, unread,
-            progress_of(folder), f"/reports/{address}" if os.path.isfile(page) else "",
-        )  # fmt: skip
-        return state, left
+                self._records[path] = stamp, *_read_record(path)
+            _, status, made_of = self._records[path]
+            done += made_of == cases[name] and status == CONVERGED
+            failed += made_of == cases[name] and status not in ("", CONVERGED)
+        missing = len(cases) - done - failed - unread
+        parts = [f"{done:,} of {len(cases):,} done"]
+        parts += [f"{failed:,} failed"] if failed else []
+        parts += [f"{missing:,} missing"] if missing else []
+        parts += [f"{unread:,} not read yet: reload the page"] if unread else []
+        return ", ".join(parts), left
 
 
 def _names(folder: Path) -> set[str]:
@@ -125,18 +112,7 @@ def _names(folder: Path) -> set[str]:
 
 
 def progress_of(folder: Path) -> Progress | None:
-    """Read what the runner in a folder said last; None where none is at work.
-
-    Parameters
-    ----------
-    folder : Path
-        Results of one study.
-
-    Returns
-    -------
-    Progress or None
-        0 of 0 and ``"started"`` where the runner has said nothing yet.
-    """
+    """Read what the runner in a results folder said last; None where none is at work."""
     if not lock.is_locked(folder):
         return None
     note = lock.holder(folder)
@@ -146,25 +122,24 @@ def progress_of(folder: Path) -> Progress | None:
     return Progress(done, total, clean(note.get("counted", "at work"), _LONGEST))
 
 
-def _read_study(path: Path) -> _Study | None:
+def _read_study(path: Path) -> tuple[str, dict[str, str] | None]:
     content = _sealed(path)
     if fault_of(content, ManifestDocument):
-        return None
+        return "", None
     manifest: ManifestDocument = content  # type: ignore[assignment]
     try:
         section = parse_toml(manifest["design"], "study.json").get("study")
     except InputError:
         section = None
     question = section.get("question", "") if isinstance(section, dict) else ""
-    return _Study(clean(question, _LONGEST), manifest["cases"])
+    return clean(question, _LONGEST), manifest["cases"]
 
 
 def _read_record(path: str) -> tuple[str, str]:
     """Status and input of a record; empty where it is damaged."""
     content = _sealed(path)
-    if not isinstance(content, dict):
-        return "", ""
-    return str(content.get("status", "")), str(content.get("input_hash", ""))
+    fields = content if isinstance(content, dict) else {}
+    return str(fields.get("status", "")), str(fields.get("input_hash", ""))
 
 
 def _sealed(path: str | Path) -> object:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from study.reporting.output.page import _environment, policy_hash
@@ -21,45 +21,16 @@ class Progress:
     total: int
     said: str
 
-    def to_json(self) -> dict[str, object]:
-        """Plain values, for the script of the page."""
-        return asdict(self)
-
 
 @dataclass(frozen=True)
 class StudyState:
-    """One study as its folders show it.
-
-    Parameters
-    ----------
-    name, question : str
-        As the user wrote them.
-    total, done, failed, unread : int
-        Cases; a record that is unread may be of any kind.
-    progress : Progress, optional
-        Of the runner that is at work.
-    page : str
-        Address of its report; empty where there is none.
-    """
+    """One study as its folders show it: its cases in words, and the address of its report."""
 
     name: str
     question: str
-    total: int
-    done: int
-    failed: int
-    unread: int = 0
-    progress: Progress | None = None
-    page: str = ""
-
-    @property
-    def cases(self) -> str:
-        """Cases in words."""
-        missing = self.total - self.done - self.failed - self.unread
-        parts = [f"{self.done:,} of {self.total:,} done"]
-        parts += [f"{self.failed:,} failed"] if self.failed else []
-        parts += [f"{missing:,} missing"] if missing else []
-        parts += [f"{self.unread:,} not read yet: reload the page"] if self.unread else []
-        return ", ".join(parts)
+    cases: str
+    progress: Progress | None
+    page: str
 
 
 def render_overview(states: Sequence[StudyState]) -> tuple[str, str]:
