@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import gzip
-import io
-import zlib
 from pathlib import Path
 
+from study import bounded_file
+from study.bounded_file import MAX_BYTES, NotRegularError, UnreadableError
 from study.errors import Fault, InputError
 
-MAX_BYTES = 256_000_000
+_THIN_OUT = "name a file of data; a long recording is thinned out or split into several files"
 
 
 def read_bytes(path: Path, source: str) -> bytes:
@@ -28,12 +27,10 @@ def read_bytes(path: Path, source: str) -> bytes:
         If it cannot be read or is too large.
     """
     try:
-        size = path.stat().st_size
-        if size > MAX_BYTES:
-            raise InputError(too_large_fault(source, size))
-        return path.read_bytes()
-    except OSError as error:
-        raise InputError(Fault(source, f"cannot be read: {error.strerror or error}")) from error
+        return bounded_file.read_existing(path, MAX_BYTES)
+    except UnreadableError as error:
+        mend = _THIN_OUT if isinstance(error, NotRegularError) else ""
+        raise InputError(Fault(source, error.rule, mend)) from error
 
 
 def unzipped(raw: bytes, source: str) -> bytes:
@@ -54,15 +51,11 @@ def unzipped(raw: bytes, source: str) -> bytes:
     if raw[:2] != b"\x1f\x8b":
         return raw
     try:
-        with gzip.open(io.BytesIO(raw)) as stream:
-            data = stream.read(MAX_BYTES + 1)
-    except (OSError, EOFError, zlib.error) as error:
-        raise InputError(
-            Fault(source, f"is a broken gzip file ({error})", "copy the file again from its source")
-        ) from error
-    if len(data) > MAX_BYTES:
-        raise InputError(too_large_fault(source, len(data)))
-    return data
+        return bounded_file.unzip(raw, source, MAX_BYTES)
+    except UnreadableError as error:
+        is_large = isinstance(error, NotRegularError)
+        mend = _THIN_OUT if is_large else "copy the file again from its source"
+        raise InputError(Fault(source, error.rule, mend)) from error
 
 
 def decoded(data: bytes, source: str) -> str:
@@ -97,20 +90,3 @@ def decoded(data: bytes, source: str) -> str:
         line = text.count("\n", 0, text.index("\0")) + 1
         raise InputError(Fault(f"{source}:{line}", "holds a NUL character: this is not a CSV file"))
     return text
-
-
-def too_large_fault(source: str, size: int) -> Fault:
-    """Say that a file is too large.
-
-    Parameters
-    ----------
-    source : str
-        Name of the file in messages.
-    size : int
-        Bytes that it holds; those that were read where it is packed.
-    """
-    return Fault(
-        source,
-        f"holds more than {MAX_BYTES // 10**6} MB ({size} bytes)",
-        "thin the recording out or split it into several files",
-    )

@@ -7,7 +7,6 @@ and a sample of cases can be solved again from nothing.
 
 from __future__ import annotations
 
-import gzip
 import itertools
 import math
 import os
@@ -29,8 +28,9 @@ from study.api.folders import (
 )
 from study.api.opened_study import open_study
 from study.api.study import report
+from study.bounded_file import MAX_BYTES, UnreadableError, read_existing, unzip
 from study.design.load import loads
-from study.errors import Fault, InputError
+from study.errors import Fault, InputError, StoreError
 from study.record.record import Record
 from study.record.store import Store
 from study.reporting.output import provenance
@@ -44,12 +44,15 @@ OTHER_ARITHMETIC = 1e-9
 #: relative difference of a response that was solved again: the tolerance of fit and solver
 SOLVED_AGAIN = 1e-5
 
+#: bytes that a file of a report may have besides twice those of the one that is written again
+_SPARE_BYTES = 65_536
+
 #: differences that are told one by one
 TOLD = 50
 
 _NUMBER = re.compile(r"[-+\u2212]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 #: what the clock of a run said of its own statistics, which no record holds
-_CLOCK = re.compile(r", statistics [^,(<]*|\s*\(sum [^)]*\)")
+_CLOCK = re.compile(r", statistics [^,(<]*|(?:(?<!\s)\s+)?\(sum [^)]{0,99}\)")
 #: where the results lay when the report was written
 _PLACE = re.compile(r"(?<=study report )[^\s<]+")
 _TEXTS = (".html", ".csv", ".json", ".tex", ".gz")
@@ -211,12 +214,13 @@ def _compare_report(home: Path, folder: Path, found: Verification) -> None:
                 lost, made = ("there" if known else "missing" for known in there)
                 found.differences.append(Difference(str(name), lost, made))
                 continue
+            text = _text(fresh / name)
             try:
-                lines = _lines(home / name), _lines(fresh / name)
-            except OSError as error:
-                found.differences.append(Difference(str(name), f"{error.strerror}", "there"))
+                reported = _text(home / name, 2 * len(text.encode()) + _SPARE_BYTES)
+            except StoreError as error:
+                found.differences.append(Difference(str(name), str(error), "readable"))
                 continue
-            _compare(str(name), *lines, found)
+            _compare(str(name), _lines(reported), _lines(text), found)
 
 
 def _texts(folder: Path) -> Iterator[Path]:
@@ -224,12 +228,16 @@ def _texts(folder: Path) -> Iterator[Path]:
     return (p for p in found if p.name != provenance.NAME)
 
 
-def _lines(path: Path) -> list[str]:
-    raw = path.read_bytes()
+def _text(path: Path, limit: int = MAX_BYTES) -> str:
+    """Text of a file of a report, unpacked, of at most so many bytes."""
+    raw = read_existing(path, limit)
     try:
-        text = (gzip.decompress(raw) if path.suffix == ".gz" else raw).decode("utf-8")
-    except (OSError, EOFError, UnicodeDecodeError) as error:
-        return [f"unreadable: {error}"]
+        return (unzip(raw, path, limit) if path.suffix == ".gz" else raw).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise UnreadableError(path, f"is no text in UTF-8 ({error.reason})") from error
+
+
+def _lines(text: str) -> list[str]:
     lines = text.splitlines()
     lines = [_CLOCK.sub("", line) if "<dt>time</dt>" in line else line for line in lines]
     return [_PLACE.sub("", line) for line in lines]

@@ -12,6 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TypeGuard
 
+from study.bounded_file import NotRegularError, UnreadableError, read_regular
 from study.errors import Fault, InputError, nearest
 
 #: nested tables of a file
@@ -38,12 +39,13 @@ def read_text(path: str | Path) -> str:
     """
     source = str(path)
     try:
-        with Path(path).open("rb") as file:
-            raw = file.read(MAX_BYTES + 1)
-    except FileNotFoundError as error:
-        raise InputError(Fault(source, "there is no such file", _beside(Path(path)))) from error
-    except (OSError, ValueError) as error:
-        raise InputError(Fault(repr(source), f"cannot be read: {error}")) from error
+        raw = read_regular(path, MAX_BYTES)
+    except NotRegularError as error:
+        raise InputError(Fault(source, error.rule, "keep measured data in CSV files")) from error
+    except UnreadableError as error:
+        raise InputError(Fault(repr(source), error.rule)) from error
+    if raw is None:
+        raise InputError(Fault(source, "there is no such file", _beside(Path(path))))
     return decode(raw, source)
 
 

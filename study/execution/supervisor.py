@@ -10,6 +10,7 @@ from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
+from study.bounded_file import UnreadableError, parse_json
 from study.execution.queue import ReadyQueue
 from study.execution.task import Outcome, Task, stopped_late
 
@@ -67,6 +68,10 @@ class Desk:
     started: float = 0.0
     began: bool = False
     group: str = ""
+
+
+def _is_result(content: object) -> bool:
+    return isinstance(content, dict) and isinstance(content.get("status"), str)
 
 
 @dataclass
@@ -187,8 +192,13 @@ class Supervisor:
         desk.tasks = ()
         if answer.death:
             return self._died(desk, tasks, seconds, answer.death)
-        found = json.loads(answer.text)
-        results = found if len(tasks) > 1 else [found]
+        try:
+            found = parse_json(answer.text, "a worker's answer")
+        except UnreadableError as error:
+            return self._died(desk, tasks, seconds, str(error))
+        results = found if len(tasks) > 1 and isinstance(found, list) else [found]
+        if len(results) != len(tasks) or not all(map(_is_result, results)):
+            return self._died(desk, tasks, seconds, "a worker's answer is no result")
         each = seconds / len(tasks)
         return [Outcome(one.key, result, each) for one, result in zip(tasks, results, strict=True)]
 

@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-import os
 import shutil
-import signal
-import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,18 +12,20 @@ from pathlib import Path
 from typing import TypedDict
 
 from study.arrays import Array
-from study.forward import exchange
+from study.bounded_file import UnreadableError, read_regular
+from study.forward import exchange, program
 from study.forward.exchange import Answer, NoAnswer
 from study.setup.setup import Problem
-
-#: characters of the output of a program that its record keeps
-TAIL = 4000
 
 #: word that stands for the interpreter that runs this package
 PYTHON = "python"
 
-#: seconds that a program may take to say its version
+#: seconds that a program may take to say its version, and bytes that it may say
 _VERSION_S = 20.0
+_VERSION_BYTES = 65_536
+
+#: how the return code of a program that wrote a larger file than it may is seen
+_FILE_TOO_LARGE = -25  # SIGXFSZ
 
 
 class StepDocument(TypedDict):
@@ -101,16 +98,14 @@ def solve(
         If a program is missing, fails, takes too long, or writes no whole curve.
     """
     document: ProgramDocument = {
-        "version": said_version(command.version),
+        "version": said_version(command.version, command.contents),
         "digest": command.digest,
         "steps": [],
     }
     limit = None if command.timeout_s is None else time.monotonic() + command.timeout_s
-    with tempfile.TemporaryDirectory(prefix="study-case-") as name:
-        folder = Path(name)
+    with program.fresh_folder() as folder:
         wanted = json.dumps(exchange.request(problem, displacement_mm), indent=1)
-        for file, text in {**command.contents, exchange.PROBLEM_FILE: wanted}.items():
-            (folder / file).write_text(text, encoding="utf-8")
+        _write(folder, {**command.contents, exchange.PROBLEM_FILE: wanted})
         for argv in command.argv:
             document["steps"].append(_step(argv, folder, command, limit))
             _check(document["steps"][-1], command)
@@ -118,7 +113,7 @@ def solve(
         return exchange.answer(_written(folder), displacement_mm), document
 
 
-def program(word: str) -> str | None:
+def path_of(word: str) -> str | None:
     """Path of a program on this machine; None where there is none.
 
     Parameters
@@ -130,85 +125,56 @@ def program(word: str) -> str | None:
     return sys.executable if word == PYTHON else shutil.which(word)
 
 
-def said_version(argv: tuple[str, ...]) -> str:
+def said_version(argv: tuple[str, ...], contents: Mapping[str, str]) -> str:
     """First line that a program says of itself, whatever its return code; ``ccx -v`` gives 201.
 
     Parameters
     ----------
     argv : tuple of str
-        Command that asks for the version, ended after 20 s; may be empty.
+        Command that asks for the version, ended after 20 s or 64 kB; may be empty.
+    contents : mapping of str to str
+        Name and text of every file that it finds in its folder, as the solution does.
 
     Returns
     -------
     str
         At most 200 characters; empty without a command or a program, or where it says nothing.
     """
-    path = program(argv[0]) if argv else None
+    path = path_of(argv[0]) if argv else None
     if path is None:
         return ""
-    with contextlib.suppress(OSError, subprocess.TimeoutExpired):
-        found = subprocess.run(
-            [path, *argv[1:]], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT, timeout=_VERSION_S, check=False,
-        )  # fmt: skip
-        lines = found.stdout.decode(errors="replace").splitlines()
-        return next((line.strip()[:200] for line in lines if line.strip()), "")
-    return ""
+    with program.fresh_folder() as folder:
+        _write(folder, contents)
+        until = time.monotonic() + _VERSION_S
+        ended = program.run([path, *argv[1:]], folder, until, _VERSION_BYTES)
+    lines = ended.beginning.splitlines()
+    return next((line.strip()[:200] for line in lines if line.strip()), "")
+
+
+def _write(folder: Path, contents: Mapping[str, str]) -> None:
+    for file, text in contents.items():
+        (folder / file).write_text(text, encoding="utf-8")
 
 
 def _step(
     argv: tuple[str, ...], folder: Path, command: Command, limit: float | None
 ) -> StepDocument:
-    path = program(argv[0])
+    path = path_of(argv[0])
     if path is None:
         raise NoAnswer("failed", f"{argv[0]}: there is no such program on this machine")
-    # a file and no pipe: what the program leaves behind may hold a pipe open for ever
-    log = folder / ".output"
-    with log.open("wb") as stream:
-        process = subprocess.Popen(
-            [path, *argv[1:]], cwd=folder, stdin=subprocess.DEVNULL, stdout=stream,
-            stderr=subprocess.STDOUT,
-        )  # fmt: skip
-        code = _waited(process, limit)
-    said = _tail(log)
-    log.unlink()
-    return {"argv": list(argv), "code": code, "output": said}
-
-
-def _waited(process: subprocess.Popen[bytes], limit: float | None) -> int | None:
-    """Return code of a process; None where the limit came first, and all of it is ended then."""
-    try:
-        left = None if limit is None else max(limit - time.monotonic(), 0.0)
-        return process.wait(timeout=left)
-    except subprocess.TimeoutExpired:
-        return None
-    finally:
-        if process.poll() is None:
-            for pid in [*_descendants(process.pid), process.pid]:
-                with contextlib.suppress(ProcessLookupError, PermissionError):
-                    os.kill(pid, signal.SIGKILL)
-            process.wait()
-
-
-def _descendants(pid: int) -> list[int]:
-    """List what a process started, the last ones first; Linux alone tells."""
-    found: list[int] = []
-    with contextlib.suppress(OSError):
-        for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split():
-            found += [*_descendants(int(child)), int(child)]
-    return found
-
-
-def _tail(log: Path) -> str:
-    with log.open("rb") as stream:
-        stream.seek(max(log.stat().st_size - 4 * TAIL, 0))
-        return stream.read().decode(errors="replace")[-TAIL:]
+    ended = program.run([path, *argv[1:]], folder, limit)
+    if ended.excess:
+        raise NoAnswer("failed", f"{argv[0]}: was ended, for {ended.excess}")
+    return {"argv": list(argv), "code": ended.code, "output": ended.output}
 
 
 def _check(step: StepDocument, command: Command) -> None:
     name, said = step["argv"][0], step["output"]
     if step["code"] is None:
         raise NoAnswer("timeout", f"{name}: stopped after {command.timeout_s:g} s")
+    if step["code"] == _FILE_TOO_LARGE:
+        most = f"{program.FOLDER_BYTES / 1e9:g} GB"
+        raise NoAnswer("failed", f"{name}: was ended, for it wrote a file of more than {most}")
     if step["code"] != 0:
         raise NoAnswer("failed", f"{name}: return code {step['code']}: {_last(said)}")
     if command.failure and command.failure in said:
@@ -228,13 +194,14 @@ def _last(said: str) -> str:
 
 
 def _written(folder: Path) -> dict[str, str]:
-    """Texts of the files of an answer; a link that leads out of the folder is not followed."""
-    found = {}
+    """Texts of the files of an answer; a link, a pipe or a device is none."""
+    texts = {}
     for name in (exchange.CURVE_FILE, exchange.FACTS_FILE):
-        path = folder / name
-        if not path.is_file() or path.is_symlink():
-            continue
-        if path.stat().st_size > exchange.MAX_BYTES:
-            raise NoAnswer("failed", f"{name} is larger than {exchange.MAX_BYTES // 10**6} MB")
-        found[name] = path.read_text(encoding="utf-8", errors="replace")
-    return found
+        try:
+            data = read_regular(folder / name, exchange.MAX_BYTES, follow=False)
+        except UnreadableError as error:
+            rule = f"the program wrote no {name}: what stands there {error.rule}"
+            raise NoAnswer("failed", rule) from error
+        if data is not None:
+            texts[name] = data.decode(errors="replace")
+    return texts

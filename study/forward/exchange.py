@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import csv
 import io
-import json
+import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -18,6 +18,7 @@ from typing import cast
 import numpy as np
 
 from study.arrays import Array
+from study.bounded_file import UnreadableError, parse_json
 from study.canonical import Json, plain
 from study.curve import Curve
 from study.setup.section import values_of
@@ -35,6 +36,15 @@ GRADIENT = "dforce_"
 MAX_ROWS = 100_000
 MAX_BYTES = 20_000_000
 
+#: magnitude that no displacement in mm and no force in N has; powers of smaller ones are numbers
+LARGEST = 1e30
+
+#: unknowns and elements that no mesh has, beyond which a double is not exact
+MOST_ELEMENTS = 2**53
+
+#: characters of the reason for which there is no answer
+_REASON = 500
+
 #: share of the displacement asked for that a curve may end before: digits of a text file
 _SHORT = 1e-6
 
@@ -45,7 +55,7 @@ class NoAnswer(Exception):
     """The program has no answer; carries the status of the record."""
 
     def __init__(self, status: str, message: str) -> None:
-        super().__init__(message)
+        super().__init__(message if len(message) <= _REASON else f"{message[:_REASON]}...")
         self.status = status
 
 
@@ -167,9 +177,13 @@ def at_points(
     """
     reached, force = _checked(columns, float(displacement_mm[-1]))
     known = {k.removeprefix(GRADIENT): v for k, v in columns.items() if k.startswith(GRADIENT)}
-    gradient = {name: between(reached, slope, displacement_mm) for name, slope in known.items()}
-    curve = Curve(displacement_mm, between(reached, force, displacement_mm),
-                  force_gradient=gradient)  # fmt: skip
+    try:
+        with np.errstate(all="ignore"):
+            gradient = {k: between(reached, slope, displacement_mm) for k, slope in known.items()}
+            forces = between(reached, force, displacement_mm)
+        curve = Curve(displacement_mm, forces, force_gradient=gradient)
+    except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
+        raise NoAnswer("failed", f"no spline goes through the curve: {error}") from error
     return Answer(curve, facts.get("dofs", 0), facts.get("elements", 0), tuple(known))
 
 
@@ -199,16 +213,21 @@ def between(knots: Array, values: Array, at: Array) -> Array:
 
 
 def _columns(text: str) -> dict[str, Array]:
-    rows = list(csv.reader(io.StringIO(text.lstrip("\ufeff"))))
-    rows = [row for row in rows if any(cell.strip() for cell in row)]
+    lines = csv.reader(io.StringIO(text.lstrip("\ufeff")))
+    filled = (row for row in lines if any(cell.strip() for cell in row))
+    try:
+        rows = list(itertools.islice(filled, MAX_ROWS + 2))
+    except csv.Error as error:
+        raise NoAnswer("failed", f"{CURVE_FILE}: {error}") from error
     if len(rows) < 2:
         raise NoAnswer("failed", f"{CURVE_FILE} holds no rows below its header")
-    if len(rows) > MAX_ROWS:
-        raise NoAnswer("failed", f"{CURVE_FILE} has {len(rows)} rows, the limit is {MAX_ROWS}")
+    if len(rows) > MAX_ROWS + 1:
+        raise NoAnswer("failed", f"{CURVE_FILE} has more than {MAX_ROWS} rows below its header")
     header = [cell.strip() for cell in rows[0]]
     for name in (DISPLACEMENT, FORCE):
         if header.count(name) != 1:
-            raise NoAnswer("failed", f"{CURVE_FILE} needs one column {name}, it has {header}")
+            some = ", ".join(header[:20])
+            raise NoAnswer("failed", f"{CURVE_FILE} needs one column {name}, it has {some}")
     if any(len(row) != len(header) for row in rows):
         raise NoAnswer("failed", f"the rows of {CURVE_FILE} differ in length")
     try:
@@ -221,6 +240,9 @@ def _columns(text: str) -> dict[str, Array]:
 
 
 def _checked(columns: Mapping[str, Array], end_mm: float) -> tuple[Array, Array]:
+    for name, values in columns.items():
+        if np.abs(values).max(initial=0.0) > LARGEST:
+            raise NoAnswer("failed", f"{name} holds a number beyond {LARGEST:g}, which none can be")
     d, force = columns[DISPLACEMENT], columns[FORCE]
     if d.size == 0 or d[0] < 0 or np.any(np.diff(d) <= 0):
         raise NoAnswer("failed", f"{DISPLACEMENT} of the program does not rise from 0 on")
@@ -231,9 +253,15 @@ def _checked(columns: Mapping[str, Array], end_mm: float) -> tuple[Array, Array]
 
 def _facts(text: str) -> dict[str, int]:
     try:
-        found = json.loads(text)
-    except ValueError as error:
-        raise NoAnswer("failed", f"{FACTS_FILE}: {error}") from error
-    if not isinstance(found, dict):
+        facts = parse_json(text, FACTS_FILE)
+    except UnreadableError as error:
+        raise NoAnswer("failed", str(error)) from error
+    if not isinstance(facts, dict):
         raise NoAnswer("failed", f"{FACTS_FILE} must be an object")
-    return {k: v for k, v in found.items() if k in ("dofs", "elements") and type(v) is int}
+    counts = {name: facts[name] for name in ("dofs", "elements") if facts.get(name) is not None}
+    for name, count in counts.items():
+        is_number = isinstance(count, int | float) and not isinstance(count, bool)
+        if not is_number or not 0 <= count <= MOST_ELEMENTS or count != int(count):
+            rule = f"must be a whole number that is not negative, got {str(count)[:80]}"
+            raise NoAnswer("failed", f"{FACTS_FILE}: {name} {rule}")
+    return {name: int(count) for name, count in counts.items()}

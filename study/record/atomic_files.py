@@ -3,57 +3,17 @@
 A file is written beside its place, flushed to the disk, renamed over its final name, and the
 folder is flushed: after a crash or a power loss the old content or the new one is there,
 never something in between (Pillai et al. 2014, OSDI, "All file systems are not created
-equal"). What is read must be such a file, too: a pipe has no end, and a device may have none.
+equal"). :mod:`study.bounded_file` reads them.
 """
 
 from __future__ import annotations
 
 import os
-import stat
 from pathlib import Path
 
 from study.errors import StoreError
 
 TEMPORARY = ".part"
-
-#: no file of this program is larger, but for fields
-MAX_JSON_BYTES = 200_000_000
-
-
-class NotRegularError(StoreError):
-    """What stands in the place of a file is none, or larger than any of this program's."""
-
-
-def read_regular(path: str | Path, limit: int = MAX_JSON_BYTES) -> bytes | None:
-    """Read a whole file; None if there is none.
-
-    Parameters
-    ----------
-    path : str or Path
-        Its place.
-    limit : int
-        Bytes that it may have.
-
-    Raises
-    ------
-    NotRegularError
-        If it is a folder, a pipe or a device, or too large.
-    StoreError
-        If it cannot be read.
-    """
-    try:
-        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)  # to open a pipe may take forever
-        with open(handle, "rb", buffering=0) as stream:
-            known = os.fstat(handle)
-            if not stat.S_ISREG(known.st_mode):
-                raise NotRegularError(f"{path}: is no file")
-            if known.st_size > limit:
-                raise NotRegularError(f"{path}: is larger than {limit} bytes, which no record is")
-            return stream.read()
-    except (FileNotFoundError, NotADirectoryError):
-        return None
-    except OSError as error:
-        raise StoreError(f"{path}: cannot be read ({error.strerror or error})") from error
 
 
 class FileSystem:

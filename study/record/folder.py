@@ -9,16 +9,10 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Self, TypeVar, cast
 
+from study.bounded_file import MAX_JSON_BYTES, NotRegularError, read_regular
 from study.errors import NewerSchemaError, StoreError
 from study.record import lock
-from study.record.atomic_files import (
-    MAX_JSON_BYTES,
-    FileSystem,
-    NotRegularError,
-    is_leftover,
-    read_regular,
-    write_atomic,
-)
+from study.record.atomic_files import FileSystem, is_leftover, write_atomic
 from study.record.document_checks import fault_of
 from study.record.record import plain, seal, unseal
 

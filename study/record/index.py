@@ -14,8 +14,8 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
+from study.bounded_file import read_regular
 from study.errors import StoreError
-from study.record.atomic_files import read_regular
 from study.record.libraries import name_of
 from study.record.record import CONVERGED, Record, seal, unseal
 

@@ -18,6 +18,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
+from study.bounded_file import parse_json
 from study.errors import StoreError
 
 LOCK_NAME = ".lock"
@@ -109,8 +110,8 @@ def holder(folder: Path) -> dict[str, object]:
     except OSError:
         return {}
     try:
-        found = json.loads(os.read(handle, 4096))
-    except (OSError, ValueError, RecursionError):
+        found = parse_json(os.read(handle, 4096), LOCK_NAME)
+    except (OSError, StoreError):
         return {}
     finally:
         os.close(handle)

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TypeGuard, cast
 
 import study
+from study.bounded_file import sha256_of
 from study.design.sections.cell import Config
 from study.errors import Fault, InputError, MissingDataError, StoreError, nearest
 from study.measurement.data_root import check_relative, locate
@@ -235,8 +236,7 @@ def _found(section: Tables, places: Sequence[Path]) -> Tables:
     from study.surface.surface import height_of
 
     path = find(str(section["file"]), places)
-    sha = hashlib.sha256(path.read_bytes()).hexdigest()
-    whole = {**section, "path": str(path), "sha256": sha}
+    whole = {**section, "path": str(path), "sha256": sha256_of(path)}
     return {**whole, "height_mm": height_of(specimen_of(whole))}
 
 
@@ -268,8 +268,7 @@ def with_markers(config: Config, places: Sequence[Path]) -> Config:
         specimen = specimen_of(table_of(config, "specimen"))
         if isinstance(specimen, Block):  # what is wrong with the file is told before a run
             read_markers(MarkerSpec.from_dict(table), path, specimen)
-        sha = hashlib.sha256(path.read_bytes()).hexdigest()
-        return {**config, "markers": {**table, "path": str(path), "sha256": sha}}
+        return {**config, "markers": {**table, "path": str(path), "sha256": sha256_of(path)}}
     raise MissingDataError(missing[:1])
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.arrays import Array
+from study.bounded_file import open_regular
 from study.errors import Fault, InputError
 from study.registration.closest_point import TriangleSurface
 from study.shape_validation.boundary import (
@@ -175,6 +176,9 @@ def _read_vtu(path: Path) -> DeformedMesh:
 
     where = f"simulation: {path.name}"
     try:
+        stream = open_regular(path)
+        if stream is not None:
+            stream.close()
         mesh = vtu.read(str(path))
     except Exception as error:  # meshio's parsers raise whatever they stumble over
         reason = str(error).split("\n")[0][:120] or type(error).__name__

@@ -7,7 +7,9 @@ loading axis is x = y = 0 and lengths are mm.
 from __future__ import annotations
 
 import functools
+import os
 import re
+import sys
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from study.arrays import Array, Ints
+from study.bounded_file import UnreadableError, open_regular
 from study.errors import Fault, InputError, UnitError
 from study.setup.geometry import Brain, Enclosed, Specimen, Surface
 from study.surface.brain import brain_surface
@@ -323,11 +326,14 @@ def read_mesh(path: Path, where: str) -> tuple[Array, Ints]:
         If the file is missing, too large, empty, malformed or holds other faces.
     """
     try:
-        raw_size = path.stat().st_size
-    except OSError as error:
-        raise InputError(
-            Fault(where, f"cannot be read ({error.strerror})", "check the path")
-        ) from error
+        stream = open_regular(path, sys.maxsize)
+    except UnreadableError as error:
+        raise InputError(Fault(where, error.rule, "check the path")) from error
+    if stream is None:
+        rule = "cannot be read (there is no such file)"
+        raise InputError(Fault(where, rule, "check the path"))
+    with stream:
+        raw_size, head = os.fstat(stream.fileno()).st_size, stream.read(_PLY_HEADER)
     if path.suffix.lower() not in SUFFIXES:
         rule = f"must end in {', '.join(SUFFIXES)}, got {path.suffix!r}"
         raise InputError(Fault(where, rule, "save the surface as STL"))
@@ -337,9 +343,9 @@ def read_mesh(path: Path, where: str) -> tuple[Array, Ints]:
         rule = f"has {raw_size / 1024**2:.0f} MB, the limit is {MAX_BYTES // 1024**2} MB"
         raise InputError(Fault(where, rule, "decimate the surface: a mesh cannot follow it"))
     if path.suffix.lower() == ".ply":
-        _check_ply_header(path, raw_size, where)
+        _check_ply_header(head, raw_size, where)
     if path.suffix.lower() == ".stl":
-        _check_stl_size(path, raw_size, where)
+        _check_stl_size(head[:1024], raw_size, where)
     return _parsed(path, where)
 
 
@@ -371,10 +377,8 @@ def _parsed(path: Path, where: str) -> tuple[Array, Ints]:
     return points, triangles
 
 
-def _check_stl_size(path: Path, size: int, where: str) -> None:
+def _check_stl_size(head: bytes, size: int, where: str) -> None:
     """Refuse a binary STL that is shorter or longer than its own count of triangles says."""
-    with path.open("rb") as stream:
-        head = stream.read(1024)
     if head.lstrip().startswith(b"solid") and b"facet" in head:
         return
     count = int.from_bytes(head[80:84], "little")
@@ -384,10 +388,8 @@ def _check_stl_size(path: Path, size: int, where: str) -> None:
         raise InputError(Fault(where, rule, "save the surface again: it may have been cut short"))
 
 
-def _check_ply_header(path: Path, size: int, where: str) -> None:
+def _check_ply_header(head: bytes, size: int, where: str) -> None:
     """Refuse a header without end, which meshio would read for ever, or with too large counts."""
-    with path.open("rb") as stream:
-        head = stream.read(_PLY_HEADER)
     end = re.search(rb"^end_header[ \t]*\r?$", head, re.MULTILINE)
     if end is None:
         rule = "is malformed: its header has no end"

@@ -3,11 +3,14 @@
 import gzip
 import json
 import math
+import os
 import platform
 import re
+import resource
 import shutil
 import subprocess
 import sys
+import zlib
 from pathlib import Path
 
 import pytest
@@ -178,3 +181,54 @@ def test_a_record_that_was_edited_is_found_and_so_is_one_that_was_sealed_again(f
 def test_a_report_that_is_not_there_is_refused_with_a_way_out(tmp_path):
     with pytest.raises(Exception, match="study report NAME"):
         api.verify("nothing", reports=tmp_path, results=tmp_path)
+
+
+def bomb() -> bytes:
+    """Fifty million lines without a word, packed in 50 kB."""
+    packer = zlib.compressobj(9, wbits=31)
+    lines = b"\n" * (1 << 24)
+    return b"".join(packer.compress(lines) for _ in range(3)) + packer.flush()
+
+
+PLANTED = {
+    "curves.csv.gz": (lambda raw: bomb(), "unpacked, holds more than"),
+    "cases.csv": (lambda raw: raw * 4 + bytes(100_000), "holds more than"),
+    "table-fits.csv": (lambda raw: raw + b"\xff", "is no text in UTF-8"),
+    "numbers.json": (lambda raw: b"[" * 100_000, ""),
+    "made-from.json": (lambda raw: b"[" * 100_000, ""),
+}
+
+
+def test_a_file_that_cannot_be_read_is_a_difference_and_takes_no_memory(finished, tmp_path):
+    moved = tmp_path / "planted"
+    shutil.copytree(finished, moved)
+    for name, (change, _) in PLANTED.items():
+        path = moved / "reports/verified/verified-data" / name
+        path.write_bytes(change(path.read_bytes()))
+    limit = 3_000_000_000  # bytes of addresses
+    done = subprocess.run(
+        [sys.executable, "-m", "study", "verify", "verified", "--json"],
+        cwd=moved, capture_output=True, text=True, timeout=300, check=False,
+        env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (limit, limit)),
+    )  # fmt: skip
+    assert "Traceback" not in done.stderr
+    assert done.returncode == 1
+    reported = {Path(one["where"].split(":")[0]).name: one["reported"]
+                for one in json.loads(done.stdout)["differences"]}  # fmt: skip
+    assert set(reported) == set(PLANTED) - {"made-from.json"}
+    for name, (_, said) in PLANTED.items():
+        assert said in reported.get(name, ""), name
+
+
+@pytest.mark.parametrize("damage", [slice(0, -9), slice(12, None)])
+def test_a_damaged_packed_file_is_a_difference(finished, tmp_path, damage, monkeypatch):
+    moved = tmp_path / "damaged"
+    shutil.copytree(finished, moved)
+    path = moved / "reports/verified/verified-data/curves.csv.gz"
+    raw = path.read_bytes()
+    path.write_bytes(raw[:12] + bytes(8) + raw[20:] if damage.start else raw[damage])
+    monkeypatch.chdir(moved)
+    (only,) = api.verify("verified").differences
+    assert only.where == "verified-data/curves.csv.gz"
+    assert "is a broken gzip file" in only.reported

@@ -4,8 +4,10 @@ import json
 import math
 import os
 import shutil
+import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -14,7 +16,7 @@ import pytest
 
 from study.api.opened_study import open_study
 from study.errors import RefusedError
-from study.forward import command, exchange
+from study.forward import command, exchange, program
 from study.forward.command import Command
 from study.forward.exchange import NoAnswer
 from study.forward.python_function import PythonFunction
@@ -103,6 +105,13 @@ def refusal(made: Command, seconds: float | None = None) -> NoAnswer:
 
 
 WRITES = "open('curve.csv', 'w').write({!r})\n"
+REPLACES = "import os, shutil; d = os.getcwd(); shutil.rmtree(d); os.symlink('/etc', d)"
+CURVE = "displacement_mm,force_N\n1,1\n3,8\n5,20\n"
+
+
+def answer(facts: str) -> Command:
+    """A program with a good curve, and facts that a Python expression gives."""
+    return script(WRITES.format(CURVE) + f"open('facts.json', 'w').write({facts})\n")
 
 
 @pytest.mark.parametrize(
@@ -120,6 +129,32 @@ WRITES = "open('curve.csv', 'w').write({!r})\n"
         (script(WRITES.format("displacement_mm,force_N\n2,1\n")), "not-converged", "ends at 2 mm"),
         (script("import os; os.kill(os.getpid(), 11)"), "failed", "return code -11"),
         (script("import os; os.symlink('/etc/hostname', 'curve.csv')"), "failed", "no curve.csv"),
+        (script("import os; os.symlink('/dev/zero', 'curve.csv')"), "failed", "is a link"),
+        (script("import os; os.mkfifo('curve.csv')"), "failed", "is no file but a pipe"),
+        (script("import os; os.mkdir('curve.csv')"), "failed", "is no file but a folder"),
+        (script("open('curve.csv', 'wb').truncate(10**10)"), "failed", "return code 1"),
+        (script("open('curve.csv', 'wb').truncate(10**9)"), "failed", "holds more than 20 MB"),
+        (script("open('curve.csv', 'w').write('\\n' * 19_000_000)"), "failed", "no rows"),
+        (script("open('curve.csv', 'w').write('a' * 200_000 + '\\n1')"), "failed", "field larger"),
+        (script("open('curve.csv', 'w').write('a,' * 9_000_000 + '\\n1')"), "failed", "needs one"),
+        (script(WRITES.format(CURVE.replace("8", "1e308"))), "failed", "beyond 1e+30"),
+        (script(WRITES.format(CURVE.replace("8", "-1e308"))), "failed", "beyond 1e+30"),
+        (script(WRITES.format(CURVE.replace("8", "inf"))), "not-converged", "not finite"),
+        (script(WRITES.format(CURVE.replace("3,8", "3"))), "failed", "differ in length"),
+        (script(WRITES.format(CURVE.replace("3,8", "5e-324,8"))), "failed", "rise"),
+        (script(WRITES.format("displacement_mm,force_N\n5e-324,1\n1e-323,2\n5,3\n")), "failed", ""),
+        (answer("'[' * 100_000"), "failed", "facts.json: is not valid JSON"),
+        (answer("'{\"elements\": -5}'"), "failed", "elements must be a whole number"),
+        (answer("'{\"elements\": 1e300}'"), "failed", "elements must be a whole number"),
+        (answer('\'{"dofs": "many"}\''), "failed", "dofs must be a whole number"),
+        (answer("'{\"dofs\": true}'"), "failed", "dofs must be a whole number"),
+        (answer("'{\"dofs\": NaN}'"), "failed", "is not valid JSON"),
+        (answer("'[1]'"), "failed", "must be an object"),
+        (script("import os, shutil; shutil.rmtree(os.getcwd())"), "failed", "no curve.csv"),
+        (script(REPLACES), "failed", "no curve.csv"),
+        (script("import os; os.kill(os.getppid(), 9)"), "failed", "supervised it was killed"),
+        (Command((("./run.py",),), {"run.py": "x"}), "failed", "no such program"),
+        (Command((("python", "x" * 3_000_000),), {}), "failed", "could not be run"),
     ],
 )
 def test_what_a_program_does_wrong_is_a_status_that_says_it(made, status, said):
@@ -141,6 +176,127 @@ def test_a_program_that_takes_too_long_ends_with_all_that_it_started(tmp_path):
     if mark.is_file() and Path("/proc").is_dir():
         until(lambda: not is_alive(mark.read_text()), 10)
         assert not is_alive(mark.read_text())
+
+
+LEAVES = """
+import os, sys, time
+def leave(new_session):
+    if os.fork() == 0:
+        if new_session:
+            os.setsid()
+            if os.fork():
+                os._exit(0)
+        with open({place!r} + str(new_session), "w") as stream:
+            stream.write(str(os.getpid()))
+        time.sleep(600)
+        os._exit(0)
+leave(0)
+leave(1)
+while not all(os.path.isfile({place!r} + w) and os.path.getsize({place!r} + w) for w in "01"):
+    time.sleep(0.01)
+"""
+
+
+def left_behind(place: Path) -> list[str]:
+    """Ids of the processes that a program left, which still run."""
+    marks = [place.with_name(place.name + word) for word in "01"]
+    pids = [mark.read_text() for mark in marks if mark.is_file()]
+    return [pid for pid in pids if pid and is_alive(pid)]
+
+
+NEEDS_PROC = pytest.mark.skipif(not Path("/proc/self/stat").is_file(), reason="needs /proc")
+
+
+@NEEDS_PROC
+@pytest.mark.parametrize("end", ["", "time.sleep(600)", "raise SystemExit(3)", "os.abort()"])
+def test_all_that_a_program_leaves_behind_ends_with_it(tmp_path, end):
+    """In its own process group and in another session, whether it answers, fails or is late."""
+    text = LEAVES.format(place=str(tmp_path / "pid")) + WRITES.format(CURVE) + end
+    made = script(text, timeout_s=5.0 if "sleep" in end else None)
+    if end:
+        assert refusal(made).status == ("timeout" if "sleep" in end else "failed")
+    else:
+        command.solve(made, problem(C10=C10), POINTS)
+    assert left_behind(tmp_path / "pid") == []
+
+
+@NEEDS_PROC
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_all_of_a_program_ends_with_the_run_that_is_stopped(folder, tmp_path, number):
+    text = LEAVES.format(place=str(tmp_path / "pid")) + "time.sleep(600)\n"
+    (folder / "solvers/closed_form.py").write_text(text)
+    run = subprocess.Popen(
+        [sys.executable, "-m", "study", "run", "design.toml", "--data", ".", "--allow-commands",
+         "--jobs", "1"], cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    try:
+        until(lambda: len(left_behind(tmp_path / "pid")) == 2, 120)
+        run.send_signal(number)
+        run.wait(60)
+        until(lambda: not left_behind(tmp_path / "pid"), 30)
+    finally:
+        run.kill()
+        run.wait()
+    assert left_behind(tmp_path / "pid") == []
+
+
+@pytest.mark.parametrize(
+    "deed",
+    [
+        "os.remove('.output')",
+        "os.mkfifo('.output')",
+        "os.symlink('/dev/zero', '.output')",
+        "os.mkdir('.output')",
+    ],
+)
+def test_the_output_lies_out_of_reach_of_the_program(deed):
+    text = f"import os\ntry:\n    {deed}\nexcept FileNotFoundError:\n    pass\n"
+    made = script(text + "print('all went well')\n" + WRITES.format(CURVE))
+    _, document = command.solve(made, problem(C10=C10), POINTS)
+    assert document["steps"][0]["output"] == "all went well\n"
+
+
+def test_output_without_end_ends_the_program(monkeypatch):
+    monkeypatch.setattr(program.run, "__defaults__", (None, 1_000_000, None))
+    found = refusal(script("while True: print('x' * 1000)"))
+    assert (found.status, "said more than 1 MB" in str(found)) == ("failed", True)
+
+
+def test_a_version_without_end_is_its_first_line():
+    long = "print(); print('v2'); print('x' * 10**4)"
+    assert command.said_version(("yes",), {}) == "y"
+    assert command.said_version(("python", "-c", long), {}) == "v2"
+    assert command.said_version(("no-such-program-8141",), {}) == ""
+
+
+@pytest.mark.parametrize(
+    ("deed", "said"),
+    [
+        ("open(str(k), 'wb').write(bytes(10**6))", "holds more than 0.01 GB"),
+        ("open(str(k), 'wb').close()", "holds more than 500 files"),
+    ],
+)
+def test_a_disk_is_not_filled(monkeypatch, deed, said):
+    monkeypatch.setattr(program, "FOLDER_BYTES", 10_000_000)
+    monkeypatch.setattr(program, "FOLDER_ENTRIES", 500)
+    text = f"import time\nfor k in range(10**6):\n    {deed}\n    time.sleep(.001)\n"
+    found = refusal(script(text))
+    assert (found.status, said in str(found)) == ("failed", True), str(found)
+
+
+def test_a_file_larger_than_the_folder_may_be_is_said(monkeypatch):
+    monkeypatch.setattr(program, "FOLDER_BYTES", 10_000_000)
+    found = refusal(Command((("dd", "if=/dev/zero", "of=big", "bs=1M", "count=100"),), {}))
+    assert "wrote a file of more than 0.01 GB" in str(found)
+
+
+def test_nothing_of_a_case_stays_in_the_temporary_folder(monkeypatch, tmp_path):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    deep = "import os\nos.mkdir('shut')\nopen('shut/file', 'w').close()\nos.chmod('shut', 0)\n"
+    deep += "for k in range(3000):\n    os.mkdir('d')\n    os.chdir('d')\n"
+    refusal(script(deep))
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_no_shell_reads_the_words(tmp_path):
@@ -246,6 +402,48 @@ def test_a_function_in_python_is_a_level_like_any_other(folder):
     values = [record.value("C10") for record in found.records]
     assert values[0] == pytest.approx(values[1], rel=1e-9)
     assert values == pytest.approx([1e3 * C10] * 2, rel=2e-4)
+
+
+HOSTILE = {
+    "brackets": WRITES.format(CURVE) + "open('facts.json', 'w').write('[' * 100_000)",
+    "negative": WRITES.format(CURVE) + "open('facts.json', 'w').write('{\"elements\": -5}')",
+    "huge": WRITES.format(CURVE.replace("20", "1e308")),
+    "pipe": "import os; os.mkfifo('curve.csv'); os.mkfifo('.output')",
+    "unknown gradient": WRITES.format("displacement_mm,force_N,dforce_XYZ\n1,1,1\n6,20,2\n"),
+    "large": WRITES.format("displacement_mm,force_N\n1,1e29\n6,-1e29\n"),
+}
+
+
+def test_hostile_answers_are_statuses_of_their_cases(folder):
+    """Through the public verb: every case ends, and says what was wrong."""
+    from study import api
+
+    presets = ""
+    for k, text in enumerate(HOSTILE.values()):
+        (folder / f"solvers/hostile-{k}.py").write_text(text)
+        presets += (
+            f'[presets.forward.hostile-{k}]\nmodel = "command"\n'
+            f'argv = [["python", "hostile-{k}.py"]]\nfiles = ["solvers/hostile-{k}.py"]\n'
+            'version = ["yes"]\n'
+        )
+    levels = ", ".join(f'"hostile-{k}"' for k in range(len(HOSTILE)))
+    text = DESIGN.replace("[factors]", presets + "[factors]")
+    text = text.replace('["built-in", "differences", "gradients"]', f'["built-in", {levels}]')
+    (folder / "design.toml").write_text(text)
+    study = api.run(
+        folder / "design.toml", data=folder, results=folder / "results", reports=None, jobs=1,
+        allow_commands=True,
+    )  # fmt: skip
+    records = {record.levels["forward"]: record for record in study.records}
+    assert records.pop("built-in").status == "converged"
+    said = {name: records[f"hostile-{k}"].message for k, name in enumerate(HOSTILE)}
+    assert not any("Traceback" in str(record.extra) for record in records.values())
+    for name, reason in (
+        ("brackets", "facts.json: is not valid JSON"), ("negative", "whole number"),
+        ("huge", "beyond 1e+30"), ("pipe", "no file but a pipe"),
+    ):  # fmt: skip
+        assert reason in said[name], said
+    assert {record.status for record in records.values()} <= {"failed", "not-converged"}
 
 
 @pytest.mark.skipif(shutil.which("ccx") is None, reason="needs ccx: apt-get install calculix-ccx")

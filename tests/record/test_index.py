@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from study.record.atomic_files import read_regular
+from study.bounded_file import read_regular
 from study.record.record import Record, seal
 from study.record.store import Store
 from tests.record.samples import record

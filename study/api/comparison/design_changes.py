@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
+from study.bounded_file import read_json
 from study.design.load import loads
 from study.record.document import ManifestDocument
 from study.runner.job import TRUTH_SUFFIX
@@ -173,7 +173,7 @@ def read_truths(root: Path, files: Mapping[str, str]) -> dict[str, Any]:
     """
     notes = {name: root / f"{name}{TRUTH_SUFFIX}" for name in files}
     return {
-        name: json.loads(path.read_text(encoding="utf-8"))
+        name: cast("dict[str, Any]", read_json(path))
         for name, path in notes.items()
         if path.is_file()
     }

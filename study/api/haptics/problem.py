@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 from study.api.folders import data_root, finished_manifest, results_folder
 from study.api.planning.why import why
 from study.arrays import Array
+from study.bounded_file import UnreadableError, read_json
 from study.design import load
 from study.design.sections.cell import Config
 from study.design.spec import Design
@@ -190,11 +190,9 @@ def _document(path: Path) -> Mapping[str, object]:
     """
     mend = "name the calibration.json that `study calibrate` wrote"
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(Fault(str(path), f"cannot be read ({error.strerror})", mend)) from None
-    except ValueError:
-        raise InputError(Fault(str(path), "is no JSON", mend)) from None
+        found = read_json(path)
+    except UnreadableError as error:
+        raise InputError(Fault(str(path), error.rule, mend)) from None
     needed = {"status", "name", "parameters", "correlation", "tests"}
     if not isinstance(found, Mapping) or not needed <= set(found):
         raise InputError(Fault(str(path), "is no document of a calibration", mend))

@@ -145,7 +145,7 @@ def seconds_left(runner: Mapping[str, Any] | None) -> float | None:
     try:
         noted_at = datetime.datetime.fromisoformat(str(said["at"]))
         left = float(said["seconds_left"])
+        since = (datetime.datetime.now(datetime.UTC) - noted_at).total_seconds()
     except (KeyError, TypeError, ValueError):
         return None
-    since = (datetime.datetime.now(datetime.UTC) - noted_at).total_seconds()
     return max(0.0, left - max(0.0, since))

@@ -8,13 +8,16 @@ or read by another origin.
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from urllib.parse import parse_qs, unquote, urlsplit
+from urllib.parse import unquote, urlsplit
 
 from study.api.server.states import Folders
+from study.bounded_file import open_regular
+from study.errors import StoreError
 from study.reporting.output.overview_page import render_overview
 from study.reporting.output.page import policy_hash, table_script
 
@@ -42,26 +45,14 @@ class Refused(Exception):
 
 
 class StudyServer(ThreadingHTTPServer):
-    """Server of some folders on the loopback interface.
-
-    Parameters
-    ----------
-    folders : Folders
-        Results and reports.
-    port : int
-        0 takes a free one.
-    """
+    """Server of some folders on the loopback interface; port 0 takes a free one."""
 
     daemon_threads = True
 
     def __init__(self, folders: Folders, port: int) -> None:
         super().__init__((LOOPBACK, port), Handler)
         self.folders = folders
-
-    @property
-    def address(self) -> str:
-        """Address to be opened in a browser."""
-        return f"http://{LOOPBACK}:{self.server_port}/"
+        self.address = f"http://{LOOPBACK}:{self.server_port}/"
 
 
 class Handler(BaseHTTPRequestHandler):
@@ -80,7 +71,7 @@ class Handler(BaseHTTPRequestHandler):
             self._answer()
         except Refused as refused:
             self._send(refused.status, f"{refused.why}\n".encode(), "text/plain; charset=utf-8")
-        except (BrokenPipeError, ConnectionResetError):
+        except (BrokenPipeError, ConnectionResetError, TimeoutError):
             self.close_connection = True  # the reader has gone
 
     do_HEAD = do_GET  # noqa: N815
@@ -109,7 +100,8 @@ class Handler(BaseHTTPRequestHandler):
             raise Refused(HTTPStatus.BAD_REQUEST, "this is no address of a page")
         asked = urlsplit(self.path)
         if asked.path == "/":
-            self._overview(asked.query)
+            text, policy = render_overview(self.server.folders.states())
+            self._send(HTTPStatus.OK, text.encode("utf-8", "replace"), TYPES[".html"], policy)
         elif asked.path == "/favicon.ico":  # a browser asks for it of its own accord
             self._send(HTTPStatus.NO_CONTENT, b"", "image/x-icon")
         elif asked.path == "/progress.json":
@@ -120,27 +112,19 @@ class Handler(BaseHTTPRequestHandler):
         else:
             raise Refused(HTTPStatus.NOT_FOUND, "there is no such page")
 
-    def _overview(self, query: str) -> None:
-        try:
-            asked = parse_qs(query, max_num_fields=1000)
-        except ValueError:
-            raise Refused(HTTPStatus.BAD_REQUEST, "too much is asked at once") from None
-        states = self.server.folders.states()
-        factor = asked.get("factor", [""])[0]
-        text, policy = render_overview(states, factor=factor, chosen=asked.get("study", []))
-        self._send(HTTPStatus.OK, text.encode(), TYPES[".html"], policy)
-
     def _file(self, address: str) -> None:
         path = report_file(self.server.folders.reports, address)
         policy = _NOTHING
         if path.suffix == ".html":
             policy += f"; script-src '{policy_hash(table_script())}'; img-src 'self' data:"
         try:
-            stream = path.open("rb")
-        except OSError:
-            raise Refused(HTTPStatus.NOT_FOUND, "there is no such file") from None
+            stream = open_regular(path)
+        except StoreError as error:
+            raise Refused(HTTPStatus.NOT_FOUND, "there is no such file") from error
+        if stream is None:
+            raise Refused(HTTPStatus.NOT_FOUND, "there is no such file")
         with stream:
-            size = path.stat().st_size
+            size = os.fstat(stream.fileno()).st_size
             self._head(HTTPStatus.OK, size, TYPES[path.suffix], f"{policy}; frame-ancestors 'none'")
             if self.command != "HEAD":
                 shutil.copyfileobj(stream, self.wfile)
@@ -174,17 +158,7 @@ class Handler(BaseHTTPRequestHandler):
 def report_file(reports: Path, address: str) -> Path:
     """File of a report that an address names, links followed.
 
-    Parameters
-    ----------
-    reports : Path
-        Folder of the reports; nothing outside it is given out.
-    address : str
-        Below ``/reports/``, with ``%`` signs as the browser sent it.
-
-    Raises
-    ------
-    Refused
-        If it leaves the folder, is hidden, or is no file of a report.
+    Refused if it leaves the folder of the reports, is hidden, or is no file of a report.
     """
     absent = Refused(HTTPStatus.NOT_FOUND, "there is no such file")
     try:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import platform
 import shlex
 from collections.abc import Mapping, Sequence
@@ -16,6 +15,7 @@ from study.analysis.post_hoc.coefficients import coefficient_table
 from study.analysis.post_hoc.pairwise import pairwise
 from study.analysis.post_hoc.unusual_observations import diagnosed_rows, unusual_observations
 from study.api.statistics.comparisons import against_reference
+from study.bounded_file import sha256_of
 from study.errors import Fault, InputError
 from study.reporting.output.analysis_page import AnalysisReport, write_analysis
 from study.study_result.report_data import ReportData, ResponseAnalysis
@@ -59,7 +59,7 @@ class Source:
 
     def digest(self) -> str | None:
         """Sha256 of the file."""
-        return None if self.path is None else hashlib.sha256(self.path.read_bytes()).hexdigest()
+        return None if self.path is None else sha256_of(self.path)
 
     def commands(self) -> tuple[str, ...]:
         """Lines that check the file and make the analysis again; none for a table in memory."""

@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from study.bounded_file import MAX_BYTES, read_existing
 from study.errors import RefusedError, SchedulerLostError
 from study.execution.cluster.connection import Client, Pending, first_line
 from study.execution.cluster.serving import end_run, keep_files, serve
@@ -224,7 +225,7 @@ class Crew:
         self._strangers |= set(different)
         known = [address for address in new if address not in different]
         if known and self.files:
-            contents = {str(path): path.read_bytes() for path in self.files}
+            contents = {str(path): read_existing(path, MAX_BYTES) for path in self.files}
             self.client.run(keep_files, self.name, contents, workers=known, on_error="ignore")
         for address in known:
             self.workers[address] = Worker(address, max(there[address], 1))

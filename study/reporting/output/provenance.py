@@ -22,6 +22,8 @@ import scipy.linalg  # noqa: F401  (its linear algebra is another one than numpy
 from threadpoolctl import threadpool_info
 
 import study
+from study.bounded_file import read_json, sha256_of
+from study.errors import StoreError
 from study.record.folder import own_folder
 from study.reporting.figure.registry import slug
 from study.reporting.output.files import replace_file
@@ -76,8 +78,8 @@ def is_kept(folder: Path, name: str, made_from: str) -> bool:
     made_from : str
         By :func:`made_of`.
     """
-    with suppress(OSError, ValueError):
-        told = json.loads(_note(folder, name).read_text(encoding="utf-8"))
+    with suppress(OSError, StoreError):
+        told = read_json(_note(folder, name))
         return bool(told == _told(folder, name, made_from))
     return False
 
@@ -132,8 +134,9 @@ def arithmetic_of(folder: Path, name: str) -> str:
     name : str
         The study.
     """
-    with suppress(OSError, ValueError, LookupError, TypeError):
-        return str(json.loads(_note(folder, name).read_text(encoding="utf-8"))["arithmetic"])
+    with suppress(StoreError):
+        told = read_json(_note(folder, name))
+        return str(told.get("arithmetic", "")) if isinstance(told, dict) else ""
     return ""
 
 
@@ -160,7 +163,7 @@ def _content(root: Path, paths: Iterable[Path]) -> str:
     for path in sorted(paths):
         if path.is_file():
             sha.update(os.fsencode(f"{path.relative_to(root)}{os.sep}"))
-            sha.update(hashlib.sha256(path.read_bytes()).digest())
+            sha.update(bytes.fromhex(sha256_of(path)))
     return sha.hexdigest()
 
 

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from study.bounded_file import read_existing
 from study.errors import Fault, InputError, StudyError, nearest
 from study.memory import uncollected
 from study.reporting.content.methods import paragraph
@@ -240,7 +241,7 @@ def print_page(page: Path, out: Path) -> None:
         if done.returncode or not printed.is_file():
             last = done.stderr.decode(errors="replace").strip().splitlines()[-1:] or ["no message"]
             raise StudyError(f"{program} could not print {page}: {last[0][:300]}")
-        replace_bytes(out, printed.read_bytes())
+        replace_bytes(out, read_existing(printed))
 
 
 # CWE-1236: a text cell that starts with one of these is a formula to a spreadsheet

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import functools
-import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from study.bounded_file import UnreadableError, read_existing, sha256_of
 from study.canonical import plain
 from study.design.sections.cell import Config
 from study.errors import Fault, InputError
@@ -86,13 +86,11 @@ def with_external(
 
 
 def _program_sha(word: str) -> str:
-    path = command.program(word)
+    path = command.path_of(word)
     return "" if path is None else _sha_of(path)
 
 
-@functools.cache
-def _sha_of(path: str) -> str:
-    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+_sha_of = functools.cache(sha256_of)
 
 
 def _text(name: str, places: Sequence[Path]) -> str:
@@ -106,13 +104,14 @@ def _text(name: str, places: Sequence[Path]) -> str:
         looked = " or ".join(repr(str(folder)) for folder in places)
         mend = "put it beside the design, and name it relative to that"
         raise InputError(Fault(_WHERE, f"there is no file {name!r} below {looked}", mend))
-    if path.stat().st_size > MAX_BYTES:
-        rule = f"{name!r} is larger than {MAX_BYTES // 10**6} MB"
-        raise InputError(Fault(_WHERE, rule, "name the program's own data by a path instead"))
     try:
-        return path.read_text(encoding="utf-8")
+        text = read_existing(path, MAX_BYTES).decode("utf-8")
+    except UnreadableError as error:
+        mend = "name the program's own data by a path instead"
+        raise InputError(Fault(_WHERE, f"{name!r} {error.rule}", mend)) from error
     except UnicodeDecodeError as error:
         raise InputError(Fault(_WHERE, f"{name!r} is no text in UTF-8")) from error
+    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def externals(configs: Iterable[Tables]) -> list[External]:

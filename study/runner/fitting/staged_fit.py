@@ -18,10 +18,12 @@ from typing import TYPE_CHECKING, TypedDict, cast
 import numpy as np
 
 from study.arrays import Array
+from study.bounded_file import read_json
 from study.calibration.fit import fit
 from study.calibration.function import EvaluationFailed
 from study.calibration.iteration import Iteration, Status
 from study.curve import Curve
+from study.errors import StoreError
 from study.record.atomic_files import write_atomic
 from study.runner.fitting.starts import Start, gentler
 from study.runner.tables import on_mesh
@@ -326,6 +328,13 @@ class StageDocument(TypedDict):
     scale: list[float]
 
 
+class CheckpointDocument(TypedDict):
+    """Accepted iterations by the name of their stage, and the fit that they are of."""
+
+    key: str
+    stages: dict[str, StageDocument]
+
+
 class Checkpoint:
     """Last accepted iteration of every stage of one fit.
 
@@ -371,9 +380,9 @@ class Checkpoint:
 def _read(path: Path, key: str) -> dict[str, StageDocument]:
     """Stages of a file; none where it is of another fit, or damaged: the fit then starts anew."""
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = cast(CheckpointDocument, read_json(path))
         stages: dict[str, StageDocument] = content["stages"] if content["key"] == key else {}
         wanted = set(StageDocument.__annotations__)
         return {name: kept for name, kept in stages.items() if set(kept) == wanted}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+    except (StoreError, KeyError, TypeError, AttributeError):
         return {}

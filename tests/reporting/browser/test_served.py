@@ -85,19 +85,6 @@ def test_the_page_is_quiet_and_within_the_screen(
     )
 
 
-def test_a_factor_is_chosen_with_the_form(tab: Browser, server: StudyServer) -> None:
-    tab.open(server.address, 1400, "light")
-    tab.ask("document.querySelector('#factor').value = 'range';0")
-    tab.ask("document.querySelector('input[value=small]').checked = true;0")
-    tab.ask("document.querySelector('form').requestSubmit();0")
-    until(tab, "location.search.includes('factor=range')")
-    until(tab, "document.readyState === 'complete'")
-    rows = "[...document.querySelectorAll('#beside tbody tr:not(.group)')]"
-    shown = tab.ask(f"{rows}.map((row) => [...row.cells].slice(0, 2).map((c) => c.textContent))")
-    assert shown == [["small", "range"]]
-    assert tab.complaints() == []
-
-
 def test_a_report_opens_from_the_page(tab: Browser, server: StudyServer) -> None:
     tab.open(server.address, 1400, "light")
     tab.ask("document.querySelector('a[href=\"/reports/small/small.html\"]').click();0")

@@ -1,0 +1,138 @@
+"""The reader of files: what it refuses, within how many bytes, and how it says so."""
+
+from __future__ import annotations
+
+import gzip
+import os
+import resource
+import socket
+import zlib
+from pathlib import Path
+
+import pytest
+
+from study import bounded_file
+from study.bounded_file import NotRegularError, UnreadableError
+
+
+def special(kind: str, folder: Path) -> Path:
+    path = folder / "study.json"
+    if kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "folder":
+        path.mkdir()
+    elif kind == "endless device":
+        path.symlink_to("/dev/zero")
+    elif kind == "socket":
+        with socket.socket(socket.AF_UNIX) as made:
+            os.chdir(folder)  # the name of a socket has at most 107 bytes
+            made.bind(path.name)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("kind", "said"),
+    [("pipe", "a pipe"), ("folder", "a folder"), ("endless device", "a device")],
+)
+def test_what_is_no_file_is_refused_at_once(tmp_path: Path, kind: str, said: str) -> None:
+    path = special(kind, tmp_path)
+    with pytest.raises(NotRegularError, match=f"is no file but {said}"):
+        bounded_file.read_regular(path)
+
+
+def test_a_socket_is_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(UnreadableError, match="cannot be read"):
+        bounded_file.read_regular(special("socket", tmp_path))
+
+
+def test_a_missing_file_is_none_or_said(tmp_path: Path) -> None:
+    assert bounded_file.read_regular(tmp_path / "none") is None
+    with pytest.raises(UnreadableError, match="there is no such file"):
+        bounded_file.read_existing(tmp_path / "none")
+
+
+@pytest.mark.parametrize("name", ["a\0b", "a" * 300, "\udcff\0"])
+def test_a_name_that_no_file_has_is_said(tmp_path: Path, name: str) -> None:
+    with pytest.raises(UnreadableError, match="cannot be read") as caught:
+        bounded_file.read_regular(tmp_path / name)
+    assert str(caught.value).isprintable()
+
+
+def test_a_link_is_followed_only_where_that_is_meant(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"data")
+    (tmp_path / "link").symlink_to("file")
+    assert bounded_file.read_regular(tmp_path / "link") == b"data"
+    with pytest.raises(NotRegularError, match="a link, which is not followed"):
+        bounded_file.read_regular(tmp_path / "link", follow=False)
+
+
+def test_bytes_are_limited(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    path.write_bytes(bytes(1000))
+    assert bounded_file.read_regular(path, 1000) == bytes(1000)
+    with pytest.raises(NotRegularError, match="holds more than 999 bytes"):
+        bounded_file.read_regular(path, 999)
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").is_file(), reason="needs /proc")
+def test_a_file_that_hides_its_size_is_limited_all_the_same() -> None:
+    assert os.stat("/proc/self/status").st_size == 0
+    with pytest.raises(NotRegularError, match="holds more than 10 bytes"):
+        bounded_file.read_regular("/proc/self/status", 10)
+    whole = bounded_file.read_existing("/proc/self/status")
+    assert whole.startswith(b"Name:")
+    assert len(whole) > 500
+
+
+def test_a_packed_file_is_unpacked_up_to_its_limit() -> None:
+    text = b"line\n" * 1000
+    assert bounded_file.unzip(gzip.compress(text) + gzip.compress(b"end"), "f") == text + b"end"
+    assert bounded_file.unzip(gzip.compress(text), "f", 5000) == text
+    with pytest.raises(NotRegularError, match="unpacked, holds more than 4999 bytes"):
+        bounded_file.unzip(gzip.compress(text), "f", 4999)
+
+
+def test_a_packed_terabyte_takes_no_more_than_the_limit() -> None:
+    packer = zlib.compressobj(9, wbits=31)
+    zeros = bytes(1 << 24)
+    bomb = b"".join(packer.compress(zeros) for _ in range(64)) + packer.flush()
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(NotRegularError, match="holds more than 50 MB"):
+        bounded_file.unzip(bomb, "f", 50_000_000)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda raw: raw[:-9],
+        lambda raw: raw[:30] + bytes(20) + raw[50:],
+        lambda raw: raw[:-4] + b"\1\2\3\4",
+        lambda raw: raw + b"rest",
+        lambda raw: b"\x1f\x8b",
+        lambda raw: b"text",
+    ],
+)
+def test_a_damaged_packed_file_is_said_to_be_broken(damage) -> None:
+    raw = gzip.compress(os.urandom(2000))
+    with pytest.raises(UnreadableError, match="f: is a broken gzip file"):
+        bounded_file.unzip(damage(raw), "f")
+
+
+@pytest.mark.parametrize(
+    "text", ["[" * 100_000, '{"a":' * 100_000, "[" * 250 + "]" * 250, "", "{", "NaN", b"\xff"]
+)
+def test_json_that_is_none_or_too_deep_is_said(text: str | bytes) -> None:
+    with pytest.raises(UnreadableError, match="f: is not valid JSON"):
+        bounded_file.parse_json(text, "f")
+
+
+def test_a_file_is_hashed_without_being_held(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"abc")
+    found = bounded_file.sha256_of(tmp_path / "file")
+    assert found == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+    os.mkfifo(tmp_path / "pipe")
+    for name in ("pipe", "none"):
+        with pytest.raises(UnreadableError):
+            bounded_file.sha256_of(tmp_path / name)

@@ -1,0 +1,134 @@
+"""Whatever is read from a file goes through :mod:`study.bounded_file`; who does not says why."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+from tests.house import trees
+
+ROOT = Path(__file__).parents[1]
+
+READER = "study/bounded_file.py"
+#: methods and functions that open a file, or parse what somebody else may have written
+OPENS = {
+    "open", "open_code", "fdopen", "FileIO", "read_text", "read_bytes", "mmap", "memmap",
+    "fromfile", "loadtxt", "genfromtxt", "decompress", "GzipFile", "BZ2File", "LZMAFile",
+    "ZipFile", "TarFile", "unpack_archive", "read_parquet", "read_excel", "read_json",
+    "read_table", "read_pickle", "read_hdf",
+}  # fmt: skip
+#: the same, where the name before the dot decides: a method ``load`` may be of anything
+OPENS_OF = {
+    ("np", "load"), ("numpy", "load"), ("json", "load"), ("json", "loads"), ("tomllib", "load"),
+    ("pd", "read_csv"), ("pandas", "read_csv"), ("meshio", "read"), ("vtu", "read"),
+    ("stl", "read"), ("ply", "read"), ("obj", "read"), ("ElementTree", "parse"),
+    ("pickle", "load"), ("yaml", "safe_load"),
+}  # fmt: skip
+#: functions of ours with one of these names, and modules whose functions they are
+OURS = {"read_csv", "read_table", "read_json", "read_text", "read_bytes"}
+READERS = {"toml_document", "text_file", "bounded_file", "tabular", "tidy_csv", "self"}
+WRITING = {"w", "wb", "x", "xb", "a", "ab"}
+
+#: place and call, and why it may: this list may only become shorter
+EXCEPTIONS = {
+    ("study/api/single/virtual.py", "read_text"): "a file of the package",
+    ("study/api/study.py", "read_text"): "a file of the package",
+    ("study/design/load.py", "read_text"): "a file of the package",
+    ("study/reporting/output/overview_page.py", "read_text"): "a file of the package",
+    ("study/reporting/output/page.py", "read_text"): "a file of the package",
+    ("study/compilation.py", "read_bytes"): "sources of the package",
+    ("study/compilation.py", "open"): "the lock of the cache of kernels, which is not read",
+    ("study/runner/provenance.py", "read_text"): "sources of the package, and their hash",
+    ("study/record/atomic_files.py", "open"): "a handle for fsync, of which nothing is read",
+    ("study/record/lock.py", "open"): "4 kB of a file that must be opened to be locked",
+    ("study/record/fields.py", "ZipFile"): "bytes in memory; sizes are compared first",
+    ("study/record/fields.py", "open"): "a member of an archive in memory, of which 10 kB are read",
+    ("study/record/fields.py", "np.load"): "bytes in memory; sizes are compared first",
+    ("study/runner/numerical/solve_task.py", "open"): "memory of this process, from /proc",
+    ("study/runner/tasks.py", "read_text"): "memory of the machine, from /proc",
+    ("study/forward/launcher.py", "open"): "4 kB of /proc, in a program without this package",
+    ("study/cli/app.py", "open"): "/dev/null, to be written to",
+    ("study/cli/studies.py", "json.loads"): "a record that was read and written again in memory",
+    ("study/execution/inline.py", "json.loads"): "text of this very process",
+    ("study/execution/task.py", "json.loads"): "text of the process that asked",
+    ("study/execution/worker.py", "open"): "a pool of processes",
+    ("study/execution/loky.py", "open"): "a pool of processes",
+    **{
+        ("study/surface/surface.py", f"{kind}.read"): "a parser behind the reader's checks"
+        for kind in ("stl", "ply", "obj")
+    },
+    ("study/shape_validation/simulated.py", "vtu.read"): "a parser behind the reader's checks",
+}
+
+
+def calls_of(tree: ast.Module) -> set[str]:
+    """Names of the calls that open a file for reading, or parse what was read."""
+    calls = set()
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.Call) or _writes(node):
+            continue
+        if isinstance(node.func, ast.Name) and node.func.id in OPENS - OURS:
+            calls.add(node.func.id)
+        elif isinstance(node.func, ast.Attribute):
+            before = node.func.value.id if isinstance(node.func.value, ast.Name) else ""
+            if (before, node.func.attr) in OPENS_OF:
+                calls.add(f"{before}.{node.func.attr}")
+            elif node.func.attr in OPENS and before not in READERS:
+                calls.add(node.func.attr)
+    # a parser may be handed on by name, too
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.Attribute) or not isinstance(node.value, ast.Name):
+            continue
+        if (node.value.id, node.attr) in OPENS_OF:
+            calls.add(f"{node.value.id}.{node.attr}")
+    return calls
+
+
+def _writes(call: ast.Call) -> bool:
+    """Whether a call opens a file to write it anew: nothing that is there is read."""
+    if isinstance(call.func, ast.Name) and call.func.id == "open":
+        modes = call.args[1:2]
+    elif isinstance(call.func, ast.Attribute) and call.func.attr == "open":
+        modes = call.args[:2]  # of a path, or of a module such as gzip
+    else:
+        return False
+    modes = [*modes, *(word.value for word in call.keywords if word.arg == "mode")]
+    return any(isinstance(m, ast.Constant) and m.value in WRITING for m in modes)
+
+
+def found(root: Path) -> set[tuple[str, str]]:
+    return {(path.as_posix(), call) for path, tree in trees(root) for call in calls_of(tree)
+            if path.as_posix() != READER}  # fmt: skip
+
+
+def test_files_are_read_by_one_function() -> None:
+    assert found(ROOT) - set(EXCEPTIONS) == set()
+
+
+def test_no_exception_stands_for_nothing() -> None:
+    assert set(EXCEPTIONS) - found(ROOT) == set()
+    assert len(EXCEPTIONS) <= 26  # may only fall
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "open('x')", "open('x', 'rb')", "open('x', 'r+')", "Path('x').open()",
+        "Path('x').read_text()",
+        "path.read_bytes()", "gzip.open(path)", "gzip.decompress(b)", "np.load('x')",
+        "json.load(stream)", "json.loads(text)", "pd.read_csv('x')", "os.open(path, 0)",
+        "np.loadtxt('x')", "tomllib.load(stream)", "read = {'.stl': stl.read}",
+        "zipfile.ZipFile('x')", "pd.read_table('x')",
+    ],
+)  # fmt: skip
+def test_the_search_sees_a_reader(code: str) -> None:
+    assert calls_of(ast.parse(code))
+
+
+@pytest.mark.parametrize(
+    "code", ["open('x', 'w')", "Path('x').open('xb')", "open('x', mode='w')", "read_table(kind)"]
+)
+def test_the_search_lets_a_writer_pass(code: str) -> None:
+    assert not calls_of(ast.parse(code))
