@@ -324,10 +324,10 @@ COMMANDS = (
     ("virtual demo!", "virtual measurements --from {designs}/demo.toml --specimens 2"),
     (
         "plan noise+",
-        "plan {designs}/noise.toml --data measurements --run-sheet sheet.csv "
-        "-s replicates.noise=20",
+        "plan {designs}/noise.toml --data measurements -s replicates.noise=20",
     ),
     ("plan blocks+", "plan blocks.toml --data ."),
+    ("plan elements", "plan elements.toml --run-sheet sheet.csv --specimens 3"),
     ("power+", "power blocks.toml --data . --sd 0.5"),
     (
         "run noise",
