@@ -7,23 +7,29 @@ breach into a copy for each, because a gate that nobody has seen fail may check 
 from __future__ import annotations
 
 import ast
-import csv
-import inspect
+import importlib
 import re
 import sys
 import tomllib
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
-from numpydoc.docscrape import FunctionDoc, NumpyDocString
+import vulture
+from numpydoc.validate import validate
 
-LONGEST_FILE = 400
-#: lines of code of a function, without its docstring
-LONGEST_FUNCTION = 60
-LARGEST_PACKAGE = 16
 #: fields of a dataclass
 MOST_FIELDS = 12
+#: lines of the body of a helper that is written where it is used
+SMALL_BODY = 6
+#: packages below the first
+DEEPEST = 2
+#: what numpydoc's validation may miss: links to other functions, examples, a second paragraph
+OPTIONAL_SECTIONS = {"SA01", "EX01", "ES01", "SS05"}
+#: a paper names its year
+YEAR = re.compile(r"\b(1[89]|20)\d\d\b")
 #: names of distributions that are imported under another name
 IMPORTED_AS = {"scikit-fem": "skfem", "pydantic-core": "pydantic_core"}
 #: extras of what the package itself never imports: tests, and the documentation site
@@ -41,12 +47,24 @@ MAY_READ_ENVIRONMENT = {"cli", "runner", "execution"}
 def trees(root: Path) -> Iterator[tuple[Path, ast.Module]]:
     """Every module of the package below a root, with its syntax."""
     for path in sorted((root / "study").rglob("*.py")):
-        yield path.relative_to(root), ast.parse(path.read_text(encoding="utf-8"))
+        yield path.relative_to(root), parsed(path.read_text(encoding="utf-8"))
+
+
+@cache
+def parsed(text: str) -> ast.Module:
+    """Syntax of a text, made once for all rules."""
+    return ast.parse(text)
+
+
+@cache
+def walked(tree: ast.Module) -> tuple[ast.AST, ...]:
+    """Every node of a module."""
+    return tuple(ast.walk(tree))
 
 
 def imported(tree: ast.Module) -> Iterator[str]:
     """Top-level names of the packages that a module imports, anywhere in it."""
-    for node in ast.walk(tree):
+    for node in walked(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name.split(".")[0] for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
@@ -82,46 +100,6 @@ def unused_dependencies(root: Path) -> set[str]:
     return declared(root) - {name for _, tree in trees(root) for name in imported(tree)}
 
 
-def long_files(root: Path) -> dict[str, int]:
-    """Modules longer than anybody wants to read."""
-    lengths = {
-        str(path.relative_to(root)): len(path.read_text(encoding="utf-8").splitlines())
-        for path in (root / "study").rglob("*.py")
-    }
-    return {path: n for path, n in lengths.items() if n > LONGEST_FILE}
-
-
-def long_functions(root: Path) -> dict[str, int]:
-    """Functions longer than a page."""
-    lengths = {
-        f"{path}:{node.name}": _lines_of_code(node)
-        for path, tree in trees(root)
-        for node in ast.walk(tree)
-        if isinstance(node, ast.FunctionDef)
-    }
-    return {name: n for name, n in lengths.items() if n > LONGEST_FUNCTION}
-
-
-def _lines_of_code(node: ast.FunctionDef) -> int:
-    first = node.body[0]
-    said = first if ast.get_docstring(node) else None
-    length = (node.end_lineno or 0) - node.lineno + 1
-    return length - ((said.end_lineno or 0) - said.lineno + 1 if said else 0)
-
-
-def crowded_packages(root: Path) -> dict[str, int]:
-    """Packages with more modules and sub-packages than a newcomer can hold."""
-    found = {}
-    for init in (root / "study").rglob("__init__.py"):
-        folder = init.parent
-        if folder == root / "study":
-            continue  # the rooms themselves, listed in docs/architecture.md
-        entries = [p for p in folder.iterdir() if p.suffix == ".py" or (p / "__init__.py").exists()]
-        if len(entries) > LARGEST_PACKAGE:
-            found[str(folder.relative_to(root))] = len(entries)
-    return found
-
-
 def late_imports(root: Path) -> list[str]:
     """Imports of the package's own modules inside functions, outside the command line.
 
@@ -132,7 +110,7 @@ def late_imports(root: Path) -> list[str]:
         if path.parts[1] == "cli":
             continue
         own = path.parts[1] in COMPILED
-        for function in ast.walk(tree):
+        for function in walked(tree):
             if not isinstance(function, ast.FunctionDef):
                 continue
             for node in ast.walk(function):
@@ -158,33 +136,12 @@ def constants_in_tuples(root: Path) -> list[str]:
     ]
 
 
-def terms(root: Path) -> set[str]:
-    """Words that may name a module: terms of the field, each with its source."""
-    with (root / "docs" / "terms.csv").open(newline="", encoding="utf-8") as lines:
-        return {row["term"] for row in csv.DictReader(lines)}
-
-
-def foreign_names(root: Path) -> list[str]:
-    """Modules and packages whose name holds a word that is no term of the field."""
-    known = terms(root)
-    return [
-        str(path)
-        for path, _ in trees(root)
-        if any(
-            word not in known
-            for part in path.with_suffix("").parts[1:]
-            if part not in ("__init__", "__main__")
-            for word in part.split("_")
-        )
-    ]
-
-
 def untyped(root: Path) -> int:
     """How often ``Any`` stands in the package."""
     return sum(
         isinstance(node, ast.Name) and node.id == "Any"
         for _, tree in trees(root)
-        for node in ast.walk(tree)
+        for node in walked(tree)
     )
 
 
@@ -213,9 +170,9 @@ def wide_classes(root: Path) -> dict[str, int]:
     fields = {
         f"{path}: {node.name}": sum(isinstance(line, ast.AnnAssign) for line in node.body)
         for path, tree in trees(root)
-        for node in ast.walk(tree)
+        for node in walked(tree)
         if isinstance(node, ast.ClassDef)
-        and any("dataclass" in ast.unparse(one) for one in node.decorator_list)
+        and any("dataclass" in ast.unparse(mark) for mark in node.decorator_list)
     }
     return {name: n for name, n in fields.items() if n > MOST_FIELDS}
 
@@ -229,7 +186,7 @@ def stray_statistics(root: Path) -> list[str]:
         f"{path}:{node.lineno}: {ast.unparse(node)}"
         for path, tree in trees(root)
         if path.parts[1] not in STATISTICS
-        for node in ast.walk(tree)
+        for node in walked(tree)
         if any(one.startswith("scipy.stats") and one != POINTS for one in _taken(node))
     ]
 
@@ -243,64 +200,204 @@ def _taken(node: ast.AST) -> list[str]:
     return []
 
 
-def unexplained(function: Callable[..., object]) -> list[str]:
-    """What the docstring of a public function does not say of its parameters and its answer."""
-    said = FunctionDoc(function)
-    taken = [p.lstrip("*") for p in inspect.signature(function).parameters]
-    explained = [word.strip().lstrip("*") for p in said["Parameters"] for word in p.name.split(",")]
-    lost = [f"parameters {explained}, not {taken}"] if explained != taken else []
-    lost += [f"type of {p.name}" for p in said["Parameters"] if not p.type]
-    return lost if said["Returns"] else [*lost, "what it returns"]
-
-
-def undocumented_arguments(root: Path) -> dict[str, list[str]]:
-    """Arguments of public functions that their docstring does not name.
-
-    Commands are let off: each of their arguments has a help text, and the docstring is the help.
-    """
-    found: dict[str, list[str]] = {}
-    commands = {
-        name for path, tree in trees(root) if path.parts[1] == "cli" for name in _commands(tree)
-    }
+def defined_functions(root: Path) -> Iterator[tuple[Path, ast.FunctionDef]]:
+    """Every function and method with its module."""
     for path, tree in trees(root):
+        for node in walked(tree):
+            if isinstance(node, ast.FunctionDef):
+                yield path, node
+
+
+def docstring_lines(node: ast.Module | ast.ClassDef | ast.FunctionDef) -> int:
+    """Lines of a docstring, its quotes included."""
+    first = node.body[0] if node.body else None
+    if isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant):
+        return (
+            (first.end_lineno or 0) - first.lineno + 1 if isinstance(first.value.value, str) else 0
+        )
+    return 0
+
+
+def code_lines(node: ast.FunctionDef) -> int:
+    """Lines of a function with its signature, without its docstring and decorators."""
+    return (node.end_lineno or 0) - node.lineno + 1 - docstring_lines(node)
+
+
+def small_helpers(root: Path) -> list[str]:
+    """Private functions of a few lines that are called in one place, and are better written there.
+
+    Let off are those that a test imports, that name a paper by its year, and decorated ones.
+    """
+    tested = _words(path.read_text(encoding="utf-8") for path in (root / "tests").rglob("*.py"))
+    small = []
+    for path, tree in trees(root):
+        uses = Counter(node.id for node in walked(tree) if isinstance(node, ast.Name))
+        calls = Counter(
+            node.func.id
+            for node in walked(tree)
+            if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)
+        )
         for node in tree.body:
-            if not isinstance(node, ast.FunctionDef) or node.name.startswith("_"):
-                continue
-            if path.parts[1] == "cli" and node.name in commands:
-                continue
-            if "overload" in map(ast.unparse, node.decorator_list):
-                continue
-            every = (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)
-            more = [one for one in (node.args.vararg, node.args.kwarg) if one is not None]
-            lacking = {one.arg for one in (*every, *more)} - _documented(ast.get_docstring(node))
-            if lacking:
-                found[f"{path}:{node.name}"] = sorted(lacking)
-    return found
+            if (
+                isinstance(node, ast.FunctionDef)
+                and node.name.startswith("_")
+                and uses[node.name] == calls[node.name] == 1
+                and node.name not in tested
+                and not node.decorator_list
+                and not YEAR.search(ast.get_docstring(node) or "")
+                and _body_lines(node) <= SMALL_BODY
+            ):
+                small.append(f"{path}: {node.name}")
+    return small
 
 
-def _commands(tree: ast.Module) -> set[str]:
-    """Names that a module gives to the command line: those of ``VERBS``, and callbacks."""
-    found = set()
-    for node in tree.body:
-        if isinstance(node, ast.AnnAssign) and ast.unparse(node.target) == "VERBS" and node.value:
-            found |= {one.id for one in ast.walk(node.value) if isinstance(one, ast.Name)}
-            found |= {one.attr for one in ast.walk(node.value) if isinstance(one, ast.Attribute)}
-        if isinstance(node, ast.FunctionDef) and any(
-            "callback" in ast.unparse(one) for one in node.decorator_list
-        ):
-            found.add(node.name)
-    return found
+def _body_lines(node: ast.FunctionDef) -> int:
+    body = node.body[1:] if ast.get_docstring(node) else node.body
+    return (node.end_lineno or 0) - body[0].lineno + 1 if body else 0
 
 
-def _documented(text: str | None) -> set[str]:
-    named = NumpyDocString(text or "")["Parameters"]
-    return {one.strip(" *\\") for parameter in named for one in parameter.name.split(",")}
+def _words(texts: Iterable[str]) -> set[str]:
+    return {word for text in texts for word in re.findall(r"\b_\w+", text)}
+
+
+def long_docstrings(root: Path) -> list[str]:
+    """Functions whose docstring is longer than they are, outside the public interface."""
+    public = public_names(root)
+    extended = set(let_in(root)["extension_points"])
+    off = {
+        id(method)
+        for _, tree in trees(root)
+        for node in walked(tree)
+        if isinstance(node, ast.ClassDef) and node.name in extended
+        for method in node.body
+    }
+    return [
+        f"{path}: {node.name}"
+        for path, node in defined_functions(root)
+        if docstring_lines(node) > code_lines(node)
+        and node.name not in public
+        and id(node) not in off
+    ]
+
+
+def public_names(root: Path) -> set[str]:
+    """Names of ``study.__all__``: the keys of the table of what is loaded on first use."""
+    tree = parsed((root / "study" / "__init__.py").read_text(encoding="utf-8"))
+    return {
+        str(key.value)
+        for node in tree.body
+        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Dict)
+        for key in node.value.keys
+        if isinstance(key, ast.Constant)
+    }
+
+
+def deep_packages(root: Path) -> list[str]:
+    """Packages below the second level."""
+    paths = (path.parent for path, _ in trees(root) if path.name == "__init__.py")
+    return [str(path) for path in paths if len(path.parts) - 1 > DEEPEST]
+
+
+def empty_packages(root: Path) -> list[str]:
+    """Files ``__init__.py`` without a name in them."""
+    return [
+        str(path)
+        for path, tree in trees(root)
+        if path.name == "__init__.py" and len(tree.body) <= bool(docstring_lines(tree))
+    ]
+
+
+def shared_module_names(root: Path) -> dict[str, list[str]]:
+    """Names that several modules have."""
+    return _shared(
+        (path.stem, str(path)) for path, _ in trees(root) if not path.stem.startswith("__")
+    )
+
+
+def shared_class_names(root: Path) -> dict[str, list[str]]:
+    """Names that several classes have."""
+    return _shared(
+        (node.name, str(path))
+        for path, tree in trees(root)
+        for node in tree.body
+        if isinstance(node, ast.ClassDef)
+    )
+
+
+def _shared(places: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
+    by_name: dict[str, list[str]] = {}
+    for name, place in places:
+        by_name.setdefault(name, []).append(place)
+    return {name: places for name, places in by_name.items() if len(places) > 1}
+
+
+def tests_below_a_door(root: Path) -> list[str]:
+    """Files of tests that import a module below a room: every move breaks them."""
+    below = re.compile(r"^\s*(from study\.\w+\.\w+[\w.]* import|import study\.\w+\.\w+)", re.M)
+    return [
+        str(path.relative_to(root))
+        for path in sorted((root / "tests").rglob("*.py"))
+        if below.search(path.read_text(encoding="utf-8"))
+    ]
+
+
+def unused(root: Path) -> list[str]:
+    """Names of functions, classes, methods, fields and variables that no module uses.
+
+    Vulture knows names alone, so that one use of a name lets off all that bear it. Templates use
+    names, too; public names and hooks that other packages call are let off.
+    """
+    hooks = let_in(root)["hooks"]
+    finder = vulture.Vulture(ignore_names=[*public_names(root), *hooks])
+    finder.scavenge([root / "study"])
+    pages = [path for kind in ("*.j2", "*.html") for path in (root / "study").rglob(kind)]
+    templates = {word for path in pages for word in re.findall(r"\w+", path.read_text())}
+    found = {str(item.name) for item in finder.get_unused_code(min_confidence=60)}
+    return sorted(found - templates)
+
+
+def poorly_explained(root: Path) -> list[str]:
+    """What numpydoc misses at the public functions and at the classes that others derive from."""
+    names = [f"study.{name}" for name in sorted(public_names(root))]
+    extended = set(let_in(root)["extension_points"])
+    for path, tree in trees(root):
+        module = ".".join(path.with_suffix("").parts)
+        for node in tree.body:
+            if isinstance(node, ast.ClassDef) and node.name in extended:
+                extended.remove(node.name)
+                importlib.import_module(module)
+                names.append(f"{module}.{node.name}")
+    missing = [f"{name}: no class has this name" for name in sorted(extended)]
+    return missing + [
+        f"{name}: {code} {message}"
+        for name in names
+        for code, message in validate(name)["errors"]
+        # the signature of a protocol is one that Python makes
+        if code not in OPTIONAL_SECTIONS and not (code == "PR01" and "'*args'" in message)
+    ]
 
 
 def let_in(root: Path) -> dict[str, Any]:
-    """What pyproject.toml lets in for now: numbers and lists that may only become smaller."""
-    found: dict[str, Any] = tomllib.loads((root / "pyproject.toml").read_text())["tool"]["house"]
-    return found
+    """What pyproject.toml lets in: names, and numbers and lists that may only become smaller."""
+    table: dict[str, Any] = tomllib.loads((root / "pyproject.toml").read_text())["tool"]["house"]
+    return {**table, **table["numbers"]}
+
+
+def counted(root: Path) -> dict[str, int | list[str] | dict[str, int]]:
+    """What the tree holds today of all that ``[tool.house]`` lets in, by its names there."""
+    return {
+        "any": untyped(root),
+        "small_helpers": len(small_helpers(root)),
+        "long_docstrings": len(long_docstrings(root)),
+        "deep_packages": len(deep_packages(root)),
+        "empty_packages": len(empty_packages(root)),
+        "shared_module_names": len(shared_module_names(root)),
+        "shared_class_names": len(shared_class_names(root)),
+        "tests_below_a_door": len(tests_below_a_door(root)),
+        "untyped_aliases": untyped_aliases(root),
+        "unused": unused(root),
+        "wide_classes": wide_classes(root),
+    }
 
 
 def contract(root: Path, name: str) -> dict[str, Any]:
@@ -314,7 +411,7 @@ def reads_environment(tree: ast.Module) -> bool:
     """Whether a module looks at environment variables."""
     return any(
         isinstance(node, ast.Attribute) and node.attr in {"environ", "getenv", "putenv"}
-        for node in ast.walk(tree)
+        for node in walked(tree)
     )
 
 
@@ -329,13 +426,13 @@ def environment_readers(root: Path) -> set[str]:
 
 def _has_search_tree(tree: ast.Module) -> bool:
     """Whether a module imports the search tree of scipy."""
-    names = (node.names for node in ast.walk(tree) if isinstance(node, ast.ImportFrom))
+    names = (node.names for node in walked(tree) if isinstance(node, ast.ImportFrom))
     return any(alias.name in {"KDTree", "cKDTree"} for aliases in names for alias in aliases)
 
 
 def forbidden(tree: ast.Module) -> Iterator[tuple[int, str]]:
     """What could run code from a file, or vanish under ``python -O``."""
-    for node in ast.walk(tree):
+    for node in walked(tree):
         if isinstance(node, ast.Assert):
             yield node.lineno, "assert (raise instead: asserts vanish under -O)"
         elif isinstance(node, ast.Call):

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import ast
-import inspect
 from pathlib import Path
 
 import pytest
 
-import study
+from scripts import ledger
 from tests import house
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -22,46 +21,18 @@ def test_every_declared_package_is_imported() -> None:
     assert house.unused_dependencies(ROOT) == set()
 
 
-def test_no_file_is_too_long() -> None:
-    assert house.long_files(ROOT) == {}
-
-
-def test_no_function_is_too_long() -> None:
-    assert house.long_functions(ROOT) == {}
-
-
-def test_no_package_is_crowded() -> None:
-    assert house.crowded_packages(ROOT) == {}
-
-
 def test_a_module_says_at_its_head_what_it_needs() -> None:
     assert house.late_imports(ROOT) == []
-
-
-def test_every_argument_of_a_public_function_is_explained() -> None:
-    assert house.undocumented_arguments(ROOT) == {}
 
 
 def test_every_constant_has_a_line_of_its_own() -> None:
     assert house.constants_in_tuples(ROOT) == []
 
 
-def test_modules_are_named_by_terms_of_the_field() -> None:
-    assert house.foreign_names(ROOT) == []
-
-
-def test_untyped_values_become_fewer() -> None:
-    found, most = house.untyped(ROOT), house.let_in(ROOT)["any"]
-    assert found <= most, "type the new values"
-    assert found > most - 15, f"lower the ceiling in pyproject.toml to {found}"
-
-
-def test_no_new_name_hides_untyped_values() -> None:
-    assert house.untyped_aliases(ROOT) == house.let_in(ROOT)["untyped_aliases"], "lists may shrink"
-
-
-def test_no_class_becomes_wide_or_wider() -> None:
-    assert house.wide_classes(ROOT) == house.let_in(ROOT)["wide_classes"], "numbers may only fall"
+def test_no_number_of_the_house_has_risen() -> None:
+    """Budgets by room, and what ``[tool.house.numbers]`` lets in for now."""
+    risen = list(ledger.risen(ROOT, ledger.counts_of(ROOT)))
+    assert risen == [], "mend them, or run scripts/ledger.py --write and say for what it grew"
 
 
 def test_only_rooms_of_statistics_ask_for_statistics() -> None:
@@ -114,9 +85,5 @@ def test_rooms_with_a_licence_exist() -> None:
     assert rooms >= house.MAY_READ_ENVIRONMENT | house.COMPILED
 
 
-@pytest.mark.parametrize("name", sorted(study.__all__))
-def test_the_public_names_say_what_they_take_and_give(name: str) -> None:
-    function = getattr(study, name)
-    if not callable(function) or inspect.isclass(function):
-        pytest.skip(f"{name} is no function")
-    assert house.unexplained(function) == []
+def test_public_names_and_extension_points_are_explained() -> None:
+    assert house.poorly_explained(ROOT) == []
