@@ -20,6 +20,7 @@ from study.arrays import Array
 from study.forward import exchange
 from study.forward.exchange import Answer, NoAnswer
 from study.setup.setup import Problem
+from study.working_folder import environment
 
 #: characters of the output of a program that its record keeps
 TAIL = 4000
@@ -101,7 +102,7 @@ def solve(
         If a program is missing, fails, takes too long, or writes no whole curve.
     """
     document: ProgramDocument = {
-        "version": said_version(command.version),
+        "version": said_version(command.version, command.contents),
         "digest": command.digest,
         "steps": [],
     }
@@ -109,8 +110,7 @@ def solve(
     with tempfile.TemporaryDirectory(prefix="study-case-") as name:
         folder = Path(name)
         wanted = json.dumps(exchange.request(problem, displacement_mm), indent=1)
-        for file, text in {**command.contents, exchange.PROBLEM_FILE: wanted}.items():
-            (folder / file).write_text(text, encoding="utf-8")
+        _write(folder, {**command.contents, exchange.PROBLEM_FILE: wanted})
         for argv in command.argv:
             document["steps"].append(_step(argv, folder, command, limit))
             _check(document["steps"][-1], command)
@@ -130,13 +130,15 @@ def program(word: str) -> str | None:
     return sys.executable if word == PYTHON else shutil.which(word)
 
 
-def said_version(argv: tuple[str, ...]) -> str:
+def said_version(argv: tuple[str, ...], contents: Mapping[str, str]) -> str:
     """First line that a program says of itself, whatever its return code; ``ccx -v`` gives 201.
 
     Parameters
     ----------
     argv : tuple of str
         Command that asks for the version, ended after 20 s; may be empty.
+    contents : mapping of str to str
+        Name and text of every file that it finds in its folder, as the solution does.
 
     Returns
     -------
@@ -146,14 +148,30 @@ def said_version(argv: tuple[str, ...]) -> str:
     path = program(argv[0]) if argv else None
     if path is None:
         return ""
-    with contextlib.suppress(OSError, subprocess.TimeoutExpired):
+    with (
+        contextlib.suppress(OSError, subprocess.TimeoutExpired),
+        tempfile.TemporaryDirectory(prefix="study-version-") as name,
+    ):
+        _write(Path(name), contents)
         found = subprocess.run(
-            [path, *argv[1:]], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+            [path, *argv[1:]], cwd=name, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT, timeout=_VERSION_S, check=False,
+            env=_environment(argv, contents),
         )  # fmt: skip
         lines = found.stdout.decode(errors="replace").splitlines()
         return next((line.strip()[:200] for line in lines if line.strip()), "")
     return ""
+
+
+def _environment(argv: tuple[str, ...], contents: Mapping[str, str]) -> dict[str, str]:
+    """Environment of a program; Python imports from its folder where it runs a file of the user."""
+    runs_user_file = any(os.path.normpath(word) in contents for word in argv[1:])
+    return environment(is_safe=argv[0] == PYTHON and not runs_user_file)
+
+
+def _write(folder: Path, contents: Mapping[str, str]) -> None:
+    for file, text in contents.items():
+        (folder / file).write_text(text, encoding="utf-8")
 
 
 def _step(
@@ -167,7 +185,7 @@ def _step(
     with log.open("wb") as stream:
         process = subprocess.Popen(
             [path, *argv[1:]], cwd=folder, stdin=subprocess.DEVNULL, stdout=stream,
-            stderr=subprocess.STDOUT,
+            stderr=subprocess.STDOUT, env=_environment(argv, command.contents),
         )  # fmt: skip
         code = _waited(process, limit)
     said = _tail(log)
