@@ -146,7 +146,10 @@ class SafeChildren:
         self._variable, self._path = os.environ.get(SAFE_PATH[0]), sys.path
         if not self._variable:
             os.environ[SAFE_PATH[0]] = SAFE_PATH[1]
-        sys.path = sorted(self._path, key=is_working_folder)
+        users = [path for path in self._path if is_working_folder(path)]
+        if users:  # this package may be found by a finder that is asked after the whole path
+            others = [path for path in self._path if path not in users]
+            sys.path = [*others, _HOME, *users]
 
     def __exit__(self, *error: object) -> None:
         """Put back what was there."""
