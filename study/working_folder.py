@@ -7,6 +7,7 @@ imports by a line of his own is his affair; what this package imports never come
 
 # imported before anything else, with the working folder possibly first on the path: only modules
 # that the interpreter has loaded or holds frozen may be named here, not even __future__
+import _thread
 import os
 import sys
 from importlib.machinery import (
@@ -141,8 +142,12 @@ class SafeChildren:
     A module of the working folder that a user imported is still met by the name that it has here.
     """
 
+    #: threads of a cluster's worker start processes at the same time
+    _lock = _thread.RLock()
+
     def __enter__(self) -> None:
         """Mark the environment, and put the working folder last on the path that children copy."""
+        self._lock.acquire()
         self._variable, self._path = os.environ.get(SAFE_PATH[0]), sys.path
         if not self._variable:
             os.environ[SAFE_PATH[0]] = SAFE_PATH[1]
@@ -158,6 +163,7 @@ class SafeChildren:
             os.environ.pop(SAFE_PATH[0], None)
         else:
             os.environ[SAFE_PATH[0]] = self._variable
+        self._lock.release()
 
 
 def environment(is_safe: bool) -> dict[str, str]:
