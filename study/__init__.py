@@ -1,9 +1,11 @@
 """Design of experiments and honest statistics for simulations of soft materials."""
 
-from __future__ import annotations
+from study.working_folder import keep_out
 
-import importlib
-from typing import Any
+keep_out()  # before anything else is imported
+
+import importlib  # noqa: E402
+from typing import Any  # noqa: E402
 
 __version__ = "0.1.0"
 

@@ -2,7 +2,8 @@
 
 Numba keeps machine code beside the file of a function and throws it away when that file
 changes, but not when a function that it calls in another file does. The cache used here
-is a folder named after the contents of all files with kernels.
+is a folder named after the contents of all files with kernels, in the user's private folder:
+whoever can write into it can have his code run.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import fcntl
 import functools
 import hashlib
 import os
+import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -25,6 +27,7 @@ from numba.core.compiler_lock import global_compiler_lock
 from threadpoolctl import ThreadpoolController
 
 from study.arrays import Elements
+from study.private_folder import private_folder
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
@@ -33,28 +36,29 @@ FAST = {"contract", "reassoc", "arcp", "nsz"}
 #: the longest compilation takes 15 s, and four times that on a busy machine
 _PATIENCE_S = 120.0
 _GLANCE_S = 0.02
-_HERE = Path(__file__).resolve().parent
+#: folder of the whole package, wherever in it this module is
+_PACKAGE = Path(str(sys.modules[__name__.partition(".")[0]].__file__)).resolve().parent
 _CONFIG: Any = numba.config
+# numba looks for settings in the working folder again at every compilation
+_CONFIG._config_fname = os.devnull
 
 
 @functools.cache
-def cache_folder() -> str:
-    """Folder for machine code of the kernels as they are, under NUMBA_CACHE_DIR where set.
-
-    Numba falls back to a folder of the user where this one cannot be written.
-    """
-    digest = hashlib.sha256()
-    for path in sorted(_HERE.rglob("*.py")):
-        content = path.read_bytes()
-        if any(mark in content for mark in (b"@kernel(", b"@part(", b"@callback(")):
-            digest.update(str(path.relative_to(_HERE)).encode() + content)
-    base = Path(_CONFIG.CACHE_DIR or _HERE / "__pycache__")
-    return str(base / f"kernels-{digest.hexdigest()[:16]}")
+def cache_folder() -> Path | None:
+    """Folder for machine code of the kernels as they are; None where no folder can be trusted."""
+    home = private_folder()
+    if home is None:
+        return None
+    marks = b"@kernel(", b"@part(", b"@callback("
+    contents = (path.read_bytes() for path in _PACKAGE.rglob("*.py"))
+    kernels = sorted(text for text in contents if any(mark in text for mark in marks))
+    digest = hashlib.sha256(b"".join(hashlib.sha256(text).digest() for text in kernels))
+    return home / f"kernels-{digest.hexdigest()[:16]}"
 
 
 @contextmanager
 def only_process(work: str) -> Iterator[None]:
-    """Context in which no other process does the same work on the kernels of this folder.
+    """Context in which no other process does the same work on the kernels of this package.
 
     Each work has a byte of one file, which the operating system locks for a process and frees
     when that process ends. Where a folder cannot be written or locked, work is done twice.
@@ -65,7 +69,7 @@ def only_process(work: str) -> Iterator[None]:
         Name of the work, the same in every process that does it.
     """
     handle = _lock_file()
-    place = int.from_bytes(hashlib.sha256(work.encode()).digest()[:6], "big")
+    place = int.from_bytes(hashlib.sha256(f"{_PACKAGE} {work}".encode()).digest()[:6], "big")
     locked = handle is not None and _lock_byte(handle, place)
     try:
         yield
@@ -92,7 +96,9 @@ def _lock_byte(handle: int, place: int) -> bool:
 @functools.cache
 def _lock_file() -> int | None:
     """Open the file of locks once: a process loses all its locks when it closes one handle."""
-    folder = Path(cache_folder())
+    folder = cache_folder()
+    if folder is None:
+        return None
     try:
         folder.mkdir(parents=True, exist_ok=True)
         return os.open(folder / "compiling.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
@@ -120,12 +126,16 @@ def kernel(**options: Any) -> Callable[[_Function], _Function]:
 
 def _kept_on_disk(compiler: Callable[..., Any]) -> Callable[[_Function], Any]:
     def decorate(function: _Function) -> Any:
-        usual = _CONFIG.CACHE_DIR
-        _CONFIG.CACHE_DIR = cache_folder()
+        folder = cache_folder()
+        if folder is None:
+            return compiler(cache=False)(function)
+        usual = _CONFIG.CACHE_DIR, _CONFIG.CACHE_LOCATOR_CLASSES
+        # no other folder, should this one fail: numba would take the next that has a cache
+        _CONFIG.CACHE_DIR, _CONFIG.CACHE_LOCATOR_CLASSES = str(folder), "UserProvidedCacheLocator"
         try:
             return compiler(cache=True)(function)
         finally:
-            _CONFIG.CACHE_DIR = usual
+            _CONFIG.CACHE_DIR, _CONFIG.CACHE_LOCATOR_CLASSES = usual
 
     return decorate
 

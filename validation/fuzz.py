@@ -63,7 +63,9 @@ BUG = re.compile(
     r"FloatingPoint|NotImplemented)Error\b"
 )
 #: what libraries keep for themselves: compiled kernels, fonts, the semaphores of a pool
-OWN = re.compile(r"/__pycache__(/|$)|^/dev/(null|shm/(sem|loky|joblib))|/matplotlib|/joblib|/loky-")
+OWN = re.compile(
+    r"/__pycache__(/|$)|^/dev/(null|shm/(sem|loky|joblib))|/matplotlib|/study/kernels-|/joblib|/loky-"
+)
 #: audited calls that change the disk, which of their arguments are names, and which follow links
 WRITES = {
     "open": (0,), "os.rename": (0, 1), "os.remove": (0,), "os.rmdir": (0,), "os.mkdir": (0,),

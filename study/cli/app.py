@@ -25,6 +25,7 @@ from study.cli import (
 from study.cli.next_command import interrupted
 from study.cli.output import complain
 from study.errors import StudyError
+from study.working_folder import leave
 
 INTERRUPTED = 130
 app = typer.Typer(
@@ -78,6 +79,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     arguments : sequence of str, optional
         Words behind ``study``; by default those of the command line.
     """
+    leave()
     sys.exit(run(arguments))
 
 

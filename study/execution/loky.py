@@ -23,6 +23,7 @@ from typing import Protocol, TypeVar
 from study.execution.queue import ReadyQueue
 from study.execution.supervisor import Answer, Supervisor
 from study.execution.task import Outcome, Perform, Results, Task, answer, check_limit
+from study.working_folder import SafeChildren
 
 #: one thread a worker, set before numpy loads: workers times threads must not exceed the cores,
 #: and a sum split over threads could depend on their number
@@ -109,8 +110,9 @@ class Process:
         from joblib.externals.loky import ProcessPoolExecutor
 
         capped = dict.fromkeys(THREAD_VARIABLES, "1")
-        pool: ProcessPool = ProcessPoolExecutor(1, env=capped, initializer=serve_quietly)
-        self._executor, self._up = pool, pool.submit(os.getpid)
+        with SafeChildren():  # the process, and the trackers that loky starts beside it
+            pool: ProcessPool = ProcessPoolExecutor(1, env=capped, initializer=serve_quietly)
+            self._executor, self._up = pool, pool.submit(os.getpid)
         return pool
 
     def start(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import sys
 import time
@@ -16,6 +17,7 @@ from study.bounded_file import UnreadableError, read_regular
 from study.forward import exchange, program
 from study.forward.exchange import Answer, NoAnswer
 from study.setup.setup import Problem
+from study.working_folder import environment
 
 #: word that stands for the interpreter that runs this package
 PYTHON = "python"
@@ -146,9 +148,17 @@ def said_version(argv: tuple[str, ...], contents: Mapping[str, str]) -> str:
     with program.fresh_folder() as folder:
         _write(folder, contents)
         until = time.monotonic() + _VERSION_S
-        ended = program.run([path, *argv[1:]], folder, until, _VERSION_BYTES)
+        ended = program.run(
+            [path, *argv[1:]], folder, until, _VERSION_BYTES, _environment(argv, contents)
+        )
     lines = ended.beginning.splitlines()
     return next((line.strip()[:200] for line in lines if line.strip()), "")
+
+
+def _environment(argv: tuple[str, ...], contents: Mapping[str, str]) -> dict[str, str]:
+    """Environment of a program; Python imports from its folder where it runs a file of the user."""
+    runs_user_file = any(os.path.normpath(word) in contents for word in argv[1:])
+    return environment(is_safe=argv[0] == PYTHON and not runs_user_file)
 
 
 def _write(folder: Path, contents: Mapping[str, str]) -> None:
@@ -162,7 +172,9 @@ def _step(
     path = path_of(argv[0])
     if path is None:
         raise NoAnswer("failed", f"{argv[0]}: there is no such program on this machine")
-    ended = program.run([path, *argv[1:]], folder, limit)
+    ended = program.run(
+        [path, *argv[1:]], folder, limit, environment=_environment(argv, command.contents)
+    )
     if ended.excess:
         raise NoAnswer("failed", f"{argv[0]}: was ended, for {ended.excess}")
     return {"argv": list(argv), "code": ended.code, "output": ended.output}

@@ -16,6 +16,7 @@ from study.errors import Fault, InputError
 from study.forward import exchange
 from study.forward.exchange import Answer, NoAnswer
 from study.setup.setup import Problem
+from study.working_folder import UserImports
 
 #: problem (see :func:`study.forward.exchange.request`) -> forces in N at its ``displacement_mm``,
 #: a curve, or columns such as ``displacement_mm``, ``force_N`` and ``dforce_C10``
@@ -70,7 +71,8 @@ class PythonFunction:
         """
         import cloudpickle
 
-        function: Function = cloudpickle.loads(base64.b64decode(self.text))
+        with UserImports():
+            function: Function = cloudpickle.loads(base64.b64decode(self.text))
         try:
             found = function(exchange.request(problem, displacement_mm))
         except Exception as error:  # noqa: BLE001 - a function of the user may raise anything

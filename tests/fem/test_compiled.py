@@ -12,6 +12,7 @@ import pytest
 
 import study.compilation
 from study.compilation import cache_folder
+from study.private_folder import fault_of
 
 CALLEE = """
 from compiled import kernel
@@ -53,7 +54,7 @@ print(sum(assemble.stats.cache_hits.values()))
 
 def ask(folder: Path) -> tuple[int, int]:
     """Result, and whether it came from the cache."""
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder / "cache")}
+    environment = {**os.environ, "XDG_CACHE_HOME": str(folder / "cache")}
     run = subprocess.run(
         [sys.executable, "caller.py"], cwd=folder, env=environment, capture_output=True, text=True,
         check=True,
@@ -76,7 +77,7 @@ def test_a_change_in_another_file_is_seen(tmp_path: Path) -> None:
 
 def together(folder: Path, dimensions: str) -> list[str]:
     """Whether each of several processes at once found its signature on disk."""
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder / "cache")}
+    environment = {**os.environ, "XDG_CACHE_HOME": str(folder / "cache")}
     started = [
         subprocess.Popen(
             [sys.executable, "total.py", dimension], cwd=folder, env=environment,
@@ -101,20 +102,101 @@ def test_a_folder_that_cannot_be_locked_is_used_without(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "file").touch()
-    monkeypatch.setattr(study.compilation, "cache_folder", lambda: str(tmp_path / "file"))
+    monkeypatch.setattr(study.compilation, "cache_folder", lambda: tmp_path / "file")
     lock_file = study.compilation._lock_file.__wrapped__
     monkeypatch.setattr(study.compilation, "_lock_file", lock_file)
     with study.compilation.only_process("work"):
         assert lock_file() is None
 
 
-def test_the_folder_is_named_after_the_kernels() -> None:
-    assert Path(cache_folder()).name.startswith("kernels-")
+def test_the_folder_is_named_after_the_kernels_wherever_their_files_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def name_of(files: dict[str, str]) -> str:
+        root = tmp_path / "-".join(files)
+        for file, text in files.items():
+            (root / file).parent.mkdir(parents=True, exist_ok=True)
+            (root / file).write_text(text)
+        monkeypatch.setattr(study.compilation, "_PACKAGE", root)
+        folder = cache_folder.__wrapped__()
+        assert folder is not None
+        return str(folder.name)
+
+    made = name_of({"a.py": "@kernel()\ndef f(): pass", "b.py": "@part()\ndef g(): pass"})
+    assert made.startswith("kernels-")
+    assert name_of({"c/x.py": "@part()\ndef g(): pass", "y.py": "@kernel()\ndef f(): pass"}) == made
+    assert name_of({"a2.py": "@kernel()\ndef f(): 1", "b.py": "@part()\ndef g(): pass"}) != made
+
+
+#: what numba reads first in a cache, from a pickle that touches a file
+PLANTED = """
+import pathlib, pickle, sys
+class Touch:
+    def __reduce__(self):
+        return pathlib.Path.touch, (pathlib.Path(sys.argv[1], "ran"),)
+for index in pathlib.Path(sys.argv[1]).rglob("*.nbi"):
+    index.write_bytes(pickle.dumps(Touch()))
+    print(index)
+"""
+
+
+def test_a_cache_that_others_can_write_is_not_read(tmp_path: Path) -> None:
+    """Its files are run: a planted one would have the rights of whoever starts a study."""
+    shutil.copy(study.compilation.__file__, tmp_path / "compiled.py")
+    (tmp_path / "caller.py").write_text(CALLER.replace("callee import answer", "callee import *"))
+    (tmp_path / "callee.py").write_text(CALLEE.format(answer=41))
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+
+    def ask(**variables: str) -> subprocess.CompletedProcess[str]:
+        environment = {**os.environ, "TMPDIR": str(temporary), **variables}
+        return subprocess.run(
+            [sys.executable, "caller.py"], cwd=tmp_path, env=environment, capture_output=True,
+            text=True, check=True,
+        )  # fmt: skip
+
+    cache = tmp_path / "cache"
+    assert ask(XDG_CACHE_HOME=str(cache)).stdout == "41 0\n"
+    assert (cache / "study").stat().st_mode & 0o777 == 0o700
+    planted = subprocess.run(
+        [sys.executable, "-c", PLANTED, str(cache)], capture_output=True, text=True, check=True
+    )
+    assert len(planted.stdout.split()) == 2
+    shutil.copytree(cache / "study", tmp_path / "elsewhere")
+    (cache / "study").chmod(0o770)
+    refused = ask(XDG_CACHE_HOME=str(cache))
+    assert refused.stdout == "41 0\n"
+    assert f"others have rights in {cache / 'study'} (mode 770)" in refused.stderr
+    assert f"rm -r {cache / 'study'}" in refused.stderr
+    assert not (cache / "ran").exists()
+    # what was compiled then is kept in the folder for temporary files, and any variable of numba
+    # or relative path is ignored
+    (folder,) = (tmp_path / "elsewhere").glob("kernels-*")
+    again = ask(
+        HOME="/dev/null", XDG_CACHE_HOME="elsewhere", NUMBA_CACHE_DIR=str(folder),
+        NUMBA_CACHE_LOCATOR_CLASSES="InTreeCacheLocator",
+    )  # fmt: skip
+    assert (again.stdout, again.stderr) == ("41 1\n", "")
+    assert not (cache / "ran").exists()
+
+
+def test_whoever_can_replace_a_folder_can_write_it(tmp_path: Path) -> None:
+    place = tmp_path / "parent" / "study"
+    place.mkdir(parents=True, mode=0o700)
+    place.chmod(0o700)
+    assert fault_of(place) is None
+    (tmp_path / "link").symlink_to(place)
+    assert fault_of(tmp_path / "link") is None
+    (tmp_path / "parent").chmod(0o757)
+    assert f"chmod go-w {tmp_path / 'parent'}" in str(fault_of(place))
+    assert fault_of(tmp_path / "link") is not None
+    (tmp_path / "parent").chmod(0o1777)  # as /tmp: only the owner replaces what lies there
+    assert fault_of(place) is None
 
 
 def digits(cache: Path) -> tuple[str, int]:
     """Hash of the elements' stiffness, and how many kernels came from the cache."""
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache)}
+    environment = {**os.environ, "XDG_CACHE_HOME": str(cache)}
     run = subprocess.run(
         [sys.executable, "-c", DIGITS], cwd=Path(__file__).parents[2], env=environment,
         capture_output=True, text=True, check=True,

@@ -199,7 +199,8 @@ def gmsh_session(field: Sizes, dim: int) -> Iterator[ModuleType]:
     """
     import gmsh
 
-    gmsh.initialize(interruptible=False)
+    # without readConfigFiles, which takes options of whoever's home or working folder it is
+    gmsh.initialize(readConfigFiles=False, interruptible=False)
     try:
         gmsh.option.setNumber("General.Terminal", 0)
         gmsh.option.setNumber("General.NumThreads", 1)
