@@ -35,13 +35,33 @@ IMPORTED_AS = {"scikit-fem": "skfem", "pydantic-core": "pydantic_core"}
 #: extras of what the package itself never imports: tests, and the documentation site
 OUTSIDE = {"test", "docs"}
 #: rooms whose modules carry compiled kernels: importing one loads numba, so it may be late
-COMPILED = {"fem", "surface", "viscoelasticity"}
+COMPILED = (
+    "study/fem/mesh/",
+    "study/fem/element/",
+    "study/fem/contact/",
+    "study/fem/solver/",
+    "study/fem/",
+    "study/surface/",
+    "study/viscoelasticity/",
+)
 #: rooms that may ask scipy.stats for distributions and tests
-STATISTICS = {"analysis", "response_surface", "registration", "tracker_accuracy"}
+STATISTICS = (
+    "study/analysis/",
+    "study/analysis/convergence/",
+    "study/response_surface/",
+    "study/registration/",
+    "study/tracker_accuracy/",
+)
 #: what any room may ask it for: points that fill a space evenly
 POINTS = "scipy.stats.qmc"
 #: read the environment: the command line, and those who cap the threads of workers
-MAY_READ_ENVIRONMENT = {"cli", "runner", "execution"}
+MAY_READ_ENVIRONMENT = (
+    "study/cli/",
+    "study/runner/",
+    "study/execution/",
+    "study/working_folder.py",
+    "study/private_folder.py",
+)
 
 
 def trees(root: Path) -> Iterator[tuple[Path, ast.Module]]:
@@ -109,7 +129,7 @@ def late_imports(root: Path) -> list[str]:
     for path, tree in trees(root):
         if path.parts[1] == "cli":
             continue
-        own = path.parts[1] in COMPILED
+        is_compiled = str(path).startswith(COMPILED)
         for function in walked(tree):
             if not isinstance(function, ast.FunctionDef):
                 continue
@@ -117,7 +137,8 @@ def late_imports(root: Path) -> list[str]:
                 if not isinstance(node, ast.ImportFrom) or not node.module:
                     continue
                 parts = node.module.split(".")
-                kernels = len(parts) > 1 and parts[1] in COMPILED and not own
+                target = "/".join(parts) + "/"
+                kernels = target.startswith(COMPILED) and not is_compiled
                 if parts[0] == "study" and not kernels:
                     found.append(f"{path}:{node.lineno}: {node.module}")
     return sorted(set(found))
@@ -185,7 +206,7 @@ def stray_statistics(root: Path) -> list[str]:
     return [
         f"{path}:{node.lineno}: {ast.unparse(node)}"
         for path, tree in trees(root)
-        if path.parts[1] not in STATISTICS
+        if not str(path).startswith(STATISTICS)
         for node in walked(tree)
         if any(one.startswith("scipy.stats") and one != POINTS for one in _taken(node))
     ]
@@ -420,7 +441,7 @@ def environment_readers(root: Path) -> set[str]:
     return {
         str(path)
         for path, tree in trees(root)
-        if reads_environment(tree) and path.parts[1] not in MAY_READ_ENVIRONMENT
+        if reads_environment(tree) and not str(path).startswith(MAY_READ_ENVIRONMENT)
     }
 
 

@@ -151,9 +151,13 @@ def test_layers_sees(furnished: Path, module: str, imported: str, contract: str)
 STRAYS = [
     ("runner/a", "joblib", "joblib only in execution"),
     ("runner/b", "pydantic", "pydantic only where keys of files are declared"),
-    ("measurement/a", "pydantic_core", "pydantic-core only in record"),
+    ("measurement/a", "pydantic_core", "pydantic-core only in record, and where JSON is read"),
     ("api/a", "cloudpickle", "cloudpickle only in forward"),
-    ("execution/a", "study.curve", "execution knows of errors alone"),
+    (
+        "execution/a",
+        "study.curve",
+        "execution knows of errors, the working folder and the reader of files alone",
+    ),
 ]
 
 
