@@ -34,8 +34,9 @@ COMPILED = {"fem", "surface", "viscoelasticity"}
 STATISTICS = {"analysis", "response_surface", "registration", "tracker_accuracy"}
 #: what any room may ask it for: points that fill a space evenly
 POINTS = "scipy.stats.qmc"
-#: read the environment: the command line, and those who cap the threads of workers
-MAY_READ_ENVIRONMENT = {"cli", "runner", "execution"}
+#: read the environment: the command line, and those who cap the threads of workers,
+#: keep the working folder out of programs, or place the user's caches
+MAY_READ_ENVIRONMENT = {"cli", "runner", "execution", "working_folder.py", "private_folder.py"}
 
 
 def trees(root: Path) -> Iterator[tuple[Path, ast.Module]]:
