@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Annotated
 
 import typer
@@ -27,6 +28,8 @@ from study.cli.output import complain
 from study.errors import StudyError
 
 INTERRUPTED = 130
+#: a polite kill and a terminal that is closed end as Ctrl-C does
+POLITE = (signal.SIGTERM, signal.SIGHUP)
 app = typer.Typer(
     name="study",
     epilog="Exit codes: 0 done, 1 some cases failed, 2 bad input, 3 refused, 130 interrupted.",
@@ -94,7 +97,9 @@ def run(arguments: Sequence[str] | None = None) -> int:
     int
         0 done, 1 some cases failed, 2 bad input, 3 refused, 130 interrupted.
     """
-    signal.signal(signal.SIGTERM, _interrupt)  # a polite kill ends as Ctrl-C does
+    for number in POLITE:
+        if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup leaves it
+            signal.signal(number, _interrupt)
     # by default cycles are looked for at every 700 new objects: a tenth of the time of a resume
     gc.set_threshold(50_000, 20, 20)
     try:
@@ -117,7 +122,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
     if code == INTERRUPTED:  # the parser turns Ctrl-C into this code
         # a second Ctrl-C while leaving must not undo the orderly end
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-        print(interrupted(sys.argv[1:] if arguments is None else arguments), file=sys.stderr)
+        with suppress(OSError):  # a terminal that was closed cannot be written to
+            print(interrupted(sys.argv[1:] if arguments is None else arguments), file=sys.stderr)
     return code if isinstance(code, int) else 0
 
 
