@@ -454,7 +454,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 outcomes.append(outcome)
                 for fault in outcome.faults:
                     tried = "; ".join(outcome.commands)
-                    print(f"{given.kind} {outcome.number}: {fault} [{tried}]", flush=True)
+                    print(
+                        f"{given.kind} {outcome.number}: {fault[:400]} [{tried[:400]}]", flush=True
+                    )
                 if given.examples == 1:
                     print(outcome.said)
                 if time.monotonic() - said >= SECONDS:

@@ -362,7 +362,7 @@ def options_of(verb: str) -> list[str]:
 
 def _file(rng: Generator, project: Path, words: Words) -> Path | None:
     """Draw a file that a command reads: named, stored, or of the report."""
-    named = [project / word for word in words if (project / word).is_file()]
+    named = [project / word for word in words if len(word) < 100 and (project / word).is_file()]
     data = sorted((project / "data").glob("*.csv"))
     stored = sorted((project / "results").rglob("*.json"))
     pages = [path for path in sorted((project / "reports").rglob("*")) if path.is_file()]
