@@ -75,8 +75,9 @@ def test_a_report_on_a_full_disk_leaves_no_part_of_a_file(
 def test_a_page_of_a_table_on_a_full_disk_is_no_traceback(home: Path, fill: Fill) -> None:
     rows = "".join(f"{a},{b},{k}\n" for k, (a, b) in enumerate(("xu", "xv", "yu", "yv") * 3))
     (home / "t.csv").write_text("a,b,y\n" + rows)
-    fill(lambda path, number: number > 2)
-    answer = study("analyze", "t.csv", "--response", "y", "--factors", "a,b", "--report", "page")
+    fill(lambda path, number: number > 1)
+    page = ("--report", "page", "--format", "csv")
+    answer = study("analyze", "t.csv", "--response", "y", "--factors", "a,b", *page)
     assert answer.code == 1
     assert "could not be written (No space left on device)" in answer.err
     assert not halves(home)
