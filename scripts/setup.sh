@@ -57,7 +57,7 @@ from_lock() {
 # not get at the index that pip is set up with, pip does it and says what is wrong.
 with_uv() {
     from_lock scripts/installer.lock 2>/dev/null &&
-        UV_HTTP_TIMEOUT=30 "$venv/bin/uv" pip install -q --python "$venv/bin/python" \
+        UV_HTTP_TIMEOUT=30 "$venv/bin/uv" pip install -q --compile-bytecode --python "$venv/bin/python" \
             --require-hashes --only-binary :all: -r requirements.lock 2>/dev/null
 }
 
@@ -70,7 +70,8 @@ locked() {
     with_uv || from_lock requirements.lock ||
         fail "the locked versions could not be installed, or a file is not the one that was locked; its reason
     stands above. Versions that pyproject.toml allows, without hashes:  NEWEST=1 sh scripts/setup.sh"
-    "$venv/bin/python" -m pip install -qq --disable-pip-version-check --no-deps --editable . ||
+    # built by the setuptools of the lock: pip's isolation would fetch another one without a hash
+    "$venv/bin/python" -m pip install -qq --disable-pip-version-check --no-deps --no-build-isolation --editable . ||
         fail "pip could not install the package itself; its reason stands above"
 }
 
@@ -92,4 +93,6 @@ install_package() {
 
 usable || create_environment
 install_package
+# where PYTHONDONTWRITEBYTECODE is set every process would compile the package again
+"$venv/bin/python" -m compileall -q study || fail "the package could not be compiled"
 "$venv/bin/python" scripts/system_libraries.py || fail "gmsh does not work yet"

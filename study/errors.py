@@ -9,7 +9,8 @@
     |-- MeshError            no usable mesh; a status of its case
     |-- RefusedError           the answer would be meaningless (exit 3)
     |-- StoreError             records that cannot be read, written or locked (exit 2)
-    |   `-- NewerSchemaError   written by a newer version: neither damage nor ours to replace
+    |   |-- NewerSchemaError   written by a newer version: neither damage nor ours to replace
+    |   `-- DiskFullError      no space, no quota or no disk any more (exit 1, a run 130)
     `-- SchedulerLostError     the cluster is gone in the middle of a run (exit 130, resumable)
 
 Expected failure of a computation (a case that did not converge) is a status in a
@@ -85,6 +86,12 @@ class StoreError(StudyError):
 
 class NewerSchemaError(StoreError):
     """What a newer version wrote: it is whole, and this one must not touch it."""
+
+
+class DiskFullError(StoreError):
+    """The disk took no more; what was written before is whole."""
+
+    exit_code = 1
 
 
 class SchedulerLostError(StudyError):

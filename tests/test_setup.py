@@ -199,6 +199,16 @@ def test_setup_installs_the_locked_versions_with_uv_or_else_with_pip(
     assert all("--require-hashes" in line for line in installed)
 
 
+def test_setup_fetches_nothing_without_a_hash_and_compiles_what_it_installs() -> None:
+    script = (ROOT / "scripts" / "setup.sh").read_text(encoding="utf-8")
+    locked = script[script.index("with_uv() {") : script.index("install_package() {")]
+    (package,) = [line for line in locked.splitlines() if "--editable" in line]
+    assert "--no-deps --no-build-isolation" in package
+    assert "\nsetuptools==" in (ROOT / "requirements.lock").read_text(encoding="utf-8")
+    assert "pip install -q --compile-bytecode" in locked
+    assert "-m compileall -q study" in script
+
+
 TARGETS = ("setup", "demo", "test", "verify", "bench", "docs", "gallery", "check")
 
 

@@ -533,7 +533,7 @@ def _sealed(rng: Generator, content: Any) -> bytes:
     return f'{{"schema":{schema},"checksum":"{checksum}","content":{text}}}\n'.encode()
 
 
-def _altered(rng: Generator, data: bytes) -> bytes:
+def altered(rng: Generator, data: bytes) -> bytes:
     """Break a stored file, or make it whole and wrong."""
     kind, many = rng.random(), int(rng.integers(1, 4))
     if kind < 0.3:
@@ -582,7 +582,7 @@ def records(rng: Generator, project: Path, place: Place) -> Made:
         for path in chosen:  # the same change in all of them, as of another version
             rng.bit_generator.state = state
             with contextlib.suppress(*UNALTERABLE):
-                path.write_bytes(_altered(rng, path.read_bytes()))
+                path.write_bytes(altered(rng, path.read_bytes()))
     return commands, False
 
 

@@ -20,6 +20,7 @@ from study.arrays import Array
 from study.calibration.fit import Fit
 from study.calibration.serial_correlation import Mixture
 from study.errors import Fault, InputError, RefusedError
+from study.noncentral_f import noncentral_f_cdf
 
 #: significance of the test
 ALPHA = 0.05
@@ -33,7 +34,7 @@ DRAWS = 4000
 #: denominator from which F is a chi-square in every digit that is shown
 _MANY = 1e5
 
-#: noncentrality beyond which power is 1 (scipy's ncfdtr is NaN at some between 1400 and 2000)
+#: noncentrality beyond which power is 1
 _LARGE = 1e3
 
 
@@ -256,9 +257,9 @@ def _denominator(total: Array, own: Array, df: Sequence[int]) -> Array:
 
 
 def _power(noncentrality: float, df: int, df_error: float) -> float:
-    from scipy.special import fdtri, ncfdtr
+    from scipy.special import fdtri
 
     if noncentrality <= 0:
         return ALPHA
     limit = float(fdtri(df, df_error, 1 - ALPHA))
-    return 1 - float(ncfdtr(df, df_error, min(noncentrality, _LARGE), limit))
+    return 1 - noncentral_f_cdf(df, df_error, min(noncentrality, _LARGE), limit)

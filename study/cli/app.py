@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Annotated
 
 import typer
@@ -22,15 +23,18 @@ from study.cli import (
     studies,
     verification,
 )
-from study.cli.next_command import interrupted
+from study.cli.next_command import interrupted, is_resumable
 from study.cli.output import complain
-from study.errors import StudyError
+from study.errors import DiskFullError, StudyError
 from study.working_folder import leave
 
 INTERRUPTED = 130
+#: a polite kill and a terminal that is closed end as Ctrl-C does
+POLITE = (signal.SIGTERM, signal.SIGHUP)
 app = typer.Typer(
     name="study",
-    epilog="Exit codes: 0 done, 1 some cases failed, 2 bad input, 3 refused, 130 interrupted.",
+    epilog="Exit codes: 0 done, 1 some cases failed or disk full, 2 bad input, 3 refused, "
+    "130 interrupted.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -94,17 +98,22 @@ def run(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        0 done, 1 some cases failed, 2 bad input, 3 refused, 130 interrupted.
+        0 done, 1 some cases failed or the disk is full, 2 bad input, 3 refused, 130 interrupted.
     """
-    signal.signal(signal.SIGTERM, _interrupt)  # a polite kill ends as Ctrl-C does
+    for number in POLITE:
+        if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup leaves it
+            signal.signal(number, _interrupt)
     # by default cycles are looked for at every 700 new objects: a tenth of the time of a resume
     gc.set_threshold(50_000, 20, 20)
+    typed = list(sys.argv[1:] if arguments is None else arguments)
     try:
         words = None if arguments is None else list(arguments)
         code = app(words, prog_name="study", standalone_mode=False)
     except StudyError as error:
         complain(error)
-        return error.exit_code
+        if not isinstance(error, DiskFullError) or not is_resumable(typed):
+            return error.exit_code
+        code = INTERRUPTED
     except (KeyboardInterrupt, typer.Abort):
         code = INTERRUPTED
     except BrokenPipeError:
@@ -119,7 +128,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
     if code == INTERRUPTED:  # the parser turns Ctrl-C into this code
         # a second Ctrl-C while leaving must not undo the orderly end
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-        print(interrupted(sys.argv[1:] if arguments is None else arguments), file=sys.stderr)
+        with suppress(OSError):  # a terminal that was closed cannot be written to
+            print(interrupted(typed), file=sys.stderr)
     return code if isinstance(code, int) else 0
 
 

@@ -58,6 +58,11 @@ def _quoted(word: str) -> str:
     return shlex.quote(word)
 
 
+def is_resumable(arguments: Sequence[str]) -> bool:
+    """Whether the same words, typed once more, go on from what is finished."""
+    return next((word for word in arguments if not word.startswith("-")), "") in RESUMABLE
+
+
 def interrupted(arguments: Sequence[str]) -> str:
     """Say what is kept of an interrupted command, and what resumes it.
 
@@ -66,8 +71,7 @@ def interrupted(arguments: Sequence[str]) -> str:
     arguments : sequence of str
         Words behind ``study``, as they were typed.
     """
-    verb = next((word for word in arguments if not word.startswith("-")), "")
-    if verb not in RESUMABLE:
+    if not is_resumable(arguments):
         return "interrupted: nothing was written"
     return (
         "interrupted: what is finished is kept, and is not computed again. To resume:\n"

@@ -121,7 +121,9 @@ def write_vtu(solution: Solution, path: str | Path) -> None:
     Raises
     ------
     InputError
-        If no step converged, or the file cannot be written.
+        If no step converged.
+    OSError
+        If the file cannot be written.
     """
     import meshio
 
@@ -140,11 +142,7 @@ def write_vtu(solution: Solution, path: str | Path) -> None:
         point_data={"displacement_mm": found.displacement},
         cell_data={name: [values] for name, values in cell_data.items()},
     )
-    try:
-        mesh.write(path, file_format="vtu")
-    except OSError as error:
-        rule = f"cannot be written ({error.strerror or error})"
-        raise InputError(Fault(str(path), rule)) from None
+    mesh.write(path, file_format="vtu")
 
 
 def cauchy_stress(system: System, state: State, F: Array, J: Array) -> Array:

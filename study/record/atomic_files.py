@@ -8,12 +8,18 @@ equal"). :mod:`study.bounded_file` reads them.
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
-from study.errors import StoreError
+from study.errors import DiskFullError, StoreError
 
 TEMPORARY = ".part"
+
+#: what the system says of a disk that takes no more: no space, quota, size of a file, broken disk
+FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO})
 
 
 class FileSystem:
@@ -24,8 +30,9 @@ class FileSystem:
         path.mkdir(parents=True, exist_ok=True)
 
     def write(self, path: Path, data: bytes) -> None:
-        """Write a new file."""
-        with open(path, "wb") as stream:
+        """Write a new file; what was left there, a link too, is not written through."""
+        path.unlink(missing_ok=True)
+        with open(path, "xb") as stream:
             stream.write(data)
 
     def sync_file(self, path: Path) -> None:
@@ -58,8 +65,12 @@ def write_atomic(
     data: bytes,
     system: FileSystem | None = None,
     later: dict[Path, None] | None = None,
+    *,
+    flush: bool = True,
 ) -> None:
     """Write ``data`` to ``path`` so that a crash leaves the old content or the new.
+
+    A link that stands at ``path`` is replaced, not followed.
 
     Parameters
     ----------
@@ -72,28 +83,85 @@ def write_atomic(
     later : dict of Path, optional
         Takes the folders whose names are still to be flushed, for a caller that writes many files
         and flushes each folder once. Until then a loss of power may bring the old content back.
+    flush : bool
+        False for what can be made again, such as a report: a loss of power may leave it empty.
 
     Raises
     ------
+    DiskFullError
+        If the disk takes no more.
     StoreError
-        If the disk is full, the folder read-only or the name too long; nothing stands under
-        the final name that was not there before.
+        If the folder is read-only or the name too long. In both cases nothing stands under the
+        final name that was not there before, and no part of it beside.
     """
     system = system or FileSystem()
-    part = path.with_name(f".{path.name}.{os.getpid()}{TEMPORARY}")
+    part = _part(path)
     try:
         for folder in _make_folder(path.parent, system):
             _sync_names(folder, system, later)
         system.write(part, data)
-        system.sync_file(part)
+        if flush:
+            system.sync_file(part)
         system.replace(part, path)
-        _sync_names(path.parent, system, later)
+        if flush:
+            _sync_names(path.parent, system, later)
     except OSError as error:
         _discard(part, system)
-        raise StoreError(
-            f"{path}: could not be written ({error.strerror or error}); what was there before "
-            "is unharmed. Free space or choose another folder, then run again: it resumes"
-        ) from error
+        raise write_error(path, error) from error
+    except KeyboardInterrupt:
+        _discard(part, system)
+        raise
+
+
+@contextlib.contextmanager
+def replaced(path: Path) -> Iterator[Path]:
+    """Name beside ``path`` for a writer that takes names alone; it stands there when all is well.
+
+    Raises
+    ------
+    StoreError
+        As of :func:`write_atomic`.
+    """
+    part = _part(path)
+    try:
+        yield part
+        os.replace(part, path)
+    except OSError as error:
+        raise write_error(path, error) from error
+    finally:
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)
+
+
+def write_new(path: Path, text: str) -> None:
+    """Write a file where there is none, whole or not at all.
+
+    Raises
+    ------
+    FileExistsError
+        If there is one.
+    StoreError
+        As of :func:`write_atomic`.
+    """
+    with open(path, "x", encoding="utf-8"):
+        pass
+    try:
+        write_atomic(path, text.encode())
+    except BaseException:
+        _discard(path, FileSystem())
+        raise
+
+
+def write_error(path: str | Path, error: OSError) -> StoreError:
+    """Error of a file that could not be written, by what the system says of it."""
+    text = f"{path}: could not be written ({error.strerror or error}); what was there before is "
+    if error.errno in FULL:
+        return DiskFullError(f"{text}unharmed. Free space, then run again")
+    return StoreError(f"{text}unharmed. Choose another folder, or mend this one, then run again")
+
+
+def _part(path: Path) -> Path:
+    return path.with_name(f".{path.name}.{os.getpid()}{TEMPORARY}")
 
 
 def _sync_names(folder: Path, system: FileSystem, later: dict[Path, None] | None) -> None:

@@ -12,7 +12,7 @@ from typing import Self, TypeVar, cast
 from study.bounded_file import MAX_JSON_BYTES, NotRegularError, read_regular
 from study.errors import NewerSchemaError, StoreError
 from study.record import lock
-from study.record.atomic_files import FileSystem, is_leftover, write_atomic
+from study.record.atomic_files import FileSystem, is_leftover, write_atomic, write_error
 from study.record.document_checks import fault_of
 from study.record.record import plain, seal, unseal
 
@@ -149,8 +149,7 @@ class SealedFolder:
                 self._system.sync_folder(next(iter(self._unflushed)))
                 del self._unflushed[next(iter(self._unflushed))]
         except OSError as error:
-            why = error.strerror or error
-            raise StoreError(f"{self.path}: could not be flushed to the disk ({why})") from error
+            raise write_error(self.path, error) from error
 
     def read_json(self, name: str) -> object:
         """Content stored under a name; None if there is none or it is damaged (set aside)."""

@@ -68,16 +68,24 @@ def deming_line(
     Raises
     ------
     InputError
-        For fewer than four pairs, or an x that does not vary.
+        For fewer than four pairs, an x that does not vary, or varies in one pair alone, or a y
+        that no line follows.
     """
     from scipy.stats import t
 
     n = len(x)
-    if n < FEWEST_POINTS or np.ptp(x) == 0:
+    values, counts = np.unique(x, return_counts=True)
+    if n < FEWEST_POINTS or values.size < 2:
         rule = f"a line needs {FEWEST_POINTS} pairs at different places, got {n}"
+        raise InputError(Fault(where, rule, "measure at more positions"))
+    if values.size == 2 and counts.min() == 1:
+        rule = f"{n - 1} of {n} pairs are at one place: the scale rests on the other one alone"
         raise InputError(Fault(where, rule, "measure at more positions"))
     offset, scale = _line(x, y, variance_ratio)
     left_out = np.array([_line(np.delete(x, k), np.delete(y, k), variance_ratio) for k in range(n)])
+    if not np.isfinite(left_out).all() or not np.isfinite(scale):
+        rule = "y does not go with x, with all pairs or without one of them: no line is fixed"
+        raise InputError(Fault(where, rule, "compare the columns of both quantities"))
     pseudo = n * np.array([offset, scale]) - (n - 1) * left_out
     errors = pseudo.std(axis=0, ddof=1) / np.sqrt(n)
     half = float(t.ppf(1 - alpha / 2, n - 2)) * errors
@@ -95,14 +103,15 @@ def deming_line(
 
 
 def _line(x: Array, y: Array, ratio: float) -> tuple[float, float]:
-    """Offset and scale."""
+    """Offset and scale, NaN where every line is as good."""
     dx, dy = x - x.mean(), y - y.mean()
     xx, xy, yy = float(dx @ dx), float(dx @ dy), float(dy @ dy)
     if np.isinf(ratio):
-        scale = xy / xx
+        scale = xy / xx if xx else float("nan")
     else:
         lead = yy - ratio * xx
         root = float(np.hypot(lead, 2 * np.sqrt(ratio) * xy))
         # the same root in the form that cancels nothing
-        scale = (lead + root) / (2 * xy) if lead > 0 else 2 * ratio * xy / (root - lead)
+        above, below = (lead + root, 2 * xy) if lead > 0 else (2 * ratio * xy, root - lead)
+        scale = above / below if below else float("nan")
     return float(y.mean() - scale * x.mean()), float(scale)

@@ -20,6 +20,12 @@ FEWEST_POINTS = 3
 #: Points count as lying on a line if their second extent is below this share of the first one.
 COLLINEAR_SHARE = 1e-6
 
+#: Points closer than this to a line, or to each other, lie on it: below any instrument, in mm.
+SAME_PLACE_MM = 1e-9
+
+#: Coordinates from here on are another unit or a mistake: 1000 km, in mm.
+FARTHEST_MM = 1e9
+
 #: Points are called mirrored if a reflection leaves less than this share of the residual that
 #: the best rotation leaves.
 MIRRORED_SHARE = 0.2
@@ -166,7 +172,29 @@ def on_a_line(points: Array) -> bool:
         At least two.
     """
     extent = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    return bool(extent[1] <= COLLINEAR_SHARE * extent[0])
+    return bool(extent[1] <= max(COLLINEAR_SHARE * extent[0], SAME_PLACE_MM))
+
+
+def check_places(points: Array, where: str) -> None:
+    """Refuse coordinates that are no numbers, or farther away than any instrument sees.
+
+    Parameters
+    ----------
+    points : ndarray, shape (n, 3)
+        In mm.
+    where : str
+        Name of the points in messages.
+
+    Raises
+    ------
+    InputError
+        With the number of such points.
+    """
+    wrong = int(np.count_nonzero(~(np.abs(points) < FARTHEST_MM).all(axis=1)))
+    if wrong:
+        rule = f"{wrong} of {len(points)} points have a coordinate that is no number, or "
+        rule += f"{FARTHEST_MM:g} mm and more"
+        raise InputError(Fault(where, rule, "delete these rows, or correct the unit"))
 
 
 def fit_pairs(moving: Array, fixed: Array, where: str = "points") -> PairedFit:
@@ -194,6 +222,8 @@ def fit_pairs(moving: Array, fixed: Array, where: str = "points") -> PairedFit:
     if len(moving) < FEWEST_POINTS:
         rule = f"{len(moving)} pairs do not fix a rigid motion"
         raise InputError(Fault(where, rule, f"give {FEWEST_POINTS} or more, not on a line"))
+    check_places(moving, where)
+    check_places(fixed, where)
     a, b = moving - moving.mean(axis=0), fixed - fixed.mean(axis=0)
     if on_a_line(a) or on_a_line(b):
         rule = "the points lie on a line: the rotation about it is not fixed"

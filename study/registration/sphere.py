@@ -13,6 +13,7 @@ import numpy as np
 
 from study.arrays import Array
 from study.errors import Fault, InputError, RefusedError
+from study.registration.rigid import SAME_PLACE_MM, check_places
 from study.registration.robust import biweight, inlier_scale, sandwich
 
 #: Fewest points that fix a sphere and leave one over for its scatter.
@@ -114,9 +115,10 @@ def fit_sphere(points: Array, where: str = "sphere") -> Sphere:
     if len(points) < FEWEST_POINTS:
         rule = f"has {len(points)} points, a sphere needs {FEWEST_POINTS}"
         raise InputError(Fault(where, rule, "scan more of it"))
+    check_places(points, where)
     extents = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    if extents[2] <= 1e-9 * extents[0]:
-        rule = "the points lie in a plane: no sphere is fixed"
+    if extents[2] <= max(1e-9 * extents[0], SAME_PLACE_MM):
+        rule = "the points lie in a plane, on a line or at one place: no sphere is fixed"
         raise InputError(Fault(where, rule, "scan a larger part of the sphere"))
     center, radius = _consensus(points)
     values, scale = _geometric(points, np.append(center, radius))
@@ -201,7 +203,7 @@ def _through(four: Array) -> tuple[Array, float] | None:
     """Sphere through four points; None where they lie in a plane."""
     matrix = 2 * (four[1:] - four[0])
     right = (four[1:] ** 2).sum(axis=1) - (four[0] ** 2).sum()
-    if abs(np.linalg.det(matrix)) < 1e-12 * np.abs(matrix).max() ** 3:
+    if abs(np.linalg.det(matrix)) <= 1e-12 * np.abs(matrix).max() ** 3:
         return None
     center = np.linalg.solve(matrix, right)
     return center, float(np.linalg.norm(four[0] - center))

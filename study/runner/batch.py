@@ -147,7 +147,7 @@ def run_batch(
     StoreError
         If another runner holds the store, or it cannot be written.
     KeyboardInterrupt
-        On Ctrl-C or SIGTERM; what is finished is stored.
+        On Ctrl-C, SIGTERM or SIGHUP; what is finished is stored.
     """
     with store.lock(), _terminate_is_interrupt():
         todo = missing(work, store)
@@ -384,7 +384,10 @@ def _anchor(job: CaseJob, fits: Mapping[str, FitResult]) -> Anchor | None:
 
 @contextlib.contextmanager
 def _terminate_is_interrupt() -> Iterator[None]:
-    """SIGTERM stops a run as Ctrl-C does; only the main thread may listen to signals."""
+    """SIGTERM and SIGHUP stop a run as Ctrl-C does, but for a SIGHUP that nohup ignores.
+
+    Only the main thread may listen to signals.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -392,8 +395,12 @@ def _terminate_is_interrupt() -> Iterator[None]:
     def stop(number: int, frame: object) -> None:
         raise KeyboardInterrupt
 
-    before = signal.signal(signal.SIGTERM, stop)
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
+    for number, handler in before.items():
+        if handler is not signal.SIG_IGN:
+            signal.signal(number, stop)
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)

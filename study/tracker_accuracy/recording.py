@@ -10,6 +10,7 @@ import numpy as np
 
 from study.arrays import Array, Ints
 from study.errors import Fault, InputError
+from study.registration.rigid import check_places
 from study.tabular import CsvTable, read_csv
 from study.tracker_accuracy.section import RecordingTable, Triple
 from study.units import unit_factor
@@ -102,6 +103,8 @@ def read_recording(declared: RecordingTable, root: Path) -> Recording:
     positions = {
         marker: factor * coordinates(table, triple) for marker, triple in declared.markers.items()
     }
+    for marker, points in positions.items():
+        check_places(points, f"{declared.file}: marker {marker}")
     time = None if declared.time is None else table.numbers(declared.time)
     if time is not None:
         _check_time(time, table)

@@ -19,6 +19,7 @@ from study.registration.rigid import (
     PairedFit,
     RigidMotion,
     fit_pairs,
+    on_a_line,
     rotation_of,
     rotation_vector,
     target_registration_error,
@@ -146,6 +147,7 @@ def analyze_reference(
     turned = None
     if declared.axes is not None:
         further = [factor * coordinates(table, one)[rows] for one in declared.axes]
+        _check_axes(fixed, further, poses, declared.file)
         turned = _body_axes(fixed, further[0], further[1])
     away = np.concatenate([part - part.mean(axis=0) for part in parts])
     errors = _distances(moving) - _distances(fixed)
@@ -237,6 +239,19 @@ def _left_out(moving: Array, fixed: Array) -> Array:
         motion = fit_pairs(np.delete(moving, k, 0), np.delete(fixed, k, 0), "reference").motion
         errors.append(np.linalg.norm(motion(moving[k : k + 1])[0] - fixed[k]))
     return np.array(errors)
+
+
+def _check_axes(origin: Array, further: list[Array], poses: tuple[str, ...], where: str) -> None:
+    """Refuse three points of the body that lie on a line in some pose."""
+    lines = [
+        pose
+        for pose, *points in zip(poses, origin, *further, strict=True)
+        if on_a_line(np.array(points))
+    ]
+    if lines:
+        rule = f"the three points on the body lie on a line at: {', '.join(lines[:5])}"
+        mend = "name other columns in [reference] axes: two points off the line through the first"
+        raise InputError(Fault(f"{where}: axes", rule, mend))
 
 
 def _body_axes(origin: Array, first: Array, second: Array) -> Array:

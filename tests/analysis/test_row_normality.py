@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from scipy.stats import rankdata
@@ -186,3 +188,28 @@ def test_scores_of_rows_need_no_ranks_without_ties() -> None:
     row = np.random.default_rng(9).standard_normal(8)
     assert np.unique(rankdata(row)).size == 8
     assert row_normality({"A": row[None]}).rows[0].rj == pytest.approx(statistic(row))
+
+
+def test_the_share_of_a_block_among_thousands_takes_little_memory() -> None:
+    """With the rows themselves as root 2,500 blocks would take 6 million normals a study."""
+    rows = {"A": np.random.default_rng(6).standard_normal((2, 2500))}
+    rows["A"][0, 17] = 40.0
+    tracemalloc.start()
+    found = block_share(rows)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert found is not None
+    assert (found.block, found.p) == (17, pytest.approx(1 / 2001))
+    assert peak < 50e6
+
+
+def test_the_smaller_root_draws_studies_of_the_same_kind(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(7)
+    rows = {"A": rng.standard_normal((3, 3)) @ rng.standard_normal((3, 40))}
+    usual = block_share(rows)
+    monkeypatch.setattr("study.analysis.assumption.row_normality._MOST_NORMALS", 0)
+    small = block_share(rows)
+    assert usual is not None
+    assert small is not None
+    # two simulated p of 2,000 studies each
+    assert small.p == pytest.approx(usual.p, abs=4 * (0.5 * usual.p * (1 - usual.p) / 500) ** 0.5)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from pathlib import Path
 
@@ -251,7 +252,7 @@ def test_what_an_interrupted_report_left_is_not_written_through(done: Path) -> N
     note = done / "note.txt"
     note.write_text("mine")
     data = done / "again" / "small" / "small-data"
-    (data / "numbers.json.part").symlink_to(note)
+    (data / f".numbers.json.{os.getpid()}.part").symlink_to(note)
     (data / "numbers.json").unlink()
     good(study("report", "small", "--reports", "again"))
     assert note.read_text() == "mine"

@@ -9,7 +9,8 @@ import meshio
 import numpy as np
 import pytest
 
-from study.errors import InputError
+from study.api.single import files
+from study.errors import InputError, StoreError
 from study.fem.fields import fields, write_vtu
 from study.fem.solver.solve import solve
 from study.material.material import Material
@@ -110,5 +111,5 @@ def test_without_an_answer_there_are_no_fields(tmp_path: Path) -> None:
 
 def test_a_folder_that_does_not_exist(tmp_path: Path) -> None:
     solution = solve(compression(Cylinder(1.0, 1.0), 0.05, mesh_size_mm=0.5), gradients=False)
-    with pytest.raises(InputError, match="cannot be written"):
-        write_vtu(solution, tmp_path / "nowhere" / "out.vtu")
+    with pytest.raises(StoreError, match=r"out\.vtu: could not be written \(No such file"):
+        files.write_vtu(solution, tmp_path / "nowhere" / "out.vtu")

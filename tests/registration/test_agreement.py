@@ -75,3 +75,18 @@ def test_too_few_items_are_refused(n: int) -> None:
         limits_of_agreement(x, x)
     with pytest.raises(InputError, match="needs 4 pairs"):
         deming_line(x, x, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "ratio", "rule"),
+    [
+        ([5.0, 5.0, 5.0, 10.0], [5.0, 5.1, 4.9, 10.0], np.inf, "3 of 4 pairs are at one place"),
+        ([1.0, 1.0, 2.0, 2.0], [0.0, 9.0, 0.0, 9.0], 1.0, "y does not go with x"),
+        ([1e-300, 2e-300, 3e-300, 4e-300], [1.0, 2.0, 3.0, 4.0], np.inf, "y does not go with x"),
+    ],
+)
+def test_pairs_that_fix_no_line_are_refused(
+    x: list[float], y: list[float], ratio: float, rule: str
+) -> None:
+    with pytest.raises(InputError, match=rule):
+        deming_line(np.array(x), np.array(y), ratio)

@@ -63,6 +63,15 @@ def test_outliers_are_counted_and_the_coverage_is_said() -> None:
     [
         (np.eye(3), "needs 5"),
         (np.column_stack([np.random.default_rng(1).random((20, 2)), np.zeros(20)]), "plane"),
+        (np.outer(np.linspace(0, 3, 12), [1.0, 2.0, 3.0]), "on a line"),
+        (np.full((9, 3), 3.7), "at one place"),
+        (np.vstack([np.full((7, 3), 3.7), [[1.0, 0.0, 0.0]]]), "on a line"),
+        (
+            np.vstack([np.eye(3), np.eye(3), [[np.nan, 0.0, 1.0]]]),
+            "1 of 7 points have .* no number",
+        ),
+        (1e160 * np.random.default_rng(1).random((8, 3)), "8 of 8 points .* and more"),
+        (1e-300 * np.random.default_rng(1).random((8, 3)), "at one place"),
     ],
 )
 def test_points_that_fix_no_sphere_are_refused(points: np.ndarray, rule: str) -> None:
@@ -82,3 +91,12 @@ def test_a_search_that_has_not_settled_gives_no_sphere(monkeypatch: pytest.Monke
     monkeypatch.setattr(sphere, "MAX_STEPS", 1)
     with pytest.raises(RefusedError, match="not settled in 1 steps"):
         fit_sphere(points)
+
+
+def test_copies_of_half_the_points_are_no_singular_matrix() -> None:
+    rng = np.random.default_rng(8)
+    points = cap(np.zeros(3), 10.0, 0.5, 40, 0.0, rng)
+    points[::2] = points[0]
+    found = fit_sphere(points)
+    assert np.abs(found.center).max() < 1e-6
+    assert found.radius_mm == pytest.approx(10.0, abs=1e-6)

@@ -35,6 +35,8 @@ _AT_ONCE = 1000
 _NUMBERS_AT_ONCE = 500_000
 #: numbers simulated at most: 2,000 studies of 25,000 numbers, fewer of larger ones
 _MOST_NUMBERS = 50_000_000
+#: normals drawn at most with the rows themselves as root, blocks by blocks a study: 224 blocks
+_MOST_NORMALS = 100_000_000
 #: studies simulated at least: a p of .05 then has a standard error of .01
 _FEWEST_DRAWS = 500
 
@@ -237,13 +239,13 @@ def block_share(
     share = _shares(rows)
     root = rows / np.linalg.norm(rows, axis=1, keepdims=True)
     fewer = max(_MOST_NUMBERS // rows.size, _FEWEST_DRAWS)
-    if fewer < draws:
-        draws = fewer
+    if fewer < draws or draws * blocks**2 > _MOST_NORMALS:
+        draws = min(draws, fewer)
         # the smallest root of the same covariance: its normals take the longest
         root = np.asarray(np.linalg.qr(root.T, mode="r")).T
     top, above = float(share.max()), 0
     rng = np.random.default_rng(seed)
-    step = max(1, _NUMBERS_AT_ONCE // rows.size)
+    step = max(1, _NUMBERS_AT_ONCE // (blocks * max(rows.shape[0], root.shape[1])))
     for start in range(0, draws, step):
         normal = rng.standard_normal((min(step, draws - start), root.shape[1], blocks))
         drawn = root @ normal

@@ -18,6 +18,7 @@ from study.analysis.anova_table import Row
 from study.analysis.linear_model.design_matrix import ModelMatrix, Term, term_name
 from study.analysis.linear_model.factorization import Factorization, factorize
 from study.arrays import Array, Flags
+from study.noncentral_f import noncentral_f_cdf
 
 
 @dataclass(frozen=True)
@@ -327,10 +328,9 @@ def eta_interval(row: Row, level: float = 0.95) -> tuple[float, float] | None:
 
 def _noncentrality(f: float, df1: float, df2: float, q: float) -> float | None:
     from scipy.optimize import brentq
-    from scipy.special import ncfdtr
 
     def gap(value: float) -> float:
-        return float(ncfdtr(df1, df2, value, f)) - q
+        return noncentral_f_cdf(df1, df2, value, f) - q
 
     if gap(1e-9) <= 0:
         return 0.0

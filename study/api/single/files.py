@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from study.errors import Fault, InputError
+from study.record.atomic_files import replaced, write_atomic
 from study.reporting.figure.meshes import picture
 
 if TYPE_CHECKING:
@@ -48,11 +49,14 @@ def write_vtu(solution: Solution, path: str | Path) -> None:
     Raises
     ------
     InputError
-        If no step converged, or the file cannot be written.
+        If no step converged.
+    StoreError
+        If the file cannot be written.
     """
     from study.fem.fields import write_vtu as write
 
-    write(solution, path)
+    with replaced(Path(path)) as part:
+        write(solution, part)
 
 
 def write_picture(solution: Solution, path: str | Path) -> None:
@@ -68,12 +72,12 @@ def write_picture(solution: Solution, path: str | Path) -> None:
     Raises
     ------
     InputError
-        If there is nothing to draw, or the file cannot be written.
+        If there is nothing to draw.
+    StoreError
+        If the file cannot be written.
     """
     try:
         svg, _ = picture(solution.points, solution.cells, solution.displacement)
-        Path(path).write_text(svg + "\n", encoding="utf-8")
     except ValueError as error:
         raise InputError(Fault(str(path), f"no picture: {error}")) from None
-    except OSError as error:
-        raise InputError(Fault(str(path), f"cannot be written ({error.strerror})")) from None
+    write_atomic(Path(path), f"{svg}\n".encode())

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from study.design.load import load, loads, template
 from study.errors import Fault, InputError
+from study.record.atomic_files import write_new
 from study.runner.virtual.gauge_section import write_tests
 from study.runner.virtual.specimens import usual_generator, write_virtual
 from study.tracker_accuracy.section import is_tracking, load_tracking
@@ -85,6 +86,5 @@ def new_file(file: str | Path, *, calibration: bool = False) -> list[Path]:
         If one of the files exists.
     """
     path = Path(file)
-    with path.open("x", encoding="utf-8") as stream:
-        stream.write(template("calibration" if calibration else "template"))
+    write_new(path, template("calibration" if calibration else "template"))
     return [path, *(write_tests(path.parent / "tests-of-material") if calibration else ())]

@@ -7,9 +7,9 @@ names may be a link; what the program puts below it may not lead out again.
 from __future__ import annotations
 
 import gzip
-import os
 from pathlib import Path
 
+from study.record.atomic_files import write_atomic
 from study.record.folder import own_folder
 
 
@@ -69,8 +69,4 @@ def replace_bytes(path: Path, data: bytes) -> None:
     data : bytes
         The whole file.
     """
-    partial = path.with_name(path.name + ".part")
-    partial.unlink(missing_ok=True)  # what was left there, a link too, is not written through
-    with open(partial, "xb") as stream:
-        stream.write(data)
-    os.replace(partial, path)
+    write_atomic(path, data, flush=False)

@@ -13,6 +13,7 @@ import numpy as np
 from study.arrays import Array
 from study.material.loading import LOADINGS
 from study.material.material import Material
+from study.record.atomic_files import write_new
 
 #: what a fit should find
 TRUTH = Material("gent", {"mu": 0.03, "Jm": 8.0}, poisson_ratio=0.495)
@@ -66,6 +67,5 @@ def _stress(loading: str, measure: Array, rng: np.random.Generator) -> Array:
 
 def _write(path: Path, column: str, measure: Array, stress: Array) -> Path:
     rows = [f"{m:.5f},{p:.4f}" for m, p in zip(measure, stress, strict=True)]
-    with path.open("x", encoding="utf-8") as stream:
-        stream.write("\n".join(["# virtual", f"{column},stress_kPa", *rows]) + "\n")
+    write_new(path, "\n".join(["# virtual", f"{column},stress_kPa", *rows]) + "\n")
     return path

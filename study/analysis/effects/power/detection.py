@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from study.analysis.anova_table import Row
 from study.errors import Fault, InputError
+from study.noncentral_f import noncentral_f_cdf
 
 
 @dataclass(frozen=True)
@@ -133,11 +134,11 @@ def _detectable(sd: float, n: int, df: tuple[int, int], alpha: float, power: flo
 
 
 def _power(noncentrality: float, df: tuple[int, int], alpha: float) -> float:
-    from scipy.special import fdtri, ncfdtr
+    from scipy.special import fdtri
 
     if noncentrality == 0:
         return alpha
-    return 1 - float(ncfdtr(*df, noncentrality, float(fdtri(*df, 1 - alpha))))
+    return 1 - noncentral_f_cdf(*df, noncentrality, float(fdtri(*df, 1 - alpha)))
 
 
 def _df(n: int, levels: int, blocked: bool) -> tuple[int, int]:
