@@ -78,11 +78,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
     arguments : sequence of str, optional
         Words behind ``study``; by default those of the command line.
     """
-    sys.exit(run(arguments))
+    signal.signal(signal.SIGTERM, _interrupt)  # a polite kill ends as Ctrl-C does
+    code = run(arguments)
+    if code == INTERRUPTED:
+        # a second Ctrl-C while leaving must not undo the orderly end
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    sys.exit(code)
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run the program; errors that a user can mend are printed, bugs raise.
+
+    How the process answers signals is left as it is: that belongs to :func:`main`.
 
     Parameters
     ----------
@@ -94,7 +101,6 @@ def run(arguments: Sequence[str] | None = None) -> int:
     int
         0 done, 1 some cases failed, 2 bad input, 3 refused, 130 interrupted.
     """
-    signal.signal(signal.SIGTERM, _interrupt)  # a polite kill ends as Ctrl-C does
     # by default cycles are looked for at every 700 new objects: a tenth of the time of a resume
     gc.set_threshold(50_000, 20, 20)
     try:
@@ -103,8 +109,10 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except StudyError as error:
         complain(error)
         return error.exit_code
-    except (KeyboardInterrupt, typer.Abort):
+    except KeyboardInterrupt:
         code = INTERRUPTED
+    except typer.Abort as abort:  # the parser takes the end of any file for a user who left
+        raise abort.__cause__ or abort from None
     except BrokenPipeError:
         # the reader has gone (study plan | head): nothing is wrong, and nothing may be printed
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -115,8 +123,6 @@ def run(arguments: Sequence[str] | None = None) -> int:
         error.show()  # type: ignore[attr-defined]
         return 2
     if code == INTERRUPTED:  # the parser turns Ctrl-C into this code
-        # a second Ctrl-C while leaving must not undo the orderly end
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
         print(interrupted(sys.argv[1:] if arguments is None else arguments), file=sys.stderr)
     return code if isinstance(code, int) else 0
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import signal
 from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
@@ -134,12 +133,8 @@ def _refuse(word: str) -> None:
 def study(*arguments: object) -> Answer:
     """Run the program in this process, as ``study ARGUMENTS`` does."""
     out, err = io.StringIO(), io.StringIO()
-    before = signal.getsignal(signal.SIGTERM)
-    try:
-        with redirect_stdout(out), redirect_stderr(err):
-            code = run([str(argument) for argument in arguments])
-    finally:
-        signal.signal(signal.SIGTERM, before)
+    with redirect_stdout(out), redirect_stderr(err):
+        code = run([str(argument) for argument in arguments])
     return Answer(code, out.getvalue(), err.getvalue())
 
 
