@@ -18,6 +18,7 @@ from study.errors import InputError, RefusedError, SchedulerLostError
 from study.execution.cluster.executor import Cluster
 from study.execution.cluster.isolation import Processes
 from study.execution.cluster.versions import differences
+from study.execution.cluster.worker import Crew
 from study.execution.inline import Inline
 from study.execution.task import Outcome, Task
 from tests.execution.loopback import ROOT, Loopback, loopback
@@ -302,13 +303,18 @@ def test_a_worker_that_comes_later_gets_its_share(tmp_path: Path) -> None:
 
 
 def test_a_study_waits_for_the_first_worker(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    call = Crew._call_for_workers
     with loopback(tmp_path, workers=0) as made:
-        starter = threading.Timer(2.0, made.start_worker)
-        starter.start()
+
+        def answered(crew: Crew) -> None:
+            call(crew)
+            if not made.workers:
+                made.start_worker()
+
+        monkeypatch.setattr(Crew, "_call_for_workers", answered)
         assert run(made, [task("a")])["a"].status == "converged"
-        starter.join()
     assert "waiting for a worker" in capsys.readouterr().err
 
 

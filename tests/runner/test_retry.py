@@ -21,6 +21,7 @@ from study.runner.numerical.refinement import refine
 from study.runner.numerical.retry import notes_of
 from study.runner.numerical.study_refinement import study_series
 from study.runner.tasks import adapted, limit_of, processes
+from tests.waiting import CAP_S
 
 from .conftest import DESIGN, fake, make_data
 
@@ -172,7 +173,7 @@ def slow_at_first(folder: Path) -> Callable[[Mapping[str, object]], object]:
         mark = folder / f"{material['model']}.mark"
         if test["interface"] == "bonded" and not mark.exists():
             mark.touch()
-            time.sleep(300)
+            time.sleep(CAP_S)
         return 2.0 * np.asarray(problem["displacement_mm"])
 
     return solve
