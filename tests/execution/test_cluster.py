@@ -366,10 +366,10 @@ def test_an_encrypted_cluster_lets_in_those_with_its_certificate(
     tmp_path: Path, certificates: Callable[[str], list[str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     own, foreign = certificates("own"), certificates("foreign")
-    monkeypatch.setattr("study.execution.cluster.connection.PATIENCE_S", 3.0)
     with loopback(tmp_path, workers=1, tls=own) as made:
         with dask.config.set(_tls(own)):
             assert run(made, [task("a")])["a"].status == "converged"
+        monkeypatch.setattr("study.execution.cluster.connection.PATIENCE_S", 3.0)
         with dask.config.set(_tls(foreign)), pytest.raises(InputError, match="certificate"):
             run(made, [task("a")])
         with pytest.raises(InputError, match="cannot be reached"):
