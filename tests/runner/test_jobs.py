@@ -1,4 +1,4 @@
-"""What crosses to a worker comes back as it went, and a study is expanded without side effects."""
+"""A study is expanded without side effects, and what is equal is computed once."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from study.design.load import loads
 from study.runner.expansion import expand
 from study.runner.job import fits_of
 from study.runner.numerical.solve_task import SolveResult, SolveTask, solutions
+from study.runner.tables import on_mesh
 
 from .conftest import DESIGN
 
@@ -26,6 +27,18 @@ def test_equal_solutions_are_made_once() -> None:
 
     assert [one.status for one in solutions(solve, tasks)] == ["1", "2", "1"]
     assert len(asked) == 2
+
+
+def test_a_mesh_is_changed_in_the_problem_of_the_calibration_too() -> None:
+    tables = {
+        "model": {"mesh": "fine"},
+        "calibration": {"method": "auto", "problem": {"model": {"mesh": "fine"}, "test": {}}},
+    }
+    found = on_mesh(tables, mesh=None, mesh_size_mm=2.0)
+    both = found["model"], found["calibration"]["problem"]["model"]
+    assert both == ({"mesh": None, "mesh_size_mm": 2.0},) * 2
+    assert found["calibration"]["problem"]["test"] == {}
+    assert tables["model"] == {"mesh": "fine"}
 
 
 def test_fits_that_start_others_come_first_and_shared_ones_once(one_mix: Path) -> None:
