@@ -13,7 +13,8 @@
 PYTEST_WORKERS ?= 2
 ready := .venv/.ready
 # pytest-xdist uses the cores; threads inside a worker would only get in each other's way. A file's
-# tests stay in one worker, which makes what they share (a study that has run) once.
+# tests stay in one worker, which makes what they share (a study that has run) once. In their own
+# order, the doctests come last, and no worker is left with a slow file of few tests.
 one_thread := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 NUMBA_NUM_THREADS=1
 
 export PYTHON
@@ -39,7 +40,7 @@ demo: $(ready)
 	@.venv/bin/study demo
 
 test: $(ready)
-	@$(one_thread) .venv/bin/python -m pytest -n $(PYTEST_WORKERS) --dist loadfile -q
+	@$(one_thread) .venv/bin/python -m pytest -n $(PYTEST_WORKERS) --dist loadfile --no-loadscope-reorder -q
 
 other-processors: $(ready)
 	@.venv/bin/python scripts/other_processors.py --workers $(PYTEST_WORKERS) $(TESTS)

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import os
+import sys
+import warnings
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
@@ -19,6 +23,11 @@ for _variable in (
 ):
     os.environ.setdefault(_variable, "1")
 
+# A process that imports the package takes 3.1 s where it compiles every module, and 1.0 s where an
+# earlier one left them; tests start hundreds.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
+
 # The same examples every time, and no deadline: the first call of a kernel compiles it.
 settings.register_profile("study", deadline=None, derandomize=True)
 settings.load_profile("study")
@@ -33,3 +42,43 @@ def data_dir() -> Path:
     if not folder.is_dir():
         pytest.skip(f"shared measurement folder not found: {folder} (set STUDY_DATA)")
     return folder
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _tasks_in_this_process() -> Iterator[None]:
+    """Do what a study computes here: a process takes a second to start, and gives the same numbers.
+
+    What has a limit of time still gets processes, and so does what tests ask :func:`processes` for.
+    """
+    from study.execution.inline import Inline
+    from study.execution.loky import Loky
+
+    in_processes = Loky.run
+
+    def run(self: Loky, tasks: Any, finished: Any = None) -> Any:
+        perform = self.perform
+        if _apart or self.limit_s is not None or perform.__module__ != "study.runner.tasks":
+            return in_processes(self, tasks, finished)
+
+        def quietly(task: Any) -> Any:
+            with warnings.catch_warnings():  # a worker process shows its warnings to nobody
+                warnings.simplefilter("ignore")
+                return perform(task)
+
+        return Inline(quietly).run(tasks, finished)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Loky, "run", run)
+        yield
+
+
+#: one entry while a test that asked for processes runs
+_apart: list[bool] = []
+
+
+@pytest.fixture
+def processes() -> Iterator[None]:
+    """Processes for the tasks of a study, as users have them."""
+    _apart.append(True)
+    yield
+    _apart.clear()

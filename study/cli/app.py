@@ -84,11 +84,20 @@ def main(arguments: Sequence[str] | None = None) -> None:
         Words behind ``study``; by default those of the command line.
     """
     leave()
-    sys.exit(run(arguments))
+    for number in POLITE:
+        if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup leaves it
+            signal.signal(number, _interrupt)
+    code = run(arguments)
+    if code == INTERRUPTED:
+        # a second Ctrl-C while leaving must not undo the orderly end
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    sys.exit(code)
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run the program; errors that a user can mend are printed, bugs raise.
+
+    How the process answers signals is left as it is: that belongs to :func:`main`.
 
     Parameters
     ----------
@@ -100,9 +109,6 @@ def run(arguments: Sequence[str] | None = None) -> int:
     int
         0 done, 1 some cases failed or the disk is full, 2 bad input, 3 refused, 130 interrupted.
     """
-    for number in POLITE:
-        if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup leaves it
-            signal.signal(number, _interrupt)
     # by default cycles are looked for at every 700 new objects: a tenth of the time of a resume
     gc.set_threshold(50_000, 20, 20)
     typed = list(sys.argv[1:] if arguments is None else arguments)
@@ -114,8 +120,10 @@ def run(arguments: Sequence[str] | None = None) -> int:
         if not isinstance(error, DiskFullError) or not is_resumable(typed):
             return error.exit_code
         code = INTERRUPTED
-    except (KeyboardInterrupt, typer.Abort):
+    except KeyboardInterrupt:
         code = INTERRUPTED
+    except typer.Abort as abort:  # the parser takes the end of any file for a user who left
+        raise abort.__cause__ or abort from None
     except BrokenPipeError:
         # the reader has gone (study plan | head): nothing is wrong, and nothing may be printed
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -126,8 +134,6 @@ def run(arguments: Sequence[str] | None = None) -> int:
         error.show()  # type: ignore[attr-defined]
         return 2
     if code == INTERRUPTED:  # the parser turns Ctrl-C into this code
-        # a second Ctrl-C while leaving must not undo the orderly end
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
         with suppress(OSError):  # a terminal that was closed cannot be written to
             print(interrupted(typed), file=sys.stderr)
     return code if isinstance(code, int) else 0

@@ -64,23 +64,6 @@ def time_name(number: int) -> str:
     return f"time{number}"
 
 
-def is_share(name: str) -> bool:
-    """Whether a constant is the share of a term.
-
-    Parameters
-    ----------
-    name : str
-        Of any constant.
-
-    Examples
-    --------
-    >>> is_share("share1"), is_share("time1"), is_share("C10")
-    (True, False, False)
-    """
-    found = _NAME.fullmatch(name)
-    return found is not None and found[1] == "share"
-
-
 def is_time(name: str) -> bool:
     """Whether a constant is the time of a term, in s.
 

@@ -10,6 +10,18 @@ from study.api.planning import remaining_time
 from study.record.store import Store
 from study.runner.batch import Progress
 
+NOW = datetime.datetime(2026, 3, 1, 12, 0, tzinfo=datetime.UTC)
+
+
+@pytest.fixture(autouse=True)
+def _stopped_clock(monkeypatch):
+    class Stopped(datetime.datetime):
+        @classmethod
+        def now(cls, tz=None):
+            return NOW
+
+    monkeypatch.setattr(datetime, "datetime", Stopped)
+
 
 def test_progress_counts_what_comes_after_and_is_noted(tmp_path):
     shown: list[Progress] = []
@@ -21,14 +33,14 @@ def test_progress_counts_what_comes_after_and_is_noted(tmp_path):
         running = store.running()
         assert running is not None
         assert (running["done"], running["total"], running["seconds_left"]) == (3, 10, 60.0)
-        assert remaining_time.seconds_left(running) == pytest.approx(60.0, abs=3.0)
+        assert remaining_time.seconds_left(running) == 60.0
     assert [state.seconds_left for state in shown] == [60.0]
 
 
 def test_time_passes_after_a_note():
-    ago = datetime.datetime.now(datetime.UTC) - datetime.timedelta(seconds=50)
+    ago = NOW - datetime.timedelta(seconds=50)
     noted = {"seconds_left": 60.0, "at": ago.isoformat()}
-    assert remaining_time.seconds_left(noted) == pytest.approx(10.0, abs=2.0)
+    assert remaining_time.seconds_left(noted) == 10.0
     assert remaining_time.seconds_left(noted | {"seconds_left": 20.0}) == 0.0
 
 

@@ -291,7 +291,6 @@ def test_refits_by_simulation_scatter_as_their_standard_error(tmp_path: Path) ->
     refits = [f for r in study.records if r.extra.get("noise_seed") for f in r.fit.values()]
     # the fit's own solution, and one or two from there
     assert max(f["evaluations"] for f in refits) <= 3
-    assert np.mean([f["seconds"] for f in refits]) < 3 * plain.fit["all"]["seconds"]
 
 
 def test_bad_input_writes_nothing(tmp_path: Path) -> None:

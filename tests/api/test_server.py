@@ -23,6 +23,7 @@ from study.record.index import FileStamp
 from study.record.record import seal
 from study.record.store import Store
 from tests.cli.small import DESIGN, write_files
+from tests.waiting import CAP_S
 
 Reply = tuple[int, dict[str, str], str]
 
@@ -63,7 +64,7 @@ def ask(
         lines.append(f"Host: {host or f'127.0.0.1:{port}'}")
     if body:
         lines.append(f"Content-Length: {len(body)}")
-    with socket.create_connection(("127.0.0.1", port), timeout=20) as sock:
+    with socket.create_connection(("127.0.0.1", port), timeout=CAP_S) as sock:
         sock.sendall(("\r\n".join(lines) + "\r\n\r\n" + body).encode("latin-1"))
         reply = http.client.HTTPResponse(sock, method=method)
         reply.begin()

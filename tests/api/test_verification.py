@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 
 from study import api
+from tests.waiting import CAP_S
 
 DESIGN = """
 schema = 1
@@ -84,7 +85,7 @@ def changed_digit(text: str, pattern: str) -> str:
 def verified_elsewhere(folder, *options, **environment):
     return subprocess.run(
         [sys.executable, "-m", "study", "verify", "verified", "--json", *options],
-        cwd=folder, capture_output=True, text=True, timeout=300, check=False,
+        cwd=folder, capture_output=True, text=True, timeout=CAP_S, check=False,
         env={"PYTHONPATH": str(Path(__file__).parents[2]), "PATH": "/usr/bin:/bin", **environment},
     )  # fmt: skip
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import signal
 from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
@@ -131,16 +130,17 @@ def _refuse(word: str) -> None:
     raise AssertionError(f"{word} is no JSON")
 
 
+def answer_of(main: Callable[[list[str]], int], *arguments: object) -> Answer:
+    """Call a program in this process."""
+    out, err = io.StringIO(), io.StringIO()
+    with redirect_stdout(out), redirect_stderr(err):
+        code = main([str(argument) for argument in arguments])
+    return Answer(code, out.getvalue(), err.getvalue())
+
+
 def study(*arguments: object) -> Answer:
     """Run the program in this process, as ``study ARGUMENTS`` does."""
-    out, err = io.StringIO(), io.StringIO()
-    before = signal.getsignal(signal.SIGTERM)
-    try:
-        with redirect_stdout(out), redirect_stderr(err):
-            code = run([str(argument) for argument in arguments])
-    finally:
-        signal.signal(signal.SIGTERM, before)
-    return Answer(code, out.getvalue(), err.getvalue())
+    return answer_of(run, *arguments)
 
 
 def incompressible_force(c10_kPa: float, c01_kPa: float, d_mm: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]  # noqa: N803

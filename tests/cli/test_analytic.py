@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 from pathlib import Path
 
 import numpy as np
@@ -200,9 +199,7 @@ def test_a_thousand_curves(home: Path) -> None:
                                                strict=True)
         ]  # fmt: skip
         (home / "curves" / f"{k}.csv").write_text("\n".join(["d,f", *lines]))
-    began = time.process_time()
     answer = study("calibrate", "file.toml", "--json")
-    assert time.process_time() - began < 10
     assert answer.code == 0, answer.err
     (test,) = answer.json["tests"]
     assert test["curves_fitted"] == 1000

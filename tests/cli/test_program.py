@@ -14,6 +14,7 @@ from study import api
 from study.cli.app import app
 from study.design import load
 from tests.cli.small import study
+from tests.waiting import CAP_S
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -57,7 +58,7 @@ def test_interruption_is_130_and_resumable(home: Path, number: int) -> None:
         during = study("status", "small")
         process.send_signal(number)
         process.send_signal(signal.SIGCONT)
-        _, words = process.communicate(timeout=60)
+        _, words = process.communicate(timeout=CAP_S)
     assert process.returncode == 130
     assert "To resume:\n  study run small.toml --data data --jobs 1\n" in words
     assert "Traceback" not in words
@@ -68,6 +69,32 @@ def test_interruption_is_130_and_resumable(home: Path, number: int) -> None:
     resumed = api.run("small.toml", data="data", jobs=1, reports=None)
     assert (len(resumed.records), resumed.failed) == (12, 0)
     assert state["running"] is None
+
+
+def test_the_program_as_a_function_leaves_the_signals_of_its_caller(
+    home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A handler left behind made of any later SIGTERM, in whatever ran then, an interruption."""
+    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+
+    def interrupted(*given: object, **options: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("study.api.plan", interrupted)
+    answer = study("plan", "small.toml", "--data", "data")
+    assert (answer.code, "interrupted" in answer.err) == (130, True)
+    assert before == [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+
+
+def test_the_end_of_a_file_is_no_interruption(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The parser takes it for a user who left a prompt; the program has none."""
+
+    def truncated(*given: object, **options: object) -> None:
+        raise EOFError("Ran out of input")
+
+    monkeypatch.setattr("study.api.plan", truncated)
+    with pytest.raises(EOFError, match="Ran out"):
+        study("plan", "small.toml", "--data", "data")
 
 
 def test_the_design_of_the_readme_loads() -> None:

@@ -19,9 +19,11 @@ from study.study_result.study_result import StudyResult
 from tests.cli.small import study
 from tests.execution.loopback import ROOT, Loopback, loopback
 from tests.fem.surfaces import box, write
+from tests.forward.test_command import DESIGN as PROGRAMS
+from tests.forward.test_command import force
 from tests.runner.conftest import DESIGN, make_data
 from tests.runner.test_surfaces import DESIGN as SURFACE
-from tests.waiting import until
+from tests.waiting import CAP_S, until
 
 pytest.importorskip("distributed", reason="Dask is not installed (extra 'dask')")
 
@@ -31,6 +33,38 @@ FEM = (
     .replace("steps = 10", "steps = 3")
     .replace("swap = true", "")
 )
+
+
+#: a closed form, and a program that gives its answer only when a file is there
+HELD = PROGRAMS.replace(', "differences", "gradients"]', ', "gradients"]').replace(
+    'name = "programs"', 'name = "small"'
+)
+
+
+@pytest.fixture
+def held(tmp_path: Path) -> Path:
+    """A study that cannot end before the file `go` is there, on a machine of any speed."""
+    (tmp_path / "small.toml").write_text(HELD)
+    (tmp_path / "solvers").mkdir()
+    solver = (ROOT / "designs/solvers/closed_form.py").read_text()
+    wait = f"""import pathlib, time
+pathlib.Path({str(tmp_path / "begun")!r}).touch()
+while not pathlib.Path({str(tmp_path / "go")!r}).exists():
+    time.sleep(0.1)
+"""
+    (tmp_path / "solvers/closed_form.py").write_text(
+        solver.replace("import csv\n", f"{wait}import csv\n", 1)
+    )
+    (tmp_path / "data").mkdir()
+    rows = [f"{d!r},{force(d)!r}" for d in (5.2 * k / 40 for k in range(41))]
+    (tmp_path / "data/m.csv").write_text("d,f\n" + "\n".join(rows) + "\n")
+    return tmp_path
+
+
+def allowed(folder: Path) -> tuple[str, str]:
+    """Options that allow the programs of the study."""
+    plan = study("plan", folder / "small.toml", "--data", folder / "data", "--json").json
+    return "--allow-digest", plan["commands_digest"]
 
 
 @pytest.fixture
@@ -47,6 +81,8 @@ def started(folder: Path, cluster: Loopback, *options: str) -> subprocess.Popen[
          "--scheduler", str(cluster.file), "--json", *options],
         cwd=folder, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
         env={**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path])},
+        # a shell in the background hands on that Ctrl-C is ignored
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )  # fmt: skip
 
 
@@ -88,7 +124,7 @@ def test_a_study_that_loses_a_worker_gives_the_table_of_a_local_run(
         run = started(folder, cluster)
         until(lambda: len(kept_of(folder)) >= 2 or run.poll() is not None)
         cluster.workers[0].kill()
-        out, err = run.communicate(timeout=240)
+        out, err = run.communicate(timeout=CAP_S)
     assert run.returncode == 0, err
     assert json.loads(out)["cases"] == {"total": 12, "done": 12, "failed": 0, "missing": 0}
     local = api.run(
@@ -99,45 +135,47 @@ def test_a_study_that_loses_a_worker_gives_the_table_of_a_local_run(
 
 
 def test_a_study_that_loses_its_scheduler_keeps_what_is_finished_and_resumes(
-    folder: Path, tmp_path: Path
+    held: Path, tmp_path: Path
 ) -> None:
-    cluster_folder = tmp_path / "cluster"
+    cluster_folder, options = tmp_path / "cluster", allowed(held)
     cluster_folder.mkdir()
     with loopback(cluster_folder) as cluster:
-        run = started(folder, cluster)
-        until(lambda: len(kept_of(folder)) >= 2 or run.poll() is not None)
+        run = started(held, cluster, *options)
+        until(lambda: kept_of(held) or run.poll() is not None)
         cluster.scheduler.kill()
-        _, err = run.communicate(timeout=60)
+        _, err = run.communicate(timeout=CAP_S)
     assert run.returncode == 130, err
     assert "the scheduler of the cluster is gone" in err
     assert "what is finished is kept" in err
     assert "Traceback" not in err, err
-    kept = {path: path.read_bytes() for path in kept_of(folder)}
-    assert len(kept) >= 2
-    resumed = api.run(
-        folder / "small.toml", data=folder / "data", jobs=2, results=folder / "results",
-        reports=None,
+    kept = {path: path.read_bytes() for path in kept_of(held)}
+    assert kept
+    (held / "go").touch()
+    resumed = study(
+        "run", held / "small.toml", "--data", held / "data", "--results", held / "results",
+        "--jobs", 1, "--json", *options,
     )  # fmt: skip
-    assert resumed.cases == {"total": 12, "done": 12, "failed": 0, "missing": 0}
+    assert resumed.json["cases"] == {"total": 2, "done": 2, "failed": 0, "missing": 0}
     assert {path: path.read_bytes() for path in kept} == kept
 
 
 def test_ctrl_c_stops_a_study_on_a_cluster_and_leaves_the_cluster(
-    folder: Path, tmp_path: Path
+    held: Path, tmp_path: Path
 ) -> None:
-    cluster_folder = tmp_path / "cluster"
+    cluster_folder, options = tmp_path / "cluster", allowed(held)
     cluster_folder.mkdir()
     with loopback(cluster_folder, workers=1) as cluster:
-        run = started(folder, cluster)
-        until(lambda: len(kept_of(folder)) >= 1 or run.poll() is not None)
+        run = started(held, cluster, *options)
+        until(lambda: (held / "begun").exists() or run.poll() is not None)
         run.send_signal(signal.SIGINT)
-        _, err = run.communicate(timeout=60)
+        _, err = run.communicate(timeout=CAP_S)
         assert run.returncode == 130, err
         assert "interrupted: what is finished is kept" in err
-        again = started(folder, cluster)
-        out, err = again.communicate(timeout=240)
+        (held / "go").touch()
+        again = started(held, cluster, *options)
+        out, err = again.communicate(timeout=CAP_S)
     assert again.returncode == 0, err
-    assert json.loads(out)["cases"]["done"] == 12
+    assert json.loads(out)["cases"]["done"] == 2
 
 
 def test_a_scheduler_that_is_not_there_is_refused_and_nothing_is_written(

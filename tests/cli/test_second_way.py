@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import csv
 import gzip
-import importlib.util
+import importlib
 import json
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.stats import bartlett, f
 
-from tests.cli.small import DESIGN, study, write_files
+from tests.cli.small import DESIGN, Answer, answer_of, study, write_files
 from tests.conftest import ROOT
 
 SCRIPT = ROOT / "validation" / "conical" / "second_way.py"
@@ -73,20 +70,20 @@ def report(reported: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(reported, tmp_path / "small"))
 
 
+def script(name: str) -> Any:
+    """Import a script from its folder, as Python does with one that it runs."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(SCRIPT.parent)
+        return importlib.import_module(name)
+
+
 @pytest.fixture(scope="module")
-def loops() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("loops", SCRIPT.with_name("loops.py"))
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    return module
+def loops() -> Any:
+    return script("loops")
 
 
-def second_way(folder: Path, *more: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, str(SCRIPT), str(folder), *more]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
+def second_way(folder: Path, *more: str) -> Answer:
+    return answer_of(script("second_way").main, folder, *more)
 
 
 def change(path: Path, edit: Edit) -> None:
@@ -116,18 +113,18 @@ def test_it_shares_no_code_with_the_program() -> None:
 
 def test_every_figure_agrees(report: Path) -> None:
     found = second_way(report)
-    assert found.returncode == 0, found.stdout + found.stderr
-    assert ", 0 differ by more than 1e-06" in found.stdout
+    assert found.code == 0, found.out + found.err
+    assert ", 0 differ by more than 1e-06" in found.out
     for figure in ("relative_rms_force_error: F of material:range", "mu0: corrected p of material",
                    "mu0: largest ratio of range", "peak_force_error: Ryan-Joiner",
                    "mu0: Ryan-Joiner of contrast 2 of material", "epsilon of material",
                    "relative_rms_force_error of 24 cases", "peak_force_error of 24 cases",
                    ):  # fmt: skip
-        assert figure in found.stdout, figure
+        assert figure in found.out, figure
 
 
 def test_the_data_folder_itself_may_be_named(report: Path) -> None:
-    assert second_way(report / "small-data", "--all").returncode == 0
+    assert second_way(report / "small-data", "--all").code == 0
 
 
 # far below what a plot would show, above the 1e-6 that is asked for
@@ -135,15 +132,15 @@ def test_the_data_folder_itself_may_be_named(report: Path) -> None:
 def test_a_falsified_case_is_found(report: Path, column: str) -> None:
     change(report / "small-data" / "cases.csv", scaled(column, 1 + 1e-5))
     found = second_way(report)
-    assert found.returncode == 1
-    assert f"{column}: mean at material" in found.stdout
+    assert found.code == 1
+    assert f"{column}: mean at material" in found.out
 
 
 def test_a_falsified_curve_is_found(report: Path) -> None:
     change(report / "small-data" / "curves.csv.gz", scaled("predicted_N", 1.01))
     found = second_way(report)
-    assert found.returncode == 1
-    assert "relative_rms_force_error of " in found.stdout
+    assert found.code == 1
+    assert "relative_rms_force_error of " in found.out
 
 
 @pytest.mark.parametrize("key", ["f", "p", "epsilon_gg", "p_gg", "ss"])
@@ -154,8 +151,8 @@ def test_a_falsified_test_is_found(report: Path, key: str) -> None:
     row[key] *= 1.0001
     path.write_text(json.dumps(numbers))
     found = second_way(report)
-    assert found.returncode == 1
-    assert ", 1 differ by more than" in found.stdout
+    assert found.code == 1
+    assert ", 1 differ by more than" in found.out
 
 
 @pytest.mark.parametrize("test", ["normality", "normality_rows"])
@@ -165,20 +162,20 @@ def test_a_falsified_check_is_found(report: Path, test: str) -> None:
     found = numbers["responses"]["relative_rms_force_error"][test]
     (found if test == "normality" else found[0])["rj"] *= 1.0001
     path.write_text(json.dumps(numbers))
-    assert second_way(report).returncode == 1
+    assert second_way(report).code == 1
 
 
 def test_an_incomplete_table_is_no_silent_pass(report: Path) -> None:
     change(report / "small-data" / "cases.csv", lambda rows: rows.pop(3) and None)
     found = second_way(report)
-    assert found.returncode == 2
-    assert "the table is not complete (1 cells without a value" in found.stderr
+    assert found.code == 2
+    assert "the table is not complete (1 cells without a value" in found.err
 
 
 def test_data_that_are_not_there(tmp_path: Path) -> None:
     found = second_way(tmp_path)
-    assert found.returncode == 2
-    assert "cannot recompute" in found.stderr
+    assert found.code == 2
+    assert "cannot recompute" in found.err
 
 
 # scipy's F is good to about 1e-13 here; lgamma of numbers to 150 loses two digits more
@@ -187,11 +184,11 @@ def test_data_that_are_not_there(tmp_path: Path) -> None:
     [(0.3, 2, 10), (17.9, 2, 10), (1e-3, 3, 24), (5.0, 1, 5), (800.0, 1.2, 9.6), (1e6, 12, 96),
      (1.0, 200, 100)],
 )  # fmt: skip
-def test_upper_tail_of_f(loops: ModuleType, x: float, a: float, b: float) -> None:
+def test_upper_tail_of_f(loops: Any, x: float, a: float, b: float) -> None:
     assert loops.upper_f(x, a, b) == pytest.approx(f.sf(x, a, b), rel=1e-11)
 
 
-def test_epsilon_at_its_two_extremes(loops: ModuleType) -> None:
+def test_epsilon_at_its_two_extremes(loops: Any) -> None:
     # one direction of scatter alone gives 1 / df, equal scatter in all directions gives 1
     rng = np.random.default_rng(1)
     line = np.outer([1.0, 0.0, -1.0], rng.normal(size=8))
@@ -200,7 +197,7 @@ def test_epsilon_at_its_two_extremes(loops: ModuleType) -> None:
     assert loops.greenhouse_geisser(basis.T.tolist(), 3) == pytest.approx(1.0, abs=1e-12)
 
 
-def test_bartlett_against_scipy(loops: ModuleType) -> None:
+def test_bartlett_against_scipy(loops: Any) -> None:
     groups = [list(np.random.default_rng(i).normal(0, 1 + i, 6)) for i in range(4)]
     statistic, df = loops.bartlett(groups)
     assert statistic == pytest.approx(bartlett(*groups).statistic, rel=1e-12)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 from pathlib import Path
 
 import pytest
@@ -24,12 +23,10 @@ material = { model = "neo-hookean", C10 = "5 kPa", poisson_ratio = 0.45 }
 """
 LOADERS = (loads, loads_problem, loads_calibration)
 quick = settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow])
-SLOWEST_S = 2.0  # P24 allows 1 s; a shared machine gets twice that
 
 
 def survives(text: str | bytes) -> None:
     for load in LOADERS:
-        start = time.process_time()
         try:
             load(text, "x.toml")
         except InputError as error:
@@ -37,7 +34,6 @@ def survives(text: str | bytes) -> None:
         else:
             told = "a valid object"
         assert told
-        assert time.process_time() - start < SLOWEST_S
 
 
 @quick

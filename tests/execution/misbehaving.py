@@ -10,6 +10,8 @@ from pathlib import Path
 from threading import Timer
 from typing import Any
 
+from tests.waiting import CAP_S
+
 
 def perform(task: dict[str, Any]) -> dict[str, Any]:
     kind = task["kind"]
@@ -19,7 +21,10 @@ def perform(task: dict[str, Any]) -> dict[str, Any]:
         Path(task["mark"]).touch()
         os.kill(os.getpid(), signal.SIGKILL)
     if kind == "hang":
-        time.sleep(60)
+        if "mark" in task:
+            with Path(task["mark"]).open("a") as stream:
+                stream.write("begun\n")
+        time.sleep(CAP_S)
     if kind == "exit":
         os._exit(3)
     if kind == "raise":
@@ -36,6 +41,7 @@ def perform(task: dict[str, Any]) -> dict[str, Any]:
         os.kill(os.getpid(), signal.SIGSTOP)  # its answer never leaves the pipe
     if kind == "stop soon":  # after its answer: it reads nothing more
         Timer(0.2, os.kill, (os.getpid(), signal.SIGSTOP)).start()
+        return {"status": "converged", "process": os.getpid()}
     if kind == "print":
         print("noise on stdout", flush=True)
         os.write(1, b"noise of a library\n")

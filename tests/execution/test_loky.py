@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 from threading import Timer
@@ -21,9 +20,11 @@ from study.execution.queue import ReadyQueue, longest_first
 from study.execution.supervisor import Answer, Supervisor
 from study.execution.task import Document, Outcome, Results, Task
 from tests.execution.misbehaving import never_up, perform
-from tests.waiting import is_alive, until
+from tests.waiting import CAP_S, is_alive, state_of, until
 
 ROOT = Path(__file__).parents[2]
+#: limit of a task in seconds: a healthy one takes 0.07 s of a processor, also on a busy machine
+LIMIT_S = 4.0
 
 
 def task(key: str, kind: str = "work", needs: tuple[str, ...] = (), **values: Any) -> Task:
@@ -47,15 +48,6 @@ def test_a_killed_worker_costs_its_own_task_alone() -> None:
 def test_a_task_whose_worker_died_is_tried_once_more(tmp_path: Path) -> None:
     found = run([task("a", "die once", mark=str(tmp_path / "mark"))], jobs=1)
     assert found["a"].result == {"status": "converged", "value": 1}
-
-
-def test_a_task_that_never_ends_is_killed_and_says_so() -> None:
-    began = time.monotonic()
-    found = run([task("slow", "hang"), task("a")], timeout_s=1.5)
-    assert found["slow"].result["status"] == "timeout"
-    assert "1.5 s" in found["slow"].result["message"]
-    assert found["a"].result["status"] == "converged"
-    assert time.monotonic() - began < 20  # not the 60 s that the task wanted
 
 
 def test_tasks_wait_for_what_they_need() -> None:
@@ -133,38 +125,35 @@ def test_a_bug_is_the_outcome_of_its_task(kind: str, status: str, said: str) -> 
     assert found["a"].result["status"] == "converged"
 
 
-@pytest.mark.parametrize("kind", ["hold the interpreter", "stopped"])
-def test_the_limit_holds_whatever_a_worker_does(kind: str) -> None:
-    began = time.monotonic()
-    found = run([task("bad", kind), task("a")], timeout_s=1.5)
-    assert found["bad"].result["status"] == "timeout"
+def test_the_limit_holds_whatever_a_worker_does() -> None:
+    kinds = ("hang", "hold the interpreter", "stopped")
+    found = run([*(task(kind, kind) for kind in kinds), task("a")], jobs=4, timeout_s=LIMIT_S)
+    for kind in kinds:
+        assert found[kind].result["status"] == "timeout"
+        assert f"{LIMIT_S:g} s" in found[kind].result["message"]
     assert found["a"].result["status"] == "converged"
-    assert time.monotonic() - began < 20
 
 
 def test_a_worker_that_never_comes_up_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
     """No limit was asked for: only the start of a process has one of its own."""
     monkeypatch.setattr("study.execution.loky.serve_quietly", never_up)
     monkeypatch.setattr("study.execution.supervisor.START_LIMIT_S", 1.0)
-    began = time.monotonic()
     found = run([task("a"), task("b")])
     assert {o.status for o in found.values()} == {"crashed"}
     assert "no worker was up within 1 s, twice" in found["a"].message
-    assert time.monotonic() - began < 20
     assert not _children()
 
 
 def test_a_pipe_that_nobody_reads_does_not_hold_the_owner() -> None:
     """A worker stops after its answer, and the next task is larger than any pipe."""
-    outcomes = Loky(perform, 1, 2.0).run(
+    outcomes = Loky(perform, 1, LIMIT_S).run(
         [task("a", "stop soon"), task("large", needs=("a",), text="x" * 30_000_000),
          task("next", needs=("large",))]
     )  # fmt: skip
-    assert next(outcomes).status == "converged"
-    time.sleep(0.5)
-    began = time.monotonic()
+    first = next(outcomes)
+    assert first.status == "converged"
+    until(lambda: state_of(first.result["process"]) == "T")
     assert [o.status for o in outcomes] == ["timeout", "converged"]
-    assert time.monotonic() - began < 20
 
 
 @pytest.mark.parametrize("limit", [0.0, -1.0, float("nan"), float("inf")])
@@ -209,12 +198,11 @@ def test_no_worker_outlives_its_study(how: signal.Signals) -> None:
     workers = {int(owner.stdout.readline()) for _ in range(2)}
     owner.send_signal(how)
     try:
-        owner.wait(timeout=20)
+        owner.wait(timeout=CAP_S)
     finally:
         owner.kill()
         owner.stdout.close()
-    until(lambda: not any(is_alive(pid) for pid in workers), 20)
-    assert not any(is_alive(pid) for pid in workers)
+    until(lambda: not any(is_alive(pid) for pid in workers))
 
 
 def test_the_queue_grows_no_slower_than_its_tasks() -> None:
@@ -304,7 +292,7 @@ def test_short_tasks_go_to_a_worker_together_and_come_back_one_by_one() -> None:
 @pytest.mark.parametrize(("kind", "status"), [("die", "crashed"), ("hang", "timeout")])
 def test_a_short_task_that_misbehaves_costs_those_beside_it_nothing(kind: str, status: str) -> None:
     tasks = [short("bad", kind), *(short(f"{k}") for k in range(30))]
-    found = {one.key: one for one in Loky(perform, 2, 1.5).run(tasks)}
+    found = {one.key: one for one in Loky(perform, 2, LIMIT_S).run(tasks)}
     assert found.pop("bad").status == status
     assert {one.status for one in found.values()} == {"converged"}
     assert len(found) == 30

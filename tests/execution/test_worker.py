@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import os
 import signal
-import time
-from pathlib import Path
 
 import pytest
 
 from study.execution.worker import Worker
+from tests.waiting import is_alive, until
 
 
 def where(text: str) -> tuple[str, int]:
@@ -27,11 +26,7 @@ def test_a_call_is_made_in_another_process_that_ends_with_the_context() -> None:
         found, process = worker.begin(where, "there")()
     assert found == "there"
     assert process != os.getpid()
-    for _ in range(50):
-        if not Path(f"/proc/{process}").exists():
-            break
-        time.sleep(0.1)
-    assert not Path(f"/proc/{process}").exists()
+    until(lambda: not is_alive(process))
 
 
 def test_a_death_or_what_cannot_be_sent_is_made_up_for_here() -> None:

@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +20,7 @@ from study.forward.command import Command
 from study.forward.exchange import NoAnswer
 from study.forward.python_function import PythonFunction
 from study.setup.setup import problem_of
-from tests.waiting import is_alive, until
+from tests.waiting import CAP_S, is_alive, until
 
 ROOT = Path(__file__).parents[2]
 HEIGHT, RADIUS, C10, C20 = 25.0, 14.5, 0.006, 0.0011
@@ -166,16 +165,13 @@ def test_a_program_that_takes_too_long_ends_with_all_that_it_started(tmp_path):
     mark = tmp_path / "pid"
     text = (
         "import subprocess, time\n"
-        "child = subprocess.Popen(['sleep', '60'])\n"
+        f"child = subprocess.Popen(['sleep', '{CAP_S:g}'])\n"
         f"open({str(mark)!r}, 'w').write(str(child.pid))\n"
-        "time.sleep(60)\n"
+        f"time.sleep({CAP_S:g})\n"
     )
-    began = time.monotonic()
     assert refusal(script(text, timeout_s=3.0)).status == "timeout"
-    assert time.monotonic() - began < 30
     if mark.is_file() and Path("/proc").is_dir():
-        until(lambda: not is_alive(mark.read_text()), 10)
-        assert not is_alive(mark.read_text())
+        until(lambda: not is_alive(mark.read_text()))
 
 
 LEAVES = """
@@ -231,10 +227,10 @@ def test_all_of_a_program_ends_with_the_run_that_is_stopped(folder, tmp_path, nu
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     )  # fmt: skip
     try:
-        until(lambda: len(left_behind(tmp_path / "pid")) == 2, 120)
+        until(lambda: len(left_behind(tmp_path / "pid")) == 2)
         run.send_signal(number)
         run.wait(60)
-        until(lambda: not left_behind(tmp_path / "pid"), 30)
+        until(lambda: not left_behind(tmp_path / "pid"))
     finally:
         run.kill()
         run.wait()
@@ -336,7 +332,7 @@ def folder(tmp_path):
 def study(folder: Path, *words: str) -> subprocess.CompletedProcess:
     return subprocess.run(
         [sys.executable, "-m", "study", *words], cwd=folder, capture_output=True, text=True,
-        env={**os.environ, "PYTHONPATH": str(ROOT)}, timeout=300, check=False,
+        env={**os.environ, "PYTHONPATH": str(ROOT)}, timeout=CAP_S, check=False,
     )  # fmt: skip
 
 

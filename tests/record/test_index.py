@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import time
 from pathlib import Path
 
 import pytest
@@ -16,6 +15,7 @@ from study.record.record import Record, seal
 from study.record.store import Store
 from tests.record.samples import record
 from tests.record.test_store import CASES, WANTED, run
+from tests.waiting import until
 
 
 @pytest.fixture
@@ -32,10 +32,23 @@ def read(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return found
 
 
+def later(path: Path) -> None:
+    """Wait until the clock of the disk is past everything in a folder."""
+    latest = max(one.stat().st_ctime_ns for one in path.rglob("*"))
+    probe = path / "probe"
+
+    def passed() -> bool:
+        probe.write_bytes(b"")
+        return probe.stat().st_ctime_ns > latest
+
+    until(passed)
+    probe.unlink()
+
+
 def settled(path: Path) -> None:
-    """Let the clock of the disk go on, and have the index written later than every record."""
+    """Have the index written later than every record."""
     run(path)
-    time.sleep(0.02)
+    later(path)
     (path / "index.json").unlink(missing_ok=True)
     with Store(path).lock() as store:
         store.survey(WANTED)
@@ -105,7 +118,7 @@ def test_an_index_that_vouches_for_a_damaged_record_is_thrown_away(tmp_path: Pat
     index = tmp_path / "index.json"
     rows = json.loads(index.read_bytes())["content"]
     rows["b2"][:3] = stamp.st_size, stamp.st_mtime_ns, stamp.st_ctime_ns
-    time.sleep(0.02)
+    later(tmp_path)
     index.write_text(seal(rows))
     assert Store(tmp_path).survey(WANTED).done == CASES  # deceived
     assert Store(tmp_path).read("b2") is None
@@ -151,7 +164,7 @@ def test_counting_cases_reads_the_index_and_no_record(
         folder.mkdir(parents=True)
         (folder / "record.json").write_text(record(name).to_json())
     wanted = {name: "h-" + name for name in names}
-    time.sleep(0.02)
+    later(tmp_path)
     read: list[str] = []
 
     def counted(path: Path, limit: int) -> bytes | None:

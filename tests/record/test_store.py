@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -183,7 +182,7 @@ import sys, time
 from study.record.store import Store
 with Store(sys.argv[1]).lock():
     print("held", flush=True)
-    time.sleep(60)
+    time.sleep(600)
 """
 
 
@@ -296,11 +295,9 @@ def test_any_bytes_as_a_stored_file(tmp_path_factory, data):
     (path / "cases" / "a1").mkdir(parents=True)
     (path / "cases" / "a1" / "record.json").write_bytes(data)
     (path / "study.json").write_bytes(data)
-    start = time.process_time()
     with Store(path).lock() as store:
         assert store.read("a1") is None
         assert store.read_manifest() is None
-    assert time.process_time() - start < 1
 
 
 class StoreMachine(RuleBasedStateMachine):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -9,16 +10,21 @@ import pytest
 
 from study.design.load import loads
 from study.design.spec import Design
+from study.execution.inline import Inline
 from study.execution.loky import Loky
+from study.execution.task import Executor
 from study.forward import closed_form
 from study.material.material import Material
 from study.setup.setup import specimen_of
 from tests.runner import fake_worker
 
 
-def fake(jobs: int = 2) -> Loky:
-    """Processes with the fake solver."""
-    return Loky(fake_worker.perform, jobs)
+def fake(jobs: int = 2) -> Executor:
+    """The fake solver here, or in processes where it kills the one that it is in."""
+    path = Path(os.environ.get("FAKE_WISH", os.devnull))
+    wish = path.read_text() if path.exists() else ""
+    kills = "die" in wish or "needs memory" in wish
+    return Loky(fake_worker.perform, jobs) if kills else Inline(fake_worker.perform)
 
 
 SPECIMEN = {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0}

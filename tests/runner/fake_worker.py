@@ -12,6 +12,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
 
 from study.curve import Curve
 from study.fem.mesh.mesher import mesh_size
@@ -68,5 +69,6 @@ def outcome(problem: Problem, status: str, message: str) -> SimpleNamespace:
 
 def perform(task: dict[str, Any]) -> dict[str, Any]:
     """Do a task of a study with the fake solver."""
-    finite_element.solve = solve
-    return tasks.perform(task)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(finite_element, "solve", solve)
+        return tasks.perform(task)

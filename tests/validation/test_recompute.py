@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -17,9 +15,8 @@ import pytest
 from study.curve import Curve
 from study.record.record import Record
 from study.record.store import Store
-from tests.cli.small import DESIGN, study, write_files
+from tests.cli.small import DESIGN, Answer, answer_of, study, write_files
 from tests.cli.test_simulated_responses import DESIGN as ALONE
-from tests.conftest import ROOT
 from validation import recompute, recompute_forward, recompute_records
 
 #: closed form between frictionless plates, finite elements between bonded ones, both directions
@@ -89,9 +86,8 @@ def results(finished: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(finished, tmp_path / "tiny"))
 
 
-def recomputed(*arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "validation.recompute", *map(str, arguments)]
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+def recomputed(*arguments: object) -> Answer:
+    return answer_of(recompute.main, *arguments)
 
 
 def records(results: Path, plates: str) -> list[Record]:
@@ -125,8 +121,8 @@ def moved(name: str, by: float) -> Callable[[Record], Record]:
 def test_an_honest_study_agrees(finished: Path, home: Path, tmp_path: Path) -> None:
     file = tmp_path / "found.json"
     found = recomputed(finished, "--sample", 4, "--data", home / "data", "--json", file)
-    assert found.returncode == 0, found.stdout + found.stderr
-    assert "4 of 6 records computed again with 4 times the load steps: worst" in found.stdout
+    assert found.code == 0, found.out + found.err
+    assert "4 of 6 records computed again with 4 times the load steps: worst" in found.out
     written = json.loads(file.read_text())
     assert written["sampled"] == 4
     assert len(written["lines"]) == 48  # the mean and two directions
@@ -158,12 +154,12 @@ def test_a_falsified_response_is_found(
 ) -> None:
     record = falsify(results, plates, moved(response, by))
     found = recomputed(results, "--sample", 99)
-    assert found.returncode == 1, found.stdout + found.stderr
-    marked = [line for line in found.stdout.splitlines() if line.endswith("<")]
+    assert found.code == 1, found.out + found.err
+    marked = [line for line in found.out.splitlines() if line.endswith("<")]
     assert len(marked) == 1
     assert record.case_id in marked[0]
     assert response in marked[0]
-    assert f"({response} of {record.case_id}, {plates} / " in found.stdout.splitlines()[-1]
+    assert f"({response} of {record.case_id}, {plates} / " in found.out.splitlines()[-1]
 
 
 def test_falsified_constants_are_found(results: Path) -> None:
@@ -176,8 +172,8 @@ def test_falsified_constants_are_found(results: Path) -> None:
 
     record = falsify(results, "bonded", change)
     found = recomputed(results, "--sample", 99)
-    assert found.returncode == 1
-    marked = [line for line in found.stdout.splitlines() if line.endswith("<")]
+    assert found.code == 1
+    marked = [line for line in found.out.splitlines() if line.endswith("<")]
     assert marked
     assert all(record.case_id in line for line in marked)
 
@@ -187,15 +183,15 @@ def test_other_measurements_are_found(finished: Path, home: Path, tmp_path: Path
     cut = [row.rsplit(",", 1) for row in rows[1:]]
     raised = [f"{left},{1.02 * float(force):.10f}" for left, force in cut]
     (tmp_path / "tests.csv").write_text("\n".join([rows[0], *raised]) + "\n")
-    assert recomputed(finished, "--sample", 1, "--data", tmp_path).returncode == 1
+    assert recomputed(finished, "--sample", 1, "--data", tmp_path).code == 1
 
 
 def test_a_record_without_an_answer_is_left_out_and_counted(results: Path) -> None:
     falsify(results, "bonded", lambda r: replace(r, status="timeout", message="too late"))
     found = recomputed(results, "--sample", 1)
-    assert found.returncode == 0
-    assert "left out: 1 without an answer (timeout)" in found.stdout
-    assert "1 of 1 records" in found.stdout
+    assert found.code == 0
+    assert "left out: 1 without an answer (timeout)" in found.out
+    assert "1 of 1 records" in found.out
 
 
 def test_constants_that_have_no_answer_now_fail(results: Path) -> None:
@@ -206,23 +202,23 @@ def test_constants_that_have_no_answer_now_fail(results: Path) -> None:
 
     record = falsify(results, "bonded", change)
     found = recomputed(results, "--sample", 99)
-    assert found.returncode == 1
-    assert f"no answer: {record.case_id}" in found.stdout
+    assert found.code == 1
+    assert f"no answer: {record.case_id}" in found.out
 
 
 def test_fits_to_resampled_noise_are_left_out_and_counted(results: Path) -> None:
     falsify(results, "closed", lambda r: replace(r, curves={}, extra={"noise_seed": 3}))
     found = recomputed(results, "--sample", 9)
-    assert found.returncode == 0, found.stdout + found.stderr
-    assert "left out: 1 fits to resampled noise, which hold no curve" in found.stdout
-    assert "left out: 4 not computed yet" in found.stdout
+    assert found.code == 0, found.out + found.err
+    assert "left out: 1 fits to resampled noise, which hold no curve" in found.out
+    assert "left out: 4 not computed yet" in found.out
 
 
 def test_a_mesh_seed_is_solved_on_its_own_mesh(home: Path) -> None:
     found = recomputed(run(home, SEEDS), "--sample", 4)
-    assert found.returncode == 0, found.stdout + found.stderr
-    assert "4 of 30 records" in found.stdout
-    assert "its mesh is not the one of the record" not in found.stdout
+    assert found.code == 0, found.out + found.err
+    assert "4 of 30 records" in found.out
+    assert "its mesh is not the one of the record" not in found.out
 
 
 @pytest.mark.parametrize(
@@ -238,10 +234,10 @@ def test_a_mesh_seed_is_solved_on_its_own_mesh(home: Path) -> None:
 def test_bad_input(finished: Path, tmp_path: Path, arguments: list[str], message: str) -> None:
     names = {"RESULTS": str(finished), "EMPTY": str(tmp_path)}
     found = recomputed(*(names.get(word, word) for word in arguments))
-    assert found.returncode == 2
-    assert "cannot recompute" in found.stderr
-    assert message in found.stderr
-    assert "Traceback" not in found.stderr
+    assert found.code == 2
+    assert "cannot recompute" in found.err
+    assert message in found.err
+    assert "Traceback" not in found.err
 
 
 @pytest.mark.parametrize(
@@ -278,19 +274,19 @@ def test_its_interpolation_of_a_hertz_curve(monotone: bool) -> None:
     assert np.abs(found - at**1.5).max() < 0.1 * recompute.BAR / 100 * 2**1.5
 
 
-def test_a_study_without_measurements_is_computed_again(tmp_path: Path) -> None:
+def test_a_study_without_measurements_is_computed_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The peak force, the force at a displacement and the work of a simulation alone."""
+    monkeypatch.chdir(tmp_path)
     design = tmp_path / "alone.toml"
     bonded = ALONE.replace('"frictionless"', '"bonded"').replace('"2.5 mm"', '"1.3 mm"')
     design.write_text(bonded)
-    made = subprocess.run(
-        [sys.executable, "-m", "study", "run", design, "-j", "1", "--no-refine"],
-        cwd=tmp_path, capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert made.returncode == 0, made.stderr
+    made = study("run", design, "-j", 1, "--no-refine")
+    assert made.code == 0, made.err
     file = tmp_path / "found.json"
     found = recomputed(tmp_path / "results" / "alone", "--sample", 4, "--json", file)
-    assert found.returncode == 0, found.stdout + found.stderr
+    assert found.code == 0, found.out + found.err
     lines = json.loads(file.read_text())["lines"]
     assert {line["response"] for line in lines} == {"peak_force", "force_at_1.3_mm", "work"}
     assert len(lines) == 12

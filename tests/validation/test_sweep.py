@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -17,7 +15,7 @@ from study.fem.cost import expected_unknowns
 from study.fem.mesh.mesher import mesh_size
 from study.setup.geometry import Block, Cone, Cylinder, Flat, Sphere
 from study.setup.setup import Problem
-from tests.conftest import ROOT
+from tests.cli.small import Answer, answer_of
 from validation import sweep
 from validation.sweep_problems import (
     ELEMENTS,
@@ -175,39 +173,38 @@ def written(path: Path, found: list[dict[str, Any]]) -> Path:
     return path
 
 
-def program(*arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "validation.sweep", *map(str, arguments)]
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+def program(*arguments: object) -> Answer:
+    return answer_of(sweep.main, *arguments)
 
 
 def test_what_the_file_holds_is_not_computed_again(tmp_path: Path) -> None:
     file = written(tmp_path / "sweep.jsonl", rows(1, hidden))
     found = program("--count", 1, "--file", file)
-    assert found.returncode == 1, found.stderr
-    assert found.stderr == ""
-    assert found.stdout.splitlines()[-1] == "silent misses: 1"
+    assert found.code == 1, found.err
+    assert found.err == ""
+    assert found.out.splitlines()[-1] == "silent misses: 1"
 
 
 def test_without_a_silent_miss_it_ends_well(tmp_path: Path) -> None:
     file = written(tmp_path / "sweep.jsonl", rows(1, of_mesh))
     # no time is left for the second problem
     found = program("--count", 2, "--budget", 0, "--file", file)
-    assert found.returncode == 0, found.stderr
-    assert "1 of 2 problems: 1 off, covered" in found.stdout
+    assert found.code == 0, found.err
+    assert "1 of 2 problems: 1 off, covered" in found.out
 
 
 def test_a_file_of_another_seed_is_refused(tmp_path: Path) -> None:
     file = written(tmp_path / "sweep.jsonl", rows(1, of_mesh))
     found = program("--count", 1, "--seed", 1, "--file", file)
-    assert found.returncode == 2
-    assert "line 1: belongs to another seed or other problems" in found.stderr
+    assert found.code == 2
+    assert "line 1: belongs to another seed or other problems" in found.err
 
 
 def test_a_problem_is_written_as_python() -> None:
     found = program("--show", 3)
-    assert found.returncode == 0
+    assert found.code == 0
     names: dict[str, Any] = {}
-    exec(found.stdout.split("for one in")[0], names)  # its own output, of this very test
+    exec(found.out.split("for one in")[0], names)  # its own output, of this very test
     assert names["problem"] == DRAWN[3]
     assert names["reference"] == references(DRAWN[3])[0]
 
@@ -215,7 +212,7 @@ def test_a_problem_is_written_as_python() -> None:
 @pytest.mark.slow
 def test_one_problem_from_end_to_end(tmp_path: Path) -> None:
     found = program("--count", 1, "--file", tmp_path / "one.jsonl")
-    assert found.returncode == 0, found.stdout + found.stderr
-    assert "1 of 1 problems" in found.stdout
+    assert found.code == 0, found.out + found.err
+    assert "1 of 1 problems" in found.out
     row = json.loads((tmp_path / "one.jsonl").read_text())
     assert row["own"]["status"] == row["reference"]["found"]["status"] == "converged"

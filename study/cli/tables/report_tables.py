@@ -105,27 +105,6 @@ def contrast_rows(found: AnalysisResult) -> Rows:
     return _rows(analysis_tables.contrast_table(found, found.request.response))
 
 
-def anova_rows(data: ReportData, response: str) -> Rows:
-    """ANOVA table of a response; the first row is the header.
-
-    Parameters
-    ----------
-    data : ReportData
-        Of a study.
-    response : str
-        Name of the response.
-
-    Raises
-    ------
-    KeyError
-        If the report has no such response.
-    """
-    for found in facts(data):
-        if found.name == response:
-            return _rows(tables.anova(found, data))
-    raise KeyError(response)
-
-
 def answer_lines(data: ReportData) -> list[str]:
     """Return the sentences of the answer box, which cases fail, and what would change them.
 

@@ -16,7 +16,7 @@ from study.reporting.output.write import browser
 
 Message = dict[str, object]
 # Seconds that one command of the protocol may take on a busy machine.
-PATIENCE = 60
+PATIENCE = 600
 
 
 class Browser:

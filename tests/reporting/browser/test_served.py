@@ -19,6 +19,7 @@ from study.record.store import Store
 from study.reporting.output import write
 from tests.cli.small import DESIGN, write_files
 from tests.reporting.browser.devtools import Browser, running
+from tests.waiting import CAP_S
 
 pytestmark = [
     pytest.mark.slow,
@@ -62,7 +63,7 @@ def server(home: Path) -> Iterator[StudyServer]:
 
 def until(tab: Browser, expression: str) -> None:
     """Wait until an expression is true in the page."""
-    end = time.monotonic() + 30
+    end = time.monotonic() + CAP_S
     while not tab.ask(expression):
         assert time.monotonic() < end, f"{expression} did not become true"
         time.sleep(0.1)
