@@ -55,7 +55,7 @@ class Dense:
         self.phi = np.linalg.inv(x.T @ w @ x)
         projection = w - w @ x @ self.phi @ x.T @ w
         self.beta = self.phi @ x.T @ w @ y
-        self.deviance = (
+        self.deviance = float(
             np.linalg.slogdet(cov)[1]
             - np.linalg.slogdet(self.phi)[1]
             + y @ projection @ y
@@ -147,7 +147,7 @@ def test_the_estimate_and_its_intervals_are_those_of_a_search_without_derivative
         def deviance(logs: Array) -> float:
             sd = np.exp(logs)
             v = (sd if held is None else np.insert(sd, held, value)) ** 2
-            return float(Dense(x, y, codes, v).deviance)
+            return Dense(x, y, codes, v).deviance
 
         start = np.log(np.maximum(np.delete(np.sqrt(fit.v), [] if held is None else held), 1e-3))
         options = {"xatol": 1e-7, "fatol": 1e-9, "maxiter": 4000}

@@ -97,6 +97,8 @@ class Cells:
     resampled : bool
         Whether the repeats (or blocks) are refits to resampled noise of one curve: their scatter
         is the standard error of the fit itself, however many there are.
+    estimate : callable, optional
+        Estimates a difference in place of the rows: of a model of all rows.
     """
 
     rows: pd.DataFrame
@@ -105,6 +107,7 @@ class Cells:
     alpha: float
     seed: int
     resampled: bool = False
+    estimate: Callable[[Setting, Setting], Estimate] | None = None
 
 
 def contrasts(cells: Cells, asked: Sequence[str]) -> tuple[Contrast, ...]:
@@ -157,7 +160,8 @@ def possible_contrasts(
     for text in asked:
         try:
             pair = sides_of(text, cells.levels)
-            estimates.append(_estimate(cells, *pair, text))
+            made = cells.estimate(*pair) if cells.estimate else _estimate(cells, *pair, text)
+            estimates.append(made)
         except InputError as error:
             faults += error.faults
             continue

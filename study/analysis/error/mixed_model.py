@@ -8,20 +8,19 @@ standard deviations those of the profile of the restricted likelihood.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.special import stdtr
 
 from study.analysis.data import Data, prepare
 from study.analysis.effects.estimates import TermEstimate, settings_of, t_quantile, term_rows
 from study.analysis.effects.linear_contrast import Contrast, Estimate, judged
-from study.analysis.effects.samples import every_simple_effect
 from study.analysis.effects.scale import Scale
-from study.analysis.effects.simple_effects import Differences, Estimates
+from study.analysis.effects.simple_effects import Differences, Estimates, simple_effects
 from study.analysis.effects.simultaneous import pooled_multiplier
 from study.analysis.effects.sizes import holm, size
 from study.analysis.error.restricted_likelihood import (
@@ -220,7 +219,7 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
         data.y.size,
         tuple(cells.slope(name) for name in covariates),
         holm(cells.effects(terms, {t: s.p for t, s in tests.items()}, scale)),
-        cells.contrasts(factors, contrasts, scale),
+        cells.contrasts(contrasts, scale),
     )
 
 
@@ -321,6 +320,9 @@ class MixedCells:
         What was taken off the response.
     alpha, seed : float, int
         Of the intervals, and of simulated multipliers.
+    robust : callable, optional
+        Standard errors and df of combinations that do not rest on the model's variances:
+        intervals reach as far as both tell.
     """
 
     fit: RestrictedFit
@@ -330,6 +332,7 @@ class MixedCells:
     shift: float
     alpha: float
     seed: int | None
+    robust: Callable[[Array], tuple[Array, Array]] | None = None
 
     @cached_property
     def _of_factors(self) -> Factored:
@@ -351,15 +354,24 @@ class MixedCells:
     def sample(self, asked: Differences) -> Estimates:
         """Differences of settings with the multipliers of their intervals."""
         settings = self._along(asked.settings)
-        found = self.fit.estimate(asked.of(settings))
+        rows = asked.of(settings)
+        found = self.fit.estimate(rows)
         ok = self.fixed.estimable(self._padded(asked.rows)) & (found.error > 0)
         value = np.where(ok, found.value, np.nan)
-        wide = 0.0
-        if ok.any():
-            some = Differences(settings @ self._root, asked.first[ok], asked.second[ok])
-            df = float(found.df[ok].min())  # the least sure contrast decides for all
-            wide = pooled_multiplier(some, found.error[ok], df, self.alpha, self.seed)
-        return Estimates(value, found.error, t_quantile(self.alpha / 2, found.df), wide)
+        single = t_quantile(self.alpha / 2, found.df)
+        if not ok.any():
+            return Estimates(value, found.error, single, single)
+        some = Differences(settings @ self._root, asked.first[ok], asked.second[ok])
+        df = float(found.df[ok].min())  # the least sure contrast decides for all
+        wide = pooled_multiplier(some, found.error[ok], df, self.alpha, self.seed)
+        every = np.full(value.size, wide)
+        if self.robust is not None:
+            error, df_own = self.robust(rows)
+            ratio = np.divide(error, found.error, out=np.zeros_like(error), where=ok)
+            single = np.maximum(single, ratio * t_quantile(self.alpha / 2, df_own))
+            # at the error probability that each interval has among all of them
+            every = np.maximum(every, ratio * t_quantile(float(stdtr(df, -wide)), df_own))
+        return Estimates(value, found.error, single, every)
 
     def estimate(self, term: Term, p: float | None) -> TermEstimate:
         """Means and components of a term."""
@@ -367,20 +379,27 @@ class MixedCells:
         means = self.fit.estimate(self._along(mean_rows))
         mean = self.shift + means.value
         mean[~self.fixed.estimable(self._padded(mean_rows))] = np.nan
+        half = t_quantile(self.alpha / 2, means.df) * means.error
+        if self.robust is not None:
+            error, df = self.robust(self._along(mean_rows))
+            half = np.maximum(half, t_quantile(self.alpha / 2, df) * error)
         component = self._along(component_rows)
         value = component @ self.fit.moments.beta
         if not self.fixed.estimable(self._padded(component_rows)).all():
             value = np.full(len(levels), np.nan)
-        pairs = np.array(list(combinations(range(len(levels)), 2)))
-        wide = self.sample(Differences(component_rows, pairs[:, 0], pairs[:, 1])).simultaneous
+        first, second = np.triu_indices(len(levels), 1)
+        critical = np.zeros((len(levels), len(levels)))
+        critical[first, second] = self.sample(
+            Differences(component_rows, first, second)
+        ).simultaneous
         return TermEstimate(
             term,
             levels,
             value,
             mean,
             component @ self.fit.adjusted @ component.T,
-            wide,
-            t_quantile(self.alpha / 2, means.df) * means.error,
+            critical + critical.T,
+            half,
             p,
             settings_of(self.layout, term),
         )
@@ -389,7 +408,15 @@ class MixedCells:
         self, terms: Sequence[Term], p: dict[Term, float], scale: Scale
     ) -> tuple[Effect, ...]:
         """Effects of the terms with their verdicts."""
-        simple = every_simple_effect(terms, self.layout, self._of_factors, self.sample, scale)
+        simple = {}
+        for term in terms:
+            if len(term) == 1:
+                judged = simple_effects(
+                    term[0], self.layout, self.factors, self.sample,
+                    practical=scale.practical, bound=scale.bound, only=scale.only,
+                )  # fmt: skip
+                if judged is not None:
+                    simple[term[0]] = judged
         return tuple(size(self.estimate(term, p.get(term)), scale, simple) for term in terms)
 
     def slope(self, covariate: str) -> Slope:
@@ -400,33 +427,41 @@ class MixedCells:
         half = t_quantile(self.alpha / 2, float(found.df[0])) * float(found.error[0])
         return Slope(covariate, value, value - half, value + half)
 
-    def contrasts(
-        self, factors: Sequence[str], asked: Sequence[str], scale: Scale
-    ) -> tuple[Contrast, ...]:
-        """Differences by name, of means over the cells of the full grid."""
-        if not asked:
-            return ()
-        cells = grid(self.layout, factors)
-        columns = model_matrix(cells, self.factors.terms[1:]).columns
-        levels = {name: self.layout.levels[name] for name in factors}
+    def between(self, first: Setting, second: Setting) -> Estimate:
+        """Difference of means over the cells of the full grid that two settings hold.
 
-        def mean(setting: Setting) -> Array:
+        Raises
+        ------
+        InputError
+            If a cell that it needs has no row.
+        """
+        names = list(dict.fromkeys(name for term in self.factors.terms for name in term))
+        cells = grid(self.layout, names)
+        columns = model_matrix(cells, self.factors.terms[1:]).columns
+        sides = []
+        for setting in (first, second):
             rows = np.ones(cells.n, dtype=bool)
             for name, level in setting.items():
-                rows &= cells.codes[name] == levels[name].index(level)
-            return np.asarray(columns[rows].mean(axis=0))
+                rows &= cells.codes[name] == self.layout.levels[name].index(level)
+            sides.append(columns[rows].mean(axis=0))
+        row = (sides[0] - sides[1])[None]
+        if not self.fixed.estimable(self._padded(row)).all():
+            raise InputError(Fault("contrast", "a cell that it needs has no row"))
+        found = self.fit.estimate(self._along(row))
+        value, error, df = (float(a[0]) for a in (found.value, found.error, found.df))
+        if self.robust is not None:
+            wide, few = (float(a[0]) for a in self.robust(self._along(row)))
+            if t_quantile(self.alpha / 2, few) * wide > t_quantile(self.alpha / 2, df) * error:
+                error, df = wide, few
+        return Estimate(value, error, df)
 
-        sides = [sides_of(text, levels) for text in asked]
-        rows = np.array([mean(first) - mean(second) for first, second in sides])
-        lost = ~self.fixed.estimable(self._padded(rows))
-        if lost.any():
-            text = asked[int(np.argmax(lost))]
-            raise InputError(Fault(f"contrast {text!r}", "a cell that it needs has no row"))
-        found = self.fit.estimate(self._along(rows))
-        estimates = [
-            Estimate(float(value), float(error), float(df))
-            for value, error, df in zip(found.value, found.error, found.df, strict=True)
+    def contrasts(self, asked: Sequence[str], scale: Scale) -> tuple[Contrast, ...]:
+        """Differences by name."""
+        names = [name for (name,) in (t for t in self.factors.terms if len(t) == 1)]
+        sides = [
+            sides_of(text, {name: self.layout.levels[name] for name in names}) for text in asked
         ]
+        estimates = [self.between(*pair) for pair in sides]
         return judged(asked, sides, estimates, scale, self.alpha, self.seed or 0)
 
 

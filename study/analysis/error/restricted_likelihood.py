@@ -100,7 +100,8 @@ class _Crossed:
         """Entries of Z' diag(weight) Z."""
         pairs = len(self.columns) ** 2
         size = self.batches[-1].entry.stop if self.batches else 0
-        return np.bincount(self.position, np.tile(weight, pairs), minlength=size)
+        entries = np.bincount(self.position, np.tile(weight, pairs), minlength=size)
+        return np.asarray(entries, dtype=float)
 
 
 def _crossed(codes: Sequence[Ints], groups: int) -> _Crossed:
@@ -281,8 +282,8 @@ class Likelihood:
             s = batch.square(flat[0]) * outer
             full = s + np.eye(batch.size)
             log_det += float(np.linalg.slogdet(full)[1].sum())
-            h = np.linalg.inv(full)
-            k = h @ s
+            h = np.asarray(np.linalg.inv(full), dtype=float)
+            k = np.asarray(h @ s, dtype=float)
             hs.append(h)
             ks.append(k)
             here = h @ batch.rows(right)
