@@ -17,6 +17,7 @@ from study.analysis.effects.jackknife import without_each
 from study.analysis.error import ledger, nested
 from study.analysis.error.block_groups import own_groups
 from study.analysis.error.blocked import own
+from study.analysis.error.incomplete_blocks import incomplete_blocks
 from study.analysis.error.ledger import pooled
 from study.analysis.error.split_plot import split_plot, whole_plots
 from study.analysis.linear_model.design_matrix import Model, nested_in, number_within, terms_of
@@ -297,6 +298,9 @@ def _found(table: pd.DataFrame, request: AnalysisRequest) -> Outcome:
     declared = data.also or (request.layout.whole_plot and request.error == "auto")
     how = ledger.method(request.error, None if declared else data.block)
     if how == ledger.OWN:
+        mixed = incomplete_blocks(out) if plots is None else None
+        if mixed is not None:
+            return mixed
         tested = own(out) if plots is None or not plots.nested else own_groups(out, plots)
         if tested is not None:
             return tested

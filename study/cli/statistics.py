@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from study.analysis.request import AnovaOptions
     from study.analysis.result import AnalysisResult
     from study.api.statistics.confirmation import Permission
+    from study.api.statistics.mixed_effects import MixedOptions
     from study.api.statistics.surface.response_surface import Surface as SurfaceKind
 
 #: Flags as they were given; what was not given is None or empty.
@@ -135,7 +136,12 @@ def analyze(
         surface_tables.show(source, names(numeric), surface, flags, as_json)
         return
     if error == "reml":
-        mixed_effects.show(source, flags, _model(flags["--model"]), alpha, results, as_json)
+        mixed: MixedOptions = {"contrasts": contrast or ()}
+        if alpha is not None:
+            mixed["alpha"] = alpha
+        if (terms := _model(flags["--model"])) is not None:
+            mixed["model"] = terms
+        mixed_effects.show(source, flags, mixed, results, as_json)
         return
     mixed_effects.check_none(flags)
     found = api.analyze(

@@ -1,4 +1,4 @@
-"""REML against lme4's published figures, statsmodels, and designs whose answer is known exactly."""
+"""REML against published figures, a dense second way, and designs whose answer is exact."""
 
 from __future__ import annotations
 
@@ -9,10 +9,18 @@ import numpy as np
 import pandas as pd
 import pytest
 import statsmodels.formula.api as smf
-from scipy.stats import multivariate_normal
+from scipy.optimize import brentq, minimize
+from scipy.stats import chi2
+from scipy.stats import f as f_distribution
 
 import study
-from study.analysis.error.restricted_likelihood import Likelihood
+from study.analysis.error.restricted_likelihood import (
+    Likelihood,
+    RestrictedFit,
+    SingularError,
+    fit_restricted,
+)
+from study.arrays import Array, Ints
 from study.errors import InputError
 
 #: yield of dyestuff by batch (Davies 1947, Statistical Methods in Research and Production)
@@ -24,21 +32,209 @@ DYESTUFF = {
     "E": [1595, 1630, 1515, 1635, 1625],
     "F": [1520, 1455, 1450, 1480, 1445],
 }
+#: strength of paste: ten batches, three casks of each, two tests of each (Davies 1947)
+PASTES = [
+    62.8, 62.6, 60.1, 62.3, 62.7, 63.1, 60.0, 61.4, 57.5, 56.9, 61.1, 58.9, 58.7, 57.5, 63.9,
+    63.1, 65.4, 63.7, 57.1, 56.4, 56.9, 58.6, 64.7, 64.5, 55.1, 55.1, 54.7, 54.2, 58.8, 57.5,
+    63.4, 64.9, 59.3, 58.1, 60.5, 60.0, 62.5, 62.6, 61.0, 58.7, 56.9, 57.7, 59.2, 59.4, 65.2,
+    66.0, 64.8, 64.1, 54.8, 54.8, 64.0, 64.0, 57.7, 56.8, 58.3, 59.3, 59.2, 59.2, 58.9, 56.6,
+]  # fmt: skip
+
+
+class Dense:
+    """The same model with the covariance V of all rows written out, formula by formula.
+
+    Kenward and Roger (1997), Biometrics 53, 983-997.
+    """
+
+    def __init__(self, x: Array, y: Array, codes: list[Ints], v: Array) -> None:
+        n, r = x.shape
+        self.g = [(c[:, None] == c[None, :]).astype(float) for c in codes] + [np.eye(n)]
+        cov = sum((s * g for s, g in zip(v, self.g, strict=True)), np.zeros((n, n)))
+        w = np.linalg.inv(cov)
+        self.phi = np.linalg.inv(x.T @ w @ x)
+        projection = w - w @ x @ self.phi @ x.T @ w
+        self.beta = self.phi @ x.T @ w @ y
+        self.deviance = float(
+            np.linalg.slogdet(cov)[1]
+            - np.linalg.slogdet(self.phi)[1]
+            + y @ projection @ y
+            + (n - r) * np.log(2 * np.pi)
+        )
+        self.information = np.array(
+            [[0.5 * np.trace(projection @ a @ projection @ b) for b in self.g] for a in self.g]
+        )
+        self.p = [-x.T @ w @ a @ w @ x for a in self.g]
+        self.q = [[x.T @ w @ a @ w @ b @ w @ x for b in self.g] for a in self.g]
+        self.w = np.linalg.inv(self.information)
+        m = range(len(self.g))
+        inner = sum(
+            self.w[i, j] * (self.q[i][j] - self.p[i] @ self.phi @ self.p[j]) for i in m for j in m
+        )
+        self.adjusted = self.phi + 2 * self.phi @ inner @ self.phi
+
+    def f_test(self, basis: Array) -> tuple[float, float, float]:
+        phi, count, m = self.phi, basis.shape[1], range(len(self.g))
+        theta = basis @ np.linalg.inv(basis.T @ phi @ basis) @ basis.T
+        tp = [theta @ phi @ p @ phi for p in self.p]
+        a1 = sum(self.w[i, j] * np.trace(tp[i]) * np.trace(tp[j]) for i in m for j in m)
+        a2 = sum(self.w[i, j] * np.trace(tp[i] @ tp[j]) for i in m for j in m)
+        b = (a1 + 6 * a2) / (2 * count)
+        g = ((count + 1) * a1 - (count + 4) * a2) / ((count + 2) * a2)
+        c = [s / (3 * count + 2 * (1 - g)) for s in (g, count - g, count + 2 - g)]
+        mean = 1 / (1 - a2 / count)
+        variance = (2 / count) * (1 + c[0] * b) / ((1 - c[1] * b) ** 2 * (1 - c[2] * b))
+        rho = variance / (2 * mean**2)
+        df = 4 + (count + 2) / (count * rho - 1)
+        scaling = df / (mean * (df - 2))
+        value = basis.T @ self.beta
+        f = scaling / count * value @ np.linalg.solve(basis.T @ self.adjusted @ basis, value)
+        return float(f), float(df), float(f_distribution.sf(f, count, df))
+
+
+def random_design(name: str) -> tuple[Array, Array, list[Ints]]:
+    """Fixed columns, response, and levels of random factors of forty rows at random."""
+    rng = np.random.default_rng(7)
+    n = 40
+    a, b = rng.integers(0, 6, n), rng.integers(0, 5, n)
+    raw = {
+        "one": [a],
+        "nested": [a, a * 3 + rng.integers(0, 3, n)],
+        "crossed": [a, b],
+        "with interaction": [a, b, a * 5 + b],
+    }[name]
+    codes = [np.unique(c, return_inverse=True)[1] for c in raw]
+    x = np.column_stack([np.ones(n), rng.normal(size=(n, 3))])
+    y = 3.0 + rng.normal(size=n) + sum(rng.normal(size=c.max() + 1)[c] for c in codes)
+    return np.linalg.qr(x)[0], y, codes
+
+
+DESIGNS = ["one", "nested", "crossed", "with interaction"]
+
+
+@pytest.mark.parametrize("name", DESIGNS)
+@pytest.mark.parametrize("v", [[0.7, 0.4, 0.3, 1.1], [0.5, 0.0, 2.0, 0.3]])
+def test_likelihood_and_inference_are_those_of_the_dense_covariance(
+    name: str, v: list[float]
+) -> None:
+    x, y, codes = random_design(name)
+    at = np.array([*v[: len(codes)], v[-1]])
+    likelihood = Likelihood(x, y, tuple(codes))
+    fit = RestrictedFit(likelihood, at, likelihood.moments(at))
+    dense = Dense(x, y, codes, at)
+    assert fit.deviance == pytest.approx(dense.deviance, rel=1e-10)
+    assert fit.moments.beta == pytest.approx(dense.beta, rel=1e-9)
+    assert fit.covariance == pytest.approx(dense.phi, rel=1e-9, abs=1e-12)
+    assert fit.adjusted == pytest.approx(dense.adjusted, rel=1e-8, abs=1e-10)
+    assert fit.moments.information / at[-1] ** 2 == pytest.approx(dense.information, rel=1e-8)
+    for basis in (np.eye(4)[:, 1:2], np.eye(4)[:, 1:3], np.eye(4)[:, 1:]):
+        test = fit.test(basis)
+        assert (test.f, test.df, test.p) == pytest.approx(dense.f_test(basis), rel=1e-7)
+    single = fit.estimate(np.eye(4)[1:2])
+    assert single.error[0] ** 2 == pytest.approx(dense.adjusted[1, 1], rel=1e-8)
+    assert single.df[0] == pytest.approx(dense.f_test(np.eye(4)[:, 1:2])[1], rel=1e-7)
+
+
+@pytest.mark.parametrize("name", DESIGNS)
+def test_the_estimate_and_its_intervals_are_those_of_a_search_without_derivatives(
+    name: str,
+) -> None:
+    x, y, codes = random_design(name)
+    fit = fit_restricted(x, y, codes)
+    m = len(codes) + 1
+
+    def least(held: int | None = None, value: float = 0.0) -> float:
+        def deviance(logs: Array) -> float:
+            sd = np.exp(logs)
+            v = (sd if held is None else np.insert(sd, held, value)) ** 2
+            return Dense(x, y, codes, v).deviance
+
+        start = np.log(np.maximum(np.delete(np.sqrt(fit.v), [] if held is None else held), 1e-3))
+        options = {"xatol": 1e-7, "fatol": 1e-9, "maxiter": 4000}
+        return float(minimize(deviance, start, method="Nelder-Mead", options=options).fun)
+
+    best = least()
+    assert fit.deviance == pytest.approx(best, abs=1e-6)
+    limit = best + float(chi2.isf(0.05, 1))
+    for which in (0, m - 1):
+        low, high = fit.interval(which, 0.05)
+        assert low <= np.sqrt(fit.v[which]) <= high
+        for end in (low, high):
+            if end > 0:
+                assert least(which, end) == pytest.approx(limit, abs=1e-3)
 
 
 def test_the_dyestuff_of_davies_as_lme4_has_it() -> None:
     """Bates et al. 2015, J. Statist. Softw. 67: REML 42.00 and 49.51, criterion 319.6543.
 
-    Their criterion leaves out log |X'X| = log 30. Intervals are those of R's confint.
+    Their criterion leaves out log |X'X| = log 30. In a balanced layout the restricted likelihood
+    is a function of the two mean squares, which the intervals are compared with.
     """
     rows = [(batch, value) for batch, values in DYESTUFF.items() for value in values]
     table = pd.DataFrame(rows, columns=["batch", "y"])
     found = study.mixed_model(table, "y", [], block="batch")
     batch, within = found.components
+    values = np.array(list(DYESTUFF.values()), dtype=float)
+    between = 5 * values.mean(axis=1).var(ddof=1)
+    inside = values.var(axis=1, ddof=1).mean()
+    assert within.sd**2 == pytest.approx(inside, rel=1e-10)
+    assert batch.sd**2 == pytest.approx((between - inside) / 5, rel=1e-10)
     assert (batch.sd, within.sd) == pytest.approx((42.0006, 49.5101), abs=1e-4)
-    assert (batch.low, batch.high) == pytest.approx((12.1975, 84.0634), rel=2e-4)
-    assert (within.low, within.high) == pytest.approx((38.2300, 67.6577), rel=2e-4)
     assert found.deviance == pytest.approx(319.6543 - np.log(30), abs=1e-4)
+
+    def rise(v_batch: float) -> float:
+        def deviance(v: float) -> float:
+            mean_square = v + 5 * v_batch
+            return float(
+                24 * (np.log(v) + inside / v) + 5 * (np.log(mean_square) + between / mean_square)
+            )
+
+        held = minimize(lambda s: deviance(s[0] ** 2), [50.0], tol=1e-10).fun
+        return float(held) - 24 * (np.log(inside) + 1) - 5 * (np.log(between) + 1)
+
+    limit = float(chi2.isf(0.05, 1))
+    ends = [brentq(lambda sd: rise(sd**2) - limit, *ends) for ends in ((5, 42), (42, 200))]
+    assert (batch.low, batch.high) == pytest.approx(ends, rel=1e-5)
+
+
+def test_the_pastes_of_davies_as_lme4_has_them() -> None:
+    """Pastes of lme4: strength ~ 1 + (1 | batch) + (1 | sample), REML criterion 246.9907."""
+    rows = [
+        (batch, cask, PASTES[6 * i + 2 * j + k])
+        for i, batch in enumerate("ABCDEFGHIJ")
+        for j, cask in enumerate("abc")
+        for k in range(2)
+    ]
+    table = pd.DataFrame(rows, columns=["batch", "cask", "strength"])
+    found = study.mixed_model(table, "strength", [], random=["batch", "batch:cask"])
+    sd = {c.source: c.sd for c in found.components}
+    assert sd == pytest.approx({"batch": 1.2874, "batch:cask": 2.9041, "within": 0.8234}, abs=1e-4)
+    assert found.deviance == pytest.approx(246.9907 - np.log(60), abs=1e-4)
+    for component in found.components:
+        assert component.low <= component.sd <= component.high
+
+
+def precision(random: np.random.Generator) -> pd.DataFrame:
+    """A precision study: eight days, two runs a day, three repeats a run; labels start again."""
+    day, run = random.normal(0, 2, 8), random.normal(0, 1, (8, 2))
+    rows = [
+        (f"d{d}", f"r{r}", 50 + day[d] + run[d, r] + random.normal(0, 0.5))
+        for d, r, _ in product(range(8), range(2), range(3))
+    ]
+    return pd.DataFrame(rows, columns=["day", "run", "y"])
+
+
+def test_a_precision_study_has_the_components_of_its_mean_squares() -> None:
+    table = precision(np.random.default_rng(3))
+    found = study.mixed_model(table, "y", [], random=["day", "day:run"])
+    runs = table.groupby(["day", "run"])["y"]
+    repeat = runs.var().mean()
+    means = table.pivot_table("y", "day", "run")
+    run = 3 * means.var(axis=1).mean()
+    day = 6 * means.mean(axis=1).var()
+    expected = [(day - run) / 6, (run - repeat) / 3, repeat]
+    assert [c.sd**2 for c in found.components] == pytest.approx(expected, rel=1e-9)
+    assert [c.source for c in found.components] == ["day", "day:run", "within"]
 
 
 def blocked(seed: int = 1, blocks: int = 8) -> pd.DataFrame:
@@ -53,9 +249,68 @@ def blocked(seed: int = 1, blocks: int = 8) -> pd.DataFrame:
 
 def test_complete_blocks_give_the_table_of_randomized_blocks() -> None:
     table = blocked()
-    (term,) = study.mixed_model(table, "y", ["a"], block="block").terms
-    row = study.anova(table, "y", ["a"], block="block", error="pooled", exact=False).anova.row("a")
-    assert (term.f, term.df_error, term.p) == pytest.approx((row.f, 14, row.p), rel=1e-5)
+    found = study.mixed_model(table, "y", ["a"], block="block", practical=1, contrasts=["z - x"])
+    (term,) = found.terms
+    other = study.anova(table, "y", ["a"], block="block", error="pooled", exact=False, practical=1)
+    row = other.anova.row("a")
+    assert (term.f, term.df_error, term.p) == pytest.approx((row.f, 14, row.p), rel=1e-9)
+    (ours,), (theirs,) = found.effects, other.effects
+    assert ours.mean == pytest.approx(theirs.mean, rel=1e-12)
+    assert ours.range == pytest.approx(theirs.range, rel=1e-12)
+    for one, two in zip(ours.simple_effects, theirs.simple_effects, strict=True):
+        assert one.ci == pytest.approx(two.ci, rel=1e-9)
+        assert one.verdict == two.verdict
+    assert (ours.verdict, theirs.verdict) == ("matters", "matters")
+    (contrast,) = found.contrasts
+    assert contrast.df == pytest.approx(14)
+    assert contrast.ci == pytest.approx(
+        next(tuple(-c for c in e.ci[::-1]) for e in theirs.simple_effects if e.ci and
+             {e.first, e.second} == {"x", "z"}), rel=1e-9,
+    )  # fmt: skip
+
+
+def test_a_split_plot_gives_the_strata_of_its_table() -> None:
+    """Three strata of a balanced layout: each term is tested where it lies."""
+    random = np.random.default_rng(8)
+    plot = random.normal(0, 1.5, (6, 3))
+    rows = [
+        (f"b{b}", f"a{a}", f"c{c}", 2.0 * (c == 1) + 3 * b + plot[b, a] + random.normal(0, 0.7))
+        for b, a, c in product(range(6), range(3), range(4))
+    ]
+    table = pd.DataFrame(rows, columns=["b", "a", "c", "y"])
+    found = study.mixed_model(table, "y", ["a", "c"], block="b", random=["a"])
+    other = study.anova(table, "y", ["a", "c"], block="b", whole_plot="a", exact=False)
+    for term in found.terms:
+        row = other.anova.row(term.term)
+        assert (term.f, term.df_error) == pytest.approx((row.f, row.df_error), rel=1e-8)
+        assert term.p == pytest.approx(row.p, rel=1e-7)
+
+
+def test_f_is_scaled_where_whole_plots_lack_some_subplots() -> None:
+    """Without the scaling F and its degrees of freedom do not belong together."""
+    random = np.random.default_rng(8)
+    plot = random.normal(0, 1.5, (6, 3))
+    rows = [
+        (b, b * 3 + a, a, c, 2.0 * (c == 1) + 3 * b + plot[b, a] + random.normal(0, 0.7))
+        for b, a, c in product(range(6), range(3), range(4))
+        if (b + 2 * a + 3 * c) % 5
+    ]
+    table = pd.DataFrame(rows, columns=["b", "plot", "a", "c", "y"])
+    found = study.mixed_model(table, "y", ["a", "c"], block="b", random=["a"])
+    a, c = (np.eye(k)[table[n]] @ np.vstack([np.eye(k - 1), -np.ones(k - 1)]) for n, k in
+            (("a", 3), ("c", 4)))  # fmt: skip
+    both = (a[:, :, None] * c[:, None, :]).reshape(len(table), -1)
+    x = np.hstack([np.ones((len(table), 1)), a, c, both])
+    codes = [np.unique(table[n], return_inverse=True)[1] for n in ("b", "plot")]
+    v = np.array([component.sd**2 for component in found.components])
+    dense = Dense(x, table["y"].to_numpy(), codes, v)
+    for term, columns in zip(found.terms, (slice(1, 3), slice(3, 6), slice(6, 12)), strict=True):
+        test = dense.f_test(np.eye(12)[:, columns])
+        assert (term.f, term.df_error, term.p) == pytest.approx(test, rel=1e-6)
+        wald = dense.beta[columns] @ np.linalg.solve(
+            dense.phi[columns, columns], dense.beta[columns]
+        )
+        assert term.f < float(wald) / term.df
 
 
 def test_incomplete_blocks_as_statsmodels_fits_them() -> None:
@@ -77,13 +332,7 @@ def test_incomplete_blocks_as_statsmodels_fits_them() -> None:
     block, within = found.components
     assert block.sd**2 == pytest.approx(float(other.cov_re.iloc[0, 0]), rel=2e-4)
     assert within.sd**2 == pytest.approx(float(other.scale), rel=1e-4)
-    # its standard errors are those of the joint Hessian: the covariance is formed here
-    x, z = other.model.exog, np.eye(8)[table["block"]]
-    v = other.scale * np.eye(len(table)) + float(other.cov_re.iloc[0, 0]) * z @ z.T
-    c = np.linalg.inv(x.T @ np.linalg.solve(v, x))[1:, 1:]
-    beta = other.fe_params.to_numpy()[1:]
     (term,) = found.terms
-    assert term.f == pytest.approx(float(beta @ np.linalg.solve(c, beta)) / 3, rel=3e-4)
     # between the intrablock 24 - 8 - 3 and all rows
     assert 13 <= term.df_error <= 20
 
@@ -107,30 +356,57 @@ def test_an_interaction_with_the_blocks_is_a_component() -> None:
     ]
     table = pd.DataFrame(rows, columns=["a", "block", "y"])
     found = study.mixed_model(table, "y", ["a"], block="block", random=["a"])
-    cells = table.groupby(["block", "a"])["y"]
-    within = float(cells.var().mean())
+    within = float(table.groupby(["block", "a"])["y"].var().mean())
     by = {c.source: c for c in found.components}
-    assert by["within"].sd ** 2 == pytest.approx(within, rel=1e-4)
+    assert by["within"].sd ** 2 == pytest.approx(within, rel=1e-9)
     assert by["block:a"].low < 1.0 < by["block:a"].high
     # the term is tested against the interaction: 2 and 18 degrees of freedom
     assert found.terms[0].df_error == pytest.approx(18, rel=0.2)
+
+
+def test_random_factors_that_cross_are_two_components() -> None:
+    """Ten materials in six laboratories, every pair once: a two-way table of mean squares."""
+    random = np.random.default_rng(12)
+    y = random.normal(0, 2, (6, 1)) + random.normal(0, 1, (1, 10)) + random.normal(0, 0.5, (6, 10))
+    rows = [(f"l{i}", f"m{j}", y[i, j]) for i, j in product(range(6), range(10))]
+    table = pd.DataFrame(rows, columns=["lab", "material", "y"])
+    found = study.mixed_model(table, "y", [], block=["lab", "material"])
+    left = y - y.mean(axis=1, keepdims=True) - y.mean(axis=0) + y.mean()
+    rest = float((left**2).sum()) / 45
+    expected = [y.mean(axis=1).var(ddof=1) - rest / 10, y.mean(axis=0).var(ddof=1) - rest / 6, rest]
+    assert [c.sd**2 for c in found.components] == pytest.approx(expected, rel=1e-9)
 
 
 @pytest.mark.parametrize(
     ("change", "rule"),
     [
         ({"block": "none"}, "none"),
-        ({"random": ["b"]}, "'b' is no factor"),
+        ({"random": ["b"]}, "no such column"),
+        ({"block": None}, "no random factor is named"),
+        ({"block": None, "random": ["a"]}, "without blocks"),
+        ({"random": ["a"]}, "a level of its own in every row"),
+        ({"random": ["copy"]}, "do not tell the scatter over"),
+        ({"random": ["group"]}, "do not tell the scatter over 'group'"),
+        ({"contrasts": ["z - w"]}, "w"),
     ],
 )
 def test_what_cannot_be_fitted_is_named(change: dict[str, object], rule: str) -> None:
+    table = blocked()
+    table["copy"], table["group"] = table["block"] + 10, table["a"]
     with pytest.raises(InputError, match=rule):
-        study.mixed_model(blocked(), "y", ["a"], **({"block": "block"} | change))
+        study.mixed_model(table, "y", ["a"], **({"block": "block"} | change))
 
 
 def test_two_blocks_are_too_few() -> None:
-    with pytest.raises(InputError, match="needs three"):
+    with pytest.raises(InputError, match="needs 3"):
         study.mixed_model(blocked(blocks=2), "y", ["a"], block="block")
+
+
+def test_rows_without_scatter_within_are_refused() -> None:
+    code = np.repeat(np.arange(6), 3)
+    y = np.random.default_rng(1).normal(size=6)[code]
+    with pytest.raises(SingularError):
+        fit_restricted(np.full((18, 1), 18**-0.5), y, [code])
 
 
 def test_a_covariate_within_blocks_has_the_slope_of_least_squares() -> None:
@@ -142,15 +418,18 @@ def test_a_covariate_within_blocks_has_the_slope_of_least_squares() -> None:
         for k, a, value in product(range(6), "yz", x)
     ]
     table = pd.DataFrame(rows, columns=["a", "block", "x", "y"])
-    found = study.mixed_model(table, "y", ["a"], block="block", covariates=["x"])
+    found = study.mixed_model(table, "y", ["a"], block="block", covariates=["x"], practical=1)
     other = smf.ols("y ~ C(a) + C(block) + x", table).fit()
     (slope,) = found.slopes
     low, high = other.conf_int().loc["x"]
     assert (slope.value, slope.low, slope.high) == pytest.approx(
-        (other.params["x"], low, high), rel=1e-6
+        (other.params["x"], low, high), rel=1e-8
     )
     assert [term.term for term in found.terms] == ["a", "x"]
-    assert found.terms[1].f == pytest.approx(other.tvalues["x"] ** 2, rel=1e-6)
+    assert found.terms[1].f == pytest.approx(other.tvalues["x"] ** 2, rel=1e-8)
+    (effect,) = found.effects
+    assert effect.verdict == "matters"
+    assert effect.mean == pytest.approx(table.groupby("a")["y"].mean().tolist(), rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -183,17 +462,24 @@ def test_a_response_that_never_changes_is_refused_in_words() -> None:
         study.mixed_model(table, "y", ["a"], block="b")
 
 
-@pytest.mark.parametrize("kept", [slice(None), slice(0, 45)])
-def test_the_likelihood_is_that_of_a_normal_vector(kept: slice) -> None:
-    """The rows are turned block by block; the density of all rows at once needs none of that."""
-    rng = np.random.default_rng(5)
-    block, part = np.divmod(np.repeat(np.arange(12), 5)[kept], 3)
-    x = np.column_stack([np.ones(block.size), part, rng.normal(size=block.size)])
-    random = (np.eye(block.max() + 1)[block], np.eye(12)[block * 3 + part])
-    y = 3.0 + rng.normal(size=block.size)
-    likelihood = Likelihood(y, x, random)
-    for sd in ([0.7, 0.4, 1.1], [0.0, 2.0, 0.05], [0.0, 0.0, 1.0]):
-        v = likelihood.covariance(np.array(sd))
-        beta = np.linalg.solve(x.T @ np.linalg.solve(v, x), x.T @ np.linalg.solve(v, y))
-        dense = -2 * multivariate_normal(x @ beta, v).logpdf(y)
-        assert likelihood.deviance(np.array(sd), restricted=False) == pytest.approx(dense, rel=1e-9)
+@pytest.mark.slow
+@pytest.mark.verify
+def test_intervals_of_variances_cover_what_they_promise() -> None:
+    """Ten blocks, three cells, two rows each, of which four in five are there."""
+    random = np.random.default_rng(21)
+    data_sets, inside = 200, np.zeros(3)
+    block, cell, _ = (g.ravel() for g in np.meshgrid(range(10), range(3), range(2), indexing="ij"))
+    sd = np.array([1.0, 0.7, 0.5])
+    for _ in range(data_sets):
+        keep = random.random(60) >= 0.2
+        b, c = block[keep], cell[keep]
+        y = sd[0] * random.normal(size=10)[b] + sd[1] * random.normal(size=30)[3 * b + c]
+        y += sd[2] * random.normal(size=y.size)
+        x = np.linalg.qr(np.eye(3)[c])[0]
+        codes = [np.unique(k, return_inverse=True)[1] for k in (b, 3 * b + c)]
+        fit = fit_restricted(x, y, codes)
+        for i in range(3):
+            low, high = fit.interval(i, 0.05)
+            inside[i] += low <= sd[i] <= high
+    error = 2 * np.sqrt(0.05 * 0.95 / data_sets)
+    assert np.all(np.abs(inside / data_sets - 0.95) < 0.02 + error), inside / data_sets

@@ -96,7 +96,7 @@ LINEAR: dict[str, tuple[str, bool, dict[str, Any], list[str]]] = {
     "crossed-unbalanced": ("crossed", False, {}, ["a", "b", "c"]),
     "blocked": ("blocked", True, {"block": "s", "error": "pooled"}, ["a", "b"]),
     "blocked-unbalanced": ("blocked", False, {"block": "s", "error": "pooled"}, ["a", "b"]),
-    "incomplete": ("incomplete", True, {"block": "k"}, ["t"]),
+    "incomplete": ("incomplete", True, {"block": "k", "error": "pooled"}, ["t"]),
     "latin": ("latin", True, {"block": ["r", "c"]}, ["t"]),
     "fraction": (
         "fraction",

@@ -29,13 +29,14 @@ def test_the_scatter_of_batches_as_lme4_has_it(dyestuff: Path) -> None:
     batch, within = found["components"]
     # Bates et al. 2015, J. Statist. Softw. 67, 1
     assert (batch["source"], batch["sd"]) == ("batch", pytest.approx(42.0006, abs=1e-4))
-    assert (batch["low"], batch["high"]) == pytest.approx((12.1975, 84.0634), rel=2e-4)
+    # the profile of the restricted likelihood, as tests/analysis/test_mixed_model.py computes it
+    assert (batch["low"], batch["high"]) == pytest.approx((15.6572, 101.0661), rel=1e-5)
     assert within["sd"] == pytest.approx(49.5101, abs=1e-4)
     assert batch["share"] == pytest.approx(42.0006**2 / (42.0006**2 + 49.5101**2), rel=1e-4)
     shown = study(*asked).out
     assert "batch" in shown
     assert "42" in shown
-    assert "12.2 to 84.06" in shown
+    assert "15.66 to 101.1" in shown
 
 
 def covaried(path: Path) -> tuple[Path, pd.DataFrame]:
@@ -72,7 +73,7 @@ def test_a_covariate_is_read_as_a_number(tmp_path: Path) -> None:
     ("flags", "said"),
     [
         (["--random", "gel"], "add --error reml"),
-        (["--error", "reml", "--practical", "1"], "no meaning for a mixed model"),
+        (["--error", "reml", "--unit", "gel"], "no meaning for a mixed model"),
         (["--error", "reml", "--covariates", "celcius"], "celsius"),
         (["--contrast", "stiff"], "two settings"),
         (["--contrast", "stiff - sofd"], "soft"),
@@ -100,3 +101,39 @@ def test_a_contrast_is_the_paired_difference_of_its_cells(tmp_path: Path) -> Non
     assert found["ci"] == pytest.approx([low, high], rel=1e-9)
     assert found["verdict"] == "matters"
     assert "stiff - soft" in study(*asked).out
+
+
+def test_a_mixed_model_has_means_verdicts_and_contrasts(tmp_path: Path) -> None:
+    path, table = covaried(tmp_path / "gels.csv")
+    asked = (
+        "analyze", str(path), "--response", "force", "--factors", "gel", "--block", "specimen",
+        "--error", "reml", "--practical", "1", "--contrast", "stiff - soft", "--covariates",
+        "celsius",
+    )  # fmt: skip
+    found = study(*asked, "--json").json
+    (effect,), (contrast,) = found["effects"], found["contrasts"]
+    assert effect["verdict"] == contrast["verdict"] == "matters"
+    (simple,) = effect["simple_effects"]
+    assert contrast["difference"] == pytest.approx(-simple["difference"])
+    assert contrast["ci"] == pytest.approx([-end for end in simple["ci"][::-1]])
+    shown = study(*asked).out
+    assert "Means" in shown
+    assert "stiff - soft" in shown
+    assert len(table) == found["rows"]
+
+
+def test_random_factors_alone_make_a_study_of_precision(tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    rows = [
+        f"{day},{run},{50 + 2 * day % 3 + run + rng.normal():.4f}"
+        for day in range(6) for run in range(2) for _ in range(2)
+    ]  # fmt: skip
+    path = tmp_path / "precision.csv"
+    path.write_text("day,run,y\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    asked = ("analyze", str(path), "--response", "y", "--error", "reml")
+    found = study(*asked, "--random", "day,day:run", "--json").json
+    assert [c["source"] for c in found["components"]] == ["day", "day:run", "within"]
+    assert found["effects"] == []
+    refused = study(*asked)
+    assert refused.code == 2
+    assert "--random day,day:run" in refused.err

@@ -1,48 +1,60 @@
-"""Mixed models by REML: incomplete blocks, and how much blocks and rows within them scatter.
+"""Mixed models by REML: fixed and random factors, incomplete blocks, studies of precision.
 
-The response is y = X beta + sum_k Z_k b_k + e with independent normal b_k and e. Blocks that
-lack some cells keep what they tell: between blocks as far as their scatter allows, within
-blocks fully (recovery of interblock information, Yates 1940, Ann. Eugen. 10, 317-325).
-
-References: Patterson and Thompson (1971), Biometrika 58, 545-554 (REML); Fai and Cornelius
-(1996), J. Statist. Comput. Simul. 54, 363-378 (degrees of freedom of F); Bates, Maechler,
-Bolker and Walker (2015), J. Statist. Softw. 67, 1 (intervals by the profile of the likelihood).
+Blocks that lack some cells keep what they tell: between blocks as far as their scatter allows,
+within blocks fully (recovery of interblock information, Yates 1940, Ann. Eugen. 10, 317-325).
+Tests and intervals of fixed effects are those of Kenward and Roger (1997), intervals of
+standard deviations those of the profile of the restricted likelihood.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.optimize import brentq
-from scipy.special import chdtri, fdtrc, stdtrit
+from scipy.special import stdtr
 
 from study.analysis.data import Data, prepare
-from study.analysis.error.restricted_likelihood import Likelihood
+from study.analysis.effects.estimates import TermEstimate, settings_of, t_quantile, term_rows
+from study.analysis.effects.linear_contrast import Contrast, Estimate, judged
+from study.analysis.effects.scale import Scale
+from study.analysis.effects.simple_effects import Differences, Estimates, simple_effects
+from study.analysis.effects.simultaneous import pooled_multiplier
+from study.analysis.effects.sizes import holm, size
+from study.analysis.error.restricted_likelihood import (
+    MOST_CROSSED,
+    Likelihood,
+    RestrictedFit,
+    SingularError,
+    fit_restricted,
+)
 from study.analysis.linear_model.design_matrix import (
+    Layout,
     Model,
     ModelMatrix,
+    Term,
+    grid,
     model_matrix,
     term_name,
     terms_of,
 )
 from study.analysis.linear_model.sums_of_squares import Factored, factor, one_thread, term_sums
-from study.analysis.request import alpha_faults
+from study.analysis.request import Practical, alpha_faults, threshold
 from study.arrays import Array
+from study.contrast import Setting, sides_of
 from study.errors import Fault, InputError, nearest
 from study.tidy_csv import names_of
 
 if TYPE_CHECKING:
     import pandas as pd
 
-#: rows beyond which the dense covariance takes longer than a minute
-MOST_ROWS = 1500
-#: standard deviation over that of the rows within blocks at which a component counts as zero
-_ZERO = 1e-6
-#: standard deviation over that of all rows at which the search for an upper limit gives up
-_FAR = 1e3
+    from study.analysis.anova_table import Effect
+
+WITHIN = "within"
+#: Levels of a random factor that its scatter needs.
+_FEWEST_LEVELS = 3
 
 
 @dataclass(frozen=True)
@@ -52,11 +64,11 @@ class VarianceComponent:
     Parameters
     ----------
     source : str
-        Column of the blocks, an interaction with it, or ``"within"``.
+        A random factor or an interaction, or ``"within"``.
     sd : float
         REML estimate; 0 at the boundary.
     low, high : float
-        Interval by the profile of the likelihood.
+        Interval by the profile of the restricted likelihood.
     share : float
         Part of the total variance.
     """
@@ -70,7 +82,7 @@ class VarianceComponent:
 
 @dataclass(frozen=True)
 class MixedTerm:
-    """F test of one term; the degrees of freedom of its error are those of Fai and Cornelius."""
+    """F test of one term as of Kenward and Roger: F is scaled, as are its error's df."""
 
     term: str
     df: int
@@ -96,7 +108,7 @@ class MixedModel:
     Parameters
     ----------
     components : tuple of VarianceComponent
-        Blocks, their interactions, rows within.
+        Random factors, rows within.
     terms : tuple of MixedTerm
         Type III tests of the factors and covariates.
     deviance : float
@@ -105,6 +117,11 @@ class MixedModel:
         Rows that entered.
     slopes : tuple of Slope
         Of the covariates.
+    effects : tuple of Effect
+        Means, differences and verdicts of the factors; means are those at the mean of each
+        covariate.
+    contrasts : tuple of Contrast
+        Differences that were asked for.
     """
 
     components: tuple[VarianceComponent, ...]
@@ -112,6 +129,8 @@ class MixedModel:
     deviance: float
     rows: int
     slopes: tuple[Slope, ...] = ()
+    effects: tuple[Effect, ...] = ()
+    contrasts: tuple[Contrast, ...] = ()
 
 
 @one_thread
@@ -120,11 +139,14 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
     response: str,
     factors: Sequence[str],
     *,
-    block: str,
+    block: str | Sequence[str] | None = None,
     random: Sequence[str] = (),
     covariates: Sequence[str] = (),
     model: Model = "full",
+    practical: Practical = None,
+    contrasts: Sequence[str] = (),
     alpha: float = 0.05,
+    seed: int = 2011,
 ) -> MixedModel:
     """Fit a mixed model by REML.
 
@@ -135,70 +157,312 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
     response : str
         Column of the response.
     factors : sequence of str
-        Columns of the fixed factors.
-    block : str
-        Column of the blocks, which are random.
+        Columns of the fixed factors; without any, the mean is the only fixed effect.
+    block : str or sequence of str, optional
+        Columns of blocks, which are random; several cross.
     random : sequence of str
-        Factors whose interaction with the blocks is random too.
+        A fixed factor (its interaction with the blocks is random too), any other column
+        (``"day"``), or an interaction of columns (``"day:run"``, runs within days).
     covariates : sequence of str
         Numeric columns (a temperature, a mass) that the response follows in a straight line.
     model : "full", int or list
         Fixed terms; see :func:`study.analysis.linear_model.design_matrix.terms_of`.
+    practical : optional
+        Smallest difference that matters; see :func:`study.analysis.request.threshold`.
+    contrasts : sequence of str
+        Differences by name: ``"material=stiff - material=soft"``.
     alpha : float
         One minus the level of the intervals.
+    seed : int
+        Of the simulated multipliers of simultaneous intervals.
 
     Returns
     -------
     MixedModel
-        Variance components with intervals, tests of the fixed terms, slopes of the covariates.
+        Variance components with intervals, tests of the fixed terms, slopes of the covariates,
+        effects with verdicts.
 
     Raises
     ------
     InputError
-        For fewer than three blocks, terms that the rows cannot tell, too many rows, or a
+        For a random factor with fewer than three levels, terms that the rows cannot tell, or a
         covariate that is no number in some row.
     """
     if faults := alpha_faults(alpha):
         raise InputError(faults)
-    if factors:
-        data = prepare(table, response, list(factors), names_of(block))
-    else:  # the mean is the only fixed effect
-        data = prepare(table, response, [block])
-    terms = terms_of(data.factors, model) if factors else []
-    matrix = _with_covariates(model_matrix(data.layout, terms), table, covariates, data)
-    fixed = factor(matrix, data.y)
-    _check(data, block, fixed.q.shape[1], matrix.columns.shape[1], random)
-    parts = [(block, np.asarray(data.layout.codes[block]))]
-    parts += [(f"{block}:{name}", data.layout.cell([block, name])) for name in random]
-    indicators = tuple(np.eye(int(code.max()) + 1)[code] for _, code in parts)
+    blocks = names_of(block)
+    sources = random_terms(factors, blocks, random)
+    columns = list(dict.fromkeys(name for term in sources for name in term if name not in factors))
+    fixed_columns, others = (list(factors), columns) if factors else (columns[:1], columns[1:])
+    data = prepare(table, response, fixed_columns, others)
+    terms = terms_of(factors, model) if factors else ()
+    bare = model_matrix(data.layout, terms)
     shift = float(data.y.mean())
-    likelihood = Likelihood(data.y - shift, fixed.q, indicators)
-    names = [*(name for name, _ in parts), "within"]
+    fixed = factor(_with_covariates(bare, table, covariates, data), data.y - shift)
+    _check(data, fixed)
+    fit = fit_sources(data, fixed, sources)
+    cells = MixedCells(fit, fixed, bare, data.layout, shift, alpha, seed)
+    tests = {s.term: fit.test(s.basis) for s in term_sums(fixed, "III") if s.df}
+    limit = threshold(practical)
+    scale = Scale(
+        "none",
+        None if limit is None else limit.on_scale(shift, "none"),
+        None,
+        deterministic=False,
+        specimens=len(data.layout.levels[blocks[0]]) if blocks else None,
+    )
+    names = [term_name(term) for term in sources]
+    return MixedModel(
+        components(fit, [*names, WITHIN], alpha),
+        tuple(MixedTerm(term_name(t), s.count, s.f, s.df, s.p) for t, s in tests.items()),
+        fit.deviance,
+        data.y.size,
+        tuple(cells.slope(name) for name in covariates),
+        holm(cells.effects(terms, {t: s.p for t, s in tests.items()}, scale)),
+        cells.contrasts(contrasts, scale),
+    )
+
+
+def random_terms(
+    factors: Sequence[str], blocks: Sequence[str], random: Sequence[str]
+) -> tuple[Term, ...]:
+    """Random terms: the blocks, interactions of fixed factors with them, and other columns.
+
+    Raises
+    ------
+    InputError
+        If there is none, or a fixed factor has no block to differ between.
+    """
+    terms: list[Term] = [(name,) for name in blocks]
+    faults = []
+    for text in random:
+        term = tuple(part.strip() for part in text.split(":"))
+        if not set(term) <= set(factors):
+            terms.append(term)
+        elif blocks:
+            terms += [(name, *term) for name in blocks]
+        else:
+            rule = f"{text!r} is a fixed factor, whose effect cannot be random without blocks"
+            mend = f"name the blocks, or leave {text!r} out of the factors"
+            faults.append(Fault("random", rule, mend))
+    if not terms:
+        mend = "name the blocks, or the random factors: --random day,day:run"
+        faults.append(Fault("random", "no random factor is named", mend))
+    if faults:
+        raise InputError(faults)
+    return tuple(dict.fromkeys(terms))
+
+
+def fit_sources(data: Data, fixed: Factored, sources: Sequence[Term]) -> RestrictedFit:
+    """Fit the variances of random terms by REML, beside fixed columns.
+
+    Raises
+    ------
+    InputError
+        If a term has too few levels, or the rows do not tell its scatter from that of others.
+    """
+    codes = [np.unique(data.layout.cell(term), return_inverse=True)[1] for term in sources]
+    faults = []
+    for term, code in zip(sources, codes, strict=True):
+        place, levels = f"random factor {term_name(term)!r}", int(code.max()) + 1
+        if levels < _FEWEST_LEVELS:
+            rule = f"has {levels} levels: the scatter over them needs {_FEWEST_LEVELS}"
+            faults.append(Fault(place, rule))
+        elif levels == data.y.size:
+            rule = "has a level of its own in every row, so it is the scatter within"
+            faults.append(Fault(place, rule, "leave it out"))
+    if faults:
+        raise InputError(faults)
+    crossed = Likelihood(fixed.q, data.y, tuple(codes)).crossed_levels
+    if crossed > MOST_CROSSED:
+        rule = f"{crossed:,} levels of random factors cross each other, at most {MOST_CROSSED:,}"
+        raise InputError(Fault("random", rule, "name fewer random factors, or average first"))
+    y = data.y - float(data.y.mean())
     try:
-        return _fitted(likelihood, fixed, names, covariates, alpha)
-    except (np.linalg.LinAlgError, ValueError) as error:  # singular, or a profile without values
-        rule = "these rows do not tell the scatter over blocks from that within them"
-        mend = "use --error own or --error pooled, or leave --random out"
+        return fit_restricted(fixed.q, y, codes)
+    except SingularError as error:
+        names = [*map(term_name, sources), WITHIN]
+        if error.which == len(sources):
+            rule = "no scatter is left within the levels of the random factors"
+            mend = f"leave {names[-2]!r} out of the random factors"
+        else:
+            rule = f"these rows do not tell the scatter over {names[error.which]!r} from the rest"
+            mend = "leave it out of the random factors"
         raise InputError(Fault("mixed model", rule, mend)) from error
 
 
-def _fitted(
-    likelihood: Likelihood,
-    fixed: Factored,
-    names: Sequence[str],
-    covariates: Sequence[str],
-    alpha: float,
-) -> MixedModel:
-    """Model of the most likely components."""
-    sd, deviance = likelihood.fit(restricted=True)
-    tests = tuple(
-        MixedTerm(term_name(s.term), s.df, *_f_test(likelihood, sd, s.basis))
-        for s in term_sums(fixed, "III")
-        if s.df
+def components(
+    fit: RestrictedFit, names: Sequence[str], alpha: float
+) -> tuple[VarianceComponent, ...]:
+    """Find standard deviations, their intervals and shares of the variance."""
+    total = float(fit.v.sum())
+    return tuple(
+        VarianceComponent(name, float(v) ** 0.5, *fit.interval(i, alpha), float(v) / total)
+        for i, (name, v) in enumerate(zip(names, fit.v, strict=True))
     )
-    slopes = tuple(_slope(likelihood, sd, fixed, name, alpha) for name in covariates)
-    components = _components(likelihood, names, sd, alpha)
-    return MixedModel(components, tests, deviance, likelihood.y.size, slopes)
+
+
+@dataclass(frozen=True)
+class MixedCells:
+    """A fitted mixed model as means and differences of its cells.
+
+    Parameters
+    ----------
+    fit : RestrictedFit
+        In the orthonormal columns of ``fixed``.
+    fixed : Factored
+        Fixed columns; those of ``factors`` stand first.
+    factors : ModelMatrix
+        Columns of the factors alone, without covariates.
+    layout : Layout
+        Levels of all factors.
+    shift : float
+        What was taken off the response.
+    alpha, seed : float, int
+        Of the intervals, and of simulated multipliers.
+    robust : callable, optional
+        Standard errors and df of combinations that do not rest on the model's variances:
+        intervals reach as far as both tell.
+    """
+
+    fit: RestrictedFit
+    fixed: Factored
+    factors: ModelMatrix
+    layout: Layout
+    shift: float
+    alpha: float
+    seed: int | None
+    robust: Callable[[Array], tuple[Array, Array]] | None = None
+
+    @cached_property
+    def _of_factors(self) -> Factored:
+        """The fit as combinations of the factors' columns see it."""
+        return replace(self.fixed, model=replace(self.fixed.model, matrix=self.factors))
+
+    def _padded(self, rows: Array) -> Array:
+        return np.pad(rows, ((0, 0), (0, self.fixed.columns.shape[1] - rows.shape[1])))
+
+    def _along(self, rows: Array) -> Array:
+        """Turn combinations of the factors' coefficients to the orthonormal columns."""
+        return np.asarray(self._padded(rows) @ self.fixed.model.inverse)
+
+    @cached_property
+    def _root(self) -> Array:
+        values, vectors = np.linalg.eigh(self.fit.adjusted)
+        return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+    def sample(self, asked: Differences) -> Estimates:
+        """Differences of settings with the multipliers of their intervals."""
+        settings = self._along(asked.settings)
+        rows = asked.of(settings)
+        found = self.fit.estimate(rows)
+        ok = self.fixed.estimable(self._padded(asked.rows)) & (found.error > 0)
+        value = np.where(ok, found.value, np.nan)
+        single = t_quantile(self.alpha / 2, found.df)
+        if not ok.any():
+            return Estimates(value, found.error, single, single)
+        some = Differences(settings @ self._root, asked.first[ok], asked.second[ok])
+        df = float(found.df[ok].min())  # the least sure contrast decides for all
+        wide = pooled_multiplier(some, found.error[ok], df, self.alpha, self.seed)
+        every = np.full(value.size, wide)
+        if self.robust is not None:
+            error, df_own = self.robust(rows)
+            ratio = np.divide(error, found.error, out=np.zeros_like(error), where=ok)
+            single = np.maximum(single, ratio * t_quantile(self.alpha / 2, df_own))
+            # at the error probability that each interval has among all of them
+            every = np.maximum(every, ratio * t_quantile(float(stdtr(df, -wide)), df_own))
+        return Estimates(value, found.error, single, every)
+
+    def estimate(self, term: Term, p: float | None) -> TermEstimate:
+        """Means and components of a term."""
+        levels, component_rows, mean_rows = term_rows(self.layout, self._of_factors, term)
+        means = self.fit.estimate(self._along(mean_rows))
+        mean = self.shift + means.value
+        mean[~self.fixed.estimable(self._padded(mean_rows))] = np.nan
+        half = t_quantile(self.alpha / 2, means.df) * means.error
+        if self.robust is not None:
+            error, df = self.robust(self._along(mean_rows))
+            half = np.maximum(half, t_quantile(self.alpha / 2, df) * error)
+        component = self._along(component_rows)
+        value = component @ self.fit.moments.beta
+        if not self.fixed.estimable(self._padded(component_rows)).all():
+            value = np.full(len(levels), np.nan)
+        first, second = np.triu_indices(len(levels), 1)
+        critical = np.zeros((len(levels), len(levels)))
+        critical[first, second] = self.sample(
+            Differences(component_rows, first, second)
+        ).simultaneous
+        return TermEstimate(
+            term,
+            levels,
+            value,
+            mean,
+            component @ self.fit.adjusted @ component.T,
+            critical + critical.T,
+            half,
+            p,
+            settings_of(self.layout, term),
+        )
+
+    def effects(
+        self, terms: Sequence[Term], p: dict[Term, float], scale: Scale
+    ) -> tuple[Effect, ...]:
+        """Effects of the terms with their verdicts."""
+        simple = {}
+        for term in terms:
+            if len(term) == 1:
+                judged = simple_effects(
+                    term[0], self.layout, self.factors, self.sample,
+                    practical=scale.practical, bound=scale.bound, only=scale.only,
+                )  # fmt: skip
+                if judged is not None:
+                    simple[term[0]] = judged
+        return tuple(size(self.estimate(term, p.get(term)), scale, simple) for term in terms)
+
+    def slope(self, covariate: str) -> Slope:
+        """Slope of a covariate with its interval."""
+        at = self.fixed.matrix.of((covariate,)).start
+        found = self.fit.estimate(self.fixed.model.inverse[at : at + 1])
+        value = float(found.value[0])
+        half = t_quantile(self.alpha / 2, float(found.df[0])) * float(found.error[0])
+        return Slope(covariate, value, value - half, value + half)
+
+    def between(self, first: Setting, second: Setting) -> Estimate:
+        """Difference of means over the cells of the full grid that two settings hold.
+
+        Raises
+        ------
+        InputError
+            If a cell that it needs has no row.
+        """
+        names = list(dict.fromkeys(name for term in self.factors.terms for name in term))
+        cells = grid(self.layout, names)
+        columns = model_matrix(cells, self.factors.terms[1:]).columns
+        sides = []
+        for setting in (first, second):
+            rows = np.ones(cells.n, dtype=bool)
+            for name, level in setting.items():
+                rows &= cells.codes[name] == self.layout.levels[name].index(level)
+            sides.append(columns[rows].mean(axis=0))
+        row = (sides[0] - sides[1])[None]
+        if not self.fixed.estimable(self._padded(row)).all():
+            raise InputError(Fault("contrast", "a cell that it needs has no row"))
+        found = self.fit.estimate(self._along(row))
+        value, error, df = (float(a[0]) for a in (found.value, found.error, found.df))
+        if self.robust is not None:
+            wide, few = (float(a[0]) for a in self.robust(self._along(row)))
+            if t_quantile(self.alpha / 2, few) * wide > t_quantile(self.alpha / 2, df) * error:
+                error, df = wide, few
+        return Estimate(value, error, df)
+
+    def contrasts(self, asked: Sequence[str], scale: Scale) -> tuple[Contrast, ...]:
+        """Differences by name."""
+        names = [name for (name,) in (t for t in self.factors.terms if len(t) == 1)]
+        sides = [
+            sides_of(text, {name: self.layout.levels[name] for name in names}) for text in asked
+        ]
+        estimates = [self.between(*pair) for pair in sides]
+        return judged(asked, sides, estimates, scale, self.alpha, self.seed or 0)
 
 
 def _with_covariates(
@@ -219,8 +483,8 @@ def _numbers(table: pd.DataFrame, name: str, data: Data) -> Array:
     """Values of a covariate in the rows that entered."""
     place = f"covariate {name!r}"
     if name not in table.columns:
-        known = [str(column) for column in table.columns]
-        raise InputError(Fault(place, "no such column", nearest(name, known)))
+        columns = [str(column) for column in table.columns]
+        raise InputError(Fault(place, "no such column", nearest(name, columns)))
     if name in {*data.factors, *data.blocks}:
         raise InputError(Fault(place, "is a factor or the block already", "name it once"))
     try:
@@ -235,106 +499,12 @@ def _numbers(table: pd.DataFrame, name: str, data: Data) -> Array:
     return values
 
 
-def _slope(likelihood: Likelihood, sd: Array, fixed: Factored, name: str, alpha: float) -> Slope:
-    """Slope of a covariate with its interval; degrees of freedom as for its test."""
-    at = fixed.matrix.of((name,)).start
-    # the coefficient of column ``at`` is a weighted sum of those of the orthonormal columns
-    weights = fixed.model.inverse[at]
-    vx = np.linalg.solve(likelihood.covariance(sd), likelihood.x)
-    c = np.linalg.inv(likelihood.x.T @ vx)
-    value = float(weights @ c @ (vx.T @ likelihood.y))
-    error = float(np.sqrt(weights @ c @ weights))
-    _, df, _ = _f_test(likelihood, sd, weights[:, None])
-    reach = float(stdtrit(df, 1 - alpha / 2)) * error
-    return Slope(name, value, value - reach, value + reach)
-
-
-def _check(data: Data, block: str, rank: int, columns: int, random: Sequence[str]) -> None:
+def _check(data: Data, fixed: Factored) -> None:
     faults = []
-    blocks = len(data.layout.levels[block])
-    if blocks < 3:
-        rule = f"has {blocks} levels: the scatter over blocks needs three"
-        faults.append(Fault(f"column {block!r}", rule))
-    if data.y.size > MOST_ROWS:
-        rule = f"{data.y.size:,} rows, at most {MOST_ROWS:,}"
-        faults.append(Fault("mixed model", rule, "average repeats within a block first"))
     if not np.ptp(data.y):
         faults.append(Fault("response", "is the same in every row", "there is nothing to explain"))
-    if rank < columns:
+    if fixed.rank < fixed.columns.shape[1]:
         rule = "the rows cannot tell all terms apart"
         faults.append(Fault("model", rule, "leave interactions out: --model 1"))
-    for name in random:
-        if name not in data.factors:
-            faults.append(Fault("random", f"{name!r} is no factor"))
     if faults:
         raise InputError(faults)
-
-
-def _components(
-    likelihood: Likelihood, names: Sequence[str], sd: Array, alpha: float
-) -> tuple[VarianceComponent, ...]:
-    at_most, least = likelihood.fit(restricted=False)
-    limit = least + float(chdtri(1, alpha))
-    sd = np.where(sd > _ZERO * sd[-1], sd, 0.0)
-    total = float(np.sum(sd**2))
-    found = []
-    for i, name in enumerate(names):
-
-        def excess(value: float, i: int = i) -> float:
-            return likelihood.fit(restricted=False, held=(i, value))[1] - limit
-
-        low, high = _limits(excess, float(at_most[i]), likelihood.scale, within=i == len(names) - 1)
-        found.append(VarianceComponent(name, float(sd[i]), low, high, float(sd[i] ** 2) / total))
-    return tuple(found)
-
-
-def _limits(
-    excess: Callable[[float], float], best: float, scale: float, *, within: bool
-) -> tuple[float, float]:
-    """Where the profile of the likelihood crosses its limit; 0 where it never does below."""
-    tiny = 1e-4 * scale
-    low = 0.0
-    if best > tiny and (within or excess(0.0) > 0):
-        low = float(brentq(excess, tiny if within else 0.0, best, xtol=1e-6 * scale))
-    high = max(best, tiny)
-    while excess(high) <= 0:
-        high *= 2
-        if high > _FAR * scale:
-            return low, float("inf")
-    return low, float(brentq(excess, max(best, 0.0), high, xtol=1e-6 * scale))
-
-
-def _f_test(likelihood: Likelihood, sd: Array, basis: Array) -> tuple[float, float, float]:
-    """F, its denominator degrees of freedom and p of the directions ``basis`` of a term."""
-    kept = [i for i in range(sd.size) if sd[i] > _ZERO * sd[-1]]
-    squares = [likelihood.random[i] @ likelihood.random[i].T for i in kept if i < sd.size - 1]
-    squares.append(np.eye(likelihood.y.size))
-    inverse = np.linalg.inv(likelihood.covariance(sd))
-    vx = inverse @ likelihood.x
-    c = np.linalg.inv(likelihood.x.T @ vx)
-    beta = c @ (vx.T @ likelihood.y)
-    projection = inverse - vx @ c @ vx.T
-    moved = [projection @ s for s in squares]
-    information = 0.5 * np.array([[np.sum(a * b.T) for b in moved] for a in moved])
-    spread = np.linalg.inv(information)
-    own = basis.T @ c @ basis
-    values, vectors = np.linalg.eigh(own)
-    directions = basis @ vectors
-    t2 = (directions.T @ beta) ** 2 / values
-    # d(variance)/d(component) of every direction: u' C X' V^-1 S V^-1 X C u
-    lever = vx @ c @ directions
-    slopes = np.array([np.einsum("ij,ik,kj->j", lever, s, lever) for s in squares])
-    nu = 2 * values**2 / np.einsum("ij,ik,kj->j", slopes, spread, slopes)
-    q = t2.size
-    f = float(t2.sum() / q)
-    df = float(nu[0]) if q == 1 else _joint(nu)
-    return f, df, float(fdtrc(q, df, f))
-
-
-def _joint(nu: Array) -> float:
-    """Denominator degrees of freedom whose F has the mean of the sum of squared t."""
-    if np.ptp(nu) < 1e-8 * nu.max():
-        return float(nu.mean())
-    large = nu[nu > 2]
-    expected = float(np.sum(large / (large - 2)))
-    return 2 * expected / (expected - nu.size) if expected > nu.size else 2.0

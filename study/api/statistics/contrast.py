@@ -6,10 +6,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 
 from study.analysis.effects import linear_contrast
 from study.analysis.effects.linear_contrast import Cells, Contrast
 from study.analysis.effects.scale import Scale
+from study.analysis.error.incomplete_blocks import mixed_cells
+from study.analysis.linear_model.design_matrix import Layout
 from study.analysis.result import AnalysisResult
 
 
@@ -54,7 +57,17 @@ def _cells(found: AnalysisResult) -> Cells:
     scale = Scale(request.scale.transform, practical, bound, False, unit, specimens)
     levels = {e.term: e.levels for e in found.effects if e.is_main}
     table = rows.assign(y=np.log(values) if log else values)
-    return Cells(table, levels, scale, request.alpha, request.seed, resampled)
+    cells = Cells(table, levels, scale, request.alpha, request.seed, resampled)
+    if all(row.error != "REML" for row in found.anova.rows):
+        return cells
+    of_all = {**levels, "block": tuple(dict.fromkeys(table["block"]))}
+    codes = {name: pd.Categorical(table[name], of_all[name]).codes.astype(np.int64)
+             for name in of_all}  # fmt: skip
+    terms = [tuple(e.term.split(":")) for e in found.effects]
+    model, _ = mixed_cells(
+        Layout(of_all, codes), terms, "block", table["y"].to_numpy(), request.alpha, request.seed
+    )
+    return cells if model is None else replace(cells, estimate=model.between)
 
 
 def with_contrasts(found: AnalysisResult, asked: Sequence[str]) -> AnalysisResult:

@@ -1,54 +1,46 @@
-"""A mixed model of a study, a table or a file: blocks and their interactions as random effects."""
+"""A mixed model of a study, a table or a file: blocks and other columns as random factors."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypedDict
 
 from study import api
-from study.analysis.error.mixed_model import MixedModel, mixed_model
+from study.analysis.error.mixed_model import MixedModel, mixed_model, random_terms
 from study.errors import Fault, InputError
-from study.tidy_csv import read_csv
+from study.tidy_csv import names_of, read_csv
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from study.analysis.linear_model.design_matrix import Model
+    from study.analysis.request import Practical
 
 
-def fit_mixed_model(  # noqa: PLR0913  # one keyword for each thing that may be asked
+class MixedOptions(TypedDict, total=False):
+    """Keywords of :func:`study.mixed_model`, where they are described."""
+
+    block: str | Sequence[str] | None
+    random: Sequence[str]
+    covariates: Sequence[str]
+    model: Model
+    practical: Practical
+    contrasts: Sequence[str]
+    alpha: float
+
+
+def fit_mixed_model(
     source: str | Path,
     response: str | None,
     factors: Sequence[str],
+    options: MixedOptions,
     *,
-    block: str | None = None,
-    random: Sequence[str] = (),
-    covariates: Sequence[str] = (),
-    model: Model | None = None,
-    alpha: float = 0.05,
     results: str | Path = Path("results"),
     decimal: str = ".",
 ) -> MixedModel:
-    """Fit a mixed model by REML to one response of a study or of a CSV.
+    """Fit a mixed model by REML to one response of a study or of a CSV with one row a run.
 
-    Parameters
-    ----------
-    source : str or Path
-        Results folder or design of a study, or a tidy CSV with one row a run.
-    response : str or None
-        Column of the response; the first response of a study by default.
-    factors : sequence of str
-        Columns of the fixed factors; all factors of a study by default.
-    block, random, covariates, model, alpha
-        As for :func:`study.mixed_model`; the blocks of a study are its specimens.
-    results : Path
-        Folder of the results, where ``source`` is the name of a study.
-    decimal : {".", ","}
-        Decimal mark of a CSV.
-
-    Returns
-    -------
-    MixedModel
-        Variance components with intervals, tests of the fixed terms, slopes.
+    A study lends its first response, its factors and its specimens as blocks where none are named.
 
     Raises
     ------
@@ -57,34 +49,29 @@ def fit_mixed_model(  # noqa: PLR0913  # one keyword for each thing that may be 
     """
     path = Path(source)
     if path.is_file() and path.suffix != ".toml":
-        faults = [
-            Fault(flag, "is missing", mend)
-            for flag, given, mend in (
-                ("--response", response, "name the column of the response"),
-                ("--block", block, "name the column of the specimens (blocks)"),
-            )
-            if not given
-        ]
-        if faults:
-            raise InputError(faults)
-        named, blocks = (factors, block) if factors else ([str(block)], None)
-        table = read_csv(path, str(response), named, blocks, None, decimal, covariates)
-        return mixed_model(
-            table, str(response), factors, block=str(block), random=random,
-            covariates=covariates, model="full" if model is None else model, alpha=alpha,
-        )  # fmt: skip
+        if response is None:
+            raise InputError(Fault("--response", "is missing", "name the column of the response"))
+        blocks = names_of(options.get("block"))
+        terms = random_terms(factors, blocks, options.get("random", ()))
+        random = [n for n in dict.fromkeys(n for t in terms for n in t) if n not in factors]
+        labels = (factors, random) if factors else (random[:1], random[1:])
+        table = read_csv(path, response, *labels, None, decimal, options.get("covariates", ()))
+        return mixed_model(table, response, factors, **options)
     study = api.open_study(source, results)
-    if covariates:
+    if options.get("covariates"):
         rule = "a study has factors alone"
         raise InputError(Fault("--covariates", rule, "give a CSV with that column"))
     if len(study.manifest["blocks"]) < 3:
         rule = "a mixed model needs three blocks or more"
         raise InputError(Fault("measurements.block", rule, "add specimens, or leave out reml"))
-    spec = study.design.analysis
-    asked = spec.model if model is None else model
-    return mixed_model(
-        study.table, response or study.design.responses[0].name,
-        list(factors) or [f.name for f in study.design.factors if len(f.levels) > 1],
-        block=block or "block", random=random,
-        model=asked if isinstance(asked, (str, int)) else list(asked), alpha=alpha,
-    )  # fmt: skip
+    model = study.design.analysis.model
+    defaults: MixedOptions = {"block": "block", "model": model if isinstance(model, str | int) else
+                              list(model)}  # fmt: skip
+    options = {**defaults, **options}
+    chosen = next((r for r in study.design.responses if r.name == response), None)
+    chosen = study.design.responses[0] if response is None else chosen
+    if chosen is not None:
+        options.setdefault("practical", chosen.practical)
+    names = list(factors) or [f.name for f in study.design.factors if len(f.levels) > 1]
+    named = str(response) if chosen is None else chosen.name
+    return mixed_model(study.table, named, names, **options)

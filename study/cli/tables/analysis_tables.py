@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
@@ -12,7 +12,7 @@ from study.reporting.content.verdicts import told
 from study.reporting.numbers import ratio_digits
 
 if TYPE_CHECKING:
-    from study.analysis.anova_table import NestedUnits, Row
+    from study.analysis.anova_table import Effect, NestedUnits, Row
     from study.analysis.effects.comparisons import Comparisons
     from study.analysis.result import AnalysisResult
 
@@ -36,7 +36,8 @@ def print_analysis(found: AnalysisResult) -> None:
         )
         print()
         _print_summary(found)
-        _print_effects(found)
+        shares = {row.term: row.share for row in found.anova.rows}
+        print_effects(found.effects, shares, found.request.alpha)
         _print_checks(found)
         _print_robustness(found)
         _print_bounds(found)
@@ -105,61 +106,51 @@ def _print_summary(found: AnalysisResult) -> None:
     print()
 
 
-def _print_effects(found: AnalysisResult) -> None:
-    ends = f"{100 * (1 - found.request.alpha):.4g} % interval"
+def print_effects(
+    effects: Sequence[Effect], share: Mapping[str, float | None], alpha: float
+) -> None:
+    """Print means, largest differences with their verdicts, and simple effects."""
+    ends = f"{100 * (1 - alpha):.4g} % interval"
     means = [["Term", "Level", "Mean", ends, "Grouping"]]
-    for e in found.effects:
+    for e in effects:
         for i, (level, mean) in enumerate(zip(e.levels, e.mean, strict=True)):
             ci = None if e.mean_ci95 is None else e.mean_ci95[i]
-            if e.term in found.request.factors:
+            if e.is_main:
                 letters = e.letters[i] if e.letters else ""
                 means.append([e.term, level, _number(mean), _interval(ci), letters])
     output.table(means, "Means")
     print("(levels that share a letter are not told apart)\n")
-    ratio = any(e.scale == "ratio" for e in found.effects)
-    what = "largest ratio" if ratio else "largest difference"
-    rows = [["Term", what, ends, "share", "p", "Holm's p", "verdict"]]
-    share = {row.term: row.share for row in found.anova.rows}
+    what = "ratio" if any(e.is_ratio for e in effects) else "difference"
+    rows = [["Term", f"largest {what}", ends, "share", "p", "Holm's p", "verdict"]]
     rows += [
         [e.term, _number(e.range, 4), _interval(e.ci95), _number(share.get(e.term), 3),
          _p(e.p), _p(e.p_holm), told(e)]
-        for e in found.effects
+        for e in effects
     ]  # fmt: skip
     output.table(rows, "Effects")
-    for e in found.effects:
+    for e in effects:
         # without a threshold nothing can be told, which is said once for all
-        if e.term in found.request.factors and e.verdict in REFUSALS and e.practical is not None:
+        if e.is_main and e.verdict in REFUSALS and e.practical is not None:
             print(f"{e.term}: {e.verdict} ({e.why})")
     print()
-    _print_simple(found, ends)
+    _print_simple(effects, what, ends)
 
 
-def _print_simple(found: AnalysisResult, ends: str) -> None:
+def _print_simple(effects: Sequence[Effect], what: str, ends: str) -> None:
     """Print of every factor that interacts the largest simple effect, and the one that decides."""
-    rows = [["Factor", "levels", "at", what_of(found), ends, "verdict there"]]
-    for effect in found.effects:
+    rows = [["Factor", "levels", "at", what, ends, "verdict there"]]
+    for effect in effects:
         for one in dict.fromkeys((effect.largest_simple, effect.deciding_simple)):
             if one is None or not one.at:
                 continue
             at = ", ".join(f"{name} {level}" for name, level in one.at)
             number = _number(one.difference, 4)
-            sign = "/" if found.request.scale.is_log else "-"
+            sign = "/" if effect.is_ratio else "-"
             rows.append([effect.term, f"{one.first} {sign} {one.second}", at, number,
                          _interval(one.ci), one.verdict])  # fmt: skip
     if len(rows) > 1:
         output.table(rows, "Largest simple effects, and those that decide a verdict")
         print()
-
-
-def what_of(found: AnalysisResult) -> str:
-    """Return what an effect is: a difference, or a ratio for a log response.
-
-    Parameters
-    ----------
-    found : AnalysisResult
-        Its request says on which scale the response was analyzed.
-    """
-    return "ratio" if found.request.scale.is_log else "difference"
 
 
 def _interval(ci: Sequence[float] | None) -> str:

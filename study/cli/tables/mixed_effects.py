@@ -7,79 +7,59 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from study.canonical import plain
 from study.cli import output
 from study.cli.tables.surface_tables import names
 from study.errors import Fault, InputError
 
 if TYPE_CHECKING:
     from study.analysis.error.mixed_model import MixedModel
+    from study.api.statistics.mixed_effects import MixedOptions
 
 
 #: flags that a mixed model has a use for
 USED = frozenset({
     "--response", "--factors", "--block", "--error", "--model", "--alpha", "--decimal", "--random",
-    "--covariates",
+    "--covariates", "--practical", "--contrast",
 })  # fmt: skip
 
 
 def show(
     source: Path,
     flags: Mapping[str, str | None],
-    model: str | int | list[str] | None,
-    alpha: float | None,
+    options: MixedOptions,
     results: Path,
     as_json: bool,
 ) -> None:
-    """Fit a mixed model and print it.
-
-    Parameters
-    ----------
-    source : Path
-        Results of a study, or a tidy CSV.
-    flags : mapping of str to str or None
-        Flags of the command, as they were given.
-    model : str, int, list of str or None
-        Terms, as it was read.
-    alpha : float or None
-        Size of the tests.
-    results : Path
-        Where results are kept.
-    as_json : bool
-        Whether a program reads it.
-    """
+    """Fit a mixed model and print it; ``options`` holds what is no text in the flags."""
     from study.api.statistics.mixed_effects import fit_mixed_model
 
     unused = [flag for flag, value in flags.items() if value and flag not in USED]
     if unused:
         rule = "has no meaning for a mixed model"
         raise InputError([Fault(flag, rule, "leave it out") for flag in unused])
-    level = 0.05 if alpha is None else alpha
-    found = fit_mixed_model(
-        source, flags["--response"], names(flags["--factors"]), block=flags["--block"],
-        random=names(flags["--random"]), covariates=names(flags["--covariates"]),
-        model=model, alpha=level, results=results,
+    options["random"], options["covariates"] = (
+        names(flags["--random"]),
+        names(flags["--covariates"]),
+    )
+    if blocks := names(flags["--block"]):
+        options["block"] = blocks
+    if practical := flags["--practical"]:
+        options["practical"] = practical
+    factors = names(flags["--factors"])
+    model = fit_mixed_model(
+        source, flags["--response"], factors, options, results=results,
         decimal=flags["--decimal"] or ".",
     )  # fmt: skip
+    alpha = options.get("alpha", 0.05)
     if as_json:
-        output.print_json(mixed_json(found, level))
-        return
-    print_mixed(found, level)
+        output.print_json(mixed_json(model, alpha))
+    else:
+        print_mixed(model, alpha)
 
 
 def check_none(flags: Mapping[str, str | None]) -> None:
-    """Refuse what only a mixed model has, where none is asked for.
-
-    Parameters
-    ----------
-    flags : mapping of str to str or None
-        Flags of the command, as they were given; ``--random`` and ``--covariates`` must be among
-        them.
-
-    Raises
-    ------
-    InputError
-        If one of these two is not empty.
-    """
+    """Refuse what only a mixed model has, where none is asked for."""
     faults = [
         Fault(flag, "belongs to a mixed model", "add --error reml")
         for flag in ("--random", "--covariates")
@@ -89,62 +69,59 @@ def check_none(flags: Mapping[str, str | None]) -> None:
         raise InputError(faults)
 
 
-def mixed_json(found: MixedModel, alpha: float) -> dict[str, object]:
-    """Document of a mixed model as ``--json`` shows it; a limit that is not known is null.
-
-    Parameters
-    ----------
-    found : MixedModel
-        Fitted by restricted maximum likelihood.
-    alpha : float
-        Size of the tests: its intervals have the level 1 - alpha.
-    """
-    components = [
-        asdict(one) | {"high": None if one.high == float("inf") else one.high}
-        for one in found.components
-    ]
+def mixed_json(model: MixedModel, alpha: float) -> dict[str, object]:
+    """Document of a mixed model as ``--json`` shows it; a limit that is not known is null."""
     return {
         "method": "REML",
         "alpha": alpha,
-        "rows": found.rows,
-        "deviance": found.deviance,
-        "components": components,
-        "terms": [asdict(one) for one in found.terms],
-        "slopes": [asdict(one) for one in found.slopes],
+        "rows": model.rows,
+        "deviance": model.deviance,
+        "components": [plain(component) for component in model.components],
+        "terms": [asdict(term) for term in model.terms],
+        "slopes": [asdict(slope) for slope in model.slopes],
+        "effects": [plain(effect) for effect in model.effects],
+        "contrasts": [plain(contrast) for contrast in model.contrasts],
     }
 
 
-def print_mixed(found: MixedModel, alpha: float) -> None:
-    """Print variance components, tests and slopes of a mixed model.
+def print_mixed(model: MixedModel, alpha: float) -> None:
+    """Print variance components, tests, slopes, means, effects and contrasts."""
+    from study.cli.tables.analysis_tables import print_effects
 
-    Parameters
-    ----------
-    found, alpha : MixedModel, float
-        As for :func:`mixed_json`.
-    """
     ends = f"{100 * (1 - alpha):.4g} % interval"
     rows = [["Source", "standard deviation", ends, "share of the variance"]]
     rows += [
-        [one.source, output.number(one.sd), _between(one.low, one.high), f"{100 * one.share:.0f} %"]
-        for one in found.components
+        [c.source, output.number(c.sd), _between(c.low, c.high), f"{100 * c.share:.0f} %"]
+        for c in model.components
     ]
-    output.table(rows, f"Scatter by source (REML, {found.rows} rows)")
+    output.table(rows, f"Scatter by source (REML, {model.rows} rows)")
     print()
-    if found.terms:
+    if model.terms:
         rows = [["Term", "DF", "F-Value", "DF of error", "P-Value"]]
         rows += [
-            [one.term, str(one.df), f"{one.f:.2f}", f"{one.df_error:.1f}", _p(one.p)]
-            for one in found.terms
+            [term.term, str(term.df), f"{term.f:.2f}", f"{term.df_error:.1f}", _p(term.p)]
+            for term in model.terms
         ]
-        output.table(rows, "Tests of the fixed terms")
+        output.table(rows, "Tests of the fixed terms (Kenward and Roger)")
         print()
-    if found.slopes:
+    if model.slopes:
         rows = [["Covariate", "change for each unit", ends]]
         rows += [
-            [one.covariate, output.number(one.value), _between(one.low, one.high)]
-            for one in found.slopes
+            [slope.covariate, output.number(slope.value), _between(slope.low, slope.high)]
+            for slope in model.slopes
         ]
         output.table(rows, "Slopes")
+        print()
+    if model.effects:
+        print_effects(model.effects, {}, alpha)
+    if model.contrasts:
+        rows = [["asked for", "difference", f"{ends}, all together", "DF", "p", "verdict"]]
+        rows += [
+            [c.name, output.number(c.difference), _between(*(c.ci_simultaneous or c.ci or (0, 0))),
+             "" if c.df is None else f"{c.df:.1f}", "" if c.p is None else _p(c.p), c.verdict]
+            for c in model.contrasts
+        ]  # fmt: skip
+        output.table(rows, "Differences that were asked for")
         print()
 
 
