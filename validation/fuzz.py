@@ -63,7 +63,7 @@ ENDINGS = (signal.SIGTERM, signal.SIGHUP, signal.SIGINT, signal.SIGUSR1)
 #: what a verb may take
 SECONDS, MEGABYTES = 10.0, 1000.0
 #: seconds after which a verb is stopped, and its process if that did not help
-HANGS, DEAD = 60, 150.0
+HANGS, DEAD = 120, 300.0
 #: exit codes of ``study --help`` but that of an interrupt, which nobody sends here
 CODES = {0, 1, 2, 3}
 #: examples of one process, so that what many leave behind is not memory of the next
