@@ -29,15 +29,17 @@ from study.errors import RefusedError
 #: Ratio of a variance to that of the residual at which derivatives are taken where it is zero:
 #: far below every other rounding, and a square root of it is still a number.
 _LEAST_RATIO = 1e-12
-#: Relative step of the variances at which the search for the largest likelihood ends; in a
-#: profile, where its square counts.
-_CONVERGED, _CONVERGED_IN_PROFILE = 1e-11, 1e-6
+#: Relative step of the variances at which the search for the largest likelihood ends.
+_CONVERGED = 1e-11
+#: The same in a profile, where its square counts.
+_CONVERGED_IN_PROFILE = 1e-6
 _MOST_STEPS = 200
 #: Levels of random factors that cross each other, directly or through others: a dense matrix of
 #: so many takes 0.1 GB and seconds for each step.
 MOST_CROSSED = 3000
 #: Standard deviations over that of all rows beyond which no end of an interval is looked for.
-_SMALLEST, _LARGEST = 1e-4, 1e3
+_SMALLEST = 1e-4
+_LARGEST = 1e3
 #: Part of the total variance below which a residual is rounding, so that no ratio to it exists.
 _ROUNDING = 1e-13
 #: Information on a ratio, relative to that of a balanced design, below which rows say nothing.
