@@ -18,7 +18,7 @@ from study.analysis.error import ledger, nested
 from study.analysis.error.block_groups import own_groups
 from study.analysis.error.blocked import own
 from study.analysis.error.ledger import pooled
-from study.analysis.error.split_plot import split_plot, whole_plots
+from study.analysis.error.split_plot import Plots, split_plot, whole_plots
 from study.analysis.linear_model.design_matrix import Model, nested_in, number_within, terms_of
 from study.analysis.linear_model.sums_of_squares import one_thread
 from study.analysis.outcome import Outcome, range_of_bounds, scale_of
@@ -36,6 +36,7 @@ from study.analysis.request import (
     threshold,
 )
 from study.analysis.result import AnalysisResult
+from study.analysis.structure import refuse_copied_rows, structure_of
 from study.arrays import Array
 from study.errors import Fault, InputError, RefusedError
 from study.tidy_csv import names_of
@@ -111,7 +112,9 @@ def _of_units(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisRequest:
     """Take a block that lies in one cell for a replicate of it, and its rows for repeats."""
     if request.layout.unit is not None or not _one_cell_a_block(table, request):
         return request
-    layout = Blocking(unit=request.layout.block[0], replicates="runs")
+    layout = replace(
+        request.layout, block=(), unit=request.layout.block[0], whole_plot=(), replicates="runs"
+    )
     return replace(request, layout=layout, error="auto")
 
 
@@ -124,6 +127,7 @@ def anova(  # noqa: PLR0913  # the public face: one keyword for each thing that 
     unit: str | None = None,
     whole_plot: str | Sequence[str] = (),
     replicates: str = "auto",
+    copies: str = "refuse",
     type: str = "auto",  # noqa: A002
     model: Model = "full",
     error: str = "auto",
@@ -160,6 +164,8 @@ def anova(  # noqa: PLR0913  # the public face: one keyword for each thing that 
         What the rows of one cell are: runs set up anew (E0), new meshes (E3), refits to
         resampled measurement noise (E2). ``auto`` looks for the columns ``mesh_seed`` and
         ``noise_seed``.
+    copies : {"refuse", "independent"}
+        What rows are that repeat others in every digit: copies, or measured each.
     type : {"auto", "I", "II", "III"}
         Type of the sums of squares; ``auto`` is II when balanced and III when not.
     model : "full", int or list
@@ -205,7 +211,7 @@ def anova(  # noqa: PLR0913  # the public face: one keyword for each thing that 
     request = AnalysisRequest(
         response,
         tuple(str(name) for name in factors),
-        Blocking(names_of(block), unit, names_of(whole_plot), replicates),
+        Blocking(names_of(block), unit, names_of(whole_plot), replicates, copies),
         model,
         type,
         error,
@@ -280,6 +286,8 @@ def _found(table: pd.DataFrame, request: AnalysisRequest) -> Outcome:
     notes = refuse_fake_replicates(
         out.data, table, records=request.records, tolerance=out.tolerance
     )
+    if not request.records and request.layout.copies == "refuse":
+        refuse_copied_rows(out.data)
     _refuse_undeclared(out)
     if _repeats_in_blocks(out.data):
         out = _averaged(out, table)
@@ -300,7 +308,9 @@ def _found(table: pd.DataFrame, request: AnalysisRequest) -> Outcome:
         tested = own(out) if plots is None or not plots.nested else own_groups(out, plots)
         if tested is not None:
             return tested
-        out = out.warn(f"fewer than two complete levels of {data.block}: no test against blocks")
+        lacking = _lacking(data, plots)
+        if lacking:
+            return pooled(out, untested=lacking)
     if plots is not None:
         return split_plot(out, plots)
     return pooled(out)
@@ -320,7 +330,14 @@ def _start(table: pd.DataFrame, request: AnalysisRequest) -> Outcome:
     tol = request.scale.tolerance
     if tol is None:
         tol = _DEFAULT_TOLERANCE * float(np.abs(data.y).max()) if request.records else 0.0
-    return Outcome(request, data, terms, tol, replicates=_replicates(table, data, request))
+    return Outcome(
+        request,
+        data,
+        terms,
+        tol,
+        replicates=_replicates(table, data, request),
+        structure=structure_of(data),
+    )
 
 
 def _nested_notes(found: Mapping[str, tuple[str, ...]]) -> list[str]:
@@ -341,6 +358,24 @@ def _replicates(table: pd.DataFrame, data: Data, request: AnalysisRequest) -> st
     return "auto" if request.records else "runs"
 
 
+def _lacking(data: Data, plots: Plots | None) -> str:
+    """Why effects have no error where blocks lack cells; empty where no block does."""
+    within = [
+        f for f in data.factors if plots is None or not plots.nested or f not in plots.between
+    ]
+    cell = np.unique(data.layout.cell(within), return_inverse=True)[1]
+    block = data.layout.codes[str(data.block)]
+    cells = np.bincount(np.unique(np.column_stack([block, cell]), axis=0)[:, 0])
+    lacking = int((cells < cell.max() + 1).sum())
+    if not lacking:
+        return ""
+    return (
+        f"{lacking} of {cells.size} levels of {data.block} lack a cell, and too few have all of "
+        "them to test effects against their own interaction with the blocks: --error reml fits a "
+        "mixed model to all rows; --error pooled takes all these interactions to be of one size"
+    )
+
+
 def _repeats_in_blocks(data: Data) -> bool:
     """Whether a cell has several rows in one block, which are no independent trials."""
     if data.block is None:
@@ -355,7 +390,7 @@ def _averaged(out: Outcome, table: pd.DataFrame) -> Outcome:
     means = nested.average_units(table, out.request, first, others)
     start = _start(means, out.request)
     data = replace(start.data, missing=out.data.missing, warnings=out.data.warnings)
-    return replace(start, data=data, tolerance=out.tolerance)
+    return replace(start, data=data, tolerance=out.tolerance, structure=out.structure)
 
 
 def _refuse_undeclared(out: Outcome) -> None:

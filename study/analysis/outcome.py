@@ -26,6 +26,7 @@ from study.analysis.linear_model.sums_of_squares import Factored
 from study.analysis.linear_model.two_way import TwoWayFit
 from study.analysis.pseudoreplication import CopyGroups
 from study.analysis.request import AnalysisRequest
+from study.analysis.structure import Structure
 from study.analysis.unreplicated import LenthResult
 from study.arrays import Array, Ints
 
@@ -60,6 +61,7 @@ class Outcome:
     cell_model: Factorization | None = None
     plots: Ints | None = None
     replicates: str = "runs"
+    structure: Structure = field(default_factory=Structure)
     summary: ModelSummary | None = None
     robustness: Sensitivity | None = None
     box_cox: BoxCoxResult | None = None

@@ -39,6 +39,9 @@ WholePlot = Annotated[
 Replicates = Annotated[
     str | None, typer.Option(help="What repeats of a cell are: runs, mesh-seeds, noise.")
 ]
+Copies = Annotated[
+    str | None, typer.Option(help="Rows that repeat others in every digit: refuse, independent.")
+]
 Error = Annotated[
     str | None,
     typer.Option(help="auto, pooled, own, or reml: a mixed model, also for incomplete blocks."),
@@ -99,6 +102,7 @@ def analyze(
     unit: Unit = None,
     whole_plot: WholePlot = None,
     replicates: Replicates = None,
+    copies: Copies = None,
     error: Error = None,
     kind: Kind = None,
     model: Model = None,
@@ -123,8 +127,9 @@ def analyze(
     _check_report(source, report, formats)
     flags = {
         "--response": response, "--factors": factors, "--block": block, "--unit": unit,
-        "--whole-plot": whole_plot, "--replicates": replicates, "--error": error,
-        "--type": kind, "--model": model, "--practical": practical, "--transform": transform,
+        "--whole-plot": whole_plot, "--replicates": replicates, "--copies": copies,
+        "--error": error, "--type": kind, "--model": model, "--practical": practical,
+        "--transform": transform,
         "--alpha": None if alpha is None else repr(alpha), "--reference": reference,
         "--decimal": None if decimal == "." else decimal,
         "--report": None if report is None else str(report),
@@ -196,6 +201,8 @@ def _options(flags: Flags, alpha: float | None) -> AnovaOptions:
         options["whole_plot"] = plots
     if replicates := flags["--replicates"]:
         options["replicates"] = replicates
+    if copies := flags["--copies"]:
+        options["copies"] = copies
     if error := flags["--error"]:
         options["error"] = error
     if kind := flags["--type"]:

@@ -21,9 +21,10 @@ from study.analysis.effects.estimates import (
     t_quantile,
     term_rows,
 )
-from study.analysis.effects.samples import every_simple_effect, over_blocks
+from study.analysis.effects.samples import over_blocks
 from study.analysis.effects.sizes import size
 from study.analysis.error import ledger, residuals
+from study.analysis.gate import judge_factors, rivals_over_blocks
 from study.analysis.linear_model.design_matrix import Term, model_matrix, term_name
 from study.analysis.linear_model.sphericity import SphericityResult, epsilon_gg, sphericity
 from study.analysis.linear_model.sums_of_squares import (
@@ -333,7 +334,9 @@ def own(out: Outcome) -> Outcome | None:
     sample = over_blocks(
         fit, block_coefficients(table, fit)[1], out.request.alpha, out.request.interval_seed
     )
-    simple = every_simple_effect(out.terms, table.layout, fit, sample, out.scale)
+    rivals, notes = rivals_over_blocks(out, table.layout, table.y, fit, sample)
+    out = out.warn(*notes)
+    simple = judge_factors(out, table.layout, fit, sample, rivals)
     return replace(
         out,
         error=ErrorTerm(choice.source, choice.question, df, choice.reason),
