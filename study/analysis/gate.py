@@ -204,6 +204,12 @@ def limit_rivals(out: Outcome, sample: Sample, means: Array) -> list[Rival]:
     ]
 
 
+def block_means(out: Outcome) -> Array:
+    """Mean of the response in each block, on the working scale."""
+    block = out.data.layout.codes[str(out.data.block)]
+    return np.asarray(out.y[0] + np.bincount(block, out.y - out.y[0]) / np.bincount(block))
+
+
 def rivals_over_blocks(
     out: Outcome, cells: Layout, y: Array, fit: Factored, sample: Sample
 ) -> tuple[list[Rival], list[str]]:
@@ -300,11 +306,7 @@ def rivals_of_rows(
     if out.data.block is None and out.replicates in ("runs", "mesh-seeds"):
         rivals += _rivals_of_cells(out, fit, sample, reading)
     blocks = [(name,) for name in out.data.blocks]
-    if out.data.block is None:
-        means = out.y.mean() + fit.residual
-    else:
-        means = np.array([out.y[out.data.layout.codes[out.data.block] == k].mean() for k in
-                          range(len(out.data.layout.levels[out.data.block]))])  # fmt: skip
+    means = out.y.mean() + fit.residual if out.data.block is None else block_means(out)
     if out.replicates != "noise" and not out.request.records:
         rivals += limit_rivals(out, sample, means)
     full = _every_term(out, out.data.layout)
@@ -520,7 +522,7 @@ def _limit_of_skewness(n: int, tests: int) -> float:
 def _bootstrap_t(
     value: Array, groups: Sequence[Ints], alpha: float, m: int, seed: int
 ) -> tuple[float, float, float]:
-    """Find the ends of one interval, and half-width of the simultaneous one, of a sum over groups."""
+    """Find the ends of one interval of a sum over groups, and half the simultaneous one."""
     random = np.random.default_rng(seed)
     shift, variance, total = np.zeros(_DRAWS), np.zeros(_DRAWS), 0.0
     for group in groups:
