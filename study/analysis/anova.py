@@ -19,7 +19,16 @@ from study.analysis.error.block_groups import own_groups
 from study.analysis.error.blocked import own
 from study.analysis.error.ledger import pooled
 from study.analysis.error.split_plot import Plots, split_plot, whole_plots
-from study.analysis.linear_model.design_matrix import Model, nested_in, number_within, terms_of
+from study.analysis.linear_model.design_matrix import (
+    Model,
+    Term,
+    model_matrix,
+    nested_in,
+    number_within,
+    term_name,
+    terms_of,
+)
+from study.analysis.linear_model.factorization import factorize
 from study.analysis.linear_model.sums_of_squares import one_thread
 from study.analysis.outcome import Outcome, range_of_bounds, scale_of
 from study.analysis.pseudoreplication import (
@@ -73,10 +82,17 @@ def analyze(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisResult:
     RefusedError
         For copies that pose as replicates.
     """
-    request = _of_units(table, request)
+    table, request, alone = _of_one_block(table, request)
+    request, note = _of_units(table, request)
+    note = alone or note
+    inner = _nested_factor(table, request)
+    if inner is not None:
+        return _with_nested(table, request, *inner)
     if request.layout.unit is not None:
-        return _with_units(table, request, request.layout.unit)
-    return _complete(table, request)
+        found = _with_units(table, request, request.layout.unit)
+    else:
+        found = _complete(table, request)
+    return found.noted(note) if note else found
 
 
 @one_thread
@@ -102,20 +118,52 @@ def effects(table: pd.DataFrame, request: AnalysisRequest) -> tuple[Effect, ...]
     InputError, RefusedError
         As of :func:`analyze`.
     """
-    request = _of_units(table, request)
+    table, request, _ = _of_one_block(table, request)
+    request, _ = _of_units(table, request)
     if request.layout.unit is not None:
         table = nested.average_units(table, request, request.layout.unit, request.layout.block)
     return _found(table, request).effects
 
 
-def _of_units(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisRequest:
-    """Take a block that lies in one cell for a replicate of it, and its rows for repeats."""
-    if request.layout.unit is not None or not _one_cell_a_block(table, request):
-        return request
+def _of_one_block(
+    table: pd.DataFrame, request: AnalysisRequest
+) -> tuple[pd.DataFrame, AnalysisRequest, str]:
+    """Means of the cells where there is one block alone, which no analysis can claim from.
+
+    The text says so; it is empty where there are several blocks or none.
+    """
+    layout = request.layout
+    if len(layout.block) != 1 or layout.unit or not {*layout.block, request.response} <= set(table):
+        return table, request, ""
+    name = layout.block[0]
+    labels = table.loc[table[request.response].notna(), name].dropna().unique()
+    if len(labels) != 1 or name in request.factors:
+        return table, request, ""
+    request = replace(request, specimens=1, error="auto", layout=replace(layout, block=()))
+    means = nested.average_units(table[table[name].notna()], request, name)
+    note = (
+        f"one {name} ({labels[0]}): differences are those of this {name}, and how another one "
+        "would differ cannot be told; measure two or more"
+    )
+    return means, request, note
+
+
+def _of_units(table: pd.DataFrame, request: AnalysisRequest) -> tuple[AnalysisRequest, str]:
+    """Take a block that lies in one cell for a replicate of it, and a unit in several for a block.
+
+    The text says so of a unit; it is empty otherwise.
+    """
+    unit = request.layout.unit
+    if unit is not None and not request.layout.block and nested.crosses(table, request, unit):
+        layout = replace(request.layout, block=(unit,), unit=None)
+        note = f"every {unit} is measured in several cells: it is a block (--block {unit})"
+        return replace(request, layout=layout), note
+    if unit is not None or not _one_cell_a_block(table, request):
+        return request, ""
     layout = replace(
         request.layout, block=(), unit=request.layout.block[0], whole_plot=(), replicates="runs"
     )
-    return replace(request, layout=layout, error="auto")
+    return replace(request, layout=layout, error="auto"), ""
 
 
 def anova(  # noqa: PLR0913  # the public face: one keyword for each thing that may be asked
@@ -254,6 +302,63 @@ def _complete(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisResult:
     return replace(result, data=replace(result.data, bounds=found)).noted(*notes)
 
 
+def _nested_factor(table: pd.DataFrame, request: AnalysisRequest) -> tuple[str, str] | None:
+    """Find the one factor that lies within another, with levels of its own names, and that one.
+
+    Raises
+    ------
+    RefusedError
+        Where several factors lie within others, with the words that ask for their analysis.
+    """
+    layout = request.layout
+    if layout.block or layout.unit or layout.whole_plot or request.model != "full":
+        return None
+    if request.records or len(request.factors) < 2:
+        return None
+    data = prepare(table, request.response, request.factors)
+    pairs = structure_of(data).nested
+    if len(pairs) <= 1:
+        return pairs[0] if pairs else None
+    depth = {name: sum(inner == name for inner, _ in pairs) for name in request.factors}
+    chain = sorted(request.factors, key=lambda name: depth[name])
+    terms = ",".join(":".join(chain[: k + 1]) for k in range(len(chain)))
+    said = ", ".join(f"{inner} lies within {outer}" for inner, outer in pairs)
+    raise RefusedError(
+        f"{said}: name the strata. --model {terms} tests each against the rows within; "
+        f"--factors {chain[0]} --unit {chain[1]} tests {chain[0]} against {chain[1]}"
+    )
+
+
+def _with_nested(
+    table: pd.DataFrame, request: AnalysisRequest, inner: str, outer: str
+) -> AnalysisResult:
+    """Analysis of the other factors against the nested one, and of that one against the rows."""
+    factors = tuple(f for f in request.factors if f != inner)
+    upper = replace(request, factors=factors, layout=replace(request.layout, unit=inner))
+    terms = tuple(t for t in terms_of(request.factors) if inner not in t or outer in t)
+    within = replace(request, model=[list(t) for t in terms], sums="auto")
+    rows = _found(table, within)
+    found = _with_units(table, upper, inner)
+    tested = {row.term: row for row in found.anova.rows}
+    error = f"{outer}:{inner}"
+    listed = []
+    for row in rows.anova.rows:
+        above = tested.get(row.term)
+        if above is None or row.term == "residual":
+            listed.append(row)
+        else:
+            listed.append(
+                replace(row, f=above.f, p=above.p, error=error, df_error=above.df_error,
+                        omega_sq=None, partial_eta_sq=above.partial_eta_sq,
+                        partial_eta_sq_ci95=above.partial_eta_sq_ci95)
+            )  # fmt: skip
+    note = (
+        f"{inner} lies within {outer} (levels with names of their own): {outer} is tested against "
+        f"{inner}, and {inner} against the rows within, as --model {outer},{error}"
+    )
+    return replace(found, anova=replace(rows.anova, rows=tuple(listed))).noted(note)
+
+
 def _with_units(table: pd.DataFrame, request: AnalysisRequest, unit: str) -> AnalysisResult:
     """Analysis of the means of the units, set beside that of all rows."""
     means = nested.average_units(table, request, unit, request.layout.block)
@@ -327,6 +432,13 @@ def _start(table: pd.DataFrame, request: AnalysisRequest) -> Outcome:
             layout=number_within(data.layout, nested_factors),
             warnings=(*data.warnings, *_nested_notes(nested_factors)),
         )
+    structure = structure_of(data)
+    ordered = request.model == "full" or isinstance(request.model, int)
+    if structure.empty_cells and not nested_factors and ordered:
+        terms, dropped = _told_apart(data, terms)
+        if dropped:
+            structure = replace(structure, undecided=dropped)
+            data = replace(data, warnings=(*data.warnings, dropped))
     tol = request.scale.tolerance
     if tol is None:
         tol = _DEFAULT_TOLERANCE * float(np.abs(data.y).max()) if request.records else 0.0
@@ -336,7 +448,24 @@ def _start(table: pd.DataFrame, request: AnalysisRequest) -> Outcome:
         terms,
         tol,
         replicates=_replicates(table, data, request),
-        structure=structure_of(data),
+        structure=structure,
+    )
+
+
+def _told_apart(data: Data, terms: tuple[Term, ...]) -> tuple[tuple[Term, ...], str]:
+    """Terms that add something to those before them, and a sentence that names the others."""
+    cells = np.unique(data.cell, return_index=True)[1]
+    model = factorize(model_matrix(data.layout.take(cells), terms))
+    kept = tuple(
+        t for i, t in enumerate(model.matrix.terms) if t and model.space(i, "I").basis.shape[1]
+    )
+    lost = [term_name(t) for t in terms if t not in kept]
+    if not lost:
+        return terms, ""
+    listed = ", ".join(lost[:8]) + (f" and {len(lost) - 8} more" if len(lost) > 8 else "")
+    return kept, (
+        f"{listed}: left out, for these runs cannot tell them from the terms before them; declare "
+        "which are negligible to have the others judged (--model 2, or the terms)"
     )
 
 

@@ -550,5 +550,5 @@ def _lognormal_end(value: Array, alpha: float) -> float:
     log = np.log(np.abs(value))
     n, variance = log.size, float(log.var(ddof=1))
     error = math.sqrt(variance / n + variance**2 / (2 * (n - 1)))
-    end = float(log.mean()) + variance / 2 + t_quantile(alpha / 2, n - 1) * error
+    end = float(log.mean()) + variance / 2 + t_quantile(alpha / 4, n - 1) * error
     return float(np.sign(value[0])) * math.exp(min(end, 700.0))

@@ -36,11 +36,14 @@ class Structure:
         Factors whose levels each lie in one level of another factor: (inner, outer).
     empty_cells : int
         Combinations of levels without a row.
+    undecided : str
+        Which terms were left out because the runs cannot tell them from others; empty if none.
     """
 
     resolution: float = 0.0
     nested: tuple[tuple[str, str], ...] = ()
     empty_cells: int = 0
+    undecided: str = ""
 
 
 def structure_of(data: Data) -> Structure:

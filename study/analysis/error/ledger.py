@@ -260,7 +260,8 @@ def pooled(out: Outcome, untested: str = "") -> Outcome:
     else:
         kind, out = kind_of(out, even, _why_uneven(out))
     sums = term_sums(fit, kind)
-    out = out.warn(*alias_warnings(sums))
+    partial = kind == "I" and out.structure.empty_cells > 0
+    out = out.warn(*alias_warnings(sums, partial=partial))
     if sums and all(s.df == 0 for s in sums):
         out = out.warn("every term is aliased with others: name those wanted, model = 1 say")
     choice = choose(_situation(out, fit, sums), out.request.error)
@@ -276,7 +277,7 @@ def pooled(out: Outcome, untested: str = "") -> Outcome:
     ready = choice.source in ("E4", "E6") and _sparse_ready(out, fit)
     lenth = unreplicated.lenth_of(data, out.y, out.terms, out.request.seed) if ready else None
     error_rss = fit.rss * _resamples(out)
-    rows = [term_row(s, df, error_rss, fit.tss) for s in sums]
+    rows = [term_row(s, df, error_rss, fit.tss, partial=partial) for s in sums]
     if lenth is not None and choice.source == "E6":
         rows = [_lenth_row(row, lenth) for row in rows]
     ms = error_rss / df if df else None
@@ -296,11 +297,12 @@ def pooled(out: Outcome, untested: str = "") -> Outcome:
         every = terms_of(data.factors) if balanced(data.layout, data.factors) else out.terms
         contrasts = unreplicated.orthonormal_contrasts(data.layout, every)[1]
         pseudo = with_pseudo_error(fit, contrasts, alpha, seed, out.y)
-        simple = judge_factors(out, data.layout, fit, pseudo, ())
+        refused = [refusal(out.structure.undecided)] if out.structure.undecided else []
+        simple = judge_factors(out, data.layout, fit, pseudo, refused)
     elif df or out.scale.deterministic:
         sample = with_pooled_error(fit, error_rss, df, alpha, seed)
         rivals, notes = rivals_of_rows(out, fit, error_rss, df, sample) if df else ([], [])
-        rivals = [refusal(untested), *rivals] if untested else rivals
+        rivals = [*map(refusal, filter(None, (untested, out.structure.undecided))), *rivals]
         out = out.warn(*notes)
         simple = judge_factors(out, data.layout, fit, sample, rivals)
     effects = [size(e, out.scale, simple) for e in estimates]
