@@ -435,9 +435,10 @@ def _start(table: pd.DataFrame, request: AnalysisRequest) -> Outcome:
     structure = structure_of(data)
     ordered = request.model == "full" or isinstance(request.model, int)
     if structure.empty_cells and not nested_factors and ordered:
-        terms, dropped = _told_apart(data, terms)
+        kept, dropped = _told_apart(data, terms)
         if dropped:
-            structure = replace(structure, undecided=dropped)
+            structure = replace(structure, undecided=dropped, asked=terms)
+            terms = kept
             data = replace(data, warnings=(*data.warnings, dropped))
     tol = request.scale.tolerance
     if tol is None:

@@ -125,6 +125,8 @@ def judge_factors(
         judged = partial(simple_effects, name, layout, bound=scale.bound, only=scale.only)
         printed = judged(fit.matrix, sample, practical=scale.practical)
         if printed is None:
+            if out.structure.undecided:
+                found[name] = SimpleEffects(name, CANNOT_TELL, out.structure.undecided, ())
             continue
         for rival in rivals:
             if not _claimed(printed) & set(rival.claims):

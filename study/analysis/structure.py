@@ -9,6 +9,7 @@ from itertools import combinations, permutations
 import numpy as np
 
 from study.analysis.data import Data
+from study.analysis.linear_model.design_matrix import Term
 from study.arrays import Array, Ints
 from study.errors import RefusedError
 
@@ -38,12 +39,15 @@ class Structure:
         Combinations of levels without a row.
     undecided : str
         Which terms were left out because the runs cannot tell them from others; empty if none.
+    asked : tuple of Term
+        Terms of the model with those; empty where none was left out.
     """
 
     resolution: float = 0.0
     nested: tuple[tuple[str, str], ...] = ()
     empty_cells: int = 0
     undecided: str = ""
+    asked: tuple[Term, ...] = ()
 
 
 def structure_of(data: Data) -> Structure:

@@ -8,6 +8,8 @@ from collections.abc import Callable
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.stats import f_oneway
+from scipy.stats import t as student
 
 from study.analysis.anova import anova
 from study.analysis.effects.comparisons import games_howell
@@ -192,3 +194,137 @@ def test_the_gate_changes_no_number(levels: dict[str, int], block: str | None) -
     assert claims.anova == refuses.anova
     assert [e.ci95 for e in claims.effects] == [e.ci95 for e in refuses.effects]
     assert {e.verdict for e in claims.effects if e.is_main} == {NO_DIFFERENCE}
+
+
+def test_levels_nested_with_names_of_their_own_are_strata() -> None:
+    """F of the upper stratum is that of the batch means, that of the lower one within batches."""
+    random = np.random.default_rng(12)
+    table = pd.DataFrame(
+        [(f"L{i}", f"L{i}b{j}", k) for i in range(3) for j in range(4) for k in range(5)],
+        columns=["lab", "batch", "k"],
+    )
+    batch = pd.Series(random.normal(0, 2, 12), index=table["batch"].unique())
+    table["y"] = table["batch"].map(batch) + random.normal(0, 0.5, 60)
+    found = anova(table, "y", ["lab", "batch"], practical=1.0, exact=False)
+    means = table.groupby(["lab", "batch"])["y"].mean().unstack(0)  # noqa: PD010
+    expected = f_oneway(*(means[lab].dropna() for lab in means))
+    upper, lower = found.anova.row("lab"), found.anova.row("lab:batch")
+    assert (upper.df, upper.df_error, upper.error) == (2, 9, "lab:batch")
+    assert upper.f == pytest.approx(expected.statistic, rel=1e-9)
+    assert upper.p == pytest.approx(expected.pvalue, rel=1e-9)
+    assert (lower.df, lower.df_error) == (9, 48)
+    within = table.groupby("batch")["y"].var().mean()
+    between = 5 * table.groupby("batch")["y"].mean().groupby(lambda b: b[:2]).var().mean()
+    assert lower.f == pytest.approx(between / within, rel=1e-9)
+    assert sum("batch lies within lab" in note for note in found.notes) == 1
+    assert any("--model lab,lab:batch" in note for note in found.notes)
+
+
+def test_an_empty_cell_leaves_what_can_be_estimated() -> None:
+    """Sequential sums by the residual sums of nested fits; the lost cell is named once."""
+    table = crossed(a=3, b=2, r=4)
+    table["y"] = table["a"] + 0.5 * table["b"] + np.random.default_rng(4).normal(0, 0.4, 24)
+    table = table[(table["a"] != 2) | (table["b"] != 0)]
+    found = anova(table, "y", ["a", "b"], practical=5.0, exact=False)
+    y = table["y"].to_numpy()
+    dummies = [np.ones((len(table), 1)), np.eye(3)[table["a"]], np.eye(2)[table["b"]]]
+    cells = np.eye(6)[table["a"] * 2 + table["b"]]
+
+    def rss(*columns: np.ndarray) -> float:
+        x = np.hstack(columns)
+        return float(np.sum((y - x @ np.linalg.lstsq(x, y)[0]) ** 2))
+
+    sums = [rss(*dummies[:k]) for k in (1, 2, 3)] + [rss(cells)]
+    for k, (term, df) in enumerate((("a", 2), ("b", 1), ("a:b", 1))):
+        row = found.anova.row(term)
+        assert row.df == df
+        assert row.f == pytest.approx((sums[k] - sums[k + 1]) / df / (sums[3] / 15), rel=1e-9)
+    assert {e.verdict for e in found.effects if e.is_main} == {NO_DIFFERENCE}
+    assert "2 of 6 have an empty cell" in found.effect("a").why
+    assert found.effect("b").range == pytest.approx(
+        abs(table[table["a"] < 2].groupby(["a", "b"])["y"].mean().unstack().diff(axis=1)[1].mean())
+    )
+    assert sum("empty" in note for note in found.notes) == 2
+
+
+def test_failed_combinations_leave_the_good_cases_their_verdicts() -> None:
+    table = crossed(space=2, material=2, order=2, mesh=3)
+    table["y"] = 10 + 5.0 * table["material"] + 0.2 * table["space"] + 0.01 * table["mesh"]
+    failed = (table["space"] == 1) & (table["order"] == 1)
+    factors = ["space", "material", "order", "mesh"]
+    found = anova(
+        table.assign(y=table["y"].mask(failed)), "y", factors, records=True, practical=1.0,
+        exact=False,
+    )  # fmt: skip
+    verdicts = {f: found.effect(f).verdict for f in factors}
+    assert verdicts == {
+        "space": NO_DIFFERENCE, "material": MATTERS, "order": NO_DIFFERENCE, "mesh": NO_DIFFERENCE,
+    }  # fmt: skip
+    assert {dict(e.at)["order"] for e in found.effect("space").simple_effects} == {"0"}
+    assert sum("left out, for these runs" in note for note in found.notes) == 1
+
+
+def test_a_fraction_with_a_lost_run_leaves_out_the_fewest_terms() -> None:
+    table = crossed(A=2, B=2, C=2, D=2)
+    table["E"] = table[list("ABCD")].sum(axis=1) % 2
+    table["y"] = 10 + table["A"] + np.random.default_rng(1).normal(0, 0.1, 16)
+    found = anova(table.iloc[1:], "y", list("ABCDE"), model=2, practical=1.0, exact=False)
+    rows = [row for row in found.anova.rows if row.term != "residual"]
+    assert len(rows) == 14
+    assert all(row.df == 1 for row in rows)
+    assert sum("D:E: left out" in note for note in found.notes) == 1
+    assert len(found.notes) < 7
+    assert found.effect("A").range == pytest.approx(1, abs=0.3)
+    assert found.effect("A").verdict == CANNOT_TELL
+
+
+def test_a_level_that_fails_in_most_blocks_leaves_its_siblings() -> None:
+    table = crossed(s=6, a=3)
+    table["y"] = table["s"] + 2.0 * (table["a"] == 1)
+    table["y"] += np.random.default_rng(5).normal(0, 0.1, 18)
+    lost = table["y"].mask((table["a"] == 2) & (table["s"] > 1))
+    found = anova(table.assign(y=lost), "y", ["a"], block="s", practical=1.0, exact=False)
+    assert found.effect("a").verdict == MATTERS
+    assert found.effect("a").levels == ("0", "1")
+    assert any("2" in note and "left out" in note for note in found.notes)
+
+
+def test_a_unit_in_several_cells_is_a_block() -> None:
+    table = crossed(treat=2, k=4, session=3)
+    table["subject"] = [f"s{4 * t + k}" for t, k in zip(table["treat"], table["k"], strict=True)]
+    table["y"] = np.random.default_rng(7).normal(size=24)
+    asked = {"practical": 1.0, "exact": False}
+    unit = anova(table, "y", ["treat", "session"], unit="subject", **asked)
+    block = anova(table, "y", ["treat", "session"], block="subject", **asked)
+    assert unit.anova == block.anova
+    assert [unit.anova.row(t).df for t in ("subject", "subject:session")] == [6, 12]
+    assert any("--block subject" in note for note in unit.notes)
+
+
+def test_means_of_a_split_plot_have_intervals() -> None:
+    """Of a whole plot's level: the scatter of whole plots; of the others: of both strata."""
+    table = crossed(treat=2, k=4, session=3)
+    table["subject"] = [f"s{4 * t + k}" for t, k in zip(table["treat"], table["k"], strict=True)]
+    table["y"] = np.random.default_rng(7).normal(size=24)
+    found = anova(
+        table, "y", ["treat", "session"], block="subject", whole_plot="treat", practical=9.0,
+        exact=False,
+    )  # fmt: skip
+    ms = {row.term: row.ms for row in found.anova.rows}
+    half = student.ppf(0.975, 6) * np.sqrt(ms["subject"] / 12)
+    ((low, high), _) = found.effect("treat").mean_ci95
+    assert (high - low) / 2 == pytest.approx(half)
+    parts = np.array([ms["subject"] / 24, ms["residual"] / 12])
+    df = parts.sum() ** 2 / np.sum(parts**2 / [6, 12])
+    (low, high) = found.effect("session").mean_ci95[0]
+    assert (high - low) / 2 == pytest.approx(student.ppf(0.975, df) * np.sqrt(parts.sum()))
+    assert found.effect("session").simple_effects
+
+
+def test_one_specimen_tells_nothing_of_another() -> None:
+    table = crossed(a=3, r=2).assign(s="only")
+    table["y"] = np.random.default_rng(1).normal(size=6) + 9 * table["a"]
+    found = anova(table, "y", ["a"], block="s", practical=1.0, exact=False)
+    assert found.effect("a").verdict == CANNOT_TELL
+    assert "one specimen" in found.effect("a").why
+    assert any("one s (only)" in note for note in found.notes)

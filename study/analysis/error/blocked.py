@@ -204,7 +204,9 @@ def _own_term(
     if df == 0:
         return OwnTerm(sums, Row(name, 0, 0.0), error, sphericity(np.zeros((1, blocks))))
     spread = sphericity(contrasts)
-    if df < sums.nominal_df and not partial:  # what is left is not the effect: an empty cell, or an alias
+    if (
+        df < sums.nominal_df and not partial
+    ):  # what is left is not the effect: an empty cell, or an alias
         return OwnTerm(sums, Row(name, df, ss, ss / df), error, spread)
     why = _no_test(fit.q, sums.basis, contrasts, floor, name, block)
     if why:
@@ -350,16 +352,17 @@ def own(out: Outcome) -> Outcome | None:
         choice = noise_choice(b) if out.replicates == "noise" else seed_choice(b)
         out = out.warn(*choice.cautions)
     df = {t.row.term: float(t.error.df) for t in tests}
+    judged = cell_fit(table, out.structure.asked) if out.structure.asked else fit
     estimates = [
-        own_estimate(table, fit, t.sums.term, t.sums.df, t.row.p_deciding, out.request.alpha)
+        own_estimate(table, judged, t.sums.term, t.sums.df, t.row.p_deciding, out.request.alpha)
         for t in tests
     ]
     sample = over_blocks(
-        fit, block_coefficients(table, fit)[1], out.request.alpha, out.request.interval_seed
+        judged, block_coefficients(table, judged)[1], out.request.alpha, out.request.interval_seed
     )
-    rivals, notes = rivals_over_blocks(out, table.layout, table.y, fit, sample)
+    rivals, notes = rivals_over_blocks(out, table.layout, table.y, judged, sample)
     out = out.warn(*notes)
-    simple = judge_factors(out, table.layout, fit, sample, rivals)
+    simple = judge_factors(out, table.layout, judged, sample, rivals)
     return replace(
         out,
         error=ErrorTerm(choice.source, choice.question, df, choice.reason),

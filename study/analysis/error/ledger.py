@@ -283,12 +283,18 @@ def pooled(out: Outcome, untested: str = "") -> Outcome:
     ms = error_rss / df if df else None
     rows.append(Row("residual", fit.df_residual, fit.rss if df or untested else 0.0, ms))
     by_name = {row.term: row for row in rows}
-    estimates: list[TermEstimate] = [
-        pooled_estimate(
-            data.layout, fit, t, df, by_name[term_name(t)].p, out.request.alpha, error_rss
-        )
-        for t in out.terms
-    ]
+    # what the runs do not tell apart is left out of the sums, not of what can be estimated
+    asked = out.structure.asked
+    judged = factor(model_matrix(data.layout, asked, extra=extra), out.y) if asked else fit
+
+    def estimated(term: Term) -> TermEstimate:
+        p, alpha = by_name[term_name(term)].p, out.request.alpha
+        found = pooled_estimate(data.layout, judged, term, df, p, alpha, error_rss)
+        if judged is not fit and np.isnan(found.component).any():
+            return pooled_estimate(data.layout, fit, term, df, p, alpha, error_rss)
+        return found
+
+    estimates = [estimated(term) for term in out.terms]
     two_levels = all(len(data.layout.levels[f]) == 2 for f in data.factors)
     alpha, seed = out.request.alpha, out.request.interval_seed
     simple = {}
@@ -296,15 +302,14 @@ def pooled(out: Outcome, untested: str = "") -> Outcome:
         estimates = [_with_margin(e, lenth) for e in estimates]
         every = terms_of(data.factors) if balanced(data.layout, data.factors) else out.terms
         contrasts = unreplicated.orthonormal_contrasts(data.layout, every)[1]
-        pseudo = with_pseudo_error(fit, contrasts, alpha, seed, out.y)
-        refused = [refusal(out.structure.undecided)] if out.structure.undecided else []
-        simple = judge_factors(out, data.layout, fit, pseudo, refused)
+        pseudo = with_pseudo_error(judged, contrasts, alpha, seed, out.y)
+        simple = judge_factors(out, data.layout, judged, pseudo, ())
     elif df or out.scale.deterministic:
-        sample = with_pooled_error(fit, error_rss, df, alpha, seed)
-        rivals, notes = rivals_of_rows(out, fit, error_rss, df, sample) if df else ([], [])
-        rivals = [*map(refusal, filter(None, (untested, out.structure.undecided))), *rivals]
+        sample = with_pooled_error(judged, error_rss, df, alpha, seed)
+        rivals, notes = rivals_of_rows(out, judged, error_rss, df, sample) if df else ([], [])
+        rivals = [refusal(untested), *rivals] if untested else rivals
         out = out.warn(*notes)
-        simple = judge_factors(out, data.layout, fit, sample, rivals)
+        simple = judge_factors(out, data.layout, judged, sample, rivals)
     effects = [size(e, out.scale, simple) for e in estimates]
     if untested:
         effects = [replace(e, why=untested) if e.is_main and df == 0 else e for e in effects]

@@ -264,7 +264,9 @@ def alias_warnings(sums: Sequence[TermSum], *, partial: bool = False) -> list[st
         Whether what is left of each is tested; one sentence then serves all.
     """
     if partial:
-        lost = [f"{term_name(s.term)} {s.df} of {s.nominal_df}" for s in sums if s.df < s.nominal_df]
+        lost = [
+            f"{term_name(s.term)} {s.df} of {s.nominal_df}" for s in sums if s.df < s.nominal_df
+        ]
         what = "degrees of freedom that empty cells leave"
         return [f"{what}: {', '.join(lost)}"] if lost else []
     out = []
