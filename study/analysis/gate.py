@@ -16,7 +16,10 @@ import numpy as np
 
 from study.analysis.effects.estimates import t_quantile
 from study.analysis.effects.samples import (
+    DOUBT,
+    UNEQUAL,
     cell_welch,
+    needs_welch,
     over_blocks,
     over_groups,
     with_pooled_error,
@@ -45,11 +48,6 @@ from study.analysis.outcome import Outcome
 from study.analysis.unreplicated import lenth, orthonormal_contrasts
 from study.arrays import Array, Ints
 
-#: p of a preliminary test below which the assumption that it tests is not relied on. The usual
-#: .05 leaves errors that it has little power to see (Bancroft 1964, Biometrics 20, 427-442).
-DOUBT = 0.25
-#: rows of a cell from which its own variance is known well enough to be asked always
-ENOUGH_ROWS = 5
 #: blocks or rows from which skewness can be told from chance
 FEWEST_FOR_SHAPE = 5
 #: chance that all differences have one sign, below which their logarithms are analyzed as well
@@ -61,10 +59,6 @@ _DRAWS = 2000
 #: contrasts times rows that a rival keeps at once: 160 MB
 _MOST_VALUES = 20_000_000
 
-UNEQUAL = (
-    "cells scatter unequally or too few rows tell their scatter: with variances of their own "
-    "(Welch) the interval does not allow the claim"
-)
 COARSE = "the readings are too coarse: with their rounding the interval does not allow the claim"
 SKEW = "the differences are skewed: an interval without a normal distribution does not allow it"
 LACK_OF_FIT = "the declared model leaves out interactions that the data do not rule out"
@@ -402,9 +396,8 @@ def _rivals_of_cells(out: Outcome, fit: Factored, sample: Sample, reading: float
     if counts.max() < 2:
         return []
     welch = cell_welch(fit, out.y, index, alpha, reading)
-    unequal = _bartlett_p(out.y, index, counts) < DOUBT
     rivals = []
-    if unequal or counts.max() >= ENOUGH_ROWS:
+    if needs_welch(out.y, index):
         rivals.append(Rival(UNEQUAL, welch))
     if counts.max() >= FEWEST_FOR_SHAPE and fit.q.shape[0] * fit.matrix.columns.shape[1] < 2e6:
         groups = np.split(np.argsort(index, kind="stable"), np.cumsum(counts)[:-1])
@@ -412,25 +405,6 @@ def _rivals_of_cells(out: Outcome, fit: Factored, sample: Sample, reading: float
             added = (fit.model.inverse @ fit.q.T) * (out.y - fit.shift)
             rivals.append(Rival(SKEW, _any_shape(sample, added, groups, alpha, seed)))
     return rivals
-
-
-def _bartlett_p(y: Array, index: Ints, counts: Ints) -> float:
-    """P of Bartlett's test of the cells that hold several rows; 1 where fewer than two do."""
-    from scipy.special import chdtrc
-
-    mean = np.bincount(index, y - y[0]) / counts
-    ss = np.bincount(index, (y - y[0] - mean[index]) ** 2)
-    many = counts > 1
-    df, s2 = counts[many] - 1.0, ss[many] / np.maximum(counts[many] - 1, 1)
-    if df.size < 2:
-        return 1.0
-    if s2.min() <= 0:
-        return 0.0
-    total = df.sum()
-    pooled = float(df @ s2) / total
-    ratio = total * math.log(pooled) - float(df @ np.log(s2))
-    ratio /= 1 + (float((1 / df).sum()) - 1 / total) / (3 * (df.size - 1))
-    return float(chdtrc(df.size - 1, max(ratio, 0.0)))
 
 
 def _with_scatter(sample: Sample, largest: float) -> Sample:

@@ -270,8 +270,8 @@ def _freeman_halton(bad: Array, total: Array) -> float:
     tables = np.stack([part.ravel() for part in inner], axis=1)
     last = bad.sum() - tables.sum(axis=1)
     possible = (last >= 0) & (last <= total[-1])
-    tables = np.column_stack([tables[possible], last[possible]]).astype(float)
-    weight = _weight(tables, total)
+    listed = np.column_stack([tables[possible], last[possible]]).astype(np.float64)
+    weight = _weight(listed, total)
     size = np.exp(weight - weight.max())
     return float(size[weight <= _weight(bad, total) + TIE].sum() / size.sum())
 

@@ -6,6 +6,7 @@ of the first kind less that of the second; a factor that a side leaves out is av
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -15,6 +16,7 @@ from scipy.special import stdtr
 
 from study.analysis.effects.comparisons import holm
 from study.analysis.effects.estimates import t_quantile
+from study.analysis.effects.samples import UNEQUAL, needs_welch
 from study.analysis.effects.scale import Scale
 from study.analysis.effects.simple_effects import verdict_of
 from study.analysis.effects.simultaneous import block_multiplier, bonferroni
@@ -31,6 +33,7 @@ from study.errors import Fault, InputError
 
 if TYPE_CHECKING:
     import pandas as pd
+    from pandas.core.groupby import SeriesGroupBy
 
 
 @dataclass(frozen=True)
@@ -75,6 +78,7 @@ class _Estimate:
     error: float | None
     df: float | None
     by_block: Array | None = None
+    welch: tuple[float, float] | None = None  # standard error and df with a variance a cell
 
 
 @dataclass(frozen=True)
@@ -165,7 +169,7 @@ def possible_contrasts(
         names.append(text)
     wide = _multipliers(estimates, cells.alpha, cells.seed)
     found = [
-        _judged(text, pair, one, factor, cells)
+        _judged(text, pair, one, (factor, len(estimates)), cells)
         for text, pair, one, factor in zip(names, sides, estimates, wide, strict=True)
     ]
     return _adjusted(found), faults
@@ -225,6 +229,7 @@ def _of_cells(
 ) -> _Estimate:
     """Difference of means of cells, with the variance pooled within all cells."""
     by_cell = rows.groupby("cell")["y"]
+    index = by_cell.ngroup().to_numpy()
     df = float(len(rows) - by_cell.ngroups)
     means = [side.groupby("cell")["y"].agg(["mean", "size"]) for side in (first, second)]
     value = float(means[0]["mean"].mean() - means[1]["mean"].mean())
@@ -233,7 +238,20 @@ def _of_cells(
     squares = float(((rows["y"] - by_cell.transform("mean")) ** 2).sum())
     counts = [len(m) if resampled else float((1 / m["size"]).sum()) for m in means]
     share = sum(n / len(m) ** 2 for n, m in zip(counts, means, strict=True))
-    return _Estimate(value, float(np.sqrt(squares / df * share)), df)
+    welch = None
+    if not resampled and needs_welch(rows["y"].to_numpy(), index):
+        welch = _with_own_variances([side.groupby("cell")["y"] for side in (first, second)])
+    return _Estimate(value, float(np.sqrt(squares / df * share)), df, welch=welch)
+
+
+def _with_own_variances(sides: Sequence[SeriesGroupBy]) -> tuple[float, float]:
+    """Welch's standard error of a difference of means of cells, and its degrees of freedom."""
+    parts = np.concatenate([(g.var() / g.size() / g.ngroups**2).to_numpy() for g in sides])
+    rows = np.concatenate([g.size().to_numpy() for g in sides])
+    if rows.min() < 2 or parts.max() <= 0:
+        return math.inf, 1.0
+    total = float(parts.sum())
+    return math.sqrt(total), total**2 / float(np.sum(parts**2 / (rows - 1)))
 
 
 def _multipliers(found: Sequence[_Estimate], alpha: float, seed: int) -> list[float]:
@@ -245,8 +263,14 @@ def _multipliers(found: Sequence[_Estimate], alpha: float, seed: int) -> list[fl
 
 
 def _judged(
-    text: str, sides: tuple[Setting, Setting], one: _Estimate, multiplier: float, cells: Cells
+    text: str,
+    sides: tuple[Setting, Setting],
+    one: _Estimate,
+    together: tuple[float, int],
+    cells: Cells,
 ) -> Contrast:
+    """Judge one of some contrasts, whose simultaneous multiplier and number are ``together``."""
+    multiplier, number = together
     scale, back = cells.scale, cells.scale.back
     u = 0.0 if scale.bound is None else scale.bound.of(*map(dict, sides))
     shown = None if u is None or scale.bound is None else u / scale.unit
@@ -256,6 +280,12 @@ def _judged(
     own, every = t_quantile(cells.alpha / 2, one.df) * one.error, multiplier * one.error
     ci, wide = (one.value - own, one.value + own), (one.value - every, one.value + every)
     verdict, why = _verdict(ci, wide, u, scale)
+    if one.welch is not None and verdict in CLAIMS:
+        error, df = one.welch
+        halves = [t_quantile(cells.alpha / (2 * m), df) * error for m in (1, number)]
+        ends = [(one.value - half, one.value + half) for half in halves]
+        if _verdict(ends[0], ends[1], u, scale)[0] != verdict:
+            verdict, why = CANNOT_TELL, UNEQUAL
     p = 2 * float(stdtr(one.df, -abs(one.value) / one.error)) if one.error else None
     return Contrast(
         text, back(one.value), _on(back, ci), _on(back, wide), one.df, p, shown, verdict, why

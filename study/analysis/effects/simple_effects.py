@@ -222,7 +222,7 @@ def columns_at(
     others: Sequence[str],
     settings: Sequence[tuple[int, ...]],
 ) -> Array:
-    """Combinations of the coefficients in which a factor enters, at settings of its partners.
+    """Combine the coefficients in which a factor enters, at settings of its partners.
 
     Parameters
     ----------
