@@ -45,7 +45,7 @@ from study.analysis.request import (
     threshold,
 )
 from study.analysis.result import AnalysisResult
-from study.analysis.structure import refuse_copied_rows, structure_of
+from study.analysis.structure import Structure, refuse_copied_rows, structure_of
 from study.arrays import Array
 from study.errors import Fault, InputError, RefusedError
 from study.tidy_csv import names_of
@@ -433,13 +433,10 @@ def _start(table: pd.DataFrame, request: AnalysisRequest) -> Outcome:
             warnings=(*data.warnings, *_nested_notes(nested_factors)),
         )
     structure = structure_of(data)
-    ordered = request.model == "full" or isinstance(request.model, int)
-    if structure.empty_cells and not nested_factors and ordered:
-        kept, dropped = _told_apart(data, terms)
-        if dropped:
-            structure = replace(structure, undecided=dropped, asked=terms)
-            terms = kept
-            data = replace(data, warnings=(*data.warnings, dropped))
+    if structure.empty_cells:
+        structure, terms = _with_empty_cells(data, request, structure, terms)
+        if structure.undecided:
+            data = replace(data, warnings=(*data.warnings, structure.undecided))
     tol = request.scale.tolerance
     if tol is None:
         tol = _DEFAULT_TOLERANCE * float(np.abs(data.y).max()) if request.records else 0.0
@@ -453,21 +450,34 @@ def _start(table: pd.DataFrame, request: AnalysisRequest) -> Outcome:
     )
 
 
-def _told_apart(data: Data, terms: tuple[Term, ...]) -> tuple[tuple[Term, ...], str]:
-    """Terms that add something to those before them, and a sentence that names the others."""
+def _with_empty_cells(
+    data: Data, request: AnalysisRequest, structure: Structure, terms: tuple[Term, ...]
+) -> tuple[Structure, tuple[Term, ...]]:
+    """Structure without the cells that the model does not need, and the terms that are told apart.
+
+    Terms that add nothing to those before them are left out, and named. A regular fraction keeps
+    all of its terms: each is aliased with others, and it is for the analyst to name those wanted.
+    """
     cells = np.unique(data.cell, return_index=True)[1]
     model = factorize(model_matrix(data.layout.take(cells), terms))
+    if model.is_full or nested_in(terms):
+        return replace(structure, empty_cells=0), terms
     kept = tuple(
         t for i, t in enumerate(model.matrix.terms) if t and model.space(i, "I").basis.shape[1]
     )
+    reduced = factorize(model_matrix(data.layout.take(cells), kept))
+    if len(kept) < len(terms) and reduced.is_full and reduced.is_orthogonal():
+        return replace(structure, empty_cells=0), terms
+    ordered = request.model == "full" or isinstance(request.model, int)
+    if len(kept) == len(terms) or not ordered or request.sums != "auto":
+        return structure, terms
     lost = [term_name(t) for t in terms if t not in kept]
-    if not lost:
-        return terms, ""
     listed = ", ".join(lost[:8]) + (f" and {len(lost) - 8} more" if len(lost) > 8 else "")
-    return kept, (
+    said = (
         f"{listed}: left out, for these runs cannot tell them from the terms before them; declare "
         "which are negligible to have the others judged (--model 2, or the terms)"
     )
+    return replace(structure, undecided=said, asked=terms), kept
 
 
 def _nested_notes(found: Mapping[str, tuple[str, ...]]) -> list[str]:

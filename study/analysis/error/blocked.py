@@ -328,9 +328,10 @@ def own(out: Outcome) -> Outcome | None:
     if out.replicates == "noise":
         table = single_noise(table)
     full = int(np.prod([len(table.layout.levels[f]) for f in data.factors]))
-    empty = full - table.cells.size
+    fewer = table.cells.size < np.unique(data.cell).size
+    empty = full - table.cells.size if fewer or out.structure.empty_cells else 0
     out = replace(out, structure=replace(out.structure, empty_cells=empty))
-    kind, out = kind_of(out, not empty)
+    kind, out = kind_of(out, table.cells.size == full)
     partial = kind == "I" and empty > 0
     fit = cell_fit(table, out.terms)
     # differences from one value are exact where doubles are close
