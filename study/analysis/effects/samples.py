@@ -266,6 +266,9 @@ def with_pseudo_error(
 #: p of a preliminary test below which the assumption that it tests is not relied on. The usual
 #: .05 leaves errors that it has little power to see (Bancroft 1964, Biometrics 20, 427-442).
 DOUBT = 0.25
+#: the same for cells of two rows, whose variances of one degree of freedom vary so much that Welch
+#: would leave a third of the right claims of normal rows
+DOUBT_OF_PAIRS = 0.10
 #: rows of a cell from which its own variance is known well enough to be asked always
 ENOUGH_ROWS = 5
 UNEQUAL = (
@@ -285,7 +288,8 @@ def needs_welch(y: Array, cell: Ints) -> bool:
         Number of the cell of each row, from 0.
     """
     counts = np.bincount(cell)
-    return bool(counts.max() >= ENOUGH_ROWS) or _bartlett_p(y, cell, counts) < DOUBT
+    limit = DOUBT if counts.max() > 2 else DOUBT_OF_PAIRS
+    return bool(counts.max() >= ENOUGH_ROWS) or _bartlett_p(y, cell, counts) < limit
 
 
 def _bartlett_p(y: Array, index: Ints, counts: Ints) -> float:
