@@ -19,6 +19,7 @@ from study.analysis.effects.verdict import CANNOT_TELL, MATTERS, NO_DIFFERENCE
 from study.analysis.linear_model.design_matrix import Layout, model_matrix
 from study.analysis.linear_model.sums_of_squares import factor
 from study.analysis.structure import resolution
+from study.api import contrasts
 from study.errors import RefusedError
 
 
@@ -328,3 +329,11 @@ def test_one_specimen_tells_nothing_of_another() -> None:
     assert found.effect("a").verdict == CANNOT_TELL
     assert "one specimen" in found.effect("a").why
     assert any("one s (only)" in note for note in found.notes)
+
+
+def test_contrasts_asked_for_by_name_pass_the_gate() -> None:
+    table = groups(5, (20, 20, 4), (0.2, 0.2, 2.0))
+    found = anova(table, "y", ["a"], practical=2.5, exact=False)
+    uneven, even = contrasts(found, ["a=0 - a=2", "a=0 - a=1"])
+    assert (uneven.verdict, even.verdict) == (CANNOT_TELL, NO_DIFFERENCE)
+    assert "Welch" in uneven.why

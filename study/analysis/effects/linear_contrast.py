@@ -33,7 +33,6 @@ from study.errors import Fault, InputError
 
 if TYPE_CHECKING:
     import pandas as pd
-    from pandas.core.groupby import SeriesGroupBy
 
 
 @dataclass(frozen=True)
@@ -229,7 +228,7 @@ def _of_cells(
 ) -> _Estimate:
     """Difference of means of cells, with the variance pooled within all cells."""
     by_cell = rows.groupby("cell")["y"]
-    index = by_cell.ngroup().to_numpy()
+    index = by_cell.ngroup().to_numpy().astype(np.int64)
     df = float(len(rows) - by_cell.ngroups)
     means = [side.groupby("cell")["y"].agg(["mean", "size"]) for side in (first, second)]
     value = float(means[0]["mean"].mean() - means[1]["mean"].mean())
@@ -240,14 +239,15 @@ def _of_cells(
     share = sum(n / len(m) ** 2 for n, m in zip(counts, means, strict=True))
     welch = None
     if not resampled and needs_welch(rows["y"].to_numpy(), index):
-        welch = _with_own_variances([side.groupby("cell")["y"] for side in (first, second)])
+        welch = _with_own_variances((first, second))
     return _Estimate(value, float(np.sqrt(squares / df * share)), df, welch=welch)
 
 
-def _with_own_variances(sides: Sequence[SeriesGroupBy]) -> tuple[float, float]:
+def _with_own_variances(sides: Sequence[pd.DataFrame]) -> tuple[float, float]:
     """Welch's standard error of a difference of means of cells, and its degrees of freedom."""
-    parts = np.concatenate([(g.var() / g.size() / g.ngroups**2).to_numpy() for g in sides])
-    rows = np.concatenate([g.size().to_numpy() for g in sides])
+    cells = [side.groupby("cell")["y"].agg(["var", "size"]).to_numpy(dtype=float) for side in sides]
+    parts = np.concatenate([c[:, 0] / c[:, 1] / len(c) ** 2 for c in cells])
+    rows = np.concatenate([c[:, 1] for c in cells])
     if rows.min() < 2 or parts.max() <= 0:
         return math.inf, 1.0
     total = float(parts.sum())
