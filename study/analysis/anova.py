@@ -19,8 +19,17 @@ from study.analysis.error.block_groups import own_groups
 from study.analysis.error.blocked import own
 from study.analysis.error.incomplete_blocks import incomplete_blocks
 from study.analysis.error.ledger import pooled
-from study.analysis.error.split_plot import split_plot, whole_plots
-from study.analysis.linear_model.design_matrix import Model, nested_in, number_within, terms_of
+from study.analysis.error.split_plot import Plots, split_plot, whole_plots
+from study.analysis.linear_model.design_matrix import (
+    Model,
+    Term,
+    model_matrix,
+    nested_in,
+    number_within,
+    term_name,
+    terms_of,
+)
+from study.analysis.linear_model.factorization import factorize
 from study.analysis.linear_model.sums_of_squares import one_thread
 from study.analysis.outcome import Outcome, range_of_bounds, scale_of
 from study.analysis.pseudoreplication import (
@@ -37,6 +46,7 @@ from study.analysis.request import (
     threshold,
 )
 from study.analysis.result import AnalysisResult
+from study.analysis.structure import Structure, refuse_copied_rows, structure_of
 from study.arrays import Array
 from study.errors import Fault, InputError, RefusedError
 from study.tidy_csv import names_of
@@ -73,10 +83,17 @@ def analyze(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisResult:
     RefusedError
         For copies that pose as replicates.
     """
-    request = _of_units(table, request)
+    table, request, alone = _of_one_block(table, request)
+    request, note = _of_units(table, request)
+    note = alone or note
+    inner = _nested_factor(table, request)
+    if inner is not None:
+        return _with_nested(table, request, *inner)
     if request.layout.unit is not None:
-        return _with_units(table, request, request.layout.unit)
-    return _complete(table, request)
+        found = _with_units(table, request, request.layout.unit)
+    else:
+        found = _complete(table, request)
+    return found.noted(note) if note else found
 
 
 @one_thread
@@ -102,18 +119,52 @@ def effects(table: pd.DataFrame, request: AnalysisRequest) -> tuple[Effect, ...]
     InputError, RefusedError
         As of :func:`analyze`.
     """
-    request = _of_units(table, request)
+    table, request, _ = _of_one_block(table, request)
+    request, _ = _of_units(table, request)
     if request.layout.unit is not None:
         table = nested.average_units(table, request, request.layout.unit, request.layout.block)
     return _found(table, request).effects
 
 
-def _of_units(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisRequest:
-    """Take a block that lies in one cell for a replicate of it, and its rows for repeats."""
-    if request.layout.unit is not None or not _one_cell_a_block(table, request):
-        return request
-    layout = Blocking(unit=request.layout.block[0], replicates="runs")
-    return replace(request, layout=layout, error="auto")
+def _of_one_block(
+    table: pd.DataFrame, request: AnalysisRequest
+) -> tuple[pd.DataFrame, AnalysisRequest, str]:
+    """Means of the cells where there is one block alone, which no analysis can claim from.
+
+    The text says so; it is empty where there are several blocks or none.
+    """
+    layout = request.layout
+    if len(layout.block) != 1 or layout.unit or not {*layout.block, request.response} <= set(table):
+        return table, request, ""
+    name = layout.block[0]
+    labels = table.loc[table[request.response].notna(), name].dropna().unique()
+    if len(labels) != 1 or name in request.factors:
+        return table, request, ""
+    request = replace(request, specimens=1, error="auto", layout=replace(layout, block=()))
+    means = nested.average_units(table[table[name].notna()], request, name)
+    note = (
+        f"one {name} ({labels[0]}): differences are those of this {name}, and how another one "
+        "would differ cannot be told; measure two or more"
+    )
+    return means, request, note
+
+
+def _of_units(table: pd.DataFrame, request: AnalysisRequest) -> tuple[AnalysisRequest, str]:
+    """Take a block that lies in one cell for a replicate of it, and a unit in several for a block.
+
+    The text says so of a unit; it is empty otherwise.
+    """
+    unit = request.layout.unit
+    if unit is not None and not request.layout.block and nested.crosses(table, request, unit):
+        layout = replace(request.layout, block=(unit,), unit=None)
+        note = f"every {unit} is measured in several cells: it is a block (--block {unit})"
+        return replace(request, layout=layout), note
+    if unit is not None or not _one_cell_a_block(table, request):
+        return request, ""
+    layout = replace(
+        request.layout, block=(), unit=request.layout.block[0], whole_plot=(), replicates="runs"
+    )
+    return replace(request, layout=layout, error="auto"), ""
 
 
 def anova(  # noqa: PLR0913  # the public face: one keyword for each thing that may be asked
@@ -125,6 +176,7 @@ def anova(  # noqa: PLR0913  # the public face: one keyword for each thing that 
     unit: str | None = None,
     whole_plot: str | Sequence[str] = (),
     replicates: str = "auto",
+    copies: str = "refuse",
     type: str = "auto",  # noqa: A002
     model: Model = "full",
     error: str = "auto",
@@ -161,6 +213,8 @@ def anova(  # noqa: PLR0913  # the public face: one keyword for each thing that 
         What the rows of one cell are: runs set up anew (E0), new meshes (E3), refits to
         resampled measurement noise (E2). ``auto`` looks for the columns ``mesh_seed`` and
         ``noise_seed``.
+    copies : {"refuse", "independent"}
+        What rows are that repeat others in every digit: copies, or measured each.
     type : {"auto", "I", "II", "III"}
         Type of the sums of squares; ``auto`` is II when balanced and III when not.
     model : "full", int or list
@@ -206,7 +260,7 @@ def anova(  # noqa: PLR0913  # the public face: one keyword for each thing that 
     request = AnalysisRequest(
         response,
         tuple(str(name) for name in factors),
-        Blocking(names_of(block), unit, names_of(whole_plot), replicates),
+        Blocking(names_of(block), unit, names_of(whole_plot), replicates, copies),
         model,
         type,
         error,
@@ -249,6 +303,63 @@ def _complete(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisResult:
     return replace(result, data=replace(result.data, bounds=found)).noted(*notes)
 
 
+def _nested_factor(table: pd.DataFrame, request: AnalysisRequest) -> tuple[str, str] | None:
+    """Find the one factor that lies within another, with levels of its own names, and that one.
+
+    Raises
+    ------
+    RefusedError
+        Where several factors lie within others, with the words that ask for their analysis.
+    """
+    layout = request.layout
+    if layout.block or layout.unit or layout.whole_plot or request.model != "full":
+        return None
+    if request.records or len(request.factors) < 2:
+        return None
+    data = prepare(table, request.response, request.factors)
+    pairs = structure_of(data).nested
+    if len(pairs) <= 1:
+        return pairs[0] if pairs else None
+    depth = {name: sum(inner == name for inner, _ in pairs) for name in request.factors}
+    chain = sorted(request.factors, key=lambda name: depth[name])
+    terms = ",".join(":".join(chain[: k + 1]) for k in range(len(chain)))
+    said = ", ".join(f"{inner} lies within {outer}" for inner, outer in pairs)
+    raise RefusedError(
+        f"{said}: name the strata. --model {terms} tests each against the rows within; "
+        f"--factors {chain[0]} --unit {chain[1]} tests {chain[0]} against {chain[1]}"
+    )
+
+
+def _with_nested(
+    table: pd.DataFrame, request: AnalysisRequest, inner: str, outer: str
+) -> AnalysisResult:
+    """Analysis of the other factors against the nested one, and of that one against the rows."""
+    factors = tuple(f for f in request.factors if f != inner)
+    upper = replace(request, factors=factors, layout=replace(request.layout, unit=inner))
+    terms = tuple(t for t in terms_of(request.factors) if inner not in t or outer in t)
+    within = replace(request, model=[list(t) for t in terms], sums="auto")
+    rows = _found(table, within)
+    found = _with_units(table, upper, inner)
+    tested = {row.term: row for row in found.anova.rows}
+    error = f"{outer}:{inner}"
+    listed = []
+    for row in rows.anova.rows:
+        above = tested.get(row.term)
+        if above is None or row.term == "residual":
+            listed.append(row)
+        else:
+            listed.append(
+                replace(row, f=above.f, p=above.p, error=error, df_error=above.df_error,
+                        omega_sq=None, partial_eta_sq=above.partial_eta_sq,
+                        partial_eta_sq_ci95=above.partial_eta_sq_ci95)
+            )  # fmt: skip
+    note = (
+        f"{inner} lies within {outer} (levels with names of their own): {outer} is tested against "
+        f"{inner}, and {inner} against the rows within, as --model {outer},{error}"
+    )
+    return replace(found, anova=replace(rows.anova, rows=tuple(listed))).noted(note)
+
+
 def _with_units(table: pd.DataFrame, request: AnalysisRequest, unit: str) -> AnalysisResult:
     """Analysis of the means of the units, set beside that of all rows."""
     means = nested.average_units(table, request, unit, request.layout.block)
@@ -281,6 +392,8 @@ def _found(table: pd.DataFrame, request: AnalysisRequest) -> Outcome:
     notes = refuse_fake_replicates(
         out.data, table, records=request.records, tolerance=out.tolerance
     )
+    if not request.records and request.layout.copies == "refuse":
+        refuse_copied_rows(out.data)
     _refuse_undeclared(out)
     if _repeats_in_blocks(out.data):
         out = _averaged(out, table)
@@ -304,7 +417,9 @@ def _found(table: pd.DataFrame, request: AnalysisRequest) -> Outcome:
         tested = own(out) if plots is None or not plots.nested else own_groups(out, plots)
         if tested is not None:
             return tested
-        out = out.warn(f"fewer than two complete levels of {data.block}: no test against blocks")
+        lacking = _lacking(data, plots)
+        if lacking:
+            return pooled(out, untested=lacking)
     if plots is not None:
         return split_plot(out, plots)
     return pooled(out)
@@ -321,10 +436,52 @@ def _start(table: pd.DataFrame, request: AnalysisRequest) -> Outcome:
             layout=number_within(data.layout, nested_factors),
             warnings=(*data.warnings, *_nested_notes(nested_factors)),
         )
+    structure = structure_of(data)
+    if structure.empty_cells:
+        structure, terms = _with_empty_cells(data, request, structure, terms)
+        if structure.undecided:
+            data = replace(data, warnings=(*data.warnings, structure.undecided))
     tol = request.scale.tolerance
     if tol is None:
         tol = _DEFAULT_TOLERANCE * float(np.abs(data.y).max()) if request.records else 0.0
-    return Outcome(request, data, terms, tol, replicates=_replicates(table, data, request))
+    return Outcome(
+        request,
+        data,
+        terms,
+        tol,
+        replicates=_replicates(table, data, request),
+        structure=structure,
+    )
+
+
+def _with_empty_cells(
+    data: Data, request: AnalysisRequest, structure: Structure, terms: tuple[Term, ...]
+) -> tuple[Structure, tuple[Term, ...]]:
+    """Structure without the cells that the model does not need, and the terms that are told apart.
+
+    Terms that add nothing to those before them are left out, and named. A regular fraction keeps
+    all of its terms: each is aliased with others, and it is for the analyst to name those wanted.
+    """
+    cells = np.unique(data.cell, return_index=True)[1]
+    model = factorize(model_matrix(data.layout.take(cells), terms))
+    if model.is_full or nested_in(terms):
+        return replace(structure, empty_cells=0), terms
+    kept = tuple(
+        t for i, t in enumerate(model.matrix.terms) if t and model.space(i, "I").basis.shape[1]
+    )
+    reduced = factorize(model_matrix(data.layout.take(cells), kept))
+    if len(kept) < len(terms) and reduced.is_full and reduced.is_orthogonal():
+        return replace(structure, empty_cells=0), terms
+    ordered = request.model == "full" or isinstance(request.model, int)
+    if len(kept) == len(terms) or not ordered or request.sums != "auto":
+        return structure, terms
+    lost = [term_name(t) for t in terms if t not in kept]
+    listed = ", ".join(lost[:8]) + (f" and {len(lost) - 8} more" if len(lost) > 8 else "")
+    said = (
+        f"{listed}: left out, for these runs cannot tell them from the terms before them; declare "
+        "which are negligible to have the others judged (--model 2, or the terms)"
+    )
+    return replace(structure, undecided=said, asked=terms), kept
 
 
 def _nested_notes(found: Mapping[str, tuple[str, ...]]) -> list[str]:
@@ -345,6 +502,24 @@ def _replicates(table: pd.DataFrame, data: Data, request: AnalysisRequest) -> st
     return "auto" if request.records else "runs"
 
 
+def _lacking(data: Data, plots: Plots | None) -> str:
+    """Why effects have no error where blocks lack cells; empty where no block does."""
+    within = [
+        f for f in data.factors if plots is None or not plots.nested or f not in plots.between
+    ]
+    cell = np.unique(data.layout.cell(within), return_inverse=True)[1]
+    block = data.layout.codes[str(data.block)]
+    cells = np.bincount(np.unique(np.column_stack([block, cell]), axis=0)[:, 0])
+    lacking = int((cells < cell.max() + 1).sum())
+    if not lacking:
+        return ""
+    return (
+        f"{lacking} of {cells.size} levels of {data.block} lack a cell, and too few have all of "
+        "them to test effects against their own interaction with the blocks: --error reml fits a "
+        "mixed model to all rows; --error pooled takes all these interactions to be of one size"
+    )
+
+
 def _repeats_in_blocks(data: Data) -> bool:
     """Whether a cell has several rows in one block, which are no independent trials."""
     if data.block is None:
@@ -359,7 +534,7 @@ def _averaged(out: Outcome, table: pd.DataFrame) -> Outcome:
     means = nested.average_units(table, out.request, first, others)
     start = _start(means, out.request)
     data = replace(start.data, missing=out.data.missing, warnings=out.data.warnings)
-    return replace(start, data=data, tolerance=out.tolerance)
+    return replace(start, data=data, tolerance=out.tolerance, structure=out.structure)
 
 
 def _refuse_undeclared(out: Outcome) -> None:

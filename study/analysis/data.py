@@ -291,8 +291,11 @@ def crossed(data: Data, y: Array) -> Crossed:
         warnings.append(f"incomplete blocks are left out: {', '.join(gone)}")
     first = start[keep_cells]
     layout = data.layout.take(first) if first.size else data.layout
+    # a level without a cell left would make its siblings impossible to compare
+    present = {f: np.unique(layout.codes[f], return_inverse=True) for f in data.factors}
     only = Layout(
-        {f: layout.levels[f] for f in data.factors}, {f: layout.codes[f] for f in data.factors}
+        {f: tuple(layout.levels[f][i] for i in present[f][0]) for f in data.factors},
+        {f: present[f][1].astype(np.int64) for f in data.factors},
     )
     return Crossed(
         mean[np.ix_(keep_cells, keep_blocks)],

@@ -26,6 +26,7 @@ from study.analysis.linear_model.sums_of_squares import Factored
 from study.analysis.linear_model.two_way import TwoWayFit
 from study.analysis.pseudoreplication import CopyGroups
 from study.analysis.request import AnalysisRequest
+from study.analysis.structure import Structure
 from study.analysis.unreplicated import LenthResult
 from study.arrays import Array, Ints
 
@@ -60,6 +61,7 @@ class Outcome:
     cell_model: Factorization | None = None
     plots: Ints | None = None
     replicates: str = "runs"
+    structure: Structure = field(default_factory=Structure)
     summary: ModelSummary | None = None
     robustness: Sensitivity | None = None
     box_cox: BoxCoxResult | None = None
@@ -112,6 +114,10 @@ def kind_of(out: Outcome, even: bool, why: str = "unbalanced") -> tuple[str, Out
     kind = out.request.sums
     if even:
         return ("II" if kind == "auto" else kind), out
+    if kind == "auto" and out.structure.empty_cells:
+        n = out.structure.empty_cells
+        cells = "1 cell is empty" if n == 1 else f"{n} cells are empty"
+        return "I", out.warn(f"{cells}: Type I, each term given those before it")
     if kind == "auto" or (out.request.records and kind == "II"):
         return "III", out.warn(f"{why}: Type III with sum-to-zero contrasts")
     return kind, out.warn(f"{why}: Type {kind} as asked")

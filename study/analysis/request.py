@@ -132,6 +132,7 @@ class AnovaOptions(TypedDict, total=False):
     unit: str | None
     whole_plot: str | Sequence[str]
     replicates: str
+    copies: str
     type: str
     model: Model
     error: str
@@ -160,16 +161,20 @@ class Blocking:
         Factors set once per whole plot of a block.
     replicates : {"auto", "runs", "mesh-seeds", "noise"}
         What the rows of one cell are.
+    copies : {"refuse", "independent"}
+        What rows are that repeat others in every digit.
     """
 
     block: tuple[str, ...] = ()
     unit: str | None = None
     whole_plot: tuple[str, ...] = ()
     replicates: str = "auto"
+    copies: str = "refuse"
 
     def faults(self) -> list[Fault]:
         """List every breach of the rules."""
         found = _not_one_of("replicates", self.replicates, ("auto", "runs", "mesh-seeds", "noise"))
+        found += _not_one_of("copies", self.copies, ("refuse", "independent"))
         if self.whole_plot and len(self.block) != 1:
             rule = "needs the block in which the plots lie, one column"
             found.append(Fault("whole plot", rule))

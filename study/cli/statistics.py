@@ -40,6 +40,9 @@ WholePlot = Annotated[
 Replicates = Annotated[
     str | None, typer.Option(help="What repeats of a cell are: runs, mesh-seeds, noise.")
 ]
+Copies = Annotated[
+    str | None, typer.Option(help="Rows that repeat others in every digit: refuse, independent.")
+]
 Error = Annotated[
     str | None,
     typer.Option(help="auto, pooled, own, or reml: a mixed model, also for incomplete blocks."),
@@ -100,6 +103,7 @@ def analyze(
     unit: Unit = None,
     whole_plot: WholePlot = None,
     replicates: Replicates = None,
+    copies: Copies = None,
     error: Error = None,
     kind: Kind = None,
     model: Model = None,
@@ -124,8 +128,9 @@ def analyze(
     _check_report(source, report, formats)
     flags = {
         "--response": response, "--factors": factors, "--block": block, "--unit": unit,
-        "--whole-plot": whole_plot, "--replicates": replicates, "--error": error,
-        "--type": kind, "--model": model, "--practical": practical, "--transform": transform,
+        "--whole-plot": whole_plot, "--replicates": replicates, "--copies": copies,
+        "--error": error, "--type": kind, "--model": model, "--practical": practical,
+        "--transform": transform,
         "--alpha": None if alpha is None else repr(alpha), "--reference": reference,
         "--decimal": None if decimal == "." else decimal,
         "--report": None if report is None else str(report),
@@ -202,6 +207,8 @@ def _options(flags: Flags, alpha: float | None) -> AnovaOptions:
         options["whole_plot"] = plots
     if replicates := flags["--replicates"]:
         options["replicates"] = replicates
+    if copies := flags["--copies"]:
+        options["copies"] = copies
     if error := flags["--error"]:
         options["error"] = error
     if kind := flags["--type"]:

@@ -148,13 +148,14 @@ class Expected:
 
     Parameters
     ----------
-    kind : {"matters", "larger", "interact", "best", "close"}
+    kind : {"matters", "larger", "interact", "best", "close", "better", "fewer"}
         A factor matters, has a larger effect than another one, two interact, a cell (mean over
-        all other factors) is the best, two cells differ by less than what matters.
+        all other factors) is the best, two cells differ by less than what matters, levels of a
+        factor score better or need less than its others.
     factors : tuple of str
         One or two factors.
     cells : tuple of mapping
-        One or two cells: labels by factor.
+        One or two cells: labels by factor, joined by a tab where there are several.
     response, source : str
         What it is said of, and who said it.
     """

@@ -192,13 +192,16 @@ def test_aliased_terms_are_named() -> None:
     assert result.anova.row("a").f is None
 
 
-def test_empty_cell_refuses_the_interaction() -> None:
+def test_an_empty_cell_leaves_a_part_of_the_interaction() -> None:
     table = factorial({"a": 3, "b": 2}, 3, 1)
     table = table[~((table["a"] == "L2") & (table["b"] == "L1"))]
     result = anova(table, "y", ["a", "b"], exact=False)
-    assert result.anova.type == "III"
-    assert any("a:b: 1 of 2 degrees of freedom are not estimable" in w for w in result.notes)
-    assert result.anova.row("a:b").f is None
+    assert result.anova.type == "I"
+    assert any("empty cells leave: a:b 1 of 2" in w for w in result.notes)
+    assert result.anova.row("a:b").f is not None
+    third = anova(table, "y", ["a", "b"], type="III", exact=False)
+    assert any("a:b: 1 of 2 degrees of freedom are not estimable" in w for w in third.notes)
+    assert third.anova.row("a:b").f is None
 
 
 def test_missing_response_switches_to_type_three() -> None:
@@ -335,6 +338,6 @@ def test_an_effect_that_an_empty_cell_leaves_in_part_has_no_p(block: str | None)
         if (i, j) != (2, 1)
     ]  # fmt: skip
     table = pd.DataFrame(rows, columns=["A", "B", "blk", "y"])
-    found = anova(table, "y", ["A", "B"], block=block, exact=False)
+    found = anova(table, "y", ["A", "B"], block=block, type="III", exact=False)
     assert found.anova.row("A").p_deciding is None
     assert any("A: 1 of 2 degrees of freedom are not estimable" in note for note in found.notes)

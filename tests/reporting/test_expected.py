@@ -73,3 +73,31 @@ def test_the_page_shows_them_where_there_are_any(data: ReportData, stated: bool)
     page = build(replace(data, expected=(item,) if stated else ()))
     assert ('id="expected"' in page) is stated
     assert "<b>me</b>" not in page
+
+
+def test_a_direction_holds_on_one_side_alone(data: ReportData) -> None:
+    (effect,) = [
+        e for f in facts(data) if f.name == MODULUS for e in f.effects if e.term == "plates"
+    ]
+    top, low = effect.highest, effect.lowest
+    assert effect.pairs[0].different
+    rows = judged(
+        data,
+        Expected("fewer", (), ({"plates": low},), MODULUS),
+        Expected("fewer", (), ({"plates": top}, {"plates": low}), MODULUS),
+        Expected("better", (), ({"plates": top},), MODULUS),
+    )
+    # a modulus is neither good nor bad
+    assert [row[3] for row in rows] == ["holds", "does not hold", "cannot tell"]
+    assert rows[0][0] == f"{low} needs less than the others"
+
+
+def test_an_error_is_better_where_it_is_smaller(data: ReportData) -> None:
+    (effect,) = [
+        e for f in facts(data) if f.name == SCORE for e in f.effects if e.term == "material"
+    ]
+    best = {"material": effect.lowest}
+    better, fewer = judged(
+        data, Expected("better", (), (best,), SCORE), Expected("fewer", (), (best,), SCORE)
+    )
+    assert better[3] == fewer[3] != "does not hold"

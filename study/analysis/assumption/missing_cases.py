@@ -146,12 +146,16 @@ def sentences(found: Sequence[FailureBound], missing: int) -> list[str]:
         return []
     runs = f"{missing} missing response" + ("s" if missing > 1 else "")
     kept = [b.term for b in found if b.holds]
+    # interactions have no verdict; one sentence serves them all
+    open_ones = [b.term for b in found if not b.holds and ":" in b.term]
     out = [
         f"{b.term}: with the {runs} anywhere between the worst and the best observed value, its "
         f"largest difference lies between {b.low:.3g} and {b.high:.3g}{_why(b)}"
         for b in found
-        if not b.holds and b.low is not None and b.high is not None
+        if not b.holds and b.low is not None and b.high is not None and ":" not in b.term
     ]
+    if open_ones:
+        out.append(f"the {runs} could change what is seen of {', '.join(open_ones)}")
     if kept:
         out.append(f"the {runs} cannot overturn what is said of {', '.join(kept)}")
     return out

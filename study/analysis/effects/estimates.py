@@ -10,6 +10,7 @@ from typing import overload
 import numpy as np
 
 from study.analysis.effects.comparisons import studentized_range_quantile
+from study.analysis.effects.simple_effects import columns_at, partners
 from study.analysis.linear_model.design_matrix import Layout, Term, grid, model_matrix
 from study.analysis.linear_model.sums_of_squares import Factored
 from study.arrays import Array
@@ -85,6 +86,36 @@ def term_rows(layout: Layout, fit: Factored, term: Term) -> tuple[tuple[str, ...
     return labels, component, mean
 
 
+def over_complete_settings(layout: Layout, fit: Factored, term: Term, rows: Array) -> Array:
+    """Rows of a main effect; where cells are empty, over the settings that have all its levels.
+
+    Parameters
+    ----------
+    layout : Layout
+        Levels of all factors of the model.
+    fit : Factored
+        Fit of p columns.
+    term : Term
+        One of its terms, with k combinations of levels.
+    rows : ndarray, shape (k, p)
+        Rows over all settings.
+
+    Returns
+    -------
+    ndarray, shape (k, p)
+        The same rows where they can be estimated, for interactions, and where no setting is
+        complete.
+    """
+    if len(term) != 1 or fit.estimable(rows).all():
+        return rows
+    k, names = len(layout.levels[term[0]]), partners(term[0], fit.matrix.terms)
+    settings = list(product(*(range(len(layout.levels[name])) for name in names)))
+    cells = columns_at(term[0], layout, fit.matrix, names, settings).reshape(len(settings), k, -1)
+    centred = cells - cells.mean(axis=1, keepdims=True)
+    complete = fit.estimable(centred.reshape(-1, rows.shape[1])).reshape(-1, k).all(axis=1)
+    return np.asarray(centred[complete].mean(axis=0)) if complete.any() else rows
+
+
 def _padded(cells: Layout, layout: Layout) -> Layout:
     """Cells of some factors with the other factors held at their first level."""
     codes = {
@@ -121,6 +152,7 @@ def pooled_estimate(
         means 1 - alpha each.
     """
     levels, component_rows, mean_rows = term_rows(layout, fit, term)
+    component_rows = over_complete_settings(layout, fit, term, component_rows)
     settings = settings_of(layout, term)
     beta = fit.coefficients()
     mean = fit.shift + mean_rows @ beta

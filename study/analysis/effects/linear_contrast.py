@@ -6,6 +6,7 @@ of the first kind less that of the second; a factor that a side leaves out is av
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -15,6 +16,7 @@ from scipy.special import stdtr
 
 from study.analysis.effects.comparisons import holm
 from study.analysis.effects.estimates import t_quantile
+from study.analysis.effects.samples import UNEQUAL, needs_welch
 from study.analysis.effects.scale import Scale
 from study.analysis.effects.simple_effects import verdict_of
 from study.analysis.effects.simultaneous import block_multiplier, bonferroni
@@ -75,6 +77,7 @@ class Estimate:
     error: float | None
     df: float | None
     by_block: Array | None = None
+    welch: tuple[float, float] | None = None  # standard error and df with a variance a cell
 
 
 @dataclass(frozen=True)
@@ -181,7 +184,7 @@ def judged(
     """Contrasts of estimates, with intervals and Holm's p that hold for all of them together."""
     wide = _multipliers(estimates, alpha, seed)
     found = [
-        _judged(text, pair, one, factor, scale, alpha)
+        _judged(text, pair, one, (factor, len(estimates)), scale, alpha)
         for text, pair, one, factor in zip(names, sides, estimates, wide, strict=True)
     ]
     adjusted = iter(holm([one.p for one in found if one.p is not None]).tolist())
@@ -236,6 +239,7 @@ def _of_cells(
 ) -> Estimate:
     """Difference of means of cells, with the variance pooled within all cells."""
     by_cell = rows.groupby("cell")["y"]
+    index = by_cell.ngroup().to_numpy().astype(np.int64)
     df = float(len(rows) - by_cell.ngroups)
     means = [side.groupby("cell")["y"].agg(["mean", "size"]) for side in (first, second)]
     value = float(means[0]["mean"].mean() - means[1]["mean"].mean())
@@ -244,7 +248,21 @@ def _of_cells(
     squares = float(((rows["y"] - by_cell.transform("mean")) ** 2).sum())
     counts = [len(m) if resampled else float((1 / m["size"]).sum()) for m in means]
     share = sum(n / len(m) ** 2 for n, m in zip(counts, means, strict=True))
-    return Estimate(value, float(np.sqrt(squares / df * share)), df)
+    welch = None
+    if not resampled and needs_welch(rows["y"].to_numpy(), index):
+        welch = _with_own_variances((first, second))
+    return Estimate(value, float(np.sqrt(squares / df * share)), df, welch=welch)
+
+
+def _with_own_variances(sides: Sequence[pd.DataFrame]) -> tuple[float, float]:
+    """Welch's standard error of a difference of means of cells, and its degrees of freedom."""
+    cells = [side.groupby("cell")["y"].agg(["var", "size"]).to_numpy(dtype=float) for side in sides]
+    parts = np.concatenate([c[:, 0] / c[:, 1] / len(c) ** 2 for c in cells])
+    rows = np.concatenate([c[:, 1] for c in cells])
+    if rows.min() < 2 or parts.max() <= 0:
+        return math.inf, 1.0
+    total = float(parts.sum())
+    return math.sqrt(total), total**2 / float(np.sum(parts**2 / (rows - 1)))
 
 
 def _multipliers(found: Sequence[Estimate], alpha: float, seed: int) -> list[float]:
@@ -259,10 +277,12 @@ def _judged(
     text: str,
     sides: tuple[Setting, Setting],
     one: Estimate,
-    multiplier: float,
+    together: tuple[float, int],
     scale: Scale,
     alpha: float,
 ) -> Contrast:
+    """Judge one of some contrasts, whose simultaneous multiplier and number are ``together``."""
+    multiplier, number = together
     back = scale.back
     u = 0.0 if scale.bound is None else scale.bound.of(*map(dict, sides))
     shown = None if u is None or scale.bound is None else u / scale.unit
@@ -272,6 +292,12 @@ def _judged(
     own, every = t_quantile(alpha / 2, one.df) * one.error, multiplier * one.error
     ci, wide = (one.value - own, one.value + own), (one.value - every, one.value + every)
     verdict, why = _verdict(ci, wide, u, scale)
+    if one.welch is not None and verdict in CLAIMS:
+        error, df = one.welch
+        halves = [t_quantile(alpha / (2 * m), df) * error for m in (1, number)]
+        ends = [(one.value - half, one.value + half) for half in halves]
+        if _verdict(ends[0], ends[1], u, scale)[0] != verdict:
+            verdict, why = CANNOT_TELL, UNEQUAL
     p = 2 * float(stdtr(one.df, -abs(one.value) / one.error)) if one.error else None
     return Contrast(
         text, back(one.value), _on(back, ci), _on(back, wide), one.df, p, shown, verdict, why

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations, product
 from typing import Protocol
 
@@ -177,7 +177,14 @@ def simple_effects(
         return None
     found = sample(_differences(factor, layout, matrix, others, settings, pairs))
     effects = tuple(_effects(factor, layout, others, settings, pairs, found, bound, practical))
-    return _together(factor, effects, practical) if effects else None
+    if not effects:
+        return None
+    lost = len(found.value) - len(effects)
+    judged = _together(factor, effects, practical)
+    if not lost:
+        return judged
+    where = "has an empty cell" if lost == 1 else "have an empty cell"
+    return replace(judged, why=f"{judged.why}; {lost} of {len(found.value)} {where}")
 
 
 def _settings(
@@ -202,6 +209,40 @@ def _differences(
 ) -> Differences:
     """Combine the coefficients to every difference."""
     k = len(layout.levels[factor])
+    columns = columns_at(factor, layout, matrix, others, settings)
+    start = np.arange(len(settings)) * k
+    first = np.concatenate([start + i for i, _ in pairs])
+    return Differences(columns, first, np.concatenate([start + j for _, j in pairs]))
+
+
+def columns_at(
+    factor: str,
+    layout: Layout,
+    matrix: ModelMatrix,
+    others: Sequence[str],
+    settings: Sequence[tuple[int, ...]],
+) -> Array:
+    """Combine the coefficients in which a factor enters, at settings of its partners.
+
+    Parameters
+    ----------
+    factor : str
+        Factor with k levels.
+    layout : Layout
+        Levels of all factors.
+    matrix : ModelMatrix
+        Columns of the fitted model, p of them.
+    others : sequence of str
+        Its partners.
+    settings : sequence of tuple of int
+        Level of each partner, by its index.
+
+    Returns
+    -------
+    ndarray, shape (settings * k, p)
+        The levels of the factor change fastest.
+    """
+    k = len(layout.levels[factor])
     codes = {name: np.zeros(len(settings) * k, dtype=np.int64) for name in layout.levels}
     codes[factor] = np.tile(np.arange(k), len(settings))
     for i, name in enumerate(others):
@@ -211,9 +252,7 @@ def _differences(
     for term in matrix.terms:
         if factor in term:
             columns[:, matrix.of(term)] = cells.columns[:, cells.of(term)]
-    start = np.arange(len(settings)) * k
-    first = np.concatenate([start + i for i, _ in pairs])
-    return Differences(columns, first, np.concatenate([start + j for _, j in pairs]))
+    return columns
 
 
 def _effects(

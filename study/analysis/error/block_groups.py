@@ -24,11 +24,12 @@ from study.analysis.effects.estimates import (
     t_quantile,
     term_rows,
 )
-from study.analysis.effects.samples import every_simple_effect, group_errors, over_groups
+from study.analysis.effects.samples import group_errors, over_groups
 from study.analysis.effects.sizes import size
 from study.analysis.error import ledger, residuals
 from study.analysis.error.split_plot import Plots
 from study.analysis.error.welch_box import LEAST_OWN, welch_box
+from study.analysis.gate import judge_factors, rivals_over_groups
 from study.analysis.linear_model.design_matrix import (
     Layout,
     Term,
@@ -242,7 +243,8 @@ def _welch_effects(
     per_row = (fit.model.inverse @ fit.q.T) * (out.y[kept] - fit.shift)
     added = per_row @ np.eye(len(table.blocks))[of_row[kept]]
     sample = over_groups(fit, added, groups, asked.alpha, asked.interval_seed)
-    simple = every_simple_effect(out.terms, layout, fit, sample, out.scale)
+    rivals = rivals_over_groups(out, fit, added, groups, sample)
+    simple = judge_factors(out, layout, fit, sample, rivals)
     return tuple(
         size(_welch_estimate(out, fit, term, rows, added, groups), out.scale, simple)
         for term in out.terms

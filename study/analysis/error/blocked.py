@@ -16,14 +16,16 @@ from study.analysis.anova_table import Anova, ErrorTerm, Row
 from study.analysis.data import Crossed, crossed
 from study.analysis.effects.estimates import (
     TermEstimate,
+    over_complete_settings,
     own_critical,
     settings_of,
     t_quantile,
     term_rows,
 )
-from study.analysis.effects.samples import every_simple_effect, over_blocks
+from study.analysis.effects.samples import over_blocks
 from study.analysis.effects.sizes import size
 from study.analysis.error import ledger, residuals
+from study.analysis.gate import judge_factors, rivals_over_blocks
 from study.analysis.linear_model.design_matrix import Term, model_matrix, term_name
 from study.analysis.linear_model.sphericity import SphericityResult, epsilon_gg, sphericity
 from study.analysis.linear_model.sums_of_squares import (
@@ -141,7 +143,14 @@ def cell_fit(table: Crossed, terms: Sequence[Term]) -> Factored:
 
 
 def own_terms(
-    table: Crossed, fit: Factored, kind: str, block: str, floor: float, total: float
+    table: Crossed,
+    fit: Factored,
+    kind: str,
+    block: str,
+    floor: float,
+    total: float,
+    *,
+    partial: bool = False,
 ) -> list[OwnTerm]:
     """Test every term against its own interaction with the blocks.
 
@@ -159,6 +168,8 @@ def own_terms(
         Differences up to this size are copies: no F.
     total : float
         Corrected total sum of squares of the table.
+    partial : bool
+        Whether what is left of a term is tested where cells are empty.
 
     Returns
     -------
@@ -166,11 +177,20 @@ def own_terms(
         In the order of the model. A term with df degrees of freedom has df (b - 1) of the error,
         both times epsilon of Greenhouse and Geisser for the p that decides.
     """
-    return [_own_term(table, fit, s, block, floor, total) for s in term_sums(fit, kind)]
+    return [
+        _own_term(table, fit, s, block, floor, total, partial=partial) for s in term_sums(fit, kind)
+    ]
 
 
 def _own_term(
-    table: Crossed, fit: Factored, sums: TermSum, block: str, floor: float, total: float
+    table: Crossed,
+    fit: Factored,
+    sums: TermSum,
+    block: str,
+    floor: float,
+    total: float,
+    *,
+    partial: bool,
 ) -> OwnTerm:
     from scipy.special import fdtrc
 
@@ -184,7 +204,9 @@ def _own_term(
     if df == 0:
         return OwnTerm(sums, Row(name, 0, 0.0), error, sphericity(np.zeros((1, blocks))))
     spread = sphericity(contrasts)
-    if df < sums.nominal_df:  # what is left is not the effect: an empty cell, or an alias
+    if (
+        df < sums.nominal_df and not partial
+    ):  # what is left is not the effect: an empty cell, or an alias
         return OwnTerm(sums, Row(name, df, ss, ss / df), error, spread)
     why = _no_test(fit.q, sums.basis, contrasts, floor, name, block)
     if why:
@@ -241,6 +263,7 @@ def own_estimate(
         means 1 - alpha each with b - 1 degrees of freedom.
     """
     levels, component_rows, mean_rows = term_rows(table.layout, fit, term)
+    component_rows = over_complete_settings(table.layout, fit, term, component_rows)
     blocks = table.y.shape[1]
     shift, beta = block_coefficients(table, fit)
     component, mean = component_rows @ beta, shift + mean_rows @ beta
@@ -304,16 +327,20 @@ def own(out: Outcome) -> Outcome | None:
     out = out.warn(*table.warnings)
     if out.replicates == "noise":
         table = single_noise(table)
-    full = int(np.prod([len(data.layout.levels[f]) for f in data.factors]))
+    full = int(np.prod([len(table.layout.levels[f]) for f in data.factors]))
+    fewer = table.cells.size < np.unique(data.cell).size
+    empty = full - table.cells.size if fewer or out.structure.empty_cells else 0
+    out = replace(out, structure=replace(out.structure, empty_cells=empty))
     kind, out = kind_of(out, table.cells.size == full)
+    partial = kind == "I" and empty > 0
     fit = cell_fit(table, out.terms)
     # differences from one value are exact where doubles are close
     shifted = table.y - table.y[0, 0]
     total = float(np.sum((shifted - shifted.mean()) ** 2))
     floor = max(out.working_tolerance(), ulp_floor(table.y))
-    tests = own_terms(table, fit, kind, block, floor, total)
+    tests = own_terms(table, fit, kind, block, floor, total, partial=partial)
     out = out.warn(*(t.warning for t in tests if t.warning))
-    out = out.warn(*alias_warnings([t.sums for t in tests]))
+    out = out.warn(*alias_warnings([t.sums for t in tests], partial=partial))
     n_cells, b = table.y.shape
     ss_block = n_cells * float(np.sum((shifted.mean(axis=0) - shifted.mean()) ** 2))
     rows = [t.row for t in tests] + [Row(block, b - 1, ss_block, ss_block / (b - 1))]
@@ -326,14 +353,17 @@ def own(out: Outcome) -> Outcome | None:
         choice = noise_choice(b) if out.replicates == "noise" else seed_choice(b)
         out = out.warn(*choice.cautions)
     df = {t.row.term: float(t.error.df) for t in tests}
+    judged = cell_fit(table, out.structure.asked) if out.structure.asked else fit
     estimates = [
-        own_estimate(table, fit, t.sums.term, t.sums.df, t.row.p_deciding, out.request.alpha)
+        own_estimate(table, judged, t.sums.term, t.sums.df, t.row.p_deciding, out.request.alpha)
         for t in tests
     ]
     sample = over_blocks(
-        fit, block_coefficients(table, fit)[1], out.request.alpha, out.request.interval_seed
+        judged, block_coefficients(table, judged)[1], out.request.alpha, out.request.interval_seed
     )
-    simple = every_simple_effect(out.terms, table.layout, fit, sample, out.scale)
+    rivals, notes = rivals_over_blocks(out, table.layout, table.y, judged, sample)
+    out = out.warn(*notes)
+    simple = judge_factors(out, table.layout, judged, sample, rivals)
     return replace(
         out,
         error=ErrorTerm(choice.source, choice.question, df, choice.reason),

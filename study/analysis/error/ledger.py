@@ -9,14 +9,16 @@ import numpy as np
 from study.analysis import unreplicated
 from study.analysis.anova_table import Anova, ErrorTerm, Row
 from study.analysis.effects.estimates import TermEstimate, pooled_estimate
-from study.analysis.effects.samples import every_simple_effect, with_pooled_error
+from study.analysis.effects.samples import with_pooled_error, with_pseudo_error
 from study.analysis.effects.sizes import size
+from study.analysis.gate import judge_factors, refusal, rivals_of_rows
 from study.analysis.linear_model.design_matrix import (
     Term,
     balanced,
     model_matrix,
     nested_in,
     term_name,
+    terms_of,
 )
 from study.analysis.linear_model.influence import summary_of
 from study.analysis.linear_model.sums_of_squares import (
@@ -237,13 +239,15 @@ def _replicates(s: Situation) -> Choice:
     )
 
 
-def pooled(out: Outcome) -> Outcome:
+def pooled(out: Outcome, untested: str = "") -> Outcome:
     """E0, E1 pooled, E2, E3, E5 with one residual; or E4, E6, E7 without.
 
     Parameters
     ----------
     out : Outcome
         With y and scale; it is returned with error term, table, effects and fit.
+    untested : str
+        Why no effect is tested although there is a residual; empty where there is no such reason.
     """
     data = out.data
     extra: list[Term] = [(name,) for name in data.blocks]
@@ -256,41 +260,64 @@ def pooled(out: Outcome) -> Outcome:
     else:
         kind, out = kind_of(out, even, _why_uneven(out))
     sums = term_sums(fit, kind)
-    out = out.warn(*alias_warnings(sums))
+    partial = kind == "I" and out.structure.empty_cells > 0
+    out = out.warn(*alias_warnings(sums, partial=partial))
     if sums and all(s.df == 0 for s in sums):
         out = out.warn("every term is aliased with others: name those wanted, model = 1 say")
     choice = choose(_situation(out, fit, sums), out.request.error)
+    if untested and len(data.factors) > 1:
+        # with one factor the residual is its own interaction with the blocks
+        choice = replace(choice, how=NONE, question="no p: sizes of effects alone", cautions=())
+    if untested:
+        choice = replace(choice, reason=untested)
     df = fit.df_residual if choice.how == POOLED else 0
-    if df == 0:
-        out = out.warn(REMEDIES)
+    if untested or df == 0:
+        out = out.warn(untested or REMEDIES)
     out = out.warn(*choice.cautions)
     ready = choice.source in ("E4", "E6") and _sparse_ready(out, fit)
     lenth = unreplicated.lenth_of(data, out.y, out.terms, out.request.seed) if ready else None
     error_rss = fit.rss * _resamples(out)
-    rows = [term_row(s, df, error_rss, fit.tss) for s in sums]
+    rows = [term_row(s, df, error_rss, fit.tss, partial=partial) for s in sums]
     if lenth is not None and choice.source == "E6":
         rows = [_lenth_row(row, lenth) for row in rows]
     ms = error_rss / df if df else None
-    rows.append(Row("residual", fit.df_residual, fit.rss if df else 0.0, ms))
+    rows.append(Row("residual", fit.df_residual, fit.rss if df or untested else 0.0, ms))
     by_name = {row.term: row for row in rows}
-    estimates: list[TermEstimate] = [
-        pooled_estimate(
-            data.layout, fit, t, df, by_name[term_name(t)].p, out.request.alpha, error_rss
-        )
-        for t in out.terms
-    ]
+    # what the runs do not tell apart is left out of the sums, not of what can be estimated
+    asked = out.structure.asked
+    judged = factor(model_matrix(data.layout, asked, extra=extra), out.y) if asked else fit
+
+    def estimated(term: Term) -> TermEstimate:
+        p, alpha = by_name[term_name(term)].p, out.request.alpha
+        found = pooled_estimate(data.layout, judged, term, df, p, alpha, error_rss)
+        if judged is not fit and np.isnan(found.component).any():
+            return pooled_estimate(data.layout, fit, term, df, p, alpha, error_rss)
+        return found
+
+    estimates = [estimated(term) for term in out.terms]
     two_levels = all(len(data.layout.levels[f]) == 2 for f in data.factors)
+    alpha, seed = out.request.alpha, out.request.interval_seed
+    simple = {}
     if lenth is not None and choice.source == "E6" and two_levels and not out.request.records:
         estimates = [_with_margin(e, lenth) for e in estimates]
-    simple = {}
-    if df or out.scale.deterministic:
-        sample = with_pooled_error(fit, error_rss, df, out.request.alpha, out.request.interval_seed)
-        simple = every_simple_effect(out.terms, data.layout, fit, sample, out.scale)
+        every = terms_of(data.factors) if balanced(data.layout, data.factors) else out.terms
+        contrasts = unreplicated.orthonormal_contrasts(data.layout, every)[1]
+        pseudo = with_pseudo_error(judged, contrasts, alpha, seed, out.y)
+        simple = judge_factors(out, data.layout, judged, pseudo, ())
+    elif df or out.scale.deterministic:
+        sample = with_pooled_error(judged, error_rss, df, alpha, seed)
+        rivals, notes = rivals_of_rows(out, judged, error_rss, df, sample) if df else ([], [])
+        rivals = [refusal(untested), *rivals] if untested else rivals
+        out = out.warn(*notes)
+        simple = judge_factors(out, data.layout, judged, sample, rivals)
+    effects = [size(e, out.scale, simple) for e in estimates]
+    if untested:
+        effects = [replace(e, why=untested) if e.is_main and df == 0 else e for e in effects]
     return replace(
         out,
         error=ErrorTerm(choice.source, choice.question, float(df), choice.reason),
         anova=Anova(kind, with_shares(rows, fit.tss), out.y.size - 1, fit.tss),
-        effects=tuple(size(e, out.scale, simple) for e in estimates),
+        effects=tuple(effects),
         fit=fit if df else None,
         lenth=lenth,
         summary=summary_of(fit) if df else None,

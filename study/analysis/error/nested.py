@@ -65,6 +65,27 @@ def average_units(
     return out
 
 
+def crosses(table: pd.DataFrame, request: AnalysisRequest, unit: str) -> bool:
+    """Whether the same unit is measured in several cells, so that it is a block of them.
+
+    Labels that start again in every cell name other units there; they are told from one unit in
+    several cells by a factor of which every label has one level only.
+
+    Parameters
+    ----------
+    table : DataFrame
+        One row a run.
+    request : AnalysisRequest
+        Response and factors.
+    unit : str
+        Column of the unit.
+    """
+    if unit not in table.columns or unit in (request.response, *request.factors):
+        return False
+    levels = table.groupby(unit, observed=True)[list(request.factors)].nunique()
+    return bool((levels == 1).all(axis=0).any() and (levels > 1).all(axis=0).any())
+
+
 def compare_naive(
     table: pd.DataFrame, request: AnalysisRequest, unit: str, nested: Anova, naive: Anova
 ) -> NestedUnits | None:

@@ -14,9 +14,19 @@ import numpy as np
 
 from study.analysis.anova_table import Anova, ErrorTerm, Row
 from study.analysis.data import Data
-from study.analysis.effects.estimates import pooled_estimate
+from study.analysis.effects.estimates import pooled_estimate, t_quantile, term_rows
+from study.analysis.effects.simple_effects import Differences, Estimates, Sample
+from study.analysis.effects.simultaneous import bonferroni
 from study.analysis.effects.sizes import size
 from study.analysis.error import ledger, residuals
+from study.analysis.gate import (
+    COARSE,
+    Rival,
+    block_means,
+    judge_factors,
+    limit_rivals,
+    reading_error,
+)
 from study.analysis.linear_model.design_matrix import ModelMatrix, Term, model_matrix, term_name
 from study.analysis.linear_model.factorization import ALIAS_TOLERANCE, Factorization, span
 from study.analysis.linear_model.sums_of_squares import (
@@ -126,7 +136,8 @@ def split_plot(out: Outcome, plots: Plots) -> Outcome:
     data = out.data
     matrix = model_matrix(data.layout, out.terms)
     whole = factor(matrix, out.y)
-    strata = _strata(out, matrix, plots, _even(whole, data, plots))
+    bases = _even(whole, data, plots)
+    strata = _strata(out, matrix, plots, bases)
     kind, out = kind_of(out, all(s.fit.model.is_orthogonal() for s in strata))
     strata = [replace(s, sums=tuple(term_sums(s.fit, kind))) for s in strata]
     place = _place(out.terms, strata, whole)
@@ -134,6 +145,12 @@ def split_plot(out: Outcome, plots: Plots) -> Outcome:
     lost = [term_name(t) for t, s in place.items() if s is None]
     out = out.warn(*(f"{name}: is in no stratum whole; no test" for name in lost))
     by_name = {row.term: row for row in rows}
+    sample = _over_strata(out, whole, [basis for _, basis in bases], strata, reading=0.0)
+    rivals = limit_rivals(out, sample, block_means(out))
+    if reading := reading_error(out):
+        coarse = _over_strata(out, whole, [basis for _, basis in bases], strata, reading=reading)
+        rivals = [Rival(COARSE, coarse), *rivals]
+    simple = judge_factors(out, data.layout, whole, sample, rivals)
     effects = []
     for term in out.terms:
         stratum = place[term]
@@ -142,7 +159,13 @@ def split_plot(out: Outcome, plots: Plots) -> Outcome:
             data.layout, fit, term, rest, by_name[term_name(term)].p, out.request.alpha, fit.rss
         )
         means = pooled_estimate(data.layout, whole, term, 0, None, out.request.alpha, 0.0).mean
-        effects.append(size(replace(estimate, mean=means, mean_half=None), out.scale))
+        mean_rows = term_rows(data.layout, whole, term)[2]
+        none = np.zeros(len(mean_rows), dtype=np.int64)
+        found = sample(Differences(np.vstack([np.zeros(mean_rows.shape[1]), mean_rows]),
+                                   np.arange(1, len(mean_rows) + 1), none))  # fmt: skip
+        half = None if found.error is None else found.error * found.single
+        estimate = replace(estimate, mean=means, mean_half=half)
+        effects.append(size(estimate, out.scale, simple))
     choice = ledger.strata_choice(str(data.block), plots.name, plots.between, ledger.POOLED)
     return replace(
         out,
@@ -152,6 +175,48 @@ def split_plot(out: Outcome, plots: Plots) -> Outcome:
         fit=residuals.within_fit(data, out.y, plots=plots.code),
         plots=plots.code,
     )
+
+
+def _over_strata(
+    out: Outcome,
+    whole: Factored,
+    bases: Sequence[Array],
+    strata: Sequence[Stratum],
+    *,
+    reading: float,
+) -> Sample:
+    """Estimate combinations whose variance is that of each stratum in which they lie.
+
+    Degrees of freedom are Satterthwaite's; what has a part in a stratum without an error has no
+    interval. The grand mean varies as the outermost stratum does.
+    """
+    mean = np.ones((out.y.size, 1)) / np.sqrt(out.y.size)
+    coefficients, alpha = whole.coefficients(), out.request.alpha
+    known = [s.df > 0 for s in strata]
+    ms = np.array([max(s.fit.rss / s.df, reading**2) if s.df else np.inf for s in strata])
+    df = np.array([float(max(s.df, 1)) for s in strata])
+
+    def estimate(asked: Differences) -> Estimates:
+        rows = asked.rows
+        weight = (rows @ whole.model.inverse) @ whole.q.T
+        parts = [np.sum((weight @ basis) ** 2, axis=1) for basis in bases]
+        parts.append(np.sum(weight**2, axis=1) - np.sum(parts, axis=0))
+        grand = np.sum((weight @ mean) ** 2, axis=1)
+        parts[-1] = np.maximum(parts[-1] - grand, 0.0)
+        parts[known.index(True) if any(known) else 0] += grand
+        length = np.array(parts).T
+        length[length < 1e-12 * length.sum(axis=1, keepdims=True)] = 0.0
+        with np.errstate(invalid="ignore"):
+            variance = np.where(length == 0, 0.0, length * ms)
+            total = variance.sum(axis=1)
+            free = np.where(
+                np.isfinite(total) & (total > 0), total**2 / np.sum(variance**2 / df, axis=1), 1.0
+            )
+        value = np.where(whole.estimable(rows), rows @ coefficients, np.nan)
+        wide = bonferroni(max(len(value), 1), free, alpha)
+        return Estimates(value, np.sqrt(total), t_quantile(alpha / 2, free), wide)
+
+    return estimate
 
 
 def _even(whole: Factored, data: Data, plots: Plots) -> list[tuple[str, Array]]:

@@ -186,7 +186,9 @@ def _term_sum(fit: Factored, i: int, kind: str) -> TermSum:
 _ROUNDING = 1e-28
 
 
-def term_row(s: TermSum, df: int, rss: float, total: float, error: str = "residual") -> Row:
+def term_row(
+    s: TermSum, df: int, rss: float, total: float, error: str = "residual", *, partial: bool = False
+) -> Row:
     """One line: a term against an error of ``df`` degrees of freedom and sum ``rss``.
 
     Parameters
@@ -199,6 +201,8 @@ def term_row(s: TermSum, df: int, rss: float, total: float, error: str = "residu
         Sum of squares of the error, and the corrected total one, as squares of the response.
     error : str
         Name of the row that holds the error.
+    partial : bool
+        Whether what is left of a term is tested where a part of it is aliased (Type I).
 
     Returns
     -------
@@ -213,7 +217,7 @@ def term_row(s: TermSum, df: int, rss: float, total: float, error: str = "residu
     ms = s.ss / s.df
     if df == 0 or rss <= _ROUNDING * max(total, s.ss):
         return Row(name, s.df, s.ss, ms)
-    if s.df < s.nominal_df:
+    if s.df < s.nominal_df and not partial:
         return Row(name, s.df, s.ss, ms, error=error, df_error=df)
     mse = rss / df
     f = ms / mse
@@ -250,14 +254,22 @@ def with_shares(rows: Sequence[Row], total: float) -> tuple[Row, ...]:
     return tuple(done)
 
 
-def alias_warnings(sums: Sequence[TermSum]) -> list[str]:
+def alias_warnings(sums: Sequence[TermSum], *, partial: bool = False) -> list[str]:
     """One sentence for every term that lost degrees of freedom, with what it is aliased.
 
     Parameters
     ----------
     sums : sequence of TermSum
         Every term of one model.
+    partial : bool
+        Whether what is left of each is tested; one sentence then serves all.
     """
+    if partial:
+        lost = [
+            f"{term_name(s.term)} {s.df} of {s.nominal_df}" for s in sums if s.df < s.nominal_df
+        ]
+        what = "degrees of freedom that empty cells leave"
+        return [f"{what}: {', '.join(lost)}"] if lost else []
     out = []
     for s in sums:
         if s.df < s.nominal_df:

@@ -18,6 +18,7 @@ MAX_EXPECTED = 50
 
 _Factor = Annotated[object, as_written('name a factor, such as "material"')]
 _Factors = Annotated[object, as_written('two factors, such as ["material", "plates"]')]
+_Labels = Annotated[object, as_written('one level or several, such as "quadratic"')]
 _Cell = Annotated[object, as_written('{ material = "neo-hookean" }')]
 
 
@@ -66,6 +67,22 @@ class Close(Expectation):
     to: _Cell = None
 
 
+@section
+class Better(Expectation):
+    """Levels of a factor score better than its others, or than those named."""
+
+    better: _Labels = None
+    than: _Labels = None
+
+
+@section
+class Fewer(Expectation):
+    """Levels of a factor need less of the response than its others, or than those named."""
+
+    fewer: _Labels = None
+    than: _Labels = None
+
+
 #: every kind by the key that names it
 KINDS: Mapping[str, type[Expectation]] = {
     "matters": Matters,
@@ -73,7 +90,12 @@ KINDS: Mapping[str, type[Expectation]] = {
     "interact": Interact,
     "best": Best,
     "close": Close,
+    "better": Better,
+    "fewer": Fewer,
 }
+#: word for every level of a material factor but the linear one
+HYPERELASTIC = "hyperelastic"
+_LINEAR = "linear-elastic"
 _MEND = 'for example matters = "material", or larger = "material" with than = "model.space"'
 
 
@@ -168,6 +190,21 @@ def _cell(named: Mapping[str, Factor], value: object) -> dict[str, str]:
     return cell
 
 
+def _levels(named: Mapping[str, Factor], value: object) -> dict[str, str]:
+    """Levels of one factor, by their labels; the labels are joined by a tab."""
+    labels = [value] if isinstance(value, str) else value
+    if not isinstance(labels, list) or not labels or not all(isinstance(v, str) for v in labels):
+        raise Bad(f"must name levels, got {shown(value)}", 'write "quadratic", or a list of levels')
+    for name, factor in named.items():
+        if set(labels) <= set(factor.labels):
+            return {name: "\t".join(labels)}
+        others = [label for label in factor.labels if label != _LINEAR]
+        if labels == [HYPERELASTIC] and len(others) < len(factor.labels):
+            return {name: "\t".join(others)}
+    every = [label for factor in named.values() for label in factor.labels]
+    raise Bad(f"are no levels of one factor: {shown(value)}", nearest(str(labels[0])[:80], every))
+
+
 _READERS: Mapping[
     str, Callable[[Mapping[str, Factor], object], tuple[str, ...] | dict[str, str]]
-] = {"interact": _factors, "best": _cell, "close": _cell}
+] = {"interact": _factors, "best": _cell, "close": _cell, "better": _levels, "fewer": _levels}

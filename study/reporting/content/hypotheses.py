@@ -10,7 +10,15 @@ from study.analysis.effects.verdict import CANNOT_TELL, MATTERS, NO_DIFFERENCE
 from study.design.spec import Expected
 from study.reporting.content.sizes import size, size_interval
 from study.reporting.content.table import Table
-from study.reporting.numbers import MISSING, THIN, decimals_that_count, level, quantity, rounded
+from study.reporting.numbers import (
+    MISSING,
+    THIN,
+    decimals_that_count,
+    level,
+    quantity,
+    rounded,
+    span,
+)
 from study.reporting.report import Facts, cells, practical_of
 from study.reporting.text import clean, listing, name_of, sentence, term_name
 from study.study_result.report_data import ReportData
@@ -57,16 +65,22 @@ def _said(item: Expected, data: ReportData) -> str:
         "interact": lambda: f"{names[0]} and {names[1]} interact",
         "best": lambda: f"{cells[0]} is the best",
         "close": lambda: f"{cells[1]} is close to {cells[0]}",
+        "better": lambda: " is better than ".join([*cells, "the others"][:2]),
+        "fewer": lambda: " needs less than ".join([*cells, "the others"][:2]),
     }[item.kind]()
 
 
 def _cell(cell: Mapping[str, str]) -> str:
-    return " x ".join(clean(level) for level in cell.values())
+    return " x ".join(
+        listing([clean(label) for label in level.split("\t")]) for level in cell.values()
+    )
 
 
 def _judged(item: Expected, facts: Facts, data: ReportData) -> tuple[str, str]:
     if item.kind in ("best", "close"):
         return _cells(item, facts, data)
+    if item.kind in ("better", "fewer"):
+        return _directed(item, facts)
     if item.kind == "larger":
         return _larger([_effect_of(facts, name) for name in item.factors], facts, data)
     effect = _effect_of(facts, *item.factors)
@@ -93,6 +107,36 @@ def _larger(effects: Sequence[Effect | None], facts: Facts, data: ReportData) ->
     (low, high), (other_low, other_high) = (_magnitudes(e) for e in known)
     verdict = HOLDS if low > other_high else FAILS if high < other_low else CANNOT_TELL
     return ", ".join(parts), verdict
+
+
+def _directed(item: Expected, facts: Facts) -> tuple[str, str]:
+    """Levels are better, or less, where every interval of a difference lies on that side of zero.
+
+    One interval on the other side, and the expectation does not hold.
+    """
+    factor, labels = next(iter(item.cells[0].items()))
+    effect = _effect_of(facts, factor)
+    better = facts.response.better
+    if effect is None or (item.kind == "better" and not better):
+        return _UNKNOWN, CANNOT_TELL
+    named = set(labels.split("\t"))
+    against = set(effect.levels) - named
+    if len(item.cells) > 1:
+        against = set(item.cells[1].get(factor, "").split("\t"))
+    up = item.kind == "better" and better == "higher"
+    zero = 1.0 if effect.is_ratio else 0.0
+    parts, sides = [], []
+    for pair in effect.pairs:
+        if {pair.first, pair.second} & named and {pair.first, pair.second} & against:
+            lower, upper = pair.lower, pair.upper
+            side = 1 if lower > zero else -1 if upper < zero else 0
+            sides.append(side if (pair.first in named) == up else -side)
+            ends = span(lower, upper, decimals_that_count(effect.practical))
+            parts.append(f"{clean(pair.first)} less {clean(pair.second)} {ends}")
+    if not sides:
+        return _UNKNOWN, CANNOT_TELL
+    verdict = HOLDS if set(sides) == {1} else FAILS if -1 in sides else CANNOT_TELL
+    return listing(parts), verdict
 
 
 def _magnitudes(effect: Effect) -> tuple[float, float]:

@@ -1,0 +1,339 @@
+"""What withdraws a claim: tables on which the printed analysis alone would claim too much."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.stats import f_oneway
+from scipy.stats import t as student
+
+from study.analysis.anova import anova
+from study.analysis.effects.comparisons import games_howell
+from study.analysis.effects.samples import cell_welch
+from study.analysis.effects.simple_effects import Differences
+from study.analysis.effects.verdict import CANNOT_TELL, MATTERS, NO_DIFFERENCE
+from study.analysis.linear_model.design_matrix import Layout, model_matrix
+from study.analysis.linear_model.sums_of_squares import factor
+from study.analysis.structure import resolution
+from study.api import contrasts
+from study.errors import RefusedError
+
+
+def crossed(**levels: int) -> pd.DataFrame:
+    rows = itertools.product(*(range(k) for k in levels.values()))
+    return pd.DataFrame(list(rows), columns=list(levels))
+
+
+def sign(table: pd.DataFrame, *factors: str) -> pd.Series:
+    return (2 * table[list(factors)] - 1).prod(axis=1)
+
+
+def groups(seed: int, counts: tuple[int, ...], sds: tuple[float, ...]) -> pd.DataFrame:
+    random = np.random.default_rng(seed)
+    code = np.repeat(np.arange(len(counts)), counts)
+    return pd.DataFrame({"a": code, "y": 5 + random.normal(size=code.size) * np.array(sds)[code]})
+
+
+def test_an_interaction_of_an_unreplicated_design_is_seen_in_simple_effects() -> None:
+    table = crossed(a=2, b=2, c=2, d=2)
+    noise = np.random.default_rng(3).normal(0, 0.2, 16)
+    table["y"] = 10 + 2 * sign(table, "a", "b") + noise
+    found = anova(table, "y", list("abcd"), practical=1.0, exact=False)
+    assert found.error_term.source == "E6"
+    assert [found.effect(f).verdict for f in "ab"] == [MATTERS, MATTERS]
+    assert found.effect("a").deciding_simple.difference == pytest.approx(4, abs=0.8)
+    # at a practical difference of 4 itself neither claim may be made
+    at_limit = anova(table, "y", list("abcd"), practical=4.0, exact=False)
+    assert NO_DIFFERENCE not in {at_limit.effect(f).verdict for f in "ab"}
+    flat = anova(table.assign(y=10 + noise), "y", list("abcd"), practical=3.0, exact=False)
+    assert {flat.effect(f).verdict for f in "abcd"} == {NO_DIFFERENCE}
+
+
+@pytest.mark.parametrize("block", [None, "s"])
+def test_a_model_that_leaves_an_interaction_out_claims_nothing(block: str | None) -> None:
+    table = crossed(s=5, a=2, b=2)
+    random = np.random.default_rng(1)
+    noise = random.normal(0, 0.05, 20) + (0 if block is None else table["s"])
+    asked = {"block": block, "model": ["a", "b"], "practical": 1.0, "exact": False}
+    crossing = table.assign(y=3 * sign(table, "a", "b") + noise)
+    found = anova(crossing, "y", ["a", "b"], **asked | {"practical": 8.0})
+    assert {e.verdict for e in found.effects} == {NO_DIFFERENCE}  # so does the full model
+    found = anova(crossing, "y", ["a", "b"], **asked | {"practical": 4.0})
+    assert {e.verdict for e in found.effects} == {CANNOT_TELL}
+    if block:
+        assert "leaves out interactions" in found.effect("a").why
+    assert any("lack of fit of the declared model: F(1, " in note for note in found.notes)
+    fits = anova(table.assign(y=noise), "y", ["a", "b"], **asked)
+    assert {e.verdict for e in fits.effects} == {NO_DIFFERENCE}
+
+
+def test_blocks_that_lack_a_cell_are_pooled_only_where_that_is_asked_for() -> None:
+    table = crossed(s=6, a=2, m=4)
+    random = np.random.default_rng(2)
+    own = random.normal(0, 0.5, 6)[table["s"]] * table["a"]
+    table["y"] = 2 * table["a"] + own + 0.02 * random.normal(size=len(table))
+    cut = table.drop(index=[8 * s + s % 8 for s in range(6)])
+    for error in ("auto", "own"):
+        found = anova(cut, "y", ["a", "m"], block="s", practical=1.0, error=error, exact=False)
+        assert {e.verdict for e in found.effects if e.is_main} == {CANNOT_TELL}
+        assert "6 of 6 levels of s lack a cell" in found.effect("a").why
+        assert found.anova.row("a").p is None
+        assert found.effect("a").range == pytest.approx(2 + own[table["a"] == 1].mean(), abs=0.3)
+    asked = anova(cut, "y", ["a", "m"], block="s", practical=1.0, error="pooled", exact=False)
+    assert asked.effect("a").verdict == MATTERS
+    assert asked.error_term.reason == "asked for"
+
+
+def test_welch_withdraws_what_the_pooled_variance_claims() -> None:
+    table = groups(5, (20, 20, 4), (0.2, 0.2, 2.0))
+    found = anova(table, "y", ["a"], practical=2.5, exact=False)
+    assert found.effect("a").verdict == CANNOT_TELL
+    assert "Welch" in found.effect("a").why
+    assert found.effect("a").high is not None
+    assert found.effect("a").high < 2.5  # the pooled interval alone would claim
+    even = groups(5, (20, 20, 4), (0.2, 0.2, 0.2))
+    assert anova(even, "y", ["a"], practical=2.5, exact=False).effect("a").verdict == NO_DIFFERENCE
+
+
+def test_welch_intervals_of_one_factor_are_those_of_games_and_howell() -> None:
+    table = groups(1, (6, 4, 9), (0.3, 1.0, 2.0))
+    codes = table["a"].to_numpy()
+    y = table["y"].to_numpy()
+    layout = Layout({"a": ("0", "1", "2")}, {"a": codes})
+    fit = factor(model_matrix(layout, [("a",)]), y)
+    levels = model_matrix(Layout(layout.levels, {"a": np.arange(3)}), [("a",)]).columns
+    pairs = np.array(list(itertools.combinations(range(3), 2)))
+    asked = Differences(levels, pairs[:, 0], pairs[:, 1])
+    ours = cell_welch(fit, y, codes, 0.05, 0.0)(asked)
+    theirs = games_howell({str(k): y[codes == k] for k in range(3)}).pairs
+    half = ours.error * ours.simultaneous
+    assert ours.value == pytest.approx([p.difference for p in theirs])
+    assert half == pytest.approx([(p.upper - p.lower) / 2 for p in theirs], rel=1e-6)
+
+
+def test_readings_as_coarse_as_the_differences_claim_nothing() -> None:
+    table = crossed(s=3, a=2)
+    table["y"] = 7.0 + table["s"] + 2.0 * table["a"]  # one step more, in every block
+    found = anova(table, "y", ["a"], block="s", practical=1.5, exact=False)
+    assert found.effect("a").verdict == CANNOT_TELL
+    fine = table.assign(y=table["y"] + np.random.default_rng(0).normal(0, 0.01, 6))
+    assert anova(fine, "y", ["a"], block="s", practical=1.5, exact=False).effect("a").verdict == (
+        MATTERS
+    )
+
+
+def test_the_step_of_readings() -> None:
+    assert resolution(np.array([0.5, 1.75, 3.0])) == 0.25
+    assert resolution(np.array([1200.0, 1350.0])) == 150.0
+    assert resolution(np.random.default_rng(0).normal(size=5)) == 0.0
+
+
+@pytest.mark.parametrize("times", [2, 3])
+def test_copied_rows_are_refused_until_they_are_said_to_be_real(times: int) -> None:
+    table = groups(2, (5, 5), (0.3, 0.3)).round(4)
+    copied = pd.concat([table] * times, ignore_index=True)
+    with pytest.raises(RefusedError, match=f"each row stands {times} times"):
+        anova(copied, "y", ["a"], practical=0.2, exact=False)
+    found = anova(copied, "y", ["a"], practical=0.2, copies="independent", exact=False)
+    assert found.data.n == 10 * times
+    part = pd.concat([copied, groups(9, (1, 1), (0.3, 0.3))], ignore_index=True)
+    with pytest.raises(RefusedError, match="repeat another of their cell"):
+        anova(part, "y", ["a"], exact=False)
+
+
+def test_coarse_readings_tie_without_being_copies() -> None:
+    table = groups(3, (30, 30), (0.3, 0.3))
+    for y in (table["y"].round(1), np.log(table["y"].round(1)), table["y"].round(0)):
+        assert anova(table.assign(y=y), "y", ["a"], exact=False).data.n == 60
+
+
+def test_a_block_that_repeats_another_is_refused() -> None:
+    table = crossed(s=4, a=3)
+    table["y"] = np.random.default_rng(4).normal(size=12).round(5)
+    table.loc[table["s"] == 3, "y"] = table.loc[table["s"] == 1, "y"].to_numpy()
+    with pytest.raises(RefusedError, match="s 3 repeats 1"):
+        anova(table, "y", ["a"], block="s", exact=False)
+
+
+def test_skewed_differences_need_an_interval_without_a_normal_distribution() -> None:
+    differences = np.array([0.05, 0.12, 0.2, 0.31, 0.45, 0.7])
+    table = crossed(s=6, a=2)
+    table["y"] = 3.7 * table["s"] + np.repeat(differences, 2) * table["a"]
+    found = anova(table, "y", ["a"], block="s", practical=0.65, exact=False)
+    assert found.effect("a").verdict == CANNOT_TELL
+    assert "skewed" in found.effect("a").why
+    assert found.effect("a").high is not None
+    assert found.effect("a").high < 0.65
+
+
+def test_a_share_of_a_mean_that_is_not_known_is_no_exact_limit() -> None:
+    table = crossed(s=5, a=2)
+    random = np.random.default_rng(6)
+    table["y"] = np.repeat(20 + 3 * random.normal(size=5), 2) + 1.02 * table["a"]
+    table["y"] += random.normal(0, 0.005, 10)
+    found = anova(table, "y", ["a"], block="s", practical="5 % of mean", exact=False)
+    assert found.effect("a").verdict == CANNOT_TELL
+    assert "5 % of a mean of" in found.effect("a").why
+
+
+@pytest.mark.parametrize(
+    ("levels", "block"), [({"s": 6, "a": 3}, "s"), ({"r": 6, "a": 2, "b": 2}, None)]
+)
+def test_the_gate_changes_no_number(levels: dict[str, int], block: str | None) -> None:
+    """Rivals withdraw claims; sums, F, p and intervals of clean tables are those without them."""
+    table = crossed(**levels)
+    table["y"] = 5 + np.random.default_rng(8).normal(0, 0.2, len(table))
+    factors = [f for f in levels if f not in ("s", "r")]
+    ask: Callable[[float], object] = lambda limit: anova(  # noqa: E731
+        table, "y", factors, block=block, practical=limit, exact=False
+    )
+    claims, refuses = ask(1.5), ask(0.01)
+    assert claims.anova == refuses.anova
+    assert [e.ci95 for e in claims.effects] == [e.ci95 for e in refuses.effects]
+    assert {e.verdict for e in claims.effects if e.is_main} == {NO_DIFFERENCE}
+
+
+def test_levels_nested_with_names_of_their_own_are_strata() -> None:
+    """F of the upper stratum is that of the batch means, that of the lower one within batches."""
+    random = np.random.default_rng(12)
+    table = pd.DataFrame(
+        [(f"L{i}", f"L{i}b{j}", k) for i in range(3) for j in range(4) for k in range(5)],
+        columns=["lab", "batch", "k"],
+    )
+    batch = pd.Series(random.normal(0, 2, 12), index=table["batch"].unique())
+    table["y"] = table["batch"].map(batch) + random.normal(0, 0.5, 60)
+    found = anova(table, "y", ["lab", "batch"], practical=1.0, exact=False)
+    means = table.groupby(["lab", "batch"])["y"].mean()
+    expected = f_oneway(*(means[lab] for lab in ("L0", "L1", "L2")))
+    upper, lower = found.anova.row("lab"), found.anova.row("lab:batch")
+    assert (upper.df, upper.df_error, upper.error) == (2, 9, "lab:batch")
+    assert upper.f == pytest.approx(expected.statistic, rel=1e-9)
+    assert upper.p == pytest.approx(expected.pvalue, rel=1e-9)
+    assert (lower.df, lower.df_error) == (9, 48)
+    within = table.groupby("batch")["y"].var().mean()
+    between = 5 * table.groupby("batch")["y"].mean().groupby(lambda b: b[:2]).var().mean()
+    assert lower.f == pytest.approx(between / within, rel=1e-9)
+    assert sum("batch lies within lab" in note for note in found.notes) == 1
+    assert any("--model lab,lab:batch" in note for note in found.notes)
+
+
+def test_an_empty_cell_leaves_what_can_be_estimated() -> None:
+    """Sequential sums by the residual sums of nested fits; the lost cell is named once."""
+    table = crossed(a=3, b=2, r=4)
+    table["y"] = table["a"] + 0.5 * table["b"] + np.random.default_rng(4).normal(0, 0.4, 24)
+    table = table[(table["a"] != 2) | (table["b"] != 0)]
+    found = anova(table, "y", ["a", "b"], practical=5.0, exact=False)
+    y = table["y"].to_numpy()
+    dummies = [np.ones((len(table), 1)), np.eye(3)[table["a"]], np.eye(2)[table["b"]]]
+    cells = np.eye(6)[table["a"] * 2 + table["b"]]
+
+    def rss(*columns: np.ndarray) -> float:
+        x = np.hstack(columns)
+        return float(np.sum((y - x @ np.linalg.lstsq(x, y)[0]) ** 2))
+
+    sums = [rss(*dummies[:k]) for k in (1, 2, 3)] + [rss(cells)]
+    for k, (term, df) in enumerate((("a", 2), ("b", 1), ("a:b", 1))):
+        row = found.anova.row(term)
+        assert row.df == df
+        assert row.f == pytest.approx((sums[k] - sums[k + 1]) / df / (sums[3] / 15), rel=1e-9)
+    assert {e.verdict for e in found.effects if e.is_main} == {NO_DIFFERENCE}
+    assert "2 of 6 have an empty cell" in found.effect("a").why
+    assert found.effect("b").range == pytest.approx(
+        abs(table[table["a"] < 2].pivot_table("y", "a", "b").diff(axis=1)[1].mean())
+    )
+    assert sum("empty" in note for note in found.notes) == 2
+
+
+def test_failed_combinations_leave_the_good_cases_their_verdicts() -> None:
+    table = crossed(space=2, material=2, order=2, mesh=3)
+    table["y"] = 10 + 5.0 * table["material"] + 0.2 * table["space"] + 0.01 * table["mesh"]
+    failed = (table["space"] == 1) & (table["order"] == 1)
+    factors = ["space", "material", "order", "mesh"]
+    found = anova(
+        table.assign(y=table["y"].mask(failed)), "y", factors, records=True, practical=1.0,
+        exact=False,
+    )  # fmt: skip
+    verdicts = {f: found.effect(f).verdict for f in factors}
+    assert verdicts == {
+        "space": NO_DIFFERENCE, "material": MATTERS, "order": NO_DIFFERENCE, "mesh": NO_DIFFERENCE,
+    }  # fmt: skip
+    assert {dict(e.at)["order"] for e in found.effect("space").simple_effects} == {"0"}
+    assert sum("left out, for these runs" in note for note in found.notes) == 1
+
+
+def test_a_fraction_with_a_lost_run_leaves_out_the_fewest_terms() -> None:
+    table = crossed(A=2, B=2, C=2, D=2)
+    table["E"] = table[list("ABCD")].sum(axis=1) % 2
+    table["y"] = 10 + table["A"] + np.random.default_rng(1).normal(0, 0.1, 16)
+    found = anova(table.iloc[1:], "y", list("ABCDE"), model=2, practical=1.0, exact=False)
+    rows = [row for row in found.anova.rows if row.term != "residual"]
+    assert len(rows) == 14
+    assert all(row.df == 1 for row in rows)
+    assert sum("D:E: left out" in note for note in found.notes) == 1
+    assert len(found.notes) < 7
+    assert found.effect("A").range == pytest.approx(1, abs=0.3)
+    assert found.effect("A").verdict == CANNOT_TELL
+
+
+def test_a_level_that_fails_in_most_blocks_leaves_its_siblings() -> None:
+    table = crossed(s=6, a=3)
+    table["y"] = table["s"] + 2.0 * (table["a"] == 1)
+    table["y"] += np.random.default_rng(5).normal(0, 0.1, 18)
+    lost = table["y"].mask((table["a"] == 2) & (table["s"] > 1))
+    found = anova(table.assign(y=lost), "y", ["a"], block="s", practical=1.0, exact=False)
+    assert found.effect("a").verdict == MATTERS
+    assert found.effect("a").levels == ("0", "1")
+    assert any("2" in note and "left out" in note for note in found.notes)
+
+
+def test_a_unit_in_several_cells_is_a_block() -> None:
+    table = crossed(treat=2, k=4, session=3)
+    table["subject"] = [f"s{4 * t + k}" for t, k in zip(table["treat"], table["k"], strict=True)]
+    table["y"] = np.random.default_rng(7).normal(size=24)
+    asked = {"practical": 1.0, "exact": False}
+    unit = anova(table, "y", ["treat", "session"], unit="subject", **asked)
+    block = anova(table, "y", ["treat", "session"], block="subject", **asked)
+    assert unit.anova == block.anova
+    assert [unit.anova.row(t).df for t in ("subject", "subject:session")] == [6, 12]
+    assert any("--block subject" in note for note in unit.notes)
+
+
+def test_means_of_a_split_plot_have_intervals() -> None:
+    """Of a whole plot's level: the scatter of whole plots; of the others: of both strata."""
+    table = crossed(treat=2, k=4, session=3)
+    table["subject"] = [f"s{4 * t + k}" for t, k in zip(table["treat"], table["k"], strict=True)]
+    table["y"] = np.random.default_rng(7).normal(size=24)
+    found = anova(
+        table, "y", ["treat", "session"], block="subject", whole_plot="treat", practical=9.0,
+        exact=False,
+    )  # fmt: skip
+    ms = {row.term: row.ms for row in found.anova.rows}
+    half = student.ppf(0.975, 6) * np.sqrt(ms["subject"] / 12)
+    ((low, high), _) = found.effect("treat").mean_ci95
+    assert (high - low) / 2 == pytest.approx(half)
+    parts = np.array([ms["subject"] / 24, ms["residual"] / 12])
+    df = parts.sum() ** 2 / np.sum(parts**2 / [6, 12])
+    (low, high) = found.effect("session").mean_ci95[0]
+    assert (high - low) / 2 == pytest.approx(student.ppf(0.975, df) * np.sqrt(parts.sum()))
+    assert found.effect("session").simple_effects
+
+
+def test_one_specimen_tells_nothing_of_another() -> None:
+    table = crossed(a=3, r=2).assign(s="only")
+    table["y"] = np.random.default_rng(1).normal(size=6) + 9 * table["a"]
+    found = anova(table, "y", ["a"], block="s", practical=1.0, exact=False)
+    assert found.effect("a").verdict == CANNOT_TELL
+    assert "one specimen" in found.effect("a").why
+    assert any("one s (only)" in note for note in found.notes)
+
+
+def test_contrasts_asked_for_by_name_pass_the_gate() -> None:
+    table = groups(5, (20, 20, 4), (0.2, 0.2, 2.0))
+    found = anova(table, "y", ["a"], practical=2.5, exact=False)
+    uneven, even = contrasts(found, ["a=0 - a=2", "a=0 - a=1"])
+    assert (uneven.verdict, even.verdict) == (CANNOT_TELL, NO_DIFFERENCE)
+    assert "Welch" in uneven.why
