@@ -70,7 +70,7 @@ class Contrast:
 
 
 @dataclass(frozen=True)
-class Estimate:
+class _Estimate:
     """A difference on the scale of the analysis; ``by_block`` where it is made within blocks."""
 
     value: float
@@ -101,7 +101,7 @@ class Cells:
         Whether the repeats (or blocks) are refits to resampled noise of one curve: their scatter
         is the standard error of the fit itself, however many there are.
     estimate : callable, optional
-        Estimates a difference in place of the rows: of a model of all rows.
+        Difference, standard error and degrees of freedom by a model of all rows.
     """
 
     rows: pd.DataFrame
@@ -110,7 +110,7 @@ class Cells:
     alpha: float
     seed: int
     resampled: bool = False
-    estimate: Callable[[Setting, Setting], Estimate] | None = None
+    estimate: Callable[[Setting, Setting], tuple[float, float, float]] | None = None
 
 
 def contrasts(cells: Cells, asked: Sequence[str]) -> tuple[Contrast, ...]:
@@ -163,35 +163,30 @@ def possible_contrasts(
     for text in asked:
         try:
             pair = sides_of(text, cells.levels)
-            made = cells.estimate(*pair) if cells.estimate else _estimate(cells, *pair, text)
-            estimates.append(made)
+            if cells.estimate is None:
+                estimates.append(_estimate(cells, *pair, text))
+            else:
+                estimates.append(_Estimate(*cells.estimate(*pair)))
         except InputError as error:
             faults += error.faults
             continue
         sides.append(pair)
         names.append(text)
-    return judged(names, sides, estimates, cells.scale, cells.alpha, cells.seed), faults
-
-
-def judged(
-    names: Sequence[str],
-    sides: Sequence[tuple[Setting, Setting]],
-    estimates: Sequence[Estimate],
-    scale: Scale,
-    alpha: float,
-    seed: int,
-) -> tuple[Contrast, ...]:
-    """Contrasts of estimates, with intervals and Holm's p that hold for all of them together."""
-    wide = _multipliers(estimates, alpha, seed)
+    wide = _multipliers(estimates, cells.alpha, cells.seed)
     found = [
-        _judged(text, pair, one, (factor, len(estimates)), scale, alpha)
+        _judged(text, pair, one, (factor, len(estimates)), cells)
         for text, pair, one, factor in zip(names, sides, estimates, wide, strict=True)
     ]
+    return _adjusted(found), faults
+
+
+def _adjusted(found: Sequence[Contrast]) -> tuple[Contrast, ...]:
+    """Contrasts with Holm's p of all of them that have one."""
     adjusted = iter(holm([one.p for one in found if one.p is not None]).tolist())
     return tuple(one if one.p is None else replace(one, p_holm=next(adjusted)) for one in found)
 
 
-def _estimate(cells: Cells, first: Setting, second: Setting, text: str) -> Estimate:
+def _estimate(cells: Cells, first: Setting, second: Setting, text: str) -> _Estimate:
     rows = cells.rows
     sides = [rows[_holds(rows, setting)] for setting in (first, second)]
     for side, setting in zip(sides, (first, second), strict=True):
@@ -215,28 +210,28 @@ def _holds(rows: pd.DataFrame, setting: Setting) -> Array:
     return kept
 
 
-def _within(differences: Array, resampled: bool) -> Estimate:
+def _within(differences: Array, resampled: bool) -> _Estimate:
     b = differences.size
     if b < 2:
-        return Estimate(float(differences.mean()), None, None, differences)
+        return _Estimate(float(differences.mean()), None, None, differences)
     error = float(differences.std(ddof=1) / (1.0 if resampled else np.sqrt(b)))
-    return Estimate(float(differences.mean()), error, b - 1.0, differences)
+    return _Estimate(float(differences.mean()), error, b - 1.0, differences)
 
 
-def _between(first: Array, second: Array) -> Estimate:
+def _between(first: Array, second: Array) -> _Estimate:
     """Welch's difference of two sets of blocks."""
     value = float(first.mean() - second.mean())
     if min(first.size, second.size) < 2:
-        return Estimate(value, None, None)
+        return _Estimate(value, None, None)
     parts = np.array([side.var(ddof=1) / side.size for side in (first, second)])
     below = float(np.sum(parts**2 / (np.array([first.size, second.size]) - 1)))
     total = float(parts.sum())
-    return Estimate(value, float(np.sqrt(total)), total**2 / below if below else None)
+    return _Estimate(value, float(np.sqrt(total)), total**2 / below if below else None)
 
 
 def _of_cells(
     rows: pd.DataFrame, first: pd.DataFrame, second: pd.DataFrame, *, resampled: bool
-) -> Estimate:
+) -> _Estimate:
     """Difference of means of cells, with the variance pooled within all cells."""
     by_cell = rows.groupby("cell")["y"]
     index = by_cell.ngroup().to_numpy().astype(np.int64)
@@ -244,14 +239,14 @@ def _of_cells(
     means = [side.groupby("cell")["y"].agg(["mean", "size"]) for side in (first, second)]
     value = float(means[0]["mean"].mean() - means[1]["mean"].mean())
     if df < 1:
-        return Estimate(value, None, None)
+        return _Estimate(value, None, None)
     squares = float(((rows["y"] - by_cell.transform("mean")) ** 2).sum())
     counts = [len(m) if resampled else float((1 / m["size"]).sum()) for m in means]
     share = sum(n / len(m) ** 2 for n, m in zip(counts, means, strict=True))
     welch = None
     if not resampled and needs_welch(rows["y"].to_numpy(), index):
         welch = _with_own_variances((first, second))
-    return Estimate(value, float(np.sqrt(squares / df * share)), df, welch=welch)
+    return _Estimate(value, float(np.sqrt(squares / df * share)), df, welch=welch)
 
 
 def _with_own_variances(sides: Sequence[pd.DataFrame]) -> tuple[float, float]:
@@ -265,7 +260,7 @@ def _with_own_variances(sides: Sequence[pd.DataFrame]) -> tuple[float, float]:
     return math.sqrt(total), total**2 / float(np.sum(parts**2 / (rows - 1)))
 
 
-def _multipliers(found: Sequence[Estimate], alpha: float, seed: int) -> list[float]:
+def _multipliers(found: Sequence[_Estimate], alpha: float, seed: int) -> list[float]:
     """Multipliers of the standard errors for intervals of all contrasts together."""
     blocks = [one.by_block for one in found if one.by_block is not None and one.error]
     if len(blocks) == len(found) > 1 and len({b.size for b in blocks}) == 1:
@@ -276,25 +271,24 @@ def _multipliers(found: Sequence[Estimate], alpha: float, seed: int) -> list[flo
 def _judged(
     text: str,
     sides: tuple[Setting, Setting],
-    one: Estimate,
+    one: _Estimate,
     together: tuple[float, int],
-    scale: Scale,
-    alpha: float,
+    cells: Cells,
 ) -> Contrast:
     """Judge one of some contrasts, whose simultaneous multiplier and number are ``together``."""
     multiplier, number = together
-    back = scale.back
+    scale, back = cells.scale, cells.scale.back
     u = 0.0 if scale.bound is None else scale.bound.of(*map(dict, sides))
     shown = None if u is None or scale.bound is None else u / scale.unit
     if one.error is None or one.df is None:
         why = "nothing scatters, so there is no interval"
         return Contrast(text, back(one.value), None, None, one.df, None, shown, CANNOT_TELL, why)
-    own, every = t_quantile(alpha / 2, one.df) * one.error, multiplier * one.error
+    own, every = t_quantile(cells.alpha / 2, one.df) * one.error, multiplier * one.error
     ci, wide = (one.value - own, one.value + own), (one.value - every, one.value + every)
     verdict, why = _verdict(ci, wide, u, scale)
     if one.welch is not None and verdict in CLAIMS:
         error, df = one.welch
-        halves = [t_quantile(alpha / (2 * m), df) * error for m in (1, number)]
+        halves = [t_quantile(cells.alpha / (2 * m), df) * error for m in (1, number)]
         ends = [(one.value - half, one.value + half) for half in halves]
         if _verdict(ends[0], ends[1], u, scale)[0] != verdict:
             verdict, why = CANNOT_TELL, UNEQUAL

@@ -18,7 +18,8 @@ from scipy.special import stdtr
 
 from study.analysis.data import Data, prepare
 from study.analysis.effects.estimates import TermEstimate, settings_of, t_quantile, term_rows
-from study.analysis.effects.linear_contrast import Contrast, Estimate, judged
+from study.analysis.effects.linear_contrast import Cells, Contrast
+from study.analysis.effects.linear_contrast import contrasts as contrasts_of
 from study.analysis.effects.scale import Scale
 from study.analysis.effects.simple_effects import Differences, Estimates, simple_effects
 from study.analysis.effects.simultaneous import pooled_multiplier
@@ -43,7 +44,7 @@ from study.analysis.linear_model.design_matrix import (
 from study.analysis.linear_model.sums_of_squares import Factored, factor, one_thread, term_sums
 from study.analysis.request import Practical, alpha_faults, threshold
 from study.arrays import Array
-from study.contrast import Setting, sides_of
+from study.contrast import Setting
 from study.errors import Fault, InputError, nearest
 from study.tidy_csv import names_of
 
@@ -427,8 +428,8 @@ class MixedCells:
         half = t_quantile(self.alpha / 2, float(found.df[0])) * float(found.error[0])
         return Slope(covariate, value, value - half, value + half)
 
-    def between(self, first: Setting, second: Setting) -> Estimate:
-        """Difference of means over the cells of the full grid that two settings hold.
+    def between(self, first: Setting, second: Setting) -> tuple[float, float, float]:
+        """Difference of means over the cells of two settings, standard error, df.
 
         Raises
         ------
@@ -453,16 +454,17 @@ class MixedCells:
             wide, few = (float(a[0]) for a in self.robust(self._along(row)))
             if t_quantile(self.alpha / 2, few) * wide > t_quantile(self.alpha / 2, df) * error:
                 error, df = wide, few
-        return Estimate(value, error, df)
+        return value, error, df
 
     def contrasts(self, asked: Sequence[str], scale: Scale) -> tuple[Contrast, ...]:
         """Differences by name."""
-        names = [name for (name,) in (t for t in self.factors.terms if len(t) == 1)]
-        sides = [
-            sides_of(text, {name: self.layout.levels[name] for name in names}) for text in asked
-        ]
-        estimates = [self.between(*pair) for pair in sides]
-        return judged(asked, sides, estimates, scale, self.alpha, self.seed or 0)
+        import pandas as pd
+
+        names = [term[0] for term in self.factors.terms if len(term) == 1]
+        levels = {name: self.layout.levels[name] for name in names}
+        seed = self.seed or 0
+        cells = Cells(pd.DataFrame(), levels, scale, self.alpha, seed, estimate=self.between)
+        return contrasts_of(cells, asked)
 
 
 def _with_covariates(
