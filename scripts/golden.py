@@ -389,6 +389,9 @@ def command(line: str) -> tuple[int, str, str]:
             runpy.run_module("study", run_name="__main__")
     except SystemExit as end:
         code = end.code or 0
+    except Exception as error:  # an internal error is an answer, too
+        code = 99
+        print(type(error).__name__, error, file=err)
     finally:
         sys.argv = before
     return int(code), out.getvalue(), err.getvalue()
@@ -471,7 +474,10 @@ def energies(folder: Path) -> Iterator[tuple[str, Any]]:
 def _curve(problem: str, folder: Path) -> Any:
     path = folder / "problem.toml"
     path.write_text(problem)
-    solved = study.solve(path)
+    try:
+        solved = study.solve(path)
+    except Exception as error:  # a crash or a refusal is an answer, too
+        return [type(error).__name__, *plain(str(error), folder)]
     curve = solved.curve
     gradient = {name: value.tolist() for name, value in sorted(curve.force_gradient.items())}
     lists = [curve.force_N.tolist(), curve.stiffness_N_per_mm.tolist(), gradient]

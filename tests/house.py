@@ -208,7 +208,8 @@ def stray_statistics(root: Path) -> list[str]:
         for path, tree in trees(root)
         if not str(path).startswith(STATISTICS)
         for node in walked(tree)
-        if any(one.startswith("scipy.stats") and one != POINTS for one in _taken(node))
+        if isinstance(node, ast.stmt)
+        and any(name.startswith("scipy.stats") and name != POINTS for name in _taken(node))
     ]
 
 
