@@ -72,7 +72,7 @@ class Better(Expectation):
     """Levels of a factor score better than its others, or than those named."""
 
     better: _Labels = None
-    than: _Labels = None
+    than: AsWritten = None
 
 
 @section
@@ -80,7 +80,7 @@ class Fewer(Expectation):
     """Levels of a factor need less of the response than its others, or than those named."""
 
     fewer: _Labels = None
-    than: _Labels = None
+    than: AsWritten = None
 
 
 #: every kind by the key that names it
