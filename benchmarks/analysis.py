@@ -18,8 +18,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from study.api.statistics.analysis import analyze
-from study.api.statistics.table_report import Source, write_page
+from study.api.analyzing import Source, analyze, write_page
 
 #: rows, kind, seconds asked of the analysis
 CASES = (

@@ -55,11 +55,11 @@ class Case:
 
     def task(self) -> Task:
         """Mesh the case; every code gets the same mesh."""
-        from study.fem.mesh.mesher import build_mesh
-        from study.material.material import Material
-        from study.setup.geometry import Cylinder
-        from study.setup.setup import Model, Problem
-        from study.setup.test_kind import Test
+        from study.mechanics.material.material import Material
+        from study.mechanics.mesh.mesher import build_mesh
+        from study.mechanics.setup.geometry import Cylinder
+        from study.mechanics.setup.setup import Model, Problem
+        from study.mechanics.setup.test_kind import Test
 
         displacement = self.percent / 100 * HEIGHT_MM
         test = Test("compression", displacement, "bonded", "bonded", steps=self.steps)

@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from study.calibration.fit import MeasuredCurve, fit
-from study.calibration.function import EvaluationFailed
-from study.curve import Curve
-from study.forward import finite_element
-from study.runner.fitting import fit_task
-from study.runner.fitting.staged_fit import TOLERANCES
-from study.setup.material_section import MaterialSection
-from study.setup.setup import problem_of
+from study.ground.curve import Curve
+from study.harness.runner import fit_task
+from study.harness.runner.staged_fit import TOLERANCES
+from study.mechanics.calibration.fit import MeasuredCurve, fit
+from study.mechanics.calibration.residual_function import EvaluationFailed
+from study.mechanics.forward import finite_element
+from study.mechanics.setup.material_section import MaterialSection
+from study.mechanics.setup.setup import problem_of
 
 Array = NDArray[np.float64]
 ENERGIES: tuple[tuple[str, int | None, dict[str, float]], ...] = (

@@ -22,11 +22,11 @@ SIZE_MM = 0.22
 
 def measure() -> dict[str, Any]:
     """Seconds of the first and of later runs, and how many kernels had to be compiled."""
-    from study.fem.solver.solve import solve
-    from study.material.material import Material
-    from study.setup.geometry import Cone, Cylinder
-    from study.setup.setup import Model, Problem
-    from study.setup.test_kind import Test
+    from study.mechanics.material.material import Material
+    from study.mechanics.setup.geometry import Cone, Cylinder
+    from study.mechanics.setup.setup import Model, Problem
+    from study.mechanics.setup.test_kind import Test
+    from study.mechanics.solver.finite_element_solution import solve
 
     test = Test("indentation", 3.0, "frictionless", "bonded", steps=10, indenter=Cone(30.0, 1.0))
     gel = Material("neo-hookean", {"C10": 5e-3}, bulk_modulus=10.0)

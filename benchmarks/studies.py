@@ -23,17 +23,17 @@ from pathlib import Path
 
 import numpy as np
 
-from study.api.planning.manifest import manifest_of
-from study.api.planning.plan import plan, status
+from study.api.manifest import manifest_of
+from study.api.planning import plan, status
 from study.api.study import load_design, report, run
-from study.execution.loky import Loky
-from study.forward.closed_form import compression
-from study.material.material import Material
-from study.record.store import Store
-from study.runner.batch import run_batch
-from study.runner.case_task import CaseFrame
-from study.runner.expansion import expand
-from study.setup.geometry import Cylinder
+from study.harness.execution.local import Loky
+from study.harness.record.store import Store
+from study.harness.runner.batch import run_batch
+from study.harness.runner.expansion import expand
+from study.harness.runner.job import CaseFrame
+from study.mechanics.forward.closed_form import compression
+from study.mechanics.material.material import Material
+from study.mechanics.setup.geometry import Cylinder
 
 RANGES = (10, 12, 14, 16, 18, 20, 25, 30, 35, 40, 45, 50, 55, 60)
 SPECIMENS, HALVES, REPEATS, ROWS = 9, "AB", 5, 120
@@ -254,7 +254,7 @@ def measured(part: str, folder: Path, jobs: int, cases: int) -> dict[str, float]
     import seaborn  # noqa: F401
     import statsmodels.api  # noqa: F401
 
-    import study.fem.solver.solution
+    import study.mechanics.solver.solution
     import study.reporting.output.write  # noqa: F401
 
     began, spent = time.monotonic(), processor_seconds()

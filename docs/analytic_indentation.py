@@ -11,14 +11,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from study.contact_mechanics.force_law import force_law
-from study.contact_mechanics.layer import Layer
-from study.contact_mechanics.modulus import fit_modulus
-from study.fem.solver.solve import solve
-from study.material.material import Material
-from study.setup.geometry import Cone, Cylinder, Flat, Indenter, Sphere
-from study.setup.setup import Model, Problem
-from study.setup.test_kind import Test
+from study.mechanics.indentation.contact_law import Layer, force_law
+from study.mechanics.indentation.indentation_modulus import fit_modulus
+from study.mechanics.material.material import Material
+from study.mechanics.setup.geometry import Cone, Cylinder, Flat, Indenter, Sphere
+from study.mechanics.setup.setup import Model, Problem
+from study.mechanics.setup.test_kind import Test
+from study.mechanics.solver.finite_element_solution import solve
 
 NU = 0.4999
 #: neo-Hookean of shear modulus 1/3 MPa

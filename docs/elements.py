@@ -20,16 +20,16 @@ from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from study.analysis.convergence.grid_convergence import ConvergenceResult, grid_convergence
-from study.errors import MeshError
-from study.fem.cost import unknowns
-from study.fem.mesh.mesher import build_mesh, forget_meshes
-from study.fem.solver.solution import Solution
-from study.fem.solver.solve import solve
-from study.material.material import Material
-from study.setup.geometry import Cone, Cylinder
-from study.setup.setup import Model, Problem
-from study.setup.test_kind import Test
+from study.ground.errors import MeshError
+from study.mechanics.material.material import Material
+from study.mechanics.mesh.mesher import build_mesh, forget_meshes
+from study.mechanics.setup.geometry import Cone, Cylinder
+from study.mechanics.setup.setup import Model, Problem
+from study.mechanics.setup.test_kind import Test
+from study.mechanics.solver.finite_element_solution import solve
+from study.mechanics.solver.solution import Solution
+from study.mechanics.solver.solution_cost import unknowns
+from study.statistics.convergence.grid_convergence import ConvergenceResult, grid_convergence
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -138,7 +138,7 @@ def timed(asked: Problem) -> tuple[Solution, float, float]:
 # --- drawing -----------------------------------------------------------------------------
 def draw() -> None:
     """Write the picture and the tables of the page."""
-    from study.reporting.figure.style import render
+    from study.reporting.figures.axes import render
 
     frame, reference = read()
     svg = render(lambda: picture(frame, reference), "elements", "Error of the force by element")
@@ -189,7 +189,7 @@ def named(order: str, shape: str) -> str:
 
 def picture(frame: pd.DataFrame, reference: ConvergenceResult) -> Figure:
     """Error against unknowns and against seconds."""
-    from study.reporting.figure.style import WIDTH_IN, canvas
+    from study.reporting.figures.axes import WIDTH_IN, canvas
 
     figure = canvas(WIDTH_IN, 4.9)
     left, right = figure.subplots(1, 2, sharey=True)
@@ -209,7 +209,7 @@ def key() -> list[Line2D]:
     """Entries of the legend: colors and marks of the elements, strokes of the formulations."""
     from matplotlib.lines import Line2D
 
-    from study.reporting.figure.style import MARKERS, MUTED, color_of
+    from study.reporting.figures.axes import MARKERS, MUTED, color_of
 
     pairs = list(product(("linear", "quadratic"), SHAPES))
     entries = [
@@ -231,7 +231,7 @@ def stroke(formulation: str, color: str) -> dict[str, Any]:
 
 def lines(ax: Axes, frame: pd.DataFrame, column: str, unknown: float) -> None:
     """Draw one line an element; below the band the reference itself is not known."""
-    from study.reporting.figure.style import BAND, MARKERS, MUTED, color_of
+    from study.reporting.figures.axes import BAND, MARKERS, MUTED, color_of
 
     ax.set_xscale("log")
     ax.set_yscale("log")

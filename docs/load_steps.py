@@ -12,16 +12,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from study.curve import Curve
-from study.fem.mesh.mesher import build_mesh
-from study.fem.solver.options import Options
-from study.fem.solver.solve import solve
-from study.forward.finite_element import CURVE_ERROR
-from study.material.material import Material
-from study.runner.response import relative_rms_force_error
-from study.setup.geometry import Block, Cone, Cylinder, Flat, Sphere
-from study.setup.setup import Model, Problem
-from study.setup.test_kind import Test
+from study.ground.curve import Curve
+from study.harness.runner.response import relative_rms_force_error
+from study.mechanics.forward.finite_element import CURVE_ERROR
+from study.mechanics.material.material import Material
+from study.mechanics.mesh.mesher import build_mesh
+from study.mechanics.setup.geometry import Block, Cone, Cylinder, Flat, Sphere
+from study.mechanics.setup.setup import Model, Problem
+from study.mechanics.setup.test_kind import Test
+from study.mechanics.solver.finite_element_solution import solve
+from study.mechanics.solver.newton import Options
 
 GEL = Material("neo-hookean", {"C10": 6e-3}, poisson_ratio=0.4995)
 #: another energy, which stands for a measured curve some per cent away

@@ -11,18 +11,17 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 import gallery_pictures
-from numpydoc.docscrape import NumpyDocString
 
 import study
-from study import units
-from study.design import study_file
-from study.design.layout.schemes import LAYOUTS
-from study.design.sections.calibration import Calibration
-from study.measurement.section import MeasurementSpec
-from study.setup import section as declaration
-from study.setup.geometry import INDENTERS, SPECIMENS
-from study.setup.setup import Model
-from study.setup.test_section import TestSection
+from study.ground import units
+from study.harness.design import study_file
+from study.harness.design.layout_kinds import LAYOUTS
+from study.mechanics.measurement.measurement_section import MeasurementSpec
+from study.mechanics.setup import declaration
+from study.mechanics.setup.calibration_table import Calibration
+from study.mechanics.setup.geometry import INDENTERS, SPECIMENS
+from study.mechanics.setup.setup import Model
+from study.mechanics.setup.test_section import TestSection
 
 HERE = Path(__file__).parent
 #: Header of a table in a file, and the class that declares its keys.
@@ -76,13 +75,17 @@ def _rows(kind: type) -> Iterable[str]:
 
 
 def _said(kind: type) -> dict[str, str]:
-    """Return what the docstring of a section says of its fields, by field."""
-    written = NumpyDocString(inspect.getdoc(kind) or "")
-    return {
-        name.strip(): " ".join(one.desc).strip().rstrip(".")
-        for one in written["Parameters"]
-        for name in one.name.split(",")
-    }
+    """Text of each field of a section: the comment above it, in the class or a base of it."""
+    texts: dict[str, str] = {}
+    for base in reversed(kind.__mro__[:-1]):
+        lines: list[str] = []
+        for line in inspect.getsource(base).splitlines():
+            if line.startswith("    #: "):
+                lines.append(line.removeprefix("    #: "))
+            elif lines:
+                texts[line.split(":")[0].strip()] = " ".join(lines).rstrip(".")
+                lines = []
+    return texts
 
 
 def _rule(reads: declaration.Reads) -> str:

@@ -11,15 +11,15 @@ from unittest.mock import patch
 
 import numpy as np
 
-from study.fem.element.function_space import deformation_gradient
-from study.fem.solver import system
-from study.fem.solver.internal_force import EVENNESS_OF_SOLIDS, LOCAL_BULK
-from study.fem.solver.solution import Solution
-from study.fem.solver.solve import solve
-from study.material.material import Material
-from study.setup.geometry import Cone, Cylinder, Flat, Sphere
-from study.setup.setup import Model, Problem
-from study.setup.test_kind import Test
+from study.mechanics.element.function_space import deformation_gradient
+from study.mechanics.material.material import Material
+from study.mechanics.setup.geometry import Cone, Cylinder, Flat, Sphere
+from study.mechanics.setup.setup import Model, Problem
+from study.mechanics.setup.test_kind import Test
+from study.mechanics.solver import system
+from study.mechanics.solver.finite_element_solution import solve
+from study.mechanics.solver.internal_force import EVENNESS_OF_SOLIDS, LOCAL_BULK
+from study.mechanics.solver.solution import Solution
 
 GEL = Material("neo-hookean", {"C10": 5e-3}, poisson_ratio=0.4995)
 CASES = {"cone": (Cone(30, 1, 3), 2.0), "sphere": (Sphere(5.0), 2.0), "flat": (Flat(3, 0.3), 1.0)}

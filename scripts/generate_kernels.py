@@ -1,4 +1,4 @@
-"""Write study/fem/element/element_stiffness.py: the stiffness of an element, every sum unrolled.
+"""Write study/mechanics/element/element_stiffness.py: an element's stiffness, unrolled.
 
     python scripts/generate_kernels.py            writes the file
     python scripts/generate_kernels.py --check    0 where it is what would be written, 1 otherwise
@@ -28,7 +28,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-TARGET = Path("study/fem/element/element_stiffness.py")
+TARGET = Path("study/mechanics/element/element_stiffness.py")
 
 #: Constants of element_forms that count entries: plain numbers would make an index signed.
 COUNT = ("", "ONE", "TWO", "THREE")
@@ -66,15 +66,15 @@ B_aiI = dF_I/du_ai, with F_ij as number I = 3 i + j; hoop is N / R. Of a node,
     G_i = F^-T_I B_aiI, Q_i = c_FG F_i + c_GG G_i.
 
 Every function adds to the packed upper triangle of its element, see
-:mod:`study.fem.element.element_forms`.
+:mod:`study.mechanics.element.element_forms`.
 """
 
 from __future__ import annotations
 
-from study.arrays import Array
-from study.compilation import FAST, part
-from study.fem.element.element_forms import ONE, THREE, TWO, packed
-from study.fem.element.point_law import first_invariant_coefficients
+from study.ground.arrays import Array
+from study.ground.compilation import FAST, part
+from study.mechanics.element.element_forms import ONE, THREE, TWO, packed
+from study.mechanics.element.point_law import first_invariant_coefficients
 
 
 @part(fastmath=FAST)
@@ -107,7 +107,7 @@ def add_first_invariant_stiffness(
     dN: Array, hoop: Array, f: Array, bend: float, stiff: float, work: Array, w: float, m: int,
     nodal: Array, K: Array,
 ) -> None:  # fmt: skip
-    """Add what :func:`study.fem.element.point_law.invariant_tangent` and ``add_stiffness`` would.
+    """Add what ``point_law.invariant_tangent`` and ``add_stiffness`` would.
 
     Parameters
     ----------
@@ -116,9 +116,9 @@ def add_first_invariant_stiffness(
     f : ndarray, shape (9,)
         Deformation gradient.
     bend, stiff : float
-        As for :func:`study.fem.element.point_law.full_tangent`.
+        As for :func:`study.mechanics.element.point_law.full_tangent`.
     work : ndarray, shape (7 or more, 9)
-        As :func:`study.fem.element.point_law.invariant_stress` left it at ``f``.
+        As :func:`study.mechanics.element.point_law.invariant_stress` left it at ``f``.
     nodal : ndarray, shape (n_nodes, 12)
         Scratch: F, G, P, Q of each node; in axisymmetric space also S, G_33 N / R and G_33.
     """

@@ -66,8 +66,14 @@ VOLATILE_TEXT = (
     (re.compile(r"\b\d{4}-\d\d-\d\d([ T]\d\d:\d\d(:\d\d(\.\d+)?)?)?(Z|\+\d\d:?\d\d)?"), "<date>"),
     (re.compile(r"\b\d{1,2}:\d\d(:\d\d)?\b"), "<clock>"),
     (
-        re.compile(r"\b\d[\d.,]*(e-?\d+)?\s?(ms|s|min|h|seconds?|minutes?|hours?|[kMG]B)\b"),
+        re.compile(r"\b\d[\d.,]*(e-?\d+)?[\s~]?(ms|s|min|h|seconds?|minutes?|hours?|[kMG]B)\b"),
         "<time>",
+    ),
+    (re.compile(r"(?<= )\d\.\d{4} (\d\.\d{4}|-) \d+$"), "<seconds>"),
+    # which cell is the cheapest, and how many numbers a page has that says so
+    (
+        re.compile(r"Use [^.]*\. ?\d*[^.]* in <time> a case.*|.*numbers computed again.*"),
+        "<cheapest>",
     ),
     (re.compile(r"\b\d+\.\d+\.\d+(\.\d+)*\+[0-9a-f]{7,}(\.\w+)?"), "<version>"),
     (re.compile(r"\b[0-9a-f]{64}\b|\b[0-9a-f]{40}\b"), "<hash>"),
@@ -613,6 +619,8 @@ def _content(path: Path, folder: Path) -> Any:
     if path.name.endswith(".csv.gz"):
         return _columns(gzip.decompress(path.read_bytes()).decode())
     if path.suffix not in {".csv", ".html", ".json", ".tex", ".inp", ".feb", ".py", ".toml"}:
+        return None
+    if path.stem.endswith("-front"):  # in the order of the seconds that a case takes
         return None
     text = path.read_text(encoding="utf-8")
     if path.suffix == ".csv":

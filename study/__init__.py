@@ -1,6 +1,6 @@
 """Design of experiments and honest statistics for simulations of soft materials."""
 
-from study.working_folder import keep_out
+from study.ground.working_folder import keep_out
 
 keep_out()  # before anything else is imported
 

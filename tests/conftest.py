@@ -50,14 +50,14 @@ def _tasks_in_this_process() -> Iterator[None]:
 
     What has a limit of time still gets processes, and so does what tests ask :func:`processes` for.
     """
-    from study.execution.inline import Inline
-    from study.execution.loky import Loky
+    from study.harness.execution.local import Loky
+    from study.harness.execution.supervisor import Inline
 
     in_processes = Loky.run
 
     def run(self: Loky, tasks: Any, finished: Any = None) -> Any:
         perform = self.perform
-        if _apart or self.limit_s is not None or perform.__module__ != "study.runner.tasks":
+        if _apart or self.limit_s is not None or perform.__module__ != "study.harness.runner.tasks":
             return in_processes(self, tasks, finished)
 
         def quietly(task: Any) -> Any:

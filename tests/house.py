@@ -36,31 +36,31 @@ IMPORTED_AS = {"scikit-fem": "skfem", "pydantic-core": "pydantic_core"}
 OUTSIDE = {"test", "docs"}
 #: rooms whose modules carry compiled kernels: importing one loads numba, so it may be late
 COMPILED = (
-    "study/fem/mesh/",
-    "study/fem/element/",
-    "study/fem/contact/",
-    "study/fem/solver/",
-    "study/fem/",
-    "study/surface/",
-    "study/viscoelasticity/",
+    "study/mechanics/mesh/",
+    "study/mechanics/element/",
+    "study/mechanics/contact/",
+    "study/mechanics/solver/",
+    "study/mechanics/solver/",
+    "study/mechanics/surface/",
+    "study/mechanics/material/",
 )
 #: rooms that may ask scipy.stats for distributions and tests
 STATISTICS = (
-    "study/analysis/",
-    "study/analysis/convergence/",
-    "study/response_surface/",
-    "study/registration/",
-    "study/tracker_accuracy/",
+    "study/statistics/analysis/",
+    "study/statistics/convergence/",
+    "study/statistics/surfaces/",
+    "study/laboratory/registration/",
+    "study/laboratory/tracker/",
 )
 #: what any room may ask it for: points that fill a space evenly
 POINTS = "scipy.stats.qmc"
 #: read the environment: the command line, and those who cap the threads of workers
 MAY_READ_ENVIRONMENT = (
     "study/cli/",
-    "study/runner/",
-    "study/execution/",
-    "study/working_folder.py",
-    "study/private_folder.py",
+    "study/harness/runner/",
+    "study/harness/execution/",
+    "study/ground/working_folder.py",
+    "study/ground/compilation.py",
 )
 
 

@@ -11,7 +11,7 @@ import pytest
 import study
 from study import api
 from study.api.folders import data_root
-from study.errors import InputError, RefusedError
+from study.ground.errors import InputError, RefusedError
 from tests.cli.small import DESIGN, write_files
 
 
@@ -105,8 +105,8 @@ def test_the_numbers_of_the_readme() -> None:
 
 
 def test_solve_a_file_a_mapping_and_a_problem(home: Path) -> None:
-    from study.design.load import load_problem
-    from study.setup.setup import problem_of
+    from study.harness.design.load import load_problem
+    from study.mechanics.setup.setup import problem_of
 
     config = load_problem(home / "problem.toml")
     forces = [

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from study import bounded_file
-from study.bounded_file import NotRegularError, UnreadableError
+from study.ground import bounded_file
+from study.ground.bounded_file import NotRegularError, UnreadableError
 
 
 def special(kind: str, folder: Path) -> Path:

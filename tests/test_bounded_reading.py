@@ -1,4 +1,4 @@
-"""Whatever is read from a file goes through :mod:`study.bounded_file`; who does not says why."""
+"""Whatever is read from a file goes through ``bounded_file``; who does not says why."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tests.house import trees
 
 ROOT = Path(__file__).parents[1]
 
-READER = "study/bounded_file.py"
+READER = "study/ground/bounded_file.py"
 #: methods and functions that open a file, or parse what somebody else may have written
 OPENS = {
     "open", "open_code", "fdopen", "FileIO", "read_text", "read_bytes", "mmap", "memmap",
@@ -28,39 +28,52 @@ OPENS_OF = {
 }  # fmt: skip
 #: functions of ours with one of these names, and modules whose functions they are
 OURS = {"read_csv", "read_table", "read_json", "read_text", "read_bytes"}
-READERS = {"toml_document", "text_file", "bounded_file", "tabular", "tidy_csv", "self"}
+READERS = {"diagnostics", "text_file", "bounded_file", "tabular", "tidy_csv", "self"}
 WRITING = {"w", "wb", "x", "xb", "a", "ab"}
 
 #: place and call, and why it may: this list may only become shorter
 EXCEPTIONS = {
-    ("study/working_folder.py", "open"): "a handle of the folder to return to",
-    ("study/api/single/virtual.py", "read_text"): "a file of the package",
+    ("study/ground/working_folder.py", "open"): "a handle of the folder to return to",
+    ("study/api/calibrating.py", "read_text"): "a file of the package",
     ("study/api/study.py", "read_text"): "a file of the package",
-    ("study/design/load.py", "read_text"): "a file of the package",
+    ("study/harness/design/load.py", "read_text"): "a file of the package",
     ("study/reporting/output/overview_page.py", "read_text"): "a file of the package",
     ("study/reporting/output/page.py", "read_text"): "a file of the package",
-    ("study/compilation.py", "read_bytes"): "sources of the package",
-    ("study/compilation.py", "open"): "the lock of the cache of kernels, which is not read",
-    ("study/runner/provenance.py", "read_text"): "sources of the package, and their hash",
-    ("study/record/atomic_files.py", "open"): "a handle for fsync, of which nothing is read",
-    ("study/record/lock.py", "open"): "4 kB of a file that must be opened to be locked",
-    ("study/record/fields.py", "ZipFile"): "bytes in memory; sizes are compared first",
-    ("study/record/fields.py", "open"): "a member of an archive in memory, of which 10 kB are read",
-    ("study/record/fields.py", "np.load"): "bytes in memory; sizes are compared first",
-    ("study/runner/numerical/solve_task.py", "open"): "memory of this process, from /proc",
-    ("study/runner/tasks.py", "read_text"): "memory of the machine, from /proc",
-    ("study/forward/launcher.py", "open"): "4 kB of /proc, in a program without this package",
+    ("study/ground/compilation.py", "read_bytes"): "sources of the package",
+    ("study/ground/compilation.py", "open"): "the lock of the cache of kernels, which is not read",
+    ("study/harness/runner/provenance.py", "read_text"): "sources of the package, and their hash",
+    (
+        "study/harness/record/atomic_files.py",
+        "open",
+    ): "handles for fsync and of the lock, of which 4 kB are read",
+    ("study/harness/record/document.py", "ZipFile"): "bytes in memory; sizes are compared first",
+    (
+        "study/harness/record/document.py",
+        "open",
+    ): "a member of an archive in memory: 10 kB",
+    ("study/harness/record/document.py", "np.load"): "bytes in memory; sizes are compared first",
+    ("study/harness/runner/solve_task.py", "open"): "memory of this process, from /proc",
+    ("study/harness/runner/tasks.py", "read_text"): "memory of the machine, from /proc",
+    (
+        "study/harness/external/launcher.py",
+        "open",
+    ): "4 kB of /proc, in a program without this package",
     ("study/cli/app.py", "open"): "/dev/null, to be written to",
-    ("study/cli/studies.py", "json.loads"): "a record that was read and written again in memory",
-    ("study/execution/inline.py", "json.loads"): "text of this very process",
-    ("study/execution/task.py", "json.loads"): "text of the process that asked",
-    ("study/execution/worker.py", "open"): "a pool of processes",
-    ("study/execution/loky.py", "open"): "a pool of processes",
+    (
+        "study/cli/study_commands.py",
+        "json.loads",
+    ): "a record that was read and written again in memory",
+    ("study/harness/execution/supervisor.py", "json.loads"): "text of this very process",
+    ("study/harness/execution/task.py", "json.loads"): "text of the process that asked",
+    ("study/harness/execution/local.py", "open"): "a pool of processes",
     **{
-        ("study/surface/surface.py", f"{kind}.read"): "a parser behind the reader's checks"
+        (
+            "study/mechanics/surface/closed_surface.py",
+            f"{kind}.read",
+        ): "a parser behind the reader's checks"
         for kind in ("stl", "ply", "obj")
     },
-    ("study/shape_validation/simulated.py", "vtu.read"): "a parser behind the reader's checks",
+    ("study/laboratory/shape/boundary.py", "vtu.read"): "a parser behind the reader's checks",
 }
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from study.curve import Curve
+from study.ground.curve import Curve
 
 
 def sampled(n: int, power: int, *, work: bool = True) -> Curve:

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 import study
-from study.analysis.anova_table import Effect
-from study.analysis.convergence.grid_convergence import NumericalUncertainty
-from study.api.statistics.depth_effects import effects_by_depth
-from study.api.statistics.records import effects_of_records
-from study.curve import Curve
+from study.api.analyzing import effects_by_depth
+from study.api.records import effects_of_records
+from study.ground.curve import Curve
 from study.reporting.output.page import build
-from study.study_result.study_result import StudyResult
+from study.reporting.results.study_result import StudyResult
+from study.statistics.analysis.anova_table import Effect
+from study.statistics.convergence.grid_convergence import NumericalUncertainty
 from tests.cli.small import DESIGN, write_files
 
 
@@ -91,7 +91,7 @@ def test_verdicts_are_held_against_the_numerical_uncertainty(
         found.extend(e.u_num for e in effects if e.is_main)
         return effects
 
-    monkeypatch.setattr("study.api.statistics.depth_effects.effects_of_records", noted)
+    monkeypatch.setattr("study.api.analyzing.effects_of_records", noted)
     effects_by_depth(replace(outcome, numerical=(rough,)))
     # an order of .7 and a factor of 3 bound the finer mesh, whose distance is 50; a cell that was
     # not refined is taken to be at most three times as far off, on either side of a difference

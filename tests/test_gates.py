@@ -112,28 +112,45 @@ def test_types_sees_a_missing_and_a_wrong_type(house: Path) -> None:
     assert "[assignment]" in run.stdout
 
 
-LAYER = "Each layer imports only those below it"
+WINGS = "Each wing imports only those below it"
 CIRCLE = "No circle between the modules of a room, nor between rooms"
 # Module that breaks the rule, the import it makes, and the contract that must say so.
 BREACHES = [
-    ("errors", "study.units", LAYER),
-    ("design/a", "study.record.record", LAYER),
-    ("fem/a", "study.forward.model", LAYER),
-    ("runner/a", "study.reporting.numbers", LAYER),
-    ("utils", "study.errors", LAYER),
-    ("design/layout", "study.design.load", CIRCLE),
-    ("fem/a", "pandas", "fem, forward and calibration know nothing of experiments"),
+    ("ground/a", "study.mechanics.setup.setup", WINGS),
+    ("mechanics/setup/a", "study.harness.record.record", WINGS),
+    ("statistics/analysis/a", "study.harness.runner.job", WINGS),
+    ("harness/runner/a", "study.reporting.content.numbers", WINGS),
+    ("utils", "study.ground.errors", WINGS),
+    ("mechanics/element/a", "study.mechanics.forward.model", "Inside mechanics"),
+    ("statistics/convergence/a", "study.statistics.analysis.anova", "Inside statistics"),
+    ("harness/design/a", "study.harness.record.record", "Inside harness"),
+    ("laboratory/registration/a", "study.laboratory.haptics.force_surface", "Inside laboratory"),
+    ("reporting/content/a", "study.reporting.output.page", "Inside reporting"),
+    ("harness/design/layouts", "study.harness.design.load", CIRCLE),
     (
-        "calibration/a",
-        "study.record.record",
-        "fem, forward and calibration know nothing of experiments",
+        "harness/record/a",
+        "study.mechanics.setup.setup",
+        "harness computes no case: it asks a forward model",
     ),
-    ("analysis/a", "study.runner.job", "analysis knows nothing of simulations"),
-    ("reporting/a", "study.forward.model", "reporting computes nothing"),
-    ("runner/a", "gmsh", "gmsh, meshio and scikit-fem only in fem; surfaces are read with meshio"),
+    (
+        "reporting/output/a",
+        "study.mechanics.forward.model",
+        "reporting knows statistics and results, no mechanics and no harness",
+    ),
+    (
+        "laboratory/tracker/a",
+        "study.harness.runner.job",
+        "laboratory uses mechanics, no design of experiments",
+    ),
+    (
+        "mechanics/solver/a",
+        "pandas",
+        "the solver, forward models and calibration know no data frame",
+    ),
+    ("harness/runner/a", "gmsh", "gmsh, meshio and scikit-fem only in rooms of finite elements"),
     ("cli/a", "matplotlib.pyplot", "matplotlib and seaborn only in reporting"),
-    ("reporting/a", "statsmodels.api", "statsmodels only in analysis"),
-    ("runner/a", "numba", "numba only through compilation"),
+    ("reporting/output/a", "statsmodels.api", "statsmodels only in statistics"),
+    ("harness/runner/a", "numba", "numba only through compilation"),
 ]
 
 
@@ -149,14 +166,18 @@ def test_layers_sees(furnished: Path, module: str, imported: str, contract: str)
 
 # The same for packages whose contract has one room: all are planted into one copy, to save time.
 STRAYS = [
-    ("runner/a", "joblib", "joblib only in execution"),
-    ("runner/b", "pydantic", "pydantic only where keys of files are declared"),
-    ("measurement/a", "pydantic_core", "pydantic-core only in record, and where JSON is read"),
-    ("api/a", "cloudpickle", "cloudpickle only in forward"),
+    ("harness/runner/a", "joblib", "joblib only in execution"),
+    ("harness/runner/b", "pydantic", "pydantic only where keys of files are declared"),
     (
-        "execution/a",
-        "study.curve",
-        "execution knows of errors, the working folder and the reader of files alone",
+        "laboratory/tracker/a",
+        "pydantic_core",
+        "pydantic-core only in record, and where JSON is read",
+    ),
+    ("api/a", "cloudpickle", "cloudpickle only for a function given to study.run"),
+    (
+        "harness/execution/a",
+        "study.ground.curve",
+        "execution knows of errors, the working folder and the reader of files",
     ),
 ]
 
@@ -172,17 +193,19 @@ def test_layers_sees_every_stray_import(furnished: Path) -> None:
 
 def test_layers_sees_an_exception_that_nobody_needs(furnished: Path) -> None:
     text = (furnished / "pyproject.toml").read_text()
-    stale = '"study.compilation -> numba", "study.units -> numba"'
-    (furnished / "pyproject.toml").write_text(text.replace('"study.compilation -> numba"', stale))
+    stale = '"study.ground.compilation -> numba", "study.ground.units -> numba"'
+    (furnished / "pyproject.toml").write_text(
+        text.replace('"study.ground.compilation -> numba"', stale)
+    )
     run = gate(furnished, *LAYERS)
     assert run.returncode == 1
-    assert "study.units -> numba" in run.stdout + run.stderr
+    assert "study.ground.units -> numba" in run.stdout + run.stderr
 
 
 def test_generated_sees_an_edited_coefficient(furnished: Path) -> None:
     shutil.copytree(ROOT / "scripts", furnished / "scripts")
     assert gate(furnished, *GENERATED).returncode == 0
-    kernels = furnished / "study" / "fem" / "element" / "element_stiffness.py"
+    kernels = furnished / "study" / "mechanics" / "element" / "element_stiffness.py"
     text = kernels.read_text(encoding="utf-8")
     edited = text.replace("c_FF * F + c_FG * G", "2.0 * c_FF * F + c_FG * G", 1)
     assert edited != text
@@ -197,13 +220,15 @@ def test_generated_sees_an_edited_coefficient(furnished: Path) -> None:
 
 def plant(root: Path, module: str, code: str) -> None:
     """Add code to a module of a copy, or make the module."""
-    with (root / "study" / module).open("a", encoding="utf-8") as file:
+    path = root / "study" / module
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("a", encoding="utf-8") as file:
         file.write(code)
 
 
 def test_rules_see_an_import_that_nobody_declared(furnished: Path) -> None:
-    plant(furnished, "units.py", "\nimport sympy\n")
-    assert rules.undeclared_imports(furnished) == {"study/units.py: sympy"}
+    plant(furnished, "ground/units.py", "\nimport sympy\n")
+    assert rules.undeclared_imports(furnished) == {"study/ground/units.py: sympy"}
 
 
 def test_rules_see_a_declared_package_that_nobody_imports(furnished: Path) -> None:
@@ -213,48 +238,53 @@ def test_rules_see_a_declared_package_that_nobody_imports(furnished: Path) -> No
 
 
 def test_rules_see_a_late_import(furnished: Path) -> None:
-    plant(furnished, "api/doctor.py", "\n\ndef late():\n    from study.units import x\n")
-    assert [found.split(": ")[1] for found in rules.late_imports(furnished)] == ["study.units"]
+    plant(furnished, "api/doctor.py", "\n\ndef late():\n    from study.ground.units import x\n")
+    assert [found.split(": ")[1] for found in rules.late_imports(furnished)] == [
+        "study.ground.units"
+    ]
 
 
 def test_rules_see_constants_without_a_line_of_their_own(furnished: Path) -> None:
-    plant(furnished, "units.py", "\n_A, _B = 1, 2\n")
+    plant(furnished, "ground/units.py", "\n_A, _B = 1, 2\n")
     assert len(rules.constants_in_tuples(furnished)) == 1
 
 
 def test_rules_see_an_untyped_value(furnished: Path) -> None:
     before = rules.untyped(furnished)
-    plant(furnished, "units.py", "\nx: Any = 1\n")
+    plant(furnished, "ground/units.py", "\nx: Any = 1\n")
     assert rules.untyped(furnished) == before + 1
 
 
 def test_rules_see_a_name_that_hides_untyped_values(house: Path) -> None:
-    plant(house, "units.py", "Tables = dict[str, Any]\nFree: TypeAlias = Any\n")
-    assert rules.untyped_aliases(house) == ["study/units.py: Tables", "study/units.py: Free"]
+    plant(house, "ground/units.py", "Tables = dict[str, Any]\nFree: TypeAlias = Any\n")
+    assert rules.untyped_aliases(house) == [
+        "study/ground/units.py: Tables",
+        "study/ground/units.py: Free",
+    ]
 
 
 def test_rules_see_a_class_of_many_fields(house: Path) -> None:
     fields = "".join(f"    x{k}: int\n" for k in range(rules.MOST_FIELDS))
-    plant(house, "units.py", f"@dataclass(frozen=True)\nclass Wide:\n{fields}")
+    plant(house, "ground/units.py", f"@dataclass(frozen=True)\nclass Wide:\n{fields}")
     assert rules.wide_classes(house) == {}
-    plant(house, "units.py", "    y: int\n")
-    assert rules.wide_classes(house) == {"study/units.py: Wide": rules.MOST_FIELDS + 1}
+    plant(house, "ground/units.py", "    y: int\n")
+    assert rules.wide_classes(house) == {"study/ground/units.py: Wide": rules.MOST_FIELDS + 1}
 
 
 @pytest.mark.parametrize(
     "line", ["import scipy.stats", "from scipy import stats", "from scipy.stats import t"]
 )
 def test_rules_see_statistics_outside_their_rooms(house: Path, line: str) -> None:
-    plant(house, "units.py", f"from scipy.stats import qmc\n\n\ndef late():\n    {line}\n")
-    assert rules.stray_statistics(house) == [f"study/units.py:5: {line}"]
+    plant(house, "ground/units.py", f"from scipy.stats import qmc\n\n\ndef late():\n    {line}\n")
+    assert rules.stray_statistics(house) == [f"study/ground/units.py:5: {line}"]
 
 
 def test_rules_see_a_small_helper_with_one_caller(house: Path) -> None:
     helper = '\n\ndef _half(x):\n    """Half."""\n    return x / 2\n'
     caller = "\n\ndef quarter(x):\n    return _half(x) / 2\n"
-    plant(house, "units.py", helper + caller)
-    assert rules.small_helpers(house) == ["study/units.py: _half"]
-    plant(house, "units.py", "\n\ndef third(x):\n    return _half(x) / 1.5\n")
+    plant(house, "ground/units.py", helper + caller)
+    assert rules.small_helpers(house) == ["study/ground/units.py: _half"]
+    plant(house, "ground/units.py", "\n\ndef third(x):\n    return _half(x) / 1.5\n")
     assert rules.small_helpers(house) == []
     plant(house, "a.py", helper.replace("Half.", "Half (Hardy 1908).") + caller)
     plant(house, "b.py", helper.replace("_half", "_tested") + caller.replace("_half", "_tested"))
@@ -265,10 +295,10 @@ def test_rules_see_a_small_helper_with_one_caller(house: Path) -> None:
 
 def test_rules_see_a_docstring_longer_than_its_function(house: Path) -> None:
     long = '\n\ndef {}(x):\n    """Give x.\n\n    As it is.\n    """\n    return x\n'
-    plant(house, "units.py", long.format("same") + "\n\ndef short(x):\n    return x\n")
+    plant(house, "ground/units.py", long.format("same") + "\n\ndef short(x):\n    return x\n")
     plant(house, "__init__.py", '\n_LAZY = {"solve": "study.api"}\n')
     plant(house, "api.py", long.format("solve"))
-    assert rules.long_docstrings(house) == ["study/units.py: same"]
+    assert rules.long_docstrings(house) == ["study/ground/units.py: same"]
 
 
 def test_rules_see_deep_empty_and_namesake_modules_and_classes(house: Path) -> None:
@@ -286,13 +316,17 @@ def test_rules_see_deep_empty_and_namesake_modules_and_classes(house: Path) -> N
 
 
 def test_rules_see_a_name_that_nobody_uses(house: Path) -> None:
-    plant(house, "units.py", "\n\ndef lonely():\n    return 1\n\n\ndef shown():\n    return 1\n")
+    plant(
+        house,
+        "ground/units.py",
+        "\n\ndef lonely():\n    return 1\n\n\ndef shown():\n    return 1\n",
+    )
     (house / "study" / "page.html").write_text("{{ table.shown }}")
     assert rules.unused(house) == ["lonely"]
 
 
 def test_rules_see_a_test_below_a_door(house: Path) -> None:
-    (house / "tests" / "test_a.py").write_text("from study.fem.mesh import mesher\n")
+    (house / "tests" / "test_a.py").write_text("from study.mechanics.mesh import mesher\n")
     (house / "tests" / "test_b.py").write_text("import study\nfrom study.api import run\n")
     assert rules.tests_below_a_door(house) == ["tests/test_a.py"]
 
@@ -324,25 +358,24 @@ def test_the_ledger_counts_every_line_once() -> None:
 def test_the_ledger_sees_a_room_that_grows_and_writes_it_down(
     house: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (house / "study" / "fem").mkdir()
-    plant(house, "fem/mesh.py", "x = 1\n")
+    plant(house, "mechanics/solver/mesh.py", "x = 1\n")
     assert ledger.main(["--write"], root=house) == 0
     assert ledger.main(["--check"], root=house) == 0
-    plant(house, "fem/mesh.py", "y = 1\n\n\nclass Mesh: ...\n")
+    plant(house, "mechanics/solver/mesh.py", "y = 1\n\n\nclass Mesh: ...\n")
     capsys.readouterr()
     assert ledger.main(["--check"], root=house) == 1
     printed = capsys.readouterr().out
-    assert "study/fem: 3 code, the budget is 1" in printed
-    assert "study/fem: 5 lines, the budget is 1" in printed
+    assert "study/mechanics/solver: 3 code, the budget is 1" in printed
+    assert "study/mechanics/solver: 5 lines, the budget is 1" in printed
     assert "unused: Mesh is new" in printed
     assert ledger.main(["--write"], root=house) == 0
-    assert "grown: study/fem: 3 code, the budget is 1" in capsys.readouterr().out
+    assert "grown: study/mechanics/solver: 3 code, the budget is 1" in capsys.readouterr().out
     assert ledger.main(["--check"], root=house) == 0
 
 
 def test_rules_see_a_reader_of_the_environment(furnished: Path) -> None:
-    plant(furnished, "units.py", "\nimport os\n\nx = os.environ\n")
-    assert rules.environment_readers(furnished) == {"study/units.py"}
+    plant(furnished, "ground/units.py", "\nimport os\n\nx = os.environ\n")
+    assert rules.environment_readers(furnished) == {"study/ground/units.py"}
 
 
 def test_a_warning_fails_a_test(house: Path) -> None:

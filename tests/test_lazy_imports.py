@@ -39,7 +39,7 @@ def test_an_analysis_without_p_loads_no_statsmodels() -> None:
     code = """
 import sys
 import pandas as pd
-from study.analysis.anova import anova
+from study.statistics.analysis.anova import anova
 # three contrasts are too few for Lenth's p, so there is no p that Holm would adjust
 table = pd.DataFrame([(a, b) for a in "xy" for b in "pq"], columns=list("ab"))
 found = anova(table.assign(y=[1.0, 4, 2, 8]), "y", list("ab"), exact=False)

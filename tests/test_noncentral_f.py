@@ -7,9 +7,9 @@ import pytest
 from scipy.special import ncfdtr
 from scipy.stats import beta, poisson
 
-from study import noncentral_f
-from study.analysis.effects.power.detection import detectable, power_of
-from study.noncentral_f import noncentral_f_cdf
+from study.ground import noncentral_f
+from study.ground.noncentral_f import noncentral_f_cdf
+from study.statistics.analysis.power import detectable, power_of
 
 #: degrees of freedom and noncentralities at which scipy 1.17 gives NaN, and the critical F
 NOT_A_NUMBER = [

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from study import units
-from study.errors import UnitError
+from study.ground import units
+from study.ground.errors import UnitError
 
 
 @pytest.mark.parametrize(

@@ -70,7 +70,8 @@ codes = []
 signal.signal(signal.SIGALRM, signal.default_int_handler)
 for arguments in json.load(open(sys.argv[1])):
     if arguments[0] == "why":
-        arguments.append(next(pathlib.Path("results/ranges/cases").rglob("record.json")).parent.name)
+        record = next(pathlib.Path("results/ranges/cases").rglob("record.json"))
+        arguments.append(record.parent.name)
     if arguments[0] == "demo":  # takes minutes and is stopped: its processes have started then
         signal.setitimer(signal.ITIMER_REAL, 5.0)
     try:

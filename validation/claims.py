@@ -19,12 +19,17 @@ from unittest.mock import patch
 import numpy as np
 import pandas as pd
 
-from study.analysis import gate
-from study.analysis.anova import effects
-from study.analysis.effects.verdict import CLAIMS
-from study.analysis.request import AnalysisRequest, Blocking, ResponseScale, threshold
-from study.arrays import Array
-from study.errors import RefusedError
+from study.ground.arrays import Array
+from study.ground.errors import RefusedError
+from study.statistics.analysis import gate
+from study.statistics.analysis.analysis_request import (
+    AnalysisRequest,
+    Blocking,
+    ResponseScale,
+    threshold,
+)
+from study.statistics.analysis.anova import effects
+from study.statistics.analysis.simple_effects import CLAIMS
 
 Draw = Callable[[np.random.Generator], pd.DataFrame]
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.random import Generator
 
 from study.cli.app import VERBS, run
-from study.design.toml_document import dump_toml
+from study.harness.design.diagnostics import dump_toml
 from validation.fuzz_inputs import (
     MEASURED,
     STUDY,

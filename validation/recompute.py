@@ -35,7 +35,7 @@ import numpy as np
 
 if not __package__:  # run as a script: the folder above holds this one
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from study.errors import Fault, InputError, StudyError
+from study.ground.errors import Fault, InputError, StudyError
 from validation.apart import Apart
 from validation.recompute_forward import MORE_STEPS, averaged, recomputed
 from validation.recompute_records import RESPONSES, Job, jobs_of

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from study.design.sections.simulated import simulated_at
+from study.harness.design.study_file import simulated_at
 from validation.recompute_records import Direction, Job
 
 Array = NDArray[np.float64]
@@ -54,11 +54,11 @@ def solved(job: Job, one: Direction, depth_mm: float) -> tuple[Array, str]:
     RuntimeError
         If it has no answer.
     """
-    from study.fem.solver.options import Options
-    from study.fem.solver.solve import solve
-    from study.forward.closed_form import height_and_area
-    from study.setup.load_steps import StepSettings
-    from study.setup.setup import problem_of
+    from study.mechanics.forward.closed_form import height_and_area
+    from study.mechanics.setup.setup import problem_of
+    from study.mechanics.setup.test_kind import StepSettings
+    from study.mechanics.solver.finite_element_solution import solve
+    from study.mechanics.solver.newton import Options
 
     problem = problem_of(job.config, one.constants, depth_mm)
     if job.closed_form:
@@ -74,8 +74,8 @@ def solved(job: Job, one: Direction, depth_mm: float) -> tuple[Array, str]:
 
 def _on_two_elements(problem: Any, area_mm2: float) -> Any:
     """Cylinder of the same cross-section on a coarse mesh: homogeneous, so any mesh is exact."""
-    from study.setup.geometry import Cylinder
-    from study.setup.setup import Model
+    from study.mechanics.setup.geometry import Cylinder
+    from study.mechanics.setup.setup import Model
 
     height = problem.specimen.height_mm
     cylinder = Cylinder(math.sqrt(area_mm2 / math.pi), height)

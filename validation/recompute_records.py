@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from study.design.sections.simulated import simulated_at
-from study.errors import InputError
-from study.forward.external import External
-from study.record.document import CurveKey
+from study.ground.errors import InputError
+from study.harness.design.study_file import simulated_at
+from study.harness.external.command import External
+from study.harness.record.document import CurveKey
 
 Config = Mapping[str, Any]
 
@@ -59,8 +59,8 @@ def jobs_of(folder: Path, data: Path | None, left_out: Counter[str]) -> list[Job
         If the folder holds no study, or ``data`` not its measurements.
     """
     from study.api.folders import results_folder
-    from study.design.load import loads
-    from study.record.store import Store
+    from study.harness.design.load import loads
+    from study.harness.record.store import Store
 
     home = results_folder(folder)
     store = Store(home)
@@ -77,9 +77,9 @@ def jobs_of(folder: Path, data: Path | None, left_out: Counter[str]) -> list[Job
 
 def _configs(design: Any, blocks: Sequence[str], data: Path | None) -> dict[Any, Config]:
     """Resolve every case, by its levels, its block and the number of its mesh."""
-    from study.design.cases import cases
-    from study.runner.provenance import located
-    from study.runner.replicates import mesh_seeded
+    from study.harness.design.spec import cases
+    from study.harness.runner.expansion import mesh_seeded
+    from study.harness.runner.provenance import located
 
     places = () if data is None else (data.resolve(),)
     return {
@@ -131,9 +131,9 @@ def _is_of_a_curve(name: str) -> bool:
 
 def _sticks(test: Config) -> bool:
     """Whether an indenter holds what it touches where it meets it: load steps matter then."""
-    from study.setup.setup import loading_of
-    from study.setup.test_kind import IndenterContact
-    from study.setup.test_section import TEST_KINDS
+    from study.mechanics.setup.setup import loading_of
+    from study.mechanics.setup.test_kind import IndenterContact
+    from study.mechanics.setup.test_section import TEST_KINDS
 
     made = loading_of(test).to_depth(1.0)
     contacts = TEST_KINDS[made.kind].contacts(made)
@@ -158,7 +158,7 @@ def _unfit(record: Any) -> str:
 
 
 def _plain(config: Config) -> dict[str, Any]:
-    from study.design.sections.content import plain
+    from study.harness.design.cell import plain
 
     made: dict[str, Any] = plain(config)
     return made
@@ -190,8 +190,8 @@ def _lists(curve: Any) -> tuple[list[float], list[float]]:
 
 def _read(config: Config, block: str | None, data: Path, number: int) -> Any:
     """Read the measured curve that a direction is scored on; the second is the first's reverse."""
-    from study.design.spec import MeasurementSpec
-    from study.measurement.reading import read_measurements
+    from study.harness.design.spec import MeasurementSpec
+    from study.mechanics.measurement.reading import read_measurements
 
     spec, height = config["measurements"], config["specimen"].get("height_mm")
     made = spec if isinstance(spec, MeasurementSpec) else MeasurementSpec.from_dict(spec)

@@ -35,10 +35,10 @@ from numpy.typing import NDArray
 
 if not __package__:  # run as a script: the folder above holds this one
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from study.errors import InputError
-from study.fem.cost import expected_unknowns
-from study.setup.geometry import Cylinder
-from study.setup.setup import Problem
+from study.ground.errors import InputError
+from study.mechanics.setup.geometry import Cylinder
+from study.mechanics.setup.setup import Problem
+from study.mechanics.solver.solution_cost import expected_unknowns
 from validation.apart import Apart
 from validation.sweep_problems import drawn, references, sized
 
@@ -62,7 +62,7 @@ SILENT = "silent miss"
 
 def solution(problem: Problem) -> Found:
     """Solve a problem, in a process of its own; the curve and what the run says of itself."""
-    from study.fem.solver.solve import solve
+    from study.mechanics.solver.finite_element_solution import solve
 
     began = time.perf_counter()
     found = solve(problem, gradients=False)
@@ -143,7 +143,7 @@ def _claimed(problem: Problem, own: Found, ask: Ask) -> Found:
     As a study claims it for its own mesh: from two finer meshes, or one where the second would
     be dear.
     """
-    from study.fem.mesh.mesher import mesh_size
+    from study.mechanics.mesh.mesher import mesh_size
 
     series, size = [own], mesh_size(problem.setup)
     for level in range(1, MESHES):
@@ -168,7 +168,7 @@ def _claimed(problem: Problem, own: Found, ask: Ask) -> Found:
 
 def _sizes(problem: Problem, series: Sequence[Found]) -> list[float]:
     """Sizes by which a study judges a series."""
-    from study.runner.numerical.sizes import series_sizes
+    from study.harness.runner.refinement import series_sizes
 
     return series_sizes(
         [each["mesh_size_mm"] for each in series], [each["elements"] for each in series],
@@ -181,12 +181,12 @@ def _uncertainty(
     problem: Problem, values: Sequence[float], sizes: Sequence[float]
 ) -> tuple[str, float | None]:
     """Behaviour of a series and uncertainty on its coarsest mesh; it rests on the public GCI."""
-    from study.runner.numerical.formal_order import formal_order
-    from study.runner.numerical.series_uncertainty import (
+    from study.harness.runner.case_series import (
         ratio_of,
         series_uncertainty,
         two_mesh_uncertainty,
     )
+    from study.harness.runner.refinement import formal_order
 
     if len(values) < 2:
         return "one mesh", None
@@ -344,11 +344,11 @@ def reproduction(seed: int, number: int) -> str:
     """Lines of Python that solve a problem and its first reference."""
     problem = drawn(seed, number)
     return (
-        "from study.fem.solver.solve import solve\n"
-        "from study.material.material import Material\n"
-        "from study.setup.geometry import Block, Cone, Cylinder, Flat, Sphere\n"
-        "from study.setup.setup import Model, Problem\n"
-        "from study.setup.test_kind import Test\n\n"
+        "from study.mechanics.solver.finite_element_solution import solve\n"
+        "from study.mechanics.material.material import Material\n"
+        "from study.mechanics.setup.geometry import Block, Cone, Cylinder, Flat, Sphere\n"
+        "from study.mechanics.setup.setup import Model, Problem\n"
+        "from study.mechanics.setup.test_kind import Test\n\n"
         f"problem = {problem!r}\n"
         f"reference = {references(problem)[0]!r}\n"
         "for one in (problem, reference):\n"

@@ -12,15 +12,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from study.errors import InputError
-from study.fem.checks import check, instability
-from study.fem.cost import expected_unknowns
-from study.fem.mesh.mesher import mesh_size
-from study.material.material import Material
-from study.setup.geometry import Block, Cone, Cylinder, Flat, Indenter, Sphere
-from study.setup.load_steps import StepSettings
-from study.setup.setup import Model, Problem
-from study.setup.test_kind import Interface, Test
+from study.ground.errors import InputError
+from study.mechanics.material.material import Material
+from study.mechanics.mesh.mesher import mesh_size
+from study.mechanics.setup.geometry import Block, Cone, Cylinder, Flat, Indenter, Sphere
+from study.mechanics.setup.setup import Model, Problem
+from study.mechanics.setup.test_kind import Interface, StepSettings, Test
+from study.mechanics.solver.finite_element_solution import check, instability
+from study.mechanics.solver.solution_cost import expected_unknowns
 
 Generator = np.random.Generator
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from benchmarks.exchange import Answer, NoAnswerError, Task
-from study.fem.mesh.mesh import Mesh
-from study.fem.solver.options import Options
-from study.fem.solver.solve import solve as simulate
-from study.material.material import Material
-from study.setup.geometry import Cylinder
-from study.setup.load_steps import StepSettings
-from study.setup.setup import Model, Problem
-from study.setup.test_kind import Test
+from study.mechanics.material.material import Material
+from study.mechanics.mesh.structured import Mesh
+from study.mechanics.setup.geometry import Cylinder
+from study.mechanics.setup.setup import Model, Problem
+from study.mechanics.setup.test_kind import StepSettings, Test
+from study.mechanics.solver.finite_element_solution import solve as simulate
+from study.mechanics.solver.newton import Options
 
 #: no step is cut in two, and the free side passes through the plates: as in the other codes
 OPTIONS = Options(side_contact=False, steps=StepSettings(largest=0.06))

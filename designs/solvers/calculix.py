@@ -35,8 +35,8 @@ FORCE = re.compile(r"total force .* for set TOP and time\s+(\S+)")
 def deck(problem: dict) -> str:
     """Text of the input file."""
     # the mesh generator takes a second to load, and the curve does not need it
-    from study.fem.mesh.mesher import build_mesh
-    from study.setup.setup import Setup
+    from study.mechanics.mesh.mesher import build_mesh
+    from study.mechanics.setup.setup import Setup
 
     model, test, material = problem["model"], problem["test"], problem["material"]
     kind = ELEMENTS.get((model["element_order"], model["element_shape"], model["formulation"]))

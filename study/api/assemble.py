@@ -6,15 +6,14 @@ import platform
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from study.api.uncertainty.credibility import checks_of_spaces
-from study.api.uncertainty.equilibrium_paths import checks_of_paths
-from study.curve import Curve
-from study.design.overview import calibration_factors, equivalent_groups
-from study.material.registry import is_dimensionless
-from study.reporting.text import listing, name_of
-from study.runner.numerical.case_series import stored_convergence
-from study.runner.numerical.retry import notes_of
-from study.study_result.report_data import (
+from study.api.uncertainty import checks_of_paths, checks_of_spaces
+from study.ground.curve import Curve
+from study.harness.design.overview import calibration_factors, equivalent_groups
+from study.harness.runner.batch import notes_of
+from study.harness.runner.case_series import stored_convergence
+from study.mechanics.material.material import is_dimensionless
+from study.reporting.content.text import listing, name_of
+from study.reporting.results.study_result import (
     ANY,
     Check,
     CurvePair,
@@ -26,9 +25,9 @@ from study.study_result.report_data import (
 )
 
 if TYPE_CHECKING:
-    from study.design.spec import Design
-    from study.record.record import Record
-    from study.study_result.study_result import StudyResult
+    from study.harness.design.spec import Design
+    from study.harness.record.record import Record
+    from study.reporting.results.study_result import StudyResult
 
 
 #: cells that must agree physically may differ by the tolerance of the solver
@@ -43,12 +42,7 @@ _HIDDEN = ("schema", "study", "presets", "factors", "exclude", "response", "anal
 
 
 def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
-    """Everything that the report of a study shows but its analyses by depth, which take longest.
-
-    Parameters
-    ----------
-    study, timings : StudyResult; mapping of str to float, wall time in s by part of the run
-    """
+    """Everything that the report of a study shows but its analyses by depth, which take longest."""
     design, manifest = study.design, study.manifest
     blocks = tuple(manifest["blocks"])
     return ReportData(

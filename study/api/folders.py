@@ -6,18 +6,18 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from study.design.load import from_tables, load, load_problem, loads_problem
-from study.design.sections.calibration_design import CalibrationDesign
-from study.design.sections.cell import Config
-from study.design.spec import Design
-from study.errors import Fault, InputError
-from study.measurement.data_root import locate, locate_pattern
-from study.measurement.section import MeasurementSpec
-from study.record.document import ManifestDocument
-from study.record.store import Store
-from study.runner import provenance
-from study.setup.section import table_of
-from study.setup.setup import Tables
+from study.ground.errors import Fault, InputError
+from study.harness.design.calibration_section import CalibrationDesign
+from study.harness.design.cell import Config
+from study.harness.design.load import from_tables, load, load_problem, loads_problem
+from study.harness.design.spec import Design
+from study.harness.record.document import ManifestDocument
+from study.harness.record.store import Store
+from study.harness.runner import provenance
+from study.mechanics.measurement.measurement_section import MeasurementSpec
+from study.mechanics.measurement.recording import locate, locate_pattern
+from study.mechanics.setup.declaration import table_of
+from study.mechanics.setup.setup import Tables
 
 RESULTS = Path("results")
 REPORTS = Path("reports")
@@ -31,20 +31,6 @@ def data_root(
     Without a folder that the user named it is the first of three that holds the files:
     ``measurements/`` beside the design's folder, ``measurements/`` beside the design, the
     design's folder. Where none holds them it is the first that exists.
-
-    Parameters
-    ----------
-    source : str or Path
-        The design file.
-    data : str or Path, optional
-        The folder that the user named, which wins.
-    named : iterable of MeasurementSpec
-        What names the files that are looked for.
-
-    Raises
-    ------
-    InputError
-        If the named folder does not exist.
     """
     if data is not None:
         folder = Path(data)
@@ -74,21 +60,7 @@ def _holds(folder: Path, wanted: Iterable[MeasurementSpec]) -> bool:
 
 
 def problem_tables(source: str | Path | Tables, overrides: Sequence[str] = ()) -> Config:
-    """Read a problem, from its file or from tables as a file has them, and find its surface.
-
-    Parameters
-    ----------
-    source : str, Path or mapping
-        Problem file, or its tables; files that they name are looked for from here. Tables that
-        have the keys of the program, as a setting of a study has them, stay as they are.
-    overrides : sequence of str
-        ``key=value`` each, laid over the file before it is validated.
-
-    Raises
-    ------
-    InputError
-        For a faulty problem.
-    """
+    """Read a problem, from its file or from tables as a file has them, and find its surface."""
     if isinstance(source, Mapping):
         if "displacement_mm" in table_of(source, "test"):
             return dict(source)
@@ -99,20 +71,7 @@ def problem_tables(source: str | Path | Tables, overrides: Sequence[str] = ()) -
 
 
 def design_root(design: Design, data: str | Path | None = None) -> Path:
-    """Folder that the measurement files of a design are relative to.
-
-    Parameters
-    ----------
-    design : Design
-        Its cells name the files that are looked for.
-    data : str or Path, optional
-        The folder that the user named, which wins; by default that of :func:`data_root`.
-
-    Raises
-    ------
-    InputError
-        If the named folder does not exist.
-    """
+    """Folder that the measurement files of a design are relative to."""
     specs = [
         spec
         for cell in design.treatments
@@ -125,38 +84,12 @@ def design_root(design: Design, data: str | Path | None = None) -> Path:
 def calibration_root(
     config: CalibrationDesign, source: str | Path, data: str | Path | None = None
 ) -> Path:
-    """Folder that the measurement files of a calibration are relative to.
-
-    Parameters
-    ----------
-    config : CalibrationDesign
-        Its tests name the files that are looked for.
-    source : str or Path
-        The calibration file.
-    data : str or Path, optional
-        The folder that the user named, which wins; by default that of :func:`data_root`.
-
-    Raises
-    ------
-    InputError
-        If the named folder does not exist.
-    """
+    """Folder that the measurement files of a calibration are relative to."""
     return data_root(source, data, [test.measurements for test in config.tests])
 
 
 def finished_manifest(store: Store) -> ManifestDocument:
-    """Manifest of the run that is read from.
-
-    Parameters
-    ----------
-    store : Store
-        Results of a study that was run.
-
-    Raises
-    ------
-    InputError
-        If it is damaged.
-    """
+    """Manifest of the run that is read from."""
     found = store.read_manifest()
     if found is None:
         raise InputError(f"{store.path}: its manifest is damaged; run the design again")
@@ -164,20 +97,7 @@ def finished_manifest(store: Store) -> ManifestDocument:
 
 
 def results_folder(path: str | Path, results: str | Path = RESULTS) -> Path:
-    """Results of a study, named by their folder, by its design file, or by the study's name.
-
-    Parameters
-    ----------
-    path : str or Path
-        Results folder, design file (``.toml``) or name of the study.
-    results : str or Path
-        Folder of all results, where ``path`` is a name or a design file.
-
-    Raises
-    ------
-    InputError
-        If nothing has been computed there.
-    """
+    """Results of a study, named by their folder, by its design file, or by the study's name."""
     given = Path(path)
     candidates = [given, Path(results) / given.name]
     if given.suffix == ".toml" and given.is_file():

@@ -3,31 +3,80 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from study.analysis.convergence.grid_convergence import NumericalUncertainty
-from study.analysis.request import threshold
+from study.api.analyzing import adjusted, cross_validated, scored_on
+from study.api.assemble import report_data
+from study.api.contrast_power import with_contrasts
+from study.api.fitting_surfaces import SEE_SURFACE, is_numeric, surfaces
 from study.api.folders import RESULTS, finished_manifest, results_folder
-from study.api.statistics.confirmation import joined
-from study.api.statistics.contrast import with_contrasts
-from study.api.statistics.family import adjusted
-from study.api.statistics.records import analyze_records
-from study.api.statistics.scoring import cross_validated, scored_on
-from study.api.statistics.surface.study_surface import SEE_SURFACE, is_numeric, surfaces
-from study.api.study_notebook import Study
-from study.api.uncertainty.numerical import stored_numerical
-from study.design.load import loads
-from study.design.plausibility import cautions
-from study.design.spec import Design
-from study.errors import StudyError
-from study.measurement.conditioning import is_caution
-from study.record.document import AdaptiveStep, ManifestDocument, SpaceRow, ValidationRow
-from study.record.document_checks import fault_of_comparisons
-from study.record.record import Record
-from study.record.store import Store
-from study.runner.expansion import cases_by_id, relabeled
-from study.study_result.report_data import ResponseAnalysis
-from study.study_result.study_result import StudyResult
+from study.api.predicting import joined
+from study.api.records import analyze_records
+from study.api.uncertainty import stored_numerical
+from study.ground.errors import Fault, InputError, StudyError, nearest
+from study.harness.design.load import loads
+from study.harness.design.plausibility import cautions
+from study.harness.design.spec import Design
+from study.harness.record.document import (
+    AdaptiveStep,
+    ManifestDocument,
+    SpaceRow,
+    ValidationRow,
+    fault_of_comparisons,
+)
+from study.harness.record.record import Record
+from study.harness.record.store import Store
+from study.harness.runner.expansion import cases_by_id, relabeled
+from study.mechanics.measurement.conditioning import is_caution
+from study.reporting.content.report_facts import facts
+from study.reporting.figures.effect_figures import shown_effect_sizes
+from study.reporting.output.notebook import Shown
+from study.reporting.results.study_result import ResponseAnalysis, StudyResult
+from study.statistics.analysis.analysis_request import threshold
+from study.statistics.convergence.grid_convergence import NumericalUncertainty
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from study.reporting.figures.axes import Drawing
+
+
+# -------------------------------------------------------------------------------------------------
+# A study as a notebook shows it: a frame, verdicts in HTML, a figure.
+
+
+@dataclass(frozen=True, repr=False)
+class Study(Shown, StudyResult):
+    """What :func:`study.run` and :func:`study.report` return: a study that can be shown."""
+
+    @classmethod
+    def of(cls, found: StudyResult) -> Study:
+        """Give a study the ways to be shown."""
+        return cls(**{item.name: getattr(found, item.name) for item in fields(StudyResult)})
+
+    def to_frame(self) -> pd.DataFrame:
+        """Table of the study, one tidy row a case, failed ones included."""
+        return self.table
+
+    def plot(self, response: str | None = None) -> Drawing:
+        """Draw the largest difference of every term with its interval against what matters."""
+        data = report_data(self, {})
+        found = {item.name: item for item in facts(data)}
+        name = response or next(iter(found), "")
+        if name not in found:
+            rule = f"there is no response {name!r}"
+            raise InputError(Fault("response", rule, nearest(name, found)))
+        return shown_effect_sizes(found[name], data.labels)
+
+    def tables(self) -> Sequence[pd.DataFrame]:
+        """Cases and verdicts."""
+        import pandas as pd
+
+        shape = {"response", "factor", "verdict", "effect", "p"}
+        rows = [{k: v for k, v in row.items() if k in shape} for row in self.verdicts]
+        return pd.DataFrame([{"study": self.design.name, **self.cases}]), pd.DataFrame(rows)
 
 
 def open_study(
@@ -91,13 +140,7 @@ def open_study(
 
 
 def count_cases(known: Path | StudyResult) -> int:
-    """Count the cases of a study before it is opened; 0 where none are known.
-
-    Parameters
-    ----------
-    known : Path or StudyResult
-        Folder of its results, or a study that is open already.
-    """
+    """Count the cases of a study before it is opened; 0 where none are known."""
     if isinstance(known, StudyResult):
         return known.total
     manifest = Store(known).read_manifest()
@@ -105,15 +148,7 @@ def count_cases(known: Path | StudyResult) -> int:
 
 
 def unfinished_note(store: Store, later: ManifestDocument) -> str:
-    """Say that what is shown is the last finished run, and how far the later one is.
-
-    Parameters
-    ----------
-    store : Store
-        Results of the study.
-    later : mapping
-        Manifest of the run that is not finished.
-    """
+    """Say that what is shown is the last finished run, and how far the later one is."""
     counted = Store(store.path).survey(later["cases"])
     done, total = len(counted.done) + len(counted.failed), len(later["cases"])
     return (

@@ -9,51 +9,42 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from study.api import uncertainty
+from study.api.analyzing import effects_by_depth
 from study.api.assemble import report_data
-from study.api.comparison.compare import compare
+from study.api.augmenting import continued, run_adaptive
+from study.api.comparison import compare
 from study.api.folders import REPORTS, RESULTS, design_root, results_folder
-from study.api.opened_study import count_cases, open_study
-from study.api.planning.adaptive import run_adaptive
-from study.api.planning.manifest import manifest_of
-from study.api.planning.remaining_time import (
-    control_seconds,
-    controls_of,
-    refinement_seconds,
-    with_time_left,
-)
-from study.api.planning.sequential_design import continued
-from study.api.planning.stale import WARN, check_choice, check_stale, mixed_meshes
-from study.api.statistics.depth_effects import effects_by_depth
-from study.api.study_notebook import Study
-from study.api.uncertainty import credibility
-from study.api.uncertainty.validation import validate
-from study.design.load import from_tables, load, loads
-from study.design.spec import Design
-from study.errors import InputError, RefusedError, StudyError
-from study.execution.task import check_limit
-from study.execution.worker import Worker
-from study.forward.external import check_allowed
-from study.forward.python_function import Function, PythonFunction
-from study.memory import uncollected
-from study.record.folder import own_folder
-from study.record.manifests import is_same
-from study.record.store import Store
-from study.reporting.figure.style import load_libraries
-from study.reporting.output import provenance
+from study.api.manifest import WARN, check_choice, check_stale, manifest_of, mixed_meshes
+from study.api.opened_study import Study, count_cases, open_study
+from study.api.planning import control_seconds, controls_of, refinement_seconds, with_time_left
+from study.api.uncertainty import validate
+from study.ground.errors import InputError, RefusedError, StudyError
+from study.ground.memory import uncollected
+from study.harness.design.load import from_tables, load, loads
+from study.harness.design.spec import Design
+from study.harness.execution.local import Worker
+from study.harness.execution.task import check_limit
+from study.harness.external.command import check_allowed
+from study.harness.external.exchange import Function, PythonFunction
+from study.harness.record.folder import is_same, own_folder
+from study.harness.record.store import Store
+from study.harness.runner.batch import run_batch
+from study.harness.runner.expansion import expand
+from study.harness.runner.fit_problem import Allowed, externals
+from study.harness.runner.provenance import surface_files, versions
+from study.harness.runner.tasks import computing_on, default_jobs, memory_of, processes
+from study.harness.runner.virtual_specimens import write_virtual
+from study.reporting.figures.axes import load_libraries
+from study.reporting.output import write as provenance
 from study.reporting.output.write import checked_formats, main_file, write
-from study.runner.batch import run_batch
-from study.runner.expansion import expand
-from study.runner.fitting.external_model import Allowed, externals
-from study.runner.provenance import surface_files, versions
-from study.runner.tasks import computing_on, default_jobs, memory_of, processes
-from study.runner.virtual.specimens import write_virtual
-from study.study_result.study_result import StudyResult
+from study.reporting.results.study_result import StudyResult
 
 if TYPE_CHECKING:
-    from study.execution.task import Executor
-    from study.runner.batch import Progress, Summary
-    from study.runner.job import Work
-    from study.runner.tasks import Engine
+    from study.harness.execution.task import Executor
+    from study.harness.runner.batch import Progress, Summary
+    from study.harness.runner.job import Work
+    from study.harness.runner.tasks import Engine
 
 
 def load_design(
@@ -246,9 +237,9 @@ def _compute(
     if not refine:
         return work, summary
     noted = with_time_left(store, progress, spaces)
-    credibility.refine(plain, store, jobs, noted, timeout_s, executor)
+    uncertainty.refine(plain, store, jobs, noted, timeout_s, executor)
     noted = with_time_left(store, progress, 0.0)
-    credibility.compare_spaces(plain, store, jobs, noted, executor)
+    uncertainty.compare_spaces(plain, store, jobs, noted, executor)
     clock.mark("mesh refinement")
     if work.design.uncertainty and work.design.is_measured:
         validate(plain, store, jobs, progress, timeout_s, executor)
@@ -389,7 +380,7 @@ def demo(
     """
     from importlib import resources
 
-    text = resources.files("study.runner").joinpath("demo.toml").read_text(encoding="utf-8")
+    text = resources.files("study.harness.runner").joinpath("demo.toml").read_text(encoding="utf-8")
     design = loads(text, "demo.toml")
     folder = Path(results) / design.name / "measurements"
     spec = design.measurements

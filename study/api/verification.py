@@ -19,24 +19,18 @@ from pathlib import Path
 
 import numpy as np
 
-from study.api.folders import (
-    REPORTS,
-    RESULTS,
-    design_root,
-    finished_manifest,
-    results_folder,
-)
+from study.api.folders import REPORTS, RESULTS, design_root, finished_manifest, results_folder
 from study.api.opened_study import open_study
 from study.api.study import report
-from study.bounded_file import MAX_BYTES, UnreadableError, read_existing, unzip
-from study.design.load import loads
-from study.errors import Fault, InputError, StoreError
-from study.record.record import Record
-from study.record.store import Store
-from study.reporting.output import provenance
-from study.runner.batch import run_batch
-from study.runner.expansion import expand
-from study.runner.fitting.external_model import Allowed
+from study.ground.bounded_file import MAX_BYTES, UnreadableError, read_existing, unzip
+from study.ground.errors import Fault, InputError, StoreError
+from study.harness.design.load import loads
+from study.harness.record.record import Record
+from study.harness.record.store import Store
+from study.harness.runner.batch import run_batch
+from study.harness.runner.expansion import expand
+from study.harness.runner.fit_problem import Allowed
+from study.reporting.output import write
 
 #: relative difference of numbers that another processor or other libraries have added up
 OTHER_ARITHMETIC = 1e-9
@@ -69,26 +63,13 @@ class Difference:
 
 @dataclass
 class Verification:
-    """What a report was found to hold.
+    """What a report was found to hold."""
 
-    Parameters
-    ----------
-    numbers : dict of str to int
-        Numbers that were compared, by kind: page, tables, figures, curves.
-    rounded : int
-        Lines whose numbers agree within the tolerance and not to the last digit.
-    tolerance : float
-        Relative difference of numbers that was passed over.
-    records : int
-        Records whose sums were checked.
-    solved : int
-        Cases that were solved again.
-    differences : list of Difference
-        Everything that does not agree.
-    """
-
+    #: Numbers that were compared, by kind: page, tables, figures, curves.
     numbers: Counter[str] = field(default_factory=Counter)
+    #: Lines whose numbers agree within the tolerance and not to the last digit.
     rounded: int = 0
+    #: Relative difference of numbers that was passed over.
     tolerance: float = 0.0
     records: int = 0
     solved: int = 0
@@ -160,8 +141,8 @@ def verify(
     page = _page(Path(path), Path(reports))
     folder = results_folder(page.parent.name, results)
     if tolerance is None:
-        then = provenance.arithmetic_of(page.parent, page.stem)
-        tolerance = 0.0 if then == provenance.arithmetic() else OTHER_ARITHMETIC
+        then = write.arithmetic_of(page.parent, page.stem)
+        tolerance = 0.0 if then == write.arithmetic() else OTHER_ARITHMETIC
     found = Verification(tolerance=tolerance)
     _check_records(folder, found)
     _compare_report(page.parent, folder, found)
@@ -225,7 +206,7 @@ def _compare_report(home: Path, folder: Path, found: Verification) -> None:
 
 def _texts(folder: Path) -> Iterator[Path]:
     found = (p for p in folder.rglob("*") if p.suffix in _TEXTS and os.path.isfile(p))
-    return (p for p in found if p.name != provenance.NAME)
+    return (p for p in found if p.name != write.NAME)
 
 
 def _text(path: Path, limit: int = MAX_BYTES) -> str:

@@ -2,31 +2,119 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from study.cli import (
-    accuracy,
-    haptics,
-    new_files,
-    power,
-    serve,
-    single,
-    statistics,
-    studies,
-    verification,
+    laboratory_commands,
+    output,
+    single_commands,
+    statistics_commands,
+    study_commands,
 )
-from study.cli.next_command import interrupted, is_resumable
-from study.cli.output import complain
-from study.errors import DiskFullError, StudyError
-from study.working_folder import leave
+from study.cli.output import complain, interrupted, is_resumable, written
+from study.cli.study_commands import REPORTS, RESULTS, Reports, Results, Set
+from study.ground.errors import DiskFullError, Fault, InputError, StudyError
+from study.ground.working_folder import leave
+
+# -------------------------------------------------------------------------------------------------
+# The verb that shows studies in a browser.
+
+
+def serve(
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Port on 127.0.0.1; 0 takes a free one.")
+    ] = 8765,
+    results: Results = RESULTS,
+    reports: Reports = REPORTS,
+) -> None:
+    """Show studies at work, finished ones and their reports in a browser, on this machine alone."""
+    from study import api
+
+    with contextlib.suppress(KeyboardInterrupt):  # the usual end, nothing was interrupted
+        api.serve(results=results, reports=reports, port=port, ready=_say)
+
+
+def _say(address: str) -> None:
+    print(f"{address}  (Ctrl-C ends it)", flush=True)
+
+
+# -------------------------------------------------------------------------------------------------
+# Verbs that write files to start from: new, virtual.
+
+
+def new(
+    file: Annotated[Path, typer.Argument(help="File to be written.")],
+    calibration: Annotated[
+        bool, typer.Option(help="A calibration, with virtual measurements beside it.")
+    ] = False,
+) -> None:
+    """Write a commented design, or calibration, to start from."""
+    from study.api.calibrating import new_file
+
+    try:
+        new_file(file, calibration=calibration)
+    except FileExistsError as error:
+        rule = "exists already"
+        where = str(error.filename or file)
+        raise InputError(Fault(where, rule, "choose another name")) from None
+    except OSError as error:
+        rule = f"cannot be written ({error.strerror or error})"
+        raise InputError(Fault(str(file), rule)) from None
+    if calibration:
+        output.next_step(f"{file} runs as it is; edit it later", written("calibrate", file))
+        return
+    print(f"{file} runs as it is, with measurements of virtual specimens; edit it later")
+    made = written("virtual", "measurements", options={"--from": file})
+    output.next_step("make the measurements, then plan", f"{made}\n  {written('plan', file)}")
+
+
+def virtual(
+    out: Annotated[Path, typer.Argument(help="Folder for the generated CSV files.")],
+    source: Annotated[
+        Path | None,
+        typer.Option("--from", help="Design, or tracker study, whose data are imitated."),
+    ] = None,
+    truth: Annotated[
+        str, typer.Option(help="Material behind the specimens: yeoh, ogden or humphrey.")
+    ] = "yeoh",
+    specimens: Annotated[
+        int | None, typer.Option(min=2, help="Number of specimens (or batches).")
+    ] = None,
+    settings: Set = None,
+) -> None:
+    """Write virtual measurements as CSV."""
+    from study import api
+    from study.api.folders import data_root, design_root
+    from study.harness.design.load import load
+    from study.laboratory.tracker.tracker_recording import is_tracking
+
+    chosen = {"overrides": settings or (), "truth": truth, "blocks": specimens}
+    for path in api.virtual(out, source, **chosen):
+        print(path)
+    if source is not None and is_tracking(source):
+        where = None if data_root(source).resolve() == out.resolve() else out
+        command = written("tracking", source, options={"--data": where})
+        output.next_step("what the tracker is worth", command, beside=True)
+    elif source is not None:
+        found = design_root(load(source, settings or ())).resolve() == out.resolve()
+        told = {"--data": None if found else out, "-s": settings}
+        output.next_step(
+            "what a study of them computes", written("plan", source, options=told), beside=True
+        )
+
+
+NEW_FILE_VERBS: tuple[Callable[..., None], ...] = (new, virtual)
+
 
 INTERRUPTED = 130
 #: a polite kill and a terminal that is closed end as Ctrl-C does
@@ -61,28 +149,22 @@ def root(
 
 
 VERBS: tuple[Callable[..., None], ...] = (
-    *studies.VERBS,
-    *verification.VERBS,
-    power.power,
-    serve.serve,
-    *statistics.VERBS,
-    *new_files.VERBS,
-    *single.VERBS,
-    *haptics.VERBS,
-    *accuracy.VERBS,
+    *study_commands.VERBS,
+    *study_commands.VERIFICATION_VERBS,
+    statistics_commands.power,
+    serve,
+    *statistics_commands.VERBS,
+    *NEW_FILE_VERBS,
+    *single_commands.VERBS,
+    *laboratory_commands.HAPTIC_VERBS,
+    *laboratory_commands.ACCURACY_VERBS,
 )
 for verb in VERBS:
     app.command()(verb)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the program and exit with its code.
-
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        Words behind ``study``; by default those of the command line.
-    """
+    """Run the program and exit with its code."""
     leave()
     for number in POLITE:
         if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup leaves it
@@ -98,16 +180,6 @@ def run(arguments: Sequence[str] | None = None) -> int:
     """Run the program; errors that a user can mend are printed, bugs raise.
 
     How the process answers signals is left as it is: that belongs to :func:`main`.
-
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        Words behind ``study``; by default those of the command line.
-
-    Returns
-    -------
-    int
-        0 done, 1 some cases failed or the disk is full, 2 bad input, 3 refused, 130 interrupted.
     """
     # by default cycles are looked for at every 700 new objects: a tenth of the time of a resume
     gc.set_threshold(50_000, 20, 20)

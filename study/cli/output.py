@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import json
+import shlex
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from study.errors import Fault, InputError, StudyError
+import typer
+
+from study.ground.errors import Fault, InputError, StudyError
 
 if TYPE_CHECKING:
-    from study.curve import Curve
-    from study.runner.batch import Progress
+    from study.api.planning import Plan
+    from study.ground.curve import Curve
+    from study.harness.runner.batch import Progress
+    from study.reporting.results.study_result import StudyResult
 
 
 #: what a verb answers with --json
@@ -27,24 +33,12 @@ SAME = 4
 
 
 def print_json(document: object) -> None:
-    """One JSON document on stdout; never a bare NaN.
-
-    Parameters
-    ----------
-    document : object
-        Plain data. A number that is not finite raises ValueError.
-    """
+    """One JSON document on stdout; never a bare NaN."""
     print(json.dumps(document, indent=2, allow_nan=False))
 
 
 def complain(error: StudyError) -> None:
-    """Print every fault of an error on stderr.
-
-    Parameters
-    ----------
-    error : StudyError
-        Faults with the same rule and mend are printed once, with their places.
-    """
+    """Print every fault of an error on stderr."""
     faults = error.faults if isinstance(error, InputError) else (str(error),)
     head = "error" if len(faults) == 1 else f"{len(faults)} errors"
     print(f"{head}:", file=sys.stderr)
@@ -68,25 +62,13 @@ def _folded(faults: Sequence[Fault | str]) -> Iterator[str]:
 
 
 def warn(messages: Sequence[str]) -> None:
-    """Print warnings on stderr, each once.
-
-    Parameters
-    ----------
-    messages : sequence of str
-        Printed in this order; further lines of one are indented.
-    """
+    """Print warnings on stderr, each once."""
     for message in dict.fromkeys(messages):
         print("warning: " + message.replace("\n", "\n  "), file=sys.stderr)
 
 
 def paragraph(text: str) -> None:
-    """Print a sentence or more, folded to the width of the terminal, at most 100 columns.
-
-    Parameters
-    ----------
-    text : str
-        Line breaks in it count as spaces.
-    """
+    """Print a sentence or more, folded to the width of the terminal, at most 100 columns."""
     import shutil
     import textwrap
 
@@ -94,15 +76,7 @@ def paragraph(text: str) -> None:
 
 
 def table(rows: Sequence[Sequence[str]], title: str = "") -> None:
-    """Print rows of text as a table; the first is the header.
-
-    Parameters
-    ----------
-    rows : sequence of sequence of str
-        Cells, as many in every row; without rows nothing is printed.
-    title : str
-        Printed above; empty for none.
-    """
+    """Print rows of text as a table; the first is the header."""
     from rich.console import Console
     from rich.markup import escape
     from rich.table import Table
@@ -123,11 +97,6 @@ def table(rows: Sequence[Sequence[str]], title: str = "") -> None:
 def seconds(value: float) -> str:
     """Give a duration in words.
 
-    Parameters
-    ----------
-    value : float
-        Duration in s.
-
     Examples
     --------
     >>> seconds(0.1), seconds(4.2), seconds(75), seconds(7300)
@@ -145,15 +114,7 @@ def seconds(value: float) -> str:
 
 
 def number(value: float | None, digits: int = 4) -> str:
-    """Give a number in a few digits, or a dash.
-
-    Parameters
-    ----------
-    value : float or None
-        None gives the dash.
-    digits : int
-        Significant digits.
-    """
+    """Give a number in a few digits, or a dash."""
     return "-" if value is None else f"{value:.{digits}g}"
 
 
@@ -211,27 +172,12 @@ def _bar() -> Iterator[Callable[[Progress], None]]:
 
 
 def next_step(what: str, command: str, *, beside: bool = False) -> None:
-    """Say what can be done next, and the command that does it.
-
-    Parameters
-    ----------
-    what : str
-        What the command does, in words that follow "next,".
-    command : str
-        As it is typed; may have several lines.
-    beside : bool
-        Whether it goes to stderr: for verbs whose stdout is a list that scripts read.
-    """
+    """Say what can be done next, and the command that does it."""
     print(f"next, {what}:\n  {command}", file=sys.stderr if beside else sys.stdout)
 
 
 def counts(cases: Mapping[str, int]) -> str:
     """Cases in one line.
-
-    Parameters
-    ----------
-    cases : mapping of str to int
-        ``total``, ``done``, ``failed`` and ``missing``.
 
     Examples
     --------
@@ -247,15 +193,7 @@ def counts(cases: Mapping[str, int]) -> str:
 def curve_rows(curve: Curve) -> list[list[str]]:
     """Rows of a table of the quantities that a curve has.
 
-    Parameters
-    ----------
-    curve : Curve
-        Time in s, displacement in mm, force in N and stiffness in N/mm are shown where it has them.
-
-    Returns
-    -------
-    list of list of str
-        The header with units, and one row for every row of the curve.
+    Units: curve s, mm, N/mm.
     """
     every = {
         "time [s]": curve.time_s,
@@ -269,14 +207,7 @@ def curve_rows(curve: Curve) -> list[list[str]]:
 
 
 def print_nuisance(found: Document) -> None:
-    """Show nuisance parameters and the share that each has in the variance of the constants.
-
-    Parameters
-    ----------
-    found : mapping
-        Document of each parameter by its name, in the units of the file; shares are from 0 to 1.
-        Nothing is printed where it is empty.
-    """
+    """Show nuisance parameters and the share that each has in the variance of the constants."""
     if not found:
         return
     constants = next(iter(found.values()))["shares"]
@@ -296,3 +227,147 @@ def print_nuisance(found: Document) -> None:
             "what was expected of a fitted one is a pseudo-observation: a row of the fit that "
             "nobody measured"
         )
+
+
+# -------------------------------------------------------------------------------------------------
+# The command that comes next, or that resumes, as it is typed, and what a shell offers behind it.
+#
+# A shell completes studies that have run, design files, tables and cases.
+
+#: verbs that keep what is finished, so that the same command goes on from there
+RESUMABLE = frozenset({"demo", "run", "converge", "calibrate"})
+
+#: inside double quotes a shell reads these
+_READ_INSIDE = frozenset('"$`\\!')
+
+#: options of a verb by how they are typed; None or a usual value leaves one out
+Options = Mapping[str, object]
+
+
+def written(*words: object, options: Options | None = None) -> str:
+    r"""Command as it is typed.
+
+    Examples
+    --------
+    >>> written("run", "my study.toml", options={"--data": None, "-s": ["a=\'1 mm\'"]})
+    'study run \'my study.toml\' -s "a=\'1 mm\'"'
+    """
+    typed = [str(word) for word in words]
+    for name, value in (options or {}).items():
+        values = value if isinstance(value, (list, tuple)) else [value]
+        for one in values:
+            typed += [] if one is None else [name] if one is True else [name, str(one)]
+    return " ".join(["study", *map(_quoted, typed)])
+
+
+def _quoted(word: str) -> str:
+    """Quote a word for a shell, with double quotes where it holds single ones alone."""
+    if "'" in word and not _READ_INSIDE & set(word):
+        return f'"{word}"'
+    return shlex.quote(word)
+
+
+def is_resumable(arguments: Sequence[str]) -> bool:
+    """Whether the same words, typed once more, go on from what is finished."""
+    return next((word for word in arguments if not word.startswith("-")), "") in RESUMABLE
+
+
+def interrupted(arguments: Sequence[str]) -> str:
+    """Say what is kept of an interrupted command, and what resumes it."""
+    if not is_resumable(arguments):
+        return "interrupted: nothing was written"
+    return (
+        "interrupted: what is finished is kept, and is not computed again. To resume:\n"
+        f"  {written(*arguments)}"
+    )
+
+
+def after_plan(found: Plan, design: Path, options: Options) -> tuple[str, str]:
+    """Say what to do after a plan, and the command."""
+    if found.predicted_seconds is None:
+        return (
+            "put the measurements there, or make some of virtual specimens",
+            written("virtual", "measurements", options={"--from": design, "-s": options.get("-s")}),
+        )
+    if found.missing:
+        allowed = {"--allow-digest": found.digest or None}
+        return "compute what is missing", written("run", design, options={**options, **allowed})
+    return "everything is computed; the report again", written(
+        "report", found.design.name, options=_folders(options)
+    )
+
+
+def after_run(study: StudyResult, options: Options) -> tuple[str, str]:
+    """Say what to do after a run or a report, and the command."""
+    folders = _folders(options)
+    failed = [record.case_id for record in study.records if not record.converged]
+    if failed:
+        where = {"--study": study.folder, "--results": folders.get("--results")}
+        return "why the first case failed", written("why", failed[0], options=where)
+    if len(study.records) < study.total:
+        return "progress of the cases that are missing", written(
+            "status", study.design.name, options={"--results": folders.get("--results")}
+        )
+    if study.report is None or study.report.suffix != ".html":
+        wanted = {**folders, "--format": "html"}
+        return "write its page", written("report", study.design.name, options=wanted)
+    return "check every number of the report", written("verify", study.design.name, options=folders)
+
+
+def _folders(options: Options) -> Options:
+    return {name: options.get(name) for name in ("--results", "--reports")}
+
+
+#: where results are kept when no option says otherwise
+_RESULTS = Path("results")
+
+#: cases that are offered at most: nobody reads more
+_MOST = 200
+
+
+def designs(incomplete: str) -> list[str]:
+    """Offer TOML files and the folders on the way to one."""
+    return _paths(incomplete, (".toml",))
+
+
+def studies(context: typer.Context, incomplete: str) -> list[str]:
+    """Offer studies with results, and what :func:`designs` does."""
+    names = _beginning(incomplete, (folder.name for folder in _results_in(context)))
+    return [*names, *designs(incomplete)]
+
+
+def studies_and_tables(context: typer.Context, incomplete: str) -> list[str]:
+    """Offer what :func:`studies` does, and CSV files."""
+    return [*studies(context, incomplete), *_paths(incomplete, (".csv",), folders=False)]
+
+
+def cases(context: typer.Context, incomplete: str) -> list[str]:
+    """Offer the cases of all studies whose names begin so."""
+    names = (path.name for study in _results_in(context) for path in _inside(study / "cases"))
+    return _beginning(incomplete, names)[:_MOST]
+
+
+def _results_in(context: typer.Context) -> list[Path]:
+    """Folders of studies, in that of the results."""
+    results = Path(context.params.get("results") or _RESULTS)
+    return [folder for folder in _inside(results) if folder.is_dir()]
+
+
+def _paths(incomplete: str, endings: tuple[str, ...], *, folders: bool = True) -> list[str]:
+    """Files and folders below what is typed already, as it was typed."""
+    typed, _, _ = incomplete.rpartition("/")
+    above = f"{typed}/" if "/" in incomplete else ""
+    found = list(_inside(Path(above or ".")))
+    names = [f"{above}{one.name}" for one in found if one.suffix in endings and one.is_file()]
+    names += [f"{above}{one.name}/" for one in found if folders and one.is_dir()]
+    return _beginning(incomplete, names)
+
+
+def _inside(folder: Path) -> Iterator[Path]:
+    """List what a folder holds but hidden files; nothing of one that cannot be read."""
+    with suppress(OSError):
+        yield from (one for one in folder.iterdir() if not one.name.startswith("."))
+
+
+def _beginning(start: str, names: Iterable[str]) -> list[str]:
+    return sorted({name for name in names if name.startswith(start)})

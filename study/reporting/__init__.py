@@ -1,1 +1,1 @@
-"""Reports: sentences, tables and figures from records and their analysis; computes nothing else."""
+"""Results in words, tables, figures and pages; computes nothing."""

@@ -14,14 +14,14 @@ from itertools import product
 import numpy as np
 from scipy.special import stdtrit
 
-from study.analysis.effects.contrast_uncertainty import (
+from study.ground.arrays import Array
+from study.statistics.convergence.contrast_bound import (
     FLOOR,
     difference_bounds,
     inherited_uncertainty,
     observed_orders,
     response_bounds,
 )
-from study.arrays import Array
 
 BLOCKS = 9
 WEIGHTS = np.array([1.0, -1.0])

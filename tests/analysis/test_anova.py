@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from study.analysis.anova import anova
-from study.errors import InputError, RefusedError
+from study.ground.errors import InputError, RefusedError
+from study.statistics.analysis.anova import anova
 
 
 def factorial(shape: dict[str, int], repeats: int, seed: int) -> pd.DataFrame:

@@ -8,8 +8,8 @@ import pytest
 from scipy.stats import t as student
 from scipy.stats import ttest_ind
 
-from study.analysis.anova import anova
-from study.analysis.result import AnalysisResult
+from study.statistics.analysis.analysis_result import AnalysisResult
+from study.statistics.analysis.anova import anova
 
 FULL = [pytest.mark.slow, pytest.mark.verify]
 

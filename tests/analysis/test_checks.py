@@ -7,12 +7,12 @@ import itertools
 import numpy as np
 import pytest
 
-from study.analysis.assumption.normality import anderson_darling, ryan_joiner, shapiro_wilk
-from study.analysis.assumption.variance import bartlett, levene
-from study.analysis.effects.comparisons import studentized_range_quantile
-from study.analysis.linear_model.design_matrix import Layout, terms_of
-from study.analysis.linear_model.sphericity import epsilon_gg, sphericity
-from study.analysis.unreplicated import half_normal_scores, lenth, orthonormal_contrasts
+from study.statistics.analysis.comparisons import studentized_range_quantile
+from study.statistics.analysis.equal_variance import bartlett, levene
+from study.statistics.analysis.linear_model import Layout, terms_of
+from study.statistics.analysis.normality import anderson_darling, ryan_joiner, shapiro_wilk
+from study.statistics.analysis.sums_of_squares import epsilon_gg, sphericity
+from study.statistics.analysis.unreplicated import half_normal_scores, lenth, orthonormal_contrasts
 
 
 @pytest.mark.parametrize(
@@ -34,7 +34,7 @@ def test_saturated_residuals_are_not_applicable() -> None:
 @pytest.mark.parametrize("m", [3, 7, 15])
 def test_lenth_limits_hold_their_size(m: int) -> None:
     """Individual and simultaneous error of 20,000 null studies (Monte-Carlo sd 0.15 %)."""
-    from study.analysis.unreplicated import pseudo_standard_error
+    from study.statistics.analysis.unreplicated import pseudo_standard_error
 
     z = np.random.default_rng(5).standard_normal((20_000, m))
     ratio = np.abs(z) / pseudo_standard_error(z)[:, None]

@@ -8,13 +8,19 @@ import numpy as np
 import pytest
 from scipy.stats import t as student
 
-from study.analysis.effects.contrast_uncertainty import (
+from study.statistics.analysis.simple_effects import (
+    CANNOT_TELL,
+    MATTERS,
+    NO_DIFFERENCE,
+    NOT_RESOLVED,
+    judge,
+)
+from study.statistics.convergence.contrast_bound import (
     CellSeries,
     contrast_uncertainty,
     inherited_uncertainty,
     limit_of,
 )
-from study.analysis.effects.verdict import CANNOT_TELL, MATTERS, NO_DIFFERENCE, NOT_RESOLVED, judge
 from tests.analysis.mesh_errors import WEIGHTS, Setting, composed, errors, limits, rates, settings
 
 H = np.array([1.0, 2.0, 4.0])

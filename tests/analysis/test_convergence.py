@@ -9,8 +9,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from study.analysis.convergence.grid_convergence import grid_convergence
-from study.errors import InputError
+from study.ground.errors import InputError
+from study.statistics.convergence.grid_convergence import grid_convergence
 
 
 @pytest.mark.parametrize(

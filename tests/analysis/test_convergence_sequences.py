@@ -10,8 +10,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from study.analysis.convergence.grid_convergence import grid_convergence
-from study.analysis.convergence.order import observed_order
+from study.statistics.convergence.grid_convergence import grid_convergence, observed_order
 
 RATIO = st.floats(1.3, 3.0)
 

@@ -7,14 +7,18 @@ from itertools import product
 import numpy as np
 import pytest
 
-from study.analysis.effects.simultaneous import ASYMPTOTIC_BLOCKS, block_multiplier
-from study.analysis.linear_model.design_matrix import Layout, model_matrix, terms_of
-from study.analysis.linear_model.factorization import Factorization, complement, factorize
-from study.analysis.linear_model.influence import influence
-from study.analysis.linear_model.sums_of_squares import factor
-from study.analysis.linear_model.two_way import two_way
-from study.analysis.pseudoreplication import group_cells
-from study.arrays import Array
+from study.ground.arrays import Array
+from study.statistics.analysis.comparisons import ASYMPTOTIC_BLOCKS, block_multiplier
+from study.statistics.analysis.linear_model import (
+    Factorization,
+    Layout,
+    complement,
+    factorize,
+    model_matrix,
+    terms_of,
+)
+from study.statistics.analysis.sums_of_squares import factor, influence, two_way
+from study.statistics.analysis.unreplicated import group_cells
 
 
 def layout(sizes: tuple[int, ...], rows: int | None, seed: int) -> Layout:

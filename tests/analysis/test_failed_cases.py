@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import fisher_exact
 
-from study.analysis.assumption.failed_cases import CaseFate, cause, failure_pattern
+from study.statistics.analysis.failures import CaseFate, cause, failure_pattern
 
 
 def independent(table: dict[str, tuple[int, int]]) -> list[CaseFate]:

@@ -10,13 +10,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from study.analysis.anova import anova
-from study.analysis.assumption.normality import anderson_darling, ryan_joiner
-from study.analysis.assumption.normality import shapiro_wilk as shapiro
-from study.analysis.assumption.variance import bartlett, levene
 from study.cli.app import run
-from study.errors import InputError, RefusedError
-from study.tidy_csv import read_csv
+from study.ground.errors import InputError, RefusedError
+from study.ground.tabular import read_tidy_csv as read_csv
+from study.statistics.analysis.anova import anova
+from study.statistics.analysis.equal_variance import bartlett, levene
+from study.statistics.analysis.normality import anderson_darling, ryan_joiner
+from study.statistics.analysis.normality import shapiro_wilk as shapiro
 
 
 def factorial(shape: dict[str, int], repeats: int, seed: int, **effect: float) -> pd.DataFrame:

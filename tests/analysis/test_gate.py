@@ -11,16 +11,20 @@ import pytest
 from scipy.stats import f_oneway
 from scipy.stats import t as student
 
-from study.analysis.anova import anova
-from study.analysis.effects.comparisons import games_howell
-from study.analysis.effects.samples import cell_welch
-from study.analysis.effects.simple_effects import Differences
-from study.analysis.effects.verdict import CANNOT_TELL, MATTERS, NO_DIFFERENCE
-from study.analysis.linear_model.design_matrix import Layout, model_matrix
-from study.analysis.linear_model.sums_of_squares import factor
-from study.analysis.structure import resolution
 from study.api import contrasts
-from study.errors import RefusedError
+from study.ground.errors import RefusedError
+from study.statistics.analysis.anova import anova
+from study.statistics.analysis.comparisons import games_howell
+from study.statistics.analysis.data import resolution
+from study.statistics.analysis.effects import cell_welch
+from study.statistics.analysis.linear_model import Layout, model_matrix
+from study.statistics.analysis.simple_effects import (
+    CANNOT_TELL,
+    MATTERS,
+    NO_DIFFERENCE,
+    Differences,
+)
+from study.statistics.analysis.sums_of_squares import factor
 
 
 def crossed(**levels: int) -> pd.DataFrame:

@@ -10,13 +10,18 @@ import pytest
 from scipy import stats
 
 import study
-from study.analysis.anova import effects
-from study.analysis.error.incomplete_blocks import Sandwich
-from study.analysis.error.restricted_likelihood import fit_restricted
-from study.analysis.linear_model.design_matrix import Layout, model_matrix
-from study.analysis.linear_model.sums_of_squares import factor
-from study.analysis.request import AnalysisRequest, Blocking, ResponseScale, Threshold
-from study.arrays import Array
+from study.ground.arrays import Array
+from study.statistics.analysis.analysis_request import (
+    AnalysisRequest,
+    Blocking,
+    ResponseScale,
+    Threshold,
+)
+from study.statistics.analysis.anova import effects
+from study.statistics.analysis.incomplete_blocks import Sandwich
+from study.statistics.analysis.linear_model import Layout, model_matrix
+from study.statistics.analysis.restricted_likelihood import fit_restricted
+from study.statistics.analysis.sums_of_squares import factor
 
 
 def gels(seed: int = 3, blocks: int = 7) -> pd.DataFrame:

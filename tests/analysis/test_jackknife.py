@@ -8,10 +8,15 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from study.analysis.anova import analyze
-from study.analysis.anova_table import Effect
-from study.analysis.effects.jackknife import without_each
-from study.analysis.request import AnalysisRequest, Blocking, ResponseScale, Threshold
+from study.statistics.analysis.analysis_request import (
+    AnalysisRequest,
+    Blocking,
+    ResponseScale,
+    Threshold,
+)
+from study.statistics.analysis.anova import analyze
+from study.statistics.analysis.anova_table import Effect
+from study.statistics.analysis.simple_effects import without_each
 
 TABLE = pd.DataFrame(
     [(a, c, b) for a in "hl" for c in "xy" for b in ("s1", "s2", "s3", "s4", "s5", "s6")],

@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from study.analysis.anova import anova
-from study.analysis.error.ledger import REMEDIES
-from study.errors import InputError
+from study.ground.errors import InputError
+from study.statistics.analysis.anova import anova
+from study.statistics.analysis.error_ledger import REMEDIES
 
 
 def grid(shape: dict[str, int], repeats: int = 1, seed: int = 0) -> pd.DataFrame:
@@ -128,9 +128,9 @@ def test_blocked_monte_carlo_p_holds_its_size() -> None:
 
     The chi-squared p, which takes residuals for independent, is off in the same studies.
     """
-    from study.analysis.assumption.variance import ResidualDesign, bartlett
-    from study.analysis.data import prepare
-    from study.analysis.error.residuals import additive_fit
+    from study.statistics.analysis.data import prepare
+    from study.statistics.analysis.equal_variance import ResidualDesign, bartlett
+    from study.statistics.analysis.error_ledger import additive_fit
 
     table = grid({"a": 4}, 5, 1)
     rng = np.random.default_rng(21)

@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from study.analysis.anova import anova
-from study.analysis.convergence.work_precision import mesh_series
-from study.errors import InputError
+from study.ground.errors import InputError
+from study.statistics.analysis.anova import anova
+from study.statistics.analysis.work_precision import mesh_series
 
 H = {"coarse": 4.0, "medium": 2.0, "fine": 1.0}
 MESHES = tuple(H)

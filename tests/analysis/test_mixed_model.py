@@ -14,14 +14,14 @@ from scipy.stats import chi2
 from scipy.stats import f as f_distribution
 
 import study
-from study.analysis.error.restricted_likelihood import (
+from study.ground.arrays import Array, Ints
+from study.ground.errors import InputError
+from study.statistics.analysis.restricted_likelihood import (
     Likelihood,
     RestrictedFit,
     SingularError,
     fit_restricted,
 )
-from study.arrays import Array, Ints
-from study.errors import InputError
 
 #: yield of dyestuff by batch (Davies 1947, Statistical Methods in Research and Production)
 DYESTUFF = {

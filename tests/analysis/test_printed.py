@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from study.analysis.anova import anova
 from study.cli.app import run
+from study.statistics.analysis.anova import anova
 
 DESIGNS = Path(__file__).resolve().parents[2] / "validation" / "statistics"
 
@@ -141,7 +141,7 @@ def test_the_naive_size_is_what_null_studies_show() -> None:
     nested = anova(table.assign(y=y), "y", ["a"], unit="s", exact=False).data.nested
     assert nested is not None
     assert nested.units == 8
-    from study.analysis.error.nested import _naive_size
+    from study.statistics.analysis.strata import _naive_size
 
     z = rng.normal(size=(2000, 8))[:, unit] + rng.normal(size=(2000, 48))
     first, second = z[:, :24], z[:, 24:]
@@ -193,7 +193,7 @@ def test_pairs_are_tukey_intervals_and_letters_follow_them() -> None:
 
 
 def test_detectable_differences_come_from_the_error_found() -> None:
-    from study.analysis.effects.power.detection import detectable
+    from study.statistics.analysis.power import detectable
 
     table = pd.read_csv(DESIGNS / "repeated.csv")
     one = anova(table[table["b"] == "b1"], "y", ["a"], block="s", error="own", exact=False)

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from study.analysis.anova import anova
-from study.analysis.assumption.normality import ryan_joiner, statistic
-from study.analysis.assumption.variance import bartlett
+from study.statistics.analysis.anova import anova
+from study.statistics.analysis.equal_variance import bartlett
+from study.statistics.analysis.normality import ryan_joiner, statistic
 
 seeds = st.integers(0, 10_000)
 shapes = st.tuples(st.integers(2, 3), st.integers(2, 4), st.integers(2, 3))

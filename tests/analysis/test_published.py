@@ -13,20 +13,19 @@ import pytest
 from statsmodels.regression.linear_model import OLS
 from statsmodels.stats.outliers_influence import OLSInfluence
 
-from study.analysis.anova import anova
-from study.analysis.assumption.normality import (
+from study.statistics.analysis.anova import anova
+from study.statistics.analysis.data import prepare
+from study.statistics.analysis.equal_variance import bartlett, levene
+from study.statistics.analysis.linear_model import model_matrix, terms_of
+from study.statistics.analysis.normality import (
     critical_values,
     ryan_joiner,
     shapiro_wilk,
     statistic,
 )
-from study.analysis.assumption.variance import bartlett, levene
-from study.analysis.convergence.grid_convergence import grid_convergence
-from study.analysis.data import prepare
-from study.analysis.linear_model.design_matrix import model_matrix, terms_of
-from study.analysis.linear_model.influence import influence
-from study.analysis.linear_model.sums_of_squares import factor
-from study.analysis.unreplicated import two_level_effects
+from study.statistics.analysis.sums_of_squares import factor, influence
+from study.statistics.analysis.unreplicated import two_level_effects
+from study.statistics.convergence.grid_convergence import grid_convergence
 
 pytestmark = pytest.mark.verify
 

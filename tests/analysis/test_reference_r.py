@@ -15,16 +15,15 @@ import pandas as pd
 import pytest
 from scipy.special import chdtrc
 
-from study.analysis.anova import anova
-from study.analysis.anova_table import Row
-from study.analysis.assumption.normality import shapiro_wilk
-from study.analysis.assumption.robustness import box_cox, hc3, welch_factorial
-from study.analysis.assumption.variance import bartlett, levene
-from study.analysis.data import prepare
-from study.analysis.linear_model.design_matrix import model_matrix, terms_of
-from study.analysis.linear_model.influence import influence, summary_of
-from study.analysis.linear_model.sums_of_squares import factor
-from study.analysis.result import AnalysisResult
+from study.statistics.analysis.analysis_result import AnalysisResult
+from study.statistics.analysis.anova import anova
+from study.statistics.analysis.anova_table import Row
+from study.statistics.analysis.assumptions import box_cox, hc3, welch_factorial
+from study.statistics.analysis.data import prepare
+from study.statistics.analysis.equal_variance import bartlett, levene
+from study.statistics.analysis.linear_model import model_matrix, terms_of
+from study.statistics.analysis.normality import shapiro_wilk
+from study.statistics.analysis.sums_of_squares import factor, influence, summary_of
 
 pytestmark = pytest.mark.verify
 FOLDER = Path(__file__).resolve().parents[2] / "validation" / "statistics"
@@ -182,7 +181,7 @@ def test_own_interactions_in_groups_of_blocks(
     design: str, kind: str, lost: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """R's car has one covariance for all groups, which is here that of groups of two blocks."""
-    monkeypatch.setattr("study.analysis.error.block_groups.LEAST_OWN", 99)
+    monkeypatch.setattr("study.statistics.analysis.strata.LEAST_OWN", 99)
     table = data("splitplot")
     table = table[table["specimen"] != lost]
     options = {"block": "specimen", "error": "own", "type": kind, "exact": False}

@@ -8,15 +8,14 @@ import pytest
 from scipy.stats import ttest_ind
 from statsmodels.stats.power import FTestPowerF2
 
-from study.analysis.anova import anova
-from study.analysis.assumption.robustness import box_cox, hc3, sensitivity, welch_factorial
-from study.analysis.data import prepare
-from study.analysis.effects.comparisons import dunnett, games_howell, holm, letters, tukey_kramer
-from study.analysis.effects.power.detection import detectable, power_of
-from study.analysis.linear_model.design_matrix import model_matrix, terms_of
-from study.analysis.linear_model.influence import influence
-from study.analysis.linear_model.sums_of_squares import factor
-from study.errors import InputError
+from study.ground.errors import InputError
+from study.statistics.analysis.anova import anova
+from study.statistics.analysis.assumptions import box_cox, hc3, sensitivity, welch_factorial
+from study.statistics.analysis.comparisons import dunnett, games_howell, holm, letters, tukey_kramer
+from study.statistics.analysis.data import prepare
+from study.statistics.analysis.linear_model import model_matrix, terms_of
+from study.statistics.analysis.power import detectable, power_of
+from study.statistics.analysis.sums_of_squares import factor, influence
 
 RNG = np.random.default_rng(4)
 GROUPS = {"a": RNG.normal(0, 1, 6), "b": RNG.normal(1.5, 1, 8), "c": RNG.normal(4, 1, 7)}

@@ -7,8 +7,8 @@ import pandas as pd
 import pytest
 
 import study
-from study.analysis.anova import anova
-from study.analysis.result import AnalysisResult
+from study.statistics.analysis.analysis_result import AnalysisResult
+from study.statistics.analysis.anova import anova
 
 #: noise of the fits of four cells to one curve: pairs are nearly the same fit
 CORRELATED = np.kron([[1.0, 0.3], [0.3, 1.0]], [[1.0, 0.95], [0.95, 1.0]])

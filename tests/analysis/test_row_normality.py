@@ -8,17 +8,18 @@ import numpy as np
 import pytest
 from scipy.stats import rankdata
 
-from study.analysis.assumption.normality import ryan_joiner, statistic
-from study.analysis.assumption.row_normality import (
+from study.ground.arrays import Array
+from study.ground.errors import InputError
+from study.statistics.analysis.equal_variance import _levene_statistic, _normal_draws, levene
+from study.statistics.analysis.linear_model import Layout, grid, terms_of
+from study.statistics.analysis.normality import (
     block_share,
     helmert,
     helmert_contrasts,
     row_normality,
+    ryan_joiner,
+    statistic,
 )
-from study.analysis.assumption.variance import _levene_statistic, _normal_draws, levene
-from study.analysis.linear_model.design_matrix import Layout, grid, terms_of
-from study.arrays import Array
-from study.errors import InputError
 
 NAMES = ("A", "B", "C")
 LAYOUT = grid(
@@ -207,7 +208,7 @@ def test_the_smaller_root_draws_studies_of_the_same_kind(monkeypatch: pytest.Mon
     rng = np.random.default_rng(7)
     rows = {"A": rng.standard_normal((3, 3)) @ rng.standard_normal((3, 40))}
     usual = block_share(rows)
-    monkeypatch.setattr("study.analysis.assumption.row_normality._MOST_NORMALS", 0)
+    monkeypatch.setattr("study.statistics.analysis.normality._MOST_NORMALS", 0)
     small = block_share(rows)
     assert usual is not None
     assert small is not None

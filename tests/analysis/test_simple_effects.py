@@ -12,19 +12,27 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import t as student
 
-from study.analysis.anova import anova
-from study.analysis.effects.blocked_dunnett import blocked_dunnett
-from study.analysis.effects.multiplicity import response_family, study_family
-from study.analysis.effects.samples import over_blocks
-from study.analysis.effects.simple_effects import SimpleEffects, simple_effects
-from study.analysis.effects.simultaneous import block_multiplier, bonferroni
-from study.analysis.effects.verdict import MATTERS, NO_DIFFERENCE
-from study.analysis.linear_model.design_matrix import Layout, grid, model_matrix, terms_of
-from study.analysis.linear_model.sums_of_squares import Factored
-from study.analysis.linear_model.sums_of_squares import factor as fitted
-from study.arrays import Array
-from study.errors import InputError
+from study.ground.arrays import Array
+from study.ground.errors import InputError
 from study.reporting.content.verdicts import told
+from study.statistics.analysis.anova import anova
+from study.statistics.analysis.comparisons import (
+    block_multiplier,
+    blocked_dunnett,
+    bonferroni,
+    response_family,
+    study_family,
+)
+from study.statistics.analysis.effects import over_blocks
+from study.statistics.analysis.linear_model import Layout, grid, model_matrix, terms_of
+from study.statistics.analysis.simple_effects import (
+    MATTERS,
+    NO_DIFFERENCE,
+    SimpleEffects,
+    simple_effects,
+)
+from study.statistics.analysis.sums_of_squares import Factored
+from study.statistics.analysis.sums_of_squares import factor as fitted
 
 FULL = ("A", "B", "C")
 

@@ -17,17 +17,16 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from study.analysis.anova import anova
-from study.analysis.assumption.normality import (
+from study.statistics.analysis.anova import anova
+from study.statistics.analysis.linear_model import Layout, grid, model_matrix, span, terms_of
+from study.statistics.analysis.normality import (
     default_simulations,
     null_rj,
     ryan_joiner,
     simulated_rj,
 )
-from study.analysis.error.blocked import Crossed, cell_fit, own_terms
-from study.analysis.linear_model.design_matrix import Layout, grid, model_matrix, terms_of
-from study.analysis.linear_model.factorization import span
-from study.analysis.unreplicated import lenth, pseudo_standard_error
+from study.statistics.analysis.strata import Crossed, cell_fit, own_terms
+from study.statistics.analysis.unreplicated import lenth, pseudo_standard_error
 
 pytestmark = [pytest.mark.slow, pytest.mark.verify]
 CROSSED = Path(__file__).resolve().parents[2] / "validation" / "statistics" / "crossed.csv"

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from study.errors import InputError
-from study.tidy_csv import read_csv
+from study.ground.errors import InputError
+from study.ground.tabular import read_tidy_csv as read_csv
 
 GOOD = "a,b,y\nx,1,1.5\nx,2,2.5\nz,1,\nz,2,4e0\n"
 
@@ -62,5 +62,5 @@ def test_lines_of_a_spreadsheet_without_a_cell_are_left_out(tmp_path: Path) -> N
 
 
 def test_missing_file(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="there is no such file"):
         read_csv(tmp_path / "none.csv", "y", ["a"])

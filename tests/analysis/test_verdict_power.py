@@ -9,15 +9,15 @@ import pytest
 from scipy.stats import nct
 from scipy.stats import t as student
 
-from study.analysis.effects.comparisons import scale_rule
-from study.analysis.effects.power.verdict_power import (
+from study.ground.errors import InputError
+from study.statistics.analysis.comparisons import scale_rule
+from study.statistics.analysis.power import (
     contrast_sd,
     fewest_blocks,
     planned_verdicts,
     verdict_probabilities,
 )
-from study.analysis.effects.verdict import CANNOT_TELL, judge
-from study.errors import InputError
+from study.statistics.analysis.simple_effects import CANNOT_TELL, judge
 
 
 def claims(low: np.ndarray, high: np.ndarray) -> np.ndarray:

@@ -9,15 +9,14 @@ import pytest
 from scipy.stats import f as fisher
 from scipy.stats import ttest_1samp, ttest_ind
 
-from study.analysis.assumption.row_normality import helmert, helmert_contrasts
-from study.analysis.effects.comparisons import holm
-from study.analysis.effects.multiplicity import response_family
-from study.analysis.error.seed_blocks import SeedRole, seed_design
-from study.analysis.error.welch_box import welch_box, welch_interval
-from study.analysis.linear_model.design_matrix import Layout, grid, terms_of
-from study.analysis.linear_model.sphericity import epsilon_gg
-from study.arrays import Array
-from study.errors import InputError
+from study.ground.arrays import Array
+from study.ground.errors import InputError
+from study.statistics.analysis.comparisons import holm, response_family
+from study.statistics.analysis.linear_model import Layout, grid, terms_of
+from study.statistics.analysis.normality import helmert, helmert_contrasts
+from study.statistics.analysis.split_plot import welch_box, welch_interval
+from study.statistics.analysis.strata import SeedRole, seed_design
+from study.statistics.analysis.sums_of_squares import epsilon_gg
 
 DIFFERENCE = np.array([1.0, -1.0])
 

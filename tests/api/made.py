@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from study.analysis.anova import anova
-from study.design.load import loads
-from study.study_result.report_data import ResponseAnalysis
-from study.study_result.study_result import StudyResult
+from study.harness.design.load import loads
+from study.reporting.results.study_result import ResponseAnalysis, StudyResult
+from study.statistics.analysis.anova import anova
 from tests.cli.small import DESIGN
 
 FACTORS = {"material": ("soft", "stiff", "other"), "space": ("flat", "full")}

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from study.api.comparison.compare import compare
-from study.api.comparison.design_changes import read_truths
-from study.errors import InputError
-from study.reporting.content import comparison as words
-from study.study_result import comparison as kinds
-from study.study_result.comparison import Beside, Conclusion, document
-from study.study_result.study_result import StudyResult
+from study.api.comparison import compare
+from study.api.manifest import read_truths
+from study.ground.errors import InputError
+from study.reporting.content import comparison_content
+from study.reporting.results import study_answers
+from study.reporting.results.study_answers import Beside, Conclusion, document
+from study.reporting.results.study_result import StudyResult
 from tests.api.made import made
 
 
@@ -24,13 +24,13 @@ def row(beside: Beside, term: str) -> Conclusion:
 def test_conclusions_that_hold_under_both(tmp_path: Path) -> None:
     found = compare(made(tmp_path), made(tmp_path, name="second", material=(5.0, 7.5, 5.1)))
     material, space = row(found, "material"), row(found, "space")
-    assert (material.conclusion, material.holds) == (kinds.MATTERS, True)
-    assert (space.conclusion, space.holds) == (kinds.NO_DIFFERENCE, True)
+    assert (material.conclusion, material.holds) == (study_answers.MATTERS, True)
+    assert (space.conclusion, space.holds) == (study_answers.NO_DIFFERENCE, True)
     # the means are made: 7.0 - 5.0 and 7.5 - 5.0; 12 values each with a deviation of 0.02
     assert material.found[0].effect == pytest.approx(2.0, abs=0.05)
     assert material.found[1].effect == pytest.approx(2.5, abs=0.05)
     assert [one.best for one in material.found] == ["soft", "soft"]
-    said = words.summary(found)
+    said = comparison_content.summary(found)
     assert said[0] == "Of 2 conclusions about single factors, 2 hold under both first and second."
     assert "under both: material matters (2.0" in said[1]
     assert "lowest with soft in both" in said[1]
@@ -74,16 +74,16 @@ def test_levels_within_what_matters_of_the_best_are_as_good(tmp_path: Path) -> N
     assert [one.best for one in material.found] == ["soft", "other"]
     assert material.same_best is True
     assert material.holds is True
-    assert "which lie within what matters" in words.summary(found)[1]
+    assert "which lie within what matters" in comparison_content.summary(found)[1]
 
 
 def test_one_that_cannot_tell_leaves_it_open(tmp_path: Path) -> None:
     found = compare(made(tmp_path), made(tmp_path, name="second", noise=3.0))
     material = row(found, "material")
     assert material.holds is None
-    assert material.conclusion == kinds.ONE_CANNOT_TELL
+    assert material.conclusion == study_answers.ONE_CANNOT_TELL
     noisy = made(tmp_path, name="third", noise=3.0), made(tmp_path, name="fourth", noise=3.0)
-    assert row(compare(*noisy), "material").conclusion == kinds.NONE_CAN_TELL
+    assert row(compare(*noisy), "material").conclusion == study_answers.NONE_CAN_TELL
 
 
 def test_ratios_are_compared_as_ratios(tmp_path: Path) -> None:
@@ -107,7 +107,7 @@ def test_what_only_one_study_has_is_named(tmp_path: Path) -> None:
         ("level", "material = third", 1),
     }  # fmt: skip
     assert [item.term for item in found.conclusions] == ["material"]
-    said = " ".join(words.only_lines(found))
+    said = " ".join(comparison_content.only_lines(found))
     assert "Only in first: level material = other." in said
 
 

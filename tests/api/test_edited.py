@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from study import api
-from study.errors import InputError, RefusedError
-from study.record.record import Record
-from study.record.store import Store
-from study.runner.batch import Progress
+from study.ground.errors import InputError, RefusedError
+from study.harness.record.record import Record
+from study.harness.record.store import Store
+from study.harness.runner.batch import Progress
 from tests.cli.small import DESIGN, study, write_files
 
 
@@ -115,9 +115,9 @@ def test_why_names_the_file_that_changed(home: Path) -> None:
 def test_other_code_keeps_the_finished_study(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """All cases keep their names and none its input: each record is laid by for the old study."""
     before = study("analyze", "results/small", "--json").json
-    for module in ("expansion", "fitting.fit_problem"):
-        monkeypatch.setattr(f"study.runner.{module}.code_version", lambda: "1+other")
-    monkeypatch.setattr("study.runner.provenance.code_version", lambda: "1+other")
+    for module in ("expansion", "fit_problem"):
+        monkeypatch.setattr(f"study.harness.runner.{module}.code_version", lambda: "1+other")
+    monkeypatch.setattr("study.harness.runner.provenance.code_version", lambda: "1+other")
     with pytest.raises(RefusedError, match="12 results have another input"):
         api.run("small.toml", data="data", jobs=1, reports=None, stale="refuse")
     interrupted(home, 20)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from study import api
-from study.study_result.study_result import StudyResult
+from study.reporting.results.study_result import StudyResult
 from tests.runner.conftest import DESIGN, make_data
 
 CONSTANTS = {

@@ -8,8 +8,8 @@ import pytest
 from statsmodels.stats.multitest import multipletests
 
 from study import api
-from study.design.load import load
-from study.errors import InputError
+from study.ground.errors import InputError
+from study.harness.design.load import load
 from tests.conftest import ROOT
 
 RANGES = str(ROOT / "designs" / "ecoflex-range.toml")

@@ -10,9 +10,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from study.api.statistics.records import without_gaps
-from study.design.load import loads
-from study.design.spec import Design
+from study.api.records import without_gaps
+from study.harness.design.load import loads
+from study.harness.design.spec import Design
 
 DESIGN = Path(__file__).parents[2] / "designs" / "conical-indentation.toml"
 Lost = Callable[[dict[str, str], int], bool]

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from study import api
-from study.reporting.output import provenance
+from study.reporting.output import write
 from tests.cli.small import write_files
 
 
@@ -37,7 +37,7 @@ def state(home: Path) -> dict[str, tuple[int, bytes]]:
 
 def content(home: Path) -> dict[str, bytes]:
     """Bytes of the files that a reader opens."""
-    return {name: kept for name, (_, kept) in state(home).items() if name != provenance.NAME}
+    return {name: kept for name, (_, kept) in state(home).items() if name != write.NAME}
 
 
 def test_a_run_with_nothing_to_do_leaves_the_report_as_it_is(home: Path) -> None:
@@ -60,7 +60,7 @@ def _altered(home: Path) -> None:
 
 
 def _note_lost(home: Path) -> None:
-    (home / "reports/small/small-data" / provenance.NAME).write_text("[")
+    (home / "reports/small/small-data" / write.NAME).write_text("[")
 
 
 @pytest.mark.parametrize("spoil", [_deleted, _altered, _note_lost])
@@ -90,7 +90,7 @@ def test_changed_code_and_another_format_make_it_again(
         again()
     after = state(home)
     assert after["cases.csv"][0] != before["cases.csv"][0]
-    assert content(home).keys() == {name for name in before if name != provenance.NAME}
+    assert content(home).keys() == {name for name in before if name != write.NAME}
     page = api.report("small", formats=["html"]).report
     assert page == Path("reports/small/small.html")
     assert page.is_file()
@@ -101,11 +101,11 @@ def test_changed_code_and_another_format_make_it_again(
 
 def test_every_source_and_every_stored_byte_is_looked_at(home: Path) -> None:
     results = home / "results/small"
-    name = provenance.made_of(results, ["html"], {"study": "1"})
-    assert name == provenance.made_of(results, ["html"], {"study": "1"})
-    others = {provenance.made_of(results, ["csv"], {"study": "1"})}
-    others.add(provenance.made_of(results, ["html"], {"study": "2"}))
+    name = write.made_of(results, ["html"], {"study": "1"})
+    assert name == write.made_of(results, ["html"], {"study": "1"})
+    others = {write.made_of(results, ["csv"], {"study": "1"})}
+    others.add(write.made_of(results, ["html"], {"study": "2"}))
     record = next(results.glob("cases/*/record.json"))
     record.write_bytes(record.read_bytes() + b" ")
-    others.add(provenance.made_of(results, ["html"], {"study": "1"}))
+    others.add(write.made_of(results, ["html"], {"study": "1"}))
     assert len(others | {name}) == 4

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import study
-from study.design import load
-from study.design.load import load_problem
-from study.errors import InputError
+from study.ground.errors import InputError
+from study.harness.design import load
+from study.harness.design.load import load_problem
 from tests.cli.small import write_files
 
 PROBLEM = {

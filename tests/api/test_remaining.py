@@ -6,9 +6,9 @@ import datetime
 
 import pytest
 
-from study.api.planning import remaining_time
-from study.record.store import Store
-from study.runner.batch import Progress
+from study.api import planning
+from study.harness.record.store import Store
+from study.harness.runner.batch import Progress
 
 NOW = datetime.datetime(2026, 3, 1, 12, 0, tzinfo=datetime.UTC)
 
@@ -27,25 +27,23 @@ def test_progress_counts_what_comes_after_and_is_noted(tmp_path):
     shown: list[Progress] = []
     store = Store(tmp_path)
     with store.lock():
-        remaining_time.with_time_left(store, shown.append, 40.0)(
-            Progress(3, 10, 0, 5.0, 20.0, "a case")
-        )
+        planning.with_time_left(store, shown.append, 40.0)(Progress(3, 10, 0, 5.0, 20.0, "a case"))
         running = store.running()
         assert running is not None
         assert (running["done"], running["total"], running["seconds_left"]) == (3, 10, 60.0)
-        assert remaining_time.seconds_left(running) == 60.0
+        assert planning.seconds_left(running) == 60.0
     assert [state.seconds_left for state in shown] == [60.0]
 
 
 def test_time_passes_after_a_note():
     ago = NOW - datetime.timedelta(seconds=50)
     noted = {"seconds_left": 60.0, "at": ago.isoformat()}
-    assert remaining_time.seconds_left(noted) == 10.0
-    assert remaining_time.seconds_left(noted | {"seconds_left": 20.0}) == 0.0
+    assert planning.seconds_left(noted) == 10.0
+    assert planning.seconds_left(noted | {"seconds_left": 20.0}) == 0.0
 
 
 @pytest.mark.parametrize(
     "runner", [None, {}, {"pid": 1}, {"at": "now", "seconds_left": 1}, {"at": None}]
 )
 def test_a_runner_that_noted_nothing_has_no_time(runner):
-    assert remaining_time.seconds_left(runner) is None
+    assert planning.seconds_left(runner) is None

@@ -9,15 +9,15 @@ import pytest
 
 from study import api
 from study.api.opened_study import open_study
-from study.api.planning.plan import plan
-from study.design.load import loads
-from study.errors import InputError
-from study.fem.solver.solve import solve
-from study.forward import closed_form
-from study.material.material import Material
-from study.setup.geometry import Cylinder
-from study.setup.setup import problem_of
-from study.study_result.study_result import StudyResult
+from study.api.planning import plan
+from study.ground.errors import InputError
+from study.harness.design.load import loads
+from study.mechanics.forward import closed_form
+from study.mechanics.material.material import Material
+from study.mechanics.setup.geometry import Cylinder
+from study.mechanics.setup.setup import problem_of
+from study.mechanics.solver.finite_element_solution import solve
+from study.reporting.results.study_result import StudyResult
 
 SPECIMEN = Cylinder(25.0, 30.0)
 HEAD = """

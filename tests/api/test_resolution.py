@@ -9,16 +9,15 @@ from pathlib import Path
 
 import pytest
 
-from study.analysis.convergence.grid_convergence import NumericalUncertainty
-from study.analysis.effects.numerical_bound import NumericalBound, SeriesBounds
-from study.analysis.result import AnalysisResult
-from study.api.statistics.records import analyze_records
-from study.api.uncertainty.numerical import numerical_bound
-from study.design.load import loads
-from study.design.spec import Design, Practical, Response
-from study.record.record import Record
-from study.record.table import table
-from study.runner.numerical.series_uncertainty import fine_uncertainty
+from study.api.records import analyze_records
+from study.api.uncertainty import numerical_bound
+from study.harness.design.load import loads
+from study.harness.design.spec import Design, Practical, Response
+from study.harness.record.record import Record, table
+from study.harness.runner.case_series import fine_uncertainty
+from study.statistics.analysis.analysis_result import AnalysisResult
+from study.statistics.convergence.contrast_bound import NumericalBound, SeriesBounds
+from study.statistics.convergence.grid_convergence import NumericalUncertainty
 
 DESIGN = Path(__file__).parents[2] / "designs" / "conical-indentation.toml"
 NAME = "relative_rms_force_error"

@@ -15,13 +15,12 @@ from pathlib import Path
 import pytest
 
 from study import api
-from study.api.server import states
-from study.api.server.request import StudyServer
-from study.api.server.states import Folders
-from study.errors import InputError
-from study.record.index import FileStamp
-from study.record.record import seal
-from study.record.store import Store
+from study.api import serving
+from study.api.serving import Folders, StudyServer
+from study.ground.errors import InputError
+from study.harness.record.index import FileStamp
+from study.harness.record.record import seal
+from study.harness.record.store import Store
 from tests.cli.small import DESIGN, write_files
 from tests.waiting import CAP_S
 
@@ -283,7 +282,7 @@ def test_a_page_looks_only_at_cases_that_are_there_and_reads_a_manifest_once(
     before = FileStamp.of
     monkeypatch.setattr(FileStamp, "of", lambda path: looked.append(str(path)) or before(path))
     read: list[str] = []
-    monkeypatch.setattr(states, "_read_study", _counted(states._read_study, read))
+    monkeypatch.setattr(serving, "_read_study", _counted(serving._read_study, read))
     folders = Folders(tmp_path / "results", tmp_path / "reports")
     for _ in range(3):
         (state,) = folders.states()
@@ -300,7 +299,7 @@ def _counted(function: Callable[[Path], object], calls: list[str]) -> Callable[[
 
 
 def test_records_are_read_some_at_a_time(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(states, "MOST_RECORDS", 8)
+    monkeypatch.setattr(serving, "MOST_RECORDS", 8)
     folders = Folders(home / "results", home / "reports")
     pages = [[state.cases for state in folders.states()] for _ in range(4)]
     assert pages == [

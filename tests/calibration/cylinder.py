@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from study.calibration.measured_curve import MeasuredCurve
-from study.curve import Curve
-from study.material.homogeneous import response
-from study.material.material import Material
+from study.ground.curve import Curve
+from study.mechanics.calibration.residual_function import MeasuredCurve
+from study.mechanics.material.homogeneous import response
+from study.mechanics.material.material import Material
 
 AREA, HEIGHT = np.pi * 25.0**2, 30.0
 

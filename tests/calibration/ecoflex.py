@@ -6,11 +6,11 @@ import json
 
 import numpy as np
 
-from study.calibration.fit import fit
-from study.calibration.measured_curve import MeasuredCurve
-from study.curve import Curve
-from study.material.homogeneous import uniaxial, uniaxial_gradient
-from study.material.material import Material
+from study.ground.curve import Curve
+from study.mechanics.calibration.fit import fit
+from study.mechanics.calibration.residual_function import MeasuredCurve
+from study.mechanics.material.homogeneous import uniaxial, uniaxial_gradient
+from study.mechanics.material.material import Material
 
 AREA_MM2 = np.pi * 25.0**2
 HEIGHT_MM = 30.0

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from study.calibration.function import EvaluationFailed
+from study.mechanics.calibration.residual_function import EvaluationFailed
 
 PI = np.pi
 

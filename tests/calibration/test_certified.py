@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from study.calibration.covariance import uncertainty
-from study.calibration.iteration import Status
-from study.calibration.levenberg_marquardt import levenberg_marquardt
+from study.mechanics.calibration.covariance import uncertainty
+from study.mechanics.calibration.levenberg_marquardt import Status, levenberg_marquardt
 from tests.calibration import more_garbow_hillstrom as mgh
 from tests.calibration.nist import digits, never_rises, read, residual_function
 

@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 
-from study.calibration.covariance import scaled_condition
-from study.calibration.fit import aicc, fit
-from study.calibration.function import EvaluationFailed
-from study.calibration.iteration import Status
-from study.calibration.measured_curve import MeasuredCurve
-from study.calibration.profile_likelihood import profile
-from study.curve import Curve
-from study.errors import InputError, RefusedError
+from study.ground.curve import Curve
+from study.ground.errors import InputError, RefusedError
+from study.mechanics.calibration.covariance import scaled_condition
+from study.mechanics.calibration.fit import aicc, fit
+from study.mechanics.calibration.identifiability import profile
+from study.mechanics.calibration.levenberg_marquardt import Status
+from study.mechanics.calibration.residual_function import EvaluationFailed, MeasuredCurve
 from tests.calibration.cylinder import predictor, virtual
 
 MR = "mooney-rivlin", ("C10", "C01")

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from study import api
-from study.calibration.fit import fit
-from study.calibration.identifiability import identify
-from study.calibration.measured_curve import MeasuredCurve
 from study.cli.app import run
-from study.curve import Curve
+from study.ground.curve import Curve
+from study.mechanics.calibration.fit import fit
+from study.mechanics.calibration.identifiability import identify
+from study.mechanics.calibration.residual_function import MeasuredCurve
 from tests.calibration.cylinder import predictor, virtual
 
 MOONEY = ("C10", "C01")

@@ -3,21 +3,19 @@
 import numpy as np
 import pytest
 
-from study.calibration.fit import fit
-from study.calibration.function import EvaluationFailed
-from study.calibration.iteration import Status
-from study.calibration.lack_of_fit import (
+from study.ground.curve import Curve
+from study.ground.errors import InputError, RefusedError
+from study.mechanics.calibration.fit import fit
+from study.mechanics.calibration.lack_of_fit import (
     Repeated,
+    agreement,
     akaike_weights,
     lack_of_fit,
     pattern,
     same_constants,
 )
-from study.calibration.levenberg_marquardt import levenberg_marquardt
-from study.calibration.measured_curve import MeasuredCurve
-from study.calibration.wald_test import agreement
-from study.curve import Curve
-from study.errors import InputError, RefusedError
+from study.mechanics.calibration.levenberg_marquardt import Status, levenberg_marquardt
+from study.mechanics.calibration.residual_function import EvaluationFailed, MeasuredCurve
 from tests.calibration.cylinder import predictor, virtual
 
 RP2 = "reduced-polynomial", ("C10", "C20")

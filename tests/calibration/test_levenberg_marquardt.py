@@ -5,11 +5,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from study.calibration.function import EvaluationFailed, finite_difference
-from study.calibration.iteration import Status
-from study.calibration.levenberg_marquardt import levenberg_marquardt, updated_radius
-from study.calibration.trust_region_step import Linearization, damped_step
-from study.errors import InputError
+from study.ground.errors import InputError
+from study.mechanics.calibration.levenberg_marquardt import (
+    Linearization,
+    Status,
+    damped_step,
+    levenberg_marquardt,
+    updated_radius,
+)
+from study.mechanics.calibration.residual_function import EvaluationFailed, finite_difference
 from tests.calibration.nist import never_rises
 
 T = np.linspace(0.1, 3, 25)

@@ -7,19 +7,18 @@ import numpy as np
 import pytest
 
 from study import api
-from study.calibration.fit import fit
-from study.calibration.influence import with_serial_correlation
-from study.calibration.measured_curve import MeasuredCurve
-from study.calibration.prior import Prior
 from study.cli.app import run
-from study.curve import Curve
-from study.design.load import load_calibration
-from study.errors import InputError
-from study.forward import closed_form
-from study.material.material import Material
-from study.runner.calibration.calibrate import calibrate
-from study.runner.calibration.nuisance import propagation
-from study.setup.setup import specimen_of
+from study.ground.curve import Curve
+from study.ground.errors import InputError
+from study.harness.calibration import nuisance as propagation
+from study.harness.calibration.calibrate_tests import calibrate
+from study.harness.design.load import load_calibration
+from study.mechanics.calibration.fit import fit
+from study.mechanics.calibration.fit_influence import with_serial_correlation
+from study.mechanics.calibration.residual_function import MeasuredCurve, Prior
+from study.mechanics.forward import closed_form
+from study.mechanics.material.material import Material
+from study.mechanics.setup.setup import specimen_of
 from tests.runner.test_calibrate import RP2, SPECIMEN, case, write
 
 RAW = {"points": '"raw"', "range": '["1 %", "30 %"]'}

@@ -6,12 +6,12 @@ import math
 import numpy as np
 import pytest
 
-from study.calibration.fit import fit
-from study.calibration.influence import with_serial_correlation
-from study.calibration.measured_curve import MeasuredCurve
-from study.calibration.serial_correlation import Series, intervals
 from study.cli.app import run
-from study.curve import Curve
+from study.ground.curve import Curve
+from study.mechanics.calibration.fit import fit
+from study.mechanics.calibration.fit_influence import with_serial_correlation
+from study.mechanics.calibration.residual_function import MeasuredCurve
+from study.mechanics.calibration.serial_correlation import Series, intervals
 from tests.calibration.cylinder import AREA, predictor
 from tests.runner.test_calibrate import case
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import study as public
-from study.errors import InputError
-from study.record.store import Store
+from study.ground.errors import InputError
+from study.harness.record.store import Store
 from tests.cli.small import study
 
 #: the force is a function of three numbers, with a hill in one corner of them; two batches

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from study import api
-from study.errors import InputError
+from study.ground.errors import InputError
 from tests.cli.small import study
 
 TRUTH_KPA = 6.0

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import study as public
-from study.api.statistics.confirmation import Permission
-from study.forward.python_function import PythonFunction
-from study.response_surface.emulator.emulator import fit_together
-from study.response_surface.level_difference import level_difference
-from study.runner.fitting.external_model import Allowed
-from study.study_result.study_result import StudyResult
+from study.api.predicting import Permission
+from study.harness.external.exchange import PythonFunction
+from study.harness.runner.fit_problem import Allowed
+from study.reporting.results.study_result import StudyResult
+from study.statistics.surfaces.emulator import fit_together
+from study.statistics.surfaces.surface_profile import level_difference
 from tests.cli.small import Answer, study
 from tests.response_surface import functions
 

@@ -15,8 +15,8 @@ from pathlib import Path
 import pytest
 
 from study import api
-from study.errors import StoreError
-from study.record.record import Record, seal
+from study.ground.errors import StoreError
+from study.harness.record.record import Record, seal
 from tests.cli.small import Answer, study
 from validation.damage import Damage, damages, sealed
 from validation.fuzz import BUG, obey

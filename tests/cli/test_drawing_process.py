@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from study.api import study as module
+from study.api import study
 from study.api.study import report
-from study.execution.worker import Worker
+from study.harness.execution.local import Worker
 
 
 def files(folder: Path) -> dict[Path, bytes]:
@@ -23,11 +23,11 @@ def test_a_second_process_changes_no_byte(done: Path, monkeypatch: pytest.Monkey
             begun.append(call.func.__name__)
             return super().begin(call, *arguments)
 
-    monkeypatch.setattr(module, "Worker", Watched)
-    monkeypatch.setattr(module, "default_jobs", lambda: 2)
+    monkeypatch.setattr(study, "Worker", Watched)
+    monkeypatch.setattr(study, "default_jobs", lambda: 2)
     report("small", reports=done / "one")
     assert not begun
-    monkeypatch.setattr(module, "MANY_CASES", 1)
+    monkeypatch.setattr(study, "MANY_CASES", 1)
     report("small", reports=done / "two")
     assert begun == ["of_study"]
     one, two = files(done / "one"), files(done / "two")
@@ -36,7 +36,7 @@ def test_a_second_process_changes_no_byte(done: Path, monkeypatch: pytest.Monkey
 
 
 def test_one_core_draws_by_itself(done: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "default_jobs", lambda: 1)
-    monkeypatch.setattr(module, "MANY_CASES", 1)
-    monkeypatch.setattr(module, "Worker", None)
+    monkeypatch.setattr(study, "default_jobs", lambda: 1)
+    monkeypatch.setattr(study, "MANY_CASES", 1)
+    monkeypatch.setattr(study, "Worker", None)
     assert report("small", reports=done / "one").report is not None

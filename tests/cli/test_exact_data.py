@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from study.fem.solver.solve import solve
-from study.forward.closed_form import compression
-from study.material.material import Material
-from study.setup.geometry import Block, Cone
-from study.setup.setup import Model, Problem
-from study.setup.test_kind import Test as Loading
+from study.mechanics.forward.closed_form import compression
+from study.mechanics.material.material import Material
+from study.mechanics.setup.geometry import Block, Cone
+from study.mechanics.setup.setup import Model, Problem
+from study.mechanics.setup.test_kind import Test as Loading
+from study.mechanics.solver.finite_element_solution import solve
 from tests.cli.small import study
 from tests.conftest import ROOT
 

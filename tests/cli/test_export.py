@@ -16,7 +16,7 @@ import pytest
 
 import study as package
 from study.api import open_study
-from study.haptics.force_law import ForceLaw, force_table
+from study.laboratory.haptics.tabulated_force import ForceLaw, force_table
 from tests.cli.small import CALIBRATION, DESIGN, PROBLEM, Finished, study
 
 AREA_MM2 = np.pi * 10**2
@@ -237,7 +237,7 @@ def test_a_case_of_a_study_gives_its_law(finished: Finished, tmp_path: Path) -> 
         (["problem.toml", "--tolerance", "0"], "between 0 and 1"),
         (["calibration.toml"], "study calibrate"),
         (["small.toml"], "--case"),
-        (["broken.json"], "is no JSON"),
+        (["broken.json"], "is not valid JSON"),
         (["other.json"], "no document of a calibration"),
         (["failed.json"], "ended as not-converged"),
         (["problem.toml", "-s", 'material.C10="-1 kPa"'], "C10"),

@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from study.arrays import Array
-from study.material.material import Material
-from study.material.relaxation import RelaxationTerm
-from study.material.stress import first_piola
+from study.ground.arrays import Array
+from study.mechanics.material.homogeneous import first_piola
+from study.mechanics.material.material import Material
+from study.mechanics.material.relaxation import RelaxationTerm
 from tests.cli.small import study
 
 #: name, keys of [material] in MPa, and the same constants

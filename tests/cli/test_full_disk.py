@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from study.errors import DiskFullError
-from study.record.atomic_files import FileSystem, replaced, write_new
+from study.ground.errors import DiskFullError
+from study.harness.record.atomic_files import FileSystem, replaced, write_new
 from tests.cli.small import study
 
 RUN = ("run", "small.toml", "--data", "data", "--jobs", "1")

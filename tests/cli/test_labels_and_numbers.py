@@ -10,7 +10,7 @@ import pytest
 from scipy.stats import qmc
 
 import study as public
-from study.errors import InputError
+from study.ground.errors import InputError
 from tests.cli.small import study
 
 #: times depth squared: what the second material adds to the force

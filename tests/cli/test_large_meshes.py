@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from study.fem import cost
-from study.fem.cost import expected_unknowns
-from study.fem.mesh.mesher import build_mesh
-from study.runner.cost import _PATIENCE_S
+from study.harness.runner.cost import _PATIENCE_S
+from study.mechanics.mesh.mesher import build_mesh
+from study.mechanics.solver import solution_cost
+from study.mechanics.solver.solution_cost import expected_unknowns
 from tests.cli.small import study
 from tests.fem.surfaces import box, write
 
@@ -74,7 +74,7 @@ def test_a_plan_of_a_surface_makes_no_mesh(tmp_path: Path, monkeypatch: pytest.M
     def never(_: object) -> None:
         raise AssertionError("a mesh was made")
 
-    monkeypatch.setattr(cost, "build_mesh", never)
+    monkeypatch.setattr(solution_cost, "build_mesh", never)
     answer = study("plan", design(tmp_path), "--data", tmp_path)
     assert answer.code == 0
     assert "predicted: " in answer.out
@@ -91,8 +91,10 @@ def test_a_plate_of_twenty_million_elements_is_refused(tmp_path: Path) -> None:
 def test_a_plan_of_many_meshes_counts_but_a_few(monkeypatch: pytest.MonkeyPatch) -> None:
     """120 needles with 0.05 mm took more than 10 s to be meshed: 40,000 unknowns each."""
     meshed = []
-    monkeypatch.setattr(cost, "build_mesh", lambda one: meshed.append(one) or build_mesh(one))
-    cost._count.cache_clear()
+    monkeypatch.setattr(
+        solution_cost, "build_mesh", lambda one: meshed.append(one) or build_mesh(one)
+    )
+    solution_cost._count.cache_clear()
     answer = study("plan", NEEDLE, "-s", "model.mesh_size=0.05 mm")
     assert answer.code == 0
     assert "predicted: " in answer.out

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from study.fem.element.function_space import interpolation
-from study.fem.solver.solve import solve
-from study.material.material import Material
-from study.setup.geometry import Block, FaceMotion
-from study.setup.setup import Model, Problem
-from study.setup.test_kind import Test
+from study.mechanics.element.function_space import interpolation
+from study.mechanics.material.material import Material
+from study.mechanics.setup.geometry import Block, FaceMotion
+from study.mechanics.setup.setup import Model, Problem
+from study.mechanics.setup.test_kind import Test
+from study.mechanics.solver.finite_element_solution import solve
 from tests.cli.small import study
 
 DESIGN = Path(__file__).parents[2] / "designs" / "truth-cube.toml"

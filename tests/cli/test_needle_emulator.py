@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import study as public
-from study.design.factors import settings_of
-from study.record.record import Record
-from study.study_result.study_result import StudyResult
+from study.harness.design.factors import settings_of
+from study.harness.record.record import Record
+from study.reporting.results.study_result import StudyResult
 
 DESIGN = Path(__file__).resolve().parents[2] / "designs" / "needle-geometry.toml"
 

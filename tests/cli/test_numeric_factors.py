@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import study as public
-from study.api.statistics.surface.study_surface import surfaces
+from study.api.fitting_surfaces import surfaces
 from tests.cli.small import Answer, study
 
 #: an incompressible cylinder between frictionless plates: its force is known by hand

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from study.arrays import Array
+from study.ground.arrays import Array
 from tests.cli.small import study
 
 HEAD = """

@@ -12,7 +12,7 @@ import pytest
 
 from study import api
 from study.cli.app import app
-from study.design import load
+from study.harness.design import load
 from tests.cli.small import study
 from tests.waiting import CAP_S
 

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from study import api
-from study.record.record import Record
-from study.runner.batch import Progress
-from study.study_result.study_result import StudyResult
+from study.harness.record.record import Record
+from study.harness.runner.batch import Progress
+from study.reporting.results.study_result import StudyResult
 from tests.cli.small import study
 from tests.execution.loopback import ROOT, Loopback, loopback
 from tests.fem.surfaces import box, write

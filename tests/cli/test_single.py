@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from study import api
-from study.curve import Curve
-from study.design import load
+from study.ground.curve import Curve
+from study.harness.design import load
 from tests.cli.small import Edit, study
 
 SOLVE_KEYS = {

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from study import api
-from study.errors import InputError
-from study.record.document import FitDocument
-from study.record.record import Record
-from study.record.store import Store
+from study.ground.errors import InputError
+from study.harness.record.document import FitDocument
+from study.harness.record.record import Record
+from study.harness.record.store import Store
 from tests.cli.small import TRUTH, Answer, Finished, incompressible_force, study
 
 STUDY_KEYS = {"study", "cases", "predicted_seconds", "report", "verdicts", "warnings"}

@@ -8,8 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-from study.record.store import Store
-from study.record.table import table
+from study.harness.record.record import table
+from study.harness.record.store import Store
 from tests.cli.small import write_files
 
 SURROUNDINGS = (

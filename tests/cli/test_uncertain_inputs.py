@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import study as public
-from study.errors import InputError
+from study.ground.errors import InputError
 from tests.cli.test_numeric_factors import DESIGN
 
 UNCERTAIN = """

@@ -8,12 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from study.contact_mechanics import thin_layer
-from study.contact_mechanics.force_law import ForceLaw, force_law
-from study.contact_mechanics.integral_equation import contact_state
-from study.contact_mechanics.layer import Layer
-from study.contact_mechanics.profile import transform
-from study.setup.geometry import Cone, Flat, Indenter, Sphere
+from study.mechanics.indentation import contact_law
+from study.mechanics.indentation.contact_law import (
+    ForceLaw,
+    Layer,
+    contact_state,
+    force_law,
+    transform,
+)
+from study.mechanics.setup.geometry import Cone, Flat, Indenter, Sphere
 
 LAYERS = Path(__file__).resolve().parents[2] / "validation" / "layers.csv"
 HALF_SPACE = Layer(np.inf, 0.5)
@@ -130,7 +133,7 @@ def test_dimitriadis() -> None:
     """Printed coefficients; against the integral equation 1, 3 and 8 % low at chi .2, .3, .5."""
     printed = {True: [1, 1.133, 1.283, 0.769], False: [1, 0.884, 0.781, 0.386]}
     for bonded, values in printed.items():
-        found = thin_layer.coefficients(Layer(1.0, 0.5, bonded))
+        found = contact_law.coefficients(Layer(1.0, 0.5, bonded))
         assert found[:4] == pytest.approx(values, abs=6e-4)
     layer, size = Layer(1.0, 0.5), 1e3
     depth = np.array([0.2, 0.3, 0.5]) ** 2 / size

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from study.contact_mechanics.force_law import force_law
-from study.contact_mechanics.layer import Layer
-from study.contact_mechanics.median import median_estimate
-from study.contact_mechanics.modulus import CurveModulus, fit_modulus
-from study.contact_mechanics.validity import limits
-from study.setup.geometry import Cone, Flat, Sphere
+from study.mechanics.indentation.contact_law import Layer, force_law, limits
+from study.mechanics.indentation.indentation_modulus import (
+    CurveModulus,
+    fit_modulus,
+    median_estimate,
+)
+from study.mechanics.setup.geometry import Cone, Flat, Sphere
 
 TRUTH_MPA = 0.02
 LAYER = Layer(10.0, 0.5)

@@ -14,9 +14,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from study.design.load import loads, loads_calibration, loads_problem
-from study.design.toml_document import dump_toml, parse_toml
-from study.errors import InputError
+from study.ground.errors import InputError
+from study.harness.design.diagnostics import dump_toml, parse_toml
+from study.harness.design.load import loads, loads_calibration, loads_problem
 
 FOLDER = Path(__file__).parent / "faulty_files"
 LOADERS = {

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from study.design import load
-from study.errors import InputError
-from study.measurement.section import Range
+from study.ground.errors import InputError
+from study.harness.design import load
+from study.mechanics.measurement.measurement_section import Range
 
 TEXT = """
 schema = 1

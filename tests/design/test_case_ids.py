@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from study.design.cases import cases
-from study.design.load import file_kind, load
+from study.harness.design.load import file_kind, load
+from study.harness.design.spec import cases
 
 DESIGNS = Path(__file__).parents[2] / "designs"
 STORED = Path(__file__).parent / "case_ids.csv"

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from study.design import cases, load, overview
-from study.design.overlay import lay
-from study.design.sections import content
-from study.errors import InputError
+from study.ground.errors import InputError
+from study.harness.design import cell as content
+from study.harness.design import load, overview, spec
+from study.harness.design.overlay import lay
 
 BASE = """
 schema = 1
@@ -42,7 +42,7 @@ def test_quoted_and_unquoted_keys_are_one() -> None:
 
 def test_ids_ignore_names_and_see_values() -> None:
     def ids(text: str) -> list[str]:
-        return [case.case_id for case in cases.cases(load.loads(text))]
+        return [case.case_id for case in spec.cases(load.loads(text))]
 
     text = BASE + SPACES
     named = text + '[study]\nname = "other"\nquestion = "why?"\nseed = 7\n# a comment\n'
@@ -73,13 +73,13 @@ def test_nan_has_no_name() -> None:
 
 def test_cases_are_cells_in_blocks() -> None:
     study = load.loads(BASE + SPACES)
-    found = cases.cases(study, ("A", "B", "C"))
+    found = spec.cases(study, ("A", "B", "C"))
     assert len(found) == 6
     assert len({case.case_id for case in found}) == 6
     assert found[0].label == "axisymmetric / A"
-    assert [case.block for case in cases.cases(study)] == [None, None]
+    assert [case.block for case in spec.cases(study)] == [None, None]
     with pytest.raises(InputError, match="distinct"):
-        cases.cases(study, ("A", "A"))
+        spec.cases(study, ("A", "A"))
 
 
 def test_exclusions_say_why() -> None:

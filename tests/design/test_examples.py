@@ -9,11 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from study.design import cases, load, overview
-from study.design.spec import Design, Practical
-from study.measurement.section import MeasurementSpec, Range
-from study.sensors.load import load_requirement
-from study.tracker_accuracy.section import load_tracking
+from study.harness.design import load, overview
+from study.harness.design import spec as cases
+from study.harness.design.spec import Design, Practical
+from study.laboratory.sensors.force_model import load_requirement
+from study.laboratory.tracker.tracker_recording import load_tracking
+from study.mechanics.measurement.measurement_section import MeasurementSpec, Range
 
 DESIGNS = Path(__file__).parents[2] / "designs"
 SHIPPED = ("ecoflex-compression", "conical-indentation", "ecoflex-range", "flat-punch")
@@ -189,7 +190,7 @@ def test_round_trip(name: str) -> None:
 
 def test_loading_is_quick_and_light() -> None:
     code = (
-        "import sys; from study.design.load import load; load(sys.argv[1]);"
+        "import sys; from study.harness.design.load import load; load(sys.argv[1]);"
         "heavy = {'pint', 'pandas', 'scipy', 'matplotlib', 'gmsh', 'skfem', 'statsmodels'};"
         "print(*(heavy & set(sys.modules)))"
     )

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from study.design import load
-from study.errors import InputError
+from study.ground.errors import InputError
+from study.harness.design import load
 
 NEEDLE = (Path(__file__).parents[2] / "designs" / "conical-indentation.toml").read_text()
 PLAIN = NEEDLE[: NEEDLE.index("[[expected]]")]

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from study.design import load as load_module
-from study.design import plausibility
-from study.design.load import (
+from study.ground.errors import InputError
+from study.harness.design import load as load_module
+from study.harness.design import plausibility
+from study.harness.design.load import (
     file_kind,
     load_calibration,
     load_problem,
@@ -16,9 +17,8 @@ from study.design.load import (
     loads_calibration,
     loads_problem,
 )
-from study.errors import InputError
-from study.setup.material_section import MaterialSection
-from study.setup.setup import Setup
+from study.mechanics.setup.material_section import MaterialSection
+from study.mechanics.setup.setup import Setup
 
 PROBLEM = """
 schema = 1
@@ -181,7 +181,8 @@ def test_incompressible_needs_the_mixed_formulation() -> None:
 
 
 def test_unstable_constants_name_the_stretch() -> None:
-    # F26: a negative C20 softens with compression; Drucker's limit is that of study.material
+    # F26: a negative C20 softens with compression; Drucker's limit is that of
+    # study.mechanics.material
     text = PROBLEM.replace('"indentation"', '"compression"').replace('C20 = "1', 'C20 = "-3')
     deep = text.replace('"5 mm"', '"15 mm"')
     assert loads_problem(deep.replace('"-3 kPa"', '"3 kPa"'))

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from study.design import cases
-from study.design.load import dump, loads, loads_calibration, loads_problem
-from study.design.toml_document import dump_toml, parse_toml
-from study.errors import InputError
+from study.ground.errors import InputError
+from study.harness.design import spec
+from study.harness.design.diagnostics import dump_toml, parse_toml
+from study.harness.design.load import dump, loads, loads_calibration, loads_problem
 
 DESIGN = (Path(__file__).parents[2] / "designs" / "ecoflex-compression.toml").read_text()
 SMALL = """
@@ -163,7 +163,7 @@ def test_names_of_levels(name: str) -> None:
     study = loads(text)
     assert study.factors[0].labels == (name, "b")  # shown verbatim; who draws it escapes it
     assert loads(dump(study)) == study
-    assert all(set(c.case_id) <= set("0123456789abcdef") for c in cases.cases(study))
+    assert all(set(c.case_id) <= set("0123456789abcdef") for c in spec.cases(study))
 
 
 @pytest.mark.parametrize("name", CORPUS)

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from study.design.layout import aliases, generators
+from study.harness.design import generators
 
 NAMES = list("ABCDEFGHJKLM")
 
@@ -41,22 +41,22 @@ def test_published_fractions(count: int, given: dict[str, str], runs: int, resol
     for name, parts in given.items():
         product = np.prod([found[:, names.index(p)] for p in parts], axis=0)
         assert found[:, names.index(name)].tolist() == product.tolist()
-    assert aliases.resolution(found) == resolution
+    assert generators.resolution(found) == resolution
 
 
 def test_a_negative_generator_is_the_other_fraction() -> None:
     plus = generators.fractional(["A", "B", "C"], {"C": (1, ["A", "B"])})
     minus = generators.fractional(["A", "B", "C"], {"C": (-1, ["A", "B"])})
     assert len({tuple(run) for run in np.vstack([plus, minus])}) == 8
-    assert aliases.defining_relation(minus, ["A", "B", "C"]) == "I = -A:B:C"
+    assert generators.defining_relation(minus, ["A", "B", "C"]) == "I = -A:B:C"
 
 
 def test_words_of_a_quarter_fraction() -> None:
     # 2^(5-2), D = AB, E = AC: I = ABD = ACE = BCDE (Box, Hunter and Hunter 1978, chapter 12)
     runs = generators.fractional(NAMES[:5], {"D": (1, ["A", "B"]), "E": (1, ["A", "C"])})
-    words = {aliases.term_name(w, NAMES) for w in aliases.defining_words(runs)}
+    words = {generators.term_name(w, NAMES) for w in generators.defining_words(runs)}
     assert words == {"A:B:D", "A:C:E", "B:C:D:E"}
-    told = aliases.sentences(runs, NAMES[:5])
+    told = generators.sentences(runs, NAMES[:5])
     assert (
         "the effect of A cannot be told from the interaction of B and D or "
         "the interaction of C and E" in told
@@ -66,17 +66,19 @@ def test_words_of_a_quarter_fraction() -> None:
 
 def test_a_full_factorial_aliases_nothing() -> None:
     runs = np.array(list(itertools.product([-1.0, 1.0], repeat=4)))
-    assert aliases.resolution(runs) is None
-    assert aliases.aliases(runs) == ()
-    assert aliases.sentences(runs, NAMES[:4]) == []
-    assert aliases.defining_relation(runs, NAMES[:4]) == ""
+    assert generators.resolution(runs) is None
+    assert generators.aliases(runs) == ()
+    assert generators.sentences(runs, NAMES[:4]) == []
+    assert generators.defining_relation(runs, NAMES[:4]) == ""
 
 
 def test_a_wrong_fraction_is_found_out() -> None:
     # column C repeats column A: whatever a generator promised, that is resolution 2
     runs = np.array([[-1, -1, -1], [-1, 1, -1], [1, -1, 1], [1, 1, 1]], dtype=float)
-    assert aliases.resolution(runs) == 2
-    assert "the effect of A cannot be told from the effect of C" in aliases.sentences(runs, "ABC")
+    assert generators.resolution(runs) == 2
+    assert "the effect of A cannot be told from the effect of C" in generators.sentences(
+        runs, "ABC"
+    )
 
 
 @pytest.mark.parametrize("resolution", [3, 4, 5])
@@ -86,7 +88,7 @@ def test_fractions_by_resolution_keep_their_word(count: int, resolution: int) ->
         runs = generators.by_resolution(count, resolution)
     except ValueError:
         pytest.skip("the library has no such fraction")
-    found = aliases.resolution(runs)
+    found = generators.resolution(runs)
     assert found is None or found >= resolution
     assert gram(runs).tolist() == (len(runs) * np.eye(count)).tolist()
 
@@ -105,10 +107,10 @@ def test_plackett_burman_of_twelve_mixes_by_thirds() -> None:
     # Draper 1992, Technometrics 34, 423)
     runs = generators.plackett_burman(11)
     assert len(runs) == 12
-    mixed = [a for a in aliases.aliases(runs) if len(a.term) == 1]
+    mixed = [a for a in generators.aliases(runs) if len(a.term) == 1]
     assert {round(abs(a.r), 12) for a in mixed} == {round(1 / 3, 12)}
     assert len(mixed) == 11 * 45
-    told = aliases.sentences(runs, NAMES[:11])
+    told = generators.sentences(runs, NAMES[:11])
     assert told[0] == (
         "the effect of A is mixed with a part (up to 0.333) of 45 interactions of two other factors"
     )

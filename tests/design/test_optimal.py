@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from study.design.layout.optimal import d_optimal, efficiency, model_columns
+from study.harness.design.generators import d_optimal, efficiency, model_columns
 
 
 def main_effects(factors: int) -> list[tuple[int, ...]]:

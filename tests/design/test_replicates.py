@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from study.design import load, overview
-from study.design.study_file import Replicates
-from study.errors import InputError
+from study.ground.errors import InputError
+from study.harness.design import load, overview
+from study.harness.design.study_file import Replicates
 
 DESIGN = (Path(__file__).parents[2] / "designs" / "ecoflex-compression.toml").read_text()
 MESHES, NOISE = "\n[replicates]\nmesh_seeds = 5\n", "\n[replicates]\nnoise = 200\n"

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from study.design.load import load
-from study.errors import InputError
+from study.ground.errors import InputError
+from study.harness.design.load import load
 from tests.conftest import ROOT
 
 DEMO = str(ROOT / "designs" / "demo.toml")

@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 
 from study.api.study import load_design
-from study.design import cases, overview, spec
-from study.design.diagnostics import Faults
-from study.design.load import dump, loads
-from study.design.overview import calibration_factors, inert_cells
-from study.design.sections.cell import Cell
-from study.design.spec import Design, Level
-from study.errors import InputError
+from study.ground.errors import InputError
+from study.harness.design import overview, spec
+from study.harness.design.cell import Cell
+from study.harness.design.diagnostics import Faults
+from study.harness.design.load import dump, loads
+from study.harness.design.overview import calibration_factors, inert_cells
+from study.harness.design.spec import Design, Level
 
 DESIGNS = Path(__file__).parents[2] / "designs"
 BASE = """
@@ -141,8 +141,8 @@ def test_every_kind_loads_again_from_its_dump(factors: str, table: str, cells: i
     assert len(study.treatments) == cells
     again = loads(dump(study))
     assert again == study
-    assert [c.case_id for c in cases.cases(again)] == [c.case_id for c in cases.cases(study)]
-    assert len({c.case_id for c in cases.cases(study)}) == cells
+    assert [c.case_id for c in spec.cases(again)] == [c.case_id for c in spec.cases(study)]
+    assert len({c.case_id for c in spec.cases(study)}) == cells
 
 
 def test_response_surfaces_stay_in_their_ranges() -> None:

@@ -11,8 +11,8 @@ import pytest
 import typer
 
 from study.cli.app import app
-from study.design import load
-from study.tracker_accuracy.section import is_tracking
+from study.harness.design import load
+from study.laboratory.tracker.tracker_recording import is_tracking
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "thesis.md").read_text(encoding="utf-8")

@@ -14,13 +14,10 @@ from typing import Any
 
 import pytest
 
-from study.errors import InputError, RefusedError, SchedulerLostError
-from study.execution.cluster.executor import Cluster
-from study.execution.cluster.isolation import Processes
-from study.execution.cluster.versions import differences
-from study.execution.cluster.worker import Crew
-from study.execution.inline import Inline
-from study.execution.task import Outcome, Task
+from study.ground.errors import InputError, RefusedError, SchedulerLostError
+from study.harness.execution.cluster import Cluster, Crew, Processes, differences
+from study.harness.execution.supervisor import Inline
+from study.harness.execution.task import Outcome, Task
 from tests.execution.loopback import ROOT, Loopback, loopback
 from tests.execution.misbehaving import perform
 from tests.execution.test_loky import LIMIT_S
@@ -213,8 +210,8 @@ def test_leaving_early_stops_the_tasks_of_this_run_alone(cluster: Loopback, tmp_
 
 INTERRUPTED = """
 import signal, sys
-from study.execution.cluster.executor import Cluster
-from study.execution.task import Task
+from study.harness.execution.cluster import Cluster
+from study.harness.execution.task import Task
 from tests.execution.misbehaving import perform
 signal.signal(signal.SIGINT, signal.default_int_handler)
 tasks = [Task("a", lambda _: {"kind": "process"})]
@@ -330,7 +327,7 @@ def test_a_scheduler_that_is_none_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_scheduler_that_is_not_there_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("study.execution.cluster.connection.PATIENCE_S", 1.0)
+    monkeypatch.setattr("study.harness.execution.cluster.PATIENCE_S", 1.0)
     with pytest.raises(InputError, match=r"tcp://127.0.0.1:9 cannot be reached"):
         list(Cluster(perform, "tcp://127.0.0.1:9").run([]))
 
@@ -369,7 +366,7 @@ def test_an_encrypted_cluster_lets_in_those_with_its_certificate(
     with loopback(tmp_path, workers=1, tls=own) as made:
         with dask.config.set(_tls(own)):
             assert run(made, [task("a")])["a"].status == "converged"
-        monkeypatch.setattr("study.execution.cluster.connection.PATIENCE_S", 3.0)
+        monkeypatch.setattr("study.harness.execution.cluster.PATIENCE_S", 3.0)
         with dask.config.set(_tls(foreign)), pytest.raises(InputError, match="certificate"):
             run(made, [task("a")])
         with pytest.raises(InputError, match="cannot be reached"):

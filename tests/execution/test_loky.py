@@ -13,12 +13,10 @@ from typing import Any
 
 import pytest
 
-from study.errors import InputError
-from study.execution.inline import Inline
-from study.execution.loky import Loky
-from study.execution.queue import ReadyQueue, longest_first
-from study.execution.supervisor import Answer, Supervisor
-from study.execution.task import Document, Outcome, Results, Task
+from study.ground.errors import InputError
+from study.harness.execution.local import Loky
+from study.harness.execution.supervisor import Answer, Inline, ReadyQueue, Supervisor, longest_first
+from study.harness.execution.task import Document, Outcome, Results, Task
 from tests.execution.misbehaving import never_up, perform
 from tests.waiting import CAP_S, is_alive, state_of, until
 
@@ -136,8 +134,8 @@ def test_the_limit_holds_whatever_a_worker_does() -> None:
 
 def test_a_worker_that_never_comes_up_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
     """No limit was asked for: only the start of a process has one of its own."""
-    monkeypatch.setattr("study.execution.loky.serve_quietly", never_up)
-    monkeypatch.setattr("study.execution.supervisor.START_LIMIT_S", 1.0)
+    monkeypatch.setattr("study.harness.execution.local.serve_quietly", never_up)
+    monkeypatch.setattr("study.harness.execution.supervisor.START_LIMIT_S", 1.0)
     found = run([task("a"), task("b")])
     assert {o.status for o in found.values()} == {"crashed"}
     assert "no worker was up within 1 s, twice" in found["a"].message
@@ -176,8 +174,8 @@ def test_outcomes_do_not_depend_on_the_executor() -> None:
 
 LEFT = """
 import signal
-from study.execution.loky import Loky
-from study.execution.task import Task
+from study.harness.execution.local import Loky
+from study.harness.execution.task import Task
 from tests.execution.misbehaving import never_up, perform
 tasks = [Task(k, lambda _: {"kind": "process"}) for k in "ab"]
 tasks += [Task(k, lambda _: {"kind": "hang"}) for k in "cd"]

@@ -6,9 +6,8 @@ import queue
 
 import pytest
 
-from study.execution.queue import ReadyQueue
-from study.execution.supervisor import Answer, Supervisor
-from study.execution.task import Task
+from study.harness.execution.supervisor import Answer, ReadyQueue, Supervisor
+from study.harness.execution.task import Task
 
 
 class Liar:

@@ -7,7 +7,7 @@ import signal
 
 import pytest
 
-from study.execution.worker import Worker
+from study.harness.execution.local import Worker
 from tests.waiting import is_alive, until
 
 

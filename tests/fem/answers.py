@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from study.material.material import Material
-from study.setup.setup import Model
+from study.mechanics.material.material import Material
+from study.mechanics.setup.setup import Model
 from tests.fem.known import Body, body, linear, rectangle, solve, unit_cube
 from tests.fem.manufactured import Manufactured
 

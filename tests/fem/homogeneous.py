@@ -6,16 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from study.fem.element.sparsity import Pattern
-from study.fem.mesh.mesh import Mesh
-from study.fem.solver.internal_force import Tangent
-from study.fem.solver.linear_solver import make_solver
-from study.fem.solver.newton import NewtonResult, NewtonSettings, solve_step
-from study.fem.solver.reused_factorization import KeptFactors
-from study.fem.solver.state import State
-from study.fem.solver.system import System
-from study.material.material import Material
-from study.setup.geometry import Cylinder
+from study.mechanics.element.function_space import Pattern
+from study.mechanics.material.material import Material
+from study.mechanics.mesh.structured import Mesh
+from study.mechanics.setup.geometry import Cylinder
+from study.mechanics.solver.internal_force import Tangent
+from study.mechanics.solver.linear_solver import KeptFactors, make_solver
+from study.mechanics.solver.newton import NewtonResult, NewtonSettings, solve_step
+from study.mechanics.solver.system import State, System
 from tests.fem.problems import compression, cube, grid, irregular
 
 Array = np.ndarray

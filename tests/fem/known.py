@@ -13,14 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from study.fem.element import function_space
-from study.fem.element.function_space import Discretization, discretize
-from study.fem.element.sparsity import Pattern
-from study.fem.mesh import structured
-from study.fem.solver.internal_force import Internal, Tangent
-from study.fem.solver.linear_solver import LinearSolver, make_solver
-from study.material.material import Material
-from study.setup.setup import Model
+from study.mechanics.element import function_space
+from study.mechanics.element.function_space import Discretization, Pattern, discretize
+from study.mechanics.material.material import Material
+from study.mechanics.mesh import structured
+from study.mechanics.setup.setup import Model
+from study.mechanics.solver.internal_force import Internal, Tangent
+from study.mechanics.solver.linear_solver import LinearSolver, make_solver
 
 Array = np.ndarray
 

@@ -12,8 +12,8 @@ from functools import cached_property
 
 import numpy as np
 
-from study.material.material import Material
-from study.material.stress import first_piola
+from study.mechanics.material.homogeneous import first_piola
+from study.mechanics.material.material import Material
 from tests.fem.known import Answer, Body, load_vector, solve
 
 Array = np.ndarray

@@ -8,14 +8,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from study.fem.mesh.mesh import Mesh
-from study.fem.mesh.structured import extrude, rectangle
-from study.fem.solver.solution import Solution
-from study.fem.solver.solve import solve
-from study.material.material import Material
-from study.setup.geometry import Cylinder
-from study.setup.setup import Model, Problem
-from study.setup.test_kind import Test
+from study.mechanics.material.material import Material
+from study.mechanics.mesh.structured import Mesh, extrude, rectangle
+from study.mechanics.setup.geometry import Cylinder
+from study.mechanics.setup.setup import Model, Problem
+from study.mechanics.setup.test_kind import Test
+from study.mechanics.solver.finite_element_solution import solve
+from study.mechanics.solver.solution import Solution
 
 FloatArray = NDArray[np.float64]
 

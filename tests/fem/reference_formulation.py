@@ -18,11 +18,11 @@ import numpy as np
 import scipy.sparse as sp
 from skfem import Basis, BilinearForm, LinearForm
 
-from study.fem.element import function_space
-from study.fem.element.function_space import Discretization, deformation_gradient
-from study.fem.mesh.mesh import Mesh
-from study.material.material import Material
-from study.setup.setup import Model
+from study.mechanics.element import function_space
+from study.mechanics.element.function_space import Discretization, deformation_gradient
+from study.mechanics.material.material import Material
+from study.mechanics.mesh.structured import Mesh
+from study.mechanics.setup.setup import Model
 from tests.fem import reference_law
 
 Array = np.ndarray

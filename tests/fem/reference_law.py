@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from study.material.material import Material
+from study.mechanics.material.material import Material
 
 Array = np.ndarray
 STEP = 1e-40

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from study.fem.solver.options import Options
-from study.fem.solver.solution import Solution
-from study.fem.solver.solve import solve
-from study.material.material import Material
-from study.setup.geometry import Cone, Cylinder, Indenter, Sphere
-from study.setup.load_steps import StepSettings
+from study.mechanics.material.material import Material
+from study.mechanics.setup.geometry import Cone, Cylinder, Indenter, Sphere
+from study.mechanics.setup.test_kind import StepSettings
+from study.mechanics.solver.finite_element_solution import solve
+from study.mechanics.solver.newton import Options
+from study.mechanics.solver.solution import Solution
 from tests.fem.problems import RP2, taylor_slopes
 from tests.fem.test_indentation import NEEDLE, indentation, linear
 

@@ -8,11 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from study.fem.cost import unknowns
-from study.fem.mesh.mesher import build_mesh
-from study.fem.mesh.solid import expected_unknowns
-from study.fem.solver.solve import solve
-from study.setup.geometry import (
+from study.mechanics.mesh.mesher import build_mesh
+from study.mechanics.mesh.solid import expected_unknowns
+from study.mechanics.setup.geometry import (
     Brain,
     Cone,
     Flat,
@@ -22,9 +20,11 @@ from study.setup.geometry import (
     Sphere,
     Surface,
 )
-from study.setup.setup import MeshName, Model, Order, Problem
-from study.setup.test_kind import Test
-from study.surface.surface import body
+from study.mechanics.setup.setup import MeshName, Model, Order, Problem
+from study.mechanics.setup.test_kind import Test
+from study.mechanics.solver.finite_element_solution import solve
+from study.mechanics.solver.solution_cost import unknowns
+from study.mechanics.surface.closed_surface import body
 from tests.fem.problems import GEL
 from tests.fem.surfaces import box, sphere, write
 

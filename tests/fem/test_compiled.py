@@ -10,9 +10,8 @@ from pathlib import Path
 
 import pytest
 
-import study.compilation
-from study.compilation import cache_folder
-from study.private_folder import fault_of
+import study.ground.compilation
+from study.ground.compilation import cache_folder, fault_of
 
 CALLEE = """
 from compiled import kernel
@@ -43,7 +42,7 @@ import hashlib
 import numpy as np
 from tests.fem.homogeneous import system_of
 from tests.fem.problems import MOONEY
-from study.fem.element.assembly import assemble
+from study.mechanics.element.assembly import assemble
 system = system_of(MOONEY, element_order="quadratic")
 x = system.start().x + 1e-3 * np.sin(np.arange(system.space.n))
 system.internal.evaluate(MOONEY, x, system.tangent)

@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from study.fem.solver.newton import NewtonSettings
-from study.fem.solver.options import Options
-from study.fem.solver.solve import solve
-from study.material.material import Material
-from study.setup.geometry import STANDARD_GRAVITY, Block, Cylinder, Gravity
-from study.setup.setup import Model, Problem
-from study.setup.test_kind import Test
+from study.mechanics.material.material import Material
+from study.mechanics.setup.geometry import STANDARD_GRAVITY, Block, Cylinder, Gravity
+from study.mechanics.setup.setup import Model, Problem
+from study.mechanics.setup.test_kind import Test
+from study.mechanics.solver.finite_element_solution import solve
+from study.mechanics.solver.newton import NewtonSettings, Options
 from tests.fem.problems import GEL, NEO_HOOKEAN, RP2, compression, grid
 
 #: Table C: Ea/E of a bonded disc at small strain (other-code, corner-graded)

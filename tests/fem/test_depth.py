@@ -8,18 +8,17 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from study.fem.contact.collocation import contact_points
-from study.fem.contact.contact import ContactPoints, Plate
-from study.fem.element.function_space import discretize
-from study.fem.element.sparsity import Pattern
-from study.fem.mesh.mesher import build_mesh
-from study.fem.solver.internal_force import Internal, Tangent
-from study.fem.solver.options import Options
-from study.fem.solver.solve import solve
-from study.material.material import Material
-from study.setup.geometry import Block, Cone, Cylinder, Sphere
-from study.setup.setup import Model, Problem
-from study.setup.test_kind import Test
+from study.mechanics.contact.collocation import contact_points
+from study.mechanics.contact.contact import ContactPoints, Plate
+from study.mechanics.element.function_space import Pattern, discretize
+from study.mechanics.material.material import Material
+from study.mechanics.mesh.mesher import build_mesh
+from study.mechanics.setup.geometry import Block, Cone, Cylinder, Sphere
+from study.mechanics.setup.setup import Model, Problem
+from study.mechanics.setup.test_kind import Test
+from study.mechanics.solver.finite_element_solution import solve
+from study.mechanics.solver.internal_force import Internal, Tangent
+from study.mechanics.solver.newton import Options
 
 NEO_HOOKEAN = Material("neo-hookean", {"C10": 5e-3}, bulk_modulus=10.0)
 ENERGIES = {

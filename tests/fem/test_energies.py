@@ -8,17 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from study.errors import InputError
-from study.fem.solver.newton import NewtonSettings, solve_step
-from study.fem.solver.options import Options
-from study.fem.solver.solve import solve
-from study.fem.solver.state import State
-from study.fem.solver.system import System
-from study.material.energies.polynomial import ReducedPolynomial
-from study.material.homogeneous import uniaxial
-from study.material.material import Material
-from study.material.registry import ENERGIES
-from study.setup.geometry import Cylinder
+from study.ground.errors import InputError
+from study.mechanics.material.homogeneous import uniaxial
+from study.mechanics.material.material import ENERGIES, Material
+from study.mechanics.material.polynomial import ReducedPolynomial
+from study.mechanics.setup.geometry import Cylinder
+from study.mechanics.solver.finite_element_solution import solve
+from study.mechanics.solver.newton import NewtonSettings, Options, solve_step
+from study.mechanics.solver.system import State, System
 from tests.fem.homogeneous import TIGHT, driven, force, held, system_of
 from tests.fem.problems import GEL, compression, cube, grid
 

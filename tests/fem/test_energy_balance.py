@@ -7,22 +7,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from study.curve import Curve
-from study.fem.solver.energy_balance import (
+from study.ground.curve import Curve
+from study.mechanics.material.material import Material
+from study.mechanics.setup.geometry import Block, Cone, Cylinder, Flat, Sphere
+from study.mechanics.setup.setup import Model, Problem
+from study.mechanics.setup.test_kind import Test as Loading
+from study.mechanics.solver.finite_element_solution import solve
+from study.mechanics.solver.internal_force import StoredEnergy
+from study.mechanics.solver.newton import Options
+from study.mechanics.solver.solution import (
     JUMP_SHARE,
     LoadedState,
+    Logbook,
+    Solution,
     balanced,
     jumped,
     unexplained_work,
 )
-from study.fem.solver.internal_force import StoredEnergy
-from study.fem.solver.options import Options
-from study.fem.solver.solution import Logbook, Solution
-from study.fem.solver.solve import solve
-from study.material.material import Material
-from study.setup.geometry import Block, Cone, Cylinder, Flat, Sphere
-from study.setup.setup import Model, Problem
-from study.setup.test_kind import Test as Loading
 from tests.fem.homogeneous import system_of
 
 MATERIALS = {

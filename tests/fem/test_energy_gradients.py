@@ -7,13 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from study.fem.solver.newton import NewtonSettings
-from study.fem.solver.options import Options
-from study.fem.solver.solution import Solution
-from study.fem.solver.solve import solve
-from study.material.material import Material
-from study.setup.geometry import Cylinder
-from study.setup.setup import Problem
+from study.mechanics.material.material import Material
+from study.mechanics.setup.geometry import Cylinder
+from study.mechanics.setup.setup import Problem
+from study.mechanics.solver.finite_element_solution import solve
+from study.mechanics.solver.newton import NewtonSettings, Options
+from study.mechanics.solver.solution import Solution
 from tests.fem.problems import compression
 
 NU, BULK = {"poisson_ratio": 0.495}, {"bulk_modulus": 1.0}

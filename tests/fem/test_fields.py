@@ -9,13 +9,12 @@ import meshio
 import numpy as np
 import pytest
 
-from study.api.single import files
-from study.errors import InputError, StoreError
-from study.fem.fields import fields, write_vtu
-from study.fem.solver.solve import solve
-from study.material.material import Material
-from study.setup.geometry import Block, Cylinder
-from study.setup.test_kind import Test
+from study.api import solving
+from study.ground.errors import InputError, StoreError
+from study.mechanics.material.material import Material
+from study.mechanics.setup.geometry import Block, Cylinder
+from study.mechanics.setup.test_kind import Test
+from study.mechanics.solver.finite_element_solution import fields, solve, write_vtu
 from tests.fem.problems import NEO_HOOKEAN, compression
 
 ELEMENTS = [(o, s) for o in ("linear", "quadratic") for s in ("simplex", "tensor")]
@@ -112,4 +111,4 @@ def test_without_an_answer_there_are_no_fields(tmp_path: Path) -> None:
 def test_a_folder_that_does_not_exist(tmp_path: Path) -> None:
     solution = solve(compression(Cylinder(1.0, 1.0), 0.05, mesh_size_mm=0.5), gradients=False)
     with pytest.raises(StoreError, match=r"out\.vtu: could not be written \(No such file"):
-        files.write_vtu(solution, tmp_path / "nowhere" / "out.vtu")
+        solving.write_vtu(solution, tmp_path / "nowhere" / "out.vtu")

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from study.fem.mesh.mesher import build_mesh
-from study.fem.solver.solve import solve
-from study.material.material import Material
-from study.setup.geometry import Block, Cone, Cylinder, Flat, Sphere
-from study.setup.setup import Model, Problem
-from study.setup.test_kind import Test as Loading
+from study.mechanics.material.material import Material
+from study.mechanics.mesh.mesher import build_mesh
+from study.mechanics.setup.geometry import Block, Cone, Cylinder, Flat, Sphere
+from study.mechanics.setup.setup import Model, Problem
+from study.mechanics.setup.test_kind import Test as Loading
+from study.mechanics.solver.finite_element_solution import solve
 from tests.fem.problems import compression, taylor_slopes
 
 MATERIALS = [
@@ -61,7 +61,7 @@ def test_errors_of_the_rates_are_squared(
     kind: str, space: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Rates to three digits give derivatives to six: the first-order error is taken off."""
-    from study.fem.solver import sensitivity
+    from study.mechanics.solver import sensitivity
 
     if kind == "indentation":
         test = Loading(kind, 1.5, "frictionless", "bonded", steps=2, indenter=Cone(30.0, 1.0))

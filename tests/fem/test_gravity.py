@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from study.fem.mesh.mesher import build_mesh
-from study.fem.solver.solve import solve
-from study.material.material import Material
-from study.setup.geometry import STANDARD_GRAVITY, Block, Cylinder, Gravity, Sphere
-from study.setup.setup import Model, Problem
-from study.setup.test_kind import Test
+from study.mechanics.material.material import Material
+from study.mechanics.mesh.mesher import build_mesh
+from study.mechanics.setup.geometry import STANDARD_GRAVITY, Block, Cylinder, Gravity, Sphere
+from study.mechanics.setup.setup import Model, Problem
+from study.mechanics.setup.test_kind import Test
+from study.mechanics.solver.finite_element_solution import solve
 
 from .problems import GEL
 

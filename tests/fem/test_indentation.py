@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from study.errors import InputError
-from study.fem.mesh.mesher import build_mesh
-from study.fem.solver.solve import solve
-from study.material.material import Material
-from study.setup.geometry import Block, Cone, Cylinder, Flat, Indenter, Sphere
-from study.setup.setup import Model, Problem
-from study.setup.test_kind import Test
+from study.ground.errors import InputError
+from study.mechanics.material.material import Material
+from study.mechanics.mesh.mesher import build_mesh
+from study.mechanics.setup.geometry import Block, Cone, Cylinder, Flat, Indenter, Sphere
+from study.mechanics.setup.setup import Model, Problem
+from study.mechanics.setup.test_kind import Test
+from study.mechanics.solver.finite_element_solution import solve
 
 #: material of the hard-contact forces: C10 = 5 kPa, C20 = 1 kPa, K = 10 MPa
 RUBBER = Material("reduced-polynomial", {"C10": 5e-3, "C20": 1e-3}, bulk_modulus=10.0)
@@ -139,7 +139,7 @@ def test_complementarity_and_balance() -> None:
 def test_forces_do_not_depend_on_the_stiffness_of_the_regularization(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    from study.fem.contact import contact
+    from study.mechanics.contact import contact
 
     problem = indentation(NEEDLE, 1.0, steps=4, mesh="coarse")
     usual = solve(problem, gradients=False).curve.force_N

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from study.fem.contact.rigid_surface import Press, profile, profile_height, signed_distance
-from study.setup.geometry import Cone, Flat, Indenter, Sphere
+from study.mechanics.contact.rigid_surface import Press, profile, profile_height, signed_distance
+from study.mechanics.setup.geometry import Cone, Flat, Indenter, Sphere
 
 INDENTERS = [Cone(30, 1), Cone(45, 0.5, 2), Flat(3, 0.3), Sphere(5)]
 IDS = ["cone", "cone with shaft", "flat", "sphere"]

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from study.analysis.convergence.grid_convergence import ConvergenceResult, grid_convergence
-from study.setup.setup import Model
+from study.mechanics.setup.setup import Model
+from study.statistics.convergence.grid_convergence import ConvergenceResult, grid_convergence
 from tests.fem.answers import Known, every_problem, punch, thick_walls
 
 MODELS = (

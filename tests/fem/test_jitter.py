@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from study.fem.mesh.mesh import Mesh
-from study.fem.mesh.mesher import build_mesh
-from study.fem.mesh.perturbation import _KEPT, _volumes
-from study.fem.solver.solve import solve
-from study.setup.geometry import Block, Cone, Cylinder, Flat, Surface
-from study.setup.setup import Problem
-from study.setup.test_kind import Test
+from study.mechanics.mesh.mesher import build_mesh
+from study.mechanics.mesh.perturbation import _KEPT, _volumes
+from study.mechanics.mesh.structured import Mesh
+from study.mechanics.setup.geometry import Block, Cone, Cylinder, Flat, Surface
+from study.mechanics.setup.setup import Problem
+from study.mechanics.setup.test_kind import Test
+from study.mechanics.solver.finite_element_solution import solve
 from tests.fem.problems import GEL, compression
 from tests.fem.surfaces import cylinder, sphere, write
 

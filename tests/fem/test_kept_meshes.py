@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from study.fem.mesh.mesher import _KEPT, _MADE, build_mesh, forget_meshes
-from study.setup.geometry import Cone, Cylinder
-from study.setup.setup import Model, Problem
-from study.setup.test_kind import Test
+from study.mechanics.mesh.mesher import _KEPT, _MADE, build_mesh, forget_meshes
+from study.mechanics.setup.geometry import Cone, Cylinder
+from study.mechanics.setup.setup import Model, Problem
+from study.mechanics.setup.test_kind import Test
 from tests.fem.problems import GEL, YEOH
 
 NEEDLE = Problem(

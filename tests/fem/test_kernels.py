@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from study.fem.element.point_law import (
+from study.mechanics.element.point_law import (
     POLYNOMIAL,
     cofactor,
     invariant_derivatives,

@@ -7,12 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from study.fem.element.point_law import WORK_ROWS, full_tangent, isochoric
-from study.fem.element.spectral import exponential_ratio, principal_axes, sinh_ratio
-from study.material.energy import Law
-from study.material.homogeneous import confined
-from study.material.material import Material
-from study.material.stress import first_piola
+from study.mechanics.element.point_law import WORK_ROWS, full_tangent, isochoric
+from study.mechanics.element.spectral import exponential_ratio, principal_axes, sinh_ratio
+from study.mechanics.material.energy import Law
+from study.mechanics.material.homogeneous import confined, first_piola
+from study.mechanics.material.material import Material
 from tests.fem import reference_law
 
 Array = np.ndarray

@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from study.fem.mesh.mesher import build_mesh
-from study.fem.solver.limit_point import gives_way, smallest_stiffness
-from study.fem.solver.options import Options
-from study.fem.solver.solve import solve
-from study.fem.solver.system import System
-from study.material.material import Material
-from study.setup.geometry import Cone, Cylinder
-from study.setup.setup import Model, Problem
-from study.setup.test_kind import Test
+from study.mechanics.material.material import Material
+from study.mechanics.mesh.mesher import build_mesh
+from study.mechanics.setup.geometry import Cone, Cylinder
+from study.mechanics.setup.setup import Model, Problem
+from study.mechanics.setup.test_kind import Test
+from study.mechanics.solver.finite_element_solution import solve
+from study.mechanics.solver.load_path import gives_way, smallest_stiffness
+from study.mechanics.solver.newton import Options
+from study.mechanics.solver.system import System
 from tests.fem.problems import GEL, compression
 
 #: softens without losing its ellipticity

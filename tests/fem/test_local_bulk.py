@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from study.fem.mesh.mesher import build_mesh
-from study.fem.solver.internal_force import LOCAL_BULK, Internal, split_bulk, split_bulk_rate
-from study.fem.solver.solve import solve
-from study.fem.solver.system import System
-from study.material.material import Material
-from study.setup.geometry import Cone, Cylinder, Flat, Indenter, Sphere
-from study.setup.setup import Model, Problem
-from study.setup.test_kind import Test
+from study.mechanics.material.material import Material
+from study.mechanics.mesh.mesher import build_mesh
+from study.mechanics.setup.geometry import Cone, Cylinder, Flat, Indenter, Sphere
+from study.mechanics.setup.setup import Model, Problem
+from study.mechanics.setup.test_kind import Test
+from study.mechanics.solver.finite_element_solution import solve
+from study.mechanics.solver.internal_force import LOCAL_BULK, Internal, split_bulk, split_bulk_rate
+from study.mechanics.solver.system import System
 from tests.fem.test_indentation import NEEDLE, indentation
 
 CONE, SPHERE, FLAT = Cone(30, 1, 3), Sphere(5.0), Flat(3, 0.3)

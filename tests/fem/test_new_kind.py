@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from study.errors import Fault, InputError
-from study.fem.solver.solve import solve
-from study.material.homogeneous import response
-from study.setup import test_section
-from study.setup.compression import Compression
-from study.setup.geometry import Block, Cylinder
-from study.setup.setup import Model, Problem
-from study.setup.test_kind import FaceCondition, Test
+from study.ground.errors import Fault, InputError
+from study.mechanics.material.homogeneous import response
+from study.mechanics.setup import test_section
+from study.mechanics.setup.geometry import Block, Cylinder
+from study.mechanics.setup.setup import Model, Problem
+from study.mechanics.setup.test_kind import FaceCondition, Test
+from study.mechanics.setup.test_kinds import Compression
+from study.mechanics.solver.finite_element_solution import solve
 
 from .problems import GEL
 
@@ -45,7 +45,7 @@ class Tension(Compression):
 def tension(monkeypatch: pytest.MonkeyPatch) -> None:
     kinds = {**test_section.TEST_KINDS, "tension": Tension(sense=1.0)}
     monkeypatch.setattr(test_section, "TEST_KINDS", kinds)
-    monkeypatch.setattr("study.setup.setup.TEST_KINDS", kinds)
+    monkeypatch.setattr("study.mechanics.setup.setup.TEST_KINDS", kinds)
 
 
 def pulled(specimen: Cylinder | Block, depth: float, steps: int = 1, **model: object) -> Problem:

@@ -5,13 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from study.fem.solver.newton import NewtonSettings, solve_step
-from study.fem.solver.options import Options
-from study.fem.solver.solve import solve
-from study.fem.solver.state import State
-from study.fem.solver.system import System
-from study.material.material import Material
-from study.setup.geometry import Cylinder
+from study.mechanics.material.material import Material
+from study.mechanics.setup.geometry import Cylinder
+from study.mechanics.solver.finite_element_solution import solve
+from study.mechanics.solver.newton import NewtonSettings, Options, solve_step
+from study.mechanics.solver.system import State, System
 from tests.fem.homogeneous import held
 from tests.fem.problems import (
     MOONEY,

@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from study.errors import InputError
-from study.fem.element.function_space import interpolation
-from study.fem.solver.prescribed_motion import NoEquilibrium, PrescribedMotion
-from study.fem.solver.solve import solve
-from study.material.material import Material
-from study.setup.geometry import Block, Cylinder, FaceMotion
-from study.setup.setup import Model, Problem
-from study.setup.test_kind import Test
+from study.ground.errors import InputError
+from study.mechanics.element.function_space import interpolation
+from study.mechanics.material.material import Material
+from study.mechanics.setup.geometry import Block, Cylinder, FaceMotion
+from study.mechanics.setup.setup import Model, Problem
+from study.mechanics.setup.test_kind import Test
+from study.mechanics.solver.finite_element_solution import solve
+from study.mechanics.solver.load_path import NoEquilibrium, PrescribedMotion
 
 from .problems import GEL
 

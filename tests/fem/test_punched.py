@@ -13,16 +13,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from study.fem.contact.constraints import constraints
-from study.fem.cost import expected_unknowns, unknowns
-from study.fem.element.function_space import discretize
-from study.fem.mesh.mesh import Mesh
-from study.fem.mesh.mesher import build_mesh
-from study.fem.mesh.perturbation import _volumes
-from study.fem.solver.solve import solve
-from study.setup.geometry import Block, Cylinder, Flat, Specimen
-from study.setup.setup import Model, Problem
-from study.setup.test_kind import Test
+from study.mechanics.contact.contact import constraints
+from study.mechanics.element.function_space import discretize
+from study.mechanics.mesh.mesher import build_mesh
+from study.mechanics.mesh.perturbation import _volumes
+from study.mechanics.mesh.structured import Mesh
+from study.mechanics.setup.geometry import Block, Cylinder, Flat, Specimen
+from study.mechanics.setup.setup import Model, Problem
+from study.mechanics.setup.test_kind import Test
+from study.mechanics.solver.finite_element_solution import solve
+from study.mechanics.solver.solution_cost import expected_unknowns, unknowns
 from tests.fem.problems import GEL
 
 LEVELS = ("coarse", "medium", "fine")

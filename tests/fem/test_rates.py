@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from scipy.linalg import cholesky, eigh, solve_triangular
 
-from study.material.material import Material
-from study.setup.setup import Model
+from study.mechanics.material.material import Material
+from study.mechanics.setup.setup import Model
 from tests.fem.known import Body, body, errors, rectangle, unit_cube
 from tests.fem.manufactured import Manufactured
 

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from study.fem.mesh.mesh import Mesh
-from study.fem.mesh.structured import extrude, rectangle
-from study.fem.solver.system import System
-from study.material.material import Material
-from study.setup.setup import Model
+from study.mechanics.material.material import Material
+from study.mechanics.mesh.structured import Mesh, extrude, rectangle
+from study.mechanics.setup.setup import Model
+from study.mechanics.solver.system import System
 from tests.fem.homogeneous import held, system_of
 from tests.fem.problems import irregular
 from tests.fem.reference_formulation import Formulation

@@ -7,16 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from study.fem.element.sparsity import Pattern, symmetric_product
-from study.fem.mesh.mesher import build_mesh
-from study.fem.solver import newton
-from study.fem.solver.linear_solver import make_solver, pardiso_available
-from study.fem.solver.options import Options
-from study.fem.solver.reused_factorization import KeptFactors, fgmres
-from study.fem.solver.solve import solve
-from study.fem.solver.system import System
-from study.setup.geometry import Cylinder
-from study.setup.setup import Problem
+from study.mechanics.element.function_space import Pattern, symmetric_product
+from study.mechanics.mesh.mesher import build_mesh
+from study.mechanics.setup.geometry import Cylinder
+from study.mechanics.setup.setup import Problem
+from study.mechanics.solver import newton
+from study.mechanics.solver.finite_element_solution import solve
+from study.mechanics.solver.linear_solver import KeptFactors, fgmres, make_solver, pardiso_available
+from study.mechanics.solver.newton import Options
+from study.mechanics.solver.system import System
 from tests.fem.problems import GEL, compression
 
 NOWHERE = np.zeros(0, bool)

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from study.fem.contact.collocation import contact_points
-from study.fem.contact.contact import Plate
-from study.fem.element.function_space import discretize
-from study.fem.mesh.mesher import build_mesh
-from study.fem.mesh.structured import half_hexagon, line_about, line_from
-from study.fem.solver.solve import solve
-from study.material.material import Material
-from study.setup.geometry import Cylinder, Flat
-from study.setup.setup import Model, Problem
-from study.setup.test_kind import Test
+from study.mechanics.contact.collocation import contact_points
+from study.mechanics.contact.contact import Plate
+from study.mechanics.element.function_space import discretize
+from study.mechanics.material.material import Material
+from study.mechanics.mesh.mesher import build_mesh
+from study.mechanics.mesh.structured import half_hexagon, line_about, line_from
+from study.mechanics.setup.geometry import Cylinder, Flat
+from study.mechanics.setup.setup import Model, Problem
+from study.mechanics.setup.test_kind import Test
+from study.mechanics.solver.finite_element_solution import solve
 
 Array = NDArray[np.float64]
 SHAPES = ("simplex", "tensor")

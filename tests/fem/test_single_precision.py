@@ -5,16 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from study.fem.element.sparsity import Pattern, symmetric_product
-from study.fem.mesh.mesher import build_mesh
-from study.fem.solver.linear_solver import make_solver, pardiso_available
-from study.fem.solver.reused_factorization import KeptFactors
-from study.fem.solver.solve import solve
-from study.fem.solver.system import System
-from study.material.material import Material
-from study.setup.geometry import Cone, Cylinder
-from study.setup.setup import Model, Problem
-from study.setup.test_kind import Test as Loading
+from study.mechanics.element.function_space import Pattern, symmetric_product
+from study.mechanics.material.material import Material
+from study.mechanics.mesh.mesher import build_mesh
+from study.mechanics.setup.geometry import Cone, Cylinder
+from study.mechanics.setup.setup import Model, Problem
+from study.mechanics.setup.test_kind import Test as Loading
+from study.mechanics.solver.finite_element_solution import solve
+from study.mechanics.solver.linear_solver import KeptFactors, make_solver, pardiso_available
+from study.mechanics.solver.system import System
 from tests.fem.problems import GEL
 
 pytestmark = pytest.mark.skipif(not pardiso_available(), reason="pypardiso is not installed")
@@ -28,7 +27,7 @@ NOWHERE = np.zeros(0, bool)
 
 def use(monkeypatch: pytest.MonkeyPatch, *, single: bool) -> None:
     """Have systems of every size in single precision, or none."""
-    import study.fem.solver.linear_solver as module
+    import study.mechanics.solver.linear_solver as module
 
     limit = 0 if single else 10**9
     monkeypatch.setattr(module, "_SINGLE", {True: limit, False: limit})

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from study.fem.element.sparsity import Pattern
-from study.fem.solver.linear_solver import SingularMatrixError, SuperLU
-from study.setup.geometry import Cone
-from study.setup.test_kind import Test as Loading
-from study.setup.test_section import TEST_KINDS
+from study.mechanics.element.function_space import Pattern
+from study.mechanics.setup.geometry import Cone
+from study.mechanics.setup.test_kind import Test as Loading
+from study.mechanics.setup.test_section import TEST_KINDS
+from study.mechanics.solver.linear_solver import SingularMatrixError, SuperLU
 
 
 def test_a_singular_matrix_is_told() -> None:

@@ -7,10 +7,10 @@ import ctypes
 import numpy as np
 import pytest
 
-from study.fem.mesh.size_field import SizeField, size_callback, size_field
-from study.setup.geometry import Cone, Flat
-from study.setup.setup import Model
-from study.setup.test_kind import AroundContact
+from study.mechanics.mesh.size_field import SizeField, size_callback, size_field
+from study.mechanics.setup.geometry import Cone, Flat
+from study.mechanics.setup.setup import Model
+from study.mechanics.setup.test_kind import AroundContact
 
 CONE = size_field(Model("3d", "quadratic"), AroundContact(Cone(30.0, 1.0), 3.0), 40.0, 25.0)
 PUNCH = size_field(

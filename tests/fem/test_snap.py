@@ -7,14 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from study.fem.mesh.mesher import build_mesh
-from study.fem.solver.limit_point import solve_through
-from study.fem.solver.newton import NewtonSettings
-from study.fem.solver.options import Options
-from study.fem.solver.solve import solve
-from study.fem.solver.system import System
-from study.material.material import Material
-from study.setup.geometry import Block, Cone, Flat
+from study.mechanics.material.material import Material
+from study.mechanics.mesh.mesher import build_mesh
+from study.mechanics.setup.geometry import Block, Cone, Flat
+from study.mechanics.solver.finite_element_solution import solve
+from study.mechanics.solver.load_path import solve_through
+from study.mechanics.solver.newton import NewtonSettings, Options
+from study.mechanics.solver.system import System
 from tests.fem.problems import taylor_slopes
 from tests.fem.test_indentation import NEEDLE, RUBBER, indentation
 

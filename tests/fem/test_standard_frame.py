@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from study.fem.mesh.mesh import Mesh
-from study.fem.mesh.mesher import build_mesh
-from study.fem.mesh.standard_frame import standard_frame
-from study.setup.geometry import Sphere, Surface
-from study.setup.setup import Model, Problem
-from study.setup.test_kind import Test
-from study.surface.surface import body
+from study.mechanics.mesh.mesher import build_mesh
+from study.mechanics.mesh.solid import standard_frame
+from study.mechanics.mesh.structured import Mesh
+from study.mechanics.setup.geometry import Sphere, Surface
+from study.mechanics.setup.setup import Model, Problem
+from study.mechanics.setup.test_kind import Test
+from study.mechanics.surface.closed_surface import body
 from tests.fem.problems import GEL
 from tests.fem.surfaces import Array, Shape, box, cylinder, sphere, write
 

@@ -9,19 +9,27 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from study.errors import InputError
-from study.fem.checks import check
-from study.fem.cost import too_large, unknowns
-from study.fem.mesh.mesher import build_mesh
-from study.fem.mesh.solid import expected_unknowns
-from study.fem.mesh.surface_size_field import graded_table
-from study.fem.solver.solution import Solution
-from study.fem.solver.solve import solve
-from study.material.homogeneous import uniaxial
-from study.setup.geometry import Block, Cone, Cylinder, Flat, Indenter, Specimen, Sphere, Surface
-from study.setup.setup import Model, Problem
-from study.setup.test_kind import Test
-from study.surface.surface import body
+from study.ground.errors import InputError
+from study.mechanics.material.homogeneous import uniaxial
+from study.mechanics.mesh.mesher import build_mesh
+from study.mechanics.mesh.size_field import graded_table
+from study.mechanics.mesh.solid import expected_unknowns
+from study.mechanics.setup.geometry import (
+    Block,
+    Cone,
+    Cylinder,
+    Flat,
+    Indenter,
+    Specimen,
+    Sphere,
+    Surface,
+)
+from study.mechanics.setup.setup import Model, Problem
+from study.mechanics.setup.test_kind import Test
+from study.mechanics.solver.finite_element_solution import check, solve
+from study.mechanics.solver.solution import Solution
+from study.mechanics.solver.solution_cost import too_large, unknowns
+from study.mechanics.surface.closed_surface import body
 from tests.fem.problems import GEL
 from tests.fem.surfaces import Shape, box, cylinder, sphere, write
 

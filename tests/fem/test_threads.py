@@ -9,21 +9,21 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info
 
-from study import compilation
-from study.fem.element import sparsity
-from study.fem.mesh.mesher import build_mesh
-from study.fem.solver.system import System
-from study.material.material import Material
-from study.setup.geometry import Cone, Cylinder
-from study.setup.setup import Model, Problem
-from study.setup.test_kind import Test
+from study.ground import compilation
+from study.mechanics.element import function_space
+from study.mechanics.material.material import Material
+from study.mechanics.mesh.mesher import build_mesh
+from study.mechanics.setup.geometry import Cone, Cylinder
+from study.mechanics.setup.setup import Model, Problem
+from study.mechanics.setup.test_kind import Test
+from study.mechanics.solver.system import System
 
 GEL = Material("neo-hookean", {"C10": 5e-3}, bulk_modulus=10.0)
 
 
 @pytest.fixture
 def small_slabs(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sparsity, "_WORTH", 50)
+    monkeypatch.setattr(function_space, "_WORTH", 50)
 
 
 def compressed(space: Any, formulation: Any = "mixed", size: float = 6.0) -> System:
@@ -75,8 +75,8 @@ def under_a_needle() -> System:
 def test_what_is_worked_on_at_once_shares_no_unknown(
     built: Callable[[], System], counts: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sparsity, "_COUNTS", (4,))
-    monkeypatch.setattr(sparsity, "_WORTH", 50)
+    monkeypatch.setattr(function_space, "_COUNTS", (4,))
+    monkeypatch.setattr(function_space, "_WORTH", 50)
     system = built()
     phases, dofs = system.internal.phases, system.space.dofs
     assert [len(phase) for phase in phases] == counts
@@ -97,7 +97,7 @@ def test_a_tangent_in_slabs_is_that_of_all_elements(
     x = None
     found = []
     for worth in (50, 10**9):
-        monkeypatch.setattr(sparsity, "_WORTH", worth)
+        monkeypatch.setattr(function_space, "_WORTH", worth)
         system = compressed(space)
         if x is None:
             x = 1e-2 * np.random.default_rng(3).normal(size=system.space.n)

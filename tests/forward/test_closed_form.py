@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from study.arrays import Array
-from study.curve import Curve
-from study.errors import InputError
-from study.forward.closed_form import at_rows, between_rows, solution
-from study.material.material import Material
-from study.material.relaxation import RelaxationTerm
-from study.setup.geometry import Cylinder, Homogeneous
-from study.setup.setup import Model, Problem, Setup
-from study.setup.test_kind import Test
+from study.ground.arrays import Array
+from study.ground.curve import Curve
+from study.ground.errors import InputError
+from study.mechanics.forward.closed_form import at_rows, between_rows, solution
+from study.mechanics.material.material import Material
+from study.mechanics.material.relaxation import RelaxationTerm
+from study.mechanics.setup.geometry import Cylinder, Homogeneous
+from study.mechanics.setup.setup import Model, Problem, Setup
+from study.mechanics.setup.test_kind import Test
 
 Shape = Cylinder | Homogeneous
 STRIP = Homogeneous(100.0, 20.0)

@@ -14,12 +14,11 @@ import numpy as np
 import pytest
 
 from study.api.opened_study import open_study
-from study.errors import RefusedError
-from study.forward import command, exchange, program
-from study.forward.command import Command
-from study.forward.exchange import NoAnswer
-from study.forward.python_function import PythonFunction
-from study.setup.setup import problem_of
+from study.ground.errors import RefusedError
+from study.harness.external import command, exchange, program
+from study.harness.external.command import Command
+from study.harness.external.exchange import NoAnswer, PythonFunction
+from study.mechanics.setup.setup import problem_of
 from tests.waiting import CAP_S, is_alive, until
 
 ROOT = Path(__file__).parents[2]
@@ -99,7 +98,7 @@ def script(text: str, **more: object) -> Command:
 
 def refusal(made: Command, seconds: float | None = None) -> NoAnswer:
     with pytest.raises(NoAnswer) as caught:
-        command.solve(made, problem(C10=C10), POINTS)
+        command.solve_by_command(made, problem(C10=C10), POINTS)
     return caught.value
 
 
@@ -212,7 +211,7 @@ def test_all_that_a_program_leaves_behind_ends_with_it(tmp_path, end):
     if end:
         assert refusal(made).status == ("timeout" if "sleep" in end else "failed")
     else:
-        command.solve(made, problem(C10=C10), POINTS)
+        command.solve_by_command(made, problem(C10=C10), POINTS)
     assert left_behind(tmp_path / "pid") == []
 
 
@@ -249,7 +248,7 @@ def test_all_of_a_program_ends_with_the_run_that_is_stopped(folder, tmp_path, nu
 def test_the_output_lies_out_of_reach_of_the_program(deed):
     text = f"import os\ntry:\n    {deed}\nexcept FileNotFoundError:\n    pass\n"
     made = script(text + "print('all went well')\n" + WRITES.format(CURVE))
-    _, document = command.solve(made, problem(C10=C10), POINTS)
+    _, document = command.solve_by_command(made, problem(C10=C10), POINTS)
     assert document["steps"][0]["output"] == "all went well\n"
 
 
@@ -305,7 +304,7 @@ def test_no_shell_reads_the_words(tmp_path):
 def test_forces_of_the_shipped_closed_form_are_those_of_ours():
     text = (ROOT / "designs/solvers/closed_form.py").read_text()
     made = Command((("python", "closed_form.py", "gradients"),), {"closed_form.py": text})
-    found, document = command.solve(made, problem(C10=C10, C20=C20), POINTS)
+    found, document = command.solve_by_command(made, problem(C10=C10, C20=C20), POINTS)
     np.testing.assert_allclose(found.curve.force_N, [force(d) for d in POINTS], rtol=1e-12)
     assert found.gradients == ("C10", "C20")
     assert document["steps"][0]["code"] == 0
@@ -465,8 +464,8 @@ def test_calculix_gives_the_closed_form_between_lubricated_plates(order, close):
     )
     made = Command(argv, {"calculix.py": text}, ("ccx", "-v"), "Job finished", "*ERROR")
     given = problem_of(tables)
-    found, document = command.solve(made, given, np.array([1.5, 3.75]))
-    from study.forward.closed_form import compression
+    found, document = command.solve_by_command(made, given, np.array([1.5, 3.75]))
+    from study.mechanics.forward.closed_form import compression
 
     exact = compression(given.specimen, given.material, np.array([1.5, 3.75])).force_N
     np.testing.assert_allclose(found.curve.force_N, exact, rtol=close)

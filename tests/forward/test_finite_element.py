@@ -7,16 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from study.design.load import loads
-from study.forward.finite_element import Anchors
-from study.record.document import CurveKey
-from study.record.record import Record
-from study.record.store import Store
-from study.record.table import table
-from study.runner.batch import run_batch
-from study.runner.expansion import expand
-from study.runner.job import Work
-from study.runner.virtual.specimens import usual_generator, write_virtual
+from study.harness.design.load import loads
+from study.harness.record.document import CurveKey
+from study.harness.record.record import Record, table
+from study.harness.record.store import Store
+from study.harness.runner.batch import run_batch
+from study.harness.runner.expansion import expand
+from study.harness.runner.job import Work
+from study.harness.runner.virtual_specimens import usual_generator, write_virtual
+from study.mechanics.forward.finite_element import Anchors
 
 DESIGN = """
 schema = 1

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from study.curve import Curve
-from study.forward import finite_element
-from study.forward.halfspace import indentation
-from study.runner.fitting import fit_task
-from study.runner.fitting.fit_problem import fit_problem
-from study.setup.geometry import Cone, Flat, Indenter, Sphere
-from study.setup.setup import problem_of
+from study.ground.curve import Curve
+from study.harness.runner import fit_task
+from study.harness.runner.fit_problem import fit_problem
+from study.mechanics.forward import finite_element
+from study.mechanics.forward.closed_form import indentation
+from study.mechanics.setup.geometry import Cone, Flat, Indenter, Sphere
+from study.mechanics.setup.setup import problem_of
 
 LAYERS = Path(__file__).parents[2] / "validation" / "layers.csv"
 HIGH = 1e9

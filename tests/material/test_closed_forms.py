@@ -6,20 +6,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from study.errors import InputError
-from study.material.homogeneous import (
+from study.ground.errors import InputError
+from study.mechanics.material.homogeneous import (
     MODES,
     confined,
     equibiaxial,
+    first_piola,
     planar,
     response,
     simple_shear,
+    strain_energy,
     uniaxial,
     uniaxial_gradient,
 )
-from study.material.material import Material
-from study.material.stability import stability
-from study.material.stress import first_piola, strain_energy
+from study.mechanics.material.material import Material
+from study.mechanics.material.stability import stability
 
 ROOT = Path(__file__).resolve().parents[2]
 with open(ROOT / "validation" / "material_points.csv", newline="", encoding="utf-8") as _file:

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from study.material.ellipticity import always_elliptic, ellipticity
-from study.material.homogeneous import EQUIBIAXIAL, PLANAR, UNIAXIAL
-from study.material.material import Material
-from study.material.stability import tangent
+from study.mechanics.material.homogeneous import EQUIBIAXIAL, PLANAR, UNIAXIAL
+from study.mechanics.material.material import Material
+from study.mechanics.material.stability import always_elliptic, ellipticity, tangent
 
 ANYWHERE = np.random.default_rng(5).lognormal(0.0, 0.7, (3, 2000))
 

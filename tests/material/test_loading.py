@@ -3,10 +3,14 @@
 import numpy as np
 import pytest
 
-from study.errors import InputError
-from study.material.loading import LOADINGS, loading_in, sheared_stretches
-from study.material.material import Material
-from study.material.stress import first_piola
+from study.ground.errors import InputError
+from study.mechanics.material.homogeneous import (
+    LOADINGS,
+    first_piola,
+    loading_in,
+    sheared_stretches,
+)
+from study.mechanics.material.material import Material
 
 MR = Material("mooney-rivlin", {"C10": 0.4, "C01": 0.1}, poisson_ratio=0.49)
 SOLIDS = [

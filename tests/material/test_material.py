@@ -8,15 +8,19 @@ import pkgutil
 import numpy as np
 import pytest
 
-from study.errors import InputError
-from study.material import energies
-from study.material.compressibility import bulk_from_poisson, poisson_from_bulk
-from study.material.conversions import convert, from_ogden_classical
-from study.material.energies.ogden import ogden_terms
-from study.material.energies.polynomial import coefficient_table
-from study.material.energy import Energy
-from study.material.material import Material
-from study.material.registry import MODELS, constant_names, energy_named
+import study.mechanics.material as room
+from study.ground.errors import InputError
+from study.mechanics.material.energy import Energy, bulk_from_poisson, poisson_from_bulk
+from study.mechanics.material.material import (
+    MODELS,
+    Material,
+    constant_names,
+    convert,
+    energy_named,
+    from_ogden_classical,
+)
+from study.mechanics.material.ogden import ogden_terms
+from study.mechanics.material.polynomial import coefficient_table
 
 
 def every_kind_of(base: type) -> set[type]:
@@ -25,12 +29,12 @@ def every_kind_of(base: type) -> set[type]:
 
 
 def test_every_energy_has_its_name_and_its_line_in_the_registry():
-    for module in pkgutil.iter_modules(energies.__path__, f"{energies.__name__}."):
+    for module in pkgutil.iter_modules(room.__path__, f"{room.__name__}."):
         importlib.import_module(module.name)
     written = {
         kind.name
         for kind in every_kind_of(Energy)
-        if not inspect.isabstract(kind) and kind.__module__.startswith(energies.__name__)
+        if not inspect.isabstract(kind) and kind.__module__.startswith(room.__name__)
     }
     assert set(MODELS) == written
 

@@ -9,13 +9,18 @@ import numpy as np
 import pytest
 
 from study import api
-from study.arrays import Array
-from study.errors import InputError
-from study.material.homogeneous import MODES, response
-from study.material.loading import LOADINGS
-from study.material.material import Material
-from study.material.stability import stability
-from study.material.stress import first_piola, first_piola_gradient, strain_energy
+from study.ground.arrays import Array
+from study.ground.errors import InputError
+from study.mechanics.material.homogeneous import (
+    LOADINGS,
+    MODES,
+    first_piola,
+    first_piola_gradient,
+    response,
+    strain_energy,
+)
+from study.mechanics.material.material import Material
+from study.mechanics.material.stability import stability
 from tests.cli.small import study
 
 NU = 0.2

@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from study.errors import InputError
-from study.material.energies.polynomial import index_pair
-from study.material.homogeneous import UNIAXIAL, response
-from study.material.material import Material
-from study.material.registry import is_constant
-from study.material.stability import (
+from study.ground.errors import InputError
+from study.mechanics.material.homogeneous import UNIAXIAL, response
+from study.mechanics.material.material import Material, is_constant
+from study.mechanics.material.polynomial import index_pair
+from study.mechanics.material.stability import (
     BIOT_LIMITS,
     BIOT_ROOT,
     check,

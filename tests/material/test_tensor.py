@@ -6,10 +6,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from study.material.homogeneous import confined, uniaxial
-from study.material.material import Material
-from study.material.registry import is_dimensionless
-from study.material.stress import first_piola, first_piola_gradient, strain_energy
+from study.mechanics.material.homogeneous import (
+    confined,
+    first_piola,
+    first_piola_gradient,
+    strain_energy,
+    uniaxial,
+)
+from study.mechanics.material.material import Material, is_dimensionless
 
 #: positive constants: polyconvex, so that the energy has its only minimum at rest
 STABLE = [

@@ -7,10 +7,10 @@ import math
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from study.errors import InputError
-from study.measurement.reading import read_measurements
-from study.measurement.section import Range
-from study.tabular import NUMBER, parse_csv
+from study.ground.errors import InputError
+from study.ground.tabular import NUMBER, parse_csv
+from study.mechanics.measurement.measurement_section import Range
+from study.mechanics.measurement.reading import read_measurements
 from tests.record.samples import Spec
 
 cell = st.one_of(

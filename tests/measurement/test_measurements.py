@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from study import tabular, text_file
-from study.design.diagnostics import Faults
-from study.design.sections.measurements import measurements_from
-from study.errors import InputError
-from study.measurement.reading import read_measurements
-from study.measurement.section import Columns, MeasurementSpec, Range, Units
+from study.ground import bounded_file, tabular
+from study.ground.errors import InputError
+from study.harness.design.cell import measurements_from
+from study.harness.design.diagnostics import Faults
+from study.mechanics.measurement.measurement_section import Columns, MeasurementSpec, Range, Units
+from study.mechanics.measurement.reading import read_measurements
 from tests.record.samples import Spec
 
 LINE = "d,f\n0,0\n1,2\n2,4\n3,6\n4,8\n"
@@ -310,7 +310,7 @@ def test_groups_from_the_names_of_files(tmp_path):
 
 
 def test_size_caps(tmp_path, monkeypatch):
-    monkeypatch.setattr(text_file, "MAX_BYTES", 1000)
+    monkeypatch.setattr(bounded_file, "MAX_BYTES", 1000)
     assert "holds more than" in refusal(tmp_path, LINE + "5,10\n" * 1000)
     assert "holds more than" in refusal(tmp_path, gzip.compress((LINE + "5,10\n" * 1000).encode()))
     monkeypatch.setattr(tabular, "MAX_ROWS", 10)

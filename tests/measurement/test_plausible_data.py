@@ -7,12 +7,20 @@ import math
 import numpy as np
 import pytest
 
-from study.errors import InputError
-from study.measurement.conditioning import OFFSET, UNLOADED, Rules, condition, is_caution
-from study.measurement.loading_branch import last_of_loading
-from study.measurement.measured_test import Measurements, SingleTest
-from study.measurement.plausibility import SOFT_MPA, apparent_modulus, checked
-from study.setup.setup import Setup
+from study.ground.errors import InputError
+from study.mechanics.measurement.conditioning import (
+    OFFSET,
+    SOFT_MPA,
+    UNLOADED,
+    Rules,
+    apparent_modulus,
+    checked,
+    condition,
+    is_caution,
+    last_of_loading,
+)
+from study.mechanics.measurement.measured_test import Measurements, SingleTest
+from study.mechanics.setup.setup import Setup
 
 RULES = Rules(0.5, 5.0, points=10)
 UP = np.linspace(0.0, 6.0, 61)

@@ -6,10 +6,10 @@ from typing import Any, cast
 
 import numpy as np
 
-from study.curve import Curve
-from study.measurement.section import MeasurementSpec, Range
-from study.record.document import CurveKey, ManifestDocument
-from study.record.record import Record
+from study.ground.curve import Curve
+from study.harness.record.document import CurveKey, ManifestDocument
+from study.harness.record.record import Record
+from study.mechanics.measurement.measurement_section import MeasurementSpec, Range
 
 #: a fit that several cases share, and what refinement says of one response
 FIT: dict[str, object] = {

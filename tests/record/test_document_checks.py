@@ -11,22 +11,22 @@ from typing import Any
 import numpy as np
 import pytest
 
-from study.curve import Curve
-from study.errors import StoreError
-from study.record import lock
-from study.record.document import (
+from study.ground.curve import Curve
+from study.ground.errors import StoreError
+from study.harness.record import atomic_files
+from study.harness.record.document import (
     AdaptiveStep,
     ConfirmedRow,
     CurveKey,
     NumericalRow,
     SpaceRow,
     ValidationRow,
+    fault_of_comparisons,
+    fault_of_series,
 )
-from study.record.document_checks import fault_of_comparisons, fault_of_series
-from study.record.record import Record, seal
-from study.record.result_folder import ENDS_WITH_CONSTANTS
-from study.record.store import Store
-from study.runner.fitting.fit_summary import WITH_CONSTANTS
+from study.harness.record.record import Record, seal
+from study.harness.record.store import ENDS_WITH_CONSTANTS, Store
+from study.harness.runner.fit_summary import WITH_CONSTANTS
 from tests.record.samples import FIT, NUMERICAL, manifest, record
 from validation.damage import Damage, damages, sealed
 
@@ -204,11 +204,11 @@ def test_the_store_knows_which_fits_have_constants() -> None:
 
 def test_a_pipe_is_no_lock(tmp_path: Path) -> None:
     """To open a pipe waits for somebody who writes to it."""
-    os.mkfifo(tmp_path / lock.LOCK_NAME)
-    assert not lock.is_locked(tmp_path)
-    assert lock.holder(tmp_path) == {}
+    os.mkfifo(tmp_path / atomic_files.LOCK_NAME)
+    assert not atomic_files.is_locked(tmp_path)
+    assert atomic_files.holder(tmp_path) == {}
     with pytest.raises(StoreError, match=r"\.lock: cannot be written \(it is no file"):  # noqa: SIM117
-        with lock.exclusive(tmp_path):
+        with atomic_files.exclusive(tmp_path):
             pass
 
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from study.errors import StoreError
-from study.record import fields
+from study.ground.errors import StoreError
+from study.harness.record import document
 
 
 def archive(**members: bytes) -> bytes:
@@ -29,8 +29,8 @@ def array(header: str, data: bytes = b"", version: bytes = b"\1\0") -> bytes:
 
 def test_what_was_packed_is_unpacked() -> None:
     given = {"u": np.arange(12.0).reshape(3, 4), "names": np.array(["a", "bc"]), "on": np.bool_(1)}
-    _, data = fields.pack(given)
-    unpacked = fields.unpack(data, Path("f"))
+    _, data = document.pack(given)
+    unpacked = document.unpack(data, Path("f"))
     for name, values in given.items():
         np.testing.assert_array_equal(unpacked[name], values)
 
@@ -40,7 +40,7 @@ def test_a_header_that_promises_more_than_there_is_takes_no_memory() -> None:
     header = "{'descr': '|u1', 'fortran_order': False, 'shape': (4000000000,)}"
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     with pytest.raises(StoreError, match="promises 4000000"):
-        fields.unpack(archive(u=array(header, bytes(100))), Path("f"))
+        document.unpack(archive(u=array(header, bytes(100))), Path("f"))
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000
 
 
@@ -63,7 +63,7 @@ def test_a_header_that_promises_more_than_there_is_takes_no_memory() -> None:
 )
 def test_a_damaged_archive_is_said_to_be_none(content: bytes) -> None:
     with pytest.raises(StoreError, match="f: is no field file"):
-        fields.unpack(content, Path("f"))
+        document.unpack(content, Path("f"))
 
 
 def test_an_archive_that_unpacks_to_gigabytes_is_refused() -> None:
@@ -75,4 +75,4 @@ def test_an_archive_that_unpacks_to_gigabytes_is_refused() -> None:
         for _ in range(70):
             member.write(bytes(1 << 24))
     with pytest.raises(StoreError, match="unpacks to"):
-        fields.unpack(stream.getvalue(), Path("f"))
+        document.unpack(stream.getvalue(), Path("f"))

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from study.bounded_file import read_regular
-from study.record.record import Record, seal
-from study.record.store import Store
+from study.ground.bounded_file import read_regular
+from study.harness.record.record import Record, seal
+from study.harness.record.store import Store
 from tests.record.samples import record
 from tests.record.test_store import CASES, WANTED, run
 from tests.waiting import until
@@ -171,7 +171,7 @@ def test_counting_cases_reads_the_index_and_no_record(
         read.append(path.name)
         return read_regular(path, limit)
 
-    monkeypatch.setattr("study.record.folder.read_regular", counted)
+    monkeypatch.setattr("study.harness.record.folder.read_regular", counted)
     with Store(tmp_path).lock() as store:
         assert len(store.survey(wanted).done) == len(names)
     assert read.count("record.json") == len(names)
@@ -184,7 +184,7 @@ def test_the_index_is_written_while_a_long_run_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Whoever looks while it runs, or after a kill, reads a share of the records at most."""
-    monkeypatch.setattr("study.record.index.FEWEST", 10)
+    monkeypatch.setattr("study.harness.record.index.FEWEST", 10)
     with Store(tmp_path).lock() as store:
         for k in range(100):
             store.write(record(f"c{k}"))

@@ -8,11 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from study.errors import NewerSchemaError, StoreError
-from study.record.document import NumericalRow
-from study.record.record import seal
-from study.record.store import Store
-from study.record.table import table
+from study.ground.errors import NewerSchemaError, StoreError
+from study.harness.record.document import NumericalRow
+from study.harness.record.record import seal, table
+from study.harness.record.store import Store
 from tests.record.disk import FailingDisk, PowerLoss
 from tests.record.samples import FIT, NUMERICAL, manifest, record
 

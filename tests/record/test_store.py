@@ -21,11 +21,11 @@ from hypothesis.stateful import (
     run_state_machine_as_test,
 )
 
-from study.errors import StoreError
-from study.record.atomic_files import TEMPORARY
-from study.record.folder import own_folder
-from study.record.store import Store
-from study.record.table import table
+from study.ground.errors import StoreError
+from study.harness.record.atomic_files import TEMPORARY
+from study.harness.record.folder import own_folder
+from study.harness.record.record import table
+from study.harness.record.store import Store
 from tests.record.disk import FailingDisk, PowerLoss
 from tests.record.samples import FIT, manifest, record
 
@@ -179,7 +179,7 @@ def test_what_a_runner_notes_is_read_by_others_while_it_runs(tmp_path):
 
 HOLD = """
 import sys, time
-from study.record.store import Store
+from study.harness.record.store import Store
 with Store(sys.argv[1]).lock():
     print("held", flush=True)
     time.sleep(600)

@@ -7,8 +7,8 @@ import math
 import pandas as pd
 import pytest
 
-from study.errors import InputError, StoreError
-from study.record.table import table, write_csv
+from study.ground.errors import InputError, StoreError
+from study.harness.record.record import table, write_csv
 from tests.record.disk import FailingDisk
 from tests.record.samples import record
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from study.arrays import Array
-from study.registration.closest_point import TriangleSurface
+from study.ground.arrays import Array
+from study.laboratory.registration.closest_point import TriangleSurface
 
 
 def directions(n: int) -> Array:

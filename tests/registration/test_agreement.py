@@ -7,9 +7,8 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.stats import binom
 
-from study.errors import InputError
-from study.registration.agreement import limits_of_agreement
-from study.registration.deming import deming_line
+from study.ground.errors import InputError
+from study.laboratory.registration.deming import deming_line, limits_of_agreement
 
 LINES = 600
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from study.errors import InputError
-from study.registration.rigid import fit_pairs, target_registration_error, turned_about
+from study.ground.errors import InputError
+from study.laboratory.registration.rigid import fit_pairs, target_registration_error, turned_about
 
 
 def motion(rng: np.random.Generator) -> tuple[np.ndarray, object]:

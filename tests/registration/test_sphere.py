@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.stats import binom, t
 
-from study.errors import InputError, RefusedError
-from study.registration import sphere
-from study.registration.sphere import fit_sphere
+from study.ground.errors import InputError, RefusedError
+from study.laboratory.registration import rigid
+from study.laboratory.registration.rigid import fit_sphere
 from tests.registration.bodies import cap
 
 SCANS = 200
@@ -88,7 +88,7 @@ def test_a_cap_too_flat_for_a_radius_is_refused() -> None:
 def test_a_search_that_has_not_settled_gives_no_sphere(monkeypatch: pytest.MonkeyPatch) -> None:
     points = cap(np.zeros(3), 10.0, 0.3, 200, 0.05, np.random.default_rng(2011))
     fit_sphere(points)
-    monkeypatch.setattr(sphere, "MAX_STEPS", 1)
+    monkeypatch.setattr(rigid, "MAX_STEPS", 1)
     with pytest.raises(RefusedError, match="not settled in 1 steps"):
         fit_sphere(points)
 

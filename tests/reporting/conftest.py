@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from study.reporting.output.page import Contents, prepare, render
-from study.study_result.report_data import ReportData
+from study.reporting.results.study_result import ReportData
 from tests.reporting.example import example
 
 

@@ -9,10 +9,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from study.analysis.anova import anova
-from study.analysis.convergence.grid_convergence import NumericalUncertainty
-from study.curve import Curve
-from study.study_result.report_data import (
+from study.ground.curve import Curve
+from study.reporting.results.study_result import (
     Check,
     CurvePair,
     Failure,
@@ -20,6 +18,8 @@ from study.study_result.report_data import (
     ReportData,
     ResponseAnalysis,
 )
+from study.statistics.analysis.anova import anova
+from study.statistics.convergence.grid_convergence import NumericalUncertainty
 
 FACTORS = {
     "material": ("neo-hookean", "mooney-rivlin", "reduced-polynomial-2", "reduced-polynomial-3"),

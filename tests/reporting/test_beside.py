@@ -8,10 +8,10 @@ from html import unescape
 
 import pytest
 
-from study.reporting.content import comparison
+from study.reporting.content import comparison_content
 from study.reporting.output.page import Contents, render
 from study.reporting.output.page import prepare as prepare_page
-from study.study_result.comparison import (
+from study.reporting.results.study_answers import (
     DIFFERS,
     MATTERS,
     NO_DIFFERENCE,
@@ -22,7 +22,7 @@ from study.study_result.comparison import (
     Found,
     OnlyInOne,
 )
-from study.study_result.report_data import ReportData
+from study.reporting.results.study_result import ReportData
 
 EVIL = '<script>alert("x")</script>'
 
@@ -63,7 +63,10 @@ def page(contents: Contents) -> str:
 
 def with_beside(contents: Contents, other: Beside) -> Contents:
     data = replace(contents.data, beside=other)
-    known = {"beside": comparison.table(other), "changes": comparison.changes(other)}
+    known = {
+        "beside": comparison_content.table(other),
+        "changes": comparison_content.changes(other),
+    }
     return replace(contents, data=data, tables={**contents.tables, **known})
 
 
@@ -76,7 +79,9 @@ def section(page: str) -> str:
 
 
 def test_summary_says_what_holds_what_differs_and_what_is_open() -> None:
-    count, text = (s.replace("\N{NO-BREAK SPACE}", " ") for s in comparison.summary(example()))
+    count, text = (
+        s.replace("\N{NO-BREAK SPACE}", " ") for s in comparison_content.summary(example())
+    )
     assert count == (
         "Of 4 conclusions about single factors, 2 hold under both first and second; 1 differs; "
         "1 cannot be told in one or both."
@@ -106,7 +111,7 @@ def test_interactions_that_nobody_names_are_counted(small: int, open_ones: int, 
     rows = [conclusion("material:plates", NO_DIFFERENCE, True, no, no)] * small
     rows += [conclusion("plates:range", ONE_CANNOT_TELL, None, no, open_)] * open_ones
     main = conclusion("material", NO_DIFFERENCE, True, no, no)
-    text = comparison.summary(replace(example(), conclusions=(main, *rows)))[-1]
+    text = comparison_content.summary(replace(example(), conclusions=(main, *rows)))[-1]
     plain = text.replace("\N{NO-BREAK SPACE}", " ").replace("\N{MULTIPLICATION SIGN}", "x")
     assert plain.endswith(said)
 
@@ -165,7 +170,7 @@ def test_table_is_part_of_the_prepared_report(data: ReportData) -> None:
 
 
 def test_csv_rows_hold_unrounded_numbers_of_every_term() -> None:
-    raw = comparison.table(example()).raw
+    raw = comparison_content.table(example()).raw
     assert len(raw) == 2 * 6
     assert raw[1]["effect"] == 2.1
     assert raw[1]["study"] == "second"

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import pytest
 
-from study.reporting.content.cases import case_records
+from study.reporting.content import tables
+from study.reporting.content.report_facts import facts
 from study.reporting.output.page import Contents
-from study.reporting.report import facts
-from study.study_result.report_data import ReportData
+from study.reporting.results.study_result import ReportData
 
 
 def test_every_cell_leads_to_its_own_cases(data: ReportData, contents: Contents) -> None:
@@ -32,10 +32,10 @@ def test_cells_stand_in_the_order_of_the_design(data: ReportData) -> None:
     shuffled = replace(data, table=data.table.sample(frac=1.0, random_state=1))
     order = [
         [levels.index(label) for label, levels in zip(cell, data.factors.values(), strict=True)]
-        for cell, _ in case_records.by_cell(shuffled)
+        for cell, _ in tables.by_cell(shuffled)
     ]
     assert order == sorted(order)
-    plain, mixed = (case_records.case_records(d, facts(d)) for d in (data, shuffled))
+    plain, mixed = (tables.case_records(d, facts(d)) for d in (data, shuffled))
     assert plain is not None
     assert mixed is not None
     assert plain.rows == mixed.rows
@@ -45,11 +45,11 @@ def test_links_of_the_page_have_their_goals(html: str) -> None:
     goals = set(re.findall(r' id="([^"]+)"', html))
     links = set(re.findall(r'href="#([^"]+)"', html))
     assert links <= goals
-    assert any(link.startswith(case_records.CELL) for link in links)
+    assert any(link.startswith(tables.CELL) for link in links)
 
 
 def test_a_page_lists_no_more_than_it_can_hold(
     data: ReportData, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(case_records, "MOST", len(data.table) - 1)
-    assert case_records.case_records(data, facts(data)) is None
+    monkeypatch.setattr(tables, "MOST", len(data.table) - 1)
+    assert tables.case_records(data, facts(data)) is None

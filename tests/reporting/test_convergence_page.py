@@ -8,15 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from study.analysis.convergence.grid_convergence import grid_convergence
-from study.analysis.convergence.validation import compare
-from study.reporting.figure import convergence, style, validation
-from study.reporting.numbers import MISSING, THIN
+from study.reporting.content.numbers import MISSING, THIN
+from study.reporting.figures import axes
+from study.reporting.figures import convergence_figures as convergence
+from study.reporting.figures import convergence_figures as validation
 from study.reporting.output.convergence_page import (
     convergence_figures,
     sources_tables,
     write_convergence,
 )
+from study.statistics.convergence.grid_convergence import compare, grid_convergence
 
 
 def cell(order: float, label: str = "quadratic / mixed") -> dict[str, Any]:
@@ -102,7 +103,7 @@ def comparison(label: str, error: float) -> dict[str, Any]:
 
 def test_validation_is_drawn_and_tabled() -> None:
     rows = [comparison("neo-hookean", 0.1), comparison("<b>ogden</b>", 0.001)]
-    frame = validation.error_points(validation.first_block(rows))
+    frame = validation.validation_error_points(validation.first_block(rows))
     assert len(frame) == 12
     np.testing.assert_allclose(frame["u_val_N"], frame["displacement_mm"] * np.hypot(0.02, 0.01))
     unknown = {**rows[0], "u_val_N": [0.0] * len(rows[0]["u_val_N"])}
@@ -116,7 +117,7 @@ def test_validation_is_drawn_and_tabled() -> None:
     assert table.rows[0][2] == "0.500"
     assert table.rows[0][-1].startswith("the model is off by E = 0.5 N +- 0.11 N")
     assert "within u_val" in table.rows[1][-1]
-    svg = style.render(lambda: validation.draw_errors(frame), "v", "v")
+    svg = axes.render(lambda: validation.draw_validation_errors(frame), "v", "v")
     assert "<b>" not in svg
 
 

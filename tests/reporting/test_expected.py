@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import pytest
 
-from study.design.spec import Expected
-from study.reporting.content import hypotheses
+from study.harness.design.spec import Expected
+from study.reporting.content import verdicts
+from study.reporting.content.report_facts import facts
 from study.reporting.output.page import build
-from study.reporting.report import facts
-from study.study_result.report_data import ReportData
+from study.reporting.results.study_result import ReportData
 
 SCORE, MODULUS = "relative_rms_force_error", "mu0"
 BEST = {"material": "reduced-polynomial-3", "plates": "bonded"}
@@ -18,7 +18,7 @@ BEST = {"material": "reduced-polynomial-3", "plates": "bonded"}
 
 def judged(data: ReportData, *items: Expected) -> list[tuple[str, ...]]:
     whole = replace(data, expected=items)
-    return list(hypotheses.table(whole, facts(whole)).rows)
+    return list(verdicts.table(whole, facts(whole)).rows)
 
 
 def test_an_effect_is_larger_where_intervals_do_not_overlap(data: ReportData) -> None:

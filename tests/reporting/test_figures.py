@@ -8,23 +8,26 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from study.analysis.unreplicated import pseudo_standard_error
-from study.curve import Curve
+from study.ground.curve import Curve
 from study.reporting.content.recommendation import cost_front
-from study.reporting.figure import captions, constants, style
-from study.reporting.figure.curves import plot, samples
-from study.reporting.figure.effects import cells as cell_means
-from study.reporting.figure.effects import level
-from study.reporting.figure.residuals import contrast, diagnostics
+from study.reporting.content.report_facts import cells, facts
+from study.reporting.figures import (
+    axes,
+    curve_figures,
+    effect_figures,
+    registry,
+    residual_figures,
+    study_figures,
+)
 from study.reporting.output.page import build
-from study.reporting.report import cells, facts
-from study.study_result.report_data import CurvePair, ReportData
+from study.reporting.results.study_result import CurvePair, ReportData
+from study.statistics.analysis.unreplicated import pseudo_standard_error
 from tests.reporting.example import unreplicated
 
 
 def test_level_means_are_the_means_of_the_cells(data: ReportData):
     error = facts(data)[0]
-    frame = level.level_means(error)
+    frame = effect_figures.level_means(error)
     expected = data.table.groupby("material")["relative_rms_force_error"].mean()
     for row in frame[frame["factor"] == "material"].itertuples():
         assert row.mean == pytest.approx(expected[row.level], rel=1e-12)  # same sums, other order
@@ -37,7 +40,7 @@ def test_log_cells_are_geometric_means(data: ReportData):
 
 
 def test_cells_are_ranked_best_first(data: ReportData):
-    frame = cell_means.cell_points(data, facts(data)[0])
+    frame = effect_figures.cell_points(data, facts(data)[0])
     shown = frame.drop_duplicates("rank")
     assert np.all(np.diff(shown["cell_mean"].to_numpy()) >= 0)
     assert shown["copies"].sum() == 32
@@ -46,14 +49,14 @@ def test_cells_are_ranked_best_first(data: ReportData):
 
 
 def test_scores_are_those_of_ryan_joiner(data: ReportData):
-    frame = diagnostics.residual_points(facts(data)[1])
+    frame = residual_figures.diagnostic_residual_points(facts(data)[1])
     n = len(frame)
     assert n == 72  # 8 distinct computations, 9 blocks
     assert frame["score"].iloc[-1] == pytest.approx(stats.norm.ppf((n - 0.375) / (n + 0.25)))
 
 
 def test_envelope_covers_what_it_says():
-    low, high = diagnostics.envelope(30, 2.0, 1)
+    low, high = residual_figures.envelope(30, 2.0, 1)
     rng = np.random.default_rng(0)
     draws = np.sort(rng.standard_normal((2000, 30)), axis=1)
     draws = 2.0 * (draws - draws.mean(1, keepdims=True)) / draws.std(1, ddof=1, keepdims=True)
@@ -63,7 +66,7 @@ def test_envelope_covers_what_it_says():
 
 
 def test_interval_of_a_standard_deviation(data: ReportData):
-    frame = diagnostics.spread_of_cells(facts(data)[1], 0.05)
+    frame = residual_figures.spread_of_cells(facts(data)[1], 0.05)
     row = frame.iloc[0]
     tail = 0.05 / 2 / len(frame)
     # textbook: s sqrt(df / chi2)
@@ -82,7 +85,7 @@ def test_front_holds_what_no_other_cell_dominates(data: ReportData):
 
 def test_contrasts_beyond_the_margin_are_the_real_ones():
     data = unreplicated()
-    frame = contrast.contrasts(facts(data)[0], data)
+    frame = residual_figures.contrasts(facts(data)[0], data)
     assert set(frame.loc[frame["active"], "contrast"]) == {"material", "plates", "material:plates"}
     # the effect of the material: 2 + 1.5 / 2, noise 0.2 * 2 / sqrt(16) = 0.1
     assert frame["size"].iloc[0] == pytest.approx(2.75, abs=0.3)
@@ -92,7 +95,7 @@ def test_contrasts_beyond_the_margin_are_the_real_ones():
 
 
 def test_half_normal_envelope_holds_null_contrasts():
-    low, high = contrast._envelope(15, 1.0, 4)
+    low, high = residual_figures._envelope(15, 1.0, 4)
     z = np.abs(np.random.default_rng(8).standard_normal((2000, 15)))
     z = np.sort(z / pseudo_standard_error(z)[:, None], axis=1)[:, ::-1]
     # 2000 simulations fix a 2.5 % quantile to about 0.35 %
@@ -108,7 +111,7 @@ def test_a_report_without_replicates_shows_its_contrasts_and_no_residuals():
 
 
 def test_constants_keep_their_intervals_and_the_order_of_the_design(data: ReportData):
-    frame = constants.constant_points(data)
+    frame = study_figures.constant_points(data)
     assert len(frame) == len(data.fits)
     first = frame[frame["place"] == 0]
     assert first["row"].unique().tolist() == ["neo-hookean \N{MIDDLE DOT} frictionless"]
@@ -117,7 +120,7 @@ def test_constants_keep_their_intervals_and_the_order_of_the_design(data: Report
 
 
 def test_curves_split_by_what_differs_most(data: ReportData):
-    found = samples.curve_panels(data)
+    found = curve_figures.curve_panels(data)
     assert found.line == "material"
     assert found.left_out == 0
     assert set(found.frame["block"]) == set(data.blocks)
@@ -125,7 +128,7 @@ def test_curves_split_by_what_differs_most(data: ReportData):
 
 def test_many_blocks_are_thinned_and_counted(data: ReportData):
     pairs = tuple(replace(pair, block=f"b{i}") for i in range(40) for pair in data.curves[:8])
-    found = samples.curve_panels(replace(data, curves=pairs))
+    found = curve_figures.curve_panels(replace(data, curves=pairs))
     assert len(found.panels) <= 24
     assert found.left_out > 0
 
@@ -147,7 +150,7 @@ def two_ranges(data: ReportData) -> ReportData:
 
 
 def test_every_panel_shows_its_own_measurement_to_its_end(data: ReportData):
-    found = samples.curve_panels(two_ranges(data))
+    found = curve_figures.curve_panels(two_ranges(data))
     assert (found.line, found.panel) == ("material", "range")
     for panel, end in zip(found.panels, (5.0, 10.0), strict=True):
         rows = found.rows(panel)
@@ -163,27 +166,29 @@ def test_every_panel_shows_its_own_measurement_to_its_end(data: ReportData):
 def test_lines_that_end_elsewhere_show_the_longest_measurement(data: ReportData):
     both = two_ranges(data)
     soft = tuple(pair for pair in both.curves if pair.levels["material"] == "soft")
-    found = samples.curve_panels(replace(both, curves=soft, factors={"range": ("half", "whole")}))
+    found = curve_figures.curve_panels(
+        replace(both, curves=soft, factors={"range": ("half", "whole")})
+    )
     assert (found.line, found.panel) == ("range", "")
-    (shown,) = samples.measurements(found.rows(found.panels[0]))
+    (shown,) = curve_figures.measurements(found.rows(found.panels[0]))
     assert shown["displacement_mm"].max() == 10.0
     other = replace(soft[0], measured=Curve(np.array([0.0, 5.0]), np.array([0.0, 9.0])))
-    found = samples.curve_panels(
+    found = curve_figures.curve_panels(
         replace(both, curves=(other, soft[1]), factors={"range": ("half", "whole")})
     )
-    assert len(samples.measurements(found.rows(found.panels[0]))) == 2
+    assert len(curve_figures.measurements(found.rows(found.panels[0]))) == 2
 
 
 def test_a_prediction_that_stopped_leaves_its_measurement_whole(data: ReportData):
     whole = two_ranges(data).curves[2]
     short = replace(whole, predicted=Curve(np.array([0.0, 4.0]), np.array([0.0, 1.5])))
-    found = samples.curve_panels(
+    found = curve_figures.curve_panels(
         replace(two_ranges(data), curves=(short,), factors={"material": ("soft",)})
     )
     assert found.frame["displacement_mm"].max() == 10.0
     assert found.frame.dropna(subset=["predicted_N"])["displacement_mm"].max() == 4.0
     assert found.frame["measured_N"].notna().all()
-    assert "stopped" in captions.curves(found, data)
+    assert "stopped" in registry.curves(found, data)
 
 
 def test_no_two_panels_have_the_same_title(data: ReportData):
@@ -195,13 +200,13 @@ def test_no_two_panels_have_the_same_title(data: ReportData):
         for pair in both.curves
     )
     factors = {"range": names, "material": both.factors["material"]}
-    found = samples.curve_panels(replace(both, curves=pairs, factors=factors))
-    assert len(set(plot.panel_titles(found, 2.0))) == 2
+    found = curve_figures.curve_panels(replace(both, curves=pairs, factors=factors))
+    assert len(set(curve_figures.panel_titles(found, 2.0))) == 2
 
 
 def test_names_keep_their_distance_and_their_mean():
     wanted = [0.0, 0.0, 0.5, 30.0, 31.0]
-    found = np.array(plot.spread(wanted, 4.0))
+    found = np.array(curve_figures.spread(wanted, 4.0))
     assert np.all(np.diff(found) >= 4.0 - 1e-12)
     # nobody is pushed further than the crowd around it makes necessary
     assert found[:3].mean() == pytest.approx(np.mean(wanted[:3]))
@@ -210,14 +215,14 @@ def test_names_keep_their_distance_and_their_mean():
 
 def test_mathematics_in_a_name_stays_text():
     def draw():
-        figure = style.canvas(3, 2)
+        figure = axes.canvas(3, 2)
         figure.subplots().set_title(r"$\frac{a}$ & <b>")
         return figure
 
-    svg = style.render(draw, "n", "t")
+    svg = axes.render(draw, "n", "t")
     assert r"$\frac{a}$ &amp; &lt;b&gt;" in svg
     assert "font-family" not in svg
-    assert svg == style.render(draw, "n", "t")
+    assert svg == axes.render(draw, "n", "t")
 
 
 def luminance(color: str) -> float:
@@ -227,9 +232,9 @@ def luminance(color: str) -> float:
     return float(np.dot((0.2126, 0.7152, 0.0722), linear))
 
 
-@pytest.mark.parametrize("color", [*style.WORDS, style.INK, style.MUTED])
+@pytest.mark.parametrize("color", [*axes.WORDS, axes.INK, axes.MUTED])
 def test_words_can_be_read(color: str):
-    for ground in ("#ffffff", style.BAND):
+    for ground in ("#ffffff", axes.BAND):
         contrast = (luminance(ground) + 0.05) / (luminance(color) + 0.05)
         # words of a figure are small: level AA asks for 4.5; on the band for large ones, 3
         assert contrast >= (4.5 if ground == "#ffffff" else 3.0)

@@ -13,8 +13,8 @@ from xml.etree import ElementTree
 
 import pytest
 
-from study.reporting.output import latex, write
-from study.study_result.report_data import ReportData
+from study.reporting.output import write
+from study.reporting.results.study_result import ReportData
 from tests.reporting.test_page import CORPUS, hostile
 
 #: of the corpus, one for each language that could be spoken to; the whole of it is slow
@@ -85,7 +85,7 @@ def check_csv(text: str) -> None:
 
 def check_latex(text: str, sound: set[str]) -> None:
     """No command that a harmless report has not, no formula but a sign, braces that close."""
-    escaped = set(COMMANDS.findall("".join(latex._SPECIAL.values())))
+    escaped = set(COMMANDS.findall("".join(write._SPECIAL.values())))
     assert set(COMMANDS.findall(text)) <= sound | escaped
     plain = COMMANDS.sub("", text)
     assert plain.count("{") == plain.count("}")

@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from study.reporting.figure.cost import draw_front
-from study.reporting.figure.style import render
+from study.reporting.figures.axes import render
+from study.reporting.figures.study_figures import draw_front
 
 
 @pytest.mark.parametrize("levels", [2, 14, 40])

@@ -6,9 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from study.reporting.figure.axes import log_places, log_ticks
-from study.reporting.figure.convergence import draw_errors, draw_front
-from study.reporting.figure.style import canvas
+from study.reporting.figures.axes import canvas, log_places, log_ticks
+from study.reporting.figures.convergence_figures import draw_errors, draw_front
 
 
 def seen(ax, axis: str) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from study.reporting.figure.meshes import _turned, boundary_faces, picture
+from study.reporting.figures.mesh_figures import _turned, boundary_faces, picture
 
 # a unit cube of six tetrahedra around its diagonal (Kuhn's triangulation)
 CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)

@@ -15,13 +15,13 @@ import pandas as pd
 import pytest
 from matplotlib.figure import Figure as Drawing
 
-from study.cli.tables import report_tables
-from study.errors import InputError
+from study.cli import study_tables
+from study.ground.errors import InputError
 from study.reporting.content import tables
-from study.reporting.content.table import Table
-from study.reporting.output import latex, page, write
-from study.reporting.report import facts
-from study.study_result.report_data import Check, ReportData
+from study.reporting.content.content_table import Table
+from study.reporting.content.report_facts import facts
+from study.reporting.output import page, write
+from study.reporting.results.study_result import Check, ReportData
 
 
 @pytest.fixture
@@ -131,23 +131,23 @@ def test_numbers_stay_numbers_in_csv():
 
 
 def test_tex_has_no_command_of_a_user():
-    text = latex.escape(r"\input{/etc/passwd} $x$ 50% & #1 ~ ^ _")
+    text = write.escape(r"\input{/etc/passwd} $x$ 50% & #1 ~ ^ _")
     assert r"\input" not in text
     assert text.startswith(r"\textbackslash{}input\{")
-    made = latex.table(Table("t", ("a_b", "n"), (("x&y", "1"),)), "50 %")
+    made = write.table(Table("t", ("a_b", "n"), (("x&y", "1"),)), "50 %")
     assert r"a\_b & n \\" in made
     assert r"\begin{tabular}{lr}" in made
 
 
 def test_terminal_rows_have_one_width(data: ReportData):
-    rows = report_tables.verdict_rows(data)
+    rows = study_tables.verdict_rows(data)
     assert len({len(row) for row in rows}) == 1
     assert not any("\N{NO-BREAK SPACE}" in cell for row in rows for cell in row)
     assert rows[0][2] == "verdict"
-    made = report_tables.verdict_tables(data)
+    made = study_tables.verdict_tables(data)
     assert [title for title, _ in made] == ["relative RMS force error", "initial shear modulus"]
     assert all(rows[0][:2] == ["factor", "verdict"] for _, rows in made)
-    assert sum(len(rows) - 1 for _, rows in made) == len(report_tables.verdict_rows(data)) - 1
+    assert sum(len(rows) - 1 for _, rows in made) == len(study_tables.verdict_rows(data)) - 1
 
 
 def test_every_cell_of_the_matrix_is_there(data: ReportData):

@@ -10,19 +10,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from study.reporting.content import checks, sentences, tables
-from study.reporting.figure.effects import interactions
-from study.reporting.output.page import (
-    Contents,
-    build,
-    policy_hash,
-    prepare,
-    render,
-    table_script,
-)
-from study.reporting.report import cells, comparable, facts
-from study.reporting.text import folded
-from study.study_result.report_data import Check, Failure, ReportData, ResponseAnalysis
+from study.reporting.content import analysis_content, sentences, tables
+from study.reporting.content.report_facts import cells, comparable, facts
+from study.reporting.content.text import folded
+from study.reporting.figures import effect_figures
+from study.reporting.output.page import Contents, build, policy_hash, prepare, render, table_script
+from study.reporting.results.study_result import Check, Failure, ReportData, ResponseAnalysis
 from tests.reporting.example import FACTORS, with_failures
 
 SECTIONS = [
@@ -173,7 +166,7 @@ def test_a_broken_figure_is_named_and_the_rest_survives(monkeypatch, data: Repor
     def broken(*_args):
         raise RuntimeError("the <pen> broke")
 
-    monkeypatch.setattr(interactions, "draw_interactions", broken)
+    monkeypatch.setattr(effect_figures, "draw_interactions", broken)
     small = replace(data, responses=data.responses[:1], curves=())
     page = build(small)
     assert page.count("Figure missing.") == 1
@@ -205,7 +198,7 @@ def test_refused_analysis_still_makes_a_report(data: ReportData):
 
 
 def test_checks_of_several_responses_stand_together(data: ReportData):
-    made = checks.grouped(checks.all_checks(data, facts(data)))
+    made = analysis_content.grouped(analysis_content.all_checks(data, facts(data)))
     names = [group.name for group in made]
     assert len(names) == len(set(names))
     spread = next(group for group in made if group.name == "Equal spread of the cells")
@@ -216,7 +209,7 @@ def test_checks_of_several_responses_stand_together(data: ReportData):
 
 def test_worst_outcome_stands_for_a_group():
     both = (Check("a", "pass", "x", of="p"), Check("a", "caution", "y", of="q"))
-    (group,) = checks.grouped(both)
+    (group,) = analysis_content.grouped(both)
     assert group.outcome == "caution"
     assert not group.agreed
 
@@ -320,7 +313,7 @@ def test_all_cases_failed():
 
 def hostile(data: ReportData, evil: str) -> ReportData:
     """The example with a hostile text in every place where a user may write."""
-    from study.analysis.anova import anova
+    from study.statistics.analysis.anova import anova
 
     keep = data.table["material"].isin(FACTORS["material"][:2])
     keep &= data.table["model.space"] == "axisymmetric"

@@ -13,11 +13,10 @@ import seaborn as sns
 from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection, QuadMesh
 
-from study.reporting.figure import style
-from study.reporting.figure.effects import cells, interactions, level, sizes
-from study.reporting.figure.residuals import contrast, diagnostics
-from study.reporting.report import Facts, facts
-from study.study_result.report_data import ReportData
+from study.reporting.content.report_facts import Facts, facts
+from study.reporting.figures import axes as style
+from study.reporting.figures import effect_figures, residual_figures
+from study.reporting.results.study_result import ReportData
 from tests.reporting.example import unreplicated
 
 
@@ -64,16 +63,16 @@ def heights(ax: Axes) -> list[float]:
 
 
 def test_main_effects(data: ReportData, error: Facts, used: list[str]):
-    frame = level.level_means(error)
-    (ax,) = level.draw_level_means(frame, error, 5.5, None, data).axes
+    frame = effect_figures.level_means(error)
+    (ax,) = effect_figures.draw_level_means(frame, error, 5.5, None, data).axes
     assert used == ["pointplot"]
     assert heights(ax) == frame["mean"].tolist()
     assert ax.get_xlabel() == ""
 
 
 def test_effect_sizes(data: ReportData, error: Facts, used: list[str]):
-    frame = sizes.effect_sizes(error, data.labels)
-    (ax,) = sizes.draw_effect_sizes(frame, error).axes
+    frame = effect_figures.effect_sizes(error, data.labels)
+    (ax,) = effect_figures.draw_effect_sizes(frame, error).axes
     assert used == ["scatterplot"]
     (drawn,) = points(ax)
     assert drawn[:, 0].tolist() == frame["difference"].tolist()
@@ -81,8 +80,8 @@ def test_effect_sizes(data: ReportData, error: Facts, used: list[str]):
 
 
 def test_cells(data: ReportData, error: Facts, used: list[str]):
-    frame = cells.cell_points(data, error)
-    (ax,) = cells.draw_cells(frame, error, 0.5).axes
+    frame = effect_figures.cell_points(data, error)
+    (ax,) = effect_figures.draw_cells(frame, error, 0.5).axes
     assert used == ["lineplot", "stripplot", "scatterplot"]
     *strips, means = points(ax)
     assert np.vstack(strips).tolist() == frame[["value", "rank"]].to_numpy(float).tolist()
@@ -92,8 +91,8 @@ def test_cells(data: ReportData, error: Facts, used: list[str]):
 
 
 def test_interactions(data: ReportData, error: Facts, used: list[str]):
-    frame = interactions.pair_means(data, error)
-    axes = interactions.draw_interactions(frame, error, data.factors, data).axes
+    frame = effect_figures.pair_means(data, error)
+    axes = effect_figures.draw_interactions(frame, error, data.factors, data).axes
     k = len(data.factors)
     assert used == ["pointplot", "heatmap"] * (k * (k - 1) // 2)
     for i, first in enumerate(data.factors):
@@ -112,8 +111,8 @@ def test_a_combination_without_a_mean_is_a_gap():
     )
     figure = style.canvas(6, 3)
     lines, numbers = figure.subplots(1, 2)
-    interactions._lines(lines, table)
-    interactions._numbers(numbers, table, 1.0, 3.0)
+    effect_figures._lines(lines, table)
+    effect_figures._numbers(numbers, table, 1.0, 3.0)
     # the line breaks where the mean is missing
     assert np.isnan(lines.lines[0].get_ydata()[1])
     assert heights(lines) == [1.0, 3.0, 2.0, 2.5]
@@ -122,8 +121,8 @@ def test_a_combination_without_a_mean_is_a_gap():
 
 
 def test_residuals(data: ReportData, error: Facts, used: list[str]):
-    frame = diagnostics.residual_points(error)
-    figure = diagnostics.draw_residuals(frame, error, data)
+    frame = residual_figures.diagnostic_residual_points(error)
+    figure = residual_figures.draw_residuals(frame, error, data)
     _, fitted, histogram, factors = figure.axes
     assert used == ["scatterplot", "histplot", "scatterplot"]
     (drawn,) = points(fitted)
@@ -138,8 +137,8 @@ def test_residuals(data: ReportData, error: Facts, used: list[str]):
 
 
 def test_spread(data: ReportData, error: Facts, used: list[str]):
-    frame = diagnostics.spread_of_cells(error, 0.05)
-    (ax,) = diagnostics.draw_spread(frame, error).axes
+    frame = residual_figures.spread_of_cells(error, 0.05)
+    (ax,) = residual_figures.draw_spread(frame, error).axes
     assert used == ["scatterplot"]
     (drawn,) = points(ax)
     assert drawn[:, 0].tolist() == frame["sd"].tolist()
@@ -148,8 +147,8 @@ def test_spread(data: ReportData, error: Facts, used: list[str]):
 def test_contrasts(used: list[str]):
     once = unreplicated()
     found = facts(once)[0]
-    frame = contrast.contrasts(found, once)
-    pareto, half = contrast.draw_contrasts(frame, found).axes
+    frame = residual_figures.contrasts(found, once)
+    pareto, half = residual_figures.draw_contrasts(frame, found).axes
     assert used == ["barplot", "scatterplot"]
     bars = sorted(pareto.patches, key=lambda bar: bar.get_y())
     assert [bar.get_width() for bar in bars] == frame["size"].tolist()
@@ -159,6 +158,8 @@ def test_contrasts(used: list[str]):
 
 def test_the_style_of_the_report_stays_in_force(data: ReportData, error: Facts):
     before = dict(mpl.rcParams)
-    frame = interactions.pair_means(data, error)
-    style.render(lambda: interactions.draw_interactions(frame, error, data.factors, data), "n", "t")
+    frame = effect_figures.pair_means(data, error)
+    style.render(
+        lambda: effect_figures.draw_interactions(frame, error, data.factors, data), "n", "t"
+    )
     assert dict(mpl.rcParams) == before

@@ -7,30 +7,29 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 
-from study.analysis.anova_table import Anova, Effect, ErrorTerm, SimpleEffect
-from study.analysis.assumption.normality import RyanJoinerResult
-from study.analysis.assumption.tests import Assumptions
-from study.analysis.assumption.variance import BartlettResult, LeveneResult
-from study.analysis.effects.verdict import (
+from study.reporting.content import content_table, report_facts, sentences, verdicts
+from study.reporting.content.recommendation import best_cell, cheaper, recommendation, would_change
+from study.reporting.content.report_facts import Facts, Group, describe, facts, groups
+from study.reporting.output.page import prepare, render
+from study.reporting.results.study_result import Failure, ReportData, ResponseAnalysis
+from study.statistics.analysis.analysis_request import AnalysisRequest
+from study.statistics.analysis.analysis_result import (
+    AnalysisResult,
+    DataSummary,
+    Detection,
+    Variation,
+)
+from study.statistics.analysis.anova_table import Anova, Effect, ErrorTerm, SimpleEffect
+from study.statistics.analysis.assumptions import Assumptions
+from study.statistics.analysis.equal_variance import BartlettResult, LeveneResult
+from study.statistics.analysis.normality import RyanJoinerResult
+from study.statistics.analysis.simple_effects import (
     CANNOT_TELL,
     MATTERS,
     NO_DIFFERENCE,
     NOT_RESOLVED,
     ONE_SPECIMEN,
 )
-from study.analysis.request import AnalysisRequest
-from study.analysis.result import AnalysisResult, DataSummary, Detection, Variation
-from study.reporting import report
-from study.reporting.content import sentences, sizes, verdicts
-from study.reporting.content.recommendation import (
-    best_cell,
-    cheaper,
-    recommendation,
-    would_change,
-)
-from study.reporting.output.page import prepare, render
-from study.reporting.report import Facts, Group, describe, facts, groups
-from study.study_result.report_data import Failure, ReportData, ResponseAnalysis
 
 
 def flat(text: str) -> str:
@@ -219,10 +218,10 @@ def test_numerical_uncertainty_of_a_ratio_is_a_ratio():
     one = effect(
         MATTERS, range=1.43363, practical=1.1, scale="ratio", u_num=0.85, effect_over_u_num=7.4
     )
-    assert flat(sizes.numerical(one, modulus())) == "\N{MULTIPLICATION SIGN} 1.05"
-    assert sizes.over_numerical(one) == "7.4"
-    assert sizes.over_numerical(replace(one, effect_over_u_num=4321.0)) == "> 100"
-    assert sizes.over_numerical(replace(one, effect_over_u_num=None)) == "\N{EN DASH}"
+    assert flat(content_table.numerical(one, modulus())) == "\N{MULTIPLICATION SIGN} 1.05"
+    assert content_table.over_numerical(one) == "7.4"
+    assert content_table.over_numerical(replace(one, effect_over_u_num=4321.0)) == "> 100"
+    assert content_table.over_numerical(replace(one, effect_over_u_num=None)) == "\N{EN DASH}"
 
 
 def test_copies_are_one_computation_and_named_together(data: ReportData):
@@ -288,8 +287,8 @@ def test_no_best_cell_where_the_mesh_cannot_tell_them_apart(
 ):
 
     found = facts(data)
-    every = report.groups(data, found[0])
-    one = report.Group(5.0, tuple(m for group in every for m in group.members))
+    every = report_facts.groups(data, found[0])
+    one = report_facts.Group(5.0, tuple(m for group in every for m in group.members))
     monkeypatch.setattr("study.reporting.content.recommendation.groups", lambda *_: (one,))
     assert "no cell can be told from another" in best_cell(data, found)
 

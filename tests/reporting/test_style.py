@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from study.reporting.content import methods, sentences
+from study.reporting.content.report_facts import facts
 from study.reporting.output.page import build
-from study.reporting.report import facts
-from study.study_result.report_data import Failure, ReportData
+from study.reporting.results.study_result import Failure, ReportData
 from tests.reporting.example import unreplicated
 
 #: what no sentence of a report says, and what it says instead

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from study.reporting.numbers import (
+from study.reporting.content.numbers import (
     MINUS,
     MISSING,
     decimals_that_count,
@@ -23,7 +23,7 @@ from study.reporting.numbers import (
     significant,
     span,
 )
-from study.reporting.text import clean, listing, name_of, sentence
+from study.reporting.content.text import clean, listing, name_of, sentence
 
 
 def flat(text: str) -> str:

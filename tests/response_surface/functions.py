@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import qmc
 
-from study.arrays import Array
-from study.response_surface.factors import NumericFactor, Runs
+from study.ground.arrays import Array
+from study.statistics.surfaces.surface_factors import NumericFactor, Runs
 
 ISHIGAMI_S = np.array([0.3139, 0.4424, 0.0])
 ISHIGAMI_T = np.array([0.5576, 0.4424, 0.2437])

@@ -14,21 +14,28 @@ from scipy.stats import qmc
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, Matern, WhiteKernel
 
-from study.arrays import Array
-from study.errors import RefusedError
-from study.response_surface.emulator.category_correlation import CategoryCorrelation, fitted
-from study.response_surface.emulator.effect_ranges import Small
-from study.response_surface.emulator.emulator import Emulator, fit_emulator, fit_together
-from study.response_surface.emulator.gaussian_process import (
+from study.ground.arrays import Array
+from study.ground.errors import RefusedError
+from study.statistics.surfaces.emulator import (
+    SAMPLE,
+    Emulator,
+    Small,
+    fit_emulator,
+    fit_together,
+    jansen,
+)
+from study.statistics.surfaces.gaussian_process import (
+    FAMILIES,
+    CategoryCorrelation,
+    Family,
     condition,
+    draw_paths,
     fit_process,
+    fitted,
     hyperparameters,
     log_likelihood,
 )
-from study.response_surface.emulator.kernels import FAMILIES, Family
-from study.response_surface.emulator.posterior_paths import draw_paths
-from study.response_surface.emulator.sobol_indices import SAMPLE, jansen
-from study.response_surface.factors import NumericFactor, Runs
+from study.statistics.surfaces.surface_factors import NumericFactor, Runs
 from tests.response_surface import functions
 
 THETA = np.log([0.4, 0.7, 1.3, 1.7, 1e-4])

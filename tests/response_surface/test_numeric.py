@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import study as public
-from study.arrays import Array
-from study.errors import InputError
+from study.ground.arrays import Array
+from study.ground.errors import InputError
 from tests.cli.small import Answer, study
 from tests.conftest import ROOT
 from tests.response_surface import functions

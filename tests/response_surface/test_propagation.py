@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from study.design.sections.distribution import InputDistribution
-from study.errors import RefusedError
-from study.response_surface.emulator.emulator import fit_emulator
-from study.response_surface.propagation import propagate
-from study.response_surface.quadratic.surface import fit_quadratic
-from study.response_surface.result import (
+from study.ground.errors import RefusedError
+from study.harness.design.material_table import InputDistribution
+from study.statistics.surfaces.emulator import fit_emulator
+from study.statistics.surfaces.quadratic import fit_quadratic
+from study.statistics.surfaces.surface_propagation import propagate
+from study.statistics.surfaces.surface_result import (
     SurfaceAnalysis,
     analysis_of_emulator,
     analysis_of_quadratic,

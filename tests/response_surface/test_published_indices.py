@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from study.arrays import Array
+from study.ground.arrays import Array
 from tests.cli.small import study
 from tests.response_surface import functions
 

@@ -6,15 +6,18 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from study.arrays import Array
-from study.errors import InputError, RefusedError
-from study.response_surface.extremes import box_points
-from study.response_surface.factors import NumericFactor, Runs
-from study.response_surface.quadratic.hypotheses import against_blocks
-from study.response_surface.quadratic.least_squares import factorize, leave_one_out
-from study.response_surface.quadratic.polynomial import Polynomial, second_order
-from study.response_surface.quadratic.stationary import in_region
-from study.response_surface.quadratic.surface import fit_quadratic
+from study.ground.arrays import Array
+from study.ground.errors import InputError, RefusedError
+from study.statistics.surfaces.quadratic import (
+    Polynomial,
+    against_blocks,
+    factorize,
+    fit_quadratic,
+    in_region,
+    leave_one_out,
+    second_order,
+)
+from study.statistics.surfaces.surface_factors import NumericFactor, Runs, box_points
 
 
 def unit_runs(coded: Array, response: Array, blocks: tuple[str, ...] = ()) -> Runs:

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from study.design.load import loads
-from study.design.spec import Design
-from study.execution.inline import Inline
-from study.execution.loky import Loky
-from study.execution.task import Executor
-from study.forward import closed_form
-from study.material.material import Material
-from study.setup.setup import specimen_of
+from study.harness.design.load import loads
+from study.harness.design.spec import Design
+from study.harness.execution.local import Loky
+from study.harness.execution.supervisor import Inline
+from study.harness.execution.task import Executor
+from study.mechanics.forward import closed_form
+from study.mechanics.material.material import Material
+from study.mechanics.setup.setup import specimen_of
 from tests.runner import fake_worker
 
 

@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from study.curve import Curve
-from study.fem.mesh.mesher import mesh_size
-from study.fem.solver.energy_balance import EnergyBalance
-from study.forward import closed_form, finite_element
-from study.runner import tasks
-from study.setup.geometry import Cylinder
-from study.setup.setup import Problem
+from study.ground.curve import Curve
+from study.harness.runner import tasks
+from study.mechanics.forward import closed_form, finite_element
+from study.mechanics.mesh.mesher import mesh_size
+from study.mechanics.setup.geometry import Cylinder
+from study.mechanics.setup.setup import Problem
+from study.mechanics.solver.solution import EnergyBalance
 
 BONDED = 1.4
 

@@ -11,20 +11,19 @@ import numpy as np
 import pytest
 
 import study
-from study.design.load import loads
-from study.design.spec import Design
-from study.errors import InputError, StoreError
-from study.execution.loky import Loky
-from study.execution.task import Executor
-from study.forward.closed_form import compression
-from study.record.record import Record
-from study.record.store import Store
-from study.record.table import table
-from study.runner import batch, provenance
-from study.runner.batch import Progress, Summary, run_batch
-from study.runner.expansion import expand
-from study.runner.job import Work
-from study.setup.setup import specimen_of
+from study.ground.errors import InputError, StoreError
+from study.harness.design.load import loads
+from study.harness.design.spec import Design
+from study.harness.execution.local import Loky
+from study.harness.execution.task import Executor
+from study.harness.record.record import Record, table
+from study.harness.record.store import Store
+from study.harness.runner import batch, provenance
+from study.harness.runner.batch import Progress, Summary, run_batch
+from study.harness.runner.expansion import expand
+from study.harness.runner.job import Work
+from study.mechanics.forward.closed_form import compression
+from study.mechanics.setup.setup import specimen_of
 
 from . import fake_worker
 from .conftest import DESIGN, SPECIMEN, TRUTH, fake, make_data, material
@@ -169,8 +168,8 @@ def test_a_crash_is_tried_again_by_the_next_run_and_a_verdict_is_not(
 
 
 def test_records_of_other_code_are_not_used(clean: Clean, monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in ("expansion", "fitting.fit_problem"):
-        monkeypatch.setattr(f"study.runner.{module}.code_version", lambda: "another")
+    for module in ("expansion", "fit_problem"):
+        monkeypatch.setattr(f"study.harness.runner.{module}.code_version", lambda: "another")
     other = expand(clean[0].design, clean[0].data.root)
     store = Store(clean[1])
     assert len(batch.missing(other, store)) == 12
@@ -196,13 +195,13 @@ def test_the_kept_code_version_follows_the_sources(
     """A version kept on the disk is that of the sources, or it is made anew."""
     root = tmp_path / "study"
     shutil.copytree(Path(study.__file__).parent, root, ignore=shutil.ignore_patterns("__pycache__"))
-    monkeypatch.setattr(provenance, "__file__", str(root / "runner" / "provenance.py"))
+    monkeypatch.setattr(provenance, "__file__", str(root / "harness" / "runner" / "provenance.py"))
     version = provenance.code_version.__wrapped__
     first = version()
     assert first == provenance.code_version()
     assert (root / "__pycache__" / "code-version").is_file()
     assert version() == first
-    curve = root / "curve.py"
+    curve = root / "ground" / "curve.py"
     curve.write_text(curve.read_text(encoding="utf-8") + "\nSCALE = 2.0\n", encoding="utf-8")
     assert version() != first
 
@@ -237,14 +236,13 @@ def test_code_version_follows_what_the_tasks_import() -> None:
     root = Path(study.__file__).parent
     files = {str(path.relative_to(root)) for path, _ in provenance._numeric_files(root)}
     needed = {
-        "curve.py",
-        "fem/element/stored_energy.py",
-        "forward/finite_element.py",
-        "forward/halfspace.py",
-        "material/homogeneous.py",
-        "runner/fitting/staged_fit.py",
-        "runner/fitting/starts.py",
-        "runner/response.py",
+        "ground/curve.py",
+        "harness/runner/response.py",
+        "harness/runner/staged_fit.py",
+        "mechanics/element/assembly.py",
+        "mechanics/forward/closed_form.py",
+        "mechanics/forward/finite_element.py",
+        "mechanics/material/homogeneous.py",
     }
     assert needed <= files
-    assert not any(name.startswith(("reporting", "analysis", "api", "cli")) for name in files)
+    assert not any(name.startswith(("reporting", "statistics", "api", "cli")) for name in files)

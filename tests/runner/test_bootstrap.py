@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from study.curve import Curve
-from study.runner.fitting.residual_bootstrap import resampled, residuals_of
+from study.ground.curve import Curve
+from study.harness.runner.fit_task import resampled, residuals_of
 from tests.cli.small import study
 
 C10_KPA = 10.0

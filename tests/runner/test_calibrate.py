@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 
 from study import api
-from study.calibration.iteration import Status
 from study.cli.app import run
-from study.design.load import load_calibration
-from study.errors import InputError
-from study.forward import closed_form
-from study.material.material import Material
-from study.runner.calibration import measured_tests, search
-from study.runner.calibration.result import CalibrationResult
-from study.runner.fitting import fit_task, staged_fit
-from study.setup.setup import specimen_of
+from study.ground.errors import InputError
+from study.harness.calibration import calibrate_tests, measured_tests
+from study.harness.calibration.calibration_result import CalibrationResult
+from study.harness.design.load import load_calibration
+from study.harness.runner import fit_task, staged_fit
+from study.mechanics.calibration.levenberg_marquardt import Status
+from study.mechanics.forward import closed_form
+from study.mechanics.material.material import Material
+from study.mechanics.setup.setup import specimen_of
 
 SPECIMEN = {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0}
 RP2 = {"C10": 7e-3, "C20": 1.5e-3}
@@ -418,7 +418,7 @@ def test_a_kink_is_called_alike_in_every_verb(
         kink = replace(done.fit, status=Status.at_kink, covariance=none, standard_error=none[0])
         return replace(done, fit=kink)
 
-    monkeypatch.setattr(search, "staged_fit", ended)
+    monkeypatch.setattr(calibrate_tests, "staged_fit", ended)
     monkeypatch.setattr(fit_task, "staged_fit", ended)
     arguments = ["calibrate", str(path), "--data", str(tmp_path)]
     assert run([*arguments, "--results", str(tmp_path / "r"), "--json"]) == 0

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from study.api import solve
-from study.api.single.solve import solution_json
-from study.errors import InputError
-from study.material.homogeneous import uniaxial
-from study.material.material import Material
-from study.setup.geometry import Cylinder
-from study.setup.setup import Model, Problem
-from study.setup.test_kind import Test
+from study.api.solving import solution_json
+from study.ground.errors import InputError
+from study.mechanics.material.homogeneous import uniaxial
+from study.mechanics.material.material import Material
+from study.mechanics.setup.geometry import Cylinder
+from study.mechanics.setup.setup import Model, Problem
+from study.mechanics.setup.test_kind import Test
 
 PROBLEM = """
 schema = 1

@@ -5,9 +5,9 @@ import json
 import pytest
 
 from study.cli.app import run
-from study.design.load import load_calibration
-from study.runner.calibration.measured_tests import in_order, problem_of, read_tests
-from study.runner.fitting.fit_task import FitTask, fitted
+from study.harness.calibration.measured_tests import in_order, problem_of, read_tests
+from study.harness.design.load import load_calibration
+from study.harness.runner.fit_task import FitTask, fitted
 from tests.runner.test_calibrate import RP2, case, write
 
 

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from study.curve import Curve
-from study.forward import closed_form, finite_element
-from study.material.material import Material
-from study.runner.fitting import fit_task
-from study.runner.fitting.fit_problem import fit_key, fit_problem, start_problem
-from study.runner.fitting.fit_summary import FitResult
-from study.runner.fitting.fit_task import FitTask, fitted
-from study.setup.setup import specimen_of
+from study.ground.curve import Curve
+from study.harness.runner import fit_task
+from study.harness.runner.fit_problem import fit_key, fit_problem, start_problem
+from study.harness.runner.fit_summary import FitResult
+from study.harness.runner.fit_task import FitTask, fitted
+from study.mechanics.forward import closed_form, finite_element
+from study.mechanics.material.material import Material
+from study.mechanics.setup.setup import specimen_of
 
 from .fake_worker import BONDED, solve
 
@@ -83,8 +83,8 @@ def test_inverse_fem_recovers_constants_through_the_solver(monkeypatch: pytest.M
 
 
 def _size() -> float:
-    from study.fem.mesh.mesher import mesh_size
-    from study.setup.setup import problem_of
+    from study.mechanics.mesh.mesher import mesh_size
+    from study.mechanics.setup.setup import problem_of
 
     return mesh_size(problem_of(config("neo-hookean", "bonded"), {"C10": 1.0}).setup)
 
@@ -175,7 +175,7 @@ def test_higher_constants_start_at_zero() -> None:
 
 
 def test_a_force_that_pulls_is_refused_by_name() -> None:
-    from study.errors import InputError
+    from study.ground.errors import InputError
 
     base = curve("neo-hookean", {"C10": 8e-3})
     pulling = Curve(base.displacement_mm, -base.force_N)

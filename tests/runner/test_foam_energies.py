@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from study.api.single.calibrate import choose_energy
-from study.material.loading import LOADINGS
-from study.material.material import Material
+from study.api.calibrating import choose_energy
+from study.mechanics.material.homogeneous import LOADINGS
+from study.mechanics.material.material import Material
 
 HEAD = """
 schema = 1

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from study import api
-from study.design.load import template
-from study.errors import InputError
-from study.forward import closed_form
-from study.material.loading import LOADINGS
-from study.material.material import Material
-from study.setup.geometry import Cylinder
-from study.setup.test_section import TEST_KINDS
+from study.ground.errors import InputError
+from study.harness.design.load import template
+from study.mechanics.forward import closed_form
+from study.mechanics.material.homogeneous import LOADINGS
+from study.mechanics.material.material import Material
+from study.mechanics.setup.geometry import Cylinder
+from study.mechanics.setup.test_section import TEST_KINDS
 from tests.cli.small import study
 
 GENT = Material("gent", {"mu": 0.03, "Jm": 8.0}, poisson_ratio=0.495)

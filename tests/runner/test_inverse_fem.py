@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from study.calibration.fit import Fit, fit
-from study.calibration.measured_curve import MeasuredCurve
-from study.curve import Curve
-from study.forward import finite_element
-from study.runner.fitting import fit_task
-from study.runner.fitting.staged_fit import TOLERANCES, Part, staged_fit
-from study.setup.material_section import MaterialSection
-from study.setup.setup import problem_of
+from study.ground.curve import Curve
+from study.harness.runner import fit_task
+from study.harness.runner.staged_fit import TOLERANCES, Part, staged_fit
+from study.mechanics.calibration.fit import Fit, fit
+from study.mechanics.calibration.residual_function import MeasuredCurve
+from study.mechanics.forward import finite_element
+from study.mechanics.setup.material_section import MaterialSection
+from study.mechanics.setup.setup import problem_of
 
 TOLERANCE = TOLERANCES["inverse-fem"]
 NEO_HOOKEAN = ("neo-hookean", None, {"C10": 6e-3})
@@ -125,7 +125,7 @@ def test_whole_calibration_of_three_constants_in_ten_solves() -> None:
     measured = MeasuredCurve("virtual", curve(setting, true))
     start = np.array([3 * v for v in true.values()])
     parts = [Part("inverse-fem", setting, (measured,))]
-    found = staged_fit(parts, names, start, fit_task.model)
+    found = staged_fit(parts, names, start, fit_task.fitted_model)
     assert found.fit.converged
     assert found.fit.values == pytest.approx(list(true.values()), abs=1e-6 * true["C10"])
     assert found.evaluations <= 10

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from study.design.load import loads
-from study.runner.expansion import expand
-from study.runner.job import fits_of
-from study.runner.numerical.solve_task import SolveResult, SolveTask, solutions
-from study.runner.tables import on_mesh
+from study.harness.design.load import loads
+from study.harness.runner.expansion import expand
+from study.harness.runner.job import fits_of
+from study.harness.runner.problem_tables import on_mesh
+from study.harness.runner.solve_task import SolveResult, SolveTask, solutions
 
 from .conftest import DESIGN
 

@@ -7,17 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from study.design import load
-from study.errors import InputError
-from study.forward import closed_form
-from study.material.material import Material
-from study.runner.cost import Costs
-from study.runner.expansion import expand
-from study.runner.fitting.fit_problem import fit_problem, together
-from study.runner.fitting.fit_summary import FitResult
-from study.runner.fitting.fit_task import FitTask, fitted
-from study.runner.job import Work
-from study.setup.setup import specimen_of
+from study.ground.errors import InputError
+from study.harness.design import load
+from study.harness.runner.cost import Costs
+from study.harness.runner.expansion import expand
+from study.harness.runner.fit_problem import fit_problem, together
+from study.harness.runner.fit_summary import FitResult
+from study.harness.runner.fit_task import FitTask, fitted
+from study.harness.runner.job import Work
+from study.mechanics.forward import closed_form
+from study.mechanics.material.material import Material
+from study.mechanics.setup.setup import specimen_of
 
 DESIGN = """
 schema = 1

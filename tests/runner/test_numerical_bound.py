@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from study import api
-from study.analysis.convergence.grid_convergence import grid_convergence
+from study.statistics.convergence.grid_convergence import grid_convergence
 from tests.cli.small import study
 
 TRUTH = {"C10": 5.0, "C20": 1.0}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from study.runner.cost import Pace
+from study.harness.runner.cost import Pace
 
 PRICES = {"plane 1": 1.0, "plane 2": 1.0, "solid 1": 20.0, "solid 2": 20.0, "other": 4.0}
 KINDS = {key: key.split()[0] for key in PRICES}

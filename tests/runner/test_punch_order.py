@@ -8,15 +8,13 @@ from typing import Any
 
 import pytest
 
-from study.design.load import loads_problem
-from study.runner.numerical import judgement
-from study.runner.numerical.formal_order import edge_rules, formal_order
-from study.runner.numerical.refinement import refine, solving
-from study.runner.numerical.sizes import series_sizes
-from study.runner.numerical.solver import in_process
-from study.setup.geometry import Cylinder, Flat, Sphere
-from study.setup.setup import Model, Setup, problem_of
-from study.setup.test_kind import Test
+from study.harness.design.load import loads_problem
+from study.harness.runner import judgement
+from study.harness.runner.refinement import edge_rules, formal_order, refine, series_sizes, solving
+from study.harness.runner.solve_task import in_process
+from study.mechanics.setup.geometry import Cylinder, Flat, Sphere
+from study.mechanics.setup.setup import Model, Setup, problem_of
+from study.mechanics.setup.test_kind import Test
 
 PUNCH = """
 schema = 1

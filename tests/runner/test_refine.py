@@ -7,14 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from study.design.load import load
-from study.design.spec import Design
-from study.record.store import Store
-from study.runner.batch import computing, run_batch
-from study.runner.cost import Costs
-from study.runner.expansion import expand
-from study.runner.numerical import formal_order, series_uncertainty, study_refinement
-from study.runner.numerical.refinement import refine
+from study.harness.design.load import load
+from study.harness.design.spec import Design
+from study.harness.record.store import Store
+from study.harness.runner import case_series, refinement, study_refinement
+from study.harness.runner.batch import computing, run_batch
+from study.harness.runner.cost import Costs
+from study.harness.runner.expansion import expand
+from study.harness.runner.refinement import refine
 
 from .conftest import fake
 
@@ -32,7 +32,7 @@ def test_the_bonded_cells_of_the_first_block_are_refined(
     assert {job.case.case_id for job in chosen} == {job.case.case_id for job in bonded}
     finer = study_refinement.refinement_work(work)
     sizes = [job.case.config["model"]["mesh_size_mm"] for job in finer.jobs]
-    base = formal_order.base_size_mm(chosen[0])
+    base = refinement.base_size_mm(chosen[0])
     assert sizes == pytest.approx([base / 1.5, base / 1.5**2] * len(chosen))
     monkeypatch.setattr(study_refinement, "ALL_CELLS_S", 0.0)
     few = study_refinement.chosen(work)
@@ -71,19 +71,17 @@ def test_numerical_uncertainty_covers_the_error_of_the_fake_solver(
 
 def test_two_meshes_give_a_cautious_bound() -> None:
     # f = 1 + 0.1 h at h = 1, 1/1.5: the error of the coarse one is 0.1
-    u = series_uncertainty.two_mesh_uncertainty(1.1, 1 + 0.1 / 1.5, 1.5)
+    u = case_series.two_mesh_uncertainty(1.1, 1 + 0.1 / 1.5, 1.5)
     assert u == pytest.approx(3 * 0.1)
 
 
 def test_a_series_without_an_order_takes_three_times_its_range() -> None:
-    behaviour, u = series_uncertainty.series_uncertainty([1.0, 1.2, 1.1], 1.5)
+    behaviour, u = case_series.series_uncertainty([1.0, 1.2, 1.1], 1.5)
     assert behaviour == "oscillatory"
     assert u == pytest.approx(3 * 0.2)
     # order 0.1: not in the asymptotic range
     slow = [1.0, 1.1, 1.1 + 0.1 / 1.5**0.1]
-    assert series_uncertainty.series_uncertainty(slow, 1.5)[1] == pytest.approx(
-        3 * (slow[-1] - 1.0)
-    )
+    assert case_series.series_uncertainty(slow, 1.5)[1] == pytest.approx(3 * (slow[-1] - 1.0))
 
 
 class Halved:
@@ -116,7 +114,7 @@ def test_every_round_computes_what_is_due_of_all_series_together() -> None:
 def test_an_order_above_the_formal_one_is_not_believed_for_the_interval() -> None:
     # observed order 2.3 of 2: the error of the coarsest mesh by the formal one, times 1.25
     values, sizes = [0.27074, 0.25925, 0.25352], [1.0, 1 / 1.35, 1 / 1.35**2]
-    behaviour, u = series_uncertainty.series_uncertainty(values, 1.5, sizes, 2.0)
+    behaviour, u = case_series.series_uncertainty(values, 1.5, sizes, 2.0)
     limit = values[2] - (values[1] - values[2]) / (1.35**2 - 1)
     assert behaviour == "monotone"
     assert u == pytest.approx(1.25 * (values[0] - limit), rel=1e-9)

@@ -9,21 +9,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from study.analysis.convergence.validation import compare
-from study.api.convergence.cells import measured_cells
-from study.api.convergence.time_budget import refine_within
+from study.api import uncertainty
+from study.api.converging import measured_cells, refine_within
+from study.api.manifest import manifest_of
 from study.api.opened_study import open_study
-from study.api.planning.manifest import manifest_of
-from study.api.uncertainty import numerical, validation
-from study.design.load import loads
-from study.design.spec import Design
-from study.errors import InputError
-from study.record.record import Record
-from study.record.store import Store
-from study.runner.batch import run_batch
-from study.runner.expansion import expand
-from study.runner.job import CaseJob
-from study.runner.numerical import formal_order, input_uncertainty, study_refinement
+from study.ground.errors import InputError
+from study.harness.design.load import loads
+from study.harness.design.spec import Design
+from study.harness.record.record import Record
+from study.harness.record.store import Store
+from study.harness.runner import refinement, study_refinement
+from study.harness.runner.batch import run_batch
+from study.harness.runner.expansion import expand
+from study.harness.runner.job import CaseJob
+from study.statistics.convergence.grid_convergence import compare
 
 from .conftest import DESIGN, fake
 
@@ -55,7 +54,7 @@ def test_every_cell_gets_its_series(design: Design, one_mix: Path, tmp_path: Pat
     assert {tuple(r.levels) for r in rows} == {("material", "plates")}
     assert len({tuple(r.levels.values()) for r in rows}) == 4
     # of other cases it knows nothing
-    assert numerical.stored_numerical(store, {"other": "hash"}) == ()
+    assert uncertainty.stored_numerical(store, {"other": "hash"}) == ()
 
 
 def test_a_time_budget_leaves_cells_out(one_mix: Path, tmp_path: Path) -> None:
@@ -92,7 +91,7 @@ def test_a_time_budget_believes_what_a_mesh_took(design: Design, one_mix: Path) 
 )
 def test_inputs_are_moved_by_the_names_of_the_file(key: str, value: float, expected: float) -> None:
     config = {"specimen": {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0}}
-    moved = input_uncertainty.shifted(config, key, value)
+    moved = study_refinement.shifted(config, key, value)
     assert moved["specimen"][key.split(".")[1] + "_mm"] == expected
     assert config["specimen"]["height_mm"] == 30.0
 
@@ -102,16 +101,16 @@ def test_constants_and_indenters_are_moved_too() -> None:
         "material": {"constants": {"C10": 5e-3}, "bulk_modulus_MPa": 10.0},
         "test": {"indenter": {"half_angle_deg": 30.0}},
     }
-    assert input_uncertainty.shifted(config, "material.C10", 1e-4)["material"]["constants"] == {
+    assert study_refinement.shifted(config, "material.C10", 1e-4)["material"]["constants"] == {
         "C10": pytest.approx(5.1e-3)
     }
-    assert input_uncertainty.shifted(config, "material.bulk_modulus", 1)["material"][
+    assert study_refinement.shifted(config, "material.bulk_modulus", 1)["material"][
         "bulk_modulus_MPa"
     ] == pytest.approx(11)
-    moved = input_uncertainty.shifted(config, "test.indenter.half_angle", 2)
+    moved = study_refinement.shifted(config, "test.indenter.half_angle", 2)
     assert moved["test"]["indenter"]["half_angle_deg"] == 32
     with pytest.raises(InputError, match="no value in the design"):
-        input_uncertainty.shifted(config, "specimen.height", 1)
+        study_refinement.shifted(config, "specimen.height", 1)
 
 
 def test_validation_adds_numerics_inputs_and_data(one_mix: Path, tmp_path: Path) -> None:
@@ -129,17 +128,17 @@ def test_validation_adds_numerics_inputs_and_data(one_mix: Path, tmp_path: Path)
     work, store = expand(design, one_mix), Store(tmp_path / "results")
     run_batch(work, store, jobs=2, executor=fake(2))
     run_batch(study_refinement.refinement_work(work), store, jobs=2, executor=fake(2))
-    moved = input_uncertainty.input_work(work)
+    moved = study_refinement.input_work(work)
     assert {job.origin.input for job in moved.jobs} == {"specimen.radius"}
     run_batch(moved, store, jobs=2, executor=fake(2))
-    rows = {tuple(r["levels"].values()): r for r in validation.compared(work, moved, store)}
+    rows = {tuple(r["levels"].values()): r for r in uncertainty.compared(work, moved, store)}
     assert len(rows) == 4
     row = rows["neo-hookean", "bonded"]
     force = np.array(row["simulated_N"])
     np.testing.assert_allclose(row["u_input_N"], force * 2 * 0.1 / 25, rtol=5e-3)
     # two equal repeats: no scatter, so the load cell's uncertainty alone
     np.testing.assert_allclose(row["u_data_N"], 0.02, rtol=1e-6)
-    h = formal_order.base_size_mm(study_refinement.chosen(work)[0])
+    h = refinement.base_size_mm(study_refinement.chosen(work)[0])
     share = np.array(row["u_num_N"]) / force
     assert (share > ERROR * h / (1 + ERROR * h)).all()
     squares = sum(np.square(row[k]) for k in ("u_num_N", "u_input_N", "u_data_N"))
@@ -163,12 +162,12 @@ def test_where_the_meshes_are_a_factor_its_columns_are_the_numerics(
     text = text.partition('[[response]]\nname = "mu0"')[0]
     text += '[calibration]\nmethod = "none"\n[uncertainty]\n"specimen.radius" = "0.1 mm"\n'
     work, store = expand(loads(text, "small.toml"), one_mix), Store(tmp_path / "results")
-    moved = input_uncertainty.input_work(work)
+    moved = study_refinement.input_work(work)
     for part in (work, moved):
         run_batch(part, store, jobs=2, executor=fake(2))
-    rows = validation.compared(work, moved, store)
+    rows = uncertainty.compared(work, moved, store)
     assert len(rows) == len(work.jobs) == 12
-    sizes = {j.case.case_id: formal_order.base_size_mm(j) for j in work.jobs}
+    sizes = {j.case.case_id: refinement.base_size_mm(j) for j in work.jobs}
     for row in rows:
         share = np.array(row["u_num_N"]) / np.array(row["simulated_N"])
         if row["levels"]["plates"] == "frictionless":

@@ -7,21 +7,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from study.analysis.effects.contrast_uncertainty import response_bounds
+from study.api.analyzing import analyze
+from study.api.manifest import manifest_of
 from study.api.opened_study import open_study
-from study.api.planning.manifest import manifest_of
-from study.api.statistics.analysis import analyze
 from study.api.study import report
-from study.api.uncertainty.credibility import refine
-from study.design.load import loads
-from study.record.record import Record
-from study.record.store import Store
-from study.runner.expansion import expand
-from study.runner.job import Work
-from study.runner.numerical.formal_order import base_size_mm
-from study.runner.numerical.series_uncertainty import fine_uncertainty
-from study.runner.numerical.study_refinement import own_series
-from study.runner.virtual.specimens import usual_generator, write_virtual
+from study.api.uncertainty import refine
+from study.harness.design.load import loads
+from study.harness.record.record import Record
+from study.harness.record.store import Store
+from study.harness.runner.case_series import fine_uncertainty
+from study.harness.runner.expansion import expand
+from study.harness.runner.job import Work
+from study.harness.runner.refinement import base_size_mm
+from study.harness.runner.study_refinement import own_series
+from study.harness.runner.virtual_specimens import usual_generator, write_virtual
+from study.statistics.convergence.contrast_bound import response_bounds
 from tests.forward.test_finite_element import DESIGN, finished
 
 MESHES = 'material = ["neo-hookean", "reduced-polynomial-2"]\nmodel.mesh = ["fine", "coarse"{}]'

@@ -10,19 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from study.analysis.convergence.grid_convergence import grid_convergence
-from study.api.convergence.cells import problem_cells
-from study.api.convergence.problem import problem
-from study.curve import Curve
-from study.design.load import loads, loads_problem
-from study.errors import InputError
-from study.record.store import Store
-from study.runner.numerical.formal_order import clamped_corner, formal_order
-from study.runner.numerical.judgement import within
-from study.runner.numerical.refinement import Budget
-from study.runner.numerical.solve_task import SolveResult, SolveTask, solved
-from study.runner.numerical.solver import kept
-from study.setup.setup import problem_of
+from study.api.converging import problem, problem_cells
+from study.ground.curve import Curve
+from study.ground.errors import InputError
+from study.harness.design.load import loads, loads_problem
+from study.harness.record.store import Store
+from study.harness.runner.judgement import within
+from study.harness.runner.refinement import Budget, clamped_corner, formal_order
+from study.harness.runner.solve_task import SolveResult, SolveTask, kept, solved
+from study.mechanics.setup.setup import problem_of
+from study.statistics.convergence.grid_convergence import grid_convergence
 
 PROBLEM = """
 schema = 1

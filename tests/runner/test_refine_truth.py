@@ -13,12 +13,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from study.design.load import loads_problem
-from study.runner.numerical import judgement
-from study.runner.numerical.formal_order import formal_order
-from study.runner.numerical.refinement import refine, solving
-from study.runner.numerical.solver import in_process
-from study.setup.setup import problem_of
+from study.harness.design.load import loads_problem
+from study.harness.runner import judgement
+from study.harness.runner.refinement import formal_order, refine, solving
+from study.harness.runner.solve_task import in_process
+from study.mechanics.setup.setup import problem_of
 from tests.fem.answers import layers
 
 DISC = """

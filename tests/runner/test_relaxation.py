@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from study import api
-from study.arrays import Array
-from study.errors import InputError
-from study.material.material import Material
-from study.material.relaxation import RelaxationTerm
-from study.viscoelasticity.stress import relaxing
+from study.ground.arrays import Array
+from study.ground.errors import InputError
+from study.mechanics.material.material import Material
+from study.mechanics.material.relaxation import RelaxationTerm
+from study.mechanics.material.viscoelasticity import relaxing
 from tests.cli.small import study
 
 SERIES = (RelaxationTerm(0.3, 1.0), RelaxationTerm(0.2, 20.0))

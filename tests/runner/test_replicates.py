@@ -9,25 +9,24 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from study.curve import Curve
-from study.design.load import loads
-from study.errors import InputError
-from study.forward import closed_form
-from study.material.material import Material
-from study.record.document import FitDocument
-from study.record.record import Record
-from study.record.store import Store
-from study.record.table import table
-from study.runner.batch import run_batch
-from study.runner.cost import Costs
-from study.runner.expansion import expand
-from study.runner.fitting import fit_task, residual_bootstrap
-from study.runner.fitting.fit_problem import FitProblem, fit_problem
-from study.runner.fitting.fit_summary import FitResult
-from study.runner.fitting.fit_task import FitTask
-from study.runner.job import Work
-from study.runner.numerical.study_refinement import refinement_work
-from study.setup.setup import specimen_of
+from study.ground.curve import Curve
+from study.ground.errors import InputError
+from study.harness.design.load import loads
+from study.harness.record.document import FitDocument
+from study.harness.record.record import Record, table
+from study.harness.record.store import Store
+from study.harness.runner import fit_task
+from study.harness.runner.batch import run_batch
+from study.harness.runner.cost import Costs
+from study.harness.runner.expansion import expand
+from study.harness.runner.fit_problem import FitProblem, fit_problem
+from study.harness.runner.fit_summary import FitResult
+from study.harness.runner.fit_task import FitTask
+from study.harness.runner.job import Work
+from study.harness.runner.study_refinement import refinement_work
+from study.mechanics.forward import closed_form
+from study.mechanics.material.material import Material
+from study.mechanics.setup.setup import specimen_of
 
 from .conftest import DESIGN, SPECIMEN, fake, make_data
 
@@ -130,7 +129,7 @@ def test_the_refined_mesh_keeps_its_seed_and_one_cell_of_a_kind_is_refined(one_m
 
 
 def test_too_many_replicates_are_refused(one_mix: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("study.runner.replicates.MAX_CASES", 50)
+    monkeypatch.setattr("study.harness.runner.expansion.MAX_CASES", 50)
     with pytest.raises(InputError, match="84 cases with their replicates are more than 50"):
         expand(loads(DESIGN + NOISE), one_mix)
 
@@ -161,7 +160,7 @@ def fitted(
 
 
 def refit(task: FitTask) -> FitDocument:
-    found = residual_bootstrap.refitted(task)
+    found = fit_task.refitted(task)
     assert found.converged
     return found.fit
 
@@ -232,18 +231,14 @@ def test_a_fit_that_failed_is_not_resampled() -> None:
     problem, measured, _ = fitted("neo-hookean", None, seed=1)
     failed = FitResult.without_answer("not-converged", "too stiff")
     task = FitTask(problem, (measured,), failed, (2011, 1))
-    found = residual_bootstrap.refitted(FitTask.from_json(task.to_json()))
+    found = fit_task.refitted(FitTask.from_json(task.to_json()))
     assert found.status == "not-converged"
     assert "too stiff" in found.message
 
 
 def test_block_length_follows_the_correlation() -> None:
-    assert (
-        residual_bootstrap.block_length(-0.5, 100)
-        == residual_bootstrap.block_length(0.19, 100)
-        == 1
-    )
-    lengths = [residual_bootstrap.block_length(rho, 200) for rho in (0.3, 0.5, 0.7, 0.9, 0.999)]
+    assert fit_task.block_length(-0.5, 100) == fit_task.block_length(0.19, 100) == 1
+    lengths = [fit_task.block_length(rho, 200) for rho in (0.3, 0.5, 0.7, 0.9, 0.999)]
     # by hand at 0.5: cbrt(6 * 0.25 / 0.5625 * 200) = 8.11
     assert lengths[1] == 8
     assert lengths == sorted(lengths)

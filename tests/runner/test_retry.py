@@ -11,20 +11,19 @@ import numpy as np
 import pytest
 
 from study import api
-from study.design.load import loads
-from study.errors import InputError
-from study.execution.inline import Inline
-from study.execution.loky import Loky
-from study.execution.task import stopped_late
-from study.record.record import Record
-from study.record.store import Store
-from study.runner.batch import Summary, computing, run_batch
-from study.runner.expansion import expand
-from study.runner.job import Work
-from study.runner.numerical.refinement import refine
-from study.runner.numerical.retry import notes_of
-from study.runner.numerical.study_refinement import study_series
-from study.runner.tasks import adapted, limit_of, processes
+from study.ground.errors import InputError
+from study.harness.design.load import loads
+from study.harness.execution.local import Loky
+from study.harness.execution.supervisor import Inline
+from study.harness.execution.task import stopped_late
+from study.harness.record.record import Record
+from study.harness.record.store import Store
+from study.harness.runner.batch import Summary, computing, notes_of, run_batch
+from study.harness.runner.expansion import expand
+from study.harness.runner.job import Work
+from study.harness.runner.refinement import refine
+from study.harness.runner.study_refinement import study_series
+from study.harness.runner.tasks import adapted, limit_of, processes
 
 from .conftest import DESIGN, fake, make_data
 

@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from study.calibration.fit import Fit
-from study.calibration.measured_curve import MeasuredCurve
-from study.calibration.wald_test import agreement
-from study.design import load
-from study.runner.expansion import expand
-from study.runner.fitting import fit_task
-from study.runner.fitting.staged_fit import Part, staged_fit
-from study.runner.job import FitJob, Work
-from study.runner.virtual.specimens import ECOFLEX_00_10, Generator, write_virtual
+from study.harness.design import load
+from study.harness.runner import fit_task
+from study.harness.runner.expansion import expand
+from study.harness.runner.job import FitJob, Work
+from study.harness.runner.staged_fit import Part, staged_fit
+from study.harness.runner.virtual_specimens import ECOFLEX_00_10, Generator, write_virtual
+from study.mechanics.calibration.fit import Fit
+from study.mechanics.calibration.lack_of_fit import agreement
+from study.mechanics.calibration.residual_function import MeasuredCurve
 
 DESIGN = Path(__file__).parents[2] / "designs" / "same-specimen.toml"
 WAYS = ["lubricated-compression", "bonded-compression", "flat-indentation"]
@@ -26,8 +26,8 @@ def test_the_design_plans_three_tests_of_every_specimen(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One file a test, the same factors of every specimen in each, and no shared fit."""
-    from study.curve import Curve
-    from study.runner.virtual import specimens
+    from study.ground.curve import Curve
+    from study.harness.runner import virtual_specimens
 
     def line(config: Any, *truth: Any, as_designed: bool, **_: Any) -> Curve:
         assert as_designed
@@ -35,7 +35,7 @@ def test_the_design_plans_three_tests_of_every_specimen(
         stiff = 2.0 if config["test"]["kind"] == "compression" else 0.5
         return Curve(d, stiff * d, force_gradient={"C20": 0 * d, "C30": 0 * d})
 
-    monkeypatch.setattr(specimens, "reference_curve", line)
+    monkeypatch.setattr(virtual_specimens, "reference_curve", line)
     loaded = load.load(DESIGN)
     write_virtual(loaded, tmp_path, Generator(noise_N=0.0, batches=3))
     work = expand(loaded, tmp_path)
@@ -71,7 +71,7 @@ def _done(work: Work, job: FitJob) -> Fit:
     names, first = fit_task.start_values(problem.tables, job.measured, start)
     data = tuple(MeasuredCurve("virtual", curve) for curve in job.measured)
     found = staged_fit(
-        [Part(problem.method, problem.tables, data)], names, first, fit_task.model
+        [Part(problem.method, problem.tables, data)], names, first, fit_task.fitted_model
     ).fit
     assert found.converged, found.message
     return found

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from study.curve import Curve
-from study.design.study_file import MARKED, RESPONSES, SCORED
-from study.runner import response
-from study.runner.response import Scored
+from study.ground.curve import Curve
+from study.harness.design.study_file import MARKED, RESPONSES, SCORED
+from study.harness.runner import response
+from study.harness.runner.response import Scored
 
 D = np.linspace(0.0, 2.0, 201)
 MEASURED = Curve(D, 10 * D)

@@ -9,21 +9,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from study.api.planning.plan import plan
-from study.api.uncertainty.credibility import checks_of_spaces, compare_spaces
-from study.curve import Curve
-from study.design.load import loads
-from study.record.record import Record
-from study.record.store import Store
-from study.runner.batch import Progress
-from study.runner.cost import Costs
-from study.runner.expansion import expand
-from study.runner.job import Work
-from study.runner.numerical.solve_task import SolveResult, solutions
-from study.runner.numerical.solver import in_process, kept
-from study.runner.numerical.space_comparison import compared, pairs, upcoming
-from study.runner.numerical.study_refinement import refinement_work
-from study.runner.virtual.specimens import usual_generator, write_virtual
+from study.api.planning import plan
+from study.api.uncertainty import checks_of_spaces, compare_spaces
+from study.ground.curve import Curve
+from study.harness.design.load import loads
+from study.harness.record.record import Record
+from study.harness.record.store import Store
+from study.harness.runner.batch import Progress
+from study.harness.runner.cost import Costs
+from study.harness.runner.expansion import expand
+from study.harness.runner.job import Work
+from study.harness.runner.solve_task import SolveResult, in_process, kept, solutions
+from study.harness.runner.space_comparison import compared, pairs, upcoming
+from study.harness.runner.study_refinement import refinement_work
+from study.harness.runner.virtual_specimens import usual_generator, write_virtual
 from tests.forward.test_finite_element import finished
 
 DESIGN = """

@@ -9,17 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from study.calibration.function import EvaluationFailed
-from study.calibration.iteration import Status
-from study.calibration.measured_curve import MeasuredCurve
-from study.curve import Curve
-from study.design.load import load
-from study.runner import expansion
-from study.runner.fitting import fit_task
-from study.runner.fitting.fit_summary import FitResult
-from study.runner.fitting.staged_fit import Checkpoint, Part, Staged, staged_fit
-from study.runner.fitting.starts import gentler
-from study.runner.job import Work
+from study.ground.curve import Curve
+from study.harness.design.load import load
+from study.harness.runner import expansion, fit_task
+from study.harness.runner.fit_summary import FitResult
+from study.harness.runner.job import Work
+from study.harness.runner.staged_fit import Checkpoint, Part, Staged, gentler, staged_fit
+from study.mechanics.calibration.levenberg_marquardt import Status
+from study.mechanics.calibration.residual_function import EvaluationFailed, MeasuredCurve
 
 DESIGN = Path(__file__).parents[2] / "designs" / "ecoflex-compression.toml"
 NAMES = ("C10", "C20", "C30")

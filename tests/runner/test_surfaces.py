@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 
 from study import api
-from study.design.load import load, load_problem
-from study.errors import InputError
-from study.record.document import ResponseDocument
-from study.record.record import Record
-from study.runner import provenance
-from study.runner.calibration import model_selection
-from study.runner.expansion import expand
-from study.runner.fitting.fit_problem import fit_problem
-from study.runner.fitting.staged_fit import Part, cheaper
-from study.runner.job import CaseJob
-from study.runner.numerical.study_refinement import chosen_series, refinement_work
-from study.setup.setup import Setup, specimen_of
+from study.ground.errors import InputError
+from study.harness.calibration import model_comparison
+from study.harness.design.load import load, load_problem
+from study.harness.record.document import ResponseDocument
+from study.harness.record.record import Record
+from study.harness.runner import provenance
+from study.harness.runner.expansion import expand
+from study.harness.runner.fit_problem import fit_problem
+from study.harness.runner.job import CaseJob
+from study.harness.runner.staged_fit import Part, cheaper
+from study.harness.runner.study_refinement import chosen_series, refinement_work
+from study.mechanics.setup.setup import Setup, specimen_of
 from tests.fem.surfaces import box, write
 
 PROBLEM = """
@@ -195,7 +195,7 @@ def test_energies_are_weighed_on_a_surface(home: Path, monkeypatch: pytest.Monke
     (home / "calibration.toml").write_text(CALIBRATION)
     rows = [f"{d:.3f},{0.45 * d:.5f}" for d in np.linspace(0, 0.7, 15)]
     (home.parent / "measurements" / "one.csv").write_text("\n".join(["d,f", *rows, ""]))
-    monkeypatch.setattr(model_selection, "CANDIDATES", (("neo-hookean", None, "neo-hookean"),))
+    monkeypatch.setattr(model_comparison, "CANDIDATES", (("neo-hookean", None, "neo-hookean"),))
     chosen = api.choose_energy(home / "calibration.toml", data=home.parent / "measurements")
     assert chosen.failures == {}
     assert chosen.best == "neo-hookean"

@@ -5,13 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from study.curve import Curve
-from study.forward import finite_element
-from study.measurement.section import MeasurementSpec
-from study.runner.virtual import specimens
-from study.runner.virtual.specimens import Generator, VirtualTest, _csv, _files, generate
-from study.runner.virtual.truth import truth
-from study.setup.setup import problem_of
+from study.ground.curve import Curve
+from study.harness.runner import virtual_specimens
+from study.harness.runner.virtual_specimens import (
+    Generator,
+    VirtualTest,
+    _csv,
+    _files,
+    generate,
+    truth,
+)
+from study.mechanics.forward import finite_element
+from study.mechanics.measurement.measurement_section import MeasurementSpec
+from study.mechanics.setup.setup import problem_of
 
 D = np.linspace(0.1, 6.2, 62)
 REFERENCE = Curve(D, 4 * D, None, {"C20": D**3, "C30": D**5})
@@ -96,7 +102,7 @@ def test_a_stiffer_specimen_sags_less() -> None:
     """The weight does not grow with the moduli: the reference says by how much, to first order."""
     one, exact = sagging(1.0), sagging(1.1).force_N[-1]
     quiet = Generator(batches=1, repeats=1, batch_sd=0, specimen_sd=0, shape_sd=0, noise_N=0)
-    by_weight = specimens._weight_change(one, quiet, one.displacement_mm)[-1]
+    by_weight = virtual_specimens._weight_change(one, quiet, one.displacement_mm)[-1]
     naive = 1.1 * one.force_N[-1]
     assert abs(naive - exact) > 1e-3 * exact  # what is left without it
     assert naive - 0.1 * by_weight == pytest.approx(exact, abs=0.1 * abs(naive - exact))

@@ -6,11 +6,18 @@ from typing import Any
 
 import pytest
 
-from study.errors import InputError
-from study.forward.closed_form import height_and_area
-from study.setup.geometry import Block, Cone, Cylinder, Flat
-from study.setup.material_section import MaterialSection
-from study.setup.setup import Setup, indenter_of, loading_of, model_of, problem_of, specimen_of
+from study.ground.errors import InputError
+from study.mechanics.forward.closed_form import height_and_area
+from study.mechanics.setup.geometry import Block, Cone, Cylinder, Flat
+from study.mechanics.setup.material_section import MaterialSection
+from study.mechanics.setup.setup import (
+    Setup,
+    indenter_of,
+    loading_of,
+    model_of,
+    problem_of,
+    specimen_of,
+)
 
 CONFIG: dict[str, Any] = {
     "specimen": {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0},

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from study.arrays import Array, Ints
-from study.errors import InputError
-from study.shape_validation.boundary import DeformedMesh, surface_of, symmetry_of
-from study.surface.integrity import volume
+from study.ground.arrays import Array, Ints
+from study.ground.errors import InputError
+from study.laboratory.shape.boundary import DeformedMesh, surface_of, symmetry_of
+from study.mechanics.surface.closed_surface import volume
 
 #: Half a unit cube's nodes along an axis for the quadratic cell: corners, then middles.
 CUBE = np.array(

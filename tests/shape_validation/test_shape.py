@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 import study
-from study.arrays import Array
 from study.cli.app import run
-from study.errors import InputError, RefusedError
-from study.registration.closest_point import TriangleSurface
-from study.registration.rigid import RigidMotion, turned_about
-from study.shape_validation.deviation import Options
+from study.ground.arrays import Array
+from study.ground.errors import InputError, RefusedError
+from study.laboratory.registration.closest_point import TriangleSurface
+from study.laboratory.registration.rigid import RigidMotion, turned_about
+from study.laboratory.shape.shape_deviation import Options
 from tests.registration.bodies import egg, scan
 
 #: Lubricated compression of an incompressible cylinder: stretch 0.8 along, 0.8^-1/2 across.

@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from study.errors import InputError
-from study.setup.geometry import Brain
-from study.surface.brain import brain_surface
-from study.surface.integrity import volume
-from study.surface.surface import body
+from study.ground.errors import InputError
+from study.mechanics.setup.geometry import Brain
+from study.mechanics.surface.brain import brain_surface
+from study.mechanics.surface.closed_surface import body, volume
 
 BRAIN = Brain(80, 60, 50, fissure_mm=4, clamp_below_mm=15)
 

@@ -7,12 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from study.errors import InputError
-from study.fem.contact.collocation import touch_mm
-from study.fem.contact.constraints import pins, rigid_motions
-from study.setup.geometry import Cone, Sphere, Surface
-from study.surface.integrity import first_intersection, volume
-from study.surface.surface import body
+from study.ground.errors import InputError
+from study.mechanics.contact.collocation import touch_mm
+from study.mechanics.contact.contact import pins, rigid_motions
+from study.mechanics.setup.geometry import Cone, Sphere, Surface
+from study.mechanics.surface.closed_surface import body, first_intersection, volume
 from tests.fem.surfaces import Shape, box, cylinder, joined, sphere, write
 
 

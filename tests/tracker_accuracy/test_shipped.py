@@ -13,9 +13,9 @@ from scipy.stats import binom
 import study
 from study import api
 from study.cli.app import run
-from study.errors import InputError
-from study.tracker_accuracy.section import load_tracking
-from study.tracker_accuracy.virtual import STAGES, Errors, write_recording
+from study.ground.errors import InputError
+from study.laboratory.tracker.tracker_recording import load_tracking
+from study.laboratory.tracker.virtual_tracker import STAGES, Errors, write_recording
 
 DESIGN = Path(__file__).parents[2] / "designs" / "tracker.toml"
 

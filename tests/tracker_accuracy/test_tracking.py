@@ -12,7 +12,7 @@ from scipy.stats import f as f_distribution
 
 import study
 from study.cli.app import run
-from study.errors import InputError
+from study.ground.errors import InputError
 from tests.registration.bodies import cap
 from tests.tracker_accuracy import virtual
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from study.arrays import Array
-from study.registration.rigid import turned_about
+from study.ground.arrays import Array
+from study.laboratory.registration.rigid import turned_about
 
 #: What is put into the distance of stage "turn", mm.
 TURN_BIAS = 0.30

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from study.curve import Curve
-from study.record.record import Record
-from study.record.store import Store
+from study.ground.curve import Curve
+from study.harness.record.record import Record
+from study.harness.record.store import Store
 from tests.cli.small import DESIGN, Answer, answer_of, study, write_files
 from tests.cli.test_simulated_responses import DESIGN as ALONE
 from validation import recompute, recompute_forward, recompute_records
@@ -253,7 +253,7 @@ def test_which_indenters_make_load_steps_matter(shape: str, interface: str, stic
 
 
 def test_its_scores_are_those_of_the_definitions() -> None:
-    from study.runner.response import CURVE_RESPONSES
+    from study.harness.runner.response import CURVE_RESPONSES
 
     rng = np.random.default_rng(2011)
     d = np.sort(rng.uniform(0.1, 3, 40))

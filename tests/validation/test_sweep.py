@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from study.fem.cost import expected_unknowns
-from study.fem.mesh.mesher import mesh_size
-from study.setup.geometry import Block, Cone, Cylinder, Flat, Sphere
-from study.setup.setup import Problem
+from study.mechanics.mesh.mesher import mesh_size
+from study.mechanics.setup.geometry import Block, Cone, Cylinder, Flat, Sphere
+from study.mechanics.setup.setup import Problem
+from study.mechanics.solver.solution_cost import expected_unknowns
 from tests.cli.small import Answer, answer_of
 from validation import sweep
 from validation.sweep_problems import (

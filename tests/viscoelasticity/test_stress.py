@@ -10,14 +10,14 @@ import pytest
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
 
-from study.arrays import Array
-from study.errors import InputError
-from study.material.loading import LOADINGS
-from study.material.material import Material
-from study.material.relaxation import RelaxationTerm
-from study.material.stability import check
-from study.viscoelasticity import memory
-from study.viscoelasticity.stress import relaxing
+from study.ground.arrays import Array
+from study.ground.errors import InputError
+from study.mechanics.material import viscoelasticity
+from study.mechanics.material.homogeneous import LOADINGS
+from study.mechanics.material.material import Material
+from study.mechanics.material.relaxation import RelaxationTerm
+from study.mechanics.material.stability import check
+from study.mechanics.material.viscoelasticity import relaxing
 
 SERIES = (RelaxationTerm(0.4, 1.0), RelaxationTerm(0.3, 10.0))
 RUBBER = Material("neo-hookean", {"C10": 1.0}, incompressible=True, relaxation=SERIES)
@@ -185,7 +185,7 @@ def test_gradients_are_those_of_differences(
 ) -> None:
     """By every constant, share and time, in a load-unload cycle with a hold."""
     # parts as long as the rows allow: where times change the parts, a difference sees that too
-    monkeypatch.setattr(memory, "_growing", lambda first: np.ones(1))
+    monkeypatch.setattr(viscoelasticity, "_growing", lambda first: np.ones(1))
     time = np.array([0.0, 0.3, 0.8, 1.5, 2.5, 6.0, 7.0, 20.0])
     share = np.array([0.0, 0.2, 0.5, 0.5, 0.5, 0.1, 0.0, 0.0])
     measure = share if loading == "simple-shear" else 1 + share

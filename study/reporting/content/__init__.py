@@ -1,1 +1,1 @@
-"""What a report says: verdicts, sentences, checks and tables."""
+"""Sentences and tables of a report."""

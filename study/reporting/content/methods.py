@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
-from study.reporting.content.sizes import practical
-from study.reporting.content.surfaces import response_surface
-from study.reporting.numbers import TIMES, level
-from study.reporting.report import Facts, grouped_inputs
-from study.reporting.text import clean, count, listing, name_of, plural_of, sentence
-from study.study_result.report_data import ReportData
+from markupsafe import Markup, escape
+
+from study.reporting.content import surface_content
+from study.reporting.content.content_table import practical
+from study.reporting.content.numbers import TIMES, level
+from study.reporting.content.report_facts import Facts, grouped_inputs
+from study.reporting.content.text import clean, count, listing, name_of, plural_of, sentence
+from study.reporting.results.study_result import ReportData
 
 #: levels beyond which only the ends are written
 MANY = 6
@@ -17,24 +20,11 @@ _SOFTWARE = {"study", "python", "numpy", "scipy", "scikit-fem", "gmsh"}
 
 
 def paragraph(data: ReportData, found: Sequence[Facts]) -> str:
-    """Return the methods paragraph: design, measurements, scoring, statistics, software.
-
-    Parameters
-    ----------
-    data : ReportData
-        What is not known, such as the source of the measurements, is left out.
-    found : sequence of Facts
-        Each response with effects has a sentence on its analysis of variance.
-
-    Returns
-    -------
-    str
-        Plain text in one line.
-    """
+    """Return the methods paragraph: design, measurements, scoring, statistics, software."""
     parts = [_design(data), _cases(data), _measurements(data), _inputs(data), _scores(data)]
     parts += [_cross_validation(data)]
     parts += [_statistics(facts, data) for facts in found if facts.terms]
-    parts += [response_surface.method(one, data) for one in data.surfaces]
+    parts += [surface_content.method(one, data) for one in data.surfaces]
     parts += [_intervals(data, found), _checks(found), _numerics(data, found), _software(data)]
     return " ".join(part for part in parts if part)
 
@@ -182,3 +172,81 @@ def _software(data: ReportData) -> str:
         if key.lower().removeprefix("version of ") in _SOFTWARE
     ]
     return sentence(f"software: {listing(names)}; seed {data.seed}") if names else ""
+
+
+# -------------------------------------------------------------------------------------------------
+# Words that a newcomer has not met, explained where they stand.
+
+#: term, as it is written, and what it means
+TERMS: dict[str, str] = {
+    "block": "What was measured several times under every condition: a specimen, a phantom, a "
+    "batch. Every combination of the factors is computed for each block.",
+    "cell": "One combination of the levels of all factors.",
+    "pp": "Percentage points: from 2 % to 3 % is 1 pp.",
+    "U": "Bound of the numerical error of a difference, from finer meshes. It is added to both "
+    "ends of the interval before that is held against what matters.",
+    "matters from": "The smallest difference that matters in practice, as the design file says.",
+    "largest difference": "Between the two levels that are farthest apart, on average over the "
+    "other factors.",
+    "p": "How often chance alone would give an effect at least this large if there were none. "
+    "It never decides alone.",
+    "p (Holm)": "p adjusted for the number of terms tested in this table (Holm 1979).",
+    "p corrected": "p with the degrees of freedom corrected for unequal covariances.",
+    "GG epsilon": "Greenhouse-Geisser epsilon: 1 where all differences between levels scatter "
+    "alike over the blocks, smaller where they do not; it multiplies the degrees of freedom.",
+    "Greenhouse-Geisser": "A correction of the degrees of freedom for differences between levels "
+    "that scatter unequally over the blocks (Greenhouse and Geisser 1959).",
+    "Welch-Box": "A test for groups of blocks that scatter unequally: every group keeps its own "
+    "variance (Welch 1938, Box 1954).",
+    "omega squared": "Estimated share of the variance that a term explains in the population.",
+    "partial eta squared": "Sum of squares of a term over itself plus its error.",
+    "share": "Part of the total sum of squares.",
+    "df": "Degrees of freedom: independent comparisons in a term.",
+    "F": "Variance of a term over the variance of its error.",
+    "E0": "Error term: independent replicates within the cells.",
+    "E1": "Error term: the blocks; each effect is compared with how it differs between blocks.",
+    "E2": "Error term: measurement noise, by refits to resampled curves.",
+    "E3": "Error term: new meshes of the same size.",
+    "E4": "Error term: none; the numerical uncertainty alone.",
+    "E5": "Error term: interactions that were declared to be zero.",
+    "E6": "Error term: Lenth's, from the smallest effects of an unreplicated design.",
+    "E7": "Error term: none, so no p.",
+    "simple effect": "Difference of two levels of a factor at one setting of the others.",
+    "component": "What an interaction adds to the effects of its factors alone.",
+    "Ryan-Joiner": "A test of normality: the correlation of a normal probability plot.",
+    "V&V 20": "The standard ASME V&V 20-2009 on verification and validation of simulations.",
+}
+_FOUND_IN_TEXT = [
+    term for term in TERMS if term not in ("p", "F", "df", "U", "share", "matters from", "block")
+]
+_PATTERN = re.compile(
+    r"(?<![\w-])(?:" + "|".join(map(re.escape, sorted(_FOUND_IN_TEXT, key=len, reverse=True)))
+    + r")(?![\w-])"
+)  # fmt: skip
+
+
+def glossed(text: str) -> Markup:
+    """Escape a text, with the first of each term that the glossary holds explained on hover.
+
+    Examples
+    --------
+    >>> print(glossed("1 pp < 2 pp"))
+    1 <abbr title="Percentage points: from 2 % to 3 % is 1 pp.">pp</abbr> &lt; 2 pp
+    """
+    seen: set[str] = set()
+    parts, last = [], 0
+    for found in _PATTERN.finditer(text):
+        if found[0] in seen:
+            continue
+        seen.add(found[0])
+        parts += [escape(text[last : found.start()]), explained(found[0])]
+        last = found.end()
+    return Markup("").join([*parts, escape(text[last:])])
+
+
+def explained(term: str) -> Markup:
+    """Escape one word, explained on hover where the glossary holds it."""
+    meaning = TERMS.get(term)
+    if meaning is None:
+        return escape(term)
+    return Markup('<abbr title="{}">{}</abbr>').format(meaning, term)

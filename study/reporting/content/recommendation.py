@@ -8,19 +8,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from study.analysis.anova_table import Effect
-from study.analysis.effects.verdict import (
-    CANNOT_TELL,
-    MATTERS,
-    NO_DIFFERENCE,
-    NOT_RESOLVED,
-    ONE_SPECIMEN,
-)
-from study.record.table import cell_names
-from study.reporting.content import roles
-from study.reporting.content.sizes import size, size_interval
-from study.reporting.content.surfaces import response_surface
-from study.reporting.numbers import (
+from study.harness.record.record import cell_names
+from study.reporting.content import content_table, surface_content
+from study.reporting.content.content_table import size, size_interval
+from study.reporting.content.numbers import (
     THIN,
     decimals_that_count,
     duration,
@@ -30,30 +21,45 @@ from study.reporting.numbers import (
     rounded,
     significant,
 )
-from study.reporting.report import Facts, cells, comparable, describe, groups, practical_of
-from study.reporting.text import clean, count, listing, name_of, plural_of, sentence, term_name
-from study.study_result.report_data import ReportData
+from study.reporting.content.report_facts import (
+    Facts,
+    cells,
+    comparable,
+    describe,
+    groups,
+    practical_of,
+)
+from study.reporting.content.text import (
+    clean,
+    count,
+    listing,
+    name_of,
+    plural_of,
+    sentence,
+    term_name,
+)
+from study.reporting.results.study_result import ReportData
+from study.statistics.analysis.anova_table import Effect
+from study.statistics.analysis.simple_effects import (
+    CANNOT_TELL,
+    MATTERS,
+    NO_DIFFERENCE,
+    NOT_RESOLVED,
+    ONE_SPECIMEN,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.reporting.report import Group
+    from study.reporting.content.report_facts import Group
 
 
 def best_cell(data: ReportData, found: Sequence[Facts]) -> str:
-    """Name the best cell of the first response that has a better end, and the tie around it.
-
-    Parameters
-    ----------
-    data : ReportData
-        Where it has conditions or unknowns, the best choices are named, at every condition.
-    found : sequence of Facts
-        Tried in this order; a better end is ``"lower"`` or ``"higher"``.
-    """
+    """Name the best cell of the first response that has a better end, and the tie around it."""
     for facts in found:
         if facts.response.better not in ("lower", "higher"):
             continue
-        if roles.factors_of(data, roles.CONDITION, roles.UNKNOWN):
+        if content_table.factors_of(data, content_table.CONDITION, content_table.UNKNOWN):
             return _best_choice(data, facts)
         ranked = groups(data, facts)
         if not ranked:
@@ -71,26 +77,26 @@ def best_cell(data: ReportData, found: Sequence[Facts]) -> str:
 
 def _best_choice(data: ReportData, facts: Facts) -> str:
     """Name the best combination of the choices, at each setting of the conditions."""
-    chosen = roles.factors_of(data, roles.CHOICE)
+    chosen = content_table.factors_of(data, content_table.CHOICE)
     if not chosen:
         return "No factor is a choice, so nothing is recommended; the effects are what counts."
     last = facts.response.better == "higher"
     best: dict[str, list[str]] = {}
     ties = []
-    for setting in roles.settings(data):
-        frame = cells(roles.at(data, setting), facts.name, chosen)
+    for setting in content_table.settings(data):
+        frame = cells(content_table.at(data, setting), facts.name, chosen)
         if frame.empty:
             continue
         row = frame.iloc[-1 if last else 0]
         limit = practical_of(facts, frame)
         ties.append(int((abs(frame["mean"] - row["mean"]) <= limit).sum()) - 1)
         mean = quantity(float(row["mean"]), facts.unit)
-        where = f"{roles.named(setting, data)} ({mean})" if setting else mean
+        where = f"{content_table.named(setting, data)} ({mean})" if setting else mean
         best.setdefault(listing([clean(row[name]) for name in chosen]), []).append(where)
-    over = [name_of(n, data.labels) for n in roles.factors_of(data, roles.UNKNOWN)]
+    over = [name_of(n, data.labels) for n in content_table.factors_of(data, content_table.UNKNOWN)]
     mean_of = f", averaged over {listing(over)}" if over else ""
     word = "highest" if last else "lowest"
-    if not roles.settings(data)[0]:
+    if not content_table.settings(data)[0]:
         named, (mean,) = next(iter(best.items()))
         tie = f"; {_within(ties[0], facts, data)}" if ties[0] else ""
         return sentence(f"the {word} {facts.title} is {mean}, with {named}{mean_of}{tie}")
@@ -100,7 +106,7 @@ def _best_choice(data: ReportData, facts: Facts) -> str:
 
 def _within(others: int, facts: Facts, data: ReportData) -> str:
     """Say how many other combinations are as good in practice."""
-    chosen = roles.factors_of(data, roles.CHOICE)
+    chosen = content_table.factors_of(data, content_table.CHOICE)
     frame = cells(data, facts.name, chosen)
     limit = f"{practical_of(facts, frame):.3g}{THIN}{facts.difference_unit}"
     every = "all the others" if others == len(frame) - 1 else count(others, "other combination")
@@ -141,25 +147,7 @@ def _tie(data: ReportData, facts: Facts, ranked: Sequence[Group]) -> str:
 def cost_front(
     data: ReportData, facts: Facts, factors: Sequence[str] | None = None
 ) -> pd.DataFrame:
-    """Mean seconds and mean response of every cell, and which cells no other one dominates.
-
-    Parameters
-    ----------
-    data : ReportData
-        Computing time of each case in the column ``seconds``, where it is known.
-    facts : Facts
-        The response; the lower mean is the better one unless ``better`` is ``"higher"``.
-    factors : sequence of str, optional
-        Factors that make a cell, all by default.
-
-    Returns
-    -------
-    DataFrame
-        Factor columns, ``cell``, ``mean`` (response), ``seconds``, ``front`` (bool),
-        ``within`` (bool: no more than the practical difference from the best); cheapest
-        first. A gain below a thousandth of the practical difference makes no front. Empty
-        where no seconds are known.
-    """
+    """Mean seconds and mean response of every cell, and which cells no other one dominates."""
     import pandas as pd
 
     factors = list(data.factors if factors is None else factors)
@@ -186,20 +174,15 @@ def recommendation(data: ReportData, facts: Facts) -> str:
 
     Conditions get a recommendation each; over what nobody measured the mean is taken.
 
-    Parameters
-    ----------
-    data : ReportData
-        Roles of the factors, and the computing time of each case in s, where it is known.
-    facts : Facts
-        The response; the lower mean is the better one unless ``better`` is ``"higher"``.
+    Units: data s.
     """
-    chosen = roles.factors_of(data, roles.CHOICE)
+    chosen = content_table.factors_of(data, content_table.CHOICE)
     if not chosen:
         return "No factor is a choice, so nothing is recommended."
     said: dict[str, list[str]] = {}
-    for setting in roles.settings(data):
-        text = _recommended(roles.at(data, setting), facts, chosen)
-        said.setdefault(text, []).append(roles.named(setting, data))
+    for setting in content_table.settings(data):
+        text = _recommended(content_table.at(data, setting), facts, chosen)
+        said.setdefault(text, []).append(content_table.named(setting, data))
     return " ".join(
         sentence(f"at {listing(where)}: {text}" if where[0] else text)
         for text, where in said.items()
@@ -253,17 +236,7 @@ def cheaper(data: ReportData, facts: Facts) -> str:
 
     Only factors of the computation are compared: plates or specimens are no choice.
 
-    Parameters
-    ----------
-    data : ReportData
-        Computing time of each case in s, in the column ``seconds``.
-    facts : Facts
-        The response and its main effects.
-
-    Returns
-    -------
-    str
-        One sentence a factor; empty without computing times or a better end of the response.
+    Units: data s.
     """
     if not facts.response.better or "seconds" not in data.table:
         return ""
@@ -300,17 +273,9 @@ def _cheaper_level(data: ReportData, effect: Effect, facts: Facts) -> str:
 
 
 def would_change(data: ReportData, found: Sequence[Facts]) -> str:
-    """Say what would change the answer.
-
-    Parameters
-    ----------
-    data : ReportData
-        Surfaces, where it has any, are all that is spoken of.
-    found : sequence of Facts
-        Every response; effects that are open, fragile or not resolved are named.
-    """
+    """Say what would change the answer."""
     if data.surfaces:
-        return response_surface.would_change(data)
+        return surface_content.would_change(data)
     parts = [*_surer(data, found), *_closer_to_reality(data)]
     if not parts:
         other = "measurements of another material" if data.is_measured else "other given values"

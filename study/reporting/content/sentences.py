@@ -10,16 +10,28 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from study.analysis.anova_table import Effect, ErrorTerm
-from study.analysis.effects.verdict import CANNOT_TELL, MATTERS, NO_DIFFERENCE, NOT_RESOLVED
-from study.reporting.content import recommendation, roles
-from study.reporting.content.sizes import change, shown_difference, size
-from study.reporting.content.surfaces import response_surface
+from study.reporting.content import content_table, recommendation, surface_content
+from study.reporting.content.content_table import change, shown_difference, size
+from study.reporting.content.numbers import MISSING, percent
+from study.reporting.content.report_facts import Facts
+from study.reporting.content.text import (
+    clean,
+    count,
+    listing,
+    name_of,
+    plural_of,
+    sentence,
+    term_name,
+)
 from study.reporting.content.verdicts import setting, sole_setting
-from study.reporting.numbers import MISSING, percent
-from study.reporting.report import Facts
-from study.reporting.text import clean, count, listing, name_of, plural_of, sentence, term_name
-from study.study_result.report_data import FITTED_CURVE, Failure, ReportData
+from study.reporting.results.study_result import FITTED_CURVE, Failure, ReportData
+from study.statistics.analysis.anova_table import Effect, ErrorTerm
+from study.statistics.analysis.simple_effects import (
+    CANNOT_TELL,
+    MATTERS,
+    NO_DIFFERENCE,
+    NOT_RESOLVED,
+)
 
 _SOURCES = {
     "E0": "independent replicates in the cells",
@@ -34,27 +46,21 @@ _SOURCES = {
 
 
 def answer(data: ReportData, found: Sequence[Facts]) -> tuple[str, ...]:
-    """Sentences that answer the study's question: what matters, what does not, so what.
-
-    Parameters
-    ----------
-    data, found : ReportData, sequence of Facts
-        Every response; without effects of any, surfaces or failures are spoken of.
-    """
+    """Sentences that answer the study's question: what matters, what does not, so what."""
     if not any(facts.terms for facts in found):
         if data.failures and len(data.failures) >= len(data.table):
             return _all_failed(data.failures)
         if data.surfaces:
-            return response_surface.answer(data)
+            return surface_content.surface_answer(data)
         return ("No response could be analyzed; the reasons stand below.",)
     first = [*(_which(data, facts) for facts in found if facts.terms), *_left_out(data, found)]
     said = (
         " ".join(text for text in first if text),
         _without_verdict(found),
-        *roles.by_condition(data, found),
+        *content_table.by_condition(data, found),
         _one_not_other(data, found),
         recommendation.best_cell(data, found),
-        *roles.unknowns(data, found),
+        *content_table.unknowns(data, found),
     )
     return tuple(text for text in said if text)
 
@@ -95,7 +101,7 @@ def _which(data: ReportData, facts: Facts) -> str:
     named: dict[str, list[Effect]] = {
         MATTERS: [], NO_DIFFERENCE: [], NOT_RESOLVED: [], CANNOT_TELL: []
     }  # fmt: skip
-    chosen = [e for e in facts.effects if roles.role(data, e.term) == roles.CHOICE]
+    chosen = [e for e in facts.effects if content_table.role(data, e.term) == content_table.CHOICE]
     for effect in sorted(chosen, key=_magnitude, reverse=True):
         named.setdefault(effect.verdict, named[CANNOT_TELL]).append(effect)
     parts = []
@@ -128,7 +134,7 @@ def _label(effect: Effect, data: ReportData) -> str:
 
 def _to_reader(effect: Effect, facts: Facts, data: ReportData) -> str:
     if one := sole_setting(effect):
-        number = shown_difference(roles.apart(one.difference, effect), effect, facts)
+        number = shown_difference(content_table.apart(one.difference, effect), effect, facts)
         return f"{number} {setting(one, data.labels)}; {size(effect, facts)} on average"
     return size(effect, facts) if effect.is_ratio else f"{size(effect, facts)} between extremes"
 
@@ -146,7 +152,7 @@ def _one_not_other(data: ReportData, found: Sequence[Facts]) -> str:
     by_factor: dict[str, dict[str, Effect]] = {}
     for facts in found:
         for effect in facts.effects:
-            if roles.role(data, effect.term) != roles.CHOICE:
+            if content_table.role(data, effect.term) != content_table.CHOICE:
                 continue
             by_factor.setdefault(effect.term, {})[facts.name] = effect
     titles = {facts.name: facts for facts in found}
@@ -192,7 +198,10 @@ def _no_interaction(data: ReportData, found: Sequence[Facts]) -> str:
     if not every and sum(len(levels) > 1 for levels in data.factors.values()) > 1:
         return "Interactions are no part of this analysis, so it cannot rule them out."
     every_factor = [
-        e for facts in found for e in facts.effects if roles.role(data, e.term) == roles.CHOICE
+        e
+        for facts in found
+        for e in facts.effects
+        if content_table.role(data, e.term) == content_table.CHOICE
     ]
     together = {_label(e, data) for e in every_factor if not _may_be_chosen_alone(e)}
     if not together:
@@ -225,12 +234,7 @@ def _may_be_chosen_alone(effect: Effect) -> bool:
 
 
 def error_term(facts: Facts, data: ReportData) -> str:
-    """Say where the error of the table comes from and what its p answers.
-
-    Parameters
-    ----------
-    facts, data : Facts, ReportData with the name of its blocks
-    """
+    """Say where the error of the table comes from and what its p answers."""
     term = facts.error_term
     if term is None:
         return "No error term: the response was not analyzed."
@@ -270,12 +274,7 @@ _BY_COLUMN = "U, the bound of the numerical error, is the same for every factor.
 
 
 def numerical(found: Sequence[Facts]) -> str:
-    """Say what the numerical uncertainty beside an effect is; empty where none is known.
-
-    Parameters
-    ----------
-    found : sequence of Facts
-    """
+    """Say what the numerical uncertainty beside an effect is; empty where none is known."""
     known = [facts for facts in found if any(e.u_num is not None for e in facts.terms)]
     if not known:
         return ""
@@ -299,13 +298,7 @@ VIRTUAL = (
 
 
 def error_terms(data: ReportData, found: Sequence[Facts]) -> tuple[tuple[str, str], ...]:
-    """Statements about the error term, each once, with the responses that it holds for.
-
-    Parameters
-    ----------
-    data, found : ReportData, sequence of Facts
-        The responses are empty for a statement that all of several responses share.
-    """
+    """Statements about the error term, each once, with the responses that it holds for."""
     by_text: dict[str, list[str]] = {}
     for facts in found:
         for text in (error_term(facts, data), distinct(facts, data)):
@@ -318,13 +311,7 @@ def error_terms(data: ReportData, found: Sequence[Facts]) -> tuple[tuple[str, st
 
 
 def distinct(facts: Facts, data: ReportData) -> str:
-    """Say how many computations were really different.
-
-    Parameters
-    ----------
-    facts, data : Facts, ReportData
-        The text is empty where all cells differ, or where it is not known.
-    """
+    """Say how many computations were really different."""
     total = data.planned
     if facts.distinct is None or facts.distinct >= total:
         return ""
@@ -340,13 +327,7 @@ def distinct(facts: Facts, data: ReportData) -> str:
 
 
 def partial(data: ReportData) -> str:
-    """Say how much of a study is done, for the top of its page; empty where all of it is.
-
-    Parameters
-    ----------
-    data : ReportData
-        Rows of its table are the cases that ended, failed ones included.
-    """
+    """Say how much of a study is done, for the top of its page; empty where all of it is."""
     planned = data.planned * max(len(data.blocks), 1)
     if len(data.table) >= planned:
         return ""
@@ -357,12 +338,7 @@ def partial(data: ReportData) -> str:
 
 
 def failures(items: Sequence[Failure], total: int) -> str:
-    """Failures in one sentence; none is said plainly.
-
-    Parameters
-    ----------
-    items, total : sequence of Failure, int (cases that ended)
-    """
+    """Failures in one sentence; none is said plainly."""
     if not items:
         return f"None: {'the case' if total == 1 else f'all {total:,} cases'} gave a response."
     kinds: dict[str, int] = {}

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from study.analysis.anova_table import Row
-from study.analysis.convergence.grid_convergence import NumericalUncertainty
-from study.canonical import plain
+from study.ground.canonical import plain
+from study.harness.record.document import PlateFitDocument
 from study.reporting.content import sentences
-from study.reporting.content.cases.case_records import by_cell
-from study.reporting.content.sizes import numerical as u_num_of
-from study.reporting.content.sizes import practical, size, size_interval
-from study.reporting.content.table import Table
-from study.reporting.content.verdicts import told
-from study.reporting.numbers import (
+from study.reporting.content.content_table import Table, practical, size, size_interval
+from study.reporting.content.content_table import numerical as u_num_of
+from study.reporting.content.numbers import (
+    MINUS,
     MISSING,
     THIN,
     duration,
@@ -26,24 +23,211 @@ from study.reporting.numbers import (
     share,
     significant,
 )
-from study.reporting.report import Facts, cells, is_effect
-from study.reporting.text import clean, name_of, plural_of, term_name
-from study.study_result.report_data import ReportData
+from study.reporting.content.report_facts import Facts, cells, is_effect
+from study.reporting.content.text import clean, count, listing, name_of, plural_of, term_name
+from study.reporting.content.verdicts import told
+from study.reporting.results.study_result import ANY, FittedConstant, MarkedCase, ReportData
+from study.statistics.analysis.anova_table import Row
+from study.statistics.convergence.grid_convergence import NumericalUncertainty
 
 if TYPE_CHECKING:
     import pandas as pd
 
+    from study.reporting.results.study_result import Retried
+    from study.statistics.analysis.failures import FailurePattern, FailureRule, FailureTest
+
+
+# -------------------------------------------------------------------------------------------------
+# Tables of fitted constants: one row for each kind of fit, and every fit.
+
+
+def fit_name(fit: FittedConstant, data: ReportData) -> str:
+    """Name a fit by its levels; a factor that one fit serves is any."""
+    parts = (
+        f"any {name_of(name, data.labels)}" if level == ANY else clean(level)
+        for name, level in fit.levels.items()
+    )
+    return " \N{MIDDLE DOT} ".join(parts)
+
+
+def fit_rank(levels: Mapping[str, str], data: ReportData) -> tuple[int, ...]:
+    """Sort key of a fit: its levels in the order of the design."""
+    known = ((data.factors.get(name, ()), level) for name, level in levels.items())
+    return tuple(order.index(level) if level in order else -1 for order, level in known)
+
+
+def fits(data: ReportData) -> Table:
+    """Fitted constants over the blocks: median, range, uncertainty, identifiability.
+
+    Units: data N.
+    """
+    names = list(dict.fromkeys(name for fit in data.fits for name in fit.levels))
+    groups: dict[tuple[str, str], list[FittedConstant]] = {}
+    for fit in sorted(data.fits, key=lambda fit: (fit_rank(fit.levels, data), fit.constant)):
+        groups.setdefault((fit_name(fit, data), clean(fit.constant)), []).append(fit)
+    rows = [(*key, *_summary(items)) for key, items in groups.items()]
+    raw = tuple(
+        {
+            **{name: fit.levels.get(name) for name in names},
+            "block": fit.block,
+            "specimen": fit.specimen,
+            "constant": fit.constant,
+            "value": fit.value,
+            "unit": fit.unit,
+            "standard_error": fit.standard_error,
+            "low": fit.low,
+            "high": fit.high,
+            "identifiable": fit.identifiable,
+            "reason": fit.reason,
+            "residual_N": fit.residual_N,
+            "r_squared": fit.r_squared,
+            **{f"correlation with {k}": v for k, v in fit.correlated.items()},
+        }
+        for fit in data.fits
+    )
+    columns = (
+        "fit",
+        "constant",
+        "median",
+        "range over fits",
+        "standard error",
+        "correlation",
+        "residual (RMS)",
+        "identifiable",
+    )
+    return Table("fits", columns, tuple(rows), 2, 0, raw=raw, grouped=True)
+
+
+def _summary(items: Sequence[FittedConstant]) -> tuple[str, ...]:
+    """Median, range, relative standard error, correlation, residual, share that is determined."""
+    import numpy as np
+
+    values = np.array([i.value for i in items if i.value is not None], dtype=float)
+    unit = items[0].unit
+    relative = [
+        abs(i.standard_error / i.value) for i in items if i.standard_error is not None and i.value
+    ]
+    residual = [i.residual_N for i in items if i.residual_N is not None]
+    return (
+        quantity(float(np.median(values)), unit) if values.size else MISSING,
+        interval(float(values.min()), float(values.max()), unit) if values.size else MISSING,
+        share(float(np.median(relative))) if relative else MISSING,
+        _strongest(items),
+        quantity(float(np.median(residual)), "N", 2) if residual else MISSING,
+        f"{sum(item.identifiable for item in items)} of {len(items)}",
+    )
+
+
+def _strongest(items: Sequence[FittedConstant]) -> str:
+    """Median correlation with the constant that a fit is most entangled with."""
+    import numpy as np
+
+    others = dict.fromkeys(other for item in items for other in item.correlated)
+    medians = {
+        other: float(np.median([i.correlated[other] for i in items if other in i.correlated]))
+        for other in others
+    }
+    if not medians:
+        return MISSING
+    other = max(medians, key=lambda name: abs(medians[name]))
+    return f"{medians[other]:.3f} with {clean(other, 16)}".replace("-", MINUS)
+
+
+def every_fit(data: ReportData) -> Table:
+    """Every fitted constant with its 95 % interval.
+
+    Units: data N.
+    """
+    rows = tuple(
+        (
+            fit_name(fit, data),
+            clean(fit.constant),
+            clean(fit.block),
+            clean(fit.specimen) or MISSING,
+            quantity(fit.value, fit.unit),
+            interval(fit.low, fit.high, fit.unit),
+            quantity(fit.residual_N, "N", 2),
+            ("yes" if fit.identifiable else "no")
+            + (f": {clean(fit.reason, 160)}" if fit.reason else ""),
+        )
+        for fit in sorted(data.fits, key=lambda fit: fit_rank(fit.levels, data))
+    )
+    columns = (
+        "fit",
+        "constant",
+        data.block or "block",
+        "specimen",
+        "value",
+        "95 % interval",
+        "residual (RMS)",
+        "identifiable",
+    )
+    return Table("every-fit", columns, rows, 4, 1, grouped=True)
+
+
+# -------------------------------------------------------------------------------------------------
+# Every case beside its record: where the mean of a cell comes from.
+
+#: cases that a page lists: a row takes 400 bytes, and beyond these the CSV is quicker to search
+MOST = 2000
+
+#: start of the names that rows of a cell have in the page
+CELL = "cell-"
+
+
+def by_cell(data: ReportData) -> list[tuple[tuple[str, ...], pd.DataFrame]]:
+    """Levels and rows of every cell, cells in the order of the design, rows in that of blocks."""
+    if data.table.empty:  # nothing is computed yet, or what was is lost
+        return []
+    groups = [
+        (tuple(str(level) for level in levels), _in_order(group, data.blocks))
+        for levels, group in data.table.groupby(list(data.factors), sort=False)
+    ]
+    return sorted(
+        groups, key=lambda cell: fit_rank(dict(zip(data.factors, cell[0], strict=True)), data)
+    )
+
+
+def _in_order(group: pd.DataFrame, blocks: Sequence[str]) -> pd.DataFrame:
+    if "block" not in group:
+        return group
+    order = {block: k for k, block in enumerate(blocks)}
+    place = group["block"].map(lambda block: order.get(str(block), len(order)))
+    return group.loc[place.sort_values(kind="stable").index]
+
+
+def case_records(data: ReportData, found: Sequence[Facts]) -> Table | None:
+    """Every case with its responses and the name of its record, cell by cell."""
+    if data.is_table or "case_id" not in data.table or not 0 < len(data.table) <= MOST:
+        return None
+    known = [facts for facts in found if facts.name in data.table]
+    blocked = bool(data.block) and "block" in data.table
+    rows: list[tuple[str, ...]] = []
+    anchors: list[str] = []
+    for number, (levels, group) in enumerate(by_cell(data), 1):
+        cell = tuple(clean(level) for level in levels)
+        for record in group.to_dict("records"):
+            block = (clean(str(record["block"])) or MISSING,) if blocked else ()
+            shown = (quantity(record[f.name], f.unit) for f in known)
+            seconds = duration(record.get("seconds"))
+            name = clean(str(record["case_id"]), 16)
+            rows.append((*cell, *block, clean(str(record["status"])), *shown, seconds, name))
+        anchors += [f"{CELL}{number}", *[""] * (len(group) - 1)]
+    words = [name_of(factor, data.labels) for factor in data.factors]
+    if blocked:
+        words.append(name_of("block", {"block": data.block, **data.labels}))
+    columns = (*words, "status", *(facts.title for facts in known), "time", "record")
+    return Table("records", columns, tuple(rows), len(words) + 1, 1, _NOTE, anchors=tuple(anchors))
+
+
+_NOTE = (
+    "The record of a case is cases/RECORD/record.json in the results folder of the study: inputs, "
+    "constants, curve, responses, energy balance, versions."
+)
+
 
 def verdicts(found: Sequence[Facts], data: ReportData) -> Table:
-    """One row a factor and response, and interactions that are not negligible.
-
-    Parameters
-    ----------
-    found : sequence of Facts
-        Sizes in the unit of each response, or as ratios.
-    data : ReportData
-        Better names of the factors, and ``alpha`` for the level in the heading.
-    """
+    """One row a factor and response, and interactions that are not negligible."""
     rows, raw = [], []
     for facts in found:
         strong = [e for e in facts.interactions if e.strength == "matters"]
@@ -92,20 +276,7 @@ def verdicts(found: Sequence[Facts], data: ReportData) -> Table:
 
 
 def anova(facts: Facts, data: ReportData) -> Table:
-    """Return the ANOVA table of the effects; error strata stand in :func:`strata`.
-
-    Parameters
-    ----------
-    facts : Facts
-        The response; without any F the table has sums of squares, and p of Lenth where known.
-    data : ReportData
-        Factors, which tell effects from strata, their better names, and what a block is.
-
-    Returns
-    -------
-    Table
-        ``raw`` has all rows of the analysis, strata too.
-    """
+    """Return the ANOVA table of the effects; error strata stand in :func:`strata`."""
     effects = [row for row in facts.rows if is_effect(row, list(data.factors))]
     corrected = any(row.epsilon_gg is not None for row in effects)
     tested = any(row.f is not None for row in effects)
@@ -154,15 +325,7 @@ def _anova_notes(effects: Sequence[Row], data: ReportData, tested: bool) -> Iter
 
 
 def strata(facts: Facts, data: ReportData) -> Table:
-    """Rows of the ANOVA table that are blocks or error.
-
-    Parameters
-    ----------
-    facts : Facts
-        Sums of squares on the scale of the analysis.
-    data : ReportData
-        Factors, which tell effects from strata, and what a block is.
-    """
+    """Rows of the ANOVA table that are blocks or error."""
     names = {**data.labels, "block": data.labels.get("block", data.block or "block")}
     rows = tuple(
         (
@@ -197,21 +360,7 @@ def _eta(row: Row) -> str:
 
 
 def matrix(data: ReportData, found: Sequence[Facts]) -> Table:
-    """Every cell: how many cases gave a response, its means, its cost.
-
-    Parameters
-    ----------
-    data : ReportData
-        Cases with their status, responses and, where known, seconds.
-    found : sequence of Facts
-        A response that is no column of the table is left out.
-
-    Returns
-    -------
-    Table
-        Cells in the order of the design. A mean is over the blocks that all cells share,
-        geometric for a log response; the mean time is over all cases of the cell.
-    """
+    """Every cell: how many cases gave a response, its means, its cost."""
     factors = list(data.factors)
     known = [facts for facts in found if facts.name in data.table]
     means = {
@@ -249,15 +398,7 @@ def _columns(frame: pd.DataFrame, *names: str) -> list[list[object]]:
 
 
 def numerical(items: Sequence[NumericalUncertainty], data: ReportData) -> Table:
-    """Numerical uncertainty of each kind of discretization.
-
-    Parameters
-    ----------
-    items : sequence of NumericalUncertainty
-        One row each, in the unit of its response; ``u_num`` of a response in percent is in pp.
-    data : ReportData
-        Better names of factors and responses.
-    """
+    """Numerical uncertainty of each kind of discretization."""
     names = list(dict.fromkeys(name for item in items for name in item.levels))
     rows = tuple(
         (
@@ -294,13 +435,7 @@ def numerical(items: Sequence[NumericalUncertainty], data: ReportData) -> Table:
 
 
 def failures(data: ReportData) -> Table:
-    """Every failed case with what was said.
-
-    Parameters
-    ----------
-    data : ReportData
-        Its failures, one row each; a message is cut to 400 letters.
-    """
+    """Every failed case with what was said."""
     rows = tuple(
         (
             clean(item.case_id, 16),
@@ -312,3 +447,196 @@ def failures(data: ReportData) -> Table:
         for item in data.failures
     )
     return Table("failures", ("case", "cell", data.block or "block", "status", "message"), rows, 5)
+
+
+# -------------------------------------------------------------------------------------------------
+# Which settings fail: rules in words, then a test of every factor.
+
+#: levels of a factor that the table lists, those that fail most, and causes in a sentence
+_LISTED = 4
+#: p below which a factor has to do with failing
+_ALPHA = 0.05
+
+
+def failure_sentences(pattern: FailurePattern, labels: Mapping[str, str]) -> tuple[str, ...]:
+    """Say where cases fail, why, and which factors have to do with it."""
+    causes = _causes(pattern)
+    if pattern.failed == pattern.total:
+        return (
+            f"Every case failed ({causes}): no setting of this study gives an answer, so none of "
+            "its factors can be blamed.",
+        )
+    where = "; ".join(_rule(rule, labels) for rule in pattern.rules)
+    bad, rest = pattern.elsewhere
+    if where and rest:
+        found = f"Where cases fail: {where}; elsewhere {bad:,} of {rest:,}."
+    elif where:
+        found = f"Where cases fail: {where}."
+    else:
+        found = (
+            f"{pattern.failed:,} of {pattern.total:,} cases failed. No level of a factor, and no "
+            "combination of two or three, holds enough of them to be named as the place."
+        )
+    return found, f"Causes: {causes}.", _blamed(pattern, labels)
+
+
+def _causes(pattern: FailurePattern) -> str:
+    """Count the causes, those behind the most frequent ones together."""
+    counted = [f"{number:,} {clean(cause)}" for cause, number in pattern.causes.items()]
+    others = sum(list(pattern.causes.values())[_LISTED:])
+    return "; ".join([*counted[:_LISTED], *([f"{others:,} others"] if others else [])])
+
+
+def _rule(rule: FailureRule, labels: Mapping[str, str]) -> str:
+    """Write the settings of a rule and how many of its cases failed."""
+    settings = [
+        f"{name_of(factor, labels)} {clean(level)}" for factor, level in rule.settings.items()
+    ]
+    return f"{', '.join(settings)}: {rule.failed:,} of {rule.total:,}"
+
+
+def _blamed(pattern: FailurePattern, labels: Mapping[str, str]) -> str:
+    blamed = [
+        f"{name_of(test.factor, labels)} (p {_p(test.p_holm)})"
+        for test in pattern.tests
+        if test.p_holm < _ALPHA
+    ]
+    if not blamed:
+        return (
+            "No factor's levels differ in how often their cases fail by more than chance explains."
+        )
+    return f"Failing depends on {listing(blamed)}, adjusted for the number of factors."
+
+
+def tests(pattern: FailurePattern, labels: Mapping[str, str]) -> Table:
+    """Test of every factor: failed cases by level, p, and p adjusted for their number."""
+    rows = tuple(
+        (name_of(one.factor, labels), _p(one.p), _p(one.p_holm), _levels(one), one.method)
+        for one in pattern.tests
+    )
+    raw = tuple(
+        {
+            "factor": one.factor,
+            "level": level,
+            "failed": bad,
+            "cases": total,
+            "p": one.p,
+            "p_holm": one.p_holm,
+            "method": one.method,
+        }
+        for one in pattern.tests
+        for level, (bad, total) in one.counts.items()
+    )
+    note = (
+        "Fisher's exact test of levels against failed and not failed (Freeman and Halton 1951 for "
+        "more than two levels), with Holm's adjustment. Cases of one cell mostly fail together, so "
+        "whole cells are permuted where a cell has several."
+    )
+    columns = ("factor", "p", "p (Holm)", "failed by level", "method")
+    return Table("failure_tests", columns, rows, 1, 2, note, raw)
+
+
+def retried_sentence(items: Sequence[Retried]) -> str:
+    """Say how many cases have other settings than the design's; empty where none has."""
+    if not items:
+        return ""
+    solved = sum(item.status == "converged" for item in items)
+    were = "was" if len(items) == 1 else "were"
+    return (
+        f"{count(len(items), 'case')} failed as designed and {were} "
+        f"computed with other settings, as the design declares: {solved:,} then gave an answer. "
+        "What was changed is part of their difference from the other cases."
+    )
+
+
+def retried_table(items: Sequence[Retried], block: str) -> Table:
+    """List every case whose settings are not those of the design: why, what, and the outcome."""
+    rows = tuple(
+        (
+            clean(item.case_id, 16),
+            " \N{MIDDLE DOT} ".join(clean(level) for level in item.levels.values()),
+            clean(item.block) or MISSING,
+            "; then ".join(f"{clean(n['cause'])}: {clean(n['message'], 200)}" for n in item.notes),
+            "; ".join(clean(n["what"]) for n in item.notes),
+            clean(item.status),
+        )
+        for item in items
+    )
+    return Table(
+        "retried", ("case", "cell", block or "block", "failed", "changed", "outcome"), rows, 6
+    )
+
+
+def _levels(test: FailureTest) -> str:
+    shares = sorted(test.counts.items(), key=lambda one: -one[1][0] / one[1][1])
+    shown = [f"{clean(level)}: {bad:,} of {total:,}" for level, (bad, total) in shares[:_LISTED]]
+    return "; ".join([*shown, *(["\N{HORIZONTAL ELLIPSIS}"] if len(shares) > _LISTED else [])])
+
+
+def _p(value: float) -> str:
+    return "< 0.001" if value < 0.001 else f"{value:.3f}"
+
+
+# -------------------------------------------------------------------------------------------------
+# Tables of markers inside a specimen: errors beside the motion of the plate that leaves them.
+
+#: what a plate is taken to do, in words
+_PLATES = {"nominal": "as said", "rigid": "any rigid motion", "slipping": "rigid, face slips"}
+
+
+def marker_errors(data: ReportData) -> Table:
+    """RMS error of the markers of every case and plate, with the motion of the plate.
+
+    Units: data mm.
+    """
+    shown = sorted(data.markers, key=lambda one: fit_rank(one.levels, data))
+    rows = tuple(_row(one, fit) for one in shown for fit in one.fits)
+    raw = tuple(
+        {
+            **one.levels,
+            "state": one.state,
+            "plate": fit["plate"],
+            "fitted": fit["fitted"],
+            "markers": fit["markers"],
+            "error_mm": fit["error_mm"],
+            "floor_mm": one.floor_mm,
+            **{f"{name}_{end}": v for name, pair in fit["motion"].items()
+               for end, v in zip(("value", "standard_error"), pair, strict=True)},
+            **{f"layer_{name}_mm": v for name, v in fit["error_by_layer_mm"].items()},
+        }
+        for one in shown
+        for fit in one.fits
+    )  # fmt: skip
+    columns = (
+        "cell", "state", "plate", "told by", "markers", "RMS error", "floor",
+        "down, x, y (mm)", "tilts, twist (deg)", "spread (%)",
+    )  # fmt: skip
+    return Table("marker-errors", columns, rows, 4, 3, raw=raw, grouped=True)
+
+
+def _row(one: MarkedCase, fit: PlateFitDocument) -> tuple[str, ...]:
+    motion = fit["motion"]
+    return (
+        " \N{MIDDLE DOT} ".join(clean(level) for level in one.levels.values()),
+        clean(one.state),
+        _PLATES.get(fit["plate"], clean(fit["plate"])),
+        f"{clean(fit['fitted'])}",
+        f"{fit['markers']}",
+        quantity(fit["error_mm"], "mm"),
+        quantity(one.floor_mm, "mm"),
+        _values(motion, ("down", "x", "y")),
+        _values(motion, ("tilt_x", "tilt_y", "twist")),
+        _values(motion, ("spread",)),
+    )
+
+
+def _values(motion: dict[str, list[float | None]], names: tuple[str, ...]) -> str:
+    """Components with their standard errors where they were fitted."""
+    said = []
+    for name in names:
+        value, error = motion.get(name, (None, None))
+        if value is None:
+            said.append(MISSING)
+            continue
+        said.append(f"{value:.2f} \N{PLUS-MINUS SIGN} {error:.2f}" if error else f"{value:.4g}")
+    return ", ".join(said).replace("-", MINUS) or MISSING

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from study.analysis.anova_table import Effect, SimpleEffect
-from study.analysis.assumption.variance import BartlettResult, LeveneResult
-from study.analysis.effects.verdict import MATTERS, NO_DIFFERENCE, NOT_RESOLVED
-from study.reporting.content.sizes import (
+from study.harness.design.spec import Expected
+from study.reporting.content.content_table import (
+    Table,
     bound,
     decimals,
     numerical,
@@ -19,22 +18,33 @@ from study.reporting.content.sizes import (
     size,
     size_interval,
 )
-from study.reporting.numbers import (
+from study.reporting.content.numbers import (
     MISSING,
     THIN,
+    decimals_that_count,
     level,
     p_phrase,
+    quantity,
     ratio_digits,
     rounded,
     significant,
     span,
 )
-from study.reporting.report import Facts
-from study.reporting.text import clean, count, listing, name_of, sentence, term_name
-from study.study_result.report_data import ReportData
+from study.reporting.content.report_facts import Facts, cells, practical_of
+from study.reporting.content.text import clean, count, listing, name_of, sentence, term_name
+from study.reporting.results.study_result import ReportData
+from study.statistics.analysis.anova_table import Effect, SimpleEffect
+from study.statistics.analysis.equal_variance import BartlettResult, LeveneResult
+from study.statistics.analysis.simple_effects import (
+    CANNOT_TELL,
+    MATTERS,
+    NO_DIFFERENCE,
+    NOT_RESOLVED,
+)
 
 if TYPE_CHECKING:
-    from study.analysis.unreplicated import NonAdditivityResult
+    from study.statistics.analysis.unreplicated import NonAdditivityResult
+
 
 Labels = Mapping[str, str] | None
 SpreadTest = BartlettResult | LeveneResult
@@ -46,13 +56,7 @@ PLUS_MINUS = "\u00b1"
 
 
 def verdict(effect: Effect, facts: Facts, labels: Labels = None) -> str:
-    """One sentence: what a factor does to a response, and how sure that is.
-
-    Parameters
-    ----------
-    effect, facts, labels : Effect, Facts, mapping of str to str or None
-        The verdict comes from the analysis and is said with its numbers; ``labels`` name factors.
-    """
+    """One sentence: what a factor does to a response, and how sure that is."""
     name = term_name(effect.term, labels)
     if effect.range is None:
         return sentence(f"{name}: {effect.verdict}; {effect.why or 'no effect could be estimated'}")
@@ -84,25 +88,14 @@ def verdict(effect: Effect, facts: Facts, labels: Labels = None) -> str:
 
 
 def sole_setting(effect: Effect) -> SimpleEffect | None:
-    """Return the simple effect that carries *matters* where the average does not.
-
-    Parameters
-    ----------
-    effect : Effect
-        None is returned for other verdicts, a single setting, or an average that matters too.
-    """
+    """Return the simple effect that carries *matters* where the average does not."""
     if effect.verdict != MATTERS or effect.matters_on_average or not effect.depends_on_settings:
         return None
     return effect.deciding_simple
 
 
 def told(effect: Effect) -> str:
-    """Verdict as a table says it, so that the average beside it does not contradict it.
-
-    Parameters
-    ----------
-    effect : Effect with its simple effects
-    """
+    """Verdict as a table says it, so that the average beside it does not contradict it."""
     return MATTERS_AT_SETTINGS if sole_setting(effect) else effect.verdict
 
 
@@ -135,12 +128,7 @@ def _open_setting(effect: Effect, facts: Facts, labels: Labels) -> str:
 
 
 def simple(one: SimpleEffect, effect: Effect, facts: Facts) -> str:
-    """Return a simple effect with its interval and its numerical uncertainty.
-
-    Parameters
-    ----------
-    one, effect, facts : SimpleEffect, Effect that has it, Facts of the response
-    """
+    """Return a simple effect with its interval and its numerical uncertainty."""
     number = shown_difference(one.difference, effect, facts)
     ends = one.ci_simultaneous if one.verdict == MATTERS else one.ci
     if ends is None:
@@ -153,23 +141,13 @@ def simple(one: SimpleEffect, effect: Effect, facts: Facts) -> str:
 
 
 def setting(one: SimpleEffect, labels: Labels = None) -> str:
-    """Name a setting: ``at element order linear, mesh fine``.
-
-    Parameters
-    ----------
-    one, labels : SimpleEffect, mapping of str to str (better names of factors) or None
-    """
+    """Name a setting: ``at element order linear, mesh fine``."""
     listed = ", ".join(f"{name_of(name, labels or {})} {clean(level)}" for name, level in one.at)
     return f"at {listed}" if listed else "whatever the other factors"
 
 
 def robust(effect: Effect, facts: Facts) -> str:
-    """Say whether a claim holds with any one block left out; empty where that is not known.
-
-    Parameters
-    ----------
-    effect, facts : Effect, Facts with the name of a block
-    """
+    """Say whether a claim holds with any one block left out; empty where that is not known."""
     if effect.lost_without is None:
         return ""
     block = facts.block
@@ -255,12 +233,7 @@ WHAT_IF: tuple[tuple[str, str], ...] = (
 
 
 def rejects_normality(facts: Facts, alpha: float = 0.05) -> bool:
-    """Whether Ryan-Joiner rejects: the simulated p decides, else the tabled one.
-
-    Parameters
-    ----------
-    facts, alpha : Facts (False without the test), float (size of the test)
-    """
+    """Whether Ryan-Joiner rejects: the simulated p decides, else the tabled one."""
     found = facts.assumptions.normality
     if found is None:
         return False
@@ -274,12 +247,7 @@ def rejects_normality(facts: Facts, alpha: float = 0.05) -> bool:
 
 
 def normality(facts: Facts, alpha: float = 0.05) -> str:
-    """Ryan-Joiner in one sentence: rejected, not rejected or not applicable.
-
-    Parameters
-    ----------
-    facts, alpha : Facts, float (size of the test)
-    """
+    """Ryan-Joiner in one sentence: rejected, not rejected or not applicable."""
     found = facts.assumptions.normality
     if found is None or found.rj is None:
         reason = (found and found.reason) or "there are no residuals to test"
@@ -300,33 +268,18 @@ def normality(facts: Facts, alpha: float = 0.05) -> str:
 
 
 def rejects(test: SpreadTest, alpha: float = 0.05) -> bool:
-    """Whether a test rejects; a Monte-Carlo p decides where there is one.
-
-    Parameters
-    ----------
-    test, alpha : SpreadTest (False where it does not apply), float (size of the test)
-    """
+    """Whether a test rejects; a Monte-Carlo p decides where there is one."""
     p = p_of(test)
     return p is not None and p < alpha
 
 
 def p_of(test: SpreadTest) -> float | None:
-    """Return the p of a test that decides: the Monte-Carlo one where there is one.
-
-    Parameters
-    ----------
-    test : SpreadTest; None is returned where it does not apply
-    """
+    """Return the p of a test that decides: the Monte-Carlo one where there is one."""
     return test.p if test.p_monte_carlo is None else test.p_monte_carlo
 
 
 def spread(test: str, found: SpreadTest | None, alpha: float = 0.05) -> str:
-    """Bartlett or Levene in one sentence.
-
-    Parameters
-    ----------
-    test, found, alpha : {"bartlett", "levene"}, SpreadTest or None, float (size of the test)
-    """
+    """Bartlett or Levene in one sentence."""
     title = test.capitalize()
     if found is None or found.statistic is None:
         reason = (found and found.reason) or "it was not run"
@@ -343,12 +296,7 @@ def spread(test: str, found: SpreadTest | None, alpha: float = 0.05) -> str:
 
 
 def additivity(found: NonAdditivityResult, data: ReportData) -> str:
-    """Tukey's one-degree test in one sentence.
-
-    Parameters
-    ----------
-    found, data : NonAdditivityResult, ReportData with alpha and the name of its blocks
-    """
+    """Tukey's one-degree test in one sentence."""
     rejected = found.p is not None and found.p < data.alpha
     decision = "rejected" if rejected else "not rejected"
     return (
@@ -358,13 +306,7 @@ def additivity(found: NonAdditivityResult, data: ReportData) -> str:
 
 
 def least_sphericity(facts: Facts) -> tuple[str, float] | None:
-    """Term with the smallest Greenhouse-Geisser epsilon, and that epsilon.
-
-    Parameters
-    ----------
-    facts : Facts
-        None is returned where no term has a finite epsilon and degrees of freedom.
-    """
+    """Term with the smallest Greenhouse-Geisser epsilon, and that epsilon."""
     known = {
         term: found.epsilon_gg
         for term, found in facts.assumptions.sphericity.items()
@@ -377,13 +319,7 @@ def least_sphericity(facts: Facts) -> tuple[str, float] | None:
 
 
 def sphericity(facts: Facts, labels: Labels = None) -> str:
-    """Say how far the correlations between cells are from what an uncorrected F assumes.
-
-    Parameters
-    ----------
-    facts, labels : Facts, mapping of str to str or None
-        The text is empty where no term has an epsilon; ``labels`` are better names of factors.
-    """
+    """Say how far the correlations between cells are from what an uncorrected F assumes."""
     least = least_sphericity(facts)
     if least is None:
         return ""
@@ -392,3 +328,157 @@ def sphericity(facts: Facts, labels: Labels = None) -> str:
         f"The smallest Greenhouse-Geisser epsilon is {epsilon:.2f} "
         f"({term_name(term, labels)}; 1 would be sphericity); every p is corrected by its own."
     )
+
+
+# -------------------------------------------------------------------------------------------------
+# What was expected before the study ran, beside what it found.
+
+HOLDS = "holds"
+FAILS = "does not hold"
+_OF_VERDICT = {MATTERS: HOLDS, NO_DIFFERENCE: FAILS}
+_UNKNOWN = "the study has no answer"
+
+
+def table(data: ReportData, found: Sequence[Facts]) -> Table:
+    """One row an expectation: what, by whom, what was found, and whether it came true."""
+    by_name = {facts.name: facts for facts in found}
+    rows = []
+    for item in data.expected:
+        facts = by_name.get(item.response)
+        saw, verdict = _judged(item, facts, data) if facts else (_UNKNOWN, CANNOT_TELL)
+        source = clean(item.source) or MISSING
+        rows.append((_said(item, data), source, sentence(saw), verdict))
+    columns = ("expected", "by", "found", "verdict")
+    raw = tuple(dict(zip(columns, row, strict=True)) for row in rows)
+    return Table("expected", columns, tuple(rows), 3, 1, raw=raw)
+
+
+def _said(item: Expected, data: ReportData) -> str:
+    names = [name_of(name, data.labels) for name in item.factors]
+    cells = [_cell(cell) for cell in item.cells]
+    return {
+        "matters": lambda: f"{names[0]} matters",
+        "larger": lambda: f"{names[0]} has a larger effect than {names[1]}",
+        "interact": lambda: f"{names[0]} and {names[1]} interact",
+        "best": lambda: f"{cells[0]} is the best",
+        "close": lambda: f"{cells[1]} is close to {cells[0]}",
+        "better": lambda: " is better than ".join([*cells, "the others"][:2]),
+        "fewer": lambda: " needs less than ".join([*cells, "the others"][:2]),
+    }[item.kind]()
+
+
+def _cell(cell: Mapping[str, str]) -> str:
+    return " x ".join(
+        listing([clean(label) for label in level.split("\t")]) for level in cell.values()
+    )
+
+
+def _judged(item: Expected, facts: Facts, data: ReportData) -> tuple[str, str]:
+    if item.kind in ("best", "close"):
+        return _cells(item, facts, data)
+    if item.kind in ("better", "fewer"):
+        return _directed(item, facts)
+    if item.kind == "larger":
+        return _larger([_effect_of(facts, name) for name in item.factors], facts, data)
+    effect = _effect_of(facts, *item.factors)
+    if effect is None or effect.range is None:
+        return _UNKNOWN, CANNOT_TELL
+    return _sized(effect, facts), _OF_VERDICT.get(effect.strength, CANNOT_TELL)
+
+
+def _effect_of(facts: Facts, *factors: str) -> Effect | None:
+    wanted = set(factors)
+    return next((e for e in facts.terms if set(e.term.split(":")) == wanted), None)
+
+
+def _sized(effect: Effect, facts: Facts) -> str:
+    return f"{size(effect, facts)} ({level(facts.alpha)} interval {size_interval(effect, facts)})"
+
+
+def _larger(effects: Sequence[Effect | None], facts: Facts, data: ReportData) -> tuple[str, str]:
+    """One effect is larger than another where their intervals do not overlap."""
+    known = [e for e in effects if e is not None and e.range is not None]
+    if len(known) < 2:
+        return _UNKNOWN, CANNOT_TELL
+    parts = [f"{term_name(e.term, data.labels)} {_sized(e, facts)}" for e in known]
+    (low, high), (other_low, other_high) = (_magnitudes(e) for e in known)
+    verdict = HOLDS if low > other_high else FAILS if high < other_low else CANNOT_TELL
+    return ", ".join(parts), verdict
+
+
+def _directed(item: Expected, facts: Facts) -> tuple[str, str]:
+    """Levels are better, or less, where every interval of a difference lies on that side of zero.
+
+    One interval on the other side, and the expectation does not hold.
+    """
+    factor, labels = next(iter(item.cells[0].items()))
+    effect = _effect_of(facts, factor)
+    better = facts.response.better
+    if effect is None or (item.kind == "better" and not better):
+        return _UNKNOWN, CANNOT_TELL
+    named = set(labels.split("\t"))
+    against = set(effect.levels) - named
+    if len(item.cells) > 1:
+        against = set(item.cells[1].get(factor, "").split("\t"))
+    up = item.kind == "better" and better == "higher"
+    zero = 1.0 if effect.is_ratio else 0.0
+    parts, sides = [], []
+    for pair in effect.pairs:
+        if {pair.first, pair.second} & named and {pair.first, pair.second} & against:
+            lower, upper = pair.lower, pair.upper
+            side = 1 if lower > zero else -1 if upper < zero else 0
+            sides.append(side if (pair.first in named) == up else -side)
+            ends = span(lower, upper, decimals_that_count(effect.practical))
+            parts.append(f"{clean(pair.first)} less {clean(pair.second)} {ends}")
+    if not sides:
+        return _UNKNOWN, CANNOT_TELL
+    verdict = HOLDS if set(sides) == {1} else FAILS if -1 in sides else CANNOT_TELL
+    return listing(parts), verdict
+
+
+def _magnitudes(effect: Effect) -> tuple[float, float]:
+    """Smallest and largest size of an effect within its interval."""
+    ends = [effect.range if v is None else v for v in (effect.low, effect.high)]
+    if effect.is_ratio:
+        ends = [math.log(v) if v and v > 0 else 0.0 for v in ends]
+    low, high = sorted(float(v or 0.0) for v in ends)
+    inside = low <= 0 <= high
+    return (0.0 if inside else min(abs(low), abs(high))), max(abs(low), abs(high))
+
+
+def _cells(item: Expected, facts: Facts, data: ReportData) -> tuple[str, str]:
+    """Compare means of cells with what matters."""
+    frame = cells(data, facts.name, list(item.cells[0]))
+    levels = frame[list(item.cells[0])].itertuples(index=False, name=None)
+    means = dict(zip(levels, frame["mean"].tolist(), strict=True))
+    keys = [tuple(cell.values()) for cell in item.cells]
+    if any(key not in means for key in keys):
+        return _UNKNOWN, CANNOT_TELL
+    limit = practical_of(facts, cells(data, facts.name))
+    own = _worse(means[keys[0]], facts)
+    if item.kind == "close":
+        apart = abs(means[keys[1]] - means[keys[0]])
+        verdict = CANNOT_TELL if not limit else HOLDS if apart <= limit else FAILS
+        return f"{_difference(apart, limit, facts)} apart, {_from(limit, facts)}", verdict
+    ranked = sorted(means, key=lambda key: _worse(means[key], facts))
+    told = [f"{' x '.join(key)} {quantity(means[key], facts.unit)}" for key in ranked[:3]]
+    if keys[0] not in ranked[:3]:
+        told.append(f"{_cell(item.cells[0])} {quantity(means[keys[0]], facts.unit)}")
+    behind = own - _worse(means[ranked[0]], facts)
+    verdict = HOLDS if behind == 0 else CANNOT_TELL if behind <= limit else FAILS
+    return f"{listing(told)}, {_from(limit, facts)}", verdict
+
+
+def _from(limit: float, facts: Facts) -> str:
+    if not limit:
+        return "and nobody said what matters"
+    return f"where {_difference(limit, limit, facts)} matter"
+
+
+def _worse(mean: float, facts: Facts) -> float:
+    return -mean if facts.response.better == "higher" else mean
+
+
+def _difference(value: float, limit: float, facts: Facts) -> str:
+    number = rounded(value, decimals_that_count(limit or None))
+    return f"{number}{THIN}{facts.difference_unit}" if facts.difference_unit else number

@@ -1,1 +1,1 @@
-"""Reports as files: HTML, CSV, LaTeX, PDF."""
+"""Pages, LaTeX, CSV and notebooks."""

@@ -12,27 +12,29 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from study.reporting.content import analysis_tables, glossary, methods, sentences, tables, verdicts
-from study.reporting.content.table import Table
-from study.reporting.figure import registry
-from study.reporting.figure.registry import Drawn, Figure, make, slug
-from study.reporting.figure.residuals import residual_plots
-from study.reporting.numbers import p_phrase
+from study.reporting.content import analysis_content, methods, sentences, tables, verdicts
+from study.reporting.content.content_table import Table
+from study.reporting.content.numbers import p_phrase
+from study.reporting.content.report_facts import Facts, facts
+from study.reporting.content.text import clean, count, listing, sentence, term_name
+from study.reporting.figures import registry, residual_figures
+from study.reporting.figures.registry import Drawn, Figure, make, slug
 from study.reporting.output import page, write
-from study.reporting.output.files import data_folder, replace_file
-from study.reporting.output.latex import document as latex_document
-from study.reporting.report import Facts, facts
-from study.reporting.text import clean, count, listing, sentence, term_name
+from study.reporting.output.page import _environment, data_folder, replace_file
+from study.reporting.output.write import document as latex_document
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.analysis.effects.comparisons import Comparisons
-    from study.analysis.post_hoc.coefficients import CoefficientTable
-    from study.analysis.post_hoc.pairwise import PairwiseDifference
-    from study.analysis.post_hoc.unusual_observations import UnusualObservations
-    from study.analysis.result import AnalysisResult
-    from study.study_result.report_data import ReportData
+    from study.reporting.results.study_result import ReportData
+    from study.statistics.analysis.analysis_result import AnalysisResult
+    from study.statistics.analysis.comparisons import Comparisons
+    from study.statistics.analysis.post_hoc import (
+        CoefficientTable,
+        PairwiseDifference,
+        UnusualObservations,
+    )
+
 
 #: Cells beyond which their spreads, and rows beyond which their values, are not drawn one by one.
 MOST_CELLS = 60
@@ -41,43 +43,24 @@ MOST_ROWS_DRAWN = 2000
 
 @dataclass(frozen=True)
 class AnalysisReport:
-    """One analysis of a table and everything that its page shows.
-
-    Parameters
-    ----------
-    found : AnalysisResult
-        The analysis.
-    data : ReportData
-        Name, factors, rows and the one response.
-    coefficients : CoefficientTable
-        Of the fitted model.
-    pairs : tuple of PairwiseDifference
-        All pairs of levels of every factor.
-    unusual : UnusualObservations or None
-        Rows that the fit describes badly or leans on.
-    rows : DataFrame or None
-        Every row with fit, residuals, leverage and Cook's distance.
-    reference : (str, Comparisons) or None
-        A factor whose levels are compared with one of them.
-    """
+    """One analysis of a table and everything that its page shows."""
 
     found: AnalysisResult
+    #: Name, factors, rows and the one response.
     data: ReportData
     coefficients: CoefficientTable
+    #: All pairs of levels of every factor.
     pairs: tuple[PairwiseDifference, ...]
+    #: Rows that the fit describes badly or leans on.
     unusual: UnusualObservations | None
+    #: Every row with fit, residuals, leverage and Cook's distance.
     rows: pd.DataFrame | None
+    #: A factor whose levels are compared with one of them.
     reference: tuple[str, Comparisons] | None = None
 
 
 def prepare(report: AnalysisReport) -> page.Contents:
-    """Compute every sentence, table and figure of the page.
-
-    Parameters
-    ----------
-    report : AnalysisReport
-        Its data hold one response.
-    """
+    """Compute every sentence, table and figure of the page."""
     (item,) = facts(report.data)
     figures = _figures(report, item)
     section = page.Section(
@@ -104,19 +87,19 @@ def _tables(report: AnalysisReport, item: Facts) -> dict[str, Table]:
     known: dict[str, Table | None] = {"verdicts": tables.verdicts((item,), data)}
     if found.anova.rows:
         known |= {
-            "anova": analysis_tables.analysis_of_variance(found),
-            "summary": analysis_tables.model_summary(found),
-            "coefficients": analysis_tables.coefficients(report.coefficients, item),
-            "means": analysis_tables.means(item, data),
-            "simple": analysis_tables.simple_effects(item, data),
-            "contrasts": analysis_tables.contrasts(item),
-            "pairs": analysis_tables.pairwise(report.pairs, item, data),
-            "checks": analysis_tables.checks(found),
-            "unusual": analysis_tables.unusual(report.unusual),
-            "robustness": analysis_tables.robustness(found, data),
+            "anova": analysis_content.analysis_of_variance(found),
+            "summary": analysis_content.model_summary(found),
+            "coefficients": analysis_content.coefficients(report.coefficients, item),
+            "means": analysis_content.means(item, data),
+            "simple": analysis_content.simple_effects(item, data),
+            "contrasts": analysis_content.contrasts(item),
+            "pairs": analysis_content.pairwise(report.pairs, item, data),
+            "checks": analysis_content.checks(found),
+            "unusual": analysis_content.unusual(report.unusual),
+            "robustness": analysis_content.robustness(found, data),
         }
     if report.reference is not None:
-        known["reference"] = analysis_tables.against_reference(*report.reference, data)
+        known["reference"] = analysis_content.against_reference(*report.reference, data)
     return {name: table for name, table in known.items() if table is not None}
 
 
@@ -131,7 +114,7 @@ def _figures(report: AnalysisReport, item: Facts) -> dict[str, Figure]:
     drawn = registry.of_response(data, item, without)
     if report.rows is None or not item.terms:
         return drawn
-    points = residual_plots.residual_points(report.rows)
+    points = residual_figures.residual_points(report.rows)
     limit = None if report.unusual is None else report.unusual.cook_limit
     stem = slug(item.name)
     makers: Mapping[str, tuple[str, Callable[[], Drawn]]] = {
@@ -146,40 +129,27 @@ def _figures(report: AnalysisReport, item: Facts) -> dict[str, Figure]:
 
 
 def _four_in_one(points: pd.DataFrame, item: Facts, data: ReportData) -> Drawn:
-    caption = residual_plots.four_in_one_caption(points, item, data.alpha)
-    return points, lambda: residual_plots.draw_four_in_one(points, item, data), caption
+    caption = residual_figures.four_in_one_caption(points, item, data.alpha)
+    return points, lambda: residual_figures.draw_four_in_one(points, item, data), caption
 
 
 def _factors(points: pd.DataFrame, item: Facts, data: ReportData) -> Drawn:
     frame = points[[*data.factors, "residual"]]
     caption = sentence(
         "a level whose residuals scatter more has the larger variance"
-        + residual_plots.drawn_words(points)
+        + residual_figures.drawn_words(points)
     )
-    return frame, lambda: residual_plots.draw_against_factors(points, item, data), caption
+    return frame, lambda: residual_figures.draw_against_factors(points, item, data), caption
 
 
 def _influence(points: pd.DataFrame, data: ReportData, limit: float | None) -> Drawn:
     frame = points[["row", "leverage", "cook", "standardized", "press"]]
-    caption = residual_plots.influence_caption(points, limit)
-    return frame, lambda: residual_plots.draw_influence(points, data, limit), caption
+    caption = residual_figures.influence_caption(points, limit)
+    return frame, lambda: residual_figures.draw_influence(points, data, limit), caption
 
 
 def answer(report: AnalysisReport, item: Facts) -> tuple[str, ...]:
-    """Answer first: verdicts where a smallest difference that matters was given, else tests.
-
-    Parameters
-    ----------
-    report : AnalysisReport
-        For the shown names and roles of its factors.
-    item : Facts
-        The response.
-
-    Returns
-    -------
-    tuple of str
-        Sentences; why nothing was analyzed where that is so.
-    """
+    """Answer first: verdicts where a smallest difference that matters was given, else tests."""
     if not item.terms:
         return tuple(sentence(clean(note)) for note in item.warnings) or ("Nothing to analyze.",)
     if any(effect.practical is not None for effect in item.effects):
@@ -217,15 +187,7 @@ def _below(p: float | None, item: Facts) -> bool:
 
 
 def render(report: AnalysisReport, contents: page.Contents) -> str:
-    """Return the HTML of computed contents.
-
-    Parameters
-    ----------
-    report : AnalysisReport
-        What the page shows.
-    contents : Contents
-        By :func:`prepare`.
-    """
+    """Return the HTML of computed contents."""
     (item,) = contents.found
     data = contents.data
     text: str = page._environment().get_template("analysis.html.j2").render(
@@ -239,7 +201,7 @@ def render(report: AnalysisReport, contents: page.Contents) -> str:
         verdict_groups=page._groups(contents.tables["verdicts"]),
         methods=_methods(contents),
         what_if=verdicts.WHAT_IF,
-        glossary=glossary.TERMS,
+        glossary=methods.TERMS,
         warnings=_warnings(report),
         own_interactions=any(row.p_gg is not None for row in report.found.anova.rows),
         provenance=page._provenance(data),
@@ -274,25 +236,6 @@ def write_analysis(
     The page is ``<table>-<response>.html``; ``<table>-<response>-data/`` holds the CSV of every
     table and figure, every figure as SVG, ``rows.csv`` (every row with fit, residual, leverage)
     and ``numbers.json``, the document of ``study analyze --json``.
-
-    Parameters
-    ----------
-    report : AnalysisReport
-        What the page shows.
-    out_dir : str or Path
-        Made where it is missing.
-    formats : sequence of {"html", "csv", "tex", "pdf"}
-        As for a study's report.
-
-    Returns
-    -------
-    Path
-        The page, or what was asked for first.
-
-    Raises
-    ------
-    InputError
-        For an unknown format, or ``pdf`` without a browser (before anything is written).
     """
     asked = write.checked_formats(formats)
     folder = Path(out_dir)
@@ -332,3 +275,41 @@ def _write_data(report: AnalysisReport, contents: page.Contents, beside: Path) -
             replace_file(beside / f"figure-{figure.name}.csv", write.of_frame(figure.data))
         if figure.svg:
             replace_file(beside / f"figure-{figure.name}.svg", figure.svg + "\n")
+
+
+# -------------------------------------------------------------------------------------------------
+# The page of a verb about one thing: answer, figures, tables, warnings, data beside it.
+
+
+@dataclass(frozen=True)
+class AnswerPage:
+    """What a page of one answer shows."""
+
+    #: What it is about, for example ``mesh convergence``.
+    kind: str
+    stem: str
+    #: Of what was asked; as the user wrote them.
+    name: str
+    question: str
+    answer: Sequence[str]
+    figures: Sequence[Figure]
+    tables: Sequence[Table]
+    warnings: Sequence[str] = ()
+
+
+def write_answer(page: AnswerPage, out_dir: str | Path) -> Path:
+    """Write a page, and the CSV of its figures and tables in a folder beside it."""
+    folder = Path(out_dir)
+    stem = f"{slug(page.name)}-{page.stem}"
+    beside = data_folder(folder, stem)
+    for figure in page.figures:
+        if figure.data is not None:
+            replace_file(beside / f"figure-{figure.name}.csv", write.of_frame(figure.data))
+    for table in page.tables:
+        replace_file(beside / f"table-{slug(table.name)}.csv", write.of_records(table.raw))
+    text = _environment().get_template("answer.html.j2").render(
+        kind=page.kind, name=clean(page.name), question=clean(page.question), answer=page.answer,
+        figures=page.figures, tables=page.tables, warnings=page.warnings,
+    )  # fmt: skip
+    replace_file(folder / f"{stem}.html", clean(text))
+    return folder / f"{stem}.html"

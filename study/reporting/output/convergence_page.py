@@ -10,16 +10,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from study.arrays import Array, Ints
-from study.reporting.content.table import Table
-from study.reporting.figure import convergence
-from study.reporting.figure.registry import Drawn, Figure, make
-from study.reporting.numbers import MISSING, quantity, significant
-from study.reporting.output.answer_page import AnswerPage, write_answer
-from study.reporting.text import clean, name_of, sentence
+from study.ground.arrays import Array, Ints
+from study.reporting.content.content_table import Table
+from study.reporting.content.numbers import MISSING, quantity, significant
+from study.reporting.content.text import clean, name_of, sentence
+from study.reporting.figures import convergence_figures as convergence
+from study.reporting.figures.registry import Drawn, Figure, make
+from study.reporting.output.analysis_page import AnswerPage, write_answer
 
 if TYPE_CHECKING:
-    from study.reporting.figure.convergence import Document
+    from study.reporting.figures.convergence_figures import Document
+
 
 #: Parts of a value below this are written as "less than".
 SMALLEST_PART = 1e-5
@@ -36,23 +37,7 @@ def write_convergence(
 ) -> Path:
     """Write the page of a convergence document, with the data of its figures beside it.
 
-    Parameters
-    ----------
-    name, question : str
-        Of the study or problem; as the user wrote them.
-    document : mapping
-        Of ``study converge --json``: one series, or ``cells`` and ``fronts``.
-    out_dir : str or Path
-        Made where it is missing.
-    meshes : sequence of (label, points, cells)
-        Plane meshes to be shown side by side.
-    window : array_like, shape (2, 2), optional
-        What part of them, in mm.
-
-    Returns
-    -------
-    Path
-        The page.
+    Shapes: window (2, 2), mm.
     """
     cells = list(document.get("cells", [document]))
     figures = convergence_figures(cells, document.get("fronts", ()), meshes, window)
@@ -70,17 +55,7 @@ def convergence_figures(
     meshes: Meshes = (),
     window: ArrayLike | None = None,
 ) -> list[Figure]:
-    """Value against size, error against size, error against seconds, meshes.
-
-    Parameters
-    ----------
-    cells : sequence of mapping
-        Series as ``study converge --json`` gives them; one of a single mesh is not drawn.
-    fronts : sequence of mapping
-        Error against cost of cells that differ in their discretization alone.
-    meshes, window : sequence, array_like
-        As for :func:`write_convergence`; the window is not needed without meshes.
-    """
+    """Value against size, error against size, error against seconds, meshes."""
     shown = [cell for cell in cells if len(cell.get("value", ())) > 1]
     found = []
     if shown:
@@ -123,15 +98,7 @@ def _meshes(meshes: Meshes, window: ArrayLike | None) -> Drawn:
 
 
 def answers(cells: Sequence[Document], document: Document) -> list[str]:
-    """Say in a few sentences what was found.
-
-    Parameters
-    ----------
-    cells : sequence of mapping
-        Series as ``study converge --json`` gives them.
-    document : mapping
-        The whole document, for the answers of its ``fronts``.
-    """
+    """Say in a few sentences what was found."""
     lines = [sentence(front["answer"]) for front in document.get("fronts", ())]
     for cell in cells[:1] if len(cells) == 1 else ():
         lines.append(sentence(clean(cell["verdict"])))
@@ -150,13 +117,7 @@ def answers(cells: Sequence[Document], document: Document) -> list[str]:
 
 
 def formal_orders(cells: Sequence[Document]) -> list[str]:
-    """Say which order is to be expected, and why, once for every reason.
-
-    Parameters
-    ----------
-    cells : sequence of mapping
-        Series; one without a formal order, or a reason for it, is passed over.
-    """
+    """Say which order is to be expected, and why, once for every reason."""
     known = [
         (float(cell["formal_order"]), str(cell["formal_reason"]))
         for cell in cells
@@ -166,13 +127,7 @@ def formal_orders(cells: Sequence[Document]) -> list[str]:
 
 
 def series_table(cells: Sequence[Document]) -> Table:
-    """Every quantity of every cell: behavior, order, limit, uncertainty.
-
-    Parameters
-    ----------
-    cells : sequence of mapping
-        Series with their ``quantities``, or of one quantity; values are finest mesh first.
-    """
+    """Every quantity of every cell: behavior, order, limit, uncertainty."""
     rows, raw = [], []
     for cell in cells:
         for name, q in (cell.get("quantities") or {cell["qoi"]: cell}).items():
@@ -202,18 +157,7 @@ def series_table(cells: Sequence[Document]) -> Table:
 
 
 def sources_tables(cells: Sequence[Document]) -> list[Table]:
-    """One table of mesh, load steps and solver tolerance for all cells that have it.
-
-    Parameters
-    ----------
-    cells : sequence of mapping
-        Series, of which some have ``sources``.
-
-    Returns
-    -------
-    list of Table
-        Empty where none has.
-    """
+    """One table of mesh, load steps and solver tolerance for all cells that have it."""
     rows, raw = [], []
     for cell in cells:
         for row in cell.get("sources") or ():
@@ -230,13 +174,7 @@ def sources_tables(cells: Sequence[Document]) -> list[Table]:
 
 
 def part_of_value(share: float | None) -> str:
-    """Write an error as a part of the value; what no one can measure is only said to be small.
-
-    Parameters
-    ----------
-    share : float or None
-        Uncertainty over the value (0.01 is 1 %); None where it is not known.
-    """
+    """Write an error as a part of the value; what no one can measure is only said to be small."""
     if share is not None and 0 < share < SMALLEST_PART:
         return "< " + quantity(100 * SMALLEST_PART, "%", 1)
     return quantity(None if share is None else 100 * share, "%", 2)

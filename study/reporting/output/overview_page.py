@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from study.reporting.content.text import clean
 from study.reporting.output.page import _environment, policy_hash
-from study.reporting.text import clean
 
 if TYPE_CHECKING:
     from markupsafe import Markup

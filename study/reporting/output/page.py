@@ -2,42 +2,47 @@
 
 from __future__ import annotations
 
+import gzip
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+from study.harness.record.atomic_files import write_atomic
+from study.harness.record.folder import own_folder
 from study.reporting.content import (
-    analysis_tables,
-    checks,
-    comparison,
-    glossary,
-    hypotheses,
+    analysis_content,
+    comparison_content,
     methods,
     recommendation,
     sentences,
+    surface_content,
     tables,
     verdicts,
 )
-from study.reporting.content.cases import case_records, failed_cases, fit_tables, marker_tables
-from study.reporting.content.surfaces import response_surface, uncertainty
-from study.reporting.content.table import Table
+from study.reporting.content import tables as case_records
+from study.reporting.content import tables as failed_cases
+from study.reporting.content import tables as fit_tables
+from study.reporting.content import tables as marker_tables
+from study.reporting.content import verdicts as hypotheses
+from study.reporting.content.content_table import Table
+from study.reporting.content.numbers import duration
+from study.reporting.content.report_facts import Facts, facts, grouped_inputs
+from study.reporting.content.text import clean, count, folded, name_of, plural_of, sentence
 from study.reporting.content.verdicts import verdict
-from study.reporting.figure import registry, validation
-from study.reporting.figure import response_surface as surface_figures
-from study.reporting.figure.registry import Figure
-from study.reporting.numbers import duration
-from study.reporting.report import Facts, facts, grouped_inputs
-from study.reporting.text import clean, count, folded, name_of, plural_of, sentence
-from study.study_result.report_data import FITTED_CURVE, ReportData, ResponseAnalysis
+from study.reporting.figures import convergence_figures, registry, surface_figures
+from study.reporting.figures.registry import Figure
+from study.reporting.results.study_result import FITTED_CURVE, ReportData, ResponseAnalysis
 
 if TYPE_CHECKING:
     from jinja2 import Environment
     from markupsafe import Markup
 
-    from study.execution.worker import Worker
-    from study.study_result.response_surface import FittedSurface
+    from study.harness.execution.local import Worker
+    from study.statistics.surfaces.surface_profile import FittedSurface
+
 
 _VERSION = "version of "
 
@@ -93,14 +98,7 @@ class Contents:
 
 
 def prepare(data: ReportData, worker: Worker | None = None) -> Contents:
-    """Compute every sentence, table and figure of a report.
-
-    Parameters
-    ----------
-    data : ReportData
-    worker : Worker, optional
-        Process that draws the figures of the whole study beside those of its responses.
-    """
+    """Compute every sentence, table and figure of a report."""
     of_study = partial(registry.of_study, data)
     figures = of_study if worker is None else worker.begin(of_study)
     found = facts(data)
@@ -118,10 +116,10 @@ def prepare(data: ReportData, worker: Worker | None = None) -> Contents:
     if data.expected:
         known["expected"] = hypotheses.table(data, found)
     if data.validation:
-        known["validation"] = validation.table(data.validation, data.block)
+        known["validation"] = convergence_figures.table(data.validation, data.block)
     if data.beside is not None:
-        known["beside"] = comparison.table(data.beside, data.labels)
-        known["changes"] = comparison.changes(data.beside)
+        known["beside"] = comparison_content.table(data.beside, data.labels)
+        known["changes"] = comparison_content.changes(data.beside)
     if data.failures:
         known["failures"] = tables.failures(data)
     if data.retried:
@@ -141,16 +139,16 @@ def prepare(data: ReportData, worker: Worker | None = None) -> Contents:
 
 
 def _surface(data: ReportData, one: FittedSurface) -> SurfaceSection:
-    named = response_surface.title(one, data)
+    named = surface_content.title(one, data)
     stem = f"surface-{registry.slug(named)}"
     return SurfaceSection(
         one,
         named,
         stem,
-        response_surface.lines(one, data),
-        response_surface.sensitivity(one, data),
-        response_surface.coefficients(one, data),
-        uncertainty.table(one, data),
+        surface_content.surface_lines(one, data),
+        surface_content.sensitivity(one, data),
+        surface_content.coefficients(one, data),
+        surface_content.table(one, data),
         {
             kind: registry.make(f"{stem}-{kind}", f"{words}: {named}", maker)
             for kind, (words, maker) in surface_figures.drawings(one, data).items()
@@ -165,7 +163,7 @@ def _section(data: ReportData, item: Facts) -> Section:
         facts=item,
         anchor=f"r-{registry.slug(item.name)}",
         verdicts=tuple(verdict(effect, item, data.labels) for effect in judged),
-        contrasts=analysis_tables.contrasts(item),
+        contrasts=analysis_content.contrasts(item),
         anova=tables.anova(item, data) if item.rows else None,
         strata=strata if strata is not None and strata.rows else None,
         figures=registry.of_response(data, item),
@@ -204,23 +202,12 @@ def build(context: ReportData) -> str:
     Nothing is loaded from anywhere: styles and drawings are inline, and the content security
     policy allows no script but the one that sorts tables, by its hash. Every text that came from a
     user is escaped by the templates.
-
-    Parameters
-    ----------
-    context : ReportData
-        Everything that the report shows.
     """
     return render(prepare(context))
 
 
 def render(contents: Contents) -> str:
-    """Return the HTML of computed contents.
-
-    Parameters
-    ----------
-    contents : Contents
-        By :func:`prepare`.
-    """
+    """Return the HTML of computed contents."""
     environment = _environment()
     data = contents.data
     script = table_script()
@@ -233,11 +220,11 @@ def render(contents: Contents) -> str:
         partial=sentences.partial(data),
         answer=(
             *sentences.answer(data, contents.found),
-            *comparison.answer_lines(data.beside, data.labels),
+            *comparison_content.answer_lines(data.beside, data.labels),
         ),
         would_change=recommendation.would_change(data, contents.found),
-        checks=checks.grouped(checks.all_checks(data, contents.found)),
-        controls=checks.grouped(data.controls),
+        checks=analysis_content.grouped(analysis_content.all_checks(data, contents.found)),
+        controls=analysis_content.grouped(data.controls),
         error_terms=sentences.error_terms(data, contents.found),
         virtual=sentences.VIRTUAL if data.virtual and contents.found else "",
         inputs=grouped_inputs(data.inputs),
@@ -247,13 +234,13 @@ def render(contents: Contents) -> str:
         retried=failed_cases.retried_sentence(data.retried),
         failure_pattern=()
         if data.failure_pattern is None
-        else failed_cases.sentences(data.failure_pattern, data.labels),
+        else failed_cases.failure_sentences(data.failure_pattern, data.labels),
         warnings=_warnings(contents),
         verdict_groups=_groups(contents.tables["verdicts"]),
         sections={section.facts.title: section.anchor for section in contents.sections},
-        glossary=glossary.TERMS,
+        glossary=methods.TERMS,
         what_if=verdicts.WHAT_IF,
-        two=comparison,
+        two=comparison_content,
         provenance=_provenance(data),
         total_time=sum(data.timings.values()),
     )
@@ -273,13 +260,7 @@ def table_script() -> Markup:
 
 
 def policy_hash(script: str) -> str:
-    """Return the source expression (``sha256-`` and digest) that lets a page run this script alone.
-
-    Parameters
-    ----------
-    script : str
-        Text between the tags.
-    """
+    """Source expression (``sha256-`` and digest) that lets a page run this script alone."""
     import base64
     import hashlib
 
@@ -338,7 +319,7 @@ def _environment() -> Environment:
     environment.filters["sentence"] = sentence
     environment.filters["sub"] = _subscripts
     environment.filters["term"] = _heading
-    environment.filters["gloss"] = glossary.glossed
+    environment.filters["gloss"] = methods.glossed
     environment.globals["groups"] = _groups
     environment.globals["plural_of"] = plural_of
     environment.globals["response_note"] = response_note
@@ -356,7 +337,7 @@ def _subscripts(text: str) -> Markup:
 
 def _heading(text: str) -> Markup:
     """Heading of a column, explained where the glossary holds it."""
-    return glossary.explained(text) if text in glossary.TERMS else _subscripts(text)
+    return methods.explained(text) if text in methods.TERMS else _subscripts(text)
 
 
 def _drawing(figure: Figure) -> Markup:
@@ -366,13 +347,7 @@ def _drawing(figure: Figure) -> Markup:
 
 
 def response_note(response: ResponseAnalysis) -> str:
-    """Say what was declared of a response: its unit, what matters, how it is analyzed.
-
-    Parameters
-    ----------
-    response : ResponseAnalysis
-        What the study file says of it; its analysis is not read.
-    """
+    """Say what was declared of a response: its unit, what matters, how it is analyzed."""
     parts = [response.unit] if response.unit else []
     if response.practical is not None:
         if response.relative:
@@ -391,3 +366,32 @@ def response_note(response: ResponseAnalysis) -> str:
     if response.better:
         parts.append(f"{response.better} is better")
     return "; ".join(parts)
+
+
+# -------------------------------------------------------------------------------------------------
+# Files of a report: each replaced whole, none outside the folder it was asked for.
+#
+# A project may come from others, with links in it that lead elsewhere. The folder that the user
+# names may be a link; what the program puts below it may not lead out again.
+
+
+def data_folder(folder: Path, stem: str) -> Path:
+    """Make the folder for what a page was drawn from, beside the page."""
+    beside = own_folder(folder, f"{stem}-data")
+    beside.mkdir(parents=True, exist_ok=True)
+    return beside
+
+
+def replace_file(path: Path, text: str) -> None:
+    """Write a text beside, then rename: a reader never sees half a file."""
+    replace_bytes(path, text.encode())
+
+
+def replace_packed(path: Path, text: str) -> None:
+    """Write a gzip file, the same bytes for the same text."""
+    replace_bytes(path, gzip.compress(text.encode(), 6, mtime=0))
+
+
+def replace_bytes(path: Path, data: bytes) -> None:
+    """Write the bytes of a file beside, then rename; see :func:`replace_file`."""
+    write_atomic(path, data, flush=False)

@@ -19,11 +19,10 @@ import pandas as pd
 import pytest
 
 from study import api
-from study.api.server.request import StudyServer
-from study.api.server.states import Folders
-from study.api.statistics.surface.surface_report import write_surface_page
-from study.api.statistics.table_report import Source
-from study.record.store import Store
+from study.api.analyzing import Source
+from study.api.fitting_surfaces import write_surface_page
+from study.api.serving import Folders, StudyServer
+from study.harness.record.store import Store
 from study.reporting.output import write
 from tests.cli.small import PROBLEM
 from tests.cli.test_labels_and_numbers import table as mixed_table

@@ -12,7 +12,7 @@ import pytest
 
 from study.reporting.output import write
 from study.reporting.output.page import build
-from study.study_result.report_data import ReportData
+from study.reporting.results.study_result import ReportData
 from tests.reporting.browser.devtools import Browser, running
 from tests.reporting.test_page import hostile
 

@@ -13,9 +13,8 @@ from pathlib import Path
 import pytest
 
 from study import api
-from study.api.server.request import StudyServer
-from study.api.server.states import Folders
-from study.record.store import Store
+from study.api.serving import Folders, StudyServer
+from study.harness.record.store import Store
 from study.reporting.output import write
 from tests.cli.small import DESIGN, write_files
 from tests.reporting.browser.devtools import Browser, running

@@ -1,1 +1,0 @@
-"""Statistics: the error term first, then tables, effects, assumptions and convergence."""

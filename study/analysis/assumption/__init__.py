@@ -1,1 +1,0 @@
-"""Assumptions of the analysis: residuals, normality, equal variances, robustness, missing cases."""

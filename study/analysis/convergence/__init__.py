@@ -1,1 +1,0 @@
-"""Mesh convergence: observed order, Richardson extrapolation, grid convergence index."""

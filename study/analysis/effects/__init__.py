@@ -1,1 +1,0 @@
-"""Effects of factors: estimates, comparisons of levels, power."""

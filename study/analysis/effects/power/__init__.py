@@ -1,1 +1,0 @@
-"""What a planned number of blocks or runs can show."""

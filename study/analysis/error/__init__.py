@@ -1,1 +1,0 @@
-"""Error terms: which variation an effect is compared with."""

@@ -1,1 +1,0 @@
-"""The linear model of a table: columns, sums of squares, residuals, influence."""

@@ -1,1 +1,0 @@
-"""Verbs that compare with an instrument: a tracker, a scanned surface."""

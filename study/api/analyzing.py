@@ -1,0 +1,686 @@
+"""The verb analyze: a study, a table or a file in, an analysis out."""
+
+from __future__ import annotations
+
+import platform
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import TYPE_CHECKING, TypedDict, Unpack, cast
+
+import numpy as np
+
+import study
+from study import api
+from study.api.records import effects_of_records, rows_for, specimens_of
+from study.api.uncertainty import numerical_bound
+from study.ground.bounded_file import sha256_of
+from study.ground.curve import Curve
+from study.ground.errors import Fault, InputError, StudyError, nearest
+from study.ground.tabular import NUMBER, names_of, read_tidy_csv
+from study.harness.design.study_file import SCORED
+from study.harness.runner.expansion import held_out
+from study.harness.runner.response import CURVE_RESPONSES
+from study.reporting.content.report_facts import facts
+from study.reporting.figures.effect_figures import shown_effect_sizes
+from study.reporting.output.analysis_page import AnalysisReport, write_analysis
+from study.reporting.output.notebook import Shown
+from study.reporting.results.study_result import (
+    FITTED_CURVE,
+    OTHER_SPECIMEN,
+    OTHER_TEST,
+    DepthEffect,
+    ReportData,
+    ResponseAnalysis,
+)
+from study.statistics.analysis.analysis_result import AnalysisResult
+from study.statistics.analysis.anova import anova
+from study.statistics.analysis.comparisons import (
+    Comparisons,
+    FamilyTest,
+    blocked_dunnett,
+    dunnett,
+    response_family,
+    study_family,
+)
+from study.statistics.analysis.mixed_model import MixedModel, mixed_model, random_terms
+from study.statistics.analysis.post_hoc import (
+    coefficient_table,
+    diagnosed_rows,
+    dunnett_of_model,
+    pairwise,
+    unusual_observations,
+)
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from study.harness.design.spec import Design, Response
+    from study.harness.design.study_file import Analysis as analysis_Analysis
+    from study.harness.record.record import Record
+    from study.reporting.figures.axes import Drawing
+    from study.reporting.results.study_result import StudyResult
+    from study.statistics.analysis.analysis_request import AnovaOptions, Practical
+    from study.statistics.analysis.linear_model import Model
+    from study.statistics.convergence.contrast_bound import NumericalBound
+
+
+# -------------------------------------------------------------------------------------------------
+# Levels of a factor compared with one of them.
+
+
+def against_reference(found: AnalysisResult, level: str) -> tuple[str, Comparisons]:
+    """Compare all levels of a factor with one of them (Dunnett 1955)."""
+    named, _, wanted = level.rpartition("=")
+    levels = {e.term: e.levels for e in found.effects if e.term in found.request.factors}
+    holding = [f for f, own in levels.items() if wanted in own and named in ("", f)]
+    if len(holding) != 1:
+        every = [name for own in levels.values() for name in own]
+        rule = "is a level of several factors" if holding else "is no level of a factor"
+        mend = f"write {holding[0]}={wanted}" if holding else nearest(wanted, every)
+        raise InputError(Fault("--reference", f"{wanted!r} {rule}", mend))
+    factor = holding[0]
+    effect, row = found.effect(factor), found.anova.row(factor)
+    alpha, seed = found.request.alpha, found.request.seed
+    if row.error == "residual" and row.df_error and effect.pairs:
+        return factor, dunnett_of_model(effect, wanted, row.df_error, alpha, seed)
+    compared = _of_rows(found, factor, wanted)
+    return factor, compared.as_ratios() if found.request.scale.is_log else compared
+
+
+def _of_rows(found: AnalysisResult, factor: str, reference: str) -> Comparisons:
+    """Compare levels by their rows, or by their means in each block, on the analyzed scale."""
+    alpha, seed = found.request.alpha, found.request.seed
+    rows = found.data.residuals
+    if found.request.scale.is_log:
+        rows = rows.assign(response=np.log(rows["response"]))
+    if found.data.block is None:
+        groups = {str(k): g["response"].to_numpy() for k, g in rows.groupby(factor, sort=False)}
+        return dunnett(groups, reference, alpha=alpha, seed=seed)
+    means = rows.pivot_table("response", "block", factor, sort=False).dropna()
+    by_level = {str(name): means[name].to_numpy() for name in means.columns}
+    return blocked_dunnett(by_level, reference, alpha=alpha, seed=seed)
+
+
+# -------------------------------------------------------------------------------------------------
+# Write the page of one analysis: of a CSV, a table, or a study's records.
+
+#: Names that the rows of an analysis have for themselves.
+TAKEN = frozenset(
+    ("row", "cell", "representative", "response", "block", "fitted", "residual", "leverage", "cook",
+     "standardized", "press", "score", "case_id", "status", "seconds", "mean", "n", "y", "factor",
+     "level", "other", "other_level", "place", "number")
+)  # fmt: skip
+_PACKAGES = ("numpy", "scipy", "pandas", "statsmodels")
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where the rows of an analysis come from, and how it was asked for."""
+
+    #: The CSV; None for a table in memory.
+    path: Path | None = None
+    #: What the command line was given: ``{"--response": "life"}``.
+    flags: Mapping[str, str] = field(default_factory=dict)
+    #: Differences that were asked for by name.
+    contrasts: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Name of the table."""
+        return "table" if self.path is None else self.path.name.split(".")[0] or "table"
+
+    def digest(self) -> str | None:
+        """Sha256 of the file."""
+        return None if self.path is None else sha256_of(self.path)
+
+    def commands(self) -> tuple[str, ...]:
+        """Lines that check the file and make the analysis again; none for a table in memory."""
+        if self.path is None:
+            return ()
+        check = f"{self.digest()}  {self.path}"
+        given = [word for flag, value in self.flags.items() if value for word in (flag, value)]
+        asked = [word for text in self.contrasts for word in ("--contrast", text)]
+        again = ["study", "analyze", str(self.path), *given, *asked]
+        return (f"echo {shlex.quote(check)} | sha256sum --check", shlex.join(again))
+
+
+def write_page(
+    found: AnalysisResult,
+    out_dir: str | Path,
+    *,
+    source: Source | None = None,
+    reference: str | None = None,
+    formats: Sequence[str] = ("html",),
+) -> Path:
+    """Write the page of an analysis, with the CSV of its tables and figures beside it."""
+    check_taken(found.request.factors)
+    given = source or Source()
+    report = AnalysisReport(
+        found,
+        report_data(found, given),
+        coefficient_table(found),
+        pairwise(found),
+        unusual_observations(found),
+        diagnosed_rows(found),
+        None if reference is None else against_reference(found, reference),
+    )
+    return write_analysis(report, out_dir, formats)
+
+
+def check_taken(factors: Sequence[str]) -> None:
+    """Refuse factors with a name that the rows of a report have for themselves."""
+    taken = [name for name in factors if name in TAKEN]
+    if taken:
+        rule = "is a name that the report needs for a column of its own"
+        mend = "rename the column, say to the quantity that it holds"
+        raise InputError([Fault(f"column {name!r}", rule, mend) for name in taken])
+
+
+def report_data(found: AnalysisResult, source: Source) -> ReportData:
+    """Gather what a report shows of one analysis: levels, rows, provenance."""
+    request = found.request
+    rows = found.data.residuals
+    block = found.data.block
+    labels = {name: name for name in (request.response, *request.factors)}
+    return ReportData(
+        name=source.name,
+        question=_question(found),
+        factors=_levels(found),
+        table=_report_table(found),
+        responses=(
+            ResponseAnalysis(
+                request.response,
+                "",
+                found,
+                practical=None
+                if request.scale.practical is None
+                else request.scale.practical.value,
+                relative=bool(request.scale.practical and request.scale.practical.relative),
+                transform=request.scale.transform,
+                title=request.response,
+            ),
+        ),
+        block=block or "",
+        blocks=() if block is None else tuple(rows["block"].astype(str).unique()),
+        citation="" if source.path is None else source.path.name,
+        seed=request.seed,
+        alpha=request.alpha,
+        provenance=provenance(source),
+        commands=source.commands(),
+        scheme=f"a table of {len(rows):,} rows was analyzed",
+        cells=len(found.data.cell_means),
+        labels=labels,
+    )
+
+
+def _question(found: AnalysisResult) -> str:
+    named = ", ".join(found.request.factors)
+    return f"What does {found.request.response} depend on: {named}?"
+
+
+def _levels(found: AnalysisResult) -> dict[str, tuple[str, ...]]:
+    own = {e.term: e.levels for e in found.effects if e.is_main}
+    rows = found.data.residuals
+    return {
+        name: own.get(name) or tuple(rows[name].astype(str).unique())
+        for name in found.request.factors
+    }
+
+
+def _report_table(found: AnalysisResult) -> pd.DataFrame:
+    """Rows as a report wants them: levels, block, status, the response under its own name."""
+    rows = found.data.residuals
+    columns = {name: rows[name].astype(str) for name in found.request.factors}
+    if "block" in rows:
+        columns["block"] = rows["block"].astype(str)
+    frame = rows[["row"]].assign(**columns, status="converged")
+    frame = frame.rename(columns={"row": "case_id"})
+    frame[found.request.response] = rows["response"]
+    return frame
+
+
+def provenance(source: Source) -> dict[str, str]:
+    """List versions, and the hash of the file."""
+    out = {"version of study": study.__version__, "version of python": platform.python_version()}
+    for package in _PACKAGES:
+        try:
+            out[f"version of {package}"] = version(package)
+        except PackageNotFoundError:
+            continue
+    if source.path is not None:
+        out[f"sha256 of {source.path.name}"] = str(source.digest())
+    return out
+
+
+# -------------------------------------------------------------------------------------------------
+# An analysis as a notebook shows it: a frame, a table in HTML, a figure, a page.
+
+
+@dataclass(frozen=True, repr=False)
+class Analysis(Shown, AnalysisResult):
+    """What :func:`study.analyze` returns: an :class:`AnalysisResult` that can be shown."""
+
+    @classmethod
+    def of(cls, found: AnalysisResult) -> Analysis:
+        """Give a result the ways to be shown."""
+        return cls(**{item.name: getattr(found, item.name) for item in fields(AnalysisResult)})
+
+    def to_frame(self) -> pd.DataFrame:
+        """Table of the analysis of variance, one row a term; what does not apply is missing."""
+        return self.anova.to_frame()
+
+    def tables(self) -> Sequence[pd.DataFrame]:
+        """Table of variance and verdicts."""
+        import pandas as pd
+
+        if not self.anova.rows:
+            return (pd.DataFrame({"note": list(self.notes)}),)
+        shown = self.to_frame()[["term", "df", "ss", "ms", "f", "p"]]
+        sizes = pd.DataFrame(
+            [
+                {"term": e.term, "difference": e.range, "low": e.low, "high": e.high,
+                 "p (Holm)": e.p_holm, "verdict": e.verdict}
+                for e in self.effects
+            ]
+        )  # fmt: skip
+        return shown, sizes
+
+    def plot(self) -> Drawing:
+        """Draw the largest difference of every term with its interval against what matters."""
+        data = report_data(self, Source())
+        (item,) = facts(data)
+        return shown_effect_sizes(item, data.labels)
+
+    def report(self, out_dir: str | Path, formats: Sequence[str] = ("html",)) -> Path:
+        """Write the page of the analysis, as ``study analyze CSV --report`` does."""
+        return write_page(self, out_dir, formats=formats)
+
+
+#: levels from which labels that are numbers are remarked upon: two say no more as numbers
+FEWEST_NUMBERS = 3
+
+
+def _is_csv(path: Path) -> bool:
+    if path.suffix == ".toml" or path.is_dir():
+        return False
+    return path.is_file() or path.suffix in (".csv", ".gz", ".txt", ".tsv")
+
+
+def _analysis_table(
+    frame: pd.DataFrame, response: str | None, factors: Sequence[str], options: AnovaOptions
+) -> AnalysisResult:
+    _check_named(response, factors)
+    found = anova(frame, str(response), list(factors), **options)
+    return found.noted(*twin_levels(frame, factors), *number_levels(frame, factors))
+
+
+def twin_levels(frame: pd.DataFrame, columns: Sequence[str]) -> list[str]:
+    """Sentences about labels of a column that differ in case or spaces alone: likely one level."""
+    said = []
+    for name in columns:
+        alike: dict[str, dict[str, None]] = {}
+        for label in dict.fromkeys(map(str, frame[name])):
+            alike.setdefault("".join(label.split()).casefold(), {})[label] = None
+        said += [
+            f"column {name!r} holds {' and '.join(map(repr, labels))} as different levels: "
+            "did you mean one?"
+            for labels in alike.values()
+            if len(labels) > 1
+        ]
+    return said
+
+
+def number_levels(frame: pd.DataFrame, columns: Sequence[str]) -> list[str]:
+    """Sentences about columns of labels that look like numbers: they are never taken as such."""
+    labels = {name: set(map(str, frame[name])) for name in columns}
+    return [
+        f"the levels of {name!r} are numbers, and are taken as labels: --numeric {name} asks for "
+        "a surface over them"
+        for name, own in labels.items()
+        if len(own) >= FEWEST_NUMBERS and all(NUMBER.fullmatch(one) for one in own)
+    ]
+
+
+def _check_named(response: str | None, factors: Sequence[str]) -> None:
+    faults = []
+    if response is None:
+        faults.append(Fault("--response", "is missing", "name the column of the response"))
+    if not factors:
+        mend = "name the columns: --factors for labels, --numeric for numbers"
+        faults.append(Fault("--factors", "is missing", mend))
+    if faults:
+        raise InputError(faults)
+
+
+def _study(
+    source: str | Path,
+    response: str | None,
+    factors: Sequence[str],
+    results: str | Path,
+    options: AnovaOptions,
+) -> AnalysisResult:
+    """Analysis of stored records: what is not said is taken from the design."""
+    study = api.open_study(source, results)
+    by_name = {r.name: r for r in study.design.responses}
+    name = response or next(iter(by_name))
+    if not study.records:
+        raise InputError(f"{study.folder}: no case is computed yet")
+    known = list(study.records[0].responses)
+    if name not in known:
+        raise InputError(Fault("--response", f"there is no {name!r}", nearest(name, known)))
+    said = cast("AnovaOptions", {key: v for key, v in options.items() if v is not None})
+    asked, spec = by_name.get(name), study.design.analysis
+    blocked = options.get("block") or ("block" if len(study.manifest["blocks"]) > 1 else None)
+    merged: AnovaOptions = {
+        "type": spec.type,
+        "model": spec.model if isinstance(spec.model, (str, int)) else list(spec.model),
+        "alpha": spec.alpha,
+        "seed": study.design.seed,
+        "practical": None if asked is None else asked.practical,
+        "transform": "none" if asked is None else asked.transform,
+        "records": True,
+        "specimens": specimens_of(study.design, study.records),
+    }
+    merged.update(said)
+    names = list(factors) or [f.name for f in study.design.factors if len(f.levels) > 1]
+
+    def u_num(frame: pd.DataFrame) -> NumericalBound | None:
+        return numerical_bound(
+            study.design, study.numerical, study.records, frame, name, merged["transform"]
+        )
+
+    if not isinstance(blocked, (str, type(None))):
+        crossing: AnovaOptions = {"u_num": u_num(study.table), **merged, "block": blocked}
+        return anova(study.table, name, names, **crossing)
+    every = [f.name for f in study.design.factors]
+    rows = rows_for(study.table, name, every, said.get("error", spec.error), blocked)
+    own: AnovaOptions = {
+        "u_num": u_num(rows.table),
+        "replicates": rows.replicates,
+        **merged,
+        "error": rows.error,
+        "block": rows.block,
+    }
+    found = anova(rows.table, name, names, **own)
+    return found.noted(*rows.notes)
+
+
+def analyze(
+    source: str | Path | pd.DataFrame,
+    response: str | None = None,
+    factors: Sequence[str] = (),
+    *,
+    results: str | Path = Path("results"),
+    decimal: str = ".",
+    **options: Unpack[AnovaOptions],
+) -> Analysis:
+    """Analyze one response of a finished study, of a CSV file or of a table.
+
+    Parameters
+    ----------
+    source : str, Path or DataFrame
+        Results folder or design of a study, a tidy CSV (one row a run), or a table.
+    response : str, optional
+        Column of the response; that of a study's first response by default.
+    factors : sequence of str
+        Columns of the factors; all factors of a study by default.
+    results : Path
+        Folder of the results, where ``source`` is the name of a study.
+    decimal : {".", ","}
+        Decimal mark of a CSV.
+    **options : optional
+        As for :func:`study.anova`: ``block``, ``unit``, ``whole_plot``, ``replicates``,
+        ``type``, ``model``, ``error``, ``practical``, ``transform``, ``alpha``, ``seed``.
+
+    Returns
+    -------
+    Analysis
+        Error term, table, effects with intervals and verdicts, assumptions; ``to_frame()``,
+        ``plot()``, ``report(DIR)``, and a table in a notebook.
+
+    Raises
+    ------
+    InputError
+        If there is nothing to analyze, or a column does not exist.
+    RefusedError
+        If the answer would be meaningless.
+    """
+    if not isinstance(source, (str, Path)):
+        return Analysis.of(_analysis_table(source, response, factors, options))
+    if _is_csv(Path(source)):
+        _check_named(response, factors)
+        blocks, unit = options.get("block"), options.get("unit")
+        frame = read_tidy_csv(Path(source), str(response), list(factors), blocks, unit, decimal)
+        return Analysis.of(_analysis_table(frame, response, factors, options))
+    return Analysis.of(_study(source, response, factors, results, options))
+
+
+# -------------------------------------------------------------------------------------------------
+# The same analysis over less of the test, to see whether the answer depends on its depth.
+#
+# Every case keeps its measured and its predicted curve, so that a response over the first part
+# of the range costs no simulation. The constants are those of the whole study. Verdicts are held
+# against numerical uncertainty as the study's own are: where meshes are a factor it is followed
+# at each depth, elsewhere it is that of the whole test.
+
+#: shares of the displacement that are looked at; the last one is the study itself
+SHARES = (0.25, 0.5, 0.75, 1.0)
+
+#: measured points that a response needs at least
+_FEWEST = 5
+
+
+def effects_by_depth(study: StudyResult) -> tuple[DepthEffect, ...]:
+    """Largest difference of every main effect over the first part of the test."""
+    depth = _common_depth(study.records)
+    asked = [r for r in study.design.responses if r.name in CURVE_RESPONSES]
+    if depth is None or not asked:
+        return ()
+    shares = [s for s in SHARES if _points(study.records, s * depth) >= _FEWEST]
+    if len(shares) < 2:
+        return ()
+    return tuple(
+        row
+        for share in shares
+        for response in asked
+        for row in _effects(study, response, share * depth)
+    )
+
+
+def _pairs(record: Record) -> Iterator[tuple[Curve, Curve]]:
+    for fact in record.scores:
+        if (pair := record.pair(fact["score"])) is not None:
+            measured, predicted = pair
+            yield predicted, measured
+
+
+def _common_depth(records: Sequence[Record]) -> float | None:
+    """Displacement that every scored curve reaches; None where they differ by more than 2 %."""
+    ends = [
+        float(measured.displacement_mm[-1])
+        for record in records
+        if record.converged
+        for _, measured in _pairs(record)
+    ]
+    if not ends or max(ends) > 1.02 * min(ends):
+        return None
+    return min(ends)
+
+
+def _points(records: Sequence[Record], depth_mm: float) -> int:
+    return min(
+        int((measured.displacement_mm <= depth_mm * (1 + 1e-9)).sum())
+        for record in records
+        if record.converged
+        for _, measured in _pairs(record)
+    )
+
+
+def _effects(study: StudyResult, response: Response, depth_mm: float) -> Iterator[DepthEffect]:
+    records = [_rescored(record, response.name, depth_mm) for record in study.records]
+    try:
+        found = effects_of_records(study.design, records, response, study.numerical)
+    except StudyError:
+        return  # the study's own analysis says why
+    for e in found:
+        if e.is_main and e.range is not None:
+            yield DepthEffect(
+                response.name, e.term, depth_mm, e.range, e.low, e.high, e.practical, e.verdict,
+                e.highest,
+            )  # fmt: skip
+
+
+def _rescored(record: Record, name: str, depth_mm: float) -> Record:
+    """Record whose response covers the first part of its curves only."""
+    if not record.converged:
+        return record
+    pairs = [(predicted, _first(measured, depth_mm)) for predicted, measured in _pairs(record)]
+    values = [CURVE_RESPONSES[name].between(p, m) for p, m in pairs]
+    if not values:
+        return record
+    entry = record.responses[name].copy()
+    entry["value"] = sum(values) / len(values)
+    return replace(record, responses={**record.responses, name: entry})
+
+
+def _first(measured: Curve, depth_mm: float) -> Curve:
+    """Part of a measured curve up to a displacement."""
+    inside = measured.displacement_mm <= depth_mm * (1 + 1e-9)
+    return Curve(measured.displacement_mm[inside], measured.force_N[inside])
+
+
+# -------------------------------------------------------------------------------------------------
+# Tests that are adjusted together: those of a response, those declared, those of a whole study.
+
+
+def adjusted(
+    analyses: Sequence[ResponseAnalysis], asked: analysis_Analysis
+) -> tuple[ResponseAnalysis, ...]:
+    """Adjust p by Holm's method over the family that a design declares."""
+    if asked.family == "response" and not asked.primary:
+        return tuple(analyses)
+    raw = {
+        a.name: {effect.term: effect.p for effect in a.result.effects}
+        for a in analyses
+        if a.result is not None
+    }
+    if asked.family == "study":
+        tests = list(study_family(raw, asked.primary))
+    else:
+        tests = [t for name, p in raw.items() for t in response_family(name, p, asked.primary)]
+    return tuple(_with(a, [t for t in tests if t.response == a.name], asked) for a in analyses)
+
+
+def _with(
+    analysis: ResponseAnalysis, tests: Sequence[FamilyTest], asked: analysis_Analysis
+) -> ResponseAnalysis:
+    if analysis.result is None:
+        return analysis
+    p = {test.term: test.p_holm for test in tests}
+    effects = tuple(replace(e, p_holm=p[e.term]) for e in analysis.result.effects)
+    which = f"the primary terms {', '.join(asked.primary)}" if asked.primary else "all terms"
+    where = "all responses together" if asked.family == "study" else "this response"
+    count = max((test.family for test in tests), default=0)
+    note = f"p (Holm) is adjusted for {count} tests: {which} of {where}"
+    return replace(analysis, result=replace(analysis.result, effects=effects).noted(note))
+
+
+# -------------------------------------------------------------------------------------------------
+# A mixed model of a study, a table or a file: blocks and other columns as random factors.
+
+
+class MixedOptions(TypedDict, total=False):
+    """Keywords of :func:`study.mixed_model`, where they are described."""
+
+    block: str | Sequence[str] | None
+    random: Sequence[str]
+    covariates: Sequence[str]
+    model: Model
+    practical: Practical
+    contrasts: Sequence[str]
+    alpha: float
+
+
+def fit_mixed_model(
+    source: str | Path,
+    response: str | None,
+    factors: Sequence[str],
+    options: MixedOptions,
+    *,
+    results: str | Path = Path("results"),
+    decimal: str = ".",
+) -> MixedModel:
+    """Fit a mixed model by REML to one response of a study or of a CSV with one row a run.
+
+    A study lends its first response, its factors and its specimens as blocks where none are named.
+    """
+    path = Path(source)
+    if path.is_file() and path.suffix != ".toml":
+        if response is None:
+            raise InputError(Fault("--response", "is missing", "name the column of the response"))
+        blocks = names_of(options.get("block"))
+        terms = random_terms(factors, blocks, options.get("random", ()))
+        random = [n for n in dict.fromkeys(n for t in terms for n in t) if n not in factors]
+        labels = (factors, random) if factors else (random[:1], random[1:])
+        table = read_tidy_csv(path, response, *labels, None, decimal, options.get("covariates", ()))
+        return mixed_model(table, response, factors, **options)
+    study = api.open_study(source, results)
+    if options.get("covariates"):
+        rule = "a study has factors alone"
+        raise InputError(Fault("--covariates", rule, "give a CSV with that column"))
+    if len(study.manifest["blocks"]) < 3:
+        rule = "a mixed model needs three blocks or more"
+        raise InputError(Fault("measurements.block", rule, "add specimens, or leave out reml"))
+    model = study.design.analysis.model
+    defaults: MixedOptions = {"block": "block", "model": model if isinstance(model, str | int) else
+                              list(model)}  # fmt: skip
+    options = {**defaults, **options}
+    chosen = next((r for r in study.design.responses if r.name == response), None)
+    chosen = study.design.responses[0] if response is None else chosen
+    if chosen is not None:
+        options.setdefault("practical", chosen.practical)
+    names = list(factors) or [f.name for f in study.design.factors if len(f.levels) > 1]
+    named = str(response) if chosen is None else chosen.name
+    return mixed_model(study.table, named, names, **options)
+
+
+# -------------------------------------------------------------------------------------------------
+# What a response was scored on: the curve that was fitted, or one that the fit never saw.
+
+#: words in the name of a column that tell specimens apart
+_SPECIMENS = ("specimen", "sample", "phantom", "subject", "animal", "donor", "batch")
+
+
+def scored_on(design: Design, response: str, blocks: int) -> str:
+    """Say what a response was scored on."""
+    fitted, measured = design.calibration, design.measurements
+    if response not in SCORED or measured is None or fitted.method == "none":
+        return ""
+    kind = _held_out(design, blocks)
+    if kind is not None:
+        return OTHER_SPECIMEN if kind == "specimen" else OTHER_TEST
+    if fitted.problem is not None:
+        return OTHER_TEST
+    fit, score = dict(measured.fit or {}), dict(measured.score or measured.fit or {})
+    if fit == score:
+        return FITTED_CURVE
+    changed = [name for name in {**fit, **score} if fit.get(name) != score.get(name)]
+    apart = any(word in name.lower() for name in changed for word in _SPECIMENS)
+    return OTHER_SPECIMEN if apart else OTHER_TEST
+
+
+def cross_validated(design: Design, response: str, blocks: int) -> bool:
+    """Whether each specimen is predicted by constants that were fitted to all others."""
+    scored = scored_on(design, response, blocks)
+    return bool(scored) and _held_out(design, blocks) == "specimen"
+
+
+def _held_out(design: Design, blocks: int) -> str | None:
+    fitted, measured = design.calibration, design.measurements
+    if measured is None:
+        return None
+    other = fitted.problem is not None
+    return held_out(fitted.leave_out, measured.fit, measured.score, blocks, other_test=other)

@@ -1,0 +1,417 @@
+"""Cells that are added to a study while it runs, where its emulators are least sure."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, TypedDict
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from study.api.fitting_surfaces import fit_runs, runs_at
+from study.ground.arrays import Array
+from study.ground.errors import Fault, InputError, RefusedError, StudyError
+from study.harness.design.factors import settings_of
+from study.harness.design.generators import d_optimal, efficiency
+from study.harness.design.layout_kinds import share_of, words_of
+from study.harness.design.load import dump, load, loads
+from study.harness.design.spec import Design
+from study.harness.design.study_file import Sequential
+from study.harness.record.document import AdaptiveStep
+from study.harness.runner.expansion import relabeled
+from study.harness.runner.provenance import code_version
+from study.mechanics.setup.declaration import Bad
+from study.statistics.analysis.analysis_request import threshold
+from study.statistics.surfaces.emulator import (
+    REFERENCES,
+    BlockedEmulator,
+    Emulator,
+    Unsure,
+    candidates,
+    fit_blocks,
+    fit_emulator,
+    next_run,
+)
+from study.statistics.surfaces.gaussian_process import GaussianProcess
+from study.statistics.surfaces.surface_factors import NumericFactor, Runs
+
+if TYPE_CHECKING:
+    from study.harness.record.record import Record
+    from study.harness.record.store import Store
+    from study.harness.runner.batch import Summary
+    from study.harness.runner.job import Work
+
+
+# -------------------------------------------------------------------------------------------------
+# Cells that a run has added to its design, kept in the design that it stores.
+
+
+def continued(design: Design, store: Store) -> Design:
+    """Design with the cells that an earlier run of it has added."""
+    if design.scheme.sequential is None:
+        return design
+    manifest = store.read_unfinished() or store.read_manifest()
+    if manifest is None or manifest.get("versions", {}).get("study") != code_version():
+        return design
+    try:
+        known = loads(manifest["design"], manifest["source"])
+    except InputError:
+        return design
+    same = dump(with_added(known, ())) == dump(with_added(design, ()))
+    return with_added(design, added(known)) if same else design
+
+
+def _table(design: Design) -> Mapping[str, object]:
+    written = design.config["design"]
+    return written if isinstance(written, Mapping) else {}
+
+
+def added(design: Design) -> list[list[float]]:
+    """Cells that were added, as they stand in the design."""
+    cells = _table(design).get("added", ())
+    return [list(cell) for cell in cells] if isinstance(cells, list | tuple) else []
+
+
+def with_added(design: Design, cells: Sequence[Sequence[float]]) -> Design:
+    """Copy of a design with other cells added to its Latin hypercube."""
+    table = {key: value for key, value in _table(design).items() if key != "added"}
+    if cells:
+        table["added"] = [list(cell) for cell in cells]
+    text = dump(replace(design, config={**design.config, "design": table}))
+    return replace(loads(text, design.source), text=design.text)
+
+
+#: name of the list of what was known at every step
+HISTORY = "adaptive"
+
+#: responses that say what a run costs: nobody learns them
+_COSTS = ("seconds", "dofs")
+
+#: exponent of the misfit where a verdict is sought, which the largest misfit decides
+_SEARCHING = 2.0
+
+
+class Step(TypedDict):
+    """What was known with so many cells: Q2 by response, what was not known, why it ended."""
+
+    cells: int
+    q2: dict[str, float]
+    open: list[str]
+    stopped: str
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """Emulators of the responses at one combination of the other levels."""
+
+    responses: Mapping[str, Emulator | BlockedEmulator]
+    refused: Mapping[str, str]
+    open: tuple[str, ...]
+
+
+def run_adaptive(
+    work: Work,
+    store: Store,
+    compute: Callable[[Work], Summary],
+    expanded: Callable[[Design], Work],
+    note: Callable[[Work], None],
+) -> tuple[Work, Summary]:
+    """Compute the cells of a design, and those that are added to it, until it says enough."""
+    summary = compute(work)
+    if work.design.scheme.sequential is None:
+        return work, summary
+    size = len(work.design.treatments)
+    kept = store.read_rows(HISTORY, AdaptiveStep)
+    history: list[object] = [row for row in kept if row["cells"] < size]
+    while True:
+        # digits of an emulator must not depend on the threads of the machine
+        with threadpool_limits(1):
+            known = {job.case.case_id: job.case for job in work.jobs}
+            records = relabeled(store.records(work.input_hashes), work.design, known)
+            chosen, step = next_cells(work.design, records)
+        history.append(step)
+        with store.lock():
+            store.write_json(HISTORY, history)
+        if not chosen:
+            return work, summary
+        work = expanded(with_added(work.design, [*added(work.design), *chosen]))
+        note(work)
+        more = compute(work)
+        summary = replace(
+            more,
+            computed=summary.computed + more.computed,
+            failed=summary.failed + more.failed,
+            already=summary.already,
+            fits=summary.fits + more.fits,
+            seconds=summary.seconds + more.seconds,
+        )
+
+
+def next_cells(design: Design, records: Sequence[Record]) -> tuple[list[list[float]], Step]:
+    """Choose the cells that make the emulators of a design surest."""
+    rule = design.scheme.sequential
+    if rule is None:
+        raise ValueError("the design is not adaptive")
+    places = _places(design)
+    fitted = [_fit(design, rule, labels, records) for labels in places]
+    size = len(design.treatments)
+    step: Step = {"cells": size, "q2": _quality(fitted), "open": _open(fitted), "stopped": ""}
+    free = min(rule.batch, rule.budget - size)
+    step["stopped"] = _end(rule, step, free, any(record.converged for record in records))
+    return ([] if step["stopped"] else _chosen(design, rule, places, fitted, free)), step
+
+
+def _end(rule: Sequential, step: Step, free: int, answered: bool) -> str:
+    """Say why no cell is added; nothing where some are."""
+    if not answered:
+        return "no cell has an answer"
+    if not step["open"]:
+        goal = f"the Q2 of every response is at least {rule.q2:g}"
+        return goal if rule.until == "q2" else "every factor has a verdict"
+    return "" if free > 0 else f"the budget of {rule.budget} cells is spent"
+
+
+def _places(design: Design) -> list[dict[str, str]]:
+    """List the combinations of the levels of the factors that are no ranges."""
+    others = [factor for factor in design.factors if factor.span is None]
+    every = itertools.product(*(factor.labels for factor in others))
+    return [dict(zip([f.name for f in others], labels, strict=True)) for labels in every]
+
+
+def _fit(
+    design: Design, rule: Sequential, labels: Mapping[str, str], records: Sequence[Record]
+) -> _Fitted:
+    """Fit every response at one combination of levels, and say which is not known well enough."""
+    found: dict[str, Emulator | BlockedEmulator] = {}
+    refused: dict[str, str] = {}
+    still = []
+    for response in design.responses:
+        if response.name in _COSTS:
+            continue
+        try:
+            if not _answers(response.name, labels, records):
+                raise RefusedError("no cell has an answer")
+            runs = runs_at(design, response.name, labels, records)
+            if np.ptp(runs.response) <= 1e-12 * float(np.abs(runs.response).max()):
+                continue  # the same in every run: known
+            model = fit_blocks(runs) if len(set(runs.blocks)) > 1 else fit_emulator(runs)
+            found[response.name] = model
+            known = _is_known(design, response.name, runs, model, rule)
+        except StudyError as error:
+            refused[response.name] = str(error)
+            known = False
+        if not known:
+            still.append(response.name)
+    return _Fitted(found, refused, tuple(still))
+
+
+def _answers(response: str, labels: Mapping[str, str], records: Sequence[Record]) -> bool:
+    here = [r for r in records if all(r.levels[name] == label for name, label in labels.items())]
+    return any(record.value(response) is not None for record in here)
+
+
+def _is_known(
+    design: Design,
+    response: str,
+    runs: Runs,
+    model: Emulator | BlockedEmulator,
+    rule: Sequential,
+) -> bool:
+    """Whether a response is known as well as the design asks for."""
+    if rule.until == "q2":
+        return bool(model.q2 >= rule.q2)
+    asked = next(one.practical for one in design.responses if one.name == response)
+    limit = threshold(asked)
+    if limit is None:
+        return bool(model.q2 >= rule.q2)
+    practical = limit.on_scale(float(runs.response.mean()), "none")
+    told = fit_runs(runs, "emulator", practical).sensitivity
+    verdicts = [None if one.range is None else one.range.verdict for one in told]
+    return bool(verdicts) and all(v not in (None, "cannot tell") for v in verdicts)
+
+
+def _quality(fitted: Sequence[_Fitted]) -> dict[str, float]:
+    """Smallest Q2 of each response."""
+    found: dict[str, float] = {}
+    for one in fitted:
+        for name, model in one.responses.items():
+            found[name] = min(found.get(name, 1.0), float(model.q2))
+    return found
+
+
+def _open(fitted: Sequence[_Fitted]) -> list[str]:
+    return list(dict.fromkeys(name for one in fitted for name in one.open))
+
+
+def _chosen(
+    design: Design,
+    rule: Sequential,
+    places: Sequence[Mapping[str, str]],
+    fitted: Sequence[_Fitted],
+    count: int,
+) -> list[list[float]]:
+    """Choose cells one after the other, each as if those before it had been run."""
+    from scipy.stats import qmc
+
+    ranges = [factor for factor in design.factors if factor.span is not None]
+    power = 1.0 if rule.until == "q2" else _SEARCHING
+    unsure = [
+        [Unsure(p, power) for name in one.open if name in one.responses
+         for p in _processes(one.responses[name])]
+        for one in fitted
+    ]  # fmt: skip
+    made = [_made(design, labels) for labels in places]
+    points = [candidates(len(ranges), rule.seed + n) for n in range(len(places))]
+    at = qmc.Sobol(len(ranges), seed=rule.seed + len(places)).random_base2(REFERENCES)
+    # where nothing could be fitted comes first: it needs runs most
+    blind = [n for n, one in enumerate(fitted) if one.open and not unsure[n]]
+    asked = blind or [n for n in range(len(places)) if fitted[n].open]
+    chosen = []
+    for turn in range(count):
+        told = [(n, *next_run(unsure[n], points[n], at, made[n])) for n in asked]
+        if blind:
+            told = [told[turn % len(told)]]
+        n, best, _ = max(told, key=lambda one: one[2])
+        made[n] = np.vstack([made[n], points[n][best]])
+        chosen.append(_cell(design, places[n], points[n][best]))
+    return chosen
+
+
+def _processes(model: Emulator | BlockedEmulator) -> list[GaussianProcess]:
+    each = model.each if isinstance(model, BlockedEmulator) else (model,)
+    return [one.process for one in each]
+
+
+def _made(design: Design, labels: Mapping[str, str]) -> Array:
+    """Cells of one combination of levels, in the unit box, those without an answer too."""
+    columns = []
+    own = [one.levels for one in design.treatments
+           if all(one.levels[name] == label for name, label in labels.items())]  # fmt: skip
+    for factor in design.factors:
+        span = factor.span
+        if span is None:
+            continue
+        known = settings_of(factor)
+        settings = np.array([known[levels[factor.name]] for levels in own])
+        numeric = NumericFactor(factor.name, span.low, span.high, span.log)
+        columns.append(0.5 * (numeric.coded(settings) + 1.0))
+    return np.column_stack(columns)
+
+
+def _cell(design: Design, labels: Mapping[str, str], point: Array) -> list[float]:
+    """Shares of all factors of a cell, in their order."""
+    left = iter(point.tolist())
+    return [
+        share_of(factor.labels.index(labels[factor.name]), len(factor.labels))
+        if factor.span is None
+        else float(next(left))
+        for factor in design.factors
+    ]
+
+
+# -------------------------------------------------------------------------------------------------
+# Further cells for a fraction that leaves a doubt: those that tell more terms apart.
+
+#: kinds of a design whose factors are samples of ranges, not levels
+_SAMPLED = ("central-composite", "box-behnken", "latin-hypercube", "sobol", "adaptive")
+
+
+@dataclass(frozen=True)
+class Augmentation:
+    """Cells to be run besides those of a design."""
+
+    #: Level of every factor, by its label.
+    cells: tuple[Mapping[str, str], ...]
+    own: tuple[Mapping[str, str], ...]
+    #: What all cells together tell apart.
+    terms: tuple[str, ...]
+    #: D-efficiency for these terms, 0 where some of them are one another.
+    before: float
+    after: float
+
+    def to_json(self) -> dict[str, object]:
+        """Document of ``study plan --augment --json``."""
+        return {
+            "cells": [dict(cell) for cell in self.cells],
+            "terms": list(self.terms),
+            "efficiency": {"before": self.before, "after": self.after},
+            "design": self.table(),
+        }
+
+    def table(self) -> str:
+        """Write the table ``[design]`` with all cells: records of those that are done are kept."""
+        lines = [
+            "    { " + ", ".join(f"{_key(k)} = {json.dumps(v)}" for k, v in cell.items()) + " },"
+            for cell in (*self.own, *self.cells)
+        ]
+        return "\n".join(["[design]", 'kind = "listed"', "treatments = [", *lines, "]"])
+
+
+def _key(name: str) -> str:
+    return name if name.replace("_", "").replace("-", "").isalnum() else json.dumps(name)
+
+
+def augment(
+    design: Design | str | Path, cells: int, *, terms: int | Sequence[str] = 2
+) -> Augmentation:
+    """Choose further cells of a fraction by D-optimality.
+
+    Parameters
+    ----------
+    design : Design, str or Path
+        A design that runs fewer cells than combinations.
+    cells : int
+        How many more.
+    terms : int or sequence of str
+        What shall be told apart: the highest order of interaction, or terms such as ``"a:b"``.
+
+    Returns
+    -------
+    Augmentation
+        The cells, and how precise the terms are before and after.
+
+    Raises
+    ------
+    InputError
+        For a design that runs every combination or samples ranges, or too few cells.
+    """
+    loaded = design if isinstance(design, Design) else load(design)
+    rows = loaded.scheme.rows
+    factors = loaded.factors
+    sizes = [len(factor.levels) for factor in factors]
+    every = math.prod(sizes)
+    if rows is None or loaded.scheme.kind == "full":
+        rule = "runs every combination: there is no further cell"
+        raise InputError(Fault("design", rule, "add a level or a factor"))
+    if loaded.scheme.kind in _SAMPLED:
+        rule = f"a {loaded.scheme.kind} design samples ranges"
+        raise InputError(Fault("design.kind", rule, "ask it for more runs"))
+    names = [factor.name for factor in factors]
+    try:
+        words = words_of(names, terms if isinstance(terms, int) else list(terms))
+    except Bad as error:
+        raise InputError(Fault("terms", error.rule, error.mend)) from None
+    wanted = 1 + sum(math.prod(sizes[k] - 1 for k in word) for word in words)
+    least = max(1, wanted - len(rows))
+    if not least <= cells <= every - len(rows):
+        rule = f"{cells} further cells, of which there are {every - len(rows)}"
+        mend = f"{least} to {every - len(rows)}: {len(rows)} cells run, {wanted} numbers are asked"
+        raise InputError(Fault("augment", rule, mend))
+    found = d_optimal(sizes, words, cells, loaded.seed, rows)
+    return Augmentation(
+        tuple(_labels(names, loaded, row) for row in found),
+        tuple(_labels(names, loaded, row) for row in rows),
+        tuple(":".join(names[k] for k in word) for word in words),
+        efficiency(rows, sizes, words),
+        efficiency((*rows, *found), sizes, words),
+    )
+
+
+def _labels(names: Sequence[str], design: Design, row: Sequence[int]) -> dict[str, str]:
+    labels = (factor.labels[k] for factor, k in zip(design.factors, row, strict=True))
+    return dict(zip(names, labels, strict=True))

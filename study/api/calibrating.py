@@ -1,0 +1,482 @@
+"""Constants of a material from measured tests."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
+
+from study.api.folders import calibration_root
+from study.ground.errors import Fault, InputError
+from study.harness.calibration.calibrate_tests import calibrate as run_calibration
+from study.harness.calibration.calibration_bound import numerical_bound
+from study.harness.calibration.calibration_result import CalibrationResult
+from study.harness.calibration.model_comparison import choose, compare
+from study.harness.design.load import load, load_calibration, loads, template
+from study.harness.record.atomic_files import write_atomic, write_new
+from study.harness.record.folder import own_folder
+from study.harness.runner import provenance
+from study.harness.runner.virtual_specimens import usual_generator, write_tests, write_virtual
+from study.laboratory.tracker.tracker_recording import is_tracking, load_tracking
+from study.laboratory.tracker.virtual_tracker import write_recording
+from study.mechanics.indentation.contact_law import Layer
+from study.mechanics.indentation.indentation_modulus import AnalyticCalibration, IndentationTest
+from study.mechanics.indentation.indentation_modulus import indentation_modulus as modulus_of
+from study.mechanics.setup.geometry import Block, Cylinder, Sphere
+from study.mechanics.setup.material_section import Compressibility, MaterialSection
+from study.reporting.figures.axes import shown
+from study.reporting.figures.curve_figures import FitPanel, draw_fit, fit_figure
+from study.reporting.output.notebook import Shown
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from study.harness.calibration.model_comparison import Comparison, EnergyChoice
+    from study.harness.design.calibration_section import CalibratedTest, CalibrationDesign
+    from study.harness.runner.staged_fit import Step
+    from study.mechanics.indentation.indentation_modulus import FittedCurve
+    from study.mechanics.setup.calibration_table import Fitting
+    from study.reporting.figures.axes import Drawing
+
+
+# -------------------------------------------------------------------------------------------------
+# Curves of a calibration as the panels of its figure.
+
+
+def panels_of(found: CalibrationResult) -> list[FitPanel]:
+    """Every measured curve with its prediction."""
+    return [
+        FitPanel(
+            curve.file if curve.specimen is None else f"{curve.file}, {curve.specimen}",
+            curve.role == "fit",
+            curve.measured.curve.places,
+            curve.measured.curve.force_N,
+            None
+            if curve.predicted is None
+            else curve.predicted.force_at(curve.measured.curve.displacement_mm),
+            curve.measured.scatter_N,
+            curve.measured.curve.time_s is not None,
+        )
+        for curve in found.curves
+    ]
+
+
+@dataclass(frozen=True, repr=False)
+class Calibrated(Shown, CalibrationResult):
+    """What :func:`study.calibrate` returns: a :class:`CalibrationResult` that can be shown."""
+
+    digits: ClassVar[int] = 5
+
+    @classmethod
+    def of(cls, found: CalibrationResult) -> Calibrated:
+        """Give a calibration the ways to be shown."""
+        return cls(**{item.name: getattr(found, item.name) for item in fields(CalibrationResult)})
+
+    def to_frame(self) -> pd.DataFrame:
+        """Constants with one row each."""
+        import pandas as pd
+
+        document = self.to_json()["parameters"]
+        rows = [
+            {"constant": name, "value": one["value"], "unit": one["unit"],
+             "standard_error": one["standard_error"], "low": one["ci95"][0],
+             "high": one["ci95"][1]}
+            for name, one in (document.items() if isinstance(document, dict) else ())
+        ]  # fmt: skip
+        return pd.DataFrame(rows)
+
+    def plot(self) -> Drawing:
+        """Draw every measured curve with its fit or prediction, and the residuals below."""
+        title = f"{self.name}: {self.model}, {self.status}"
+        return shown(lambda: draw_fit(panels_of(self), title), "calibration", title)
+
+    def tables(self) -> Sequence[pd.DataFrame]:
+        """Constants with their intervals."""
+        return (self.to_frame(),)
+
+
+def calibrate(
+    source: str | Path,
+    *,
+    data: str | Path | None = None,
+    overrides: Sequence[str] = (),
+    results: str | Path | None = None,
+    progress: Callable[[Step], None] | None = None,
+    profiles: bool = False,
+    numerics: bool = False,
+    resamples: int = 0,
+) -> Calibrated:
+    """Find material constants from one or several measured tests.
+
+    Parameters
+    ----------
+    source : str or Path
+        Calibration file.
+    data : str or Path, optional
+        Folder of the measurements.
+    overrides : sequence of str
+        ``key=value`` each, laid over the file before it is validated.
+    results : Path, optional
+        Where accepted iterations are kept while it runs (an interrupted calibration goes on
+        from there), and the document and the figure in the end; nothing is written without.
+    progress : callable, optional
+        Gets every accepted iteration.
+    profiles : bool
+        Whether profile-likelihood intervals are computed.
+    numerics : bool
+        Whether the error by meshes and load steps is bounded, by fits on others.
+    resamples : int
+        How many resampled fits give bootstrap intervals, 200 or more; 0 for none.
+
+    Returns
+    -------
+    CalibrationResult
+        Constants with intervals, stability, residuals and how the search ended; ``to_frame()``,
+        ``plot()``, and a table in a notebook.
+
+    Raises
+    ------
+    InputError
+        For a faulty file or faulty data.
+    """
+    config = load_calibration(source, overrides)
+    if config.asked.method == "analytic":
+        rule = "analytic gives one modulus a curve, not the constants of an energy"
+        raise InputError(Fault("calibration.method", rule, "call study.indentation_modulus"))
+    root = calibration_root(config, source, data)
+    config = _located(config, source, root)
+    folder = None if results is None else own_folder(Path(results), config.name)
+    found = run_calibration(
+        config,
+        root,
+        progress=progress,
+        profiles=profiles,
+        resamples=resamples,
+        folder=folder,
+    )
+    if numerics and found.converged:
+        bound = numerical_bound(config, root, found.fit, progress)
+        found = replace(found, numerics=bound.as_dict())
+    if folder is not None:
+        save_calibration(found, folder)
+    return Calibrated.of(found)
+
+
+def choose_energy(
+    source: str | Path,
+    *,
+    data: str | Path | None = None,
+    overrides: Sequence[str] = (),
+    progress: Callable[[Step], None] | None = None,
+) -> EnergyChoice:
+    """Fit every energy to the tests of a calibration and weigh them by AICc.
+
+    Parameters
+    ----------
+    source : str or Path
+        Calibration file: its compressibility is kept, the energy that it names does not matter.
+    data : str or Path, optional
+        Folder of the measurements.
+    overrides : sequence of str
+        ``key=value`` each, laid over the file before it is validated.
+    progress : callable, optional
+        Gets every accepted iteration.
+
+    Returns
+    -------
+    EnergyChoice
+        A fit of every energy that converged, its Akaike weight, and why others have no answer.
+
+    Raises
+    ------
+    InputError
+        For a faulty file or faulty data.
+    """
+    config = load_calibration(source, overrides)
+    root = calibration_root(config, source, data)
+    return choose(_located(config, source, root), root, progress=progress)
+
+
+def compare_tests(
+    source: str | Path,
+    *,
+    data: str | Path | None = None,
+    overrides: Sequence[str] = (),
+    difference: float = 0.05,
+    zero: float = 0.0,
+    progress: Callable[[Step], None] | None = None,
+) -> Comparison:
+    """Fit every test of a calibration for itself; Wald test that all have the same constants.
+
+    Parameters
+    ----------
+    source : str or Path
+        Calibration file.
+    data : str or Path, optional
+        Folder of the measurements.
+    overrides : sequence of str
+        ``key=value`` each, laid over the file before it is validated.
+    difference : float
+        Share by which the moduli of one test are off in what the power is stated for.
+    zero : float
+        Standard uncertainty of the zero of a test's force, over its largest force.
+    progress : callable, optional
+        Gets every accepted iteration.
+
+    Returns
+    -------
+    Comparison
+        Constants of every test, the test of equality and its power.
+
+    Raises
+    ------
+    InputError
+        For a faulty file or faulty data, or a difference that is no share.
+    RefusedError
+        If a test alone does not determine the constants.
+    """
+    if not 0 < difference < 1:
+        rule = f"must lie between 0 and 1, got {difference:g}"
+        raise InputError(Fault("difference", rule, 'write "5 %" on the command line, 0.05 here'))
+    if not 0 <= zero < 1:
+        rule = f"must be a share of the largest force, got {zero:g}"
+        raise InputError(Fault("zero", rule, 'write "0.2 %" on the command line, 0.002 here'))
+    config = load_calibration(source, overrides)
+    root = calibration_root(config, source, data)
+    return compare(
+        _located(config, source, root),
+        root,
+        difference=difference,
+        zero=zero,
+        progress=progress,
+    )
+
+
+def _located(config: CalibrationDesign, source: str | Path, root: Path) -> CalibrationDesign:
+    """Copy a calibration with the surface of every test found."""
+    places = provenance.folders(source, root)
+    found = (replace(t, tables=provenance.located(t.tables, places)) for t in config.tests)
+    return replace(config, tests=tuple(found))
+
+
+def save_calibration(found: CalibrationResult, folder: Path) -> tuple[Path, Path]:
+    """Write the document and the figure of a calibration; returns both paths."""
+    folder.mkdir(parents=True, exist_ok=True)
+    document, figure = folder / "calibration.json", folder / "calibration.svg"
+    text = json.dumps(found.to_json(), indent=2, allow_nan=False)
+    write_atomic(document, text.encode())
+    write_atomic(figure, calibration_figure(found).encode())
+    return document, figure
+
+
+def calibration_figure(found: CalibrationResult) -> str:
+    """Every measured curve with its fit, as SVG."""
+    return fit_figure(panels_of(found), f"{found.name}: {found.model}, {found.status}")
+
+
+# -------------------------------------------------------------------------------------------------
+# How a calibration file wants its constants found.
+
+
+def is_analytic(source: str | Path, overrides: Sequence[str] = ()) -> bool:
+    """Whether a calibration file asks for the closed form of indentations."""
+    return load_calibration(source, overrides).asked.method == "analytic"
+
+
+# -------------------------------------------------------------------------------------------------
+# Files to start from: virtual measurements, a commented design or calibration.
+
+
+def virtual(
+    out: str | Path,
+    source: str | Path | None = None,
+    *,
+    overrides: Sequence[str] = (),
+    truth: str = "yeoh",
+    blocks: int | None = None,
+) -> list[Path]:
+    """Write virtual measurements for a design, the demo's by default; or a tracker's recording.
+
+    Parameters
+    ----------
+    out : str or Path
+        Data root: the files get the names that the design gives them below it.
+    source : str or Path, optional
+        The design, or a file of ``study tracking``.
+    overrides : sequence of str
+        ``key=value`` each, laid over the design before it is validated.
+    truth : str
+        Material behind the specimens: ``yeoh``, ``ogden`` or ``humphrey``.
+    blocks : int, optional
+        Number of specimens (or batches); 6 by default.
+
+    Returns
+    -------
+    list of Path
+        Files written.
+
+    Raises
+    ------
+    InputError
+        For a faulty file, or options that a tracker's recording does not have.
+    """
+    from importlib import resources
+
+    if source is not None and is_tracking(source):
+        if overrides or blocks is not None:
+            mend = "leave -s and --specimens out; a tracker has neither"
+            raise InputError(Fault(str(source), "is a file of `study tracking`, no design", mend))
+        return write_recording(load_tracking(source), Path(out))
+    if source is None:
+        text = (
+            resources.files("study.harness.runner")
+            .joinpath("demo.toml")
+            .read_text(encoding="utf-8")
+        )
+        design = loads(text, "demo.toml", overrides)
+    else:
+        design = load(source, overrides)
+    return write_virtual(
+        design, Path(out), usual_generator(design, truth_name=truth, blocks=blocks)
+    )
+
+
+def new_file(file: str | Path, *, calibration: bool = False) -> list[Path]:
+    """Write a commented file to start from."""
+    path = Path(file)
+    write_new(path, template("calibration" if calibration else "template"))
+    return [path, *(write_tests(path.parent / "tests-of-material") if calibration else ())]
+
+
+# -------------------------------------------------------------------------------------------------
+# Young's modulus of measured indentations in closed form.
+
+#: override that asks a calibration file for the closed form
+ASKED = 'calibration.method="analytic"'
+
+
+def indentation_modulus(
+    source: str | Path,
+    *,
+    data: str | Path | None = None,
+    overrides: Sequence[str] = (),
+    results: str | Path | None = None,
+) -> AnalyticCalibration:
+    """Fit Young's modulus to measured indentations in closed form, curve by curve.
+
+    Parameters
+    ----------
+    source : str or Path
+        Calibration file whose tests are indentations of a cylinder or block.
+    data : str or Path, optional
+        Folder of the measurements.
+    overrides : sequence of str
+        ``key=value`` each, laid over the file before it is validated.
+    results : Path, optional
+        Where the document and the table of curves are written; nothing is written without.
+
+    Returns
+    -------
+    AnalyticCalibration
+        Modulus of every curve, median over units with its interval, and the share of rows that
+        lie beyond the range in which the closed form holds.
+
+    Raises
+    ------
+    InputError
+        For a faulty file, faulty data, or a test that has no closed form.
+    """
+    began = time.perf_counter()
+    config = load_calibration(source, (*overrides, ASKED))
+    root = calibration_root(config, source, data)
+    tests: list[IndentationTest] = []
+    faults: list[Fault] = []
+    for number, test in enumerate(config.tests):
+        try:
+            tests.append(_test_of(test, config.asked, f"tests[{number}]"))
+        except InputError as error:
+            faults += error.faults
+    if faults:
+        raise InputError([Fault(f"{source}: {f.where}", f.rule, f.mend) for f in faults])
+    found = [modulus_of(one, root, number) for number, one in enumerate(tests)]
+    notes = tuple(dict.fromkeys(note for _, own in found for note in own))
+    moduli = tuple(one for one, _ in found)
+    result = AnalyticCalibration(config.name, moduli, notes, time.perf_counter() - began)
+    if results is not None:
+        save_moduli(result, own_folder(Path(results), result.name))
+    return result
+
+
+def _test_of(test: CalibratedTest, asked: Fitting, where: str) -> IndentationTest:
+    """Gather what the closed form needs of one test."""
+    setup = test.setup
+    specimen, pressed = setup.specimen, setup.test.indenter
+    if not setup.kind.takes_indenter or pressed is None:
+        rule = f"analytic is for indentation, got {setup.test.kind}"
+        mend = 'leave calibration.method out: "auto" knows the closed form of the other tests'
+        raise InputError(Fault(f"{where}.test.kind", rule, mend))
+    if not isinstance(specimen, (Cylinder, Block)):
+        rule = f"analytic needs a cylinder or block, got {specimen.shape}"
+        raise InputError(Fault(f"{where}.specimen", rule, "its height is that of the layer"))
+    if setup.test.interface == "bonded":
+        rule = "analytic takes the indenter for frictionless, got bonded"
+        mend = 'write interface = "frictionless", or leave calibration.method out'
+        raise InputError(Fault(f"{where}.test.interface", rule, mend))
+    if asked.theory == "dimitriadis" and not isinstance(pressed, Sphere):
+        rule = f"dimitriadis is a series for spheres, got {pressed.shape}"
+        mend = 'write theory = "integral-equation"'
+        raise InputError(Fault("calibration.theory", rule, mend))
+    nu = _poisson_ratio(MaterialSection.of(test.tables).compressibility)
+    return IndentationTest(
+        indenter=pressed,
+        layer=Layer(specimen.height_mm, nu, setup.test.base == "bonded"),
+        area_mm2=specimen.area_mm2,
+        spec=test.measurements,
+        displacement_mm=setup.test.displacement_mm,
+        theory=asked.theory,
+        paraboloid=asked.profile == "paraboloid",
+        find_contact=asked.contact == "fitted",
+    )
+
+
+def _poisson_ratio(volume: Compressibility) -> float:
+    if volume.incompressible:
+        return 0.5
+    if volume.poisson_ratio is None:
+        rule = "the closed form needs Poisson's ratio, got bulk_modulus"
+        mend = "write poisson_ratio = ..., or incompressible = true"
+        raise InputError(Fault("material.bulk_modulus", rule, mend))
+    return volume.poisson_ratio
+
+
+def save_moduli(found: AnalyticCalibration, folder: Path) -> tuple[Path, Path]:
+    """Write the document, and a table with one row a curve; returns both paths.
+
+    Units: found MPa, kPa.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    document, table = folder / "analytic.json", folder / "moduli.csv"
+    text = json.dumps(found.to_json(), indent=2, allow_nan=False)
+    write_atomic(document, text.encode())
+    out = io.StringIO(newline="")
+    writer = csv.writer(out, lineterminator="\n")
+    columns = ("E_kPa", "standard_error_kPa", "low_kPa", "high_kPa", "contact_mm")
+    writer.writerow(["test", "curve", "status", *columns, "rows", "rows_outside"])
+    for test in found.tests:
+        writer.writerows([test.test, *_row(one)] for one in test.curves)
+    write_atomic(table, out.getvalue().encode())
+    return document, table
+
+
+def _row(curve: FittedCurve) -> list[object]:
+    one = curve.found
+    low, high = one.interval_MPa or (None, None)
+    moduli = [one.modulus_MPa, one.error_MPa, low, high]
+    shown = ["" if v is None else f"{1e3 * v:.10g}" for v in moduli]
+    contact = "" if one.contact_mm is None else f"{one.contact_mm:.10g}"
+    return [curve.label, one.status, *shown, contact, one.rows, one.rows_outside]

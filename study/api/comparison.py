@@ -1,0 +1,306 @@
+"""Which conclusions of two studies hold under both."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from study.api.folders import RESULTS, results_folder
+from study.api.manifest import changes
+from study.api.opened_study import open_study
+from study.ground.errors import Fault, InputError
+from study.reporting.content.comparison_content import summary
+from study.reporting.results import study_answers
+from study.reporting.results.study_answers import Beside, Conclusion, Found, OnlyInOne, document
+
+if TYPE_CHECKING:
+    from study.reporting.results.study_result import ResponseAnalysis, StudyResult
+    from study.statistics.analysis.analysis_result import AnalysisResult
+    from study.statistics.analysis.anova_table import Effect
+
+
+_MATTERS = "matters"
+_NO_DIFFERENCE = "no practical difference"
+_CANNOT_TELL = "cannot tell"
+_HOLDS = {_MATTERS: study_answers.MATTERS, _NO_DIFFERENCE: study_answers.NO_DIFFERENCE}
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Two opened studies and what they say beside each other."""
+
+    studies: tuple[StudyResult, StudyResult]
+    beside: Beside
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings of both studies and of the comparison."""
+        own = zip(self.beside.names, self.studies, strict=True)
+        each = [f"{name}: {message}" for name, study in own for message in study.warnings]
+        return (*self.beside.warnings, *each)
+
+    def to_json(self) -> dict[str, Any]:
+        """Document of ``study diff --json``."""
+        named = zip(self.beside.names, self.studies, strict=True)
+        studies = [
+            {"name": name, "study": s.design.name, "folder": str(s.folder),
+             "cases": s.to_json()["cases"]}
+            for name, s in named
+        ]  # fmt: skip
+        return {"studies": studies, **document(self.beside), "warnings": list(self.warnings)}
+
+
+def diff(first: str | Path, second: str | Path, *, results: str | Path = RESULTS) -> Comparison:
+    """Compare two finished studies: which of their conclusions hold under both.
+
+    Parameters
+    ----------
+    first, second : str or Path
+        Results folder, design file or name of each study.
+    results : str or Path
+        Folder of all results, where a study is given by its name or its design file.
+
+    Returns
+    -------
+    Comparison
+        Both studies, and what they say beside each other.
+
+    Raises
+    ------
+    InputError
+        If a study has no results, both are the same, or they have nothing in common.
+    """
+    folders = [results_folder(path, results) for path in (first, second)]
+    _refuse_same(folders[0], folders[1])
+    studies = open_study(folders[0], results), open_study(folders[1], results)
+    return Comparison(studies, compare(*studies))
+
+
+def compare(first: StudyResult, second: StudyResult) -> Beside:
+    """Set two opened studies beside each other."""
+    _refuse_same(first.folder, second.folder)
+    studies = (first, second)
+    names = _names(studies)
+    pairs = _pairs(studies)
+    only = [*_only_responses(studies), *(o for p in pairs for o in _only_terms(p, _levels(p)))]
+    conclusions = tuple(row for pair in pairs for row in _conclusions(pair, names))
+    if not conclusions:
+        raise InputError(_nothing(studies, names))
+    found = Beside(
+        names,
+        changes(first, second),
+        conclusions,
+        tuple(dict.fromkeys(only)),
+        tuple(_warnings(studies, names, pairs)),
+        alphas=(pairs[0].results[0].request.alpha, pairs[0].results[1].request.alpha),
+    )
+    return replace(found, summary=summary(found))
+
+
+_Studies = tuple["StudyResult", "StudyResult"]
+
+
+@dataclass(frozen=True)
+class _Pair:
+    """One response that both studies analyzed."""
+
+    responses: tuple[ResponseAnalysis, ResponseAnalysis]
+    results: tuple[AnalysisResult, AnalysisResult]
+
+    @property
+    def name(self) -> str:
+        return self.responses[0].name
+
+    def effects(self, which: int) -> dict[str, Effect]:
+        """Effects by term, whatever the order in which a study names its factors."""
+        found = self.results[which].effects
+        return {":".join(sorted(effect.term.split(":"))): effect for effect in found}
+
+
+def _refuse_same(first: Path, second: Path) -> None:
+    if first.resolve() == second.resolve():
+        mend = "name two different studies, for example results/NAME and results/OTHER"
+        raise InputError(Fault(str(second), "is the same study as the other one", mend))
+
+
+def _names(studies: _Studies) -> tuple[str, str]:
+    """Names of the studies, with their folders where they would be the same."""
+    first, second = (study.design.name for study in studies)
+    if first != second:
+        return first, second
+    return f"{first} in {studies[0].folder.parent}", f"{second} in {studies[1].folder.parent}"
+
+
+def _analyzed(study: StudyResult) -> dict[str, ResponseAnalysis]:
+    return {a.name: a for a in study.analyses if a.result is not None and a.result.effects}
+
+
+def _pairs(studies: _Studies) -> list[_Pair]:
+    first, second = (_analyzed(study) for study in studies)
+    found = []
+    for name in first:
+        own, other = first[name].result, second[name].result if name in second else None
+        if own is not None and other is not None:
+            found.append(_Pair((first[name], second[name]), (own, other)))
+    return found
+
+
+def _only_responses(studies: _Studies) -> Iterator[OnlyInOne]:
+    """Responses that one study lacks, or that could not be analyzed."""
+    declared = [{a.name: a for a in study.analyses} for study in studies]
+    analyzed = [_analyzed(study) for study in studies]
+    for which in (0, 1):
+        for name in declared[which]:
+            here, there = name in analyzed[which], name in analyzed[1 - which]
+            if here and not there:
+                missing = declared[1 - which].get(name)
+                why = "" if missing is None else f"not analyzed in the other: {_reason(missing)}"
+                yield OnlyInOne("response", name, which, why)
+            elif not here and not there:
+                why = f"not analyzed: {_reason(declared[which][name])}"
+                yield OnlyInOne("response", name, which, why)
+
+
+def _reason(analysis: ResponseAnalysis) -> str:
+    return analysis.refused or "no effect could be estimated"
+
+
+def _only_terms(pair: _Pair, levels: Mapping[str, tuple[set[str], set[str]]]) -> list[OnlyInOne]:
+    found = []
+    effects = [pair.effects(which) for which in (0, 1)]
+    for which in (0, 1):
+        for key, effect in effects[which].items():
+            if key not in effects[1 - which]:
+                found.append(OnlyInOne("factor" if ":" not in key else "term", effect.term, which))
+        for factor, known in levels.items():
+            for level in sorted(known[which] - known[1 - which]):
+                found.append(OnlyInOne("level", f"{factor} = {level}", which))
+    return found
+
+
+def _levels(pair: _Pair) -> dict[str, tuple[set[str], set[str]]]:
+    """Levels in each study of the factors that both have."""
+    first, second = (pair.effects(which) for which in (0, 1))
+    shared = [key for key in first if key in second and ":" not in key]
+    return {key: (set(first[key].levels), set(second[key].levels)) for key in shared}
+
+
+def _conclusions(pair: _Pair, names: tuple[str, str]) -> Iterator[Conclusion]:
+    first, second = (pair.effects(which) for which in (0, 1))
+    for key, effect in first.items():
+        if key in second:
+            yield _conclusion(pair.responses[0], (effect, second[key]), names)
+
+
+def _conclusion(
+    response: ResponseAnalysis, effects: tuple[Effect, Effect], names: tuple[str, str]
+) -> Conclusion:
+    """Judge one term: the verdicts, and for a factor which level leads."""
+    main = ":" not in effects[0].term
+    end = ("lowest" if response.better == "lower" else "highest") if main else ""
+    leading = [_leading(effect, end, _common(effects)) for effect in effects] if main else []
+    same = bool(leading[0] & leading[1]) if main and all(leading) else None
+    best = [_best(effect, end, _common(effects)) if main else "" for effect in effects]
+    found = _found(effects[0], best[0]), _found(effects[1], best[1])
+    conclusion, holds = _judge(found, names, end, same)
+    ratio = effects[0].scale == "ratio"
+    return Conclusion(
+        response.name, effects[0].term, response.unit, conclusion, holds, found, ratio, end,
+        bool(response.better), same,
+    )  # fmt: skip
+
+
+def _judge(
+    found: tuple[Found, Found], names: tuple[str, str], end: str, same: bool | None
+) -> tuple[str, bool | None]:
+    """Conclusion in words, and whether it holds in both."""
+    verdicts = [one.verdict for one in found]
+    unknown = [verdict not in _HOLDS for verdict in verdicts]
+    if all(unknown):
+        return study_answers.NONE_CAN_TELL, None
+    if any(unknown):
+        return study_answers.ONE_CANNOT_TELL, None
+    if verdicts[0] != verdicts[1]:
+        how = "; ".join(f"{v} under {name}" for v, name in zip(verdicts, names, strict=True))
+        return f"{study_answers.DIFFERS}: {how}", False
+    if verdicts[0] == _MATTERS and same is False:
+        lead = " and ".join(
+            f"{one.best} under {name}" for one, name in zip(found, names, strict=True)
+        )
+        return f"{study_answers.DIFFERS}: matters in both, but the {end} is with {lead}", False
+    return _HOLDS[verdicts[0]], True
+
+
+def _found(effect: Effect, best: str) -> Found:
+    low, high = effect.ci95 or (None, None)
+    return Found(
+        effect.strength, effect.range, low, high, effect.practical, effect.p, effect.u_num,
+        effect.effect_over_u_num, best, effect.why,
+    )  # fmt: skip
+
+
+def _common(effects: Sequence[Effect]) -> set[str]:
+    return set(effects[0].levels) & set(effects[1].levels)
+
+
+def _means(effect: Effect, levels: set[str]) -> dict[str, float]:
+    pairs = zip(effect.levels, effect.mean, strict=True)
+    return {level: mean for level, mean in pairs if mean is not None and level in levels}
+
+
+def _best(effect: Effect, end: str, levels: set[str]) -> str:
+    means = _means(effect, levels)
+    if not means:
+        return ""
+    return (min if end == "lowest" else max)(means, key=means.__getitem__)
+
+
+def _leading(effect: Effect, end: str, levels: set[str]) -> set[str]:
+    """Levels within what matters of the leading one, which is among them."""
+    means = _means(effect, levels)
+    if not means:
+        return set()
+    best = means[_best(effect, end, levels)]
+    ratio = effect.scale == "ratio"
+    limit = effect.practical if effect.practical is not None else float(ratio)
+    if ratio:
+        return {k for k, v in means.items() if max(v, best) <= limit * min(v, best)}
+    return {k for k, v in means.items() if abs(v - best) <= limit}
+
+
+def _warnings(studies: _Studies, names: tuple[str, str], pairs: Sequence[_Pair]) -> Iterator[str]:
+    """Say what makes the comparison weaker than it looks."""
+    for name, study in zip(names, studies, strict=True):
+        if study.failed:
+            cases = "1 case" if study.failed == 1 else f"{study.failed} cases"
+            yield f"{cases} of {name} failed: its conclusions leave out what failed"
+    for pair in pairs:
+        first, second = pair.responses
+        if first.transform != second.transform:
+            yield (
+                f"{pair.name}: transform is {first.transform!r} under {names[0]} and "
+                f"{second.transform!r} under {names[1]}, so its effects are on different scales"
+            )
+        if (first.practical, first.relative) != (second.practical, second.relative):
+            yield (
+                f"{pair.name}: the smallest difference that matters is not the same in both, so "
+                "verdicts may differ without any change of the numbers"
+            )
+
+
+def _nothing(studies: _Studies, names: tuple[str, str]) -> Fault:
+    """Say why there is nothing to compare, and what each study has."""
+    has = []
+    for name, study in zip(names, studies, strict=True):
+        responses = ", ".join(_analyzed(study)) or "none analyzed"
+        factors = ", ".join(f.name for f in study.design.factors if len(f.levels) > 1)
+        has.append(f"{name} has responses {responses}; factors {factors or 'none'}")
+    refused = [f"{n}: {a.name}: {a.refused}" for n, s in zip(names, studies, strict=True)
+               for a in s.analyses if a.refused]  # fmt: skip
+    mend = "compare studies that share a [[response]] and a factor by name"
+    if refused:
+        mend = "run what is missing, for " + "; ".join(refused)
+    rule = "they have no analyzed response with a factor in common (" + "; ".join(has) + ")"
+    return Fault(f"{names[0]} and {names[1]}", rule, mend)

@@ -1,1 +1,0 @@
-"""The verb diff: two studies beside each other."""

@@ -1,0 +1,289 @@
+"""Differences of two settings that an analyst names, of a finished analysis."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from study.api.analyzing import analyze
+from study.api.folders import RESULTS, design_root
+from study.ground.canonical import plain
+from study.ground.errors import Fault, InputError, MissingDataError, StudyError
+from study.harness.design.load import load
+from study.harness.design.spec import Design, Response
+from study.harness.runner.cost import Costs
+from study.harness.runner.expansion import expand
+from study.harness.runner.tasks import default_jobs
+from study.statistics.analysis import linear_contrast
+from study.statistics.analysis.analysis_request import threshold
+from study.statistics.analysis.analysis_result import AnalysisResult
+from study.statistics.analysis.effects import Scale
+from study.statistics.analysis.incomplete_blocks import mixed_cells
+from study.statistics.analysis.linear_contrast import Cells, Contrast
+from study.statistics.analysis.linear_model import Layout
+from study.statistics.analysis.power import PlannedVerdicts, fewest_blocks, planned_verdicts
+
+
+def contrasts(found: AnalysisResult, asked: str | Sequence[str]) -> tuple[Contrast, ...]:
+    """Estimate differences of sets of cells that the analyst names.
+
+    Parameters
+    ----------
+    found : AnalysisResult
+        Of :func:`analyze` or :func:`study.anova`.
+    asked : str or sequence of str
+        Such as ``"material=stiff, range=60 % - material=soft, range=60 %"``; a factor that a
+        side leaves out is averaged over.
+
+    Returns
+    -------
+    tuple of Contrast
+        Difference, its interval alone and with all others together, p, Holm's p, U, verdict.
+
+    Raises
+    ------
+    InputError
+        For a factor or level that does not exist, or a setting without a row.
+    """
+    asked = [asked] if isinstance(asked, str) else list(asked)
+    return linear_contrast.contrasts(_cells(found), asked)
+
+
+def _cells(found: AnalysisResult) -> Cells:
+    """Rows of an analysis on its scale, with what matters."""
+    request, rows = found.request, found.data.residuals
+    values = rows["response"].to_numpy(dtype=float)
+    log, mean = request.scale.is_log, found.data.grand_mean
+    limit, unit = request.scale.practical, 1 / mean if log else 1.0
+    practical = None if limit is None else limit.on_scale(mean, request.scale.transform)
+    bound = request.scale.bound([e.term for e in found.effects], unit)
+    # blocks are specimens where they are no seeds of a mesh and no refits to resampled noise
+    resampled = found.error_term.source == "E2"
+    specimens = request.specimens
+    if specimens is None and "block" in rows and found.error_term.source not in ("E2", "E3"):
+        specimens = rows["block"].nunique()
+    scale = Scale(request.scale.transform, practical, bound, False, unit, specimens)
+    levels = {e.term: e.levels for e in found.effects if e.is_main}
+    table = rows.assign(y=np.log(values) if log else values)
+    cells = Cells(table, levels, scale, request.alpha, request.seed, resampled)
+    if all(row.error != "REML" for row in found.anova.rows):
+        return cells
+    of_all = {**levels, "block": tuple(dict.fromkeys(table["block"]))}
+    codes = {name: pd.Categorical(table[name], of_all[name]).codes.astype(np.int64)
+             for name in of_all}  # fmt: skip
+    terms = [tuple(e.term.split(":")) for e in found.effects]
+    model, _ = mixed_cells(
+        Layout(of_all, codes), terms, "block", table["y"].to_numpy(), request.alpha, request.seed
+    )
+    return cells if model is None else replace(cells, estimate=model.between)
+
+
+def with_contrasts(found: AnalysisResult, asked: Sequence[str]) -> AnalysisResult:
+    """Give a result the differences that its design declares."""
+    if not asked:
+        return found
+    together, faults = linear_contrast.possible_contrasts(_cells(found), asked)
+    notes = [f"{fault.where}: {fault.rule}" for fault in faults]
+    return replace(found, contrasts=together).noted(*notes)
+
+
+# -------------------------------------------------------------------------------------------------
+# What a number of specimens can show, before they are tested: probability of a claim, and cost.
+
+#: Numbers of specimens that are compared.
+COUNTS = (1, 2, 3, 4, 5, 6, 8, 10, 15, 20)
+#: Scatter between specimens over the difference that matters, where nothing is known of it.
+ASSUMED = (0.1, 0.3, 1.0)
+
+
+@dataclass(frozen=True)
+class Detection:
+    """What specimens can show of one response."""
+
+    #: Of the response and of its differences.
+    response: str
+    unit: str
+    #: Whether differences are ratios; ``practical``, ``sd`` and ``u`` are then logarithms.
+    ratio: bool
+    practical: float
+    #: Standard deviation over specimens of a difference between two cells.
+    sd: float
+    source: str
+    #: Bound of the numerical error that is reckoned with.
+    u: float
+    #: One for each number of specimens.
+    rows: tuple[PlannedVerdicts, ...]
+    #: Fewest specimens for a probability of the right claim.
+    enough: tuple[tuple[float, int | None], ...]
+
+
+@dataclass(frozen=True)
+class Power:
+    """What a design can detect, response by response, and what could not be said."""
+
+    study: str
+    blocks: int
+    detections: tuple[Detection, ...]
+    warnings: tuple[str, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Document of ``study power --json``."""
+        return dict(plain(self))
+
+
+def power(
+    design: Design | str | Path,
+    *,
+    sd: float | None = None,
+    data: str | Path | None = None,
+    results: str | Path = RESULTS,
+    overrides: Sequence[str] = (),
+    counts: Sequence[int] = COUNTS,
+) -> Power:
+    """Say what numbers of specimens can detect, and at which cost.
+
+    Parameters
+    ----------
+    design : Design, str or Path
+        The study.
+    sd : float, optional
+        Standard deviation over specimens of a difference between two cells, in the unit of the
+        response. By default that of the study's own results; without them three are assumed.
+    data : str or Path, optional
+        Folder that measurement files are relative to.
+    results : Path
+        Folder of the results, which give the scatter where the study has run.
+    overrides : sequence of str
+        Keys of the design with other values.
+    counts : sequence of int
+        Numbers of specimens to compare.
+
+    Returns
+    -------
+    Power
+        For every response and scatter, the probability of each verdict and the cost.
+
+    Raises
+    ------
+    InputError
+        For a faulty design, or a design none of whose responses says what matters.
+    """
+    loaded = design if isinstance(design, Design) else load(design, overrides)
+    if sd is not None and not (math.isfinite(sd) and sd > 0):
+        raise InputError(Fault("--sd", f"must be a positive number, got {sd!r}"))
+    warnings: list[str] = []
+    blocks, seconds = _planned(loaded, design_root(loaded, data), warnings)
+    found: list[Detection] = []
+    for response in loaded.responses:
+        if response.practical is None:
+            warnings.append(f"{response.name}: nothing says which difference matters")
+            continue
+        found += _detections(loaded, response, sd, results, seconds, counts, warnings)
+    if not found and all(r.practical is None for r in loaded.responses):
+        mend = 'write, for example, practical = "2 pp" in its [[response]]'
+        raise InputError(Fault("response", "none says which difference matters", mend))
+    return Power(loaded.name, blocks, tuple(found), tuple(warnings))
+
+
+def _planned(design: Design, root: Path, warnings: list[str]) -> tuple[int, float | None]:
+    """Blocks of the measurements, and seconds of one case on all workers."""
+    try:
+        work = expand(design, root)
+    except MissingDataError as error:
+        warnings.append(f"no cost, for the measurements are missing: {error}")
+        return 0, None
+    costs = Costs()
+    seconds = costs.total_seconds(list(work.fits.values()), work.jobs, default_jobs())
+    return max(len(work.blocks), 1), seconds / max(len(work.jobs), 1)
+
+
+def _detections(
+    design: Design,
+    response: Response,
+    sd: float | None,
+    results: str | Path,
+    seconds: float | None,
+    counts: Sequence[int],
+    warnings: list[str],
+) -> list[Detection]:
+    known = _known(design, response, results)
+    practical = _practical(response, known)
+    if practical is None:
+        warnings.append(
+            f"{response.name}: its practical difference is a share of a mean that no result gives "
+            "yet; run the design once, or state it in the unit of the response"
+        )
+        return []
+    u = 0.0 if known is None else known[1]
+    choices = [(sd, "as given")] if sd else [] if known is None else [(known[0], "of the results")]
+    choices = choices or [(share * practical, f"assumed: {share:g} of what matters")
+                          for share in ASSUMED]  # fmt: skip
+    cells = len(design.treatments)
+    wanted = (0.8, 0.9)
+    return [
+        Detection(
+            response.name,
+            "pp" if response.unit == "%" else response.unit,
+            response.transform == "log",
+            practical,
+            spread,
+            source,
+            u,
+            planned_verdicts(counts, spread, practical, u=u, cells=cells, seconds=seconds),
+            tuple(zip(wanted, fewest_blocks(spread, practical, u=u, wanted=wanted), strict=True)),
+        )
+        for spread, source in choices
+        if spread
+    ]
+
+
+def _practical(response: Response, known: tuple[float, float, float] | None) -> float | None:
+    limit = threshold(response.practical)
+    if limit is None or (known is None and limit.relative and response.transform != "log"):
+        return None
+    if known is None and response.transform == "log" and not limit.relative:
+        return None
+    return limit.on_scale(1.0 if known is None else known[2], response.transform)
+
+
+def _known(
+    design: Design, response: Response, results: str | Path
+) -> tuple[float, float, float] | None:
+    """Scatter of a difference over specimens, numerical bound and mean, from stored results."""
+    folder = Path(results) / design.name
+    if not folder.is_dir():
+        return None
+    try:
+        found = analyze(str(folder), response.name)
+    except StudyError:
+        return None
+    spread = _scatter(found)
+    if spread is None or found.data.grand_mean is None:
+        return None
+    u = max((e.u_num for e in found.effects if e.u_num is not None), default=0.0)
+    log = found.request.scale.transform == "log"
+    return spread, u / found.data.grand_mean if log else u, found.data.grand_mean
+
+
+def _scatter(found: AnalysisResult) -> float | None:
+    """Largest standard deviation over blocks of a simple effect, on the working scale."""
+    from scipy.special import stdtrit
+
+    if found.error_term.source != "E1":
+        return None
+    blocks = found.data.residuals["block"].nunique()
+    t = float(stdtrit(blocks - 1, 1 - found.request.alpha / 2))
+    change = math.log if found.request.scale.transform == "log" else float
+    halves = [
+        (change(e.ci[1]) - change(e.ci[0])) / 2
+        for effect in found.effects
+        for e in effect.simple_effects
+        if e.ci is not None
+    ]
+    return max(halves) * math.sqrt(blocks) / t if halves else None

@@ -1,0 +1,784 @@
+"""A table in, surfaces over its numeric factors out: one at every combination of labels."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, get_args
+
+import numpy as np
+
+from study.api.analyzing import Source, check_taken, provenance
+from study.ground import tabular
+from study.ground.arrays import Array, Flags
+from study.ground.errors import Fault, InputError, RefusedError, StudyError, nearest
+from study.ground.tabular import MISSING, CsvTable
+from study.harness.design import overlay
+from study.harness.design.factors import settings_of
+from study.harness.design.response_tables import usual_value
+from study.harness.record.record import is_repeat
+from study.reporting.content.text import count
+from study.reporting.output.write import write
+from study.reporting.results.study_result import ReportData, ResponseAnalysis
+from study.statistics.analysis.analysis_request import threshold
+from study.statistics.surfaces.emulator import (
+    FEWEST_SETTINGS,
+    GRID_LEVELS,
+    LARGEST,
+    RUNS_A_FACTOR,
+    BlockedEmulator,
+    Emulator,
+    expected_seconds,
+    fit_blocks,
+    fit_blocks_together,
+    fit_emulator,
+    fit_together,
+)
+from study.statistics.surfaces.quadratic import QuadraticSurface, fit_quadratic
+from study.statistics.surfaces.surface_factors import NumericFactor, Runs
+from study.statistics.surfaces.surface_profile import (
+    FittedSurface,
+    LevelDifference,
+    level_difference,
+)
+from study.statistics.surfaces.surface_propagation import propagate
+from study.statistics.surfaces.surface_result import (
+    SurfaceAnalysis,
+    analysis_of_emulator,
+    analysis_of_quadratic,
+)
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from study.harness.design.spec import Design, Response
+    from study.harness.record.record import Record
+    from study.statistics.convergence.grid_convergence import NumericalUncertainty
+    from study.statistics.surfaces.surface_propagation import Propagated
+
+
+# -------------------------------------------------------------------------------------------------
+# Runs of a table, and the surface that suits them, with what it means.
+
+Surface = Literal["auto", "quadratic", "emulator", "none"]
+
+#: most factors of a quadratic surface that is chosen by itself
+FEW = 5
+
+#: how far a range may go beyond the runs, in coded units: a Latin hypercube of ten runs has its
+#: outermost settings at most .2 inside of its range
+BEYOND = 0.2 + 1e-9
+
+#: seconds from which a fit is announced
+LONG = 5.0
+
+#: ``5 mm``: a number with a unit behind it
+_WITH_UNIT = re.compile(r"[-+]?[\d.,]+(?:[eE][-+]?\d+)?\s*(?P<unit>[^\W\d_%][\w/^*]*|%)")
+
+#: ``time``, ``time=80..90``, ``time=1..100 log``, ``time log``
+_NUMERIC = re.compile(r"(?P<name>.+?)(=(?P<low>[^=]+?)\.\.(?P<high>[^=]+?))?(?P<log> +log)?")
+
+
+def check_kind(surface: str) -> None:
+    """Refuse what is no kind of a surface."""
+    if surface not in get_args(Surface) or surface == "none":
+        words = [word for word in get_args(Surface) if word != "none"]
+        mend = nearest(surface, words) if surface != "none" else "leave --numeric out for a table"
+        raise InputError(Fault("--surface", f"{surface!r} asks for no surface", mend))
+
+
+def fit_runs(
+    runs: Runs, surface: str = "auto", practical: float | None = None, u: float = 0.0
+) -> SurfaceAnalysis:
+    """Fit runs by the surface that is asked for, or by the one that suits them."""
+    return told(fitted(runs, surface), practical, u)
+
+
+def fitted(runs: Runs, surface: str = "auto") -> QuadraticSurface | Emulator | BlockedEmulator:
+    """Fit runs; errors as for `fit_runs`."""
+    if kind_of(runs, surface) == "quadratic":
+        return fit_quadratic(runs)
+    return fit_blocks(runs) if len(set(runs.blocks)) > 1 else fit_emulator(runs)
+
+
+def told(
+    model: QuadraticSurface | Emulator | BlockedEmulator, practical: float | None, u: float
+) -> SurfaceAnalysis:
+    """Say what a model means."""
+    if isinstance(model, QuadraticSurface):
+        return analysis_of_quadratic(model)
+    return analysis_of_emulator(model, practical, u)
+
+
+def fitted_together(
+    every: Sequence[Runs], sizes: Sequence[int], surface: str = "auto"
+) -> tuple[Emulator | BlockedEmulator, ...] | None:
+    """Fit one emulator to the runs at all combinations of levels, where that is the better one.
+
+    Where runs are few at each combination, a common emulator is fitted beside one of each; the
+    one is taken that predicts left-out runs better where it predicts them worst.
+    """
+    wanted = {kind_of(one, surface) for one in every}
+    enough = RUNS_A_FACTOR * len(every[0].factors)
+    few = min(len(one.distinct()[0]) for one in every) < enough
+    if len(every) < 2 or wanted != {"emulator"} or not few:
+        return None
+    blocked = len(set(every[0].blocks)) > 1
+    try:
+        common = (fit_blocks_together if blocked else fit_together)(every, sizes)
+    except RefusedError:
+        return None
+    try:
+        apart = [(fit_blocks if blocked else fit_emulator)(one) for one in every]
+    except RefusedError:
+        return common
+    worst = [min(one.q2 for one in models) for models in (common, apart)]
+    return common if worst[0] >= worst[1] else tuple(apart)
+
+
+def announce_cost(runs: Runs, announce: Callable[[str], None] | None) -> None:
+    """Say beforehand what an emulator of many runs will take."""
+    own = [runs.blocks.count(name) for name in set(runs.blocks)] or [runs.response.size]
+    seconds = sum(expected_seconds(n) for n in own)
+    if announce is not None and seconds > LONG and max(own) <= LARGEST:
+        announce(f"an emulator of {runs.response.size} runs takes about {seconds:.0f} s")
+
+
+def difference_of(practical: float | str | None, response: Array) -> float | None:
+    """Read the smallest difference that matters, in the unit of a response.
+
+    Shapes: response (n,).
+    """
+    asked = threshold(practical)
+    return None if asked is None else asked.on_scale(float(response.mean()), "none")
+
+
+def remarks(runs: Runs, surface: str, practical: float | None) -> list[str]:
+    """Say what a quadratic does not judge, and why runs that fill the box got one all the same."""
+    said, few = [], _few(runs)
+    if kind_of(runs, surface) == "quadratic" and practical is not None:
+        said.append("a quadratic surface judges terms: --practical is asked of an emulator")
+    if surface == "auto" and few and max(runs.levels()) > GRID_LEVELS:
+        said.append(
+            f"a quadratic surface: an emulator needs at least {FEWEST_SETTINGS} settings of every "
+            f"factor, {', '.join(few)} has fewer"
+        )
+    return said
+
+
+def kind_of(runs: Runs, surface: str) -> str:
+    """Return the kind that is asked for; the design chooses where that is left to it.
+
+    Composite designs have three or five settings a factor.
+    """
+    if surface != "auto":
+        return surface
+    if _few(runs):
+        return "quadratic"
+    fills = max(runs.levels()) > GRID_LEVELS
+    return "emulator" if len(runs.factors) > FEW or fills else "quadratic"
+
+
+def _few(runs: Runs) -> list[str]:
+    """Name the factors with too few settings for an emulator."""
+    counts = zip(runs.names, runs.levels(), strict=True)
+    return [name for name, count in counts if count < FEWEST_SETTINGS]
+
+
+def runs_of(
+    table: CsvTable, response: str, numeric: Sequence[str], block: str | None
+) -> tuple[Runs, Flags, list[str]]:
+    """Rows that have a response, which these are, and what is to be said of the others."""
+    if not numeric:
+        raise InputError(Fault("--numeric", "is missing", "name the columns of the factors"))
+    values = table.numbers(response, missing=MISSING)
+    kept = np.isfinite(values)
+    notes = []
+    if not kept.all():
+        rows = ", ".join(str(table.lines[k]) for k in np.flatnonzero(~kept)[:10])
+        notes.append(
+            f"{count(int((~kept).sum()), 'run')} without a response left out: lines {rows}"
+        )
+    if kept.sum() < 2:
+        raise InputError(Fault(table.source, "has fewer than two runs with a response"))
+    asked = [_asked(item, table) for item in numeric]
+    names = [name for name, _, _, _ in asked]
+    _check_plain(table, names)
+    if len({*names, response, block}) < len(names) + 2:
+        rule = f"a column stands twice among {', '.join(names)}, the response and the block"
+        raise InputError(Fault("--numeric", rule, "name every column once"))
+    columns = {name: table.numbers(name)[kept] for name in names}
+    factors = tuple(_factor(columns[name], name, low, high, log) for name, low, high, log in asked)
+    coded = np.column_stack([factor.coded(columns[factor.name]) for factor in factors])
+    labels = () if block is None else tuple(np.array(table.text(block))[kept].tolist())
+    return Runs(response, factors, coded, values[kept], labels), kept, notes
+
+
+def _check_plain(table: CsvTable, names: Sequence[str]) -> None:
+    """Refuse cells with units, once a column: they may differ from row to row."""
+    faults = []
+    for name in names:
+        told = [_WITH_UNIT.fullmatch(cell) for cell in table.text(name)]
+        units = list(dict.fromkeys(one["unit"] for one in told if one is not None))
+        if units:
+            rule = f"has units in its cells: {', '.join(units[:5])}"
+            mend = f"keep numbers in one unit alone, and name it in the header: {name}_{units[0]}"
+            faults.append(Fault(f"{table.source}: column {name!r}", rule, mend))
+    if faults:
+        raise InputError(faults)
+
+
+def _asked(item: str, table: CsvTable) -> tuple[str, float | None, float | None, bool]:
+    """Column, ends of the range if given, and whether its logarithm is coded."""
+    text = item.strip()
+    if text in table.columns:
+        return text, None, None, False
+    parts = _NUMERIC.fullmatch(text)
+    name = text if parts is None else parts["name"].strip()
+    table.text(name)  # refuses what is no column, with the nearest one
+    if parts is None or parts["low"] is None:
+        return name, None, None, parts is not None and parts["log"] is not None
+    try:
+        low, high = float(parts["low"]), float(parts["high"])
+    except ValueError as error:
+        rule = f"cannot read the range of {text!r}"
+        raise InputError(Fault("--numeric", rule, f"write {name}=80..90")) from error
+    return name, low, high, parts["log"] is not None
+
+
+def _factor(
+    settings: Array, name: str, low: float | None, high: float | None, log: bool
+) -> NumericFactor:
+    """Make a factor whose ends are those asked for, or those that were run."""
+    if log and settings.min() <= 0:
+        rule = f"a logarithm needs positive settings, the lowest is {settings.min():g}"
+        raise InputError(Fault(f"factor {name!r}", rule, "leave ' log' out"))
+    first = float(settings.min()) if low is None else low
+    last = float(settings.max()) if high is None else high
+    factor = NumericFactor(name, first, last, log)
+    run = factor.coded(np.array([settings.min(), settings.max()]))
+    if run[0] > -1.0 + BEYOND or run[1] < 1.0 - BEYOND:
+        rule = f"the range {first:g}..{last:g} goes beyond the settings that were run"
+        mend = f"a surface is not extrapolated: {name}={settings.min():g}..{settings.max():g}"
+        raise InputError(Fault(f"factor {name!r}", rule, mend))
+    return factor
+
+
+#: combinations of labels of which each gets a surface
+MOST_COMBINATIONS = 64
+
+#: surfaces whose error holds everywhere in the ranges
+_EMULATORS = (Emulator, BlockedEmulator)
+
+
+def fit_surface(
+    source: str | Path,
+    response: str,
+    numeric: Sequence[str],
+    *,
+    surface: Surface = "auto",
+    block: str | None = None,
+    practical: float | str | None = None,
+    decimal: str = ".",
+    announce: Callable[[str], None] | None = None,
+) -> SurfaceAnalysis:
+    """Fit a response over numeric factors, and say what they do.
+
+    Parameters
+    ----------
+    source : str or Path
+        CSV with one row a run.
+    response : str
+        Column of the response; rows without one are left out, and that is said.
+    numeric : sequence of str
+        Columns of the factors: ``"time"``, ``"time=80..90"`` for the settings that are coded -1
+        and 1 (those of the runs if left out), ``"time log"`` to code the logarithm.
+    surface : {"auto", "quadratic", "emulator", "none"}
+        By itself an emulator for more than five factors, or settings that fill the box.
+    block : str, optional
+        Column of the blocks; a quadratic needs a run of each at every setting, an
+        emulator three blocks.
+    practical : float or str, optional
+        Smallest difference that matters: a number, or "5 % of mean".
+    decimal : {".", ","}
+        Decimal mark of the file.
+    announce : callable, optional
+        Told beforehand what a long fit will cost.
+
+    Returns
+    -------
+    SurfaceAnalysis
+        The model, what it says of every factor, and ``predict``.
+
+    Raises
+    ------
+    InputError
+        Naming file, row and column, all faults at once.
+    RefusedError
+        If the runs cannot carry what is asked.
+    """
+    alone = fit_surfaces(
+        source, response, numeric, (), surface=surface, block=block, practical=practical,
+        decimal=decimal, announce=announce,
+    )  # fmt: skip
+    # without labels there is one, and what keeps it from being fitted is raised
+    return next(one.found for one in alone if one.found is not None)
+
+
+def fit_surfaces(  # noqa: PLR0913  # the public face: one keyword for each thing that may be asked
+    source: str | Path,
+    response: str,
+    numeric: Sequence[str],
+    factors: Sequence[str],
+    *,
+    surface: Surface = "auto",
+    block: str | None = None,
+    practical: float | str | None = None,
+    decimal: str = ".",
+    announce: Callable[[str], None] | None = None,
+) -> tuple[FittedSurface, ...]:
+    """Fit a response over numeric factors at every combination of labels, and compare these.
+
+    Where runs are few at each combination one emulator is fitted to all of them, if it predicts
+    left-out runs better.
+
+    Parameters
+    ----------
+    source : str or Path
+        CSV with one row a run.
+    response : str
+        Column of the response; rows without one are left out, and that is said.
+    numeric : sequence of str
+        Columns of the factors that are numbers, as of :func:`fit_surface`; the ranges are those of
+        all runs.
+    factors : sequence of str
+        Columns of the factors that are labels.
+    surface : {"auto", "quadratic", "emulator", "none"}
+        As of :func:`fit_surface`, at every combination.
+    block : str, optional
+        Column of the blocks.
+    practical : float or str, optional
+        Smallest difference that matters: a number, or "5 % of mean" of all runs.
+    decimal : {".", ","}
+        Decimal mark of the file.
+    announce : callable, optional
+        Told beforehand what a long fit will cost.
+
+    Returns
+    -------
+    tuple of FittedSurface
+        One a combination that has runs, the last factor changing fastest.
+
+    Raises
+    ------
+    InputError
+        Naming file, row and column.
+    RefusedError
+        If no combination can carry a surface.
+    """
+    check_kind(surface)
+    table = tabular.read_csv(Path(source), numbers=[response], decimal=decimal)
+    runs, kept, notes = runs_of(table, response, numeric, block)
+    places, rows = _places(table, factors, kept, {*runs.names, response, block})
+    if kind_of(runs, surface) == "emulator":
+        announce_cost(runs, announce)
+    difference = difference_of(practical, runs.response)
+    sizes = [len({place[name] for place in places}) for name in factors]
+    common = (
+        _level_surfaces_together(runs, rows, sizes, surface)
+        if len(rows) == np.prod(sizes)
+        else None
+    )
+    each = [
+        _level_surfaces_fitted(
+            runs, here, place, surface, difference, None if common is None else common[k]
+        )
+        for k, (place, here) in enumerate(zip(places, rows, strict=True))
+    ]
+    if all(one.found is None for one in each):
+        raise RefusedError(f"no combination carries a surface: {each[0].refused}")
+    each = _noted(each, (*table.notes, *notes), surface)
+    return tuple(replace(one, differences=differences(one, each, places[0])) for one in each)
+
+
+def _places(
+    table: CsvTable, factors: Sequence[str], kept: Flags, taken: set[str | None]
+) -> tuple[list[dict[str, str]], list[Flags]]:
+    """List combinations of labels that have runs, and which of the runs with a response."""
+    twice = [name for name in factors if name in taken or list(factors).count(name) > 1]
+    if twice:
+        rule = f"{twice[0]!r} stands twice among factors, numbers, response and block"
+        raise InputError(Fault("--factors", rule, "name every column once"))
+    columns = {name: np.array(table.text(name))[kept] for name in factors}
+    levels = [list(dict.fromkeys(column.tolist())) for column in columns.values()]
+    every = np.ones(kept.sum(), dtype=bool)
+    named = (dict(zip(factors, one, strict=True)) for one in itertools.product(*levels))
+    found = [
+        (place, np.all([every, *(columns[name] == at for name, at in place.items())], axis=0))
+        for place in named
+    ]
+    found = [(place, here) for place, here in found if here.any()]
+    if len(found) > MOST_COMBINATIONS:
+        rule = f"make {len(found)} combinations, and each gets a surface of its own"
+        raise InputError(Fault("--factors", rule, f"at most {MOST_COMBINATIONS}: name fewer"))
+    return [place for place, _ in found], [here for _, here in found]
+
+
+def _some(runs: Runs, here: Flags) -> Runs:
+    """Keep some of the runs, in the ranges of all; refuses a factor that never changes in them."""
+    blocks = tuple(name for name, chosen in zip(runs.blocks, here, strict=False) if chosen)
+    return replace(runs, coded=runs.coded[here], response=runs.response[here], blocks=blocks)
+
+
+def _level_surfaces_together(
+    runs: Runs, rows: Sequence[Flags], sizes: Sequence[int], surface: str
+) -> tuple[Emulator | BlockedEmulator, ...] | None:
+    """Models of all combinations by one emulator, where that is the better one."""
+    try:
+        return fitted_together([_some(runs, here) for here in rows], sizes, surface)
+    except StudyError:
+        return None  # what is wrong with a combination is said where it is fitted
+
+
+def _level_surfaces_fitted(
+    runs: Runs,
+    here: Flags,
+    place: Mapping[str, str],
+    surface: str,
+    practical: float | None,
+    model: Emulator | BlockedEmulator | None,
+) -> FittedSurface:
+    """Surface at one combination, or why there is none: raised where there are no labels."""
+    try:
+        one = fitted(_some(runs, here), surface) if model is None else model
+        found = told(one, practical, 0.0)
+    except StudyError as error:
+        if not place:
+            raise
+        return FittedSurface(runs.name, "", None, str(error), place, practical)
+    return FittedSurface(runs.name, "", found, "", place, practical)
+
+
+def _noted(
+    each: Sequence[FittedSurface], of_table: Sequence[str], surface: str
+) -> list[FittedSurface]:
+    """Add what is to be said of every surface, and of their table once, with the first."""
+    noted, left = [], of_table
+    for one in each:
+        if one.found is None:
+            noted.append(one)
+            continue
+        said = (*left, *remarks(one.found.runs, surface, one.practical))
+        noted.append(replace(one, found=one.found.noted(*said)))
+        left = ()
+    return noted
+
+
+def differences(
+    one: FittedSurface, each: Sequence[FittedSurface], first: Mapping[str, str]
+) -> tuple[LevelDifference, ...]:
+    """Compare a surface with those at the first levels of the other factors, one at a time."""
+    made = []
+    for name, base in first.items():
+        wanted = {**one.labels, name: base}
+        # runs at some combinations of labels may be missing
+        other = next((found for found in each if dict(found.labels) == wanted), one)
+        mine, theirs = (None if s.found is None else s.found.model for s in (one, other))
+        if one is other or not (isinstance(mine, _EMULATORS) and isinstance(theirs, _EMULATORS)):
+            continue
+        limits = [s.practical for s in (one, other) if s.practical is not None]
+        limit = min(limits) if limits else None
+        names = (name, one.labels[name], base)
+        made.append(level_difference(names, (mine, theirs), limit, one.bound or 0.0))
+    return tuple(made)
+
+
+# -------------------------------------------------------------------------------------------------
+# Surfaces over the numeric factors of a study's own runs.
+
+#: kinds of a design whose settings are chosen for a surface
+_FOR_SURFACES = ("central-composite", "box-behnken", "latin-hypercube", "sobol", "adaptive")
+
+#: what stands in the place of a table of levels
+SEE_SURFACE = "its factors are numbers: see the surface"
+
+
+def is_numeric(design: Design) -> bool:
+    """Whether a surface over the ranges of a design answers its question."""
+    ranged = any(factor.span is not None for factor in design.factors)
+    asked = design.analysis.surface
+    if not ranged or asked == "none":
+        return False
+    return asked != "auto" or design.scheme.kind in _FOR_SURFACES
+
+
+def surfaces(
+    design: Design, records: Sequence[Record], numerical: Sequence[NumericalUncertainty]
+) -> tuple[FittedSurface, ...]:
+    """Fit every response of a design over its ranges, at every combination of the other levels.
+
+    A run without an answer is left out and said; it is never imputed.
+    """
+    if not is_numeric(design):
+        return ()
+    others = [factor for factor in design.factors if factor.span is None]
+    own = [record for record in records if not is_repeat(record.extra)]
+    combinations = itertools.product(*(factor.labels for factor in others))
+    places = [dict(zip([f.name for f in others], labels, strict=True)) for labels in combinations]
+    found: list[FittedSurface] = []
+    for response in design.responses:
+        half_width = _half_width(response.name, records, numerical)
+        asked = _Asked(design, response, half_width, *_answered(design, response.name, own))
+        together = _study_surface_together(asked, places, own)
+        each = [_study_surface_fitted(asked, labels, own, together.get(place))
+                for place, labels in enumerate(places)]  # fmt: skip
+        first = {factor.name: factor.labels[0] for factor in others}
+        found += [replace(one, differences=differences(one, each, first)) for one in each]
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """A response of a design, and the largest numerical half-width of its runs.
+
+    Its factors have the ranges over which runs have answers, and ``ends`` says which are cut.
+    """
+
+    design: Design
+    response: Response
+    half_width: float | None
+    factors: tuple[NumericFactor, ...]
+    ends: tuple[str, ...]
+
+    def good(
+        self, labels: Mapping[str, str], records: Sequence[Record]
+    ) -> tuple[list[Record], int]:
+        """Collect the runs with an answer at some levels, and count those without."""
+        here = [r for r in records if all(r.levels[n] == label for n, label in labels.items())]
+        answered = [one for one in here if one.value(self.response.name) is not None]
+        return answered, len(here) - len(answered)
+
+    def runs(self, records: Sequence[Record]) -> Runs:
+        """Code the settings of runs."""
+        return _runs(self.design, self.response.name, records, self.half_width, self.factors)
+
+
+def _study_surface_together(
+    asked: _Asked, places: Sequence[Mapping[str, str]], records: Sequence[Record]
+) -> Mapping[int, Emulator | BlockedEmulator]:
+    """Fit the runs at all combinations of levels together, where that predicts better."""
+    design = asked.design
+    sizes = [len(f.labels) for f in design.factors if f.span is None]
+    try:
+        every = [asked.runs(asked.good(labels, records)[0]) for labels in places]
+        found = fitted_together(every, sizes, design.analysis.surface)
+    except StudyError:
+        return {}
+    return {} if found is None else dict(enumerate(found))
+
+
+def runs_at(
+    design: Design, response: str, labels: Mapping[str, str], records: Sequence[Record]
+) -> Runs:
+    """Return the runs of a response that have an answer, at one combination of other levels."""
+    here = [r for r in records if all(r.levels[name] == label for name, label in labels.items())]
+    good = [r for r in here if not is_repeat(r.extra) and r.value(response) is not None]
+    return _runs(design, response, good, None, _factors(design))
+
+
+def _half_width(
+    response: str, records: Sequence[Record], numerical: Sequence[NumericalUncertainty]
+) -> float | None:
+    """Largest half-width of a run: of its mesh where one was refined, and of its load steps."""
+    meshes = [row.u_num for row in numerical if row.response == response and row.u_num is not None]
+    if not meshes:
+        return None
+    steps = [record.responses[response].get("u_steps") or 0.0 for record in records
+             if response in record.responses]  # fmt: skip
+    return max(meshes) + max(steps, default=0.0)
+
+
+def _study_surface_fitted(
+    asked: _Asked,
+    labels: Mapping[str, str],
+    records: Sequence[Record],
+    model: Emulator | BlockedEmulator | None,
+) -> FittedSurface:
+    design, response = asked.design, asked.response
+    good, lost = asked.good(labels, records)
+    # each of two settings may be off by its own bound
+    bound = None if asked.half_width is None else 2.0 * asked.half_width
+    practical = None
+    units_of = {f.name: f.span.unit for f in design.factors if f.span is not None}
+    try:
+        runs = asked.runs(good)
+        limit = threshold(response.practical)
+        if limit is not None:
+            practical = limit.on_scale(float(runs.response.mean()), "none")
+        one = fitted(runs, design.analysis.surface) if model is None else model
+        found = told(one, practical, bound or 0.0).noted(*_left_out(lost), *asked.ends)
+        uncertain, refused = _propagated(design, found)
+        found = found.noted(refused) if refused else found
+    except StudyError as error:
+        return FittedSurface(
+            response.name, response.unit, None, str(error), labels, practical, bound, units_of
+        )
+    words = {name: one.words(units_of[name]) for name, one in design.inputs.items()}
+    return FittedSurface(
+        response.name, response.unit, found, "", labels, practical, bound, units_of, uncertain,
+        words,
+    )  # fmt: skip
+
+
+def _propagated(design: Design, found: SurfaceAnalysis) -> tuple[Propagated | None, str]:
+    """Carry uncertain inputs through a surface; a refusal is a sentence."""
+    if not design.inputs:
+        return None, ""
+    fixed = {
+        f.name: usual_value(f.name, overlay.dimension(f.name) or "number", f.span, design.config)
+        for f in design.factors
+        if f.span is not None and f.name not in design.inputs
+    }
+    try:
+        return propagate(found, design.inputs, fixed, design.seed), ""
+    except StudyError as error:
+        return None, str(error)
+
+
+def _left_out(failed: int) -> tuple[str, ...]:
+    if not failed:
+        return ()
+    return (f"{count(failed, 'run')} without an answer left out; nothing is put in the place",)
+
+
+def _factors(design: Design) -> tuple[NumericFactor, ...]:
+    """Ranges of a design."""
+    ranged = [(factor, factor.span) for factor in design.factors if factor.span is not None]
+    return tuple(NumericFactor(f.name, span.low, span.high, span.log) for f, span in ranged)
+
+
+def _coded(design: Design, factors: Sequence[NumericFactor], records: Sequence[Record]) -> Array:
+    """Coded settings of some runs, shape (n, k)."""
+    columns = []
+    ranged = [factor for factor in design.factors if factor.span is not None]
+    for factor, numeric in zip(ranged, factors, strict=True):
+        known = settings_of(factor)
+        settings = [known[record.levels[factor.name]] for record in records]
+        columns.append(numeric.coded(np.array(settings, dtype=np.float64)))
+    return np.column_stack(columns)
+
+
+def _answered(
+    design: Design, response: str, records: Sequence[Record]
+) -> tuple[tuple[NumericFactor, ...], tuple[str, ...]]:
+    """Ranges of a design without the ends where no run has an answer, and sentences about these.
+
+    A surface beyond its last run is a guess, and where runs fail there may be nothing to guess.
+    """
+    factors, coded = _factors(design), _coded(design, _factors(design), records)
+    good = np.array([record.value(response) is not None for record in records], dtype=bool)
+    if good.all() or not good.any():
+        return factors, ()
+    found, ends = [], []
+    for one, every, own in zip(factors, coded.T, coded[good].T, strict=True):
+        low, high = one.low, one.high
+        # what is one share of the sample from an end is as near as runs are to each other
+        near = 2.0 / len(records)
+        if every.min() < own.min() and own.min() > near - 1.0:
+            low = one.setting(float(own.min()))
+            ends.append(_end(one.name, "below", low))
+        if every.max() > own.max() and own.max() < 1.0 - near:
+            high = one.setting(float(own.max()))
+            ends.append(_end(one.name, "above", high))
+        found.append(replace(one, low=low, high=high) if low < high else one)
+    return tuple(found), tuple(ends)
+
+
+def _end(name: str, side: str, value: float) -> str:
+    return f"no run with {name} {side} {value:.4g} has an answer: nothing is said there"
+
+
+def _runs(
+    design: Design,
+    response: str,
+    records: Sequence[Record],
+    half_width: float | None,
+    factors: tuple[NumericFactor, ...],
+) -> Runs:
+    """Coded settings and responses; a numerical half-width is two standard uncertainties."""
+    values = np.array([record.value(response) for record in records], dtype=np.float64)
+    blocks = tuple(str(record.block) for record in records if record.block is not None)
+    u = None if half_width is None else np.full(values.size, half_width / 2.0)
+    return Runs(response, factors, _coded(design, factors, records), values, blocks, u)
+
+
+# -------------------------------------------------------------------------------------------------
+# Write the page of a surface that was fitted to a table.
+
+
+def write_surface_page(
+    found: Sequence[FittedSurface],
+    out_dir: str | Path,
+    *,
+    source: Source,
+    formats: Sequence[str] = ("html",),
+) -> Path:
+    """Write the page of the surfaces of one response, with the CSV of its tables and figures."""
+    runs = next(one.found for one in found if one.found is not None).runs
+    check_taken([*runs.names, *found[0].labels])
+    return write(_report_data(found, runs, source), out_dir, formats)
+
+
+def _report_data(found: Sequence[FittedSurface], runs: Runs, source: Source) -> ReportData:
+    practical = found[0].practical
+    table = _table(found)
+    ends = {f.name: (f.low, f.high) for f in runs.factors}
+    labels = list(found[0].labels)
+    return ReportData(
+        name=source.name,
+        question=f"How does {runs.name} depend on {', '.join([*labels, *runs.names])}?",
+        factors={name: tuple(table[name].unique()) for name in (*labels, *runs.names)},
+        table=table,
+        responses=(
+            ResponseAnalysis(
+                runs.name, "", None, practical=practical, title=runs.name, refused=SEE_SURFACE
+            ),
+        ),
+        block="block" if runs.blocks else "",
+        blocks=tuple(table["block"].unique()) if runs.blocks else (),
+        citation="" if source.path is None else source.path.name,
+        provenance=provenance(source),
+        commands=source.commands(),
+        scheme=f"a table of {len(table):,} rows was analyzed",
+        cells=sum(len(one.found.runs.distinct()[0]) for one in found if one.found is not None),
+        labels={name: name for name in (runs.name, *labels, *runs.names)},
+        surfaces=tuple(found),
+        ranges={name: f"{low:g} to {high:g}" for name, (low, high) in ends.items()},
+        is_table=True,
+    )
+
+
+def _table(found: Sequence[FittedSurface]) -> pd.DataFrame:
+    """Rows as a report wants them: settings, block, status, the response under its own name."""
+    import pandas as pd
+
+    parts = [_rows(one.found.runs, one.labels) for one in found if one.found is not None]
+    frame = pd.concat(parts, ignore_index=True)
+    frame.insert(0, "case_id", [str(n + 1) for n in range(len(frame))])
+    return frame
+
+
+def _rows(runs: Runs, labels: Mapping[str, str]) -> pd.DataFrame:
+    import pandas as pd
+
+    settings = {
+        factor.name: [f"{factor.setting(float(x)):.6g}" for x in column]
+        for factor, column in zip(runs.factors, runs.coded.T, strict=True)
+    }
+    frame = pd.DataFrame({**{n: [at] * runs.response.size for n, at in labels.items()}, **settings})
+    if runs.blocks:
+        frame["block"] = list(runs.blocks)
+    return frame.assign(status="converged", **{runs.name: runs.response})

@@ -1,0 +1,502 @@
+"""A problem, a calibration or a case of a study for a device, or for another program."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+
+from study.api.explaining import why
+from study.api.folders import REPORTS, RESULTS, data_root, finished_manifest, results_folder
+from study.api.opened_study import open_study
+from study.ground.arrays import Array
+from study.ground.bounded_file import UnreadableError, read_json
+from study.ground.errors import Fault, InputError, nearest
+from study.harness.design import load
+from study.harness.design.cell import Config
+from study.harness.design.spec import Design
+from study.harness.record.atomic_files import write_atomic
+from study.harness.record.record import Record
+from study.harness.record.store import Store
+from study.harness.runner import provenance
+from study.harness.runner.expansion import cases_by_id
+from study.harness.runner.tasks import default_jobs
+from study.laboratory.haptics.force_surface import SurfaceFunction, surface_function
+from study.laboratory.haptics.haptic_export import (
+    TOLERANCE,
+    Wanted,
+    document,
+    files,
+    sentences,
+    solved_force_law,
+)
+from study.laboratory.haptics.tabulated_force import ForceLaw
+from study.laboratory.sensors.force_model import load_requirement
+from study.laboratory.sensors.requirement import SensorRequirement, sensor_requirement
+from study.laboratory.sensors.requirement import document as requirement_document
+from study.mechanics.material import material as conversions
+from study.mechanics.material.energy import Converted
+from study.mechanics.material.input_file import abaqus_text, febio_text, material_name, remarks
+from study.mechanics.material.material import Material, is_dimensionless
+from study.mechanics.material.stability import check, stability
+from study.mechanics.setup.material_section import MaterialSection
+from study.mechanics.setup.setup import Problem, Tables, problem_of
+from study.reporting.output.haptic_pages import warnings, write_force_law, write_requirement
+
+if TYPE_CHECKING:
+    from study.reporting.results.study_result import StudyResult
+
+
+# -------------------------------------------------------------------------------------------------
+# A material as the input of another program: ``study export --as abaqus`` and ``--as febio``.
+
+#: what writes a material, and the ending of its file, by the name of the program
+PROGRAMS: Mapping[str, tuple[Callable[[Material, str], str], str]] = {
+    "abaqus": (abaqus_text, ".inp"),
+    "febio": (febio_text, ".feb"),
+}
+
+
+@dataclass(frozen=True)
+class MaterialExport:
+    """A material in another program's words, and its file."""
+
+    name: str
+    converted: Converted
+    text: str
+    paths: tuple[Path, ...]
+    #: Units, Drucker's criterion, and what differs.
+    remarks: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+    def to_json(self) -> dict[str, object]:
+        """Document of ``study export --json``."""
+        return {
+            "name": self.name,
+            "program": self.converted.convention,
+            "keyword": self.converted.keyword,
+            "constants": dict(self.converted.constants),
+            "text": self.text,
+            "files": {path.suffix.removeprefix("."): str(path) for path in self.paths},
+            "remarks": list(self.remarks),
+            "warnings": list(self.warnings),
+        }
+
+    def sentences(self) -> tuple[str, ...]:
+        """Say what was written, and what must be known of it."""
+        return (f"{self.name}: {self.converted.keyword}", *self.remarks)
+
+
+def export_material(title: str, material: Material, program: str, folder: Path) -> MaterialExport:
+    """Write a material for another program."""
+    name = material_name(title)
+    check(material, None)
+    write, ending = PROGRAMS[program]
+    text, converted = write(material, name), conversions.convert(material, program)
+    judged = stability(material)
+    warnings = () if judged.stable else (f"{judged.sentence}: Abaqus warns of it, FEBio does not",)
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{name}{ending}"
+    write_atomic(path, text.encode())
+    return MaterialExport(name, converted, text, (path,), remarks(material, converted), warnings)
+
+
+# -------------------------------------------------------------------------------------------------
+# What a verb about one simulation is given: a problem file, a calibration, a case of a study.
+
+#: Half ranges of calibrated constants over their standard errors.
+STANDARD_ERRORS = 2.0
+#: Largest half range over the constant itself.
+LARGEST_SHARE = 0.5
+
+
+@dataclass(frozen=True)
+class Source:
+    """A problem, and what is known of its constants."""
+
+    #: Of the file, the calibration, or the study and its case.
+    name: str
+    problem: Problem
+    #: Two standard errors of calibrated constants, MPa (exponents plain).
+    half_ranges: Mapping[str, float] = field(default_factory=dict)
+    #: shape (p, p); of calibrated constants, MPa^2.
+    covariance: Array | None = None
+
+
+def source_of(path: Path, case: str, test: int, overrides: Sequence[str]) -> Source:
+    """Read a problem from whatever holds it; its name and content show what that is."""
+    if path.suffix == ".json":
+        return _calibrated(path, test)
+    if path.suffix == ".toml" and path.is_file() and not case:
+        return _written(path, overrides)
+    return _recorded(path, case)
+
+
+def material_of(path: Path, case: str, test: int, overrides: Sequence[str]) -> tuple[str, Material]:
+    """Read the name and the material of a problem; a calibrated one needs no displacement."""
+    if path.suffix != ".json":
+        found = source_of(path, case, test, overrides)
+        return found.name, found.problem.material
+    document = _document(path)
+    values, _ = _constants(cast("Mapping[str, Mapping[str, object]]", document["parameters"]))
+    tables = _test_of(document, path, test)
+    return str(document["name"]), MaterialSection.of(tables).material(values)
+
+
+def _written(path: Path, overrides: Sequence[str]) -> Source:
+    """Problem of a file."""
+    kind = load.file_kind(path)
+    if kind == "calibration":
+        rule = "is a calibration that has not been made"
+        mend = f"run `study calibrate {path}` and export its calibration.json"
+        raise InputError(Fault(str(path), rule, mend))
+    if kind == "design":
+        mend = "run it and name one: study export results/NAME --case ID"
+        raise InputError(Fault(str(path), "is a design of many cases", mend))
+    config = load.load_problem(path, overrides)
+    config = provenance.located(config, provenance.folders(path, data_root(path)))
+    return Source(load.default_name(str(path)), problem_of(config))
+
+
+def _calibrated(path: Path, number: int) -> Source:
+    """Test of a finished calibration, with the constants and their covariance."""
+    found = _document(path)
+    tables = _test_of(found, path, number)
+    values, errors = _constants(cast("Mapping[str, Mapping[str, object]]", found["parameters"]))
+    rows = cast("Sequence[Sequence[object]]", found["correlation"])
+    correlation = np.array([[_float(value) for value in row] for row in rows])
+    size = np.array(list(errors.values()))
+    covariance = np.outer(size, size) * correlation
+    name = str(found["name"])
+    return Source(
+        f"{name}-test-{number}" if len(cast("list[object]", found["tests"])) > 1 else name,
+        problem_of(tables, values),
+        _half_ranges(values, errors),
+        covariance if np.isfinite(covariance).all() else None,
+    )
+
+
+def _test_of(found: Mapping[str, object], path: Path, number: int) -> Tables:
+    """Tables of a test of a calibration, counted from 1."""
+    tests = cast("Sequence[Tables]", found["tests"])
+    if not 1 <= number <= len(tests):
+        rule = f"there is no test {number} in {path}, which has {len(tests)}"
+        raise InputError(Fault("--test", rule, f"1 to {len(tests)}"))
+    return tests[number - 1]
+
+
+def _config_of(record: Record, design: Design, blocks: Sequence[str]) -> Config:
+    """Document of the cell that a case is of, or repeats on another mesh."""
+    known = cases_by_id(design, blocks).get(record.case_id)
+    if known is not None:
+        return known.config
+    for cell in design.treatments:
+        if cell.levels == record.levels:
+            return cell.config
+    mend = "name another of its cases (see `study why`)"
+    raise InputError(Fault(f"--case {record.case_id}", "is of no cell of the design", mend))
+
+
+def _constants(
+    parameters: Mapping[str, Mapping[str, object]],
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Values and standard errors in MPa (exponents plain) of parameters in kPa."""
+    factor = {name: 1.0 if is_dimensionless(name) else 1e-3 for name in parameters}
+    values = {n: factor[n] * _float(p["value"]) for n, p in parameters.items()}
+    errors = {n: factor[n] * _float(p.get("standard_error")) for n, p in parameters.items()}
+    return values, errors
+
+
+def _half_ranges(values: Mapping[str, float], errors: Mapping[str, float]) -> dict[str, float]:
+    """Range of every constant whose error is known; not so wide that the material is another."""
+    return {
+        name: min(STANDARD_ERRORS * error, LARGEST_SHARE * abs(values[name]))
+        for name, error in errors.items()
+        if np.isfinite(error) and error > 0
+    }
+
+
+def _float(value: object) -> float:
+    """Return a number of a document, NaN for null."""
+    return float("nan") if value is None else float(str(value))
+
+
+def _document(path: Path) -> Mapping[str, object]:
+    """Document of a calibration that converged."""
+    mend = "name the calibration.json that `study calibrate` wrote"
+    try:
+        found = read_json(path)
+    except UnreadableError as error:
+        raise InputError(Fault(str(path), error.rule, mend)) from None
+    needed = {"status", "name", "parameters", "correlation", "tests"}
+    if not isinstance(found, Mapping) or not needed <= set(found):
+        raise InputError(Fault(str(path), "is no document of a calibration", mend))
+    if found["status"] != "converged":
+        rule = f"ended as {found['status']}: its constants are no result"
+        raise InputError(Fault(str(path), rule, "see its message"))
+    return found
+
+
+def _recorded(path: Path, case: str) -> Source:
+    """Case of a study that was run, with the constants of its fit."""
+    folder = results_folder(path)
+    if not case:
+        mend = "name one of its cases: --case ID (see `study why`)"
+        raise InputError(Fault(str(path), "is a study of many cases", mend))
+    record = why(case, study=folder)
+    manifest = finished_manifest(Store(folder))
+    if not record.converged:
+        rule = f"the case ended as {record.status}: {record.message}"
+        raise InputError(Fault(f"--case {case}", rule, "name one that has an answer"))
+    design = load.loads(manifest["design"], manifest["source"])
+    config = _config_of(record, design, manifest["blocks"])
+    values, errors = _constants(record.parameters)
+    fitted = {n: v for n, v in values.items() if n != "mu0"}
+    config = provenance.located(config, provenance.folders(design.source, folder))
+    problem = problem_of(config, fitted or None)
+    return Source(f"{design.name}-{record.case_id[:8]}", problem, _half_ranges(fitted, errors))
+
+
+#: What a result can be exported as.
+FORMS = ("force-law", "emulator", *PROGRAMS)
+
+
+@dataclass(frozen=True)
+class Export:
+    """A force law and the files that hold it."""
+
+    law: ForceLaw
+    #: JSON, CSV, Python module, C header and report page.
+    paths: tuple[Path, ...]
+    #: Such as a tolerance that is not met.
+    warnings: tuple[str, ...]
+
+    def sentences(self) -> Sequence[str]:
+        """Say where the law holds, and how near it is."""
+        return sentences(self.law)
+
+    def to_json(self) -> dict[str, object]:
+        """Document of ``study export --json``."""
+        written = {path.suffix.removeprefix("."): str(path) for path in self.paths}
+        return {**document(self.law), "files": written, "warnings": list(self.warnings)}
+
+
+def export(
+    source: str | Path,
+    *,
+    form: str = "force-law",
+    case: str = "",
+    test: int = 1,
+    overrides: Sequence[str] = (),
+    tolerance: float = TOLERANCE,
+    out: str | Path = REPORTS,
+    progress: Callable[[str], None] | None = None,
+) -> Export | MaterialExport:
+    """Turn a simulated test into a function, or its material into input of another program.
+
+    Parameters
+    ----------
+    source : str or Path
+        Problem file, ``calibration.json`` of a calibration, or the results of a study.
+    form : {"force-law", "abaqus", "febio"}
+        What it becomes: a function of displacement and constants, or lines of an input file.
+    case : str
+        Case of a study, by the beginning of its id.
+    test : int
+        Number of the test of a calibration, from 1.
+    overrides : sequence of str
+        ``key=value`` each, laid over a problem file.
+    tolerance : float
+        Wanted error bound over the largest force.
+    out : str or Path
+        Folder of the files; made where it is missing.
+    progress : callable, optional
+        Gets a sentence after every solution.
+
+    Returns
+    -------
+    Export or MaterialExport
+        The law or the material, and the files that were written.
+
+    Raises
+    ------
+    InputError
+        For a faulty source, a simulation that does not reach its end, or a program that has no
+        such energy; nothing is written.
+    """
+    if form not in FORMS:
+        raise InputError(Fault("--as", f"no form {form!r}", nearest(form, FORMS)))
+    if form == "emulator":
+        rule = "is a function of the ranges of a study, not of one test"
+        raise InputError(Fault("--as", rule, "use study.export_surface"))
+    if not 0 < tolerance < 1:
+        rule = f"must be a share between 0 and 1, got {tolerance:g}"
+        raise InputError(Fault("--tolerance", rule, "for example 0.002"))
+    if form in PROGRAMS:
+        name, material = material_of(Path(source), case, test, overrides)
+        return export_material(name, material, form, Path(out))
+    found = source_of(Path(source), case, test, overrides)
+    check(found.problem.material, None)
+    wanted = Wanted(tolerance, found.half_ranges, found.covariance)
+    law = solved_force_law(found.name, found.problem, wanted, progress)
+    warnings = _warnings(law, tolerance)
+    folder = Path(out)
+    folder.mkdir(parents=True, exist_ok=True)
+    made = files(law, folder)
+    for path, text in made.items():
+        write_atomic(path, text.encode())
+    question = "How does the force follow from displacement and constants?"
+    page = write_force_law(law, question, folder, warnings)
+    return Export(law, (*made, page), warnings)
+
+
+def _warnings(law: ForceLaw, tolerance: float) -> tuple[str, ...]:
+    said = []
+    if law.relative_error > tolerance:
+        said.append(
+            f"the error bound is {100 * law.relative_error:.2g} % of the largest force, not "
+            f"{100 * tolerance:.2g} %: a finer mesh bends the curve less where contact begins"
+        )
+    return tuple(said)
+
+
+# -------------------------------------------------------------------------------------------------
+# What the sensors of a test must be for constants as accurate as wanted.
+
+
+@dataclass(frozen=True)
+class Required:
+    """What the sensors must be, and the page that says so."""
+
+    requirement: SensorRequirement
+    page: Path
+    #: Where first order does not hold.
+    warnings: tuple[str, ...]
+
+    def to_json(self) -> dict[str, object]:
+        """Document of ``study require --json``."""
+        found = requirement_document(self.requirement)
+        return {**found, "report": str(self.page), "warnings": list(self.warnings)}
+
+
+def require(
+    source: str | Path,
+    *,
+    overrides: Sequence[str] = (),
+    jobs: int | None = None,
+    out: str | Path = REPORTS,
+    progress: Callable[[str], None] | None = None,
+) -> Required:
+    """Say how uncertain sensors make constants and force, and what they must be.
+
+    Parameters
+    ----------
+    source : str or Path
+        A problem with its assumed constants, and tables ``[position]``, ``[force]``,
+        ``[requirement]`` and ``[predict]``.
+    overrides : sequence of str
+        ``key=value`` each, laid over the file before it is validated.
+    jobs : int, optional
+        Workers of the Monte Carlo simulation; one a core by default.
+    out : str or Path
+        Folder of the page; made where it is missing.
+    progress : callable, optional
+        Gets a sentence after every part of the simulation.
+
+    Returns
+    -------
+    Required
+        The numbers, and the page that was written.
+
+    Raises
+    ------
+    InputError
+        For a faulty file; nothing is written.
+    RefusedError
+        If the test does not determine the constants.
+    """
+    file = load_requirement(source, overrides)
+    places = provenance.folders(source, data_root(source))
+    file = replace(
+        file,
+        fitted=provenance.located(file.fitted, places),
+        predicted=provenance.located(file.predicted, places),
+    )
+    found = sensor_requirement(file, jobs or default_jobs(), progress)
+    return Required(found, write_requirement(found, out), tuple(warnings(found)))
+
+
+# -------------------------------------------------------------------------------------------------
+# The surfaces of a study as functions that need no package.
+
+
+@dataclass(frozen=True)
+class SurfaceExport:
+    """Functions and the files that hold them."""
+
+    #: One for each response at each combination of the levels that are no numbers.
+    functions: tuple[SurfaceFunction, ...]
+    #: JSON and Python module of each.
+    paths: tuple[Path, ...]
+    warnings: tuple[str, ...]
+
+    def to_json(self) -> dict[str, object]:
+        """Document of ``study export --as emulator --json``."""
+        return {
+            "functions": [one.document() for one in self.functions],
+            "files": [str(path) for path in self.paths],
+            "warnings": list(self.warnings),
+        }
+
+
+def export_surface(
+    path: str | Path | StudyResult,
+    *,
+    response: str | None = None,
+    out: str | Path = REPORTS,
+    results: Path = RESULTS,
+) -> SurfaceExport:
+    """Write the surfaces of a study as JSON and as Python modules that import nothing.
+
+    Parameters
+    ----------
+    path : str, Path or StudyResult
+        Results folder, design file, name of the study, or the study itself.
+    response : str, optional
+        One response alone.
+    out : str or Path
+        Folder of the files; made where it is missing.
+    results : Path
+        Folder of the results, where ``path`` is a name.
+
+    Returns
+    -------
+    SurfaceExport
+        The functions, each with its error bound, and the files that were written.
+
+    Raises
+    ------
+    InputError
+        If the study has no surface, or not that response; nothing is written.
+    """
+    study = open_study(path, results) if isinstance(path, str | Path) else path
+    names = list(dict.fromkeys(one.response for one in study.surfaces))
+    if response is not None and names and response not in names:
+        raise InputError(Fault("--response", f"there is no {response!r}", nearest(response, names)))
+    asked = [one for one in study.surfaces if response in (None, one.response)]
+    good = [one for one in asked if one.found is not None]
+    if not good:
+        rule = "has no surface that could be a function"
+        said = next((one.refused for one in asked), "no factor is a range")
+        raise InputError(Fault(study.design.name, rule, said))
+    made = tuple(surface_function(study.design.name, one) for one in good)
+    folder = Path(out)
+    folder.mkdir(parents=True, exist_ok=True)
+    texts = {place: text for one in made for place, text in one.files(folder).items()}
+    for place, text in texts.items():
+        write_atomic(place, text.encode())
+    missing = tuple(f"{one.response}: {one.refused}" for one in asked if one.found is None)
+    return SurfaceExport(made, tuple(texts), missing)

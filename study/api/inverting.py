@@ -1,0 +1,356 @@
+"""The verb invert: all inputs of a study whose curve agrees with a measured one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from study import api
+from study.api.folders import RESULTS
+from study.api.predicting import Permission, confirm, joined, number_in_unit
+from study.ground import tabular, units
+from study.ground.errors import Fault, InputError, RefusedError, nearest
+from study.harness.design.factors import settings_of
+from study.harness.record.record import is_repeat
+from study.harness.record.store import Store
+from study.mechanics.calibration.serial_correlation import effective_rows
+from study.reporting.results.study_answers import Checked, Determined, InputSet, Inverted
+from study.statistics.surfaces.surface_factors import NumericFactor, Runs
+from study.statistics.surfaces.surface_inversion import Agreement, agreeing
+from study.statistics.surfaces.surface_profile import CurveEmulator, fit_curves
+
+if TYPE_CHECKING:
+    from study.api.predicting import Setting
+    from study.ground.arrays import Array
+    from study.harness.record.record import Record
+    from study.reporting.results.study_result import StudyResult
+
+
+#: fewest rows of a measured curve
+FEWEST = 3
+
+#: most times that the true model is run at the best setting, the emulator learning from each
+ROUNDS = 4
+
+#: rows below which nothing is said of their correlation
+_TOO_FEW = 8
+
+
+def invert(  # noqa: PLR0913  # the public face: one keyword for each thing that may be asked
+    path: str | Path | StudyResult,
+    to: str | Path,
+    *,
+    at: Mapping[str, Setting] | None = None,
+    columns: Sequence[str] = ("displacement_mm", "force_N"),
+    in_units: Sequence[str] = ("mm", "N"),
+    within: str | None = None,
+    decimal: str = ".",
+    results: str | Path = RESULTS,
+    confirming: bool = True,
+    permission: Permission | None = None,
+) -> Inverted:
+    """Find all inputs of a study of simulations whose curve agrees with a measured one.
+
+    The curves of the runs are emulated; the emulator's best setting is run by the true model,
+    from which the emulator learns, until the two agree there.
+
+    Parameters
+    ----------
+    path : str, Path or StudyResult
+        Results folder, design file, name of the study, or the study itself.
+    to : str or Path
+        CSV of the measured curve, one row a point, displacements increasing.
+    at : mapping, optional
+        Settings of the inputs that are known, as for :func:`study.predict`; a factor that is no
+        number needs one.
+    columns, in_units : sequence of str
+        Columns of displacement and force, and their units.
+    within : str, optional
+        What an agreeing curve may miss, root mean square over that of the measured force:
+        ``"2 %"``. Without it the joint 95 % region of least squares is taken.
+    decimal : {".", ","}
+        Decimal mark of the CSV.
+    results : Path
+        Folder of the results, where ``path`` is a name.
+    confirming : bool
+        Whether the true model is run; the runs join the study's surfaces.
+    permission : Permission, optional
+        What the runs may use.
+
+    Returns
+    -------
+    Inverted
+        The set, what is determined of it, and the true model's runs.
+
+    Raises
+    ------
+    InputError
+        If a factor or the CSV cannot be read, or nothing is asked for.
+    RefusedError
+        If the emulator does not predict left-out curves (a Q2 below .9), or no curve agrees.
+    """
+    study = api.open_study(path, results) if isinstance(path, str | Path) else path
+    known = _known(study, dict(at or {}))
+    curve, notes = _read(Path(to), columns, in_units, decimal), []
+    records = _records(study, known)
+    curve, cut = _covered(curve, records, Path(to))
+    notes += cut
+    found, runs = _solved(study, known, curve, records, _share(within), confirming, permission)
+    return _told(study, known, curve, found, runs, notes)
+
+
+@dataclass(frozen=True)
+class _Known:
+    """Inputs that are known: ranges in their units, labels of the others."""
+
+    numbers: Mapping[str, float]
+    labels: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class _Measured:
+    """A measured curve, mm and N."""
+
+    displacement: Array
+    force: Array
+
+
+@dataclass(frozen=True)
+class _Found:
+    """A set, and the emulator that it comes from."""
+
+    model: CurveEmulator
+    set: Agreement
+    residual: Array
+
+
+def _share(within: str | None) -> float | None:
+    if within is None:
+        return None
+    share = units.parse(within, "ratio")
+    if not share > 0:
+        raise InputError(Fault("--within", f"must be more than zero, got {within!r}", "say 2 %"))
+    return share
+
+
+def _known(study: StudyResult, at: Mapping[str, Setting]) -> _Known:
+    """Read the inputs that are known, and check that something is asked for."""
+    design, factors = study.design, {factor.name: factor for factor in study.design.factors}
+    ranges = [n for n, f in factors.items() if f.span is not None]
+    if not ranges:
+        rule = "has no numeric factor: there is nothing to be found"
+        mend = 'write { low = "5 kPa", high = "15 kPa" } and [design] kind = "latin-hypercube"'
+        raise InputError(Fault(design.name, rule, mend))
+    faults = [Fault(n, "no such factor", nearest(n, list(factors))) for n in at if n not in factors]
+    for name, factor in factors.items():
+        if factor.span is None and str(at.get(name, "")) not in factor.labels:
+            rule = "is no number: say at which of its levels the test was made"
+            faults.append(Fault(name, rule, f"--at {name}={factor.labels[0]}"))
+    if len([n for n in ranges if n not in at]) == 0:
+        faults.append(Fault("--at", "holds every number", "leave those out that are asked for"))
+    if any(one.block is not None for one in study.records):
+        rule = "is a study with measurements: its constants come from fits"
+        faults.append(Fault(design.name, rule, "use study calibrate, or a study of simulations"))
+    if faults:
+        raise InputError(faults)
+    numbers = {n: float(number_in_unit(factors[n], at[n])[0]) for n in ranges if n in at}
+    return _Known(numbers, {n: str(at[n]) for n, f in factors.items() if f.span is None})
+
+
+def _read(source: Path, columns: Sequence[str], in_units: Sequence[str], decimal: str) -> _Measured:
+    """Read a measured curve."""
+    if len(columns) != 2 or len(in_units) != 2:
+        rule = "needs two names each: displacement and force"
+        raise InputError(Fault("--columns, --units", rule, "write --columns d,f --units mm,N"))
+    table = tabular.read_csv(source, required=columns, numbers=columns, decimal=decimal)
+    displacement = table.numbers(columns[0]) * units.unit_factor(in_units[0], "length")
+    force = table.numbers(columns[1]) * units.unit_factor(in_units[1], "force")
+    falls = np.flatnonzero(np.diff(displacement) <= 0)
+    if falls.size:
+        rule = "displacements must increase from row to row"
+        mend = "keep the loading of one test, or average repeats"
+        raise InputError(Fault(table.place(int(falls[0]) + 1, columns[0]), rule, mend))
+    if displacement.size < FEWEST or displacement[0] < 0:
+        rule = f"needs at least {FEWEST} rows, with displacements from 0 on"
+        raise InputError(Fault(str(source), rule))
+    return _Measured(displacement, force)
+
+
+def _records(study: StudyResult, known: _Known) -> list[Record]:
+    """List the runs with a curve at the levels that are known, those that joined included."""
+    more = joined(study.design, Store(study.folder), study.manifest)
+    every = [*study.records, *more.records]
+    here = [one for one in every if all(one.levels[n] == v for n, v in known.labels.items())]
+    return [one for one in here
+            if one.converged and not is_repeat(one.extra) and one.first_prediction()]  # fmt: skip
+
+
+def _covered(
+    curve: _Measured, records: Sequence[Record], source: Path
+) -> tuple[_Measured, list[str]]:
+    """Rows that every run reaches, and what is to be said of the others."""
+    ends = [float(one.displacement_mm[-1]) for r in records if (one := r.first_prediction())]
+    if not ends:
+        raise InputError(Fault(str(source), "no run has a curve to compare with"))
+    inside = curve.displacement <= min(ends) * (1 + 1e-9)
+    if int(inside.sum()) < FEWEST:
+        rule = f"has {int(inside.sum())} rows up to {min(ends):.4g} mm, where the runs end"
+        mend = "give the study a longer test.displacement"
+        raise InputError(Fault(str(source), rule, mend))
+    lost = int((~inside).sum())
+    said = [f"{lost} rows beyond {min(ends):.4g} mm are left out: the runs end there"]
+    return _Measured(curve.displacement[inside], curve.force[inside]), said if lost else []
+
+
+def _runs(study: StudyResult, records: Sequence[Record]) -> Runs:
+    """Coded settings of runs."""
+    more = joined(study.design, Store(study.folder), study.manifest)
+    ranges = [(f, f.span) for f in more.design.factors if f.span is not None]
+    factors = tuple(NumericFactor(f.name, s.low, s.high, s.log) for f, s in ranges)
+    columns = []
+    for (factor, _), numeric in zip(ranges, factors, strict=True):
+        of = settings_of(factor)
+        columns.append(numeric.coded(np.array([of[r.levels[factor.name]] for r in records])))
+    return Runs("force", factors, np.column_stack(columns), np.zeros(len(records)))
+
+
+def _fitted(
+    study: StudyResult,
+    known: _Known,
+    curve: _Measured,
+    records: Sequence[Record],
+    share: float | None,
+) -> _Found:
+    """Emulate the curves, and find the set."""
+    runs = _runs(study, records)
+    curves = np.array([c.force_at(curve.displacement) for r in records
+                       if (c := r.first_prediction())])  # fmt: skip
+    model = fit_curves(runs, curves, study.design.seed)
+    held = np.array([runs.coded_inside(n, known.numbers[n]) if n in known.numbers else np.nan
+                     for n in runs.names])  # fmt: skip
+    size = float(np.sqrt(np.mean(curve.force**2)))
+    largest = None if share is None else share * size
+    found = agreeing(model, curve.force, held, largest=largest)
+    residual = np.asarray(curve.force - model.value(found.at[None, :])[0])
+    if share is None and residual.size >= _TOO_FEW:
+        worth = effective_rows(residual.size, _correlation(residual))
+        found = agreeing(model, curve.force, held, rows_worth=worth)
+    return _Found(model, found, residual)
+
+
+def _correlation(residual: Array) -> float:
+    """Correlation of neighbouring rows."""
+    square = float(residual @ residual)
+    return float(residual[1:] @ residual[:-1]) / square if square > 0 else 0.0
+
+
+def _solved(
+    study: StudyResult,
+    known: _Known,
+    curve: _Measured,
+    records: list[Record],
+    share: float | None,
+    confirming: bool,
+    permission: Permission | None,
+) -> tuple[_Found, tuple[Checked, ...]]:
+    """Let the true model run at the best setting until the emulator says the same there."""
+    own = permission or Permission()
+    found = _fitted(study, known, curve, records, share)
+    if not confirming:
+        _check_agrees(found, curve, share)
+        return found, ()
+    run = None
+    for _ in range(ROUNDS):
+        run, record = _run(study, known, curve, found, found.set.at, own)
+        if record is None:
+            break
+        force = _force(record, curve)
+        missed = force - found.model.value(_runs(study, [*records, record]).coded[-1:])[0]
+        if record.case_id not in {one.case_id for one in records}:
+            records.append(record)
+            found = _fitted(study, known, curve, records, share)
+        if float(np.sqrt(np.mean(missed**2))) <= found.model.loo_rms:
+            break
+    _check_agrees(found, curve, share)
+    ends = []
+    if found.set.combinations or found.set.open_low.any() or found.set.open_high.any():
+        ends = [_run(study, known, curve, found, one, own)[0] for one in found.set.ends]
+    first = [] if run is None else [_judged(run, found)]
+    return found, (*first, *(_judged(one, found) for one in ends))
+
+
+def _judged(run: Checked, found: _Found) -> Checked:
+    # settings of a run are rounded to a ten-thousandth of their range
+    return Checked(run.settings, run.rms, bool(run.rms <= 1.02 * found.set.limit))
+
+
+def _check_agrees(found: _Found, curve: _Measured, share: float | None) -> None:
+    if share is None or found.set.rms <= found.set.limit:
+        return
+    best = found.set.rms / float(np.sqrt(np.mean(curve.force**2)))
+    rule = f"no curve inside of what was run agrees within {100 * share:.3g} %: the best misses"
+    mend = "widen the ranges, ask for less, or look for what the model lacks"
+    raise RefusedError(str(Fault("invert", f"{rule} {100 * best:.3g} %", mend)))
+
+
+def _run(
+    study: StudyResult,
+    known: _Known,
+    curve: _Measured,
+    found: _Found,
+    at: Array,
+    permission: Permission,
+) -> tuple[Checked, Record | None]:
+    """Run the true model at a setting."""
+    settings = found.model.runs.settings(at)
+    records = confirm(study, settings, known.labels, permission)
+    record = records[0] if records and records[0].converged else None
+    levels = dict(records[0].levels) if records else {}
+    if record is None:
+        return Checked(levels, float("nan"), False), None
+    rms = float(np.sqrt(np.mean((_force(record, curve) - curve.force) ** 2)))
+    return Checked(levels, rms, False), record
+
+
+def _force(record: Record, curve: _Measured) -> Array:
+    predicted = record.first_prediction()
+    if predicted is None:
+        raise RefusedError("a confirming run has no curve")
+    return predicted.force_at(curve.displacement)
+
+
+def _told(
+    study: StudyResult,
+    known: _Known,
+    curve: _Measured,
+    found: _Found,
+    runs: Sequence[Checked],
+    notes: Sequence[str],
+) -> Inverted:
+    own, result = found.model.runs, found.set
+    told = {f.name: f.span.unit for f in study.design.factors if f.span is not None}
+    ends = [own.settings(one) for one in (result.at, result.low, result.high)]
+    inputs = tuple(
+        InputSet(n, told[n], ends[0][n], ends[1][n], ends[2][n],
+                 bool(result.open_low[j]), bool(result.open_high[j]))
+        for j, n in enumerate(own.names) if n not in known.numbers
+    )  # fmt: skip
+    combinations = tuple(
+        Determined({n: float(e) for n, e in zip(own.names, one.exponents, strict=True) if e},
+                   one.value, one.ratio)
+        for one in result.combinations
+    )  # fmt: skip
+    said = [*notes]
+    if runs and not all(one.agrees for one in runs):
+        said.append("a run of the true model does not agree: add runs to the study")
+    size = float(np.sqrt(np.mean(curve.force**2)))
+    members = tuple(own.settings(one) for one in result.points)
+    return Inverted(
+        inputs, combinations, {**known.labels, **known.numbers}, told, result.rms, result.limit,
+        result.rms / size, curve.force.size, found.model.q2, members,
+        runs[0] if runs else None, tuple(runs[1:]), tuple(said),
+    )  # fmt: skip

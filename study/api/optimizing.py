@@ -1,0 +1,381 @@
+"""The verb optimize: the best setting among choices, within limits, and a run that confirms it."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from study import api
+from study.api.fitting_surfaces import fit_surface
+from study.api.folders import RESULTS
+from study.api.predicting import Permission, confirm, number_in_unit
+from study.ground import units
+from study.ground.errors import Fault, InputError, RefusedError, UnitError, nearest
+from study.harness.design import overlay
+from study.harness.design.response_tables import usual_value
+from study.reporting.results.study_answers import Bound, Confirmed, Recommendation
+from study.statistics.surfaces.surface_optimum import (
+    Goal,
+    Limit,
+    Optimum,
+    Spread,
+    check_carries,
+    optimum,
+    spread_over,
+)
+
+if TYPE_CHECKING:
+    from study.api.fitting_surfaces import Surface
+    from study.api.predicting import Setting
+    from study.reporting.results.study_result import StudyResult
+    from study.statistics.surfaces.surface_result import SurfaceAnalysis
+
+
+#: ``stiffness_at >= 0.3 N/mm``
+_LIMIT = re.compile(r"\s*(?P<name>[^<>=]+?)\s*(?P<sign><=|>=)\s*(?P<value>[^<>=]+?)\s*")
+
+
+@dataclass(frozen=True)
+class _Question:
+    """What is asked for, and of what."""
+
+    goal: Goal
+    response: str
+    bounds: tuple[Bound, ...]
+    units: Mapping[str, str]
+    #: settings of ranges that are held, in their units
+    held: Mapping[str, float]
+    #: ranges and lists that may not be chosen, and are not given either
+    open_numbers: tuple[str, ...] = ()
+
+
+def optimize(  # noqa: PLR0913  # the public face: one keyword for each thing that may be asked
+    path: str | Path | StudyResult,
+    *,
+    minimize: str | None = None,
+    maximize: str | None = None,
+    subject_to: str | Sequence[str] = (),
+    at: Mapping[str, Setting] | None = None,
+    numeric: Sequence[str] = (),
+    surface: Surface = "auto",
+    decimal: str = ".",
+    results: str | Path = RESULTS,
+    confirming: bool = True,
+    permission: Permission | None = None,
+) -> tuple[Recommendation, ...]:
+    """Find the best setting among the choices of a study, or of a table.
+
+    Conditions and unknowns are never recommended: they are held where ``at`` says, else at the
+    value that the design's file gives, and it is said what they do over their ranges.
+
+    Parameters
+    ----------
+    path : str, Path or StudyResult
+        Results folder, design file, name of the study, the study itself; or a CSV with one row a
+        run.
+    minimize, maximize : str
+        Response that is to be small or large; one of the two.
+    subject_to : str or sequence of str
+        Limits of other responses: ``"stiffness_at >= 0.3 N/mm"``; a name may be shortened as long
+        as one response alone begins with it.
+    at : mapping, optional
+        Settings of factors that are held, as for :func:`study.predict`.
+    numeric : sequence of str
+        For a CSV: the columns of the factors, as for :func:`study.fit_surface`.
+    surface : {"auto", "quadratic", "emulator"}
+        For a CSV: what is fitted.
+    decimal : {".", ","}
+        For a CSV: its decimal mark.
+    results : Path
+        Folder of the results, where ``path`` is a name.
+    confirming : bool
+        Whether the true model is run at the recommended setting; the run joins the study's
+        surfaces. A table names it only.
+    permission : Permission, optional
+        What the run may use.
+
+    Returns
+    -------
+    tuple of Recommendation
+        One for every combination of the levels of conditions and unknowns that are not numbers.
+
+    Raises
+    ------
+    InputError
+        If a response, a factor or a limit cannot be read, or nothing is a choice.
+    RefusedError
+        If a surface does not predict well enough (a Q2 below .9, of a quadratic below .8), or no
+        setting keeps the limits.
+    """
+    if (minimize is None) == (maximize is None):
+        rule = "say what is to be best: one response to be small, or one to be large"
+        raise InputError(Fault("--minimize or --maximize", rule, "for example --minimize force"))
+    goal: Goal = "minimize" if minimize is not None else "maximize"
+    name = str(minimize if minimize is not None else maximize)
+    asked = [subject_to] if isinstance(subject_to, str) else [*subject_to]
+    if isinstance(path, str | Path) and Path(path).suffix in (".csv", ".gz"):
+        table = _Table(Path(path), tuple(numeric), surface, decimal)
+        return (_of_table(table, goal, name, asked, dict(at or {})),)
+    if numeric:
+        rule = "names columns of a table: the factors of a study are known"
+        raise InputError(Fault("--numeric", rule, "leave it out"))
+    study = api.open_study(path, results) if isinstance(path, str | Path) else path
+    found = _of_study(study, goal, name, asked, dict(at or {}))
+    if not confirming:
+        return found
+    return tuple(_confirmed(study, one, permission or Permission()) for one in found)
+
+
+def _named(word: str, known: Sequence[str], where: str) -> str:
+    """Find a response by its name, or by the only one that begins so."""
+    begins = [name for name in known if name.startswith(word)]
+    if word in known or len(begins) == 1:
+        return word if word in known else begins[0]
+    rule = f"{word!r} begins several responses" if begins else f"there is no response {word!r}"
+    raise InputError(Fault(where, rule, nearest(word, known)))
+
+
+def _bound(text: str, known: Mapping[str, str]) -> Bound:
+    """Read a limit; the unit must be that of the response, or one of its dimension."""
+    parts = _LIMIT.fullmatch(text)
+    if parts is None:
+        mend = "write 'stiffness >= 0.3 N/mm', with >= or <="
+        raise InputError(Fault("--subject-to", f"cannot read {text!r}", mend))
+    name = _named(parts["name"], list(known), "--subject-to")
+    try:
+        value = _in_unit(parts["value"], known[name])
+    except UnitError as error:
+        raise InputError(
+            [replace(f, where=f"--subject-to {name}") for f in error.faults]
+        ) from error
+    return Bound(name, known[name], 1 if parts["sign"] == ">=" else -1, value)
+
+
+def _in_unit(text: str, unit: str) -> float:
+    """Read a value in a unit: a quantity of its dimension, or a number where it has none."""
+    if not unit:
+        return units.parse_number(text)
+    for dimension in units.INTERNAL:
+        try:
+            factor = units.unit_factor(unit, dimension)
+        except UnitError:
+            continue
+        return units.parse(text, dimension) / factor
+    value, own = units.split(text)
+    if own != unit:
+        raise UnitError(Fault("", f"must be in {unit}, got {text!r}", f"write it in {unit}"))
+    return value
+
+
+@dataclass(frozen=True)
+class _Table:
+    """A table and how it is read."""
+
+    source: Path
+    numeric: tuple[str, ...]
+    surface: Surface
+    decimal: str
+    fitted: dict[str, SurfaceAnalysis] = field(default_factory=dict)
+
+    def of(self, response: str) -> SurfaceAnalysis:
+        """Fit a response, once."""
+        if response not in self.fitted:
+            self.fitted[response] = fit_surface(
+                self.source, response, self.numeric, surface=self.surface, decimal=self.decimal
+            )
+        return self.fitted[response]
+
+
+def _of_table(
+    table: _Table, goal: Goal, name: str, asked: Sequence[str], at: Mapping[str, Setting]
+) -> Recommendation:
+    found = table.of(name)
+    names = found.runs.names
+    faults = [Fault(one, "no such factor", nearest(one, names)) for one in at if one not in names]
+    if faults:
+        raise InputError(faults)
+    held = {n: units.parse_number(str(setting)) for n, setting in at.items()}
+    if len(held) == len(names):
+        raise InputError(Fault("--at", "holds every factor", "leave those out that are choices"))
+    columns = [_LIMIT.fullmatch(text) for text in asked]
+    known = {one["name"]: "" for one in columns if one is not None}
+    bounds = tuple(_bound(text, known) for text in asked)
+    question = _Question(goal, name, bounds, dict.fromkeys(names, ""), held)
+    models = {one.response: table.of(one.response) for one in bounds} | {name: found}
+    best, spread = _best(models, question)
+    told = _recommendation(models, question, best, spread, "", {}, {})
+    run = ", ".join(f"{n} = {v:.4g}" for n, v in told.settings.items() if not isinstance(v, str))
+    note = f"confirm it by a run at {run}, and add the run to the table"
+    return replace(told, notes=(*found.notes, note))
+
+
+def _best(
+    models: Mapping[str, SurfaceAnalysis], question: _Question
+) -> tuple[Optimum, Spread | None]:
+    """Optimize over the ranges that are free."""
+    own = models[question.response]
+    runs = own.runs
+    every = [own, *(models[one.response] for one in question.bounds)]
+    for one in every:
+        check_carries(one.model)
+    limits = [Limit(m.model, one.sign, one.value)
+              for m, one in zip(every[1:], question.bounds, strict=True)]  # fmt: skip
+    held = np.full(len(runs.factors), np.nan)
+    for j, factor in enumerate(runs.factors):
+        if factor.name in question.held:
+            setting = question.held[factor.name]
+            if factor.name in question.open_numbers:
+                # nobody asked for this very setting: the nearest one that was run will do
+                column = runs.coded[:, j]
+                held[j] = np.clip(factor.coded(np.array(setting)), column.min(), column.max())
+            else:
+                held[j] = runs.coded_inside(factor.name, setting)
+    best = optimum(own.model, question.goal, limits, held)
+    others = [runs.names.index(name) for name in question.open_numbers]
+    return best, spread_over(own.model, limits, best, others)
+
+
+def _recommendation(
+    models: Mapping[str, SurfaceAnalysis],
+    question: _Question,
+    best: Optimum,
+    spread: Spread | None,
+    unit: str,
+    chosen: Mapping[str, str],
+    fixed: Mapping[str, str],
+) -> Recommendation:
+    runs = models[question.response].runs
+    settings = runs.settings(best.at)
+    free = {n: v for n, v in settings.items() if n not in question.held}
+    return Recommendation(
+        question.goal,
+        question.response,
+        unit,
+        {**chosen, **free},
+        {**fixed, **{n: settings[n] for n in question.held}},
+        question.units,
+        best.value,
+        best.value - best.half_width,
+        best.value + best.half_width,
+        question.bounds,
+        tuple((v, v - h, v + h) for v, h in best.limited),
+        best.assurance,
+        tuple(runs.names[j] for j in best.on_boundary),
+        spread,
+    )
+
+
+def _of_study(
+    study: StudyResult,
+    goal: Goal,
+    word: str,
+    asked: Sequence[str],
+    at: Mapping[str, Setting],
+) -> tuple[Recommendation, ...]:
+    """Recommend at every combination of the levels that nobody chooses."""
+    design, known = study.design, {one.response: one.unit for one in study.surfaces}
+    if not known:
+        rule = "has no surface: no factor is a range"
+        mend = 'write { low = "1 mm", high = "3 mm" } and [design] kind = "latin-hypercube"'
+        raise InputError(Fault(design.name, rule, mend))
+    name = _named(word, list(known), f"--{goal}")
+    bounds = tuple(_bound(text, known) for text in asked)
+    factors = {factor.name: factor for factor in design.factors}
+    faults = [Fault(n, "no such factor", nearest(n, list(factors))) for n in at if n not in factors]
+    if faults:
+        raise InputError(faults)
+    free = [n for n in factors if design.roles[n] == "choice" and n not in at]
+    if not free:
+        roles = ", ".join(f"{n}: {role}" for n, role in design.roles.items())
+        rule = f"no factor is a choice that is left to make ({roles}; held: {', '.join(at) or '-'})"
+        mend = 'say which are yours to choose: [analysis] roles = { FACTOR = "choice" }'
+        raise InputError(Fault("optimize", rule, mend))
+    ranges = {n: f.span for n, f in factors.items() if f.span is not None}
+    open_numbers = tuple(n for n in ranges if n not in free and n not in at)
+    held = {n: float(number_in_unit(factors[n], at[n])[0]) for n in ranges if n in at}
+    held |= {n: usual_value(n, overlay.dimension(n) or "number", ranges[n], design.config)
+             for n in open_numbers}  # fmt: skip
+    told = {n: span.unit for n, span in ranges.items()}
+    question = _Question(goal, name, bounds, told, held, open_numbers)
+    lists = [n for n, f in factors.items() if f.span is None]
+    settled = {n: (str(at[n]),) for n in lists if n in at}
+    wrong = [Fault(n, f"has no level {own[0]!r}", nearest(own[0], factors[n].labels))
+             for n, own in settled.items() if own[0] not in factors[n].labels]  # fmt: skip
+    if wrong:
+        raise InputError(wrong)
+    kept = {n: settled.get(n, factors[n].labels) for n in lists if n not in free}
+    places = [dict(zip(kept, own, strict=True)) for own in itertools.product(*kept.values())]
+    chosen = [n for n in lists if n in free]
+    return tuple(_at(study, question, fixed, chosen) for fixed in places)
+
+
+def _at(
+    study: StudyResult, question: _Question, fixed: Mapping[str, str], chosen: Sequence[str]
+) -> Recommendation:
+    """Compare the levels of the choices that are no numbers, at some levels of the others."""
+    factors = {factor.name: factor for factor in study.design.factors}
+    found: list[Recommendation] = []
+    notes: list[str] = []
+    refused: RefusedError | None = None
+    for levels in itertools.product(*(factors[n].labels for n in chosen)):
+        own = dict(zip(chosen, levels, strict=True))
+        try:
+            models, unit = _models(study, question, {**fixed, **own})
+            best, spread = _best(models, question)
+        except RefusedError as error:
+            refused = error
+            at = ", ".join(f"{n} = {label}" for n, label in own.items())
+            notes += [f"not considered, {at}: {error}"] if at else []
+            continue
+        found.append(_recommendation(models, question, best, spread, unit, own, fixed))
+    if not found:
+        raise refused or RefusedError("no combination of levels has a surface")
+    sign = 1.0 if question.goal == "minimize" else -1.0
+    # where a setting keeps the limits surely, one that is only predicted to is no rival
+    ranked = sorted(found, key=lambda one: (one.assurance == "predicted", sign * one.value))
+    rivals = tuple(({n: str(one.settings[n]) for n in chosen}, one.value) for one in ranked[1:])
+    return replace(ranked[0], rivals=rivals, notes=tuple(notes))
+
+
+def _models(
+    study: StudyResult, question: _Question, labels: Mapping[str, str]
+) -> tuple[dict[str, SurfaceAnalysis], str]:
+    """Surfaces of the responses that are asked for, at some levels, and the goal's unit."""
+    found: dict[str, SurfaceAnalysis] = {}
+    unit = ""
+    wanted = {question.response, *(one.response for one in question.bounds)}
+    for one in study.surfaces:
+        if one.response not in wanted or dict(one.labels) != dict(labels):
+            continue
+        if one.found is None:
+            raise RefusedError(f"{one.response} has no surface: {one.refused}")
+        found[one.response] = one.found
+        unit = one.unit if one.response == question.response else unit
+    return found, unit
+
+
+def _confirmed(study: StudyResult, told: Recommendation, permission: Permission) -> Recommendation:
+    """Run the true model at a recommended setting."""
+    every = {**told.held, **told.settings}
+    numbers = {n: v for n, v in every.items() if not isinstance(v, str)}
+    labels = {n: v for n, v in every.items() if isinstance(v, str)}
+    records = confirm(study, numbers, labels, permission)
+    names = [told.response, *(one.response for one in told.bounds)]
+    values = {n: float(np.mean([one.response(n) for one in records])) for n in names}
+    answered = bool(np.isfinite(list(values.values())).all())
+    settings = dict(records[0].levels) if records else {}
+    inside = told.low <= values[told.response] <= told.high
+    kept = all(one.sign * (values[one.response] - one.value) >= -1e-3 * abs(one.value)
+               for one in told.bounds)  # fmt: skip
+    note = "the confirming run joined the study's surfaces: ask again for a setting that knows it"
+    if not answered:
+        why = "; ".join(dict.fromkeys(one.message for one in records)) or "no answer"
+        note = f"the confirming run has no answer ({why}): the recommendation is not confirmed"
+    run = Confirmed(settings, values, answered and inside, answered and kept)
+    return replace(told, confirmed=run, notes=(*told.notes, note))

@@ -1,0 +1,407 @@
+"""What a study will do, and what it has done."""
+
+from __future__ import annotations
+
+import datetime
+import math
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from study.api.augmenting import continued
+from study.api.folders import RESULTS, design_root, finished_manifest, results_folder
+from study.api.manifest import run_changes
+from study.ground.errors import Fault, InputError, MissingDataError
+from study.harness.design.load import load
+from study.harness.design.overview import Overview, overview
+from study.harness.design.spec import Design, Factor
+from study.harness.external.command import common_digest
+from study.harness.record.document import ManifestDocument
+from study.harness.record.index import Survey
+from study.harness.record.record import write_csv
+from study.harness.record.store import Store
+from study.harness.runner.batch import missing, open_fits
+from study.harness.runner.cost import Costs, program_calls
+from study.harness.runner.expansion import expand
+from study.harness.runner.fit_problem import externals
+from study.harness.runner.solve_task import is_kept
+from study.harness.runner.space_comparison import in_blocks, upcoming
+from study.harness.runner.study_refinement import own_series, refinement_work
+from study.harness.runner.tasks import default_jobs
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from study.harness.runner.batch import Progress
+    from study.harness.runner.job import CaseJob, Work
+
+
+# -------------------------------------------------------------------------------------------------
+# Seconds that a study still needs: its refinements, its controls, and what was noted.
+
+#: seconds between two notes for other shells: nobody reads them faster
+NOTED_S = 0.2
+
+
+def controls_of(work: Work, store: Store) -> list[CaseJob]:
+    """Cells of the spaces' control that have no solution yet."""
+    plain = work.plain()
+    hashes = {job.case.case_id: job.input_hash for job in in_blocks(plain)}
+    return upcoming(plain, store.on_demand(hashes), lambda task: is_kept(task, store))
+
+
+def control_seconds(controls: Sequence[CaseJob], workers: int) -> float:
+    """Wall time of the cells of the spaces' control."""
+    costs = Costs()
+    own = [costs.solve_seconds(job.case.config, job.depth_mm) for job in controls]
+    return costs.side_by_side(own, workers)
+
+
+def refinement_seconds(work: Work, store: Store, workers: int) -> float:
+    """Wall time of the refined cases; none where the cells themselves are a series of meshes."""
+    plain = work.plain()
+    if own_series(plain, {}):
+        return 0.0
+    finer = refinement_work(plain)
+    todo = missing(finer, store)
+    return Costs().total_seconds(open_fits(todo, store), todo, workers)
+
+
+def with_time_left(
+    store: Store, progress: Callable[[Progress], None] | None, later: float
+) -> Callable[[Progress], None]:
+    """Progress that also counts ``later`` seconds, and is left beside the lock for others."""
+    noted = -math.inf
+
+    def note(state: Progress) -> None:
+        nonlocal noted
+        whole, now = replace(state, seconds_left=state.seconds_left + later), time.monotonic()
+        if now - noted > NOTED_S or whole.done == whole.total:
+            noted = now
+            store.note(
+                {
+                    "done": whole.done,
+                    "total": whole.total,
+                    "counted": whole.counted,
+                    "failed": whole.failed,
+                    "label": whole.label[:80],
+                    "seconds_left": round(whole.seconds_left, 1),
+                    "at": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+                }
+            )
+        if progress is not None:
+            progress(whole)
+
+    return note
+
+
+def seconds_left(runner: Mapping[str, Any] | None) -> float | None:
+    """Seconds that a runner still needs, from what it noted; None where it noted nothing."""
+    said = runner or {}
+    try:
+        noted_at = datetime.datetime.fromisoformat(str(said["at"]))
+        left = float(said["seconds_left"])
+        since = (datetime.datetime.now(datetime.UTC) - noted_at).total_seconds()
+    except (KeyError, TypeError, ValueError):
+        return None
+    return max(0.0, left - max(0.0, since))
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A design before it runs."""
+
+    design: Design
+    #: Matrix, exclusions, what each factor can tell.
+    overview: Overview
+    #: Empty without blocks, or where the data cannot be read.
+    blocks: tuple[str, ...]
+    total: int
+    done: int
+    failed: int
+    missing: int
+    fits: int
+    #: Wall time of what is missing; None where the data are not there yet.
+    predicted_seconds: float | None
+    #: Predicted peak of all workers together.
+    memory_MB: float | None  # noqa: N815
+    jobs: int
+    warnings: tuple[str, ...]
+    #: Solutions still to be made besides the cases: the same cylinder in both spaces.
+    controls: int = 0
+    #: Calls of other programs, those of gradients by differences included.
+    program_calls: int = 0
+    commands: tuple[str, ...] = ()
+    #: Name of all of it, which ``study run --allow-digest`` takes.
+    digest: str = ""
+    #: Wall time if the whole budget of an adaptive design is spent; None for any other design.
+    most_seconds: float | None = None
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Cases: all, and those that are done, failed and missing."""
+        return {
+            "total": self.total,
+            "done": self.done,
+            "failed": self.failed,
+            "missing": self.missing,
+        }
+
+    def to_json(self) -> dict[str, object]:
+        """Document of ``study plan --json``."""
+        return {
+            "study": self.design.name,
+            "cases": self.counts,
+            "predicted_seconds": self.predicted_seconds,
+            "report": None,
+            "verdicts": [],
+            "warnings": list(self.warnings),
+            "blocks": list(self.blocks),
+            "fits": self.fits,
+            "controls": self.controls,
+            "memory_MB": self.memory_MB,
+            "program_calls": self.program_calls,
+            "commands": list(self.commands),
+            "commands_digest": self.digest,
+            "design": self.overview.to_json(),
+            **self._adaptive(),
+        }
+
+    def _adaptive(self) -> dict[str, object]:
+        """How cells are added, where they are."""
+        rule = self.design.scheme.sequential
+        return (
+            {} if rule is None else {"adaptive": asdict(rule) | {"most_seconds": self.most_seconds}}
+        )
+
+
+def plan(
+    design: Design | str | Path,
+    *,
+    data: str | Path | None = None,
+    results: str | Path = RESULTS,
+    overrides: Sequence[str] = (),
+    jobs: int | None = None,
+) -> Plan:
+    """Say what a design computes, what is done already and what the rest will cost.
+
+    Data that are not there yet do not stop a plan: it then counts cells, not cases.
+
+    Parameters
+    ----------
+    design : Design, str or Path
+        The study, or its file.
+    data : str or Path, optional
+        Folder of the measurements.
+    results : str or Path
+        Folder of all results; what the study's own holds is not computed again.
+    overrides : sequence of str
+        ``key=value`` each, laid over the file before it is validated; not used for a Design.
+    jobs : int, optional
+        Workers by which the wall time is predicted; one a core by default.
+
+    Returns
+    -------
+    Plan
+        Cells, cases, predicted time in s and memory in MB; no time where measurements are missing.
+
+    Raises
+    ------
+    InputError
+        For a faulty design or faulty data.
+    """
+    loaded = design if isinstance(design, Design) else load(design, overrides)
+    loaded = continued(loaded, Store(Path(results) / loaded.name, warn=lambda _: None))
+    described = overview(loaded)
+    warnings = list(described.warnings)
+    workers = jobs or default_jobs()
+    root = design_root(loaded, data)
+    try:
+        work = expand(loaded, root)
+    except MissingDataError as error:
+        warnings.append(f"no blocks and no time, for the measurements are missing: {error}")
+        total = len(described.matrix)
+        return Plan(
+            loaded, described, (), total, 0, 0, total, 0, None, None, workers, tuple(warnings)
+        )
+    found = _counted(work, described, Store(Path(results) / loaded.name, warn=warnings.append),
+                     workers, warnings)  # fmt: skip
+    return replace(found, most_seconds=_most_seconds(work, found.predicted_seconds, workers))
+
+
+def _most_seconds(work: Work, predicted: float | None, workers: int) -> float | None:
+    """Wall time with all cells that an adaptive design may add, each like those that it has."""
+    rule = work.design.scheme.sequential
+    if rule is None or predicted is None:
+        return None
+    own = Costs().total_seconds(work.fits.values(), work.jobs, workers)
+    more = rule.budget - len(work.design.treatments)
+    return predicted + own * more / len(work.design.treatments)
+
+
+def _counted(
+    work: Work, described: Overview, store: Store, workers: int, warnings: list[str]
+) -> Plan:
+    warnings += [*work.cautions, *_idle_replicates(work)]
+    found = store.survey(work.input_hashes)
+    todo = missing(work, store)
+    fits = open_fits(todo, store)
+    costs = Costs()
+    controls = controls_of(work, store)
+    seconds = costs.total_seconds(fits, todo, workers)
+    seconds += refinement_seconds(work, store, workers)
+    seconds += control_seconds(controls, workers)
+    found_models = externals(job.case.config for job in work.jobs)
+    commands = [one for one in found_models if one.section.model == "command"]
+    memory = workers * max(
+        (costs.memory_MB(job.case.config) for job in [*todo, *controls]), default=0.0
+    )
+    return Plan(
+        work.design, described, work.blocks, len(work.jobs), len(found.done),
+        len(found.failed), len(todo), len(fits), seconds, memory, workers, tuple(warnings),
+        len(controls), program_calls(fits, todo),
+        tuple(line for one in commands for line in one.lines()), common_digest(commands),
+    )  # fmt: skip
+
+
+def _idle_replicates(work: Work) -> list[str]:
+    """Say that blocks come before replicates as an error term, where that was not changed."""
+    design = work.design
+    asked = design.replicates.noise or design.replicates.mesh_seeds
+    if not asked or len(work.blocks) < 2 or design.analysis.error == "replicates":
+        return []
+    return [
+        f"the {len(work.blocks)} blocks are the better error term (E1) and decide; for that of "
+        'the replicates write [analysis] error = "replicates", or leave them out'
+    ]
+
+
+def status(path: str | Path, *, results: str | Path = RESULTS) -> dict[str, Any]:
+    """Progress of a study, from any shell.
+
+    Parameters
+    ----------
+    path : str or Path
+        Results folder, design file or name of the study.
+    results : str or Path
+        Folder of all results, where ``path`` is a name or a design file.
+
+    Returns
+    -------
+    dict
+        The document of ``study status --json``, with ``running`` (pid, host, since, and what its
+        progress line said last) or None; the predicted seconds are those that are left. Counted
+        are the cases of the last finished run; ``unfinished`` says how far a later one is, of an
+        edited design, and what was edited.
+    """
+    folder = results_folder(path, results)
+    warnings: list[str] = []
+    store = Store(folder, warn=warnings.append)
+    manifest = finished_manifest(store)
+    found, later = store.survey(manifest["cases"]), store.read_unfinished()
+    running = store.running()
+    return {
+        "study": manifest["name"],
+        "cases": _counts(found),
+        "predicted_seconds": seconds_left(running),
+        "report": None,
+        "verdicts": [],
+        "warnings": warnings,
+        "failures": dict(Counter(found.statuses.values())),
+        "running": running,
+        "timings": manifest.get("timings", {}),
+        "finished": bool(manifest.get("finished", not found.missing)),
+        "unfinished": None if later is None else _unfinished(store, manifest, later),
+    }
+
+
+def _counts(found: Survey) -> dict[str, int]:
+    """Cases of a study: all, and those that are done, failed and missing."""
+    counts = {
+        "done": len(found.done), "failed": len(found.failed), "missing": len(found.missing),
+    }  # fmt: skip
+    return {"total": sum(counts.values()), **counts}
+
+
+def _unfinished(
+    store: Store, manifest: ManifestDocument, later: ManifestDocument
+) -> dict[str, object]:
+    """Describe a run of an edited design that is not finished, and what was edited."""
+    quiet = Store(store.path)
+    changed = [one.sentence for one in run_changes(manifest, later)]
+    return {"cases": _counts(quiet.survey(later["cases"])), "changed": changed}
+
+
+# -------------------------------------------------------------------------------------------------
+# A run sheet for physical trials: every specimen under every condition, in random order.
+#
+# Order is drawn anew for each specimen, so that drift of the machine, the room or the operator is
+# spread over the conditions instead of being taken for one of them (randomized complete blocks;
+# Fisher 1935, The Design of Experiments).
+
+#: tables whose keys choose a simulation: nothing changes in the laboratory
+SIMULATED = ("model", "material", "forward", "calibration", "measurements")
+
+
+def run_sheet(
+    design: Design | str | Path, specimens: int, *, path: str | Path | None = None
+) -> pd.DataFrame:
+    """Draw the order of physical trials.
+
+    Parameters
+    ----------
+    design : Design, str or Path
+        Its factors that change something in the laboratory make the conditions; combinations
+        that it excludes are left out.
+    specimens : int
+        Specimens, each measured once under every condition.
+    path : str or Path, optional
+        CSV to write; it is refused where it exists.
+
+    Returns
+    -------
+    DataFrame
+        One row a trial: ``run`` (from 1, in the order of work), ``specimen``, the factors, and
+        empty columns for what is written down.
+
+    Raises
+    ------
+    InputError
+        Where no factor changes anything in the laboratory, or the file exists.
+    """
+    import pandas as pd
+
+    loaded = design if isinstance(design, Design) else load(design)
+    if specimens < 1:
+        raise InputError(Fault("specimens", f"must be at least 1, got {specimens}"))
+    physical = [factor.name for factor in loaded.factors if _is_physical(factor)]
+    if not physical:
+        rule = "no factor changes anything in the laboratory, so there is nothing to randomize"
+        raise InputError(
+            Fault("factors", rule, "a run sheet is for factors such as test.interface")
+        )
+    levels = [{name: one.levels[name] for name in physical} for one in loaded.treatments]
+    conditions = list({tuple(one.items()): one for one in levels}.values())
+    random = np.random.default_rng(loaded.seed)
+    rows = [
+        {"specimen": k + 1, **conditions[i]}
+        for k in range(specimens)
+        for i in random.permutation(len(conditions))
+    ]
+    sheet = pd.DataFrame(rows)
+    sheet.insert(0, "run", range(1, len(rows) + 1))
+    sheet = sheet.assign(date="", file="", remarks="")
+    if path is not None:
+        if Path(path).exists():
+            raise InputError(Fault(str(path), "exists; a sheet that is in use is not overwritten"))
+        write_csv(sheet, Path(path))
+    return sheet
+
+
+def _is_physical(factor: Factor) -> bool:
+    return any(key.partition(".")[0] not in SIMULATED for key in factor.keys)

@@ -1,0 +1,255 @@
+"""The verb predict: what a response will be at settings that were not run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from study import api
+from study.api.folders import RESULTS, design_root
+from study.ground import units
+from study.ground.canonical import digest
+from study.ground.errors import Fault, InputError, RefusedError, nearest
+from study.harness.design import overlay
+from study.harness.design.factors import levels_at
+from study.harness.design.spec import Design, Factor, Level
+from study.harness.record.document import ConfirmedRow
+from study.harness.record.folder import ID
+from study.harness.record.store import Store
+from study.harness.runner.batch import Progress, run_batch
+from study.harness.runner.expansion import expand
+from study.harness.runner.fit_problem import NOTHING, Allowed
+from study.harness.runner.provenance import code_version
+from study.statistics.surfaces.surface_factors import NumericFactor
+
+if TYPE_CHECKING:
+    from study.ground.arrays import Array
+    from study.harness.record.record import Record
+    from study.reporting.results.study_result import StudyResult
+    from study.statistics.surfaces.surface_profile import FittedSurface
+
+
+#: setting of a factor: with its unit, a number or numbers in the unit of the design, or a label
+Setting = str | ArrayLike
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """A response at settings that were not run."""
+
+    response: str
+    unit: str
+    #: shape (m,); prediction and ends of its 95 % interval, in that unit.
+    value: Array
+    low: Array
+    high: Array
+
+    def to_json(self) -> dict[str, object]:
+        """Plain values; a single point gives numbers, several give lists."""
+        single = self.value.size == 1
+        ends = {"value": self.value, "low": self.low, "high": self.high}
+        told = {k: float(v[0]) if single else v.tolist() for k, v in ends.items()}
+        return {"response": self.response, "unit": self.unit, **told}
+
+
+def predict(
+    path: str | Path | StudyResult,
+    at: Mapping[str, Setting],
+    *,
+    response: str | None = None,
+    results: str | Path = RESULTS,
+) -> tuple[Predicted, ...]:
+    """Predict the responses of a study with numeric factors.
+
+    Parameters
+    ----------
+    path : str, Path or StudyResult
+        Results folder, design file, name of the study, or the study itself.
+    at : mapping
+        Setting of every factor: ``"3 mm"``, numbers of shape (m,) in the unit of the design's
+        range, or the label of a level where the factor is no number.
+    response : str, optional
+        One response alone.
+    results : Path
+        Folder of the results, where ``path`` is a name.
+
+    Returns
+    -------
+    tuple of Predicted
+        One for every response.
+
+    Raises
+    ------
+    InputError
+        If a factor is missing or unknown, a setting has another dimension, a point would have to
+        be extrapolated, or the study has no surface.
+    """
+    study = api.open_study(path, results) if isinstance(path, str | Path) else path
+    found = _surfaces(study, response)
+    factors = {factor.name: factor for factor in study.design.factors}
+    unknown = [
+        Fault(n, "no such factor", nearest(n, list(factors))) for n in at if n not in factors
+    ]
+    unknown += [Fault(n, "has no setting", "give every factor one") for n in factors if n not in at]
+    if unknown:
+        raise InputError(unknown)
+    labels = {n: _label(f, at[n]) for n, f in factors.items() if f.span is None}
+    numbers = {n: number_in_unit(f, at[n]) for n, f in factors.items() if f.span is not None}
+    return tuple(_predicted(one, numbers) for one in found if dict(one.labels) == labels)
+
+
+def _surfaces(study: StudyResult, response: str | None) -> tuple[FittedSurface, ...]:
+    if not study.surfaces:
+        rule = "has no surface: no factor is a range"
+        mend = 'write { low = "1 mm", high = "3 mm" } and [design] kind = "latin-hypercube"'
+        raise InputError(Fault(study.design.name, rule, mend))
+    names = list(dict.fromkeys(one.response for one in study.surfaces))
+    if response is not None and response not in names:
+        raise InputError(Fault("--response", f"there is no {response!r}", nearest(response, names)))
+    return tuple(one for one in study.surfaces if response in (None, one.response))
+
+
+def _label(factor: Factor, setting: Setting) -> str:
+    if str(setting) not in factor.labels:
+        mend = nearest(str(setting), factor.labels)
+        raise InputError(Fault(factor.name, f"has no level {str(setting)!r}", mend))
+    return str(setting)
+
+
+def number_in_unit(factor: Factor, setting: Setting) -> Array:
+    """Read settings in the unit of the factor's range.
+
+    Shapes: setting (m,).
+    """
+    kind, unit = overlay.dimension(factor.name), "" if factor.span is None else factor.span.unit
+    if not isinstance(setting, str):
+        return np.atleast_1d(np.asarray(setting, dtype=np.float64))
+    if kind is None or not unit:
+        return np.array([units.parse_number(setting)])
+    return np.array([units.parse(setting, kind) / units.parse(f"1 {unit}", kind)])
+
+
+def _predicted(one: FittedSurface, at: Mapping[str, Array]) -> Predicted:
+    if one.found is None:
+        rule = f"{one.response} has no surface: {one.refused}"
+        raise InputError(Fault("predict", rule, "add runs, or ask another --response"))
+    told = one.found.predict(at)
+    return Predicted(one.response, one.unit, told.value, told.low, told.high)
+
+
+# -------------------------------------------------------------------------------------------------
+# Runs of the true model at settings that a surface has named; they join the study's surfaces.
+
+#: name of the list of these runs in a results folder
+CONFIRMED = "confirmed"
+
+
+@dataclass(frozen=True)
+class Joined:
+    """Runs that were added to those of a design."""
+
+    #: The design, whose ranges know the settings of these runs, too; its cells are its own.
+    design: Design
+    records: tuple[Record, ...]
+
+
+@dataclass(frozen=True)
+class Permission:
+    """What a run of the true model may use."""
+
+    data: str | Path | None = None
+    #: Programs and functions that it may run.
+    allowed: Allowed = NOTHING
+    progress: Callable[[Progress], None] | None = None
+
+
+def joined(design: Design, store: Store, manifest: Mapping[str, object]) -> Joined:
+    """Find the runs that joined a study's surfaces: those of this design and this code."""
+    rows = store.read_rows(CONFIRMED, ConfirmedRow)
+    own = [row for row in rows if row["of"] == _identity(manifest)]
+    found = store.records({row["case"]: row["input"] for row in own if ID.fullmatch(row["case"])})
+    records = tuple(record for record in found if _is_of(record, design))
+    return Joined(_knowing(design, [record.levels for record in records]), records)
+
+
+def _is_of(record: Record, design: Design) -> bool:
+    """Whether a record is of a setting of a design: numbers in its ranges, else its levels."""
+    known = {factor.name: factor for factor in design.factors}
+    return known.keys() == record.levels.keys() and all(
+        label in known[name].labels or known[name].span is not None
+        for name, label in record.levels.items()
+    )
+
+
+def _identity(manifest: Mapping[str, object]) -> str:
+    return digest([manifest["design"], code_of(manifest)])
+
+
+def code_of(manifest: Mapping[str, object]) -> str:
+    """Version of this program that a run was made with."""
+    versions = manifest.get("versions")
+    return str(versions.get("study")) if isinstance(versions, Mapping) else ""
+
+
+def _knowing(design: Design, cells: Sequence[Mapping[str, str]]) -> Design:
+    """Copy whose ranges have the levels of some cells."""
+    factors = tuple(_with_levels(f, [one[f.name] for one in cells]) for f in design.factors)
+    return replace(design, factors=factors) if cells else design
+
+
+def _with_levels(factor: Factor, labels: Sequence[str]) -> Factor:
+    known = {level.label for level in factor.levels}
+    span = factor.span
+    if span is None:
+        return factor
+    new = [one for one in dict.fromkeys(labels) if one not in known]
+    more = [Level(one, {factor.name: one if span.unit else float(one)}) for one in new]
+    return replace(factor, levels=(*factor.levels, *more))
+
+
+def place(design: Design, settings: Mapping[str, float], labels: Mapping[str, str]) -> Design:
+    """Make a design of one cell."""
+    factors = tuple(_single(factor, settings, labels) for factor in design.factors)
+    scheme = replace(design.scheme, rows=((0,) * len(factors),), sequential=None)
+    return replace(design, factors=factors, exclusions=(), scheme=scheme)
+
+
+def _single(factor: Factor, settings: Mapping[str, float], labels: Mapping[str, str]) -> Factor:
+    span = factor.span
+    if span is None:
+        own = [level for level in factor.levels if level.label == labels[factor.name]]
+        return replace(factor, levels=tuple(own))
+    numeric = NumericFactor(factor.name, span.low, span.high, span.log)
+    share = 0.5 * (float(numeric.coded(np.array(settings[factor.name]))) + 1.0)
+    return replace(factor, levels=levels_at(factor.name, span, [min(max(share, 0.0), 1.0)]))
+
+
+def confirm(
+    study: StudyResult,
+    settings: Mapping[str, float],
+    labels: Mapping[str, str],
+    permission: Permission,
+) -> tuple[Record, ...]:
+    """Run the true model at a setting, and let the run join the study's surfaces."""
+    manifest = study.manifest
+    if code_of(manifest) != code_version():
+        rule = "was computed by another version of this program: a new run does not belong to it"
+        raise RefusedError(str(Fault(study.design.name, rule, "run the study again first")))
+    design = place(study.design, settings, labels)
+    work = expand(design, design_root(study.design, permission.data), permission.allowed)
+    store = Store(study.folder)
+    run_batch(work, store, jobs=1, progress=permission.progress)
+    found = store.records(work.input_hashes)
+    own = {*study.manifest["cases"]}
+    kept = store.read_rows(CONFIRMED, ConfirmedRow)
+    rows = [row for row in kept if row["case"] not in work.input_hashes]
+    rows += [{"case": one.case_id, "input": work.input_hashes[one.case_id],
+              "of": _identity(manifest)} for one in found if one.case_id not in own]  # fmt: skip
+    with store.lock():
+        store.write_json(CONFIRMED, rows)
+    return tuple(found)

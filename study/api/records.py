@@ -1,0 +1,255 @@
+"""Statistics alone: on the records of a study, on any tidy CSV, or a single test."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from study.api.uncertainty import numerical_bound
+from study.ground.errors import InputError
+from study.ground.tabular import names_of
+from study.harness.design.load import is_constant
+from study.harness.record.record import answered_often, table
+from study.statistics.analysis.analysis_request import (
+    AnalysisRequest,
+    Blocking,
+    ResponseScale,
+    threshold,
+)
+from study.statistics.analysis.anova import analyze, effects
+from study.statistics.analysis.linear_model import Model, terms_of
+from study.statistics.analysis.strata import SeedRole, seed_design
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from study.harness.design.spec import Design, Response
+    from study.harness.record.record import Record
+    from study.statistics.analysis.analysis_result import AnalysisResult
+    from study.statistics.analysis.anova_table import Effect
+    from study.statistics.convergence.grid_convergence import NumericalUncertainty
+
+
+def analyze_records(
+    design: Design,
+    records: Sequence[Record],
+    response: Response,
+    numerical: Sequence[NumericalUncertainty] = (),
+) -> AnalysisResult:
+    """Analyze one response of a study as its design says."""
+    rows, request, notes = _asked(design, records, response, numerical)
+    return analyze(rows, request).noted(*notes)
+
+
+def effects_of_records(
+    design: Design,
+    records: Sequence[Record],
+    response: Response,
+    numerical: Sequence[NumericalUncertainty] = (),
+) -> tuple[Effect, ...]:
+    """Effects alone of :func:`analyze_records`, which is given the same.
+
+    Nothing is checked of the assumptions, and no block is left out in turn.
+    """
+    rows, request, _ = _asked(design, records, response, numerical)
+    return effects(rows, request)
+
+
+def _asked(
+    design: Design,
+    records: Sequence[Record],
+    response: Response,
+    numerical: Sequence[NumericalUncertainty],
+) -> tuple[pd.DataFrame, AnalysisRequest, tuple[str, ...]]:
+    """Rows to analyze, what is asked of them, and what was left out of them."""
+    if not any(record.converged for record in records):
+        raise InputError(f"no case has an answer for {response.name}")
+    spec = design.analysis
+    blocks = {record.block for record in records} - {None}
+    block, names = "block" if len(blocks) > 1 else None, [f.name for f in design.factors]
+    rows = rows_for(table(list(records)), response.name, names, spec.error, block)
+    factors = [factor.name for factor in design.factors if len(factor.levels) > 1]
+    model = spec.model if isinstance(spec.model, (str, int)) else list(spec.model)
+    whole, gaps = without_gaps(design, rows.table, response.name, factors, rows.block, model)
+    u_num = numerical_bound(design, numerical, records, whole, response.name, response.transform)
+    request = AnalysisRequest(
+        response.name,
+        tuple(factors),
+        Blocking(names_of(rows.block), replicates=rows.replicates),
+        model,
+        spec.type,
+        rows.error,
+        ResponseScale(response.transform, threshold(response.practical), u_num),
+        records=True,
+        specimens=specimens_of(design, records),
+        alpha=spec.alpha,
+        seed=design.seed,
+    )
+    return whole, request, (*rows.notes, *gaps)
+
+
+def specimens_of(design: Design, records: Sequence[Record]) -> int | None:
+    """Count the specimens that a study measured; None for what was simulated alone.
+
+    That says nothing of specimens, and needs none.
+    """
+    blocks = {record.block for record in records} - {None}
+    return max(len(blocks), 1) if design.is_measured else None
+
+
+#: spread over the meshes of a cell, over the response, below which the mesh does not enter
+_SAME = 1e-12
+_NOISE = "noise_seed"
+_MESH = "mesh_seed"
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Rows to analyze, and what they are."""
+
+    table: pd.DataFrame
+    block: str | None
+    #: {"auto", "pooled", "own"}: how the error is found.
+    error: str = "auto"
+    #: {"auto", "noise"}: what the rows of one cell are.
+    replicates: str = "auto"
+    #: What was left out and why.
+    notes: tuple[str, ...] = ()
+
+
+def rows_for(
+    table: pd.DataFrame, response: str, factors: Sequence[str], error: str, block: str | None
+) -> Rows:
+    """Rows of a study's table for one response."""
+    asked = error == "replicates"
+    how = "auto" if asked else error
+    if _NOISE in table:
+        return _noise_rows(table, response, factors, error, block)
+    if _MESH not in table:
+        return Rows(table, block, how)
+    cells = [*factors, *([block] if block else [])]
+    if not _spread(table, response, cells):
+        first = table[table[_MESH] == table[_MESH].min()].drop(columns=_MESH)
+        note = f"the mesh does not enter {response}: it is the same on every mesh, no E3"
+        return Rows(first, block, how, notes=(note,))
+    if block and asked:
+        table, block = _over(table, response, [*factors, _MESH]), None
+    if block:
+        return Rows(table, block, how)
+    return _seed_rows(table, factors, how)
+
+
+def _seed_rows(table: pd.DataFrame, factors: Sequence[str], how: str) -> Rows:
+    """Rows whose mesh seeds are blocks where every cell has the same ones."""
+    labels = table[list(factors)].astype(str).itertuples(index=False, name=None)
+    found = seed_design(list(labels), table[_MESH].tolist())
+    if found.role is not SeedRole.BLOCKS or how == "pooled":
+        return Rows(table, None, how)
+    kept = table[table[_MESH].astype(str).isin(found.common)]
+    return Rows(kept, _MESH, how, "mesh-seeds", (found.reason,))
+
+
+def _noise_rows(
+    table: pd.DataFrame, response: str, factors: Sequence[str], error: str, block: str | None
+) -> Rows:
+    """Rows of the refits to resampled noise, or of the fits to the measured curves."""
+    asked = error == "replicates"
+    how = "auto" if asked else error
+    fits = table[table[_NOISE] == 0].drop(columns=_NOISE)
+    if not is_constant(response):
+        note = f"resampled noise is fitted, not predicted with: no E2 for {response}"
+        return Rows(fits, block, how, notes=(note,))
+    if block and not asked:
+        note = (
+            "several blocks are a better error term than resampled noise (E1 before E2): the fits "
+            'to the measured curves are analyzed; [analysis] error = "replicates" asks for E2'
+        )
+        return Rows(fits, block, how, notes=(note,))
+    again = table[table[_NOISE] > 0]
+    if block:
+        again = _over(again, response, [*factors, _NOISE])
+    # pooled takes cells for independent, and has no resample in common
+    common = None if how == "pooled" else _NOISE
+    return Rows(again, common, how, "noise")
+
+
+def _spread(table: pd.DataFrame, response: str, cells: list[str]) -> bool:
+    """Whether the response differs between the rows of some cell."""
+    groups = table.groupby(cells, sort=False, dropna=False)[response]
+    widest = (groups.max() - groups.min()).max()
+    return bool(widest > _SAME * table[response].abs().max())
+
+
+def _over(table: pd.DataFrame, response: str, keys: list[str]) -> pd.DataFrame:
+    """Mean of the response over the blocks; missing where one of them is."""
+    groups = table.groupby(keys, sort=False)[response]
+    return groups.agg(lambda values: values.mean(skipna=False)).reset_index()
+
+
+#: levels that a factor needs to be one
+_FEWEST = 2
+Cell = tuple[str, ...]
+
+
+def without_gaps(
+    design: Design,
+    table: pd.DataFrame,
+    response: str,
+    factors: Sequence[str],
+    block: str | None,
+    model: Model,
+) -> tuple[pd.DataFrame, tuple[str, ...]]:
+    """Rows of the levels between which every effect of the model can be estimated.
+
+    A combination of levels that the model needs and that has no answer anywhere (an energy that
+    is stretched beyond its ellipticity on every fine mesh) would leave not only its own effect
+    but every other one without an estimate: an average over cells one of which is empty. The
+    level with the largest share of its cells unanswered is then left out, and that is said,
+    until nothing is missing or a factor would be down to one level.
+    """
+    designed = _designed(design, factors)
+    answered = _answered(table, response, factors, block)
+    terms = [[factors.index(name) for name in term] for term in terms_of(factors, model)]
+    notes = []
+    while (worst := _worst(designed, answered, terms)) is not None:
+        place, level = worst
+        own = [cell for cell in designed if cell[place] == level]
+        has = sum(cell in answered for cell in own)
+        notes.append(
+            f"{level} ({factors[place]}) has an answer in {has} of {len(own)} cells: it is left "
+            "out of this analysis, whose effects need every combination of levels"
+        )
+        designed = [cell for cell in designed if cell[place] != level]
+        table = table[table[factors[place]].astype(str) != level]
+    return table, tuple(notes)
+
+
+def _designed(design: Design, factors: Sequence[str]) -> list[Cell]:
+    found = (tuple(str(t.levels[name]) for name in factors) for t in design.treatments)
+    return list(dict.fromkeys(found))
+
+
+def _answered(
+    table: pd.DataFrame, response: str, factors: Sequence[str], block: str | None
+) -> set[Cell]:
+    known = table.dropna(subset=[response])
+    if block is not None and len(known):
+        known = known[answered_often(known, factors, block, table[block].nunique())]
+    return {tuple(map(str, row)) for row in known[list(factors)].to_numpy()}
+
+
+def _worst(
+    designed: Sequence[Cell], answered: set[Cell], terms: Sequence[Sequence[int]]
+) -> tuple[int, str] | None:
+    """Level with most of its cells unanswered, of those that leave a combination empty."""
+    known = [cell for cell in designed if cell in answered]
+    shares: dict[tuple[int, str], float] = {}
+    for term in terms:
+        has = {tuple(cell[i] for i in term) for cell in known}
+        for empty in {tuple(cell[i] for i in term) for cell in designed} - has:
+            for place, level in zip(term, empty, strict=True):
+                if len({cell[place] for cell in designed}) > _FEWEST:
+                    own = [cell in answered for cell in designed if cell[place] == level]
+                    shares[place, level] = 1 - sum(own) / len(own)
+    return max(sorted(shares), key=lambda key: shares[key], default=None)

@@ -1,1 +1,0 @@
-"""One simulation, one calibration, virtual measurements: verbs without a study."""

@@ -1,0 +1,308 @@
+"""One simulation: a problem becomes a curve."""
+
+from __future__ import annotations
+
+import importlib
+import platform
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from study.api.folders import problem_tables
+from study.ground.errors import Fault, InputError
+from study.harness.design import plausibility
+from study.harness.design.load import load_problem
+from study.harness.execution.task import Task
+from study.harness.record.atomic_files import replaced, write_atomic
+from study.harness.record.record import plain
+from study.harness.runner.tasks import processes
+from study.mechanics.forward import closed_form, finite_element
+from study.mechanics.forward.finite_element import at_steps
+from study.mechanics.material.stability import check
+from study.mechanics.setup.material_section import MaterialSection
+from study.mechanics.setup.setup import Problem, Setup, Tables, problem_of, specimen_of
+from study.mechanics.solver.solution import Solution
+from study.reporting.figures.axes import shown
+from study.reporting.figures.curve_figures import draw_curve
+from study.reporting.figures.mesh_figures import picture
+from study.reporting.output.notebook import Shown
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from study.reporting.figures.axes import Drawing
+
+
+# -------------------------------------------------------------------------------------------------
+# A simulation as a notebook shows it: a frame, a table in HTML, a figure.
+
+
+@dataclass(frozen=True, repr=False)
+class SolvedProblem(Shown, Solution):
+    """What :func:`study.solve` returns: a :class:`Solution` that can be shown."""
+
+    digits: ClassVar[int] = 6
+
+    @classmethod
+    def of(cls, found: Solution) -> SolvedProblem:
+        """Give a solution the ways to be shown."""
+        return cls(**{item.name: getattr(found, item.name) for item in fields(Solution)})
+
+    def to_frame(self) -> pd.DataFrame:
+        """Curve with one row a load step.
+
+        Units: returns MPa.
+        """
+        import pandas as pd
+
+        curve = self.curve
+        gradients = {f"force_gradient_{n}": g for n, g in curve.force_gradient.items()}
+        columns = {"displacement_mm": curve.displacement_mm, "force_N": curve.force_N}
+        if curve.stiffness_N_per_mm is not None:
+            columns["stiffness_N_per_mm"] = curve.stiffness_N_per_mm
+        return pd.DataFrame(columns | gradients)
+
+    def plot(self) -> Drawing:
+        """Draw force against displacement."""
+        if not len(self.curve):
+            raise ValueError(f"there is nothing to draw: {self.message}")
+        return shown(lambda: draw_curve(self.curve), "solution", "force against displacement")
+
+    def tables(self) -> Sequence[pd.DataFrame]:
+        """How it ended, and its curve."""
+        import pandas as pd
+
+        facts = pd.DataFrame(
+            [[self.status, self.dofs, self.elements, self.solver, self.seconds.get("total")]],
+            columns=["status", "unknowns", "elements", "solver", "seconds"],
+        )
+        return facts, self.to_frame()[["displacement_mm", "force_N"]]
+
+
+def solve(
+    problem: Problem | Tables | str | Path,
+    *,
+    overrides: Sequence[str] = (),
+    gradients: bool = True,
+    progress: Callable[[float], None] | None = None,
+) -> SolvedProblem:
+    """Simulate one test.
+
+    Parameters
+    ----------
+    problem : Problem, mapping, str or Path
+        A problem, its file, or the tables of one: the keys of the file, with texts that have a
+        unit or numbers in mm, N, MPa and deg. Resolved tables (``radius_mm``) are taken too.
+    overrides : sequence of str
+        ``key=value`` each, laid over the file before it is validated.
+    gradients : bool
+        Whether dF/d(constant) is computed too.
+    progress : callable, optional
+        Called with the fraction that is done.
+
+    Returns
+    -------
+    Solution
+        Curve in mm and N, with gradients, energy balance, mesh and status; ``to_frame()``,
+        ``plot()``, and a table in a notebook.
+
+    Raises
+    ------
+    InputError
+        For a faulty problem, or constants that make an unstable material.
+
+    Examples
+    --------
+    Between frictionless plates the deformation is the same everywhere: with lambda = 0.9 and
+    W = C10 (I1 - 3) the force is 2 C10 (1/lambda^2 - lambda) pi R^2.
+
+    >>> import study
+    >>> found = study.solve({
+    ...     "specimen": {"shape": "cylinder", "radius": 10, "height": "1 cm"},
+    ...     "test": {"kind": "compression", "interface": "frictionless",
+    ...              "displacement": "1 mm", "steps": 2},
+    ...     "material": {"model": "neo-hookean", "C10": "10 kPa", "incompressible": True},
+    ...     "model": {"mesh_size": 5},
+    ... })
+    >>> found.status
+    'converged'
+    >>> [round(float(force), 4) for force in found.curve.force_N]
+    [0.993, 2.1022]
+    """
+    made = _problem(problem, overrides)
+    return SolvedProblem.of(at_steps(made, gradients=gradients, progress=progress))
+
+
+def cautions(problem: str | Path, overrides: Sequence[str] = ()) -> tuple[str, ...]:
+    """Sentences about moduli and sizes in a file that no soft material or specimen has."""
+    tables = load_problem(problem, overrides)
+    return plausibility.cautions(Setup.of(tables), MaterialSection.of(tables))
+
+
+def _problem(problem: Problem | Tables | str | Path, overrides: Sequence[str]) -> Problem:
+    if not isinstance(problem, Problem):
+        problem = problem_of(problem_tables(problem, overrides))
+    _judge(problem)
+    return problem
+
+
+def _judge(problem: Problem) -> None:
+    """Refuse constants that are unstable on the way, before anything is meshed."""
+    import numpy as np
+
+    height = float(getattr(problem.specimen, "height_mm", 0.0))
+    depth = problem.test.depth_mm
+    compressed = problem.setup.kind.compresses and depth < height
+    check(problem.material, np.linspace(1 - depth / height, 1, 41) if compressed else None)
+
+
+def solution_json(solution: Solution) -> dict[str, object]:
+    """Document of ``study solve --json``."""
+    curve, warm = solution.curve, solution.warm
+    content = {
+        "status": solution.status,
+        "message": solution.message,
+        **curve.as_dict(),
+        "force_gradient": {k: v.tolist() for k, v in curve.force_gradient.items()},
+        "parameters": {} if warm is None else dict(warm.values),
+        "dofs": solution.dofs,
+        "elements": solution.elements,
+        "newton_iterations": list(solution.newton_iterations),
+        "seconds": dict(solution.seconds),
+        "solver": solution.solver,
+        "reached_mm": solution.reached_mm,
+        "min_j": solution.min_j,
+        "base_reaction_N": solution.base_reaction_N.tolist(),
+        "energy": {
+            "stored_Nmm": solution.energy.stored_Nmm.tolist(),
+            "stabilization_Nmm": solution.energy.stabilization_Nmm.tolist(),
+            "mismatch": solution.energy.mismatch.tolist(),
+            "snaps_mm": list(solution.energy.jumps_mm),
+        },
+        "mesh_hash": solution.mesh_hash,
+        "mesh_size_mm": solution.mesh_size_mm,
+    }
+    return {key: plain(value, f"solution.{key}", {}) for key, value in content.items()}
+
+
+# -------------------------------------------------------------------------------------------------
+# Is the installation able to do the work? Every part is tried, not looked up.
+
+_NEEDED = ("numpy", "scipy", "pandas", "numba", "skfem", "meshio", "matplotlib", "statsmodels")
+_SYSTEM_LIBRARIES = (
+    "apt-get install libglu1-mesa libgl1 libopengl0 libxcursor1 libxft2 libxinerama1 "
+    "libxrender1 libxfixes3 libxext6 libfontconfig1 libgomp1"
+)
+
+
+def examine() -> dict[str, Any]:
+    """Try every part of the installation."""
+    tries: list[tuple[str, Callable[[], tuple[str, str]]]] = [
+        ("python", _python),
+        *((name, _importer(name)) for name in _NEEDED),
+        ("gmsh", _gmsh),
+        ("pypardiso", _pardiso),
+        ("a solved compression", _solve),
+        ("a worker process", _worker),
+    ]
+    checks = []
+    for name, attempt in tries:
+        try:
+            outcome, finding = attempt()
+        except Exception as error:  # noqa: BLE001 - whatever fails is the finding
+            outcome, finding = "fail", f"{type(error).__name__}: {error}"
+        checks.append({"name": name, "outcome": outcome, "finding": finding})
+    return {"ok": all(c["outcome"] != "fail" for c in checks), "checks": checks}
+
+
+def _python() -> tuple[str, str]:
+    return ("pass" if sys.version_info >= (3, 11) else "fail"), platform.python_version()
+
+
+def _importer(name: str) -> Callable[[], tuple[str, str]]:
+    def attempt() -> tuple[str, str]:
+        importlib.import_module(name)
+        package = {"skfem": "scikit-fem"}.get(name, name)
+        return "pass", metadata.version(package)
+
+    return attempt
+
+
+def _gmsh() -> tuple[str, str]:
+    try:
+        importlib.import_module("gmsh")
+    except OSError as error:
+        return "fail", f"{error}; a system library is missing: {_SYSTEM_LIBRARIES}"
+    return "pass", metadata.version("gmsh")
+
+
+def _pardiso() -> tuple[str, str]:
+    try:
+        return "pass", metadata.version("pypardiso")
+    except metadata.PackageNotFoundError:
+        slow = "not installed: 3D runs about 20 times slower on SuperLU"
+        return "caution", f"{slow} (pip install 'study[fast]')"
+
+
+def _solve() -> tuple[str, str]:
+    """Compress a cylinder and compare with the closed form."""
+    import numpy as np
+
+    config = {
+        "specimen": {"shape": "cylinder", "radius_mm": 10.0, "height_mm": 10.0},
+        "test": {"kind": "compression", "interface": "frictionless", "displacement_mm": 1.0,
+                 "steps": 2},
+        "material": {"model": "neo-hookean", "constants": {"C10": 0.01}, "poisson_ratio": 0.499},
+        "model": {"space": "axisymmetric", "mesh_size_mm": 5.0},
+    }  # fmt: skip
+    solution = finite_element.solve(problem_of(config))
+    exact = closed_form.compression(
+        specimen_of(config["specimen"]),
+        MaterialSection.of(config).material(),
+        np.array([1.0]),
+    )
+    error = abs(solution.curve.force_N[-1] / exact.force_N[0] - 1)
+    finding = f"force within {error:.1e} of the closed form, by {solution.solver}"
+    return ("pass" if error < 1e-6 else "fail"), finding
+
+
+def _worker() -> tuple[str, str]:
+    (outcome,) = processes(1, 60.0).run([Task("ping", lambda _: {"kind": "ping"})])
+    good = outcome.result["status"] == "converged"
+    return ("pass" if good else "fail"), f"answered in {outcome.seconds:.1f} s"
+
+
+# -------------------------------------------------------------------------------------------------
+# Files of one simulation: fields for ParaView, a picture of the mesh.
+
+
+def writable(*paths: Path | None) -> None:
+    """Refuse files that could not be written, before anything is computed."""
+    faults = []
+    for path in paths:
+        if path is not None and not path.parent.is_dir():
+            faults.append(Fault(str(path), f"there is no folder {path.parent}", "make it first"))
+        elif path is not None and path.is_dir():
+            faults.append(Fault(str(path), "is a folder", "name a file"))
+    if faults:
+        raise InputError(faults)
+
+
+def write_vtu(solution: Solution, path: str | Path) -> None:
+    """Write displacement, J and stress of the last converged step for ParaView."""
+    from study.mechanics.solver.finite_element_solution import write_vtu as write
+
+    with replaced(Path(path)) as part:
+        write(solution, part)
+
+
+def write_picture(solution: Solution, path: str | Path) -> None:
+    """Draw the mesh of a solution before and after its deformation."""
+    try:
+        svg, _ = picture(solution.points, solution.cells, solution.displacement)
+    except ValueError as error:
+        raise InputError(Fault(str(path), f"no picture: {error}")) from None
+    write_atomic(Path(path), f"{svg}\n".encode())

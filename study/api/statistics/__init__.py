@@ -1,1 +1,0 @@
-"""Statistics of a study's records and of any tidy table."""

@@ -1,1 +1,0 @@
-"""Surfaces over numeric factors: of a table, of a study, at levels of other factors, their page."""

@@ -1,0 +1,539 @@
+"""What a study's numbers owe to its discretization: meshes refined, spaces compared."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from study.ground.arrays import Array
+from study.ground.canonical import digest
+from study.ground.errors import StoreError
+from study.harness.record.document import NumericalCells, NumericalRow, fault_of_series
+from study.harness.runner import refinement, space_comparison, study_refinement
+from study.harness.runner.batch import Progress, computing, run_batch
+from study.harness.runner.case_series import COSTS, PLACES, CaseSeries, places_of
+from study.harness.runner.cost import Costs
+from study.harness.runner.solve_task import SolveResult, SolveTask, by_workers, is_kept, kept
+from study.harness.runner.study_refinement import input_shares, input_work, physics_of
+from study.harness.runner.tasks import default_jobs
+from study.reporting.content.numbers import percent, quantity
+from study.reporting.content.text import count, listing, name_of
+from study.reporting.results.study_result import Check
+from study.statistics.convergence.contrast_bound import CellSeries, NumericalBound, SeriesBounds
+from study.statistics.convergence.grid_convergence import NumericalUncertainty, compare
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from study.ground.curve import Curve
+    from study.harness.design.spec import Design, Treatment
+    from study.harness.execution.task import Executor
+    from study.harness.record.record import Record
+    from study.harness.record.store import Store
+    from study.harness.runner.job import CaseJob, Work
+
+
+#: 3D and axisymmetric space on one cylinder may differ by so much
+SPACES_TOLERANCE = 0.005
+
+
+def refine(
+    work: Work,
+    store: Store,
+    jobs: int | None,
+    progress: Callable[[Progress], None] | None,
+    timeout_s: float | None,
+    executor: Executor | None = None,
+) -> None:
+    """Compute the refined cases and store what they say of every response."""
+    series = study_refinement.study_series(work, store.on_demand(work.input_hashes))
+    compute = computing(
+        work, store, jobs=jobs, progress=progress, timeout_s=timeout_s, executor=executor
+    )
+    refinement.refine(series, compute)
+    with store.lock():
+        store.write_rows("numerical", [asdict(row) for row in uncertainties(work, series)])
+
+
+def uncertainties(work: Work, series: Sequence[CaseSeries]) -> list[NumericalUncertainty]:
+    """Numerical uncertainty of every response that a study asks for, by series."""
+    names = [one.name for one in work.design.responses if one.name not in COSTS]
+    return [one.uncertainty(name, work.responses[name]) for one in series for name in names]
+
+
+def compare_spaces(
+    work: Work,
+    store: Store,
+    jobs: int | None,
+    progress: Callable[[Progress], None] | None = None,
+    executor: Executor | None = None,
+) -> None:
+    """Solve the equivalent cylinder of a block in both spaces, where a study holds both."""
+    pairs = space_comparison.pairs(work, store.on_demand(work.input_hashes))
+    if not pairs:
+        return
+    workers = jobs or default_jobs()
+    # the solids take longest: all of them first
+    tasks = [pair.tasks[k] for k in (1, 0) for pair in pairs]
+    todo = [task for task in tasks if not is_kept(task, store)]
+    watch = _Watch(todo, workers, progress or (lambda state: None))
+    found: dict[str, SolveResult] = {}
+    for key, result in kept(by_workers(workers, executor), store)(tasks):
+        found[key] = result
+        watch.finished(key)
+    rows = [
+        space_comparison.compared(pair, *(found[task.key] for task in pair.tasks)) for pair in pairs
+    ]
+    with store.lock():
+        store.write_rows("spaces", [asdict(row) for row in rows])
+
+
+class _Watch:
+    """Progress of solutions whose time is predicted, the first line before any is there."""
+
+    def __init__(
+        self,
+        tasks: Sequence[SolveTask],
+        workers: int,
+        progress: Callable[[Progress], None],
+    ) -> None:
+        costs = Costs()
+        self._side_by_side = costs.side_by_side
+        self._left = {task.key: costs.solve_seconds(task.tables) for task in tasks}
+        self._total, self._workers, self._progress = len(self._left), workers, progress
+        self._began = time.monotonic()
+        if tasks:
+            self._say()
+
+    def finished(self, key: str) -> None:
+        """Say what is left after one more; what was stored already was not waited for."""
+        if self._left.pop(key, None) is not None:
+            self._say()
+
+    def _say(self) -> None:
+        left = self._side_by_side(list(self._left.values()), self._workers)
+        done, seconds = self._total - len(self._left), time.monotonic() - self._began
+        label = "one cylinder in both spaces, a control"
+        self._progress(Progress(done, self._total, 0, seconds, left, label))
+
+
+def checks_of_spaces(rows: tuple[Mapping[str, Any], ...]) -> Iterator[Check]:
+    """One check for every kind of element: 3D equals axisymmetric space on a cylinder."""
+    for row in rows:
+        kind = listing(list(row["levels"].values())) or "the study's elements"
+        name = f"3D equals axisymmetric space on a cylinder ({kind})"
+        if row["at_end"] is None or row["largest"] is None:
+            yield Check(name, "caution", f"it could not be looked at: {row['message']}")
+            continue
+        flat, solid = row["unknowns"]
+        worst = max(abs(row["at_end"]), abs(row["largest"]))
+        good = worst <= SPACES_TOLERANCE
+        told = (
+            f"the forces on the cylinder of the same cross-section differ by "
+            f"{percent(row['at_end'], 2)} at {row['depth_mm']:g} mm and by at most "
+            f"{percent(abs(row['largest']), 2)} beyond half the depth "
+            f"({solid:,} against {flat:,} unknowns)"
+        )
+        mend = "" if good else "so much of the effect of the space is that of the discretization"
+        yield Check(name, "pass" if good else "caution", told, mend)
+
+
+# -------------------------------------------------------------------------------------------------
+# Checks of what lies between the load steps: energy, and the interpolation of the curve.
+
+#: Largest share of the stored energy by which the work of a test may be off without a snap.
+MISMATCH = 0.002
+
+#: Largest change of a response in per cent where every other load step is left out, in
+#: percentage points; a difference that matters to anybody is ten times larger.
+STEP_CHANGE_PP = 0.05
+
+#: Below this a change is one of rounding, in the unit of the response.
+NOTHING = 1e-12
+
+
+def checks_of_paths(records: Sequence[Record], responses: Sequence[str]) -> Iterator[Check]:
+    """Check energy balance and load steps of every case that was simulated."""
+    solved = [r for r in records if r.converged and "energy_mismatch" in r.solver]
+    if solved:
+        yield _energy(solved)
+    steps = [
+        (name, u, entry["unit"])
+        for record in solved
+        for name, entry in record.responses.items()
+        if (u := entry.get("u_steps")) is not None and name in responses
+    ]
+    if steps:
+        yield _load_steps(steps)
+
+
+def _energy(solved: Sequence[Record]) -> Check:
+    """Compare the work of the test with the energy stored."""
+    name = "work of the test equals stored energy"
+    snapped = [r for r in solved if r.solver.get("snaps_mm")]
+    smooth = [r.solver["energy_mismatch"] for r in solved if not r.solver.get("snaps_mm")]
+    worst = max(smooth, default=0.0)
+    held = max(r.solver.get("stabilization_share", 0.0) for r in solved)
+    finding = (
+        f"the two differ by {_at_most(worst)} of the largest energy where nothing snaps; the "
+        f"stabilization of the elements holds {_at_most(held)} of it"
+    )
+    if not snapped:
+        good = worst <= MISMATCH
+        mend = "" if good else "raise test.steps: the force between the load steps is not certain"
+        return Check(name, "pass" if good else "caution", finding, mend)
+    first = snapped[0]
+    place = ", ".join(f"{d:.3g}" for d in first.solver["snaps_mm"])
+    finding += (
+        f"; in {count(len(snapped), 'case')} the surface snaps to another equilibrium, for "
+        f"example past {place} mm in {' / '.join(first.levels.values())}"
+    )
+    return Check(
+        name, "caution", finding,
+        "beyond a snap the force depends on the mesh; see whether a finer mesh snaps as well",
+    )  # fmt: skip
+
+
+def _at_most(fraction: float) -> str:
+    r"""Write an upper bound of a share.
+
+    Examples
+    --------
+    >>> [_at_most(share).replace("\xa0", " ") for share in (0.004, 0.0001, 0.0)]
+    ['at most 0.40 %', 'less than 0.1 %', 'none']
+    """
+    if fraction == 0:
+        return "none"
+    shown = percent(fraction, 2)
+    return shown.replace("< ", "less than ") if shown.startswith("<") else f"at most {shown}"
+
+
+def _load_steps(steps: Sequence[tuple[str, float, str]]) -> Check:
+    """Say what every other load step changes, response by response."""
+    worst: dict[str, tuple[float, str]] = {}
+    for name, u, unit in steps:
+        if u >= worst.get(name, (0.0, ""))[0]:
+            worst[name] = u, "pp" if unit == "%" else unit
+    told = [
+        f"{name_of(name)} {quantity(u if u > NOTHING else 0.0, unit, 2)}"
+        for name, (u, unit) in worst.items()
+    ]
+    finding = (
+        "with every other load step left out, each response changes by no more than this: "
+        f"{listing(told)}; it is part of the numerical uncertainty"
+    )
+    name = "responses do not depend on the load steps"
+    if all(u <= STEP_CHANGE_PP for u, unit in worst.values() if unit == "pp"):
+        return Check(name, "pass", finding)
+    return Check(name, "caution", finding, "raise test.steps")
+
+
+# -------------------------------------------------------------------------------------------------
+# Numerical uncertainty of the effects of a study: what the verdicts are held against.
+
+
+def stored_numerical(store: Store, cases: Mapping[str, str]) -> tuple[NumericalUncertainty, ...]:
+    """Numerical uncertainty of a study: as its run found it, and then ``study converge``."""
+    found = store.read_document(
+        "numerical-cells", NumericalCells, lambda cells: fault_of_series(cells["rows"])
+    )
+    rows = store.read_rows("numerical", NumericalRow, fault_of_series)
+    if found is not None and found["of"] == digest(cases):
+        rows = [*rows, *found["rows"]]
+    return tuple(map(_of_row, rows))
+
+
+def _of_row(row: NumericalRow) -> NumericalUncertainty:
+    return NumericalUncertainty(
+        row["levels"], row["response"], row["value"], row["u_num"], row["unit"],
+        row["behaviour"], row["note"], tuple(row.get("mesh_size", ())),
+        tuple(row.get("series", ())), row.get("formal_order"), row.get("formal_reason", ""),
+    )  # fmt: skip
+
+
+#: factors whose levels are meshes
+MESH_FACTORS = ("model.mesh", "model.mesh_size")
+
+#: meshes that a series needs
+_NEEDED = 3
+#: keys of a discretization whose errors share an order
+_ELEMENT = ("space", "element_order", "element_shape", "formulation")
+Cell = tuple[str, ...]
+
+
+def numerical_bound(
+    design: Design,
+    numerical: Sequence[NumericalUncertainty],
+    records: Sequence[Record],
+    table: pd.DataFrame,
+    response: str,
+    transform: str,
+) -> NumericalBound | None:
+    """Bound of the numerical error of every difference of a response.
+
+    Where the meshes are a factor, the study's own cells are the refinement series, averaged over
+    its blocks; elsewhere the cells that were refined are, in the first block. A cell whose
+    deformation is homogeneous has no mesh error. The load steps count by the largest change of
+    the response in any case where every other load step is left out.
+    """
+    rows = [row for row in numerical if row.response == response]
+    if not rows:
+        return None
+    cells = _cells(design)
+    mesh = mesh_factor(design)
+    meshes = None if mesh is None else _ordered(records, mesh)
+    names = [f.name for f in design.factors]
+    if mesh is not None and meshes is not None and set(meshes) <= set(table[mesh].astype(str)):
+        names.remove(mesh)
+        series = _own_series(rows, table, response, transform, names, mesh, meshes)
+        finest = {mesh: meshes[-1]}
+    else:
+        series, finest = _refined_series(rows, names, transform, [c for c, _ in cells]), {}
+    elements = {tuple(levels[n] for n in names): element for levels, element in cells}
+    more = u_of_steps(records, response, transform)
+    if transform == "log" and more:
+        more /= _geometric_mean(records, response)
+    known = tuple(dict.fromkeys(tuple(levels[n] for n in names) for levels, _ in cells))
+    named = {
+        cell: replace(s, discretization=elements[cell])
+        for cell, s in series.items()
+        if elements.get(cell)
+    }
+    return SeriesBounds(tuple(names), known, named, elements, more, mesh, finest)
+
+
+def _cells(design: Design) -> list[tuple[dict[str, str], str]]:
+    """Levels of every treatment, and the name of its discretization; none where it is exact."""
+    return [
+        (dict(one.levels), "" if one.cell.problem.is_homogeneous else _element(one))
+        for one in design.treatments
+    ]
+
+
+def _element(treatment: Treatment) -> str:
+    model = treatment.cell.problem.model
+    return " ".join(str(getattr(model, key)) for key in _ELEMENT)
+
+
+def _own_series(
+    rows: Sequence[NumericalUncertainty],
+    table: pd.DataFrame,
+    response: str,
+    transform: str,
+    names: Sequence[str],
+    mesh: str,
+    meshes: Sequence[str],
+) -> dict[Cell, CellSeries]:
+    """Series of the columns of a study whose meshes are a factor, averaged over the blocks."""
+    y = table[response]
+    values = np.log(y.where(y > 0)) if transform == "log" else y
+    labels = [table[name].astype(str) for name in (*names, mesh)]
+    mean = values.groupby(labels, sort=False).mean()
+    found = {}
+    for row in rows:
+        if set(row.levels) != set(names) or len(row.series) < _NEEDED:
+            continue
+        cell = tuple(row.levels[name] for name in names)
+        by_mesh = [float(mean.get((*cell, level), math.nan)) for level in reversed(meshes)]
+        if np.isfinite(by_mesh).all() and len(row.mesh_size) == len(by_mesh):
+            found[cell] = CellSeries(
+                tuple(reversed(row.mesh_size)),
+                tuple(by_mesh),
+                row.formal_order,
+                studied=math.fsum(by_mesh) / len(by_mesh),
+                reference=1.0 if transform == "log" else None,
+            )
+    return found
+
+
+def _refined_series(
+    rows: Sequence[NumericalUncertainty],
+    names: Sequence[str],
+    transform: str,
+    cells: Sequence[Mapping[str, str]],
+) -> dict[Cell, CellSeries]:
+    """Series of the cells that were refined beside the study."""
+    found = {}
+    for row in rows:
+        values = row.series
+        if transform == "log":
+            values = tuple(math.log(v) for v in values if v > 0)
+        if len(values) < 2 or len(values) != len(row.mesh_size) or min(row.mesh_size) <= 0:
+            continue
+        own = {name: level for name, level in row.levels.items() if name in names}
+        at = next((c for c in cells if own.items() <= c.items()), None)
+        if at is None:
+            continue
+        finest = np.argsort(row.mesh_size)
+        found[tuple(at[name] for name in names)] = CellSeries(
+            tuple(row.mesh_size[i] for i in finest),
+            tuple(values[i] for i in finest),
+            row.formal_order,
+            studied=values[0],
+            reference=1.0 if transform == "log" else None,
+        )
+    return found
+
+
+def u_of_steps(records: Sequence[Record], response: str, transform: str) -> float:
+    """Largest uncertainty of a response from its load steps, in its unit; 0 where none is known.
+
+    On the log scale it counts by its share of the value, as that of the mesh does.
+    """
+    entries = [r.responses[response] for r in records if r.converged and response in r.responses]
+    found = [(u, e["value"]) for e in entries if (u := e.get("u_steps")) is not None]
+    if transform != "log":
+        return max((u for u, _ in found), default=0.0)
+    shares = [u / abs(value) for u, value in found if value]
+    return max(shares) * _geometric_mean(records, response) if any(shares) else 0.0
+
+
+def mesh_factor(design: Design) -> str | None:
+    """Name of the factor whose levels are meshes; None without, or with several."""
+    found = [f.name for f in design.factors if f.name in MESH_FACTORS and len(f.levels) > 1]
+    return found[0] if len(found) == 1 else None
+
+
+def _ordered(records: Sequence[Record], mesh: str) -> list[str] | None:
+    """Meshes from coarse to fine; None where that order differs between columns."""
+    columns: dict[tuple[tuple[str, str], ...], dict[str, float]] = {}
+    for record in records:
+        size = record.mesh.get("mesh_size_mm")
+        if record.converged and size:
+            key = tuple(sorted((k, v) for k, v in record.levels.items() if k != mesh))
+            columns.setdefault(key, {})[record.levels[mesh]] = float(size)
+    longest = max((len(sizes) for sizes in columns.values()), default=0)
+    orders = {
+        tuple(sorted(sizes, key=lambda level: -sizes[level]))
+        for sizes in columns.values()
+        if len(sizes) == longest
+    }
+    return list(orders.pop()) if len(orders) == 1 and longest >= _NEEDED else None
+
+
+def _geometric_mean(records: Sequence[Record], response: str) -> float:
+    values = [r.response(response) for r in records]
+    known = [math.log(v) for v in values if math.isfinite(v) and v > 0]
+    return math.exp(math.fsum(known) / len(known))
+
+
+# -------------------------------------------------------------------------------------------------
+# Comparison with the measurements, E +- u_val, of every case of a study (ASME V&V 20-2009).
+
+
+def validate(
+    work: Work,
+    store: Store,
+    jobs: int | None = None,
+    progress: Callable[[Progress], None] | None = None,
+    timeout_s: float | None = None,
+    executor: Executor | None = None,
+) -> list[dict[str, object]]:
+    """Move the uncertain inputs, compare every case, and store the rows as ``validation``."""
+    moved = input_work(work)
+    if moved.jobs:
+        run_batch(
+            moved, store, jobs=jobs, progress=progress, timeout_s=timeout_s, executor=executor
+        )
+    rows = compared(work, moved, store)
+    with store.lock():
+        store.write_rows("validation", rows)
+    return rows
+
+
+def compared(work: Work, moved: Work, store: Store) -> list[dict[str, object]]:
+    """One row for every case: E and its uncertainty along the curve.
+
+    Units: returns mm.
+    """
+    records = store.by_case({**work.input_hashes, **moved.input_hashes})
+    inputs, mesh = input_shares(work, moved, records), _mesh_shares(work, records, store)
+    rows = []
+    for job in work.jobs:
+        record = records.get(job.case.case_id)
+        if record is None or not record.converged:
+            continue
+        # where the deformation is the same everywhere no mesh matters
+        share = np.zeros(PLACES.size) if job.case.setup.is_homogeneous else mesh(job)
+        own = replace(record, levels=job.case.levels)
+        physics = inputs.get(physics_of(job.case.levels))
+        rows.append(_row(own, share, physics, work.design.uncertainty))
+    return rows
+
+
+def _mesh_shares(
+    work: Work, records: Mapping[str, Record], store: Store
+) -> Callable[[CaseJob], Array | None]:
+    """Look up the relative u_num of a case: of its own column, or of its kind of discretization.
+
+    Where the meshes are a factor nothing was refined, and the study's own cases are the series.
+    """
+    series = study_refinement.own_series(work, records)
+    finest = bool(series)
+    series = series or study_refinement.chosen_series(work, records)
+    known = store.by_case({j.case.case_id: j.input_hash for one in series for j in one.every})
+    for one in series:
+        one.records.update(known)
+    if finest:
+        own = {case: share for one in series for case, share in one.shares().items()}
+        of_cell = {_cell(job): own.get(job.case.case_id) for one in series for job in one.jobs}
+        return lambda job: of_cell.get(_cell(job))
+    of_model = {}
+    for one in series:
+        share = one.shares().get(one.base.case.case_id)
+        of_model[study_refinement.discretization_key(one.base.case.config)] = share
+    return lambda job: of_model.get(study_refinement.discretization_key(job.case.config))
+
+
+def _cell(job: CaseJob) -> frozenset[tuple[str, str]]:
+    """Levels of a case, whatever its block."""
+    return frozenset(job.case.levels.items())
+
+
+def _row(
+    record: Record, mesh: Array | None, inputs: Array | None, uncertainty: Mapping[str, float]
+) -> dict[str, object]:
+    fact, pair = next(iter(record.scores), None), record.first_pair()
+    if fact is None or pair is None:
+        raise StoreError(
+            f"case {record.case_id}: its record has an answer and no curve beside a measured one; "
+            "delete its folder below cases and run the design again"
+        )
+    measured, predicted = pair
+    d = places_of(measured)
+    force = predicted.force_at(d)
+    found = compare(
+        d, force, measured.force_at(d),
+        None if mesh is None else mesh * np.abs(force),
+        None if inputs is None else inputs * np.abs(force),
+        _data(measured, d, fact.get("scatter_N"), uncertainty),
+    )  # fmt: skip
+    facts = {"case_id": record.case_id, "levels": dict(record.levels), "block": record.block}
+    return facts | {"label": fact["score"], "role": fact["role"]} | found.to_json()
+
+
+def _data(
+    measured: Curve,
+    d: Array,
+    scatter: Sequence[float | None] | None,
+    uncertainty: Mapping[str, float],
+) -> Array | None:
+    """Add up the standard uncertainty of the measured force: single repeats, and the gauges.
+
+    The scatter is that of one repeat, not of their mean: repeats on one specimen are no
+    independent evidence.
+    """
+    parts = []
+    if scatter is not None:
+        parts.append(np.interp(d, measured.displacement_mm, np.asarray(scatter, float)))
+    if uncertainty.get("measurements.force"):
+        parts.append(np.full(d.size, float(uncertainty["measurements.force"])))
+    if uncertainty.get("measurements.displacement"):
+        slope = np.gradient(measured.force_at(d), d)
+        parts.append(np.abs(slope) * float(uncertainty["measurements.displacement"]))
+    return np.sqrt(np.sum(np.square(parts), axis=0)) if parts else None

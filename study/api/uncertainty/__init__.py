@@ -1,1 +1,0 @@
-"""Numerical, input and validation uncertainty of a study."""

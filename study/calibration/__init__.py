@@ -1,1 +1,0 @@
-"""Calibration: constants from curves, by an optimizer that says how it ended."""

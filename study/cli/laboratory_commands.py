@@ -1,0 +1,270 @@
+"""What ``study calibrate --method analytic`` shows."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from study.cli import output
+from study.cli.study_commands import REPORTS, RESULTS, Data, Jobs, Json, Reports, Results, Set
+
+if TYPE_CHECKING:
+    from study.api.haptics import Export, MaterialExport, Required
+    from study.mechanics.indentation.indentation_modulus import (
+        AnalyticCalibration,
+        IndentationModulus,
+        MedianEstimate,
+    )
+
+
+#: curves or units that are listed; moduli.csv has all
+_LISTED = 12
+
+
+def closed_form(
+    file: Path, data: Path | None, settings: Sequence[str], results: Path, as_json: bool
+) -> None:
+    """Fit the moduli of a calibration file in closed form and show them."""
+    from study import api
+
+    found = api.indentation_modulus(file, data=data, overrides=settings, results=results)
+    for test in found.tests:
+        output.warn(test.warnings)
+    if as_json:
+        output.print_json(found.to_json())
+    else:
+        _print(found)
+        folder = results / found.name
+        print(f"written: {folder / 'analytic.json'}, {folder / 'moduli.csv'}")
+    if not found.is_complete:
+        raise typer.Exit(1)
+
+
+def _print(found: AnalyticCalibration) -> None:
+    for test in found.tests:
+        title = f"{test.file}: {test.indenter}, {test.theory}, nu = {test.poisson_ratio:g}"
+        rows = [["median of", "n", "E [kPa]", "95 % interval", "quartiles", "G [kPa]"]]
+        unit = test.block or "curve"
+        if test.estimate is not None:
+            rows.append([unit, *_estimate(test.estimate, test.poisson_ratio)])
+        output.table(rows, title)
+        _print_curves(test)
+        print(f"{test.fitted} of {len(test.curves)} curves, {test.rows - test.rows_outside} of "
+              f"{test.rows} rows, up to {test.limits[0].depth_mm:.4g} mm "
+              f"({test.limits[0].what})")  # fmt: skip
+        if test.estimate is not None:
+            print(f"interval: {test.estimate.kind}")
+    for note in found.notes:
+        print(f"data: {note}")
+
+
+def _estimate(found: MedianEstimate, poisson_ratio: float) -> list[str]:
+    return [
+        str(found.units),
+        _kilo(found.value_MPa),
+        _between(found.interval_MPa),
+        _between(found.quartiles_MPa),
+        _kilo(found.value_MPa / (2 * (1 + poisson_ratio))),
+    ]
+
+
+def _print_curves(test: IndentationModulus) -> None:
+    fitted = any(one.found.contact_mm is not None for one in test.curves)
+    rows = [["curve", "E [kPa]", "95 % interval", "residual [%]", "status"]]
+    if fitted:
+        rows[0].insert(3, "contact [mm]")
+    for one in test.curves[:_LISTED]:
+        found = one.found
+        share = None if found.relative_rms is None else 100 * found.relative_rms
+        row = [one.label, _kilo(found.modulus_MPa), _between(found.interval_MPa),
+               output.number(share, 3), found.status]  # fmt: skip
+        if fitted:
+            row.insert(3, output.number(found.contact_mm))
+        rows.append(row)
+    output.table(rows)
+    if len(test.curves) > _LISTED:
+        print(f"... and {len(test.curves) - _LISTED} more curves")
+
+
+def _kilo(value_MPa: float | None) -> str:
+    return output.number(None if value_MPa is None else 1e3 * value_MPa, 5)
+
+
+def _between(pair: tuple[float, float] | None) -> str:
+    return "-" if pair is None else " to ".join(f"{1e3 * v:.5g}" for v in pair)
+
+
+# -------------------------------------------------------------------------------------------------
+# The verbs for a device that renders forces: its force law, and what its sensors must be.
+
+
+def export(
+    source: Annotated[
+        Path,
+        typer.Argument(
+            help="Problem file, calibration.json, or results of a study (--case).",
+            autocompletion=output.studies,
+        ),
+    ],
+    form: Annotated[
+        str, typer.Option("--as", help="What it becomes: force-law, emulator, abaqus or febio.")
+    ] = "force-law",
+    case: Annotated[str, typer.Option(help="Case of a study: the beginning of its id.")] = "",
+    test: Annotated[int, typer.Option(min=1, help="Test of a calibration, from 1.")] = 1,
+    tolerance: Annotated[
+        float, typer.Option(help="Wanted error bound over the largest force.")
+    ] = 0.002,
+    response: Annotated[
+        str | None, typer.Option(help="With --as emulator: one response; all by default.")
+    ] = None,
+    settings: Set = None,
+    reports: Reports = REPORTS,
+    results: Results = RESULTS,
+    as_json: Json = False,
+) -> None:
+    """Turn a test or surfaces into functions, or a material into input of Abaqus or FEBio."""
+    from study import api
+
+    if form == "emulator":
+        made = api.export_surface(source, response=response, out=reports, results=results)
+        output.warn(made.warnings)
+        if as_json:
+            output.print_json(made.to_json())
+            return
+        for line in (said for one in made.functions for said in one.sentences()):
+            output.paragraph(line)
+        for path in made.paths:
+            print(f"written: {path}")
+        return
+    found = api.export(
+        source, form=form, case=case, test=test, tolerance=tolerance, overrides=settings or (),
+        out=reports, progress=_say,
+    )  # fmt: skip
+    output.warn(found.warnings)
+    if as_json:
+        output.print_json(found.to_json())
+        return
+    _print_export(found)
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+def _print_export(found: Export | MaterialExport) -> None:
+    for line in found.sentences():
+        output.paragraph(line)
+    for path in found.paths:
+        print(f"written: {path}")
+
+
+def require(
+    file: Annotated[
+        Path,
+        typer.Argument(
+            help="Problem with sensors and what is asked of them.",
+            autocompletion=output.designs,
+        ),
+    ],
+    settings: Set = None,
+    jobs: Jobs = None,
+    reports: Reports = REPORTS,
+    as_json: Json = False,
+) -> None:
+    """Say how uncertain sensors make constants and force, and what they must be."""
+    from study import api
+
+    found = api.require(file, overrides=settings or (), jobs=jobs, out=reports, progress=_say)
+    output.warn(found.warnings)
+    if as_json:
+        output.print_json(found.to_json())
+        return
+    _print_requirement(found)
+
+
+def _print_requirement(found: Required) -> None:
+    from study.laboratory.sensors import requirement
+
+    for line in requirement.sentences(found.requirement):
+        output.paragraph(line)
+    rows = [["sensor", "error", "given", "allowed alone", "allowed beside the others"]]
+    for k, source in enumerate(found.requirement.propagation.sources):
+        alone, beside = (requirement.size(source, v) for v in found.requirement.allowed(k))
+        given = requirement.size(source, source.given)
+        rows.append([source.sensor, source.name, given, alone, beside])
+    output.table(rows)
+    print(f"report: {found.page}")
+
+
+HAPTIC_VERBS: tuple[Callable[..., None], ...] = (export, require)
+
+
+# -------------------------------------------------------------------------------------------------
+# Verbs that compare with an instrument: tracking, shape.
+
+
+def tracking(
+    file: Annotated[
+        Path,
+        typer.Argument(help="TOML file of the tracker study.", autocompletion=output.designs),
+    ],
+    data: Data = None,
+    reports: Reports = REPORTS,
+    as_json: Json = False,
+) -> None:
+    """Judge a tracker: fixed distances, commanded displacements, a better instrument."""
+    from study import api
+    from study.reporting.output.accuracy_page import tracker_answers as answers
+
+    found = api.tracking(file, data=data, reports=reports)
+    if as_json:
+        output.print_json(found.to_json())
+        return
+    for line in answers(found):
+        output.paragraph(line)
+    print(f"report: {found.report}")
+
+
+def shape(
+    simulation: Annotated[
+        Path, typer.Argument(help="Problem file, VTU of study solve, or deformed surface.")
+    ],
+    scan: Annotated[Path, typer.Option(help="Scanned cloud or surface: PLY, STL, OBJ or CSV.")],
+    markers: Annotated[
+        Path | None, typer.Option(help="CSV of marked points: x, y, z, and x0, y0, z0 at rest.")
+    ] = None,
+    unit: Annotated[str, typer.Option(help="Unit of scan and markers.")] = "mm",
+    surface_unit: Annotated[str, typer.Option(help="Unit of a simulated surface file.")] = "mm",
+    as_it_lies: Annotated[
+        bool, typer.Option("--as-it-lies", help="Compare without registration.")
+    ] = False,
+    any_state: Annotated[
+        bool, typer.Option("--any-state", help="Also a scan that another state fits better.")
+    ] = False,
+    settings: Set = None,
+    reports: Reports = REPORTS,
+    as_json: Json = False,
+) -> None:
+    """Compare a simulated, deformed body with a scan of the real one."""
+    from study import api
+    from study.laboratory.shape.shape_deviation import Options
+    from study.reporting.output.accuracy_page import scan_answers as answers
+
+    found = api.shape(
+        simulation, scan, markers=markers, unit=unit, surface_unit=surface_unit,
+        options=Options(not as_it_lies, any_state), overrides=settings or (), reports=reports,
+    )  # fmt: skip
+    output.warn(found.notes)
+    if as_json:
+        output.print_json(found.to_json())
+        return
+    for line in answers(found):
+        output.paragraph(line)
+    print(f"report: {found.report}")
+
+
+ACCURACY_VERBS: tuple[Callable[..., None], ...] = (tracking, shape)

@@ -1,0 +1,398 @@
+"""Verbs about one thing: solve, calibrate, doctor (converge: its own file)."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from study.cli import output
+from study.cli.converge_commands import converge
+from study.cli.laboratory_commands import closed_form
+from study.cli.output import Document, designs
+from study.cli.study_commands import RESULTS, Data, Json, Results, Set
+from study.ground import units
+from study.ground.errors import Fault, InputError
+
+if TYPE_CHECKING:
+    from study.harness.calibration.calibration_result import CalibrationResult
+    from study.harness.runner.staged_fit import Step
+    from study.mechanics.solver.solution import Solution
+
+
+Numerics = Annotated[
+    bool, typer.Option("--numerics", help="Bound the error by meshes and load steps.")
+]
+Resamples = Annotated[
+    int, typer.Option("--bootstrap", help="Intervals from this many resampled fits.")
+]
+
+
+def solve(
+    file: Annotated[Path, typer.Argument(help="Problem file.", autocompletion=designs)],
+    settings: Set = None,
+    picture: Annotated[
+        Path | None, typer.Option(help="SVG file for a picture of the deformed mesh.")
+    ] = None,
+    vtu: Annotated[
+        Path | None, typer.Option(help="VTU file for the deformed fields, for ParaView.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Simulate one test."""
+    from study import api
+    from study.api.solving import cautions, solution_json
+
+    if picture or vtu:
+        _writable(picture, vtu)
+    output.warn(cautions(file, settings or ()))
+    solution = api.solve(file, overrides=settings or ())
+    curve = solution.curve
+    if picture or vtu:
+        _write_fields(solution, picture, vtu)
+    if as_json:
+        output.print_json(solution_json(solution))
+    else:
+        output.table(output.curve_rows(curve))
+        print(f"{solution.status}: {solution.message}")
+        total = solution.seconds["total"]
+        print(f"{solution.dofs} unknowns, {total:.2f} s, {solution.solver}")
+    if solution.status != "converged":
+        raise typer.Exit(1)
+
+
+def _writable(*paths: Path | None) -> None:
+    from study.api.solving import writable
+
+    writable(*paths)
+
+
+def _write_fields(solution: Solution, picture: Path | None, vtu: Path | None) -> None:
+    from study.api.solving import write_picture, write_vtu
+
+    if not len(solution.curve.displacement_mm):
+        print("no step converged: nothing is drawn or written", file=sys.stderr)
+        return
+    if picture is not None:
+        write_picture(solution, picture)
+    if vtu is not None:
+        write_vtu(solution, vtu)
+
+
+def doctor(as_json: Json = False) -> None:
+    """Check the installation."""
+    from study.api.solving import examine
+
+    found = examine()
+    if as_json:
+        output.print_json(found)
+    else:
+        rows = [["check", "outcome", "finding"]]
+        rows += [[c["name"], c["outcome"], c["finding"]] for c in found["checks"]]
+        output.table(rows)
+    if not found["ok"]:
+        raise typer.Exit(1)
+
+
+def calibrate(
+    file: Annotated[Path, typer.Argument(help="Calibration file.", autocompletion=designs)],
+    data: Data = None,
+    settings: Set = None,
+    convention: Annotated[
+        str,
+        typer.Option(help="Also print the constants as: abaqus, febio, ogden-classical."),
+    ] = "study",
+    profiles: Annotated[bool, typer.Option("--profile", help="Profile-likelihood intervals.")] = (
+        False
+    ),
+    numerics: Numerics = False,
+    bootstrap: Resamples = 0,
+    energies: Annotated[
+        bool, typer.Option("--energies", help="Fit every energy and weigh them by AICc.")
+    ] = False,
+    method: Annotated[
+        str, typer.Option(help="auto, or analytic: moduli of indentations in closed form.")
+    ] = "",
+    by: Annotated[
+        str | None,
+        typer.Option(help="Fit every 'test' for itself: are the constants equal (Wald test)?"),
+    ] = None,
+    difference: Annotated[
+        str, typer.Option(help="With --by: the power is that of seeing moduli this far off.")
+    ] = "5 %",
+    zero: Annotated[
+        str, typer.Option(help="With --by: standard uncertainty of a test's zero, of its force.")
+    ] = "0 %",
+    results: Results = RESULTS,
+    as_json: Json = False,
+) -> None:
+    """Find material constants from one or several measured tests."""
+    from study import api
+    from study.api.calibrating import is_analytic
+
+    asked = [*(settings or ()), *([f'calibration.method="{method}"'] if method else ())]
+    alone = not (profiles or numerics or bootstrap)
+    if is_analytic(file, asked):
+        _check_analytic(alone=alone and by is None and not energies and convention == "study")
+        closed_form(file, data, asked, results, as_json)
+        return
+    if by is not None:
+        _check_by(by, alone=alone and not energies)
+        compared = _compared(file, data, asked, difference, zero)
+        output.print_json(compared) if as_json else _print_comparison(compared)
+        return
+    if energies:
+        choice = _chosen(file, data, asked)
+        output.print_json(choice) if as_json else _print_energies(choice)
+        return
+    line = _Line()
+    found = api.calibrate(
+        file, data=data, overrides=asked, results=results, progress=line.show, profiles=profiles,
+        numerics=numerics, resamples=bootstrap,
+    )  # fmt: skip
+    line.end()
+    _show(found, convention, results / found.name, as_json)
+    if not found.usable:
+        raise typer.Exit(1)
+
+
+def _check_analytic(*, alone: bool) -> None:
+    """Refuse what the closed form of indentations has no answer to."""
+    if not alone:
+        rule = "takes no --energies, --profile, --numerics, --bootstrap, --by or --convention"
+        raise InputError(Fault("method analytic", rule, "leave them out, or the method"))
+
+
+def _check_by(by: str, *, alone: bool) -> None:
+    """Refuse a comparison by anything but tests, or beside other questions."""
+    if by != "test" or not alone:
+        mend = "write --by test, without --energies, --profile, --numerics and --bootstrap"
+        raise InputError(Fault("--by", f"cannot compare by {by!r} with these options", mend))
+
+
+def _show(found: CalibrationResult, convention: str, folder: Path, as_json: bool) -> None:
+    document = found.to_json()
+    if convention != "study":
+        converted = found.converted(convention)
+        document["converted"] = {**vars(converted), "constants": dict(converted.constants)}
+    if as_json:
+        output.print_json(document)
+    else:
+        _print_calibration(document)
+        print(f"written: {folder / 'calibration.json'}, {folder / 'calibration.svg'}")
+
+
+def _chosen(file: Path, data: Path | None, settings: Sequence[str] | None) -> Document:
+    from study import api
+
+    line = _Line()
+    found = api.choose_energy(file, data=data, overrides=settings or (), progress=line.show)
+    line.end()
+    document: Document = found.to_json()
+    return document
+
+
+def _compared(
+    file: Path, data: Path | None, settings: Sequence[str] | None, difference: str, zero: str
+) -> Document:
+    from study import api
+
+    line = _Line()
+    found = api.compare_tests(
+        file, data=data, overrides=settings or (), difference=units.parse(difference, "ratio"),
+        zero=units.parse(zero, "ratio"), progress=line.show,
+    )  # fmt: skip
+    line.end()
+    document: Document = found.to_json()
+    return document
+
+
+VERBS: tuple[Callable[..., None], ...] = (solve, calibrate, converge, doctor)
+
+
+class _Line:
+    """One line on stderr: stage, iteration, cost and constants; redrawn where it can be."""
+
+    def __init__(self) -> None:
+        self.width = 0
+
+    def show(self, step: Step) -> None:
+        """Show an accepted iteration."""
+        from study.harness.runner.staged_fit import LAST
+        from study.mechanics.material.material import is_dimensionless, unit_shown
+
+        it = step.iteration
+        values = ", ".join(
+            f"{n} {v:.5g} {unit_shown(n)}".rstrip()
+            if is_dimensionless(n)
+            else f"{n} {1e3 * v:.5g} kPa"
+            for n, v in zip(step.names, it.x, strict=True)
+        )
+        stage = "" if step.stage == LAST else f"{step.stage}, "
+        text = f"{stage}iteration {it.iteration}: cost {it.cost:.6g}, {values}"
+        if not sys.stderr.isatty():
+            print(text, file=sys.stderr)
+            return
+        print("\r" + text[:160].ljust(self.width), end="", file=sys.stderr, flush=True)
+        self.width = min(len(text), 160)
+
+    def end(self) -> None:
+        """Leave the line."""
+        if self.width:
+            print(file=sys.stderr)
+
+
+def _print_calibration(found: Document) -> None:
+    _print_constants(found)
+    output.print_nuisance(found["nuisance"])
+    if "shear_moduli" in found:
+        both = found["shear_moduli"]
+        print(f"shear modulus at small strain: {both['instantaneous']:.5g} kPa at once, "
+              f"{both['long_term']:.5g} kPa after all relaxation")  # fmt: skip
+    if "converted" in found:
+        _print_converted(found["converted"])
+    _print_further_bounds(found)
+    if found["serial_correlation"]:
+        print(_rows_sentence(found["serial_correlation"]))
+    _print_curves("", found["curves"])
+    for kind, title in (("specimens", "alone"), ("cross_validation", "left out")):
+        for one in found[kind]:
+            values = ", ".join(f"{n} {output.number(e['value'], 5)} {e['unit']}".rstrip()
+                               for n, e in one["parameters"].items())  # fmt: skip
+            print(f"{one['label']} {title}: {values} ({one['status']})")
+            _print_curves("  ", one["curves"])
+    if found["population"]:
+        _print_population(found["population"])
+    if found["same_constants_p"] is not None:
+        print(f"all specimens share their constants: p = {found['same_constants_p']:.3g}")
+    if found["lack_of_fit"]:
+        lack = found["lack_of_fit"]
+        print(
+            f"{lack['verdict']}: F = {lack['statistic']:.4g}, p = {lack['p_independent']:.3g} "
+            f"if every point is independent, {lack['p_dependent']:.3g} if every curve is"
+        )
+    print(f"{found['status']}: {found['message']} ({found['evaluations']} evaluations)")
+    verdict = "identifiable" if found["identifiable"] else "not identifiable"
+    print(f"{verdict}{': ' + found['reason'] if found['reason'] else ''}")
+    if found["identifiability"] and found["identifiability"]["sentence"]:
+        print(found["identifiability"]["sentence"])
+    if found["next_test"] and found["next_test"]["sentence"]:
+        print(found["next_test"]["sentence"])
+    print(found["stability"])
+    for note in found["notes"]:
+        print(f"data: {note}")
+    output.warn(found["warnings"])
+
+
+def _print_constants(found: Document) -> None:
+    rows = [["constant", "value", "unit", "standard error", "95 % interval", "numerics",
+             "profile interval"]]  # fmt: skip
+    bound = found.get("numerics")
+    for name, entry in found["parameters"].items():
+        u = "-" if bound is None else f"+-{output.number(bound['u'][name], 2)}"
+        profile = found["profiles"].get(name, {}).get("interval")
+        rows.append(
+            [name, output.number(entry["value"], 6), entry["unit"],
+             output.number(entry["standard_error"]), _between(entry["ci95"]), u, _between(profile)]
+        )  # fmt: skip
+    if not found["profiles"]:
+        rows = [row[:-1] for row in rows]
+    if bound is None:
+        rows = [[*row[:5], *row[6:]] for row in rows]
+    output.table(rows, found["model"])
+
+
+def _print_further_bounds(found: Document) -> None:
+    """Say how the numerical bound was had, and what the bootstrap gives."""
+    bound = found.get("numerics")
+    if bound is not None:
+        print(bound["sentence"])
+    if "bootstrap" in found:
+        drawn = found["bootstrap"]
+        said = "; ".join(
+            f"{n} {_between(pair)} {found['parameters'][n]['unit']}".rstrip()
+            for n, pair in drawn["interval"].items()
+        )
+        print(f"{drawn['sentence']}: {said}")
+
+
+def _print_population(found: Document) -> None:
+    rows = [["constant", "specimens", "mean", "unit", "scatter", "95 % of the mean",
+             "95 % of the next specimen"]]  # fmt: skip
+    for name, one in found.items():
+        rows.append(
+            [name, str(one["specimens"]), output.number(one["mean"], 5), one["unit"],
+             output.number(one["standard_deviation"]), _between(one["mean_ci95"]),
+             _between(one["next_ci95"])]
+        )  # fmt: skip
+    output.table(rows, "population of specimens")
+
+
+def _rows_sentence(serial: Document) -> str:
+    if serial["correlation"] is None:
+        return f"intervals from {serial['rows']} rows, taken as independent: too few to tell"
+    return (
+        f"intervals from {serial['rows']} rows, neighbors correlated by "
+        f"{serial['correlation']:.2f}: worth {serial['effective_rows']:.3g} independent rows"
+    )
+
+
+def _between(pair: Sequence[float | None] | None) -> str:
+    if pair is None:
+        return "-"
+    return " to ".join("-" if v is None else f"{v:.5g}" for v in pair)
+
+
+def _print_converted(found: Document) -> None:
+    values = ", ".join(f"{name} = {value:.6g}" for name, value in found["constants"].items())
+    note = f" ({found['note']})" if found["note"] else ""
+    print(f"{found['convention']}: {found['keyword']}: {values} in MPa{note}")
+
+
+def _print_curves(indent: str, curves: Sequence[Document]) -> None:
+    for curve in curves:
+        name = f"{curve['file']}, {curve['specimen']}" if curve["specimen"] else curve["file"]
+        if curve["rms_force_error"] is None:
+            print(f"{indent}{curve['role']}: {name}: no prediction: {curve['message']}")
+            continue
+        print(f"{indent}{curve['role']}: {name}: RMS error {curve['relative_rms_force_error']:.3g} "
+              f"% of the RMS force ({curve['rms_force_error']:.3g} N)")  # fmt: skip
+
+
+def _print_comparison(found: Document) -> None:
+    names = list(found["common"])
+    heads = [f"{n} [{one['unit']}]".replace(" []", "") for n, one in found["common"].items()]
+    rows = [["test", "n", *heads, "mu0 [kPa]",
+             f"power, {100 * found['difference']:.3g} % off", "seen with power 0.8"]]  # fmt: skip
+    for one in found["groups"]:
+        seen = "-" if one["detectable"] is None else f"{100 * one['detectable']:.3g} %"
+        rows.append(
+            [one["label"], str(one["n"]), *(_with_error(one["parameters"][n]) for n in names),
+             output.number(one["mu0"], 5), output.number(one["power"], 3), seen]
+        )  # fmt: skip
+    common = [_with_error(found["common"][n]) for n in names]
+    rows.append(["common", "", *common, "", "", ""])
+    output.table(rows, found["model"])
+    print(f"{found['verdict']}: {found['sentence']}")
+    output.warn(found["warnings"])
+
+
+def _with_error(entry: Document) -> str:
+    return f"{output.number(entry['value'], 5)} +- {output.number(entry['standard_error'], 2)}"
+
+
+def _print_energies(found: Document) -> None:
+    rows = [["energy", "constants", "AICc - best", "weight", "mu0 [kPa]", "identifiable"]]
+    for one in found["energies"]:
+        rows.append(
+            [one["energy"], str(one["constants"]), output.number(one["delta_aicc"]),
+             output.number(one["weight"]), output.number(one["mu0"], 5),
+             "yes" if one["identifiable"] else f"no: {one['reason']}"]
+        )  # fmt: skip
+    output.table(rows)
+    for name, why in found["failures"].items():
+        print(f"{name}: {why}")
+    print(found["sentence"])

@@ -1,0 +1,561 @@
+"""The verb analyze: the table that a user of Minitab recognizes, and what it rests on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, cast
+
+import typer
+
+from study.cli import output, surface_tables
+from study.cli.study_commands import RESULTS, Data, Design, Json, Results, Set, Study
+from study.cli.surface_tables import names
+from study.ground.errors import Fault, InputError
+
+if TYPE_CHECKING:
+    from study.api.analyzing import MixedOptions
+    from study.api.contrast_power import Detection
+    from study.api.fitting_surfaces import Surface as SurfaceKind
+    from study.api.predicting import Permission
+    from study.statistics.analysis.analysis_request import AnovaOptions
+    from study.statistics.analysis.analysis_result import AnalysisResult
+    from study.statistics.analysis.comparisons import Comparisons
+    from study.statistics.analysis.mixed_model import MixedModel
+
+
+# -------------------------------------------------------------------------------------------------
+# A mixed model as the terminal shows it.
+
+#: flags that a mixed model has a use for
+USED = frozenset({
+    "--response", "--factors", "--block", "--error", "--model", "--alpha", "--decimal", "--random",
+    "--covariates", "--practical", "--contrast",
+})  # fmt: skip
+
+
+def show(
+    source: Path,
+    flags: Mapping[str, str | None],
+    options: MixedOptions,
+    results: Path,
+    as_json: bool,
+) -> None:
+    """Fit a mixed model and print it; ``options`` holds what is no text in the flags."""
+    from study.api.analyzing import fit_mixed_model
+
+    unused = [flag for flag, value in flags.items() if value and flag not in USED]
+    if unused:
+        rule = "has no meaning for a mixed model"
+        raise InputError([Fault(flag, rule, "leave it out") for flag in unused])
+    options["random"], options["covariates"] = (
+        names(flags["--random"]),
+        names(flags["--covariates"]),
+    )
+    if blocks := names(flags["--block"]):
+        options["block"] = blocks
+    if practical := flags["--practical"]:
+        options["practical"] = practical
+    factors = names(flags["--factors"])
+    model = fit_mixed_model(
+        source, flags["--response"], factors, options, results=results,
+        decimal=flags["--decimal"] or ".",
+    )  # fmt: skip
+    alpha = options.get("alpha", 0.05)
+    if as_json:
+        output.print_json(mixed_json(model, alpha))
+    else:
+        print_mixed(model, alpha)
+
+
+def check_none(flags: Mapping[str, str | None]) -> None:
+    """Refuse what only a mixed model has, where none is asked for."""
+    faults = [
+        Fault(flag, "belongs to a mixed model", "add --error reml")
+        for flag in ("--random", "--covariates")
+        if flags[flag]
+    ]
+    if faults:
+        raise InputError(faults)
+
+
+def mixed_json(model: MixedModel, alpha: float) -> dict[str, object]:
+    """Document of a mixed model as ``--json`` shows it; a limit that is not known is null."""
+    from study.ground.canonical import plain
+
+    return {
+        "method": "REML",
+        "alpha": alpha,
+        "rows": model.rows,
+        "deviance": model.deviance,
+        "components": [plain(component) for component in model.components],
+        "terms": [asdict(term) for term in model.terms],
+        "slopes": [asdict(slope) for slope in model.slopes],
+        "effects": [plain(effect) for effect in model.effects],
+        "contrasts": [plain(contrast) for contrast in model.contrasts],
+    }
+
+
+def print_mixed(model: MixedModel, alpha: float) -> None:
+    """Print variance components, tests, slopes, means, effects and contrasts."""
+    from study.cli.analysis_tables import print_effects
+
+    ends = f"{100 * (1 - alpha):.4g} % interval"
+    rows = [["Source", "standard deviation", ends, "share of the variance"]]
+    rows += [
+        [c.source, output.number(c.sd), _between(c.low, c.high), f"{100 * c.share:.0f} %"]
+        for c in model.components
+    ]
+    output.table(rows, f"Scatter by source (REML, {model.rows} rows)")
+    print()
+    if model.terms:
+        rows = [["Term", "DF", "F-Value", "DF of error", "P-Value"]]
+        rows += [
+            [term.term, str(term.df), f"{term.f:.2f}", f"{term.df_error:.1f}", _p(term.p)]
+            for term in model.terms
+        ]
+        output.table(rows, "Tests of the fixed terms (Kenward and Roger)")
+        print()
+    if model.slopes:
+        rows = [["Covariate", "change for each unit", ends]]
+        rows += [
+            [slope.covariate, output.number(slope.value), _between(slope.low, slope.high)]
+            for slope in model.slopes
+        ]
+        output.table(rows, "Slopes")
+        print()
+    if model.effects:
+        print_effects(model.effects, {}, alpha)
+    if model.contrasts:
+        rows = [["asked for", "difference", f"{ends}, all together", "DF", "p", "verdict"]]
+        rows += [
+            [c.name, output.number(c.difference), _between(*(c.ci_simultaneous or c.ci or (0, 0))),
+             "" if c.df is None else f"{c.df:.1f}", "" if c.p is None else _p(c.p), c.verdict]
+            for c in model.contrasts
+        ]  # fmt: skip
+        output.table(rows, "Differences that were asked for")
+        print()
+
+
+def _between(low: float, high: float) -> str:
+    return f"{output.number(low)} to {'unknown' if high == float('inf') else output.number(high)}"
+
+
+def _p(p: float) -> str:
+    return "< 0.001" if p < 0.001 else f"{p:.3f}"
+
+
+#: Flags as they were given; what was not given is None or empty.
+Flags = Mapping[str, str | None]
+
+Column = Annotated[str | None, typer.Option(help="Column of the response.")]
+Columns = Annotated[str, typer.Option(help="Columns of the factors, with commas.")]
+Blocks = Annotated[
+    str | None, typer.Option(help="Column of the blocks; two with a comma that cross.")
+]
+Unit = Annotated[
+    str | None, typer.Option(help="Column of the unit (specimen) that rows are repeats on.")
+]
+WholePlot = Annotated[
+    str | None, typer.Option(help="Factors that are set once for a whole plot of a block.")
+]
+Replicates = Annotated[
+    str | None, typer.Option(help="What repeats of a cell are: runs, mesh-seeds, noise.")
+]
+Copies = Annotated[
+    str | None, typer.Option(help="Rows that repeat others in every digit: refuse, independent.")
+]
+Error = Annotated[
+    str | None,
+    typer.Option(help="auto, pooled, own, or reml: a mixed model, also for incomplete blocks."),
+]
+Random = Annotated[
+    str, typer.Option(help="With --error reml: factors whose effect differs between blocks.")
+]
+Covariates = Annotated[
+    str, typer.Option(help="With --error reml: columns of numbers that the response follows.")
+]
+ContrastsAsked = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--contrast", help="A difference of your own: 'model=stiff - model=soft'; repeatable."
+    ),
+]
+Kind = Annotated[str | None, typer.Option("--type", help="Sums of squares: I, II, III.")]
+Model = Annotated[
+    str | None,
+    typer.Option(help="full, the highest order of interaction, or terms with commas: A,B,A:B."),
+]
+Practical = Annotated[
+    str | None, typer.Option(help="Smallest difference that matters: '5 % of mean'.")
+]
+Transform = Annotated[str | None, typer.Option(help="none or log.")]
+Alpha = Annotated[
+    float | None, typer.Option(help="Size of the tests; intervals have the level 1 - alpha.")
+]
+Decimal = Annotated[str, typer.Option(help="Decimal mark of a CSV: . or ,")]
+Reference = Annotated[
+    str | None, typer.Option(help="Level that the others are compared with (Dunnett).")
+]
+ReportFolder = Annotated[
+    Path | None, typer.Option("--report", help="Write the page, its figures and CSV here.")
+]
+Formats = Annotated[
+    str, typer.Option("--format", help="With --report: html, pdf, tex, csv, with commas.")
+]
+Numeric = Annotated[
+    str, typer.Option(help="Columns of numeric factors: time,temp or 'time=80..90,temp log'.")
+]
+Surface = Annotated[str, typer.Option(help="With --numeric: auto, quadratic, emulator, none.")]
+
+
+Source = Annotated[
+    Path,
+    typer.Argument(
+        help="Results of a study, or any tidy CSV.", autocompletion=output.studies_and_tables
+    ),
+]
+
+
+def analyze(
+    source: Source,
+    response: Column = None,
+    factors: Columns = "",
+    block: Blocks = None,
+    unit: Unit = None,
+    whole_plot: WholePlot = None,
+    replicates: Replicates = None,
+    copies: Copies = None,
+    error: Error = None,
+    kind: Kind = None,
+    model: Model = None,
+    practical: Practical = None,
+    transform: Transform = None,
+    alpha: Alpha = None,
+    decimal: Decimal = ".",
+    reference: Reference = None,
+    report: ReportFolder = None,
+    formats: Formats = "",
+    numeric: Numeric = "",
+    surface: Surface = "auto",
+    random: Random = "",
+    covariates: Covariates = "",
+    contrast: ContrastsAsked = None,
+    results: Results = RESULTS,
+    as_json: Json = False,
+) -> None:
+    """Analyze a study's results, or any CSV with one row a run."""
+    from study import api
+
+    _check_report(source, report, formats)
+    flags = {
+        "--response": response, "--factors": factors, "--block": block, "--unit": unit,
+        "--whole-plot": whole_plot, "--replicates": replicates, "--copies": copies,
+        "--error": error, "--type": kind, "--model": model, "--practical": practical,
+        "--transform": transform,
+        "--alpha": None if alpha is None else repr(alpha), "--reference": reference,
+        "--decimal": None if decimal == "." else decimal,
+        "--report": None if report is None else str(report),
+        "--format": formats, "--random": random, "--covariates": covariates,
+        "--contrast": "; ".join(contrast or ()),
+    }  # fmt: skip
+    if numeric and surface != "none":
+        surface_tables.show(source, names(numeric), surface, flags, as_json)
+        return
+    if error == "reml":
+        mixed: MixedOptions = {"contrasts": contrast or ()}
+        if alpha is not None:
+            mixed["alpha"] = alpha
+        if (terms := _model(flags["--model"])) is not None:
+            mixed["model"] = terms
+        show(source, flags, mixed, results, as_json)
+        return
+    check_none(flags)
+    found = api.analyze(
+        source, response, [*names(factors), *names(numeric)], results=results, decimal=decimal,
+        **_options(flags, alpha),
+    )  # fmt: skip
+    if contrast:
+        found = replace(found, contrasts=api.contrasts(found, contrast))
+    page = None if report is None else _write_page(found, source, report, flags)
+    _show(found, _Beside(_compared(found, reference), page), as_json)
+    if not as_json and all(e.verdict == "cannot tell" for e in found.effects if e.is_main):
+        _hint_practical(practical)
+
+
+@dataclass(frozen=True)
+class _Beside:
+    """What was asked for beside the table: a reference, a page."""
+
+    compared: tuple[str, Comparisons] | None
+    page: Path | None
+
+    def to_json(self) -> dict[str, object]:
+        found: dict[str, object] = {}
+        if self.compared is not None:
+            from study.cli import analysis_tables
+
+            found["reference"] = analysis_tables.reference_json(*self.compared)
+        return found if self.page is None else found | {"report": str(self.page)}
+
+
+def _show(found: AnalysisResult, beside: _Beside, as_json: bool) -> None:
+    from study.cli import analysis_tables
+
+    if as_json:
+        output.warn(found.notes)
+        output.print_json(found.to_json() | beside.to_json())
+        return
+    analysis_tables.print_analysis(found)
+    if found.contrasts:
+        from study.cli import study_tables
+
+        print()
+        output.table(study_tables.contrast_rows(found), "Differences that were asked for")
+        print()
+    if beside.compared is not None:
+        analysis_tables.print_reference(*beside.compared)
+    if beside.page is not None:
+        print(f"\nreport: {beside.page}")
+
+
+def _options(flags: Flags, alpha: float | None) -> AnovaOptions:
+    """Options of the analysis that were given on the command line."""
+    blocks = names(flags["--block"])
+    options: AnovaOptions = {"block": blocks if len(blocks) > 1 else next(iter(blocks), None)}
+    if unit := flags["--unit"]:
+        options["unit"] = unit
+    if plots := names(flags["--whole-plot"]):
+        options["whole_plot"] = plots
+    if replicates := flags["--replicates"]:
+        options["replicates"] = replicates
+    if copies := flags["--copies"]:
+        options["copies"] = copies
+    if error := flags["--error"]:
+        options["error"] = error
+    if kind := flags["--type"]:
+        options["type"] = kind
+    if (model := _model(flags["--model"])) is not None:
+        options["model"] = model
+    if practical := flags["--practical"]:
+        options["practical"] = practical
+    if transform := flags["--transform"]:
+        options["transform"] = transform
+    if alpha is not None:
+        options["alpha"] = alpha
+    return options
+
+
+def _compared(found: AnalysisResult, reference: str | None) -> tuple[str, Comparisons] | None:
+    if reference is None:
+        return None
+    from study.api.analyzing import against_reference
+
+    return against_reference(found, reference)
+
+
+def _check_report(source: Path, report: Path | None, formats: str) -> None:
+    """Refuse, before anything is computed, a page that could not be written."""
+    if report is None and formats:
+        raise InputError(
+            Fault("--format", "asks for a page that is not written", "add --report DIR")
+        )
+    if report is not None and not source.is_file():
+        rule = "writes the page of a table, and this is no file"
+        raise InputError(Fault("--report", rule, "the page of a study: study report STUDY"))
+    if report is not None and formats:
+        from study.reporting.output.write import checked_formats
+
+        checked_formats(names(formats))
+    if report is not None and report.exists() and not report.is_dir():
+        raise InputError(Fault("--report", f"{report} is a file", "name a folder"))
+
+
+def _write_page(found: AnalysisResult, source: Path, report: Path, flags: Flags) -> Path:
+    from study.api.analyzing import Source, write_page
+
+    given = {flag: value for flag, value in flags.items() if value and flag != "--contrast"}
+    at = Source(source, given, tuple(one.name for one in found.contrasts))
+    wanted = tuple(names(flags["--format"])) or ("html",)
+    return write_page(found, report, source=at, reference=flags["--reference"], formats=wanted)
+
+
+At = Annotated[
+    str, typer.Option("--at", help="Settings that are held: thickness='3 mm',plates=bonded.")
+]
+Confirm = Annotated[
+    bool, typer.Option(help="Run the true model there; the run joins the study's surfaces.")
+]
+Commands = Annotated[
+    bool, typer.Option("--allow-commands", help="Let the study run the programs it names.")
+]
+
+
+def optimize(
+    path: Annotated[
+        Path,
+        typer.Argument(
+            help="Results folder, design file, study name; or a tidy CSV.",
+            autocompletion=output.studies_and_tables,
+        ),
+    ],
+    minimize: Annotated[str | None, typer.Option(help="Response that is to be small.")] = None,
+    maximize: Annotated[str | None, typer.Option(help="Response that is to be large.")] = None,
+    subject_to: Annotated[
+        list[str] | None,
+        typer.Option(help="Limit of another response: 'stiffness >= 0.3 N/mm'; repeatable."),
+    ] = None,
+    at: At = "",
+    numeric: Numeric = "",
+    surface: Surface = "auto",
+    decimal: Decimal = ".",
+    confirm: Confirm = True,
+    data: Data = None,
+    allow_commands: Commands = False,
+    results: Results = RESULTS,
+    as_json: Json = False,
+) -> None:
+    """Find the best setting among choices, within limits, and confirm it by a run."""
+    from study import api
+    from study.cli import surface_tables
+
+    found = api.optimize(
+        path, minimize=minimize, maximize=maximize, subject_to=subject_to or (),
+        at=surface_tables.settings(at) if at else {}, numeric=names(numeric),
+        surface=cast("SurfaceKind", surface), decimal=decimal, results=results,
+        confirming=confirm, permission=_permission(data, allow_commands),
+    )  # fmt: skip
+    output.warn([note for one in found for note in one.notes])
+    if as_json:
+        output.print_json({"recommendations": [one.to_json() for one in found]})
+    else:
+        surface_tables.print_recommendations(found)
+    if any(one.confirmed is not None and not one.confirmed.predicted for one in found):
+        raise typer.Exit(1)
+
+
+def invert(
+    path: Study,
+    to: Annotated[Path, typer.Option(help="CSV of the measured curve, one row a point.")],
+    at: At = "",
+    columns: Annotated[
+        str, typer.Option(help="Columns of displacement and force.")
+    ] = "displacement_mm,force_N",
+    units: Annotated[str, typer.Option(help="Their units.")] = "mm,N",
+    within: Annotated[
+        str | None, typer.Option(help="What an agreeing curve may miss, rms: '2 %'.")
+    ] = None,
+    decimal: Decimal = ".",
+    confirm: Confirm = True,
+    data: Data = None,
+    allow_commands: Commands = False,
+    results: Results = RESULTS,
+    as_json: Json = False,
+) -> None:
+    """Find all inputs of a study whose curve agrees with a measured one."""
+    from study import api
+    from study.cli import surface_tables
+
+    found = api.invert(
+        path, to, at=surface_tables.settings(at) if at else {}, columns=names(columns),
+        in_units=names(units), within=within, decimal=decimal, results=results,
+        confirming=confirm, permission=_permission(data, allow_commands),
+    )  # fmt: skip
+    output.warn(found.notes)
+    if as_json:
+        output.print_json(found.to_json())
+    else:
+        surface_tables.print_inverted(found)
+    if found.best_run is not None and not found.best_run.agrees:
+        raise typer.Exit(1)
+
+
+def _permission(data: Path | None, allow_commands: bool) -> Permission:
+    """Say what confirming runs may use."""
+    from study.api.predicting import Permission
+    from study.harness.runner.fit_problem import Allowed
+
+    return Permission(data, Allowed(allow_commands))
+
+
+VERBS: tuple[Callable[..., None], ...] = (analyze, optimize, invert)
+
+
+def _hint_practical(practical: str | None) -> None:
+    """Say what verdicts lack: without a smallest difference that matters nobody can tell."""
+    if practical is None:
+        hint = "--practical 0.5 or --practical '5 % of mean'"
+        output.warn([f"no smallest difference that matters is given, so no verdict: {hint}"])
+
+
+def _model(text: str | None) -> str | int | list[str] | None:
+    """Read a model as it is written on the command line."""
+    if text is None or text == "full":
+        return text
+    if text.isdigit():
+        return int(text)
+    return names(text)
+
+
+# -------------------------------------------------------------------------------------------------
+# The verb that plans the number of specimens.
+
+
+def power(
+    design: Design,
+    sd: Annotated[
+        float | None,
+        typer.Option(help="Scatter of a difference between specimens, in the response's unit."),
+    ] = None,
+    data: Data = None,
+    settings: Set = None,
+    results: Results = RESULTS,
+    as_json: Json = False,
+) -> None:
+    """Say how many specimens a claim needs, and what they cost."""
+    from study import api
+
+    found = api.power(design, sd=sd, data=data, results=results, overrides=settings or ())
+    output.warn(found.warnings)
+    if as_json:
+        output.print_json(found.to_json())
+        return
+    for one in found.detections:
+        _print(one, found.blocks)
+
+
+def _print(one: Detection, blocks: int) -> None:
+    output.paragraph(
+        f"{one.response}: {_size(one.practical, one)} matters; between specimens a difference "
+        f"scatters by {_size(one.sd, one)} ({one.source})"
+        + (f"; numerics {_size(one.u, one)}" if one.u else "")
+    )
+    rows = [["specimens", "shows that none matters", "shows that one matters", "cases", "time"]]
+    for row in one.rows:
+        mark = " (measured)" if row.blocks == blocks else ""
+        rows.append(
+            [
+                f"{row.blocks}{mark}",
+                f"{100 * row.equal.no_practical_difference:.0f} %",
+                f"{100 * row.double.matters:.0f} %",
+                str(row.cases),
+                "" if row.seconds is None else output.seconds(row.seconds),
+            ]
+        )
+    output.table(rows, "")
+    said = [
+        f"{100 * wanted:.0f} %: {'no number up to 200' if n is None else f'{n} specimens'}"
+        for wanted, n in one.enough
+    ]
+    output.paragraph(
+        "Right in both cases (no difference, and one twice as large as matters) with "
+        + ", ".join(said)
+        + "\n"
+    )
+
+
+def _size(value: float, one: Detection) -> str:
+    """Return a difference with its unit, or a ratio."""
+    return f"x {math.exp(value):.3g}" if one.ratio else f"{value:.3g} {one.unit}".rstrip()

@@ -1,0 +1,424 @@
+"""Verbs about whole studies: demo, plan, run, status, report, diff, why."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from study.cli import output
+from study.cli.output import Document
+
+if TYPE_CHECKING:
+    from study.api.verification import Verification
+    from study.reporting.results.study_answers import Beside
+    from study.reporting.results.study_result import StudyResult
+
+
+Json = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")]
+Data = Annotated[
+    Path | None, typer.Option("--data", help="Folder that measurement files are relative to.")
+]
+Set = Annotated[
+    list[str] | None, typer.Option("-s", "--set", help="Override a key: model.mesh_size='2 mm'.")
+]
+Design = Annotated[Path, typer.Argument(help="Design file.", autocompletion=output.designs)]
+Study = Annotated[
+    Path,
+    typer.Argument(
+        help="Results folder, design file or study name.", autocompletion=output.studies
+    ),
+]
+Jobs = Annotated[int | None, typer.Option("--jobs", "-j", min=1, help="Workers; one a core.")]
+Results = Annotated[Path, typer.Option("--results", help="Where results are kept.")]
+Reports = Annotated[Path, typer.Option("--reports", help="Where reports are written.")]
+RESULTS = Path("results")
+REPORTS = Path("reports")
+
+
+def demo(
+    jobs: Jobs = None, results: Results = RESULTS, reports: Reports = REPORTS, as_json: Json = False
+) -> None:
+    """Run a complete small study on built-in virtual specimens."""
+    from study import api
+
+    with output.progress_line() as progress:
+        study = api.demo(results=results, reports=reports, jobs=jobs, progress=progress)
+    _finish(study, as_json, _folders(results, reports))
+
+
+def plan(
+    design: Design,
+    data: Data = None,
+    jobs: Jobs = None,
+    settings: Set = None,
+    results: Results = RESULTS,
+    run_sheet: Annotated[
+        Path | None, typer.Option(help="CSV to write: physical trials in random order.")
+    ] = None,
+    specimens: Annotated[
+        int, typer.Option(min=1, help="Specimens of the run sheet, measured once each.")
+    ] = 6,
+    augment: Annotated[
+        int | None, typer.Option(min=1, help="Name so many further cells of a fraction.")
+    ] = None,
+    terms: Annotated[
+        str, typer.Option(help="With --augment: order of interaction, or terms with commas.")
+    ] = "2",
+    as_json: Json = False,
+) -> None:
+    """Print the matrix before running: cases, exclusions, cost, what factors can tell."""
+    from study import api
+    from study.cli import study_tables
+    from study.harness.design.load import load
+
+    if run_sheet is not None:
+        sheet = api.run_sheet(design, specimens, path=run_sheet)
+        typer.echo(f"{len(sheet)} trials in random order: {run_sheet}", err=True)
+    further = None
+    if augment is not None:
+        asked = int(terms) if terms.isdigit() else [term.strip() for term in terms.split(",")]
+        further = api.augment(load(design, settings or ()), augment, terms=asked)
+    found = api.plan(design, data=data, results=results, overrides=settings or (), jobs=jobs)
+    typed = {"--data": data, "--jobs": jobs, "-s": settings, **_folders(results, REPORTS)}
+    after = output.after_plan(found, design, typed)
+    if as_json:
+        output.warn(found.warnings)
+        added = {} if further is None else {"augment": further.to_json()}
+        output.print_json(found.to_json() | added | {"next": after[1]})
+        return
+    study_tables.print_plan(found)
+    if further is not None:
+        study_tables.print_further(further)
+    output.next_step(*after)
+
+
+def run(
+    design: Design,
+    data: Data = None,
+    jobs: Jobs = None,
+    settings: Set = None,
+    results: Results = RESULTS,
+    reports: Reports = REPORTS,
+    timeout: Annotated[
+        float | None, typer.Option(help="Seconds after which one computation is stopped.")
+    ] = None,
+    refine: Annotated[
+        bool, typer.Option(help="Refine the mesh under one block for the numerical uncertainty.")
+    ] = True,
+    allow_commands: Annotated[
+        bool, typer.Option("--allow-commands", help="Let the study run the programs it names.")
+    ] = False,
+    allow_digest: Annotated[
+        str, typer.Option(help="Let it run these alone: the digest that study plan prints.")
+    ] = "",
+    stale: Annotated[
+        str, typer.Option(help="Results of other libraries: warn, refuse, or rerun them.")
+    ] = "warn",
+    memory: Annotated[
+        str | None, typer.Option(help="Memory that may be in use at once: '20 GB'.")
+    ] = None,
+    scheduler: Annotated[
+        str, typer.Option(help="Compute on a Dask cluster: its address, or its scheduler file.")
+    ] = "",
+    as_json: Json = False,
+) -> None:
+    """Compute what is missing, then analyze and report; run it again to resume."""
+    from study import api
+
+    with output.progress_line() as progress:
+        study = api.run(
+            design, data=data, jobs=jobs, results=results, reports=reports,
+            overrides=settings or (), progress=progress, timeout_s=timeout, refine=refine,
+            allow_commands=allow_commands or allow_digest, stale=stale, memory=memory,
+            engine=scheduler or None,
+        )  # fmt: skip
+    _finish(study, as_json, _folders(results, reports))
+
+
+def status(
+    path: Study,
+    results: Results = RESULTS,
+    as_json: Json = False,
+) -> None:
+    """Print the progress of a study, from another shell too."""
+    from study import api
+
+    found = api.status(path, results=results)
+    output.warn(found["warnings"])
+    if as_json:
+        output.print_json(found)
+        return
+    print(f"{found['study']}: {output.counts(found['cases'])}")
+    for name, count in sorted(found["failures"].items()):
+        print(f"  {count} {name}")
+    later = found["unfinished"]
+    if later is not None:
+        print(f"  that is its last finished run; a later one has {output.counts(later['cases'])}")
+        for change in later["changed"]:
+            print(f"    {change}")
+    print(_running(found["running"], found["predicted_seconds"]))
+
+
+def report(
+    path: Study,
+    formats: Annotated[
+        str, typer.Option("--format", help="html, pdf, tex, csv: one or several with commas.")
+    ] = "",
+    beside: Annotated[
+        Path | None, typer.Option(help="Another study: say which conclusions hold in both.")
+    ] = None,
+    results: Results = RESULTS,
+    reports: Reports = REPORTS,
+    as_json: Json = False,
+) -> None:
+    """Write the report again from stored records, in seconds."""
+    from study import api
+
+    wanted = tuple(part.strip() for part in formats.split(",") if part.strip())
+    found = api.report(path, reports=reports, results=results, formats=wanted, beside=beside)
+    _finish(found, as_json, _folders(results, reports))
+
+
+def diff(
+    first: Study,
+    second: Annotated[
+        Path,
+        typer.Argument(
+            help="The study to compare it with, named likewise.",
+            autocompletion=output.studies,
+        ),
+    ],
+    results: Results = RESULTS,
+    as_json: Json = False,
+) -> None:
+    """Compare two studies: what was changed, and which conclusions hold under both."""
+    from study import api
+
+    found = api.diff(first, second, results=results)
+    output.warn(found.warnings)
+    if as_json:
+        output.print_json(found.to_json())
+    else:
+        _print_diff(found.beside)
+
+
+def why(
+    case: Annotated[
+        str, typer.Argument(help="Case id, or its beginning.", autocompletion=output.cases)
+    ],
+    study: Annotated[
+        Path | None,
+        typer.Option(help="Study to look in; all by default. A design file counts as it is now."),
+    ] = None,
+    data: Data = None,
+    results: Results = RESULTS,
+    as_json: Json = False,
+) -> None:
+    """Explain the state of a case, and what changed since it was computed."""
+    import json
+
+    from study import api
+    from study.harness.runner.batch import notes_of
+
+    state = api.explain(case, study=study, results=results, data=data)
+    record = state.record
+    if as_json:
+        output.print_json(json.loads(record.to_json())["content"] | {"state": state.to_json()})
+        return
+    print(f"case {record.case_id} of {record.study}: {record.status}")
+    print(f"  {state.use}")
+    for change in (*state.changes, *state.libraries):
+        print(f"    {change.sentence}")
+    if record.message:
+        print(f"  {record.message}")
+    for note in notes_of(record):
+        print(f"  after {note['cause']}: {note['what']} ({note['message']})")
+    for name, level in record.levels.items():
+        print(f"  {name} = {level}")
+    if record.block is not None:
+        print(f"  block = {record.block}")
+    rows = [["response", "value", "unit"]]
+    rows += [[n, output.number(r["value"]), r["unit"]] for n, r in record.responses.items()]
+    output.table(rows)
+    for specimen, fit in (record.fit or {}).items():
+        ended = fit.get("message", "how it ended is not known")
+        print(f"calibration on {specimen}: {ended}; {fit.get('reason') or 'identifiable'}")
+        if "stability" in fit:  # a fit to resampled residuals is not judged
+            print(f"  {fit['stability']}")
+    if "traceback" in record.extra:
+        print(record.extra["traceback"])
+
+
+def predict(
+    path: Study,
+    at: Annotated[str, typer.Option(help="Setting of every factor: thickness='3 mm',C10='5 kPa'.")],
+    response: Annotated[str | None, typer.Option(help="One response; all by default.")] = None,
+    results: Results = RESULTS,
+    as_json: Json = False,
+) -> None:
+    """Predict responses at settings that were not run, inside those that were."""
+    from study import api
+    from study.cli import surface_tables
+
+    found = api.predict(path, surface_tables.settings(at), response=response, results=results)
+    if as_json:
+        output.print_json({"predictions": [one.to_json() for one in found]})
+        return
+    surface_tables.print_predictions(found)
+
+
+VERBS: tuple[Callable[..., None], ...] = (demo, plan, run, status, report, diff, why, predict)
+
+
+def _running(runner: Document | None, seconds_left: float | None) -> str:
+    """Who is at work, and for how long."""
+    if runner is None:
+        return "not running"
+    who = ", ".join(f"{name} {runner[name]}" for name in ("pid", "host", "since") if name in runner)
+    if seconds_left is None:
+        return f"running: {who}"
+    return (
+        f"running: {runner.get('counted', 'at work')}, {output.seconds(seconds_left)} left ({who})"
+    )
+
+
+def _folders(results: Path, reports: Path) -> output.Options:
+    """Folders that were named, to be named again."""
+    return {
+        "--results": None if results == RESULTS else results,
+        "--reports": None if reports == REPORTS else reports,
+    }
+
+
+def _finish(study: StudyResult, as_json: bool, typed: output.Options) -> None:
+    """Print verdicts and report; exit 1 if cases failed or a report could not be written."""
+    output.warn(study.warnings)
+    after = output.after_run(study, typed)
+    if as_json:
+        output.print_json(study.to_json() | {"next": after[1]})
+    else:
+        _print_study(study)
+        output.next_step(*after)
+    if study.failed or study.report is None:
+        raise typer.Exit(1)
+
+
+def _print_study(study: StudyResult) -> None:
+    from study.api.assemble import report_data
+    from study.cli import study_tables, surface_tables
+
+    data = report_data(study, study.manifest.get("timings", {}))
+    print(f"\n{study.design.name}: {output.counts(study.cases)}")
+    try:
+        for line in study_tables.answer_lines(data):
+            output.paragraph(line)
+        for title, rows in study_tables.verdict_tables(data):
+            print()
+            output.table(rows, title)
+        for line in study_tables.unresolved_lines(data):
+            output.paragraph(line)
+        for title, rows in study_tables.contrast_tables(data):
+            print()
+            output.table(rows, title)
+    except (KeyError, ValueError, TypeError, AttributeError) as error:
+        # the numbers are stored and the report is separate: a table must not end the run
+        output.warn([f"the verdict table could not be printed: {error}"])
+    for surface in study.surfaces:
+        if surface.found is not None:
+            surface_tables.print_fitted(surface)
+    if study.beside is not None:
+        print()
+        for line in study_tables.beside_lines(study.beside):
+            output.paragraph(line)
+    if study.report is not None:
+        print(f"\nreport: {study.report}")
+
+
+def _print_diff(beside: Beside) -> None:
+    """Print what was changed, what holds, then the numbers of both studies."""
+    from study.cli import study_tables
+
+    changed = study_tables.changes_rows(beside)
+    if len(changed) > 1:
+        output.table(changed, "what was changed")
+    else:
+        print("nothing was changed: design, measurements and code are the same")
+    print()
+    for line in study_tables.beside_lines(beside):
+        output.paragraph(line)
+    for title, rows, note in study_tables.beside_tables(beside):
+        print()
+        output.table(rows, title)
+        if note:
+            output.paragraph(note)
+
+
+# -------------------------------------------------------------------------------------------------
+# The verb ``verify``: every number of a report once more.
+
+
+def verify(
+    path: Annotated[
+        Path,
+        typer.Argument(
+            help="Page or folder of a report, or study name.", autocompletion=output.studies
+        ),
+    ],
+    resolve: Annotated[
+        int, typer.Option(min=0, help="Cases to be solved again from nothing, drawn at random.")
+    ] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Of the draw.")] = 1,
+    data: Data = None,
+    results: Results = RESULTS,
+    reports: Reports = REPORTS,
+    allow_commands: Annotated[
+        bool, typer.Option("--allow-commands", help="Let --resolve run programs.")
+    ] = False,
+    tolerance: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0,
+            help="Relative difference to pass over: by default none, and 1e-9 where the report was "
+            "written on another kind of processor or with other libraries.",
+        ),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Compute every number of a report again from its records; exit 1 if one differs."""
+    from study import api
+
+    found = api.verify(
+        path, results=results, reports=reports, resolve=resolve, seed=seed, data=data,
+        allow_commands=allow_commands, tolerance=tolerance,
+    )  # fmt: skip
+    if as_json:
+        output.print_json(found.to_json())
+    else:
+        _show(found)
+    raise typer.Exit(0 if found.agrees else 1)
+
+
+def _show(found: Verification) -> None:
+    from study.api.verification import TOLD
+
+    counted = ", ".join(f"{count} of {kind}" for kind, count in sorted(found.numbers.items()))
+    print(f"{found.numbers.total()} numbers computed again (100 %): {counted}")
+    print(f"{found.records} records checked against their sums")
+    if found.solved:
+        print(f"{found.solved} cases solved again from nothing")
+    if found.rounded:
+        print(
+            f"{found.rounded} lines agree to a relative {found.tolerance:g} and not to the last "
+            "digit: another processor, or other libraries, add up the same numbers otherwise"
+        )
+    for one in found.differences[:TOLD]:
+        print(f"{one.where}\n    reported:   {one.reported}\n    recomputed: {one.recomputed}")
+    if len(found.differences) > TOLD:
+        print(f"and {len(found.differences) - TOLD} more")
+    print("all agree" if found.agrees else f"{len(found.differences)} differences")
+
+
+VERIFICATION_VERBS: tuple[Callable[..., None], ...] = (verify,)

@@ -1,1 +1,0 @@
-"""Designs: TOML files become validated studies, cells and cases."""

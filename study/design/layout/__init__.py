@@ -1,1 +1,0 @@
-"""Which combinations of levels are run."""

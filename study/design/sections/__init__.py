@@ -1,1 +1,0 @@
-"""Tables of a study file, each read and checked by itself."""

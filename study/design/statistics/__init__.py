@@ -1,1 +1,0 @@
-"""What is asked of the statistics of a study: responses, terms of the model, hypotheses."""

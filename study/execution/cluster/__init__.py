@@ -1,1 +1,0 @@
-"""Tasks on the workers of a Dask cluster; the only package that knows Dask."""

@@ -1,1 +1,0 @@
-"""Contact of the specimen with plates and indenters."""

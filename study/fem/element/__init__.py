@@ -1,1 +1,0 @@
-"""Finite elements: function spaces, material points, element forms and their assembly."""

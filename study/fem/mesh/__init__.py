@@ -1,1 +1,0 @@
-"""Meshes of a setup: structured, graded, and inside a surface."""

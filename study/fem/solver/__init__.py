@@ -1,1 +1,0 @@
-"""Equilibrium: Newton iterations, load steps, linear solvers and sensitivities."""

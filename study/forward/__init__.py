@@ -1,1 +1,0 @@
-"""Forward models: a setup and a material in, a force-displacement curve out."""

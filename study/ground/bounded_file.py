@@ -1,0 +1,203 @@
+"""Bytes and JSON from files that anybody may have written: the one place that opens them.
+
+A path may lead to a pipe, which opens when somebody writes into it; to a device, which has no
+end; to an archive that unpacks to a thousand times its size; or to JSON that is nested deeper
+than the stack of a parser. Each is refused with a message that says which.
+``tests/test_bounded_reading.py`` finds whatever reads past this module.
+"""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import io
+import os
+import stat
+import zlib
+from pathlib import Path
+
+from pydantic_core import from_json
+
+from study.ground.errors import Fault, InputError, StoreError
+
+#: bytes of a file of data, before and after it is unpacked
+MAX_BYTES = 256_000_000
+
+#: bytes of a JSON file: this program writes none that is larger
+MAX_JSON_BYTES = 200_000_000
+
+#: bytes of a file that is hashed and not kept in memory: programs and surfaces
+MAX_HASHED_BYTES = 4_000_000_000
+
+_CHUNK = 1 << 20
+_KINDS = {
+    stat.S_IFDIR: "a folder",
+    stat.S_IFIFO: "a pipe",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+    stat.S_IFSOCK: "a socket",
+}
+
+
+class UnreadableError(StoreError):
+    """A file that is not read; ``rule`` is the reason without the name of the file."""
+
+    def __init__(self, source: str | Path, rule: str) -> None:
+        name = str(source)
+        super().__init__(f"{name if name.isprintable() else ascii(name)}: {rule}")
+        self.rule = rule
+
+
+class NotRegularError(UnreadableError):
+    """What stands in the place of a file is none, or larger than it may be."""
+
+
+def open_regular(
+    path: str | Path, limit: int = MAX_BYTES, *, follow: bool = True
+) -> io.FileIO | None:
+    """Open a regular file for reading, unbuffered; None if there is none."""
+    try:
+        if not follow and os.path.islink(path):
+            raise NotRegularError(path, "is a link, which is not followed")
+        # without O_NONBLOCK, to open a pipe waits until somebody writes into it
+        flags = os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | (0 if follow else os.O_NOFOLLOW)
+        handle = os.open(path, flags)
+        try:
+            status = os.fstat(handle)
+            if not stat.S_ISREG(status.st_mode):
+                kind = _KINDS.get(stat.S_IFMT(status.st_mode), "something else")
+                raise NotRegularError(path, f"is no file but {kind}")
+            if status.st_size > limit:
+                raise NotRegularError(path, _larger(limit))
+            return io.FileIO(handle)
+        except BaseException:
+            os.close(handle)
+            raise
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except (OSError, ValueError) as error:  # a NUL in the name is a ValueError
+        reason = getattr(error, "strerror", None) or error
+        raise UnreadableError(path, f"cannot be read ({reason})") from error
+
+
+def read_regular(
+    path: str | Path, limit: int = MAX_JSON_BYTES, *, follow: bool = True
+) -> bytes | None:
+    """Read a whole file; None if there is none."""
+    stream = open_regular(path, limit, follow=follow)
+    if stream is None:
+        return None
+    parts: list[bytes] = []
+    left = limit + 1
+    try:
+        with stream:
+            size = os.fstat(stream.fileno()).st_size + 1  # one read of all, and one of the end
+            while left and (part := stream.read(min(size, left))):
+                parts.append(part)
+                left -= len(part)
+                size = _CHUNK
+    except OSError as error:
+        raise UnreadableError(path, f"cannot be read ({error.strerror or error})") from error
+    if not left:
+        raise NotRegularError(path, _larger(limit))
+    return b"".join(parts)
+
+
+def read_existing(path: str | Path, limit: int = MAX_JSON_BYTES) -> bytes:
+    """Read a whole file as :func:`read_regular` does; one that is missing is unreadable, too."""
+    data = read_regular(path, limit)
+    if data is None:
+        raise UnreadableError(path, "there is no such file")
+    return data
+
+
+def read_json(path: str | Path, limit: int = MAX_JSON_BYTES) -> object:
+    """Content of a JSON file: :func:`read_existing`, then :func:`parse_json`."""
+    return parse_json(read_existing(path, limit), path)
+
+
+def parse_json(data: bytes | str, source: str | Path, *, finite: bool = True) -> object:
+    """Content of a JSON text of at most 200 nested brackets, the limit of pydantic's parser."""
+    try:
+        return from_json(data, allow_inf_nan=not finite)  # twice as fast as the standard library's
+    except ValueError as error:
+        raise UnreadableError(source, f"is not valid JSON ({error})") from error
+
+
+def unzip(raw: bytes, source: str | Path, limit: int = MAX_BYTES) -> bytes:
+    """Unpack gzip, and no more of it than may be there."""
+    unpacked = io.BytesIO()
+    try:
+        with gzip.open(io.BytesIO(raw)) as stream:
+            while unpacked.tell() <= limit and (part := stream.read(_CHUNK)):
+                unpacked.write(part)
+    except (OSError, EOFError, zlib.error) as error:
+        raise UnreadableError(source, f"is a broken gzip file ({error})") from error
+    if unpacked.tell() > limit:
+        raise NotRegularError(source, f"unpacked, {_larger(limit)}")
+    return unpacked.getvalue()
+
+
+def sha256_of(path: str | Path) -> str:
+    """Hash of a file of at most :data:`MAX_HASHED_BYTES`; UnreadableError as for the others."""
+    stream = open_regular(path, MAX_HASHED_BYTES)
+    if stream is None:
+        raise UnreadableError(path, "there is no such file")
+    try:
+        with stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as error:
+        raise UnreadableError(path, f"cannot be read ({error.strerror or error})") from error
+
+
+def _larger(limit: int) -> str:
+    size = f"{limit / 1e6:g} MB" if limit >= 10**6 else f"{limit} bytes"
+    return f"holds more than {size}, the limit"
+
+
+# -------------------------------------------------------------------------------------------------
+# Text of a file that somebody gave: plain or gzip, UTF-8, of a bounded size.
+
+_THIN_OUT = "name a file of data; a long recording is thinned out or split into several files"
+
+
+def read_bytes(path: Path, source: str) -> bytes:
+    """Read a file as it lies on the disk."""
+    try:
+        return read_existing(path, MAX_BYTES)
+    except UnreadableError as error:
+        mend = _THIN_OUT if isinstance(error, NotRegularError) else ""
+        raise InputError(Fault(source, error.rule, mend)) from error
+
+
+def unzipped(raw: bytes, source: str) -> bytes:
+    """Unpack the content of a file if it is gzip."""
+    if raw[:2] != b"\x1f\x8b":
+        return raw
+    try:
+        return unzip(raw, source, MAX_BYTES)
+    except UnreadableError as error:
+        is_large = isinstance(error, NotRegularError)
+        mend = _THIN_OUT if is_large else "copy the file again from its source"
+        raise InputError(Fault(source, error.rule, mend)) from error
+
+
+def decoded(data: bytes, source: str) -> str:
+    """Decode UTF-8, with or without a byte order mark."""
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        raise InputError(Fault(source, "is in UTF-16", "save it as UTF-8"))
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise InputError(
+            Fault(
+                f"{source}:{line}",
+                f"byte {data[error.start]:#04x} is not UTF-8",
+                "save the file as UTF-8",
+            )
+        ) from error
+    if "\0" in text:
+        line = text.count("\n", 0, text.index("\0")) + 1
+        raise InputError(Fault(f"{source}:{line}", "holds a NUL character: this is not a CSV file"))
+    return text

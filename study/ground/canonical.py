@@ -1,0 +1,84 @@
+"""One canonical form of plain values, and the content hashes made of it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import Field, fields, is_dataclass
+from typing import ClassVar, Protocol, TypeAlias, cast, overload
+
+import numpy as np
+
+#: what JSON can hold
+Json: TypeAlias = "None | bool | int | float | str | list[Json] | dict[str, Json]"
+
+
+class Dataclass(Protocol):
+    """An instance of any dataclass."""
+
+    __dataclass_fields__: ClassVar[dict[str, Field[object]]]
+
+
+@overload
+def plain(value: Mapping[str, object] | Dataclass) -> dict[str, Json]: ...
+
+
+@overload
+def plain(value: object) -> Json: ...
+
+
+def plain(value: object) -> Json:
+    """Value made of JSON types alone; a number that is not finite becomes None."""
+    return _plain(value)
+
+
+def _plain(value: object) -> Json:
+    if is_dataclass(value) and not isinstance(value, type):
+        return {f.name: _plain(getattr(value, f.name)) for f in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    raise TypeError(f"JSON cannot hold a {type(value).__name__}: {value!r}")
+
+
+def canonical(value: object) -> Json:
+    """Plain JSON values with one spelling per number: ``1`` and ``1.0`` are the same."""
+    if value is None or type(value) in (str, bool):
+        return cast("Json", value)
+    if isinstance(value, Mapping):
+        # where a file lies on this machine is no content; its sha256 stands beside it
+        return {str(k): canonical(v) for k, v in value.items() if k != "path"}
+    if isinstance(value, (list, tuple)):
+        # a curve is a list of floats, which are canonical as they stand
+        only_floats = set(map(type, value)) == {float}
+        return list(value) if only_floats else [canonical(v) for v in value]
+    if isinstance(value, bool) or value is None or isinstance(value, str):
+        return value
+    if isinstance(value, (int, float)):
+        return float(value)
+    if isinstance(value, (np.ndarray, np.generic)):
+        return canonical(value.tolist())
+    raise TypeError(f"cannot hash a {type(value).__name__}: {value!r}")
+
+
+def digest(value: object, length: int = 64) -> str:
+    """Hex sha256 of the canonical JSON of a value.
+
+    Examples
+    --------
+    >>> digest({"a": 1, "b": 2}) == digest({"b": 2.0, "a": 1.0})
+    True
+    """
+    text = json.dumps(canonical(value), sort_keys=True, allow_nan=False, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()[:length]

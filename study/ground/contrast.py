@@ -1,0 +1,48 @@
+"""Texts that name a difference of two sets of cells.
+
+``"material=ogden-1, range=60 % - material=neo-hookean, range=60 %"`` is the mean over all cells
+of the first kind less that of the second; a factor that a side leaves out is averaged over.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+
+from study.ground.errors import Fault, InputError, nearest
+
+#: level of every factor that a side of a contrast names
+Setting = Mapping[str, str]
+
+
+def sides_of(text: str, levels: Mapping[str, Sequence[str]]) -> tuple[Setting, Setting]:
+    """Read the two settings that a contrast compares.
+
+    Examples
+    --------
+    >>> sides_of("stiff - soft", {"material": ("soft", "stiff")})
+    ({'material': 'stiff'}, {'material': 'soft'})
+    """
+    parts = re.split(r"\s+[-\N{MINUS SIGN}]\s+", text.strip())
+    if len(parts) != 2:
+        mend = 'for example "material=stiff - material=soft"'
+        raise InputError(Fault(f"contrast {text!r}", "needs two settings with ' - ' between", mend))
+    first, second = (_setting(part, levels, text) for part in parts)
+    if first == second:
+        rule, mend = "compares a setting with itself", "name two settings that differ"
+        raise InputError(Fault(f"contrast {text!r}", rule, mend))
+    return first, second
+
+
+def _setting(part: str, levels: Mapping[str, Sequence[str]], text: str) -> Setting:
+    chosen: dict[str, str] = {}
+    for item in part.split(","):
+        named, _, level = (word.strip() for word in item.rpartition("="))
+        holding = [f for f, own in levels.items() if level in own and named in ("", f)]
+        if len(holding) != 1:
+            rule = f"{level!r} is a level of several factors" if holding else f"no level {level!r}"
+            every = [f"{f}={one}" for f, own in levels.items() for one in own]
+            mend = nearest(f"{named}={level}" if named else level, every)
+            raise InputError(Fault(f"contrast {text!r}", rule, mend))
+        chosen[holding[0]] = level
+    return chosen

@@ -1,0 +1,319 @@
+"""Force-displacement curves, measured or predicted: one type, so a residual is a subtraction."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from study.ground.arrays import Array
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Force against displacement of a whole specimen."""
+
+    #: shape (n,); displacement of the plate or indenter, positive into the specimen, increasing.
+    displacement_mm: Array
+    #: shape (n,); force on the whole specimen, positive when it resists.
+    force_N: Array
+    #: shape (n,); tangent dF/dd; with it the curve is interpolated by cubic Hermite polynomials.
+    stiffness_N_per_mm: Array | None = None
+    #: shape (n,); dF/dtheta for each material constant, in N per MPa (N for a plain exponent).
+    force_gradient: Mapping[str, Array] = field(default_factory=dict)
+    #: shape (n,); work done from the unloaded state; with it each interval's polynomial is one of
+    #: fourth degree that does just this work.
+    work_Nmm: Array | None = None
+    #: shape (n,); increasing times of the rows of a test whose course matters. Displacements may
+    #: then stand still and go back, so that the force is known at the rows themselves and nowhere
+    #: between.
+    time_s: Array | None = None
+    #: Rows that a measured curve was interpolated from, those of every repeat; none where its
+    #: points are the rows.
+    recorded: tuple[Curve, ...] = ()
+
+    @property
+    def places(self) -> Array:
+        """Where the rows stand in order: times in s of a course, else displacements in mm."""
+        return self.displacement_mm if self.time_s is None else self.time_s
+
+    @cached_property
+    def name(self) -> str:
+        """Hash of the rows, made of the bytes of their numbers: the same on every machine."""
+        rows = [self.displacement_mm, self.force_N]
+        rows += [] if self.time_s is None else [self.time_s]
+        table = np.ascontiguousarray(np.stack(rows), dtype="<f8")
+        return hashlib.sha256(repr(table.shape).encode() + table.tobytes()).hexdigest()
+
+    def __len__(self) -> int:
+        return int(self.displacement_mm.size)
+
+    def force_at(self, displacement_mm: ArrayLike) -> Array:
+        """Force in N at given displacements; an unloaded origin (0, 0) is part of the curve."""
+        d = np.asarray(displacement_mm, dtype=float)
+        if self.time_s is not None:
+            self._check_rows(d)
+            return self.force_N
+        knots, force, slope = self._with_origin()
+        if d.size and (d.min() < -1e-12 or d.max() > knots[-1] * (1 + 1e-9) + 1e-12):
+            raise ValueError(
+                f"the curve ends at {knots[-1]:.6g} mm, asked for {d.min():.6g} to {d.max():.6g} mm"
+            )
+        if slope is None:
+            return np.asarray(np.interp(d, knots, force))
+        places = np.clip(d, 0, knots[-1])
+        return _hermite(places, knots, force, slope) + self._bulge(places)
+
+    def stiffness_at(self, displacement_mm: ArrayLike) -> Array:
+        """Tangent dF/dd in N/mm at given displacements: the slope of :meth:`force_at`."""
+        from scipy.interpolate import CubicHermiteSpline
+
+        d = np.asarray(displacement_mm, dtype=float)
+        knots, force, slope = self._with_origin()
+        if slope is None:
+            raise ValueError("the curve has forces alone, and no tangents")
+        self.force_at(d)  # refuses what lies beyond the end
+        places = np.clip(d, 0, knots[-1])
+        cubic = CubicHermiteSpline(knots, force, slope).derivative()(places)
+        k = np.clip(np.searchsorted(knots, places, side="right") - 1, 0, knots.size - 2)
+        width = np.diff(knots)[k]
+        t = (places - knots[k]) / width
+        bulge = 60.0 * self._missed_mean()[k] * t * (1.0 - t) * (1.0 - 2.0 * t) / width
+        return np.asarray(cubic + bulge)
+
+    def interpolation_error_N(self) -> Array:  # noqa: N802
+        """Estimate how far the force between neighboring points is off.
+
+        Shapes: returns (n,).
+        """
+        off = np.abs(self._missed_mean())
+        if len(self) == off.size and self.work_Nmm is not None:
+            off[0] = abs(self._missed_by_a_parabola())
+        return off
+
+    def _missed_by_a_parabola(self) -> float:
+        """Mean force that a parabola from the origin lacks of the first interval's work, N.
+
+        The work of this interval gives the slope at the origin, so that nothing is left over to
+        tell how good its cubic is; what the cubic mends in the parabola tells that.
+        """
+        d, f = float(self.displacement_mm[0]), float(self.force_N[0])
+        slope = 0.0 if self.stiffness_N_per_mm is None else float(self.stiffness_N_per_mm[0])
+        parabola = hermite_work(
+            np.array([0.0, d]), np.array([0.0, f]), np.array([2 * f / d - slope, slope])
+        )
+        work = 0.0 if self.work_Nmm is None else float(self.work_Nmm[0])
+        return (work - float(parabola[0])) / d
+
+    def relative_interpolation_error(self) -> float:
+        """Estimated error of the interpolation over the force, both root mean square."""
+        size = self._mean_square_force()
+        return float(np.sqrt(self._square_errors().sum() / size)) if size > 0 else 0.0
+
+    def coarse_intervals(self, error: float) -> list[float]:
+        """Middles of the intervals, the worst first, without which ``error`` would be kept."""
+        squares = self._square_errors()
+        order = np.argsort(-squares, kind="stable")
+        left = squares.sum() - np.cumsum(squares[order])
+        allowed = error**2 * self._mean_square_force()
+        if squares.sum() <= allowed:
+            return []
+        # an interval in halves keeps a part of its error: half of what is allowed is for those
+        worst = order[: int(np.argmax(left <= 0.5 * allowed)) + 1]
+        knots = self._with_origin()[0]
+        return [float(0.5 * (knots[k] + knots[k + 1])) for k in worst]
+
+    def _square_errors(self) -> Array:
+        """Integral of the squared error of every interval, N^2 mm."""
+        return np.asarray(self.interpolation_error_N() ** 2 * np.diff(self._with_origin()[0]))
+
+    def _mean_square_force(self) -> float:
+        """Integral of the squared force, linear between the points, N^2 mm."""
+        knots, force, _ = self._with_origin()
+        a, b = force[:-1], force[1:]
+        return float((np.diff(knots) * (a * a + a * b + b * b) / 3).sum())
+
+    def with_tangents(self) -> Curve:
+        """Return the curve with tangents and work of a cubic spline through its points and origin.
+
+        Where somebody else computed forces alone, this is what is known between them: an error
+        of fourth order in their distance, chords have one of second. Unchanged where tangents are
+        known, where the force is one over time, and with fewer than three points.
+        """
+        from scipy.interpolate import CubicSpline
+
+        if self.stiffness_N_per_mm is not None or self.time_s is not None or len(self) < 3:
+            return self
+        knots, force, _ = self._with_origin()
+        spline, d = CubicSpline(knots, force), self.displacement_mm
+        slope, work = spline.derivative()(d), spline.antiderivative()(d)
+        return replace(self, stiffness_N_per_mm=np.asarray(slope), work_Nmm=np.asarray(work))
+
+    def every_other_point(self) -> Curve:
+        """Return the curve of half as many load steps, the last one kept."""
+        return self.at_points(np.arange(len(self))[::-2][::-1])
+
+    def at_points(self, kept: NDArray[np.int64]) -> Curve:
+        """Return the curve of some of its points, given by their places."""
+        return Curve(
+            self.displacement_mm[kept],
+            self.force_N[kept],
+            None if self.stiffness_N_per_mm is None else self.stiffness_N_per_mm[kept],
+            {name: slope[kept] for name, slope in self.force_gradient.items()},
+            None if self.work_Nmm is None else self.work_Nmm[kept],
+            None if self.time_s is None else self.time_s[kept],
+        )
+
+    def without_gradients(self) -> Curve:
+        """Return the curve without its derivatives by the constants."""
+        return replace(self, force_gradient={})
+
+    def gradient_at(self, name: str, displacement_mm: ArrayLike) -> Array:
+        """dF/dtheta at given displacements (cubic spline through the solved steps)."""
+        return self.gradients_at((name,), displacement_mm)[:, 0]
+
+    def gradients_at(self, names: Sequence[str], displacement_mm: ArrayLike) -> Array:
+        """dF/dtheta of several constants at given displacements, shape (n, p): one spline."""
+        d = np.asarray(displacement_mm, dtype=float)
+        if self.time_s is not None:
+            self._check_rows(d)
+            return self._gradients(names)
+        if np.array_equal(d, self.displacement_mm):  # the spline passes through its points
+            return self._gradients(names)
+        return self._splined(self._gradients(names), d)
+
+    def smooth_at(self, names: Sequence[str], displacement_mm: ArrayLike) -> tuple[Array, Array]:
+        """Force and dF/dtheta, without the corners of chords between few points.
+
+        Shapes: displacement_mm (n,); returns (n,); returns (n, p).
+        """
+        d = np.asarray(displacement_mm, dtype=float)
+        is_course = self.time_s is not None
+        if self.stiffness_N_per_mm is not None or is_course or len(self) < 3:
+            return self.force_at(d), self.gradients_at(names, d)
+        found = self._splined(np.column_stack([self.force_N, self._gradients(names)]), d)
+        return found[:, 0], found[:, 1:]
+
+    def _gradients(self, names: Sequence[str]) -> Array:
+        """DF/dtheta at the points, shape (len, p)."""
+        if not names:
+            return np.empty((len(self), 0))
+        return np.stack([self.force_gradient[name] for name in names], axis=1)
+
+    def _splined(self, values: Array, d: Array) -> Array:
+        """Columns of values at the points, zero at the unloaded origin, at other places."""
+        from scipy.interpolate import CubicSpline
+
+        knots = self.displacement_mm
+        if knots[0] > 0:
+            knots = np.r_[0.0, knots]
+            values = np.concatenate([np.zeros((1, values.shape[1])), values])
+        places = np.clip(d, 0, knots[-1])
+        if not values.size:
+            return np.empty((d.size, values.shape[1]))
+        if knots.size < 3:
+            return np.stack([np.interp(places, knots, column) for column in values.T], axis=1)
+        return np.asarray(CubicSpline(knots, values)(places))
+
+    def as_dict(self, *, recorded: bool = False) -> dict[str, Any]:
+        """Plain lists, for JSON; with the recorded rows where asked."""
+        out: dict[str, Any] = {
+            "displacement_mm": self.displacement_mm.tolist(),
+            "force_N": self.force_N.tolist(),
+        }
+        if self.stiffness_N_per_mm is not None:
+            out["stiffness_N_per_mm"] = self.stiffness_N_per_mm.tolist()
+        if self.work_Nmm is not None:
+            out["work_Nmm"] = self.work_Nmm.tolist()
+        if self.time_s is not None:
+            out["time_s"] = self.time_s.tolist()
+        if self.force_gradient:
+            out["force_gradient"] = {k: v.tolist() for k, v in self.force_gradient.items()}
+        if recorded and self.recorded:
+            out["recorded"] = [one.as_dict() for one in self.recorded]
+        return out
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Curve:
+        """Inverse of :meth:`as_dict`."""
+        stiffness, work = data.get("stiffness_N_per_mm"), data.get("work_Nmm")
+        time = data.get("time_s")
+        return cls(
+            np.asarray(data["displacement_mm"], float),
+            np.asarray(data["force_N"], float),
+            None if stiffness is None else np.asarray(stiffness, float),
+            {k: np.asarray(v, float) for k, v in data.get("force_gradient", {}).items()},
+            None if work is None else np.asarray(work, float),
+            None if time is None else np.asarray(time, float),
+            tuple(cls.from_dict(one) for one in data.get("recorded", ())),
+        )
+
+    def _check_rows(self, d: Array) -> None:
+        """Refuse places that are not the rows of this course."""
+        own = self.displacement_mm
+        span = float(np.abs(own).max(initial=0.0))
+        if d.shape != own.shape or not np.allclose(d, own, rtol=0, atol=1e-6 * span):
+            raise ValueError("a course in time has forces at its own rows alone")
+
+    def _with_origin(self) -> tuple[Array, Array, Array | None]:
+        d, f, s = self.displacement_mm, self.force_N, self.stiffness_N_per_mm
+        if not len(self) or d[0] <= 0:
+            return d, f, s
+        if s is None:
+            return np.r_[0.0, d], np.r_[0.0, f], None
+        return np.r_[0.0, d], np.r_[0.0, f], np.r_[self.slope_at_origin(), s]
+
+    def slope_at_origin(self) -> float:
+        """dF/dd with which the first interval's cubic does its work.
+
+        Where the work is not known, the one that makes it a parabola.
+        """
+        d, f = float(self.displacement_mm[0]), float(self.force_N[0])
+        slope = 0.0 if self.stiffness_N_per_mm is None else float(self.stiffness_N_per_mm[0])
+        if self.work_Nmm is None:
+            return 2 * f / d - slope
+        return slope + 12 * (float(self.work_Nmm[0]) - f * d / 2) / d**2
+
+    def _missed_mean(self) -> Array:
+        """Mean force that each interval's cubic lacks of the known work, N."""
+        knots, force, slope = self._with_origin()
+        if slope is None or self.work_Nmm is None:
+            return np.zeros(max(knots.size - 1, 0))
+        work = self.work_Nmm if knots.size == len(self) else np.r_[0.0, self.work_Nmm]
+        return (np.diff(work) - hermite_work(knots, force, slope)) / np.diff(knots)
+
+    def _bulge(self, places: Array) -> Array:
+        """Return what the fourth degree adds: 30 m t^2 (1 - t)^2, whose mean is m."""
+        knots = self._with_origin()[0]
+        missed = self._missed_mean()
+        if not missed.any():
+            return np.zeros(places.shape)
+        k = np.clip(np.searchsorted(knots, places, side="right") - 1, 0, missed.size - 1)
+        t = (places - knots[k]) / np.diff(knots)[k]
+        return np.asarray(30.0 * missed[k] * (t * (1.0 - t)) ** 2)
+
+
+def hermite_work(knots: Array, force: Array, slope: Array) -> Array:
+    """Integral of the cubic Hermite polynomial of every interval.
+
+    Shapes: knots (n,), mm; force, slope (n,), N/mm; returns (n - 1,), N mm.
+
+    Examples
+    --------
+    >>> d = np.array([0.0, 2.0])
+    >>> hermite_work(d, d**3, 3 * d**2)
+    array([4.])
+    """
+    h = np.diff(knots)
+    return np.asarray(h / 2 * (force[1:] + force[:-1]) + h**2 / 12 * (slope[:-1] - slope[1:]))
+
+
+def _hermite(x: Array, knots: Array, value: Array, slope: Array) -> Array:
+    from scipy.interpolate import CubicHermiteSpline
+
+    return np.asarray(CubicHermiteSpline(knots, value, slope)(x))

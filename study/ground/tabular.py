@@ -1,0 +1,430 @@
+"""A strict reader of CSV tables: either every cell means what it says, or an error says where.
+
+The usual readers are too kind for measurements: ``float()`` takes ``"1_0"``, ``"nan"`` and
+Arabic digits, ``numpy.genfromtxt`` turns a decimal comma into a column of NaN. Here a number
+must match :data:`NUMBER` and be finite, and a file that looks as if it used a decimal comma
+without declaring it is refused.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import math
+import re
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from study.ground.arrays import Array
+from study.ground.bounded_file import decoded, read_bytes, unzipped
+from study.ground.errors import Fault, InputError, nearest
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+MAX_ROWS = 2_000_000
+MAX_COLUMNS = 1_000
+MAX_LINE = 100_000
+MAX_FAULTS = 20
+MAX_LABEL = 200
+DELIMITERS = ",;\t|"
+NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,4})?", re.ASCII)
+_DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d{1,4})?", re.ASCII)
+_FORMULA = re.compile(r"[=+\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
+
+
+#: How a measured file declares its decimal comma.
+MEASURED_COMMA = 'decimal = "," in [measurements]'
+
+
+@dataclass(frozen=True)
+class CsvTable:
+    """Text cells of one file, by column."""
+
+    #: Name of the file, for messages.
+    source: str
+    #: Cells of every column, in the file's order, spaces around them removed.
+    columns: dict[str, tuple[str, ...]]
+    #: Line of the file on which each row stands (the header is line 1).
+    lines: tuple[int, ...]
+    decimal: str = "."
+    #: Hash of the file as it lies on the disk.
+    sha256: str = ""
+    #: What was changed or skipped, counted.
+    notes: tuple[str, ...] = ()
+    #: Cells as they stand in the file, of every column with spaces around some.
+    padded: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    #: What a user writes to declare a decimal comma.
+    declared_by: str = MEASURED_COMMA
+
+    def text(self, name: str) -> tuple[str, ...]:
+        """Cells of a column as text."""
+        if name not in self.columns:
+            raise InputError(_no_column(self.source, name, self.columns))
+        return self.columns[name]
+
+    def place(self, row: int, name: str) -> str:
+        """Name a cell in a message: file, line and column."""
+        return f"{self.source}:{self.lines[row]}: column {name!r}"
+
+    def numbers(self, name: str, missing: Collection[str] = ()) -> NDArray[np.float64]:
+        """Cells of a column as finite numbers, shape (rows,)."""
+        cells = self.text(name)
+        absent = [k for k, cell in enumerate(cells) if missing and cell.lower() in missing]
+        if self.decimal == ",":
+            plain = [c.replace(",", ".") if "." not in c else "?" for c in cells]
+        else:
+            plain = list(cells)
+        for k in absent:
+            plain[k] = "0"
+        values = np.array([float(c) if NUMBER.fullmatch(c) else math.inf for c in plain])
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            raise InputError(self._cell_faults(name, cells, bad.tolist()))
+        values[absent] = math.nan
+        return values
+
+    def _cell_faults(self, name: str, cells: Sequence[str], rows: Sequence[int]) -> list[Fault]:
+        faults = [
+            Fault(
+                self.place(k, name),
+                f"must be a finite number, got {_short(cells[k])}",
+                _number_mend(cells[k], self.decimal, self.declared_by),
+            )
+            for k in rows[:MAX_FAULTS]
+        ]
+        if len(rows) > MAX_FAULTS:
+            faults.append(Fault(self.source, f"{len(rows) - MAX_FAULTS} more cells like these"))
+        return faults
+
+
+def read_csv(
+    path: Path,
+    *,
+    required: Sequence[str] = (),
+    numbers: Sequence[str] | None = None,
+    decimal: str = ".",
+    source: str | None = None,
+    declared_by: str = MEASURED_COMMA,
+) -> CsvTable:
+    """Read a CSV file (plain or gzip) with a header row."""
+    name = source or str(path)
+    if decimal not in (".", ","):
+        rule = f"must be '.' or ',', got {decimal!r}"
+        raise InputError(Fault("decimal", rule))
+    raw = read_bytes(path, name)
+    table = parse_csv(
+        decoded(unzipped(raw, name), name),
+        required=required, numbers=numbers, decimal=decimal, source=name, declared_by=declared_by,
+    )  # fmt: skip
+    return replace(table, sha256=hashlib.sha256(raw).hexdigest())
+
+
+def parse_csv(
+    text: str,
+    *,
+    required: Sequence[str] = (),
+    numbers: Sequence[str] | None = None,
+    decimal: str = ".",
+    source: str = "<text>",
+    declared_by: str = MEASURED_COMMA,
+) -> CsvTable:
+    """Parse the text of a CSV file; see :func:`read_csv`."""
+    text = text.replace("\r\n", "\n").replace("\r", "\n")
+    lines = text.split("\n")
+    _check_shape(lines, source)
+    delimiter = _delimiter(lines[0], required, decimal)
+    rows, at, blank = _rows(text, lines, delimiter, source)
+    if not rows:
+        raise InputError(Fault(source, "the file is empty", "it needs a header line and rows"))
+    header = [cell.strip() for cell in rows[0]]
+    _check_header(header, required, source)
+    _check_widths(rows, at, len(header), delimiter, decimal, source)
+    if len(rows) == 1:
+        rule = "there is a header line but no row of data"
+        raise InputError(Fault(source, rule, "give one row a sample"))
+    cells = dict(zip(header, zip(*rows[1:], strict=True), strict=True))
+    columns = {name: tuple(map(str.strip, column)) for name, column in cells.items()}
+    if decimal == ".":
+        wanted = numbers if numbers is not None else required or header
+        _check_decimal_comma({n: columns[n] for n in header if n in wanted}, source, declared_by)
+    padded = {name: column for name, column in cells.items() if column != columns[name]}
+    changed = sum(_changes(column, columns[name]) for name, column in padded.items())
+    notes = [f"{source}: spaces around {changed} cells removed"] if changed else []
+    notes += [f"{source}: {blank} blank lines skipped"] if blank else []
+    return CsvTable(source, columns, tuple(at[1:]), decimal, "", tuple(notes), padded, declared_by)
+
+
+def _changes(old: Sequence[str], new: Sequence[str]) -> int:
+    return sum(a != b for a, b in zip(old, new, strict=True))
+
+
+def is_formula(text: str) -> bool:
+    """Whether a spreadsheet would run this text as a formula (CWE-1236); numbers are safe."""
+    return _FORMULA.match(text.lstrip(" ")) is not None and NUMBER.fullmatch(text.strip()) is None
+
+
+def label_fault(label: str) -> str:
+    """Rule that a label of a test breaks; empty if it may stand in tables and reports."""
+    if not label:
+        return "the label is empty"
+    if len(label) > MAX_LABEL:
+        return f"the label has {len(label)} characters, at most {MAX_LABEL}"
+    if not label.isprintable():
+        return f"the label {label!r} holds a control character"
+    if is_formula(label):
+        return f"a spreadsheet would run the label {label!r} as a formula"
+    return ""
+
+
+def _check_shape(lines: list[str], source: str) -> None:
+    if len(lines) > MAX_ROWS + 2:
+        raise InputError(
+            Fault(
+                source,
+                f"has {len(lines)} rows, at most {MAX_ROWS} are read",
+                "thin the recording out or split it into several files",
+            )
+        )
+    if not any(line.strip() for line in lines):
+        raise InputError(Fault(source, "the file is empty", "it needs a header line and rows"))
+    longest = max(range(len(lines)), key=lambda k: len(lines[k]))
+    if len(lines[longest]) > MAX_LINE:
+        raise InputError(
+            Fault(
+                f"{source}:{longest + 1}",
+                f"the line has {len(lines[longest])} characters, at most {MAX_LINE} are read",
+            )
+        )
+
+
+def _delimiter(header: str, required: Sequence[str], decimal: str) -> str:
+    """Delimiter whose split of the header finds most required columns, then most cells."""
+    candidates = [d for d in DELIMITERS if not (decimal == "," and d == ",")]
+
+    def score(delimiter: str) -> tuple[int, int]:
+        cells = [cell.strip(' "') for cell in header.split(delimiter)]
+        return sum(name in cells for name in required), len(cells)
+
+    return max(candidates, key=score)
+
+
+def _rows(
+    text: str, lines: list[str], delimiter: str, source: str
+) -> tuple[list[list[str]], list[int], int]:
+    """Cells of every row, the line each stands on, and the number of blank lines inside."""
+    empty = f"{delimiter} \t"
+    if '"' not in text:
+        numbered = [(k, line) for k, line in enumerate(lines, 1) if line.strip(empty)]
+        rows = [line.split(delimiter) for _, line in numbered]
+        numbers = [k for k, _ in numbered]
+    else:
+        rows, numbers = _quoted_rows(text, delimiter, source)
+    blank = sum(not line.strip(empty) for line in lines[: numbers[-1] if numbers else 0])
+    return rows, numbers, blank
+
+
+def _quoted_rows(text: str, delimiter: str, source: str) -> tuple[list[list[str]], list[int]]:
+    reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
+    rows: list[list[str]] = []
+    numbers: list[int] = []
+    start = 1
+    try:
+        for row in reader:
+            if any(cell.strip() for cell in row):
+                rows.append(row)
+                numbers.append(start)
+            start = reader.line_num + 1
+    except csv.Error as error:
+        raise InputError(
+            Fault(
+                f"{source}:{reader.line_num}",
+                f"is not well-formed CSV ({error})",
+                'quotes must enclose a whole cell and be doubled inside: "a ""b"" c"',
+            )
+        ) from error
+    return rows, numbers
+
+
+def _check_header(header: list[str], required: Sequence[str], source: str) -> None:
+    if len(header) > MAX_COLUMNS:
+        raise InputError(Fault(source, f"has {len(header)} columns, at most {MAX_COLUMNS}"))
+    faults = [
+        Fault(
+            f"{source}:1",
+            f"column {name!r} stands {header.count(name)} times in the header",
+            "every column needs its own name",
+        )
+        for name in dict.fromkeys(header)
+        if name and header.count(name) > 1
+    ]
+    faults += [_no_column(source, name, header) for name in required if name not in header]
+    if faults:
+        raise InputError(faults)
+
+
+def _check_widths(
+    rows: list[list[str]], numbers: list[int], width: int, delimiter: str, decimal: str, source: str
+) -> None:
+    bad = [k for k, row in enumerate(rows) if len(row) != width]
+    if not bad:
+        return
+    k = bad[0]
+    mend = f"columns are separated by {delimiter!r}; every row needs {width} cells"
+    if delimiter == "," and len(rows[k]) == 2 * width:
+        mend = (
+            "this looks like a decimal comma in a comma-separated file, which cannot be told "
+            "apart: save it with ';' between columns and write decimal = \",\""
+        )
+    more = f" (and {len(bad) - 1} more rows)" if len(bad) > 1 else ""
+    raise InputError(
+        Fault(
+            f"{source}:{numbers[k]}",
+            f"has {len(rows[k])} cells where the header has {width}{more}",
+            mend,
+        )
+    )
+
+
+def _check_decimal_comma(
+    columns: Mapping[str, Sequence[str]], source: str, declared_by: str
+) -> None:
+    for name, column in columns.items():
+        if _DECIMAL_COMMA.fullmatch(column[0]):
+            rule = f"holds a decimal comma ({column[0]!r}) but none is declared"
+            raise InputError(Fault(f"{source}: column {name!r}", rule, f"write {declared_by}"))
+
+
+def _no_column(source: str, name: str, columns: Iterable[str]) -> Fault:
+    names = [column for column in columns if column]
+    cells = [cell for column in names for cell in column.split()]
+    if cells and all(NUMBER.fullmatch(cell) for cell in cells):
+        mend = 'the first line holds numbers: write header = false, and columns = { ... = "1" }'
+        return Fault(f"{source}:1", f"there is no column {name!r}", mend)
+    return Fault(f"{source}:1", f"there is no column {name!r}", nearest(name, names[:50]))
+
+
+def _short(cell: str) -> str:
+    return repr(cell if len(cell) <= 40 else cell[:37] + "...")
+
+
+def _number_mend(cell: str, decimal: str, declared_by: str) -> str:
+    if not cell:
+        return "the cell is empty: delete the row or give the value"
+    if decimal == "." and _DECIMAL_COMMA.fullmatch(cell):
+        return f"a decimal comma must be declared: {declared_by}"
+    if decimal == "," and "." in cell:
+        return "a decimal comma was declared, so a point has no place here"
+    if cell.lower().lstrip("+-") in {"nan", "inf", "infinity", "na", "n/a", "null", "none"}:
+        return "a missing value must be left out, with its row"
+    if not cell.isascii() or "_" in cell:
+        return "only the digits 0 to 9, one decimal mark and an exponent are read"
+    return ""
+
+
+# -------------------------------------------------------------------------------------------------
+# Tidy tables of responses, read strictly: one row a case, one column a factor.
+
+_NUMBER = NUMBER
+
+#: Cells that stand for a missing response, in small letters.
+MISSING = frozenset({"", "na", "n/a", "nan", "null", "*", "."})
+
+
+def names_of(block: str | Sequence[str] | None) -> tuple[str, ...]:
+    """Names of the blocks: none, one or several."""
+    if block is None:
+        return ()
+    return (block,) if isinstance(block, str) else tuple(str(name) for name in block)
+
+
+def read_tidy_csv(
+    path: str | Path,
+    response: str,
+    factors: Sequence[str],
+    block: str | Sequence[str] | None = None,
+    unit: str | None = None,
+    decimal: str = ".",
+    covariates: Sequence[str] = (),
+) -> pd.DataFrame:
+    """Read the named columns of a tidy CSV strictly."""
+    import pandas as pd
+
+    others = [*names_of(block), *([unit] if unit else [])]
+    table = read_csv(
+        Path(path), numbers=[response, *covariates], decimal=decimal, declared_by="--decimal ,"
+    )
+    _check_names(table.source, list(table.columns), response, factors, others, covariates)
+    labels = list(dict.fromkeys([*factors, *others]))
+    faults = [fault for name in labels for fault in _empty_labels(table, name)]
+    values: dict[str, Array] = {}
+    for name in (response, *covariates):
+        try:
+            values[name] = table.numbers(name, missing=MISSING)
+        except InputError as error:
+            faults = [*error.faults, *faults]
+    if faults:
+        raise InputError(faults[:MAX_FAULTS])
+    for name in labels:
+        _check_clash(table, name)
+    return pd.DataFrame({**values, **{name: table.text(name) for name in labels}})
+
+
+def _check_names(
+    where: str,
+    valid: Sequence[str],
+    response: str,
+    factors: Sequence[str],
+    blocks: Sequence[str] = (),
+    covariates: Sequence[str] = (),
+) -> None:
+    faults = [
+        Fault(f"{where}: column {name!r}", "no such column", nearest(name, valid))
+        for name in dict.fromkeys([response, *factors, *blocks, *covariates])
+        if name not in valid
+    ]
+    if not factors:
+        faults.append(Fault("factors", "at least one factor is needed"))
+    if len(set(factors)) < len(factors):
+        faults.append(Fault("factors", f"a factor is named twice: {list(factors)}"))
+    for name in (*factors, *blocks):
+        if ":" in name:
+            rule = "a ':' joins the factors of an interaction, so no factor may hold one"
+            faults.append(Fault(f"{where}: column {name!r}", rule, "rename the column"))
+    faults += [
+        Fault("covariates", f"{name!r} is the response, a factor or the block", "name it once")
+        for name in covariates
+        if name in {response, *factors, *blocks}
+    ]
+    if response in factors or response in blocks:
+        faults.append(Fault("response", f"{response!r} cannot also be a factor or the block"))
+    for name in blocks:
+        if name in factors or list(blocks).count(name) > 1:
+            faults.append(Fault("block", f"{name!r} cannot also be a factor or another block"))
+    if faults:
+        raise InputError(faults)
+
+
+def _empty_labels(table: CsvTable, name: str) -> list[Fault]:
+    cells = table.text(name)
+    return [Fault(table.place(k, name), "the level is empty") for k, c in enumerate(cells) if not c]
+
+
+def _check_clash(table: CsvTable, name: str) -> None:
+    """Refuse labels that differ in blanks alone: they would be two levels by accident."""
+    seen: dict[str, tuple[str, int]] = {}
+    for row, label in enumerate(table.padded.get(name, ())):
+        first, at = seen.setdefault(label.strip(), (label, row))
+        if first != label:
+            rule = (
+                f"the level {label!r} and the level {first!r} of line {table.lines[at]} differ in "
+                "blanks alone"
+            )
+            raise InputError(Fault(table.place(row, name), rule, "write both the same way"))

@@ -1,0 +1,254 @@
+"""Units at the edge: ``"50 mm"`` and ``"5 kPa"`` become mm, N, MPa (N/mm^2), deg and s.
+
+Common units come from a table of exact decimals, so that ``"5 kPa"`` and ``"0.005 MPa"``
+are the same float and loading a design takes milliseconds; anything else is looked up by
+pint. Numbers obey one strict grammar: ``float()`` would also take ``nan``, ``1_0`` and
+Arabic digits.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from decimal import Decimal
+from functools import lru_cache
+from typing import Any
+
+from study.ground.errors import Fault, UnitError, nearest
+
+#: internal unit of every dimension
+INTERNAL: Mapping[str, str] = {
+    "length": "mm",
+    "force": "N",
+    "pressure": "MPa",
+    "angle": "deg",
+    "time": "s",
+    "speed": "mm/s",
+    "stiffness": "N/mm",
+    "work": "N mm",
+    "area": "mm^2",
+    "ratio": "1",
+    "memory": "MB",
+    "density": "kg/m^3",
+}
+_D = Decimal
+_TABLE: Mapping[str, Mapping[str, Decimal]] = {
+    "length": {"mm": _D(1), "cm": _D(10), "m": _D(1000), "um": _D("1e-3"), "in": _D("25.4")},
+    "force": {
+        "N": _D(1),
+        "mN": _D("1e-3"),
+        "kN": _D(1000),
+        "gf": _D("9.80665e-3"),
+        "kgf": _D("9.80665"),
+    },
+    "pressure": {
+        "MPa": _D(1),
+        "kPa": _D("1e-3"),
+        "Pa": _D("1e-6"),
+        "GPa": _D(1000),
+        "N/mm^2": _D(1),
+        "N/m^2": _D("1e-6"),
+        "bar": _D("0.1"),
+    },
+    # pint counts an angle as a plain number and would take "30 %" for one: this table is all
+    "angle": {"deg": _D(1), "degree": _D(1), "degrees": _D(1), "rad": _D(repr(180 / math.pi))},
+    "time": {"s": _D(1), "ms": _D("1e-3"), "min": _D(60), "h": _D(3600)},
+    "speed": {
+        "mm/s": _D(1),
+        "mm/min": _D(1) / _D(60),
+        "um/s": _D("1e-3"),
+        "cm/s": _D(10),
+        "m/s": _D(1000),
+    },
+    "stiffness": {"N/mm": _D(1), "N/m": _D("1e-3"), "kN/m": _D(1), "kN/mm": _D(1000)},
+    "work": {"N mm": _D(1), "N*mm": _D(1), "mJ": _D(1), "J": _D(1000)},
+    "area": {"mm^2": _D(1), "cm^2": _D(100), "m^2": _D("1e6"), "mm2": _D(1)},
+    "density": {
+        "kg/m^3": _D(1),
+        "kg/m3": _D(1),
+        "g/cm^3": _D(1000),
+        "g/cm3": _D(1000),
+        "g/mL": _D(1000),
+    },
+    # as an angle, a plain number is no business of pint's
+    "ratio": {"1": _D(1), "%": _D("0.01")},
+    "memory": {"MB": _D(1), "GB": _D(1000), "MiB": _D("1.048576"), "GiB": _D("1073.741824")},
+}
+_EXAMPLE: Mapping[str, str] = {
+    "length": "50 mm",
+    "force": "0.02 N",
+    "pressure": "5 kPa",
+    "angle": "30 deg",
+    "time": "60 s",
+    "speed": "10 mm/min",
+    "stiffness": "2 N/mm",
+    "work": "3 N mm",
+    "area": "25 mm^2",
+    "ratio": "20 %",
+    "memory": "20 GB",
+    "density": "980 kg/m^3",
+}
+
+#: unit inside -> (unit shown to people, factor); constants are reported in kPa
+TO_DISPLAY: Mapping[str, tuple[str, float]] = {"MPa": ("kPa", 1000.0)}
+_NUMBER = re.compile(
+    r"[+-]?(?:[0-9]{1,40}(?:\.[0-9]{0,40})?|\.[0-9]{1,40})(?:[eE][+-]?[0-9]{1,4})?"
+)
+_QUANTITY = re.compile(rf"({_NUMBER.pattern})[ \t]*(\S(?:.*\S)?)", re.ASCII)
+
+# No brackets and one digit of exponent: a unit is never worth an expression.
+_WORD = r"[A-Za-z]+(?:(?:\*\*|\^)?-?[1-9])?"
+_UNIT = re.compile(rf"{_WORD}(?:[ ]?[*/ ][ ]?{_WORD}){{0,3}}")
+MAX_LENGTH = 80
+
+
+def parse(text: object, dimension: str) -> float:
+    """Value of a text such as ``"50 mm"`` in the internal unit of its dimension.
+
+    Units: returns mm, N, MPa, deg, s, N/mm, N mm.
+
+    Examples
+    --------
+    >>> parse("5 cm", "length"), parse("5 kPa", "pressure")
+    (50.0, 0.005)
+    """
+    if not isinstance(text, str):
+        raise _fault(f"needs a unit, got the bare value {text!r}", _mend(dimension, text))
+    stripped = text.strip(" \t")
+    if len(stripped) > MAX_LENGTH:
+        raise _fault(f"is {len(stripped)} characters long", _mend(dimension))
+    if _NUMBER.fullmatch(stripped):
+        raise _fault(f"needs a unit, got {text!r}", _mend(dimension, stripped))
+    match = _QUANTITY.fullmatch(stripped)
+    if match is None:
+        raise _fault(f"is not a number with a unit, got {text!r}", _mend(dimension))
+    value = float(_D(match[1]) * _factor(match[2], dimension))
+    if not math.isfinite(value):
+        raise _fault(f"is too large, got {text!r}", _mend(dimension))
+    return value
+
+
+def unit_factor(unit: str, dimension: str) -> float:
+    """Return how many internal units one ``unit`` is.
+
+    Units: unit N/mm.
+
+    Examples
+    --------
+    >>> unit_factor("kN", "force")
+    1000.0
+    """
+    return float(_factor(unit, dimension))
+
+
+def parse_percent(text: str) -> float:
+    """Percentage in a text such as ``"1 %"``, in percent.
+
+    Examples
+    --------
+    >>> parse_percent("20 %")
+    20.0
+    """
+    number, unit = split(text)
+    if unit != "%":
+        raise _fault(f"is not a percentage, got {text!r}", 'write, for example, "20 %"')
+    return number
+
+
+def split(text: str) -> tuple[float, str]:
+    """Separate number and unit of a text; the unit stays as written.
+
+    Examples
+    --------
+    >>> split("5 % of mean")
+    (5.0, '% of mean')
+    """
+    match = _QUANTITY.fullmatch(text.strip(" \t")) if isinstance(text, str) else None
+    if match is None or len(text) > MAX_LENGTH or not math.isfinite(float(match[1])):
+        raise _fault(f"is not a number with a unit, got {text!r}", 'write, for example, "2 pp"')
+    return float(match[1]), " ".join(match[2].split())
+
+
+def parse_number(text: str) -> float:
+    """Finite plain number in a text, by the strict grammar.
+
+    Examples
+    --------
+    >>> parse_number("-1.5e3")
+    -1500.0
+    """
+    if _NUMBER.fullmatch(text) and math.isfinite(value := float(text)):
+        return value
+    raise _fault(f"is not a finite number, got {text[:MAX_LENGTH]!r}", "")
+
+
+def format_value(value: float, dimension: str) -> str:
+    """Text with the internal unit, which :func:`parse` reads back exactly.
+
+    Examples
+    --------
+    >>> format_value(25.0, "length")
+    '25 mm'
+    """
+    number = repr(float(value))
+    return f"{number.removesuffix('.0')} {INTERNAL[dimension]}"
+
+
+def to_display(value: float, unit: str) -> tuple[float, str]:
+    """Value and unit as people read them: MPa become kPa, others stay.
+
+    Examples
+    --------
+    >>> to_display(0.005, "MPa")
+    (5.0, 'kPa')
+    """
+    shown, factor = TO_DISPLAY.get(unit, (unit, 1.0))
+    return value * factor, shown
+
+
+@lru_cache(maxsize=256)
+def _factor(unit: str, dimension: str) -> Decimal:
+    if dimension not in _TABLE:
+        raise _fault(f"has no dimension {dimension!r}", nearest(dimension, _TABLE))
+    table = _TABLE[dimension]
+    plain = " ".join(unit.split())
+    found = table.get(plain.replace("²", "^2").replace("mm2", "mm^2"))
+    if found is not None:
+        return found
+    other = next((d for d, units in _TABLE.items() if plain in units), None)
+    if other is not None or dimension in ("angle", "ratio") or not _UNIT.fullmatch(plain):
+        what = f"is a {other}" if other else "is no unit"
+        raise _fault(f"must be a {dimension}, {unit!r} {what}", _mend(dimension, unit=plain))
+    return _from_pint(plain, dimension)
+
+
+def _from_pint(unit: str, dimension: str) -> Decimal:
+    import pint
+
+    registry = _registry()
+    try:
+        factor = registry.Quantity(1.0, registry.parse_units(unit)).to(INTERNAL[dimension])
+        return _D(repr(float(factor.magnitude)))
+    except pint.DimensionalityError as error:
+        raise _fault(f"must be a {dimension}, {unit!r} is not", _mend(dimension)) from error
+    except (pint.PintError, ValueError, TypeError, KeyError, AttributeError) as error:
+        raise _fault(f"has the unknown unit {unit!r}", _mend(dimension, unit=unit)) from error
+
+
+@lru_cache(maxsize=1)
+def _registry() -> Any:
+    import pint
+
+    return pint.UnitRegistry()
+
+
+def _mend(dimension: str, value: object = None, unit: str | None = None) -> str:
+    if isinstance(value, (str, int, float)) and not isinstance(value, bool):
+        return f'write "{value} {INTERNAL[dimension]}" if it is in {INTERNAL[dimension]}'
+    hint = f" ({nearest(unit, _TABLE[dimension])})" if unit else ""
+    return f'write, for example, "{_EXAMPLE[dimension]}"{hint}'
+
+
+def _fault(rule: str, mend: str) -> UnitError:
+    return UnitError(Fault("value", rule, mend))

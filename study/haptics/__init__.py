@@ -1,1 +1,0 @@
-"""Force laws for haptic rendering: a simulated test as a function that a device can call."""

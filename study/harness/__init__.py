@@ -1,0 +1,1 @@
+"""Designs, cases, runs and records."""

@@ -1,0 +1,1 @@
+"""Calibration of one material from several tests: search, resampling, nuisance, next test."""

@@ -1,0 +1,428 @@
+"""Constants of one material from one or several measured tests (``study calibrate``)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from study.ground.arrays import Array
+from study.ground.canonical import digest
+from study.ground.curve import Curve
+from study.ground.errors import Fault, InputError
+from study.harness.calibration.calibration_result import CalibrationResult, CurveFit, PartialFit
+from study.harness.calibration.measured_tests import (
+    FitCurve,
+    in_order,
+    left_out,
+    of_specimens,
+    parts_of,
+    problem_of,
+    read_tests,
+    warnings_of,
+)
+from study.harness.calibration.nuisance import predicted, with_nuisance
+from study.harness.calibration.optimal_tests import next_tests
+from study.harness.calibration.resampling import Starts, best, bootstrap, excluded, scattered
+from study.harness.design.calibration_section import CalibratedTest, CalibrationDesign
+from study.harness.runner import fit_task
+from study.harness.runner.fit_problem import FitProblem, start_problem
+from study.harness.runner.fit_summary import status_of
+from study.harness.runner.provenance import code_version
+from study.harness.runner.staged_fit import (
+    Checkpoint,
+    Progress,
+    Staged,
+    begun_stage,
+    cheaper,
+    gentler,
+    staged_fit,
+)
+from study.mechanics.calibration.fit_influence import population, with_serial_correlation
+from study.mechanics.calibration.identifiability import identify, profile
+from study.mechanics.calibration.lack_of_fit import lack_of_fit, pattern, same_constants
+from study.mechanics.calibration.residual_function import EvaluationFailed
+from study.mechanics.material.material import Material
+from study.mechanics.material.stability import check, stability
+from study.mechanics.measurement.conditioning import is_caution
+from study.mechanics.setup.declaration import table_of
+
+if TYPE_CHECKING:
+    from study.mechanics.calibration.fit import Fit
+    from study.mechanics.calibration.identifiability import Profile
+    from study.mechanics.calibration.residual_function import MeasuredCurve
+
+
+# -------------------------------------------------------------------------------------------------
+# Whether the constants found make a material, and how far it is stable.
+
+
+def plausible(material: Material, message: str) -> tuple[str, str]:
+    """Status of a converged fit by its initial shear modulus."""
+    if not material.mu0 > 0:
+        rule = f"the fit ended at an initial shear modulus of {1e3 * material.mu0:.4g} kPa"
+        return "unstable", rule
+    try:
+        found = list(check(material))
+    except InputError as error:
+        return "unstable", str(error)
+    if found:
+        return "implausible", found[0]
+    return "converged", message
+
+
+def range_stability(
+    tests: Sequence[CalibratedTest], curves: Sequence[FitCurve], material: Material
+) -> tuple[bool, str]:
+    """Drucker's criterion over the compressions that were measured, else over the usual range."""
+    strains = [
+        float(c.measured.curve.displacement_mm.max()) / height
+        for c in curves
+        if (setup := tests[c.test].setup).kind.compresses
+        and (height := setup.height_mm) is not None
+    ]
+    range_of = [np.linspace(1 - max(strains), 1, 41)] if strains else []
+    judged = stability(material, *range_of)
+    return bool(judged.stable), judged.sentence
+
+
+# -------------------------------------------------------------------------------------------------
+# Where the search for the constants of a calibration begins, and within which bounds.
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What all fits of one calibration share."""
+
+    config: CalibrationDesign
+    tests: Sequence[CalibratedTest]
+    names: tuple[str, ...]
+    start: Array
+    bounds: Sequence[tuple[float, float]] | None
+    progress: Progress | None
+    #: what was done to a start outside the bounds, in words
+    moved: tuple[str, ...] = ()
+
+    def fitted(self, curves: Sequence[FitCurve], checkpoint: Checkpoint | None = None) -> Staged:
+        """Fit to the curves whose role is ``fit``."""
+        parts = parts_of(self.tests, in_order(curves))
+        done = staged_fit(
+            parts, self.names, self.start, fit_task.fitted_model, bounds=self.bounds,
+            progress=self.progress, checkpoint=checkpoint,
+        )  # fmt: skip
+        measured = [one for part in parts for one in part.measured]
+        found = with_serial_correlation(done.fit, measured)
+        own = in_order(curves)
+        return replace(done, fit=with_nuisance(found, parts, self.tests, own, self.bounds))
+
+
+def setting_of(
+    config: CalibrationDesign,
+    curves: Sequence[FitCurve],
+    progress: Progress | None,
+    checkpoint: Checkpoint,
+    begin: Mapping[str, float] | None = None,
+) -> Setting:
+    """Constants, start and bounds of a calibration.
+
+    Units: begin MPa.
+    """
+    tests, given = config.tests, config.bounds
+    if begin is None:
+        names, start = _start(tests, curves, progress, checkpoint)
+    else:
+        names, start = tuple(begin), np.array(list(begin.values()), float)
+    bounds = bounds_of(config, names)
+    low, high = np.array(bounds).T
+    inside = np.clip(start, low, high)
+    outside = [name for name, moved in zip(names, inside != start, strict=True) if moved]
+    if outside and config.material.constants:
+        raise InputError([excluded(n, start[names.index(n)], given[n]) for n in outside])
+    moved = tuple(
+        f"the start of {n} lay outside its bounds and was moved to {inside[names.index(n)]:.6g}"
+        for n in outside
+    )
+    finite = np.isfinite(bounds).any()
+    return Setting(config, tests, names, inside, bounds if finite else None, progress, moved)
+
+
+def bounds_of(config: CalibrationDesign, names: Sequence[str]) -> list[tuple[float, float]]:
+    """Bounds of the file; else those beyond which an energy is not defined.
+
+    Units: returns MPa.
+    """
+    return [config.bounds.get(n) or config.material.bounds(n) for n in names]
+
+
+def from_all_starts(
+    setting: Setting, curves: Sequence[FitCurve], own: Staged
+) -> tuple[Staged, Starts | None]:
+    """Fit from the other starts that were asked for; the least sum of squares is the answer."""
+    count, seed = setting.config.asked.starts, setting.config.asked.seed
+    if count == 1:
+        return own, None
+    rng, parts = np.random.default_rng(seed), parts_of(setting.tests, in_order(curves))
+    energy, found = setting.config.material.model, [own]
+    for _ in range(count - 1):
+        start = scattered(energy, setting.names, setting.start, parts, setting.bounds, rng)
+        found.append(replace(setting, start=start, progress=None).fitted(curves))
+    rss = tuple(one.fit.rss if one.fit.converged else None for one in found)
+    chosen = best(found)
+    evaluations = sum(one.evaluations for one in found if one is not chosen)
+    return replace(chosen, fruitless=chosen.fruitless + evaluations), Starts(seed, rss)
+
+
+def _start(
+    tests: Sequence[CalibratedTest],
+    curves: Sequence[FitCurve],
+    progress: Progress | None,
+    checkpoint: Checkpoint,
+) -> tuple[tuple[str, ...], Array]:
+    """Find the start: the given constants, or those of a simpler fit of one fitted test.
+
+    A homogeneous test is preferred: its closed form costs nothing.
+    """
+    fitted = list(dict.fromkeys(c.test for c in in_order(curves)))
+    problems = {number: problem_of(tests[number].tables) for number in fitted}
+    closed = [number for number in fitted if problems[number].method == "closed-form"]
+    number = (closed or fitted)[0]
+    problem = problems[number]
+    part = parts_of(tests, [c for c in in_order(curves) if c.test == number])[0]
+    measured = [m.curve for m in part.measured]
+    constants: dict[str, float] | None = None
+    for before in _simpler(problem):
+        names, first = fit_task.start_values(before.tables, measured, constants)
+        own = replace(part, tables=before.tables)
+        stage = f"start ({before.material.model}, {len(names)} constants)"
+        found = begun_stage(
+            stage,
+            [cheaper(own) or own],
+            names,
+            gentler(names, first),
+            fit_task.fitted_model,
+            None,
+            progress,
+            checkpoint,
+        ).fit
+        if not found.status.usable:
+            message = f"the {stage} did not converge: {found.message}"
+            raise InputError(Fault("calibration", message, "give constants to start from"))
+        constants = found.constants()
+    return fit_task.start_values(problem.tables, measured, constants)
+
+
+def _simpler(problem: FitProblem) -> list[FitProblem]:
+    """Problems whose constants lead to those of a fit, the neo-Hookean one first."""
+    chain: list[FitProblem] = []
+    before = start_problem(problem)
+    while before is not None:
+        chain.insert(0, before)
+        before = start_problem(before)
+    return chain
+
+
+#: correlation of neighboring rows from which a misfit is more likely than noise
+_ORDERED = 0.5
+
+
+def calibrate(
+    config: CalibrationDesign,
+    root: Path,
+    *,
+    progress: Progress | None = None,
+    profiles: bool = False,
+    resamples: int = 0,
+    folder: Path | None = None,
+    begin: Mapping[str, float] | None = None,
+) -> CalibrationResult:
+    """Fit one material to all tests of a calibration at once.
+
+    Units: begin MPa.
+    """
+    began = time.perf_counter()
+    curves, notes = read_tests(config.tests, root)
+    own, left = _splits(config, curves)
+    checkpoint = _checkpoint(folder, config, curves)
+    setting = setting_of(config, curves, progress, checkpoint, begin)
+    done, starts = setting.fitted(curves, checkpoint), None
+    if begin is None:
+        done, starts = from_all_starts(setting, curves, done)
+    found = done.fit
+    specimens = tuple(_partial(setting, label, group) for label, group in own.items())
+    cross = tuple(_partial(setting, label, group) for label, group in left)
+    result = _result(setting, curves, done)
+    result = replace(
+        result,
+        specimens=specimens,
+        same_constants_p=_same_constants(found, specimens),
+        population=population([one.fit for one in specimens]),
+        cross_validation=cross,
+        profiles=_profiles(setting, curves, found) if profiles and found.converged else {},
+        bootstrap=(
+            bootstrap(found, config, curves, resamples, setting.bounds)
+            if resamples and found.converged
+            else None
+        ),
+        starts=starts,
+        notes=(*notes, *setting.moved, *(() if starts is None else (starts.sentence,))),
+        warnings=(*(note for note in notes if is_caution(note)), *result.warnings),
+        seconds=time.perf_counter() - began,
+    )
+    checkpoint.clear()
+    return result
+
+
+def _checkpoint(
+    folder: Path | None, config: CalibrationDesign, curves: Sequence[FitCurve]
+) -> Checkpoint:
+    if folder is None:
+        return Checkpoint()
+    data = [[c.label, c.role, c.weight, c.measured.curve.as_dict()] for c in curves]
+    problems = [problem_of(test.tables).tables for test in config.tests]
+    key = digest([problems, config.document, data, code_version()], 32)
+    return Checkpoint(folder / "calibration.checkpoint.json", key)
+
+
+def _splits(
+    config: CalibrationDesign, curves: Sequence[FitCurve]
+) -> tuple[dict[str, list[FitCurve]], list[tuple[str, list[FitCurve]]]]:
+    """Choose the curves of every specimen and of every leave-out, before anything is fitted."""
+    asked = config.asked
+    own = of_specimens(curves) if asked.specimens == "each" else {}
+    if asked.specimens == "each" and len(own) < 2:
+        mend = "name the column of the specimens in measurements.block"
+        raise InputError(Fault("calibration.specimens", "there is only one specimen", mend))
+    return own, left_out(curves, asked.leave_out) if asked.leave_out else []
+
+
+def _partial(setting: Setting, label: str, curves: Sequence[FitCurve]) -> PartialFit:
+    done = setting.fitted(curves)
+    return PartialFit(label, done.fit, _predictions(setting, curves, done.fit))
+
+
+def _predictions(setting: Setting, curves: Sequence[FitCurve], found: Fit) -> tuple[CurveFit, ...]:
+    """Every curve beside its prediction; those of held-out tests are made now."""
+    fitted = iter(found.curves)
+    known = {id(c): next(fitted, None) for c in in_order(curves)}
+    out = []
+    for curve in curves:
+        predicted, message = known.get(id(curve)), "" if found.status.usable else found.message
+        if curve.role == "held-out" and found.status.usable:
+            predicted, message = _predicted(setting, curve, found)
+        out.append(
+            CurveFit(curve.file, curve.specimen, curve.role, curve.measured, predicted, message)
+        )
+    return tuple(out)
+
+
+def _predicted(setting: Setting, curve: FitCurve, found: Fit) -> tuple[Curve | None, str]:
+    (part,) = parts_of(setting.tests, [curve])
+    try:
+        model = fit_task.fitted_model(
+            part.method, part.tables, [curve.measured.curve], setting.names
+        )
+        return model(found.values)[0], ""
+    except EvaluationFailed as error:
+        return None, str(error)
+
+
+def _same_constants(found: Fit, specimens: Sequence[PartialFit]) -> float | None:
+    if len(specimens) < 2 or not all(one.fit.converged for one in specimens):
+        return None
+    fits = [one.fit for one in specimens]
+    rows = sum(
+        one.n if one.serial is None else min(one.n, one.serial.effective_rows) for one in fits
+    )
+    own = sum(one.rss for one in fits)
+    return same_constants(found.rss, own, rows, len(found.names), len(specimens))
+
+
+def _profiles(setting: Setting, curves: Sequence[FitCurve], found: Fit) -> dict[str, Profile]:
+    own = in_order(curves)
+    parts = parts_of(setting.tests, own)
+    models = [
+        fit_task.fitted_model(p.method, p.tables, [m.curve for m in p.measured], setting.names)
+        for p in parts
+    ]
+
+    def predict(values: Array) -> list[Curve]:
+        if found.joint is not None:
+            return predicted(parts, setting.tests, own, setting.names, values)
+        return [curve for model in models for curve in model(values)]
+
+    whole = found.joint or found
+    free = [(-np.inf, np.inf)] * (len(whole.names) - len(setting.names))
+    bounds = None if setting.bounds is None else [*setting.bounds, *free]
+    measured = [m for part in parts for m in part.measured]
+    known = {n for n, e in zip(whole.names, whole.standard_error, strict=True) if e > 0}
+    return {
+        name: profile(predict, measured, whole, name, bounds=bounds)
+        for name in whole.names
+        if name in known
+    }
+
+
+def _measured(setting: Setting, curves: Sequence[FitCurve]) -> list[MeasuredCurve]:
+    parts = parts_of(setting.tests, in_order(curves))
+    return [one for part in parts for one in part.measured]
+
+
+def _result(setting: Setting, curves: Sequence[FitCurve], done: Staged) -> CalibrationResult:
+    found, section = done.fit, setting.config.material
+    predictions = _predictions(setting, curves, found)
+    status: str = status_of(found)
+    message = done.message
+    material, stable, stability = None, False, "nothing is known of it"
+    cautions: list[str] = []
+    if found.status.usable:
+        material = section.material(found.constants())
+        judged_as, message = plausible(material, message)
+        status = status if judged_as == "converged" else judged_as
+        stable, stability = range_stability(setting.tests, curves, material)
+    judged = list(zip(in_order(curves), found.curves, strict=False))
+    repeated = [r for c, p in judged if (r := c.repeated(p)) is not None]
+    order = pattern([c.residual(p) for c, p in judged])
+    if found.serial is not None and found.serial.correlation > _ORDERED:
+        cautions.append(
+            f"neighboring rows are correlated by {found.serial.correlation:.2f}, which is "
+            "misfit rather than noise: intervals and AICc allow for a drift, not for an energy "
+            "that is wrong"
+        )
+    if setting.config.asked.specimens == "pooled" and len(of_specimens(curves)) > 1:
+        cautions.append(
+            "specimens are pooled: intervals are those of these specimens, not of the population; "
+            'write calibration.specimens = "each"'
+        )
+    return CalibrationResult(
+        name=setting.config.name,
+        model=section.model,
+        status=status,
+        message=message,
+        fit=found,
+        material=material,
+        stable=stable,
+        stability=stability,
+        curves=predictions,
+        evaluations=done.evaluations,
+        seconds=0.0,
+        lack_of_fit=lack_of_fit(repeated, len(found.names)) if found.converged else None,
+        pattern=order,
+        identified=identify(found, _measured(setting, curves)) if found.converged else None,
+        next_tests=(
+            next_tests(found, curves, material, setting.tests)
+            if found.converged and material is not None
+            else None
+        ),
+        warnings=(*warnings_of(curves), *cautions),
+        tests=tuple(
+            {
+                table: table_of(test.tables, table)
+                for table in ("specimen", "test", "material", "model")
+            }
+            for test in setting.tests
+        ),
+    )

@@ -1,0 +1,176 @@
+"""What meshes and load steps do to the constants: a bound beside the statistical interval.
+
+An interval knows the scatter of the rows. A mesh that is too coarse moves all constants of a
+simulated test, and no further row shows it. The fit is made again on meshes beside its own and
+with twice the load steps, and each constant is judged as a response is: by the order of its
+convergence (Roache 1994; Celik et al. 2008, ASME J. Fluids Eng. 130, 078001) and, where it has
+none, by thrice its range (Eca and Hoekstra 2014, J. Comput. Phys. 262, 104).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from study.ground.arrays import Array
+from study.harness.calibration.calibrate_tests import bounds_of
+from study.harness.calibration.measured_tests import in_order, parts_of, read_tests
+from study.harness.design.calibration_section import CalibrationDesign
+from study.harness.runner import fit_task
+from study.harness.runner.case_series import MIN_ORDER, TWO_MESH_FACTOR
+from study.harness.runner.problem_tables import on_mesh
+from study.harness.runner.refinement import formal_order
+from study.harness.runner.response import scale_of
+from study.harness.runner.staged_fit import Checkpoint, Part, Progress, single_stage
+from study.mechanics.setup.declaration import with_table
+from study.mechanics.setup.setup import MESH_LEVELS, Model, Setup, problem_of
+from study.statistics.convergence.grid_convergence import grid_convergence
+
+if TYPE_CHECKING:
+    from study.mechanics.calibration.fit import Fit
+
+
+#: of the element sizes of neighboring meshes, which is that of the named ones
+_RATIO = 1.5
+
+#: how many load steps replace one
+_MORE_STEPS = 2
+
+#: change of a constant over its value below which it is rounding of the search
+_SEARCH = 1e-6
+
+
+@dataclass(frozen=True)
+class NumericalBound:
+    """Constants on several meshes, and how far discretization may move them."""
+
+    names: tuple[str, ...]
+    #: Element sizes over that of the fit, from coarse to fine; empty without elements.
+    sizes: tuple[float, ...]
+    #: shape (meshes, p); constants on every mesh, MPa (exponents plain).
+    values: Array
+    #: shape (p,); bounds of the error by the mesh and by the load steps of the fit; NaN where a fit
+    #: failed.
+    mesh: Array
+    steps: Array
+    #: Which fit gave no constants; else empty.
+    failure: str = ""
+
+    @property
+    def u(self) -> Array:
+        """Bound of both, shape (p,): errors may point the same way."""
+        return np.asarray(self.mesh + self.steps)
+
+    @property
+    def sentence(self) -> str:
+        """How the bounds were had."""
+        if self.failure:
+            return f"no bound of the numerical error: {self.failure}"
+        if not self.sizes:
+            return "no numerical error: every test has a closed form"
+        sizes = ", ".join(f"{size:.3g}" for size in self.sizes)
+        return (
+            f"numerics: from fits on meshes of {sizes} times the element size, and with twice "
+            "the load steps"
+        )
+
+    def as_dict(self) -> dict[str, object]:
+        """Bounds and constants of every mesh: kPa, exponents plain."""
+        scale = np.array([scale_of(name) for name in self.names])
+
+        def shown(values: Array) -> dict[str, float]:
+            return dict(zip(self.names, (scale * values).tolist(), strict=True))
+
+        return {
+            "sentence": self.sentence,
+            "u": shown(self.u),
+            "mesh": shown(self.mesh),
+            "steps": shown(self.steps),
+            "sizes": list(self.sizes),
+            "values": [shown(one) for one in self.values],
+        }
+
+
+def numerical_bound(
+    config: CalibrationDesign, root: Path, known: Fit, progress: Progress | None = None
+) -> NumericalBound:
+    """Fit again on other meshes and with more load steps, and judge every constant.
+
+    Nuisance parameters stay at what is expected of them in all of these fits.
+    """
+    names, start = known.names, known.values
+    bounds = bounds_of(config, names)
+    parts = parts_of(config.tests, in_order(read_tests(config.tests, root)[0]))
+    zero = np.zeros(len(names))
+    simulated = [part for part in parts if part.method == "inverse-fem"]
+    if not simulated:
+        return NumericalBound(names, (), np.zeros((0, len(names))), zero, zero)
+    own, levels = _levels(Setup.of(simulated[0].tables).model)
+    # from coarse to fine, and the own mesh again with more steps
+    made = [[_on_level(part, step) for part in parts] for step in levels]
+    made.append([_with_more_steps(part) for part in parts])
+    found = []
+    for number, one in enumerate(made):
+        stage = f"numerical bound, fit {number + 1} of {len(made)}"
+        done = single_stage(
+            stage, one, names, start, fit_task.fitted_model, bounds, progress, Checkpoint()
+        ).fit  # fmt: skip
+        if not done.converged:
+            nothing = np.full(len(names), np.nan)
+            why = f"{stage}, gave no constants ({done.message})"
+            return NumericalBound(names, (), np.zeros((0, len(names))), nothing, nothing, why)
+        found.append(done.values)
+    *series, stepped = found
+    values, sizes = np.array(series), tuple(_RATIO ** float(step - own) for step in levels)
+    order = min(_order(part, names, start) for part in simulated)
+    mesh = np.array([_u(sizes, column, levels.index(own), order) for column in values.T])
+    # forces between the load steps follow from where a search began, too; with nuisance
+    # parameters the constants of the fit are not those of the same question
+    again = values[levels.index(own)]
+    reference = start if known.joint is None else again
+    steps = np.maximum(np.abs(stepped - reference), np.abs(again - reference))
+    return NumericalBound(names, sizes, values, mesh, steps)
+
+
+def _levels(model: Model) -> tuple[int, tuple[int, ...]]:
+    """Level of the fit's mesh (0 fine or given, 2 coarse), and levels to fit on, coarse to fine."""
+    return (0, (1, 0, -1)) if model.mesh_size_mm is not None else (model.level, (2, 1, 0))
+
+
+def _on_level(part: Part, level: int) -> Part:
+    """Put a part on a mesh; a given size is multiplied, a name is replaced."""
+    if part.method != "inverse-fem":
+        return part
+    size = Setup.of(part.tables).model.mesh_size_mm
+    if size is not None:
+        changes: dict[str, object] = {"mesh_size_mm": size * _RATIO**level}
+    else:
+        changes = {"mesh": MESH_LEVELS[len(MESH_LEVELS) - 1 - level]}
+    return replace(part, tables=on_mesh(part.tables, **changes))
+
+
+def _with_more_steps(part: Part) -> Part:
+    steps = _MORE_STEPS * Setup.of(part.tables).test.steps
+    return replace(part, tables=with_table(part.tables, "test", steps=steps))
+
+
+def _order(part: Part, names: tuple[str, ...], values: Array) -> float:
+    """Order that the elements promise for the force of a test, and so for its constants."""
+    depth = max(float(one.curve.displacement_mm.max()) for one in part.measured)
+    constants = dict(zip(names, values.tolist(), strict=True))
+    return formal_order(problem_of(part.tables, constants, depth)).order
+
+
+def _u(sizes: Sequence[float], values: Array, own: int, order: float) -> float:
+    """Half-width of one constant on one of the meshes."""
+    noise = _SEARCH * float(np.abs(values).max())
+    found = grid_convergence(sizes, values, formal_order=order, tolerance=noise)
+    ordered = found.observed_order is not None and found.observed_order >= MIN_ORDER
+    if ordered and found.extrapolated is not None and found.factor_of_safety is not None:
+        return float(found.factor_of_safety * abs(values[own] - found.extrapolated))
+    spread = float(np.ptp(values))
+    return max(spread, noise) if found.behaviour == "noise-floor" else TWO_MESH_FACTOR * spread

@@ -1,0 +1,331 @@
+"""What a calibration found, in values and as the document of ``study calibrate --json``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+
+from study.ground.curve import Curve
+from study.ground.errors import Fault, InputError
+from study.harness.calibration.resampling import Starts
+from study.harness.record.document import ParameterDocument
+from study.harness.record.record import plain
+from study.harness.runner.fit_summary import WITH_CONSTANTS, status_of
+from study.harness.runner.response import CURVE_RESPONSES, ConstantResponse, scale_of
+from study.mechanics.material import material as conversions
+from study.mechanics.material.material import Material
+from study.mechanics.measurement.measured_test import MeasuredTest
+from study.mechanics.setup.setup import Tables
+
+if TYPE_CHECKING:
+    from study.harness.calibration.optimal_tests import NextTests
+    from study.harness.calibration.resampling import Bootstrap
+    from study.mechanics.calibration.fit import Fit
+    from study.mechanics.calibration.fit_influence import Population
+    from study.mechanics.calibration.identifiability import Direction, Identifiability, Profile
+    from study.mechanics.calibration.lack_of_fit import LackOfFit, Pattern
+    from study.mechanics.calibration.residual_function import NuisanceEstimate
+    from study.mechanics.material.energy import Converted
+
+
+@dataclass(frozen=True)
+class CurveFit:
+    """One measured curve and its prediction."""
+
+    file: str
+    #: Label of the specimen, where the file has several.
+    specimen: str | None
+    role: str
+    #: Mean and scatter of its repeats.
+    measured: MeasuredTest
+    #: None where the model has no answer.
+    predicted: Curve | None
+    message: str = ""
+
+    def as_dict(self) -> dict[str, object]:
+        """Errors of the prediction in N and in % of the RMS force."""
+        errors: dict[str, float | None] = {
+            "rms_force_error": None,
+            "relative_rms_force_error": None,
+        }
+        if self.predicted is not None:
+            for name in errors:
+                one = CURVE_RESPONSES[name]
+                errors[name] = one.between(self.predicted, self.measured.curve)
+        return {
+            "file": self.file,
+            "specimen": self.specimen,
+            "role": self.role,
+            "repeats": self.measured.n_repeats,
+            **errors,
+            "message": self.message,
+        }
+
+
+@dataclass(frozen=True)
+class PartialFit:
+    """Fit to a part of the data, and what it predicts of the rest."""
+
+    #: The specimen fitted for itself, or what was left out.
+    label: str
+    #: In MPa.
+    fit: Fit
+    #: Its curves, those left out as ``held-out``.
+    curves: tuple[CurveFit, ...]
+
+    def as_dict(self) -> dict[str, object]:
+        """Constants in kPa, and the errors of the curves."""
+        return {
+            "label": self.label,
+            "status": status_of(self.fit),
+            "message": self.fit.message,
+            "parameters": parameters(self.fit),
+            "nuisance": nuisance(self.fit),
+            "rss": self.fit.rss,
+            "identifiable": self.fit.identifiable,
+            "curves": [curve.as_dict() for curve in self.curves],
+        }
+
+
+@dataclass(frozen=True)
+class CalibrationResult:
+    """Constants of one material from all tests of a calibration."""
+
+    #: Of the calibration and of the energy.
+    name: str
+    model: str
+    #: ``converged``, ``at-edge``, ``at-kink``, ``not-converged``, ``implausible`` or ``unstable``,
+    #: and why.
+    status: str
+    message: str
+    #: Of :mod:`study.mechanics.calibration`; constants in MPa.
+    fit: Fit
+    #: With the constants found; None where they make no material.
+    material: Material | None
+    #: Drucker's criterion over the range of the measured tests, those held out too.
+    stable: bool
+    stability: str
+    curves: tuple[CurveFit, ...]
+    #: Calls of the model, those of the cheaper stage included.
+    evaluations: int
+    seconds: float
+    lack_of_fit: LackOfFit | None = None
+    pattern: Pattern | None = None
+    #: Each specimen for itself; each specimen or test left out in turn.
+    specimens: tuple[PartialFit, ...] = ()
+    cross_validation: tuple[PartialFit, ...] = ()
+    #: p of the hypothesis that all specimens share their constants.
+    same_constants_p: float | None = None
+    #: Each constant's mean, scatter and intervals, specimens as the unit.
+    population: tuple[Population, ...] = ()
+    profiles: Mapping[str, Profile] = field(default_factory=dict)
+    #: Cautions, and what was done to the measured rows.
+    warnings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    #: Resolved tables of every test (mm, N, MPa), so that what was fitted can be simulated again.
+    tests: tuple[Mapping[str, Tables], ...] = ()
+    #: What fits from other starts found, where asked.
+    starts: Starts | None = None
+    #: What the tests know of the constants, in the units of their curves.
+    identified: Identifiability | None = None
+    #: Tests that could be made next, by what they would tell of the constants.
+    next_tests: NextTests | None = None
+    #: Document of how far meshes and load steps may move the constants, where asked.
+    numerics: Mapping[str, object] | None = None
+    #: Intervals from resampled data, where asked.
+    bootstrap: Bootstrap | None = None
+
+    @property
+    def converged(self) -> bool:
+        """Whether the constants may be used, with their intervals."""
+        return self.status == "converged"
+
+    @property
+    def usable(self) -> bool:
+        """Whether there are constants, if without intervals."""
+        return self.status in WITH_CONSTANTS
+
+    def converted(self, convention: str) -> Converted:
+        """Constants in another code's convention."""
+        if self.material is None:
+            raise InputError(Fault("convention", "the fit found no material to convert"))
+        return conversions.convert(self.material, convention)
+
+    def to_json(self) -> dict[str, object]:
+        """Document of ``study calibrate --json``."""
+        found = self.fit
+        content = {
+            "status": self.status,
+            "message": self.message,
+            "model": self.model,
+            "parameters": parameters(found),
+            "nuisance": nuisance(found),
+            "mu0": None if self.material is None else 1e3 * self.material.mu0,
+            **_moduli(self.material),
+            "rss": found.rss,
+            "r_squared": found.r_squared,
+            "aicc": found.aicc,
+            "n": found.n,
+            "serial_correlation": _serial(found),
+            "correlation": found.correlation,
+            "condition": found.condition,
+            "identifiable": found.identifiable,
+            "reason": found.reason,
+            "identifiability": _identified(self.identified),
+            "next_test": None if self.next_tests is None else self.next_tests.as_dict(),
+            "stable": self.stable,
+            "stability": self.stability,
+            "evaluations": self.evaluations,
+            "seconds": self.seconds,
+            "curves": [curve.as_dict() for curve in self.curves],
+            "lack_of_fit": None if self.lack_of_fit is None else vars(self.lack_of_fit),
+            "residual_pattern": None if self.pattern is None else vars(self.pattern),
+            "specimens": [one.as_dict() for one in self.specimens],
+            "same_constants_p": self.same_constants_p,
+            "population": {one.name: _population(one) for one in self.population},
+            "cross_validation": [one.as_dict() for one in self.cross_validation],
+            "profiles": {n: _profile(_scale(found, n), p) for n, p in self.profiles.items()},
+            **({} if self.numerics is None else {"numerics": self.numerics}),
+            **({} if self.bootstrap is None else {"bootstrap": self.bootstrap.as_dict()}),
+            **({} if self.starts is None else {"starts": self.starts.as_dict()}),
+            "warnings": list(self.warnings),
+            "notes": list(self.notes),
+            "name": self.name,
+            "tests": [{name: dict(table) for name, table in one.items()} for one in self.tests],
+        }
+        return cast("dict[str, object]", plain(content, "calibration", {}))
+
+
+def _moduli(material: Material | None) -> dict[str, object]:
+    """Shear moduli of a material that relaxes, kPa: of a load that comes at once, and of old."""
+    if material is None or not material.relaxation:
+        return {}
+    found = {"instantaneous": 1e3 * material.mu0, "long_term": 1e3 * material.long_term_mu}
+    return {"shear_moduli": found}
+
+
+def parameters(fit: Fit) -> dict[str, ParameterDocument]:
+    """Constants with errors and intervals by name: kPa, exponents plain.
+
+    Units: fit MPa.
+    """
+    return {
+        name: {
+            "value": scale_of(name) * float(fit.values[i]),
+            "unit": ConstantResponse(name).unit,
+            "standard_error": scale_of(name) * float(fit.standard_error[i]),
+            "ci95": [scale_of(name) * float(v) for v in fit.ci95[i]],
+        }
+        for i, name in enumerate(fit.names)
+    }
+
+
+def _identified(found: Identifiability | None) -> dict[str, object] | None:
+    """Give combinations from the best known to the least, in kPa (exponents plain) and N."""
+    if found is None:
+        return None
+    return {
+        "sentence": found.sentence,
+        "noise_N": found.noise_N,
+        "directions": [
+            {
+                "combination": one.words,
+                "coefficients": {n: _in_kpa(n, one) * c for n, c in one.combination.items()},
+                "value": scale_of(first := next(iter(one.combination))) * one.value,
+                "unit": ConstantResponse(first).unit,
+                "standard_error": scale_of(first) * one.standard_error,
+                "relative": one.relative,
+                "known": one.is_known,
+            }
+            for one in found.directions
+        ],
+        "constants": {
+            one.name: {
+                "known": one.is_known, "alone_N": one.alone_N, "refitted_N": one.refitted_N
+            }
+            for one in found.constants
+        },
+    }  # fmt: skip
+
+
+def _in_kpa(name: str, one: Direction) -> float:
+    """Factor to a coefficient of constants in kPa from that of constants in MPa."""
+    return scale_of(next(iter(one.combination))) / scale_of(name)
+
+
+def nuisance(fit: Fit) -> dict[str, dict[str, object]]:
+    """Nuisance parameters by name, with errors, intervals, shares: mm, mm^2, N, kPa, deg, 1."""
+    return {one.name: _nuisance(one) for one in fit.nuisance}
+
+
+def _nuisance(one: NuisanceEstimate) -> dict[str, object]:
+    unit, scale = _unit_of(one.key)
+    said = {
+        "fitted": "a pseudo-observation: one more row of the fit, and no measurement",
+        "propagated": "carried to the constants: the tests do not move it",
+    }[one.treated]
+    return {
+        "treated": one.treated,
+        "unit": unit,
+        "expected": scale * one.expected,
+        "uncertainty": None if one.uncertainty is None else scale * one.uncertainty,
+        "prior": "none: found from the tests alone" if one.uncertainty is None else said,
+        "value": scale * one.value,
+        "standard_error": scale * one.standard_error,
+        "ci95": [scale * v for v in one.ci95],
+        "shares": dict(one.shares),
+    }
+
+
+def _unit_of(key: str) -> tuple[str, float]:
+    """Give the unit of a nuisance parameter as it is shown, and the factor to it."""
+    plain = {"displacement_offset": "mm", "force_zero": "N", "friction": ""}
+    last = key.rpartition(".")[2]
+    if last == "bulk_modulus":
+        return "kPa", 1e3
+    others = {"poisson_ratio": "", "area": "mm^2", "half_angle": "deg"}
+    return plain.get(key, others.get(last, "mm")), 1.0
+
+
+def _population(found: Population) -> dict[str, object]:
+    """Give one constant among specimens in kPa, exponents plain."""
+    scale = scale_of(found.name)
+    return {
+        "specimens": found.specimens,
+        "unit": ConstantResponse(found.name).unit,
+        "mean": scale * found.mean,
+        "standard_deviation": scale * found.standard_deviation,
+        "between": scale * found.between,
+        "mean_ci95": [scale * v for v in found.mean_ci95],
+        "next_ci95": [scale * v for v in found.next_ci95],
+    }
+
+
+def _scale(fit: Fit, name: str) -> float:
+    """Factor to the unit in which a constant or a nuisance parameter is shown."""
+    if name in fit.names:
+        return scale_of(name)
+    return _unit_of(next(one.key for one in fit.nuisance if one.name == name))[1]
+
+
+def _serial(fit: Fit) -> dict[str, object] | None:
+    """Say what the correlation of recorded rows leaves of them; None without intervals."""
+    if fit.serial is None:
+        return None
+    return {
+        "rows": fit.serial.rows,
+        "effective_rows": fit.serial.effective_rows,
+        "correlation": fit.serial.correlation,
+        "inflation": dict(zip(fit.names, fit.serial.inflation.tolist(), strict=True)),
+    }
+
+
+def _profile(scale: float, found: Profile) -> dict[str, object]:
+    return {
+        "interval": [scale * v for v in found.interval],
+        "values": scale * np.asarray(found.values),
+        "rss": found.rss,
+    }

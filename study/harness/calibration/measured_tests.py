@@ -1,0 +1,165 @@
+"""The measured tests of a calibration: read, weighted, chosen, and made into parts of a fit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from study.ground.arrays import Array
+from study.ground.curve import Curve
+from study.ground.errors import Fault, InputError
+from study.harness.design.calibration_section import CalibratedTest, Role
+from study.harness.runner.fit_problem import FitProblem, fit_problem
+from study.harness.runner.problem_tables import gauge_of
+from study.harness.runner.staged_fit import Part
+from study.mechanics.calibration.lack_of_fit import Repeated
+from study.mechanics.calibration.residual_function import MeasuredCurve
+from study.mechanics.measurement import conditioning
+from study.mechanics.measurement.measured_test import MeasuredTest, Measurements
+from study.mechanics.measurement.reading import read_measurements
+from study.mechanics.setup.setup import Tables
+
+#: ratio of the largest forces of two fitted tests from which equal weights hide the smaller
+_UNEVEN = 5.0
+
+
+@dataclass(frozen=True)
+class FitCurve:
+    """One measured curve of a calibration."""
+
+    test: int
+    file: str
+    #: Label of the specimen, where the file has several.
+    specimen: str | None
+    #: Mean and scatter of its repeats.
+    measured: MeasuredTest
+    role: Role
+    weight: float | Array
+
+    @property
+    def label(self) -> str:
+        """How messages call it."""
+        return f"{self.file}, {self.specimen}" if self.specimen is not None else self.file
+
+    def residual(self, predicted: Curve) -> Array:
+        """Weighted residual, shape (n,)."""
+        d, force = self.measured.curve.displacement_mm, self.measured.curve.force_N
+        return np.asarray(self.weight * (predicted.force_at(d) - force))
+
+    def repeated(self, predicted: Curve) -> Repeated | None:
+        """Residual beside the scatter of the repeats; None for a single test."""
+        if self.measured.scatter_N is None:
+            return None
+        scatter = np.asarray(self.weight * self.measured.scatter_N)
+        return Repeated(self.residual(predicted), scatter, self.measured.n_repeats)
+
+
+def read_tests(
+    tests: Sequence[CalibratedTest], root: Path
+) -> tuple[list[FitCurve], tuple[str, ...]]:
+    """Read the curves of every test."""
+    curves: list[FitCurve] = []
+    notes: list[str] = []
+    for number, test in enumerate(tests):
+        data = _read(test, root)
+        notes += [f"{test.file}: {note}" if len(tests) > 1 else note for note in data.notes]
+        for specimen in data.blocks or (None,):
+            one = data.curve(specimen, **dict(data.fit or {}))
+            weight = _weight(test.weight, one, f"tests[{number}]")
+            curves.append(FitCurve(number, test.file, specimen, one, test.role, weight))
+    return curves, tuple(dict.fromkeys(notes))
+
+
+def _read(test: CalibratedTest, root: Path) -> Measurements:
+    setup = test.setup
+    depth, gauge = setup.test.displacement_mm, gauge_of(setup)
+    found = read_measurements(test.measurements, root, setup.height_mm, depth, gauge)
+    return conditioning.checked(found, setup)
+
+
+def _weight(asked: float | str, one: MeasuredTest, where: str) -> float | Array:
+    """Weight of a curve: a number, or one over the standard error of the mean of its repeats."""
+    if asked == "equal":
+        return 1.0
+    if asked != "scatter":
+        return float(asked)
+    if one.scatter_N is None:
+        mend = "average several repeats, or write weight = 'equal'"
+        raise InputError(Fault(f"{where}.weight", "a single test has no scatter", mend))
+    # repeats meet by chance at some points, which must not count for everything
+    floor = max(0.1 * float(np.median(one.scatter_N)), 1e-9)
+    return np.asarray(np.sqrt(one.n_repeats) / np.maximum(one.scatter_N, floor))
+
+
+def problem_of(tables: Tables) -> FitProblem:
+    """Fit problem of one ``[[tests]]`` table."""
+    return fit_problem({**tables, "calibration": {"method": "auto"}})
+
+
+def parts_of(tests: Sequence[CalibratedTest], curves: Sequence[FitCurve]) -> list[Part]:
+    """Parts of a fit to the given curves, one for each test that has any."""
+    parts = []
+    for number, test in enumerate(tests):
+        own = [c for c in curves if c.test == number]
+        if own:
+            problem = problem_of(test.tables)
+            measured = tuple(
+                MeasuredCurve(c.label, c.measured.curve, c.weight, "fit", c.measured.recordings)
+                for c in own
+            )
+            parts.append(Part(problem.method, problem.tables, measured))
+    return parts
+
+
+def in_order(curves: Sequence[FitCurve]) -> list[FitCurve]:
+    """Fitted curves in the order in which :func:`parts_of` gives them to the fit."""
+    return sorted((c for c in curves if c.role == "fit"), key=lambda c: c.test)
+
+
+def left_out(curves: Sequence[FitCurve], kind: str) -> list[tuple[str, list[FitCurve]]]:
+    """Every way to leave one specimen or one test out."""
+    fitted = [c for c in curves if c.role == "fit"]
+
+    def unit(curve: FitCurve) -> str:
+        return f"tests[{curve.test}]" if kind == "test" else str(curve.specimen)
+
+    labels = list(dict.fromkeys(unit(c) for c in fitted))
+    if len(labels) < 2:
+        mend = {
+            "specimen": "name the column of the specimens in measurements.block",
+            "test": "give a second [[tests]] table with role = 'fit'",
+        }[kind]
+        rule = f"leaves one {kind} out, but there is only one"
+        raise InputError(Fault("calibration.leave_out", rule, mend))
+    return [
+        (label, [replace(c, role="held-out") if unit(c) == label else c for c in fitted])
+        for label in labels
+    ]
+
+
+def of_specimens(curves: Sequence[FitCurve]) -> dict[str, list[FitCurve]]:
+    """Fitted curves of every specimen."""
+    labels = dict.fromkeys(c.specimen for c in curves if c.role == "fit" and c.specimen is not None)
+    return {s: [c for c in curves if c.specimen == s and c.role == "fit"] for s in labels if s}
+
+
+def warnings_of(curves: Sequence[FitCurve]) -> list[str]:
+    """Say where equal weights hide a test."""
+    peaks = {
+        c.label: float(np.max(np.abs(c.weight * c.measured.curve.force_N)))
+        for c in curves
+        if c.role == "fit"
+    }
+    if len(peaks) < 2 or max(peaks.values()) <= _UNEVEN * min(peaks.values()):
+        return []
+    small, large = min(peaks, key=peaks.__getitem__), max(peaks, key=peaks.__getitem__)
+    if any(isinstance(c.weight, np.ndarray) for c in curves):
+        return []
+    ratio = peaks[large] / max(peaks[small], 1e-300)
+    return [
+        f"the forces of {large} are {ratio:.3g} times those of {small}, which hardly count at "
+        "these weights: write weight = 'scatter' or a number"
+    ]

@@ -1,0 +1,590 @@
+"""Comparison of the constants that the tests of one material give, each fitted for itself."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal, cast
+
+import numpy as np
+
+from study.ground.arrays import Array
+from study.ground.curve import Curve
+from study.ground.errors import Fault, InputError, RefusedError
+from study.harness.calibration.calibrate_tests import calibrate
+from study.harness.calibration.calibration_result import CalibrationResult, parameters
+from study.harness.calibration.measured_tests import in_order, parts_of, problem_of, read_tests
+from study.harness.design.calibration_section import CalibrationDesign
+from study.harness.record.record import plain
+from study.harness.runner import fit_task
+from study.harness.runner.fit_task import fitted_model
+from study.harness.runner.problem_tables import on_mesh
+from study.harness.runner.response import ConstantResponse, scale_of
+from study.harness.runner.staged_fit import Progress
+from study.mechanics.calibration.fit import Fit, fit
+from study.mechanics.calibration.fit_influence import with_serial_correlation
+from study.mechanics.calibration.lack_of_fit import (
+    USUAL_POWER,
+    WALD_ALPHA,
+    Agreement,
+    agreement,
+    akaike_weights,
+)
+from study.mechanics.calibration.residual_function import EvaluationFailed
+from study.mechanics.material.material import is_dimensionless
+from study.mechanics.setup.declaration import with_table
+
+# -------------------------------------------------------------------------------------------------
+# Constants of one test to first order around those of all tests (Rao's form of a test).
+#
+# Where an exponent is hardly known from one test alone, its sum of squares is no parabola: slopes
+# at that test's own minimum are not those at the truth, and Wald's statistic rejects the same
+# material too often. If one set of constants explains all tests, then the common estimate is near
+# the truth, and so are the slopes there (Rao 1948, Proc. Camb. Phil. Soc. 44, 50). One step of
+# Gauss and Newton from it is a fit of the model made linear there, with that fit's covariance.
+
+
+def linearized_fit(config: CalibrationDesign, root: Path, common: Mapping[str, float]) -> Fit:
+    """Fit one test with the slopes at the constants that all tests share.
+
+    Units: common MPa.
+    """
+    names, center = tuple(common), np.array(list(common.values()), float)
+    parts = parts_of(config.tests, in_order(read_tests(config.tests, root)[0]))
+    measured = [one for part in parts for one in part.measured]
+    base = [
+        _at_points(curve, one.curve, names)
+        for part in parts
+        for curve, one in zip(
+            fit_task.fitted_model(
+                part.method, part.tables, [m.curve for m in part.measured], names
+            )(center),
+            part.measured,
+            strict=True,
+        )
+    ]
+
+    def predict(values: Array) -> list[Curve]:
+        moved = dict(zip(names, values - center, strict=True))
+        return [
+            replace(one, force_N=one.force_N + sum(moved[n] * one.force_gradient[n] for n in names))
+            for one in base
+        ]
+
+    return with_serial_correlation(fit(predict, measured, names, center), measured)
+
+
+def _at_points(predicted: Curve, measured: Curve, names: tuple[str, ...]) -> Curve:
+    """Force and gradient at the measured points, where a line is all that is needed."""
+    d = measured.displacement_mm
+    slopes = dict(zip(names, predicted.gradients_at(names, d).T, strict=True))
+    return Curve(d, predicted.force_at(d), force_gradient=slopes, time_s=predicted.time_s)
+
+
+# -------------------------------------------------------------------------------------------------
+# Errors that all points of one test share, as changes of the constants that it gives.
+#
+# A fit's covariance knows the scatter of its points alone. A load cell's zero and the mesh shift
+# a whole curve, and with it the constants, by more than that scatter admits.
+
+#: of the mesh sizes of neighboring names, and of the meshes whose constants are compared
+_RATIO = 1.5
+
+
+def zero_error(config: CalibrationDesign, root: Path, found: Fit, zero: float) -> Array:
+    """Change of the constants by a shift of all forces of one test.
+
+    Shapes: returns (p,), MPa.
+    """
+    curves = in_order(read_tests(config.tests, root)[0])
+    rows, shifts = [], []
+    for measured, predicted in zip(curves, found.curves, strict=True):
+        curve, weight = measured.measured.curve, np.asarray(measured.weight)
+        slopes = predicted.gradients_at(found.names, curve.displacement_mm)
+        rows.append((weight * slopes.T).T)
+        shifts.append(weight * np.full(len(curve), zero * np.abs(curve.force_N).max()))
+    jacobian = np.concatenate(rows)
+    scale = np.linalg.norm(jacobian, axis=0)
+    shift = np.linalg.lstsq(jacobian / scale, np.concatenate(shifts), rcond=None)[0]
+    return np.asarray(shift / scale)
+
+
+def mesh_error(
+    config: CalibrationDesign,
+    root: Path,
+    found: CalibrationResult,
+    progress: Progress | None = None,
+) -> Array:
+    """Error that the mesh leaves in the constants of one test, from a second, coarser mesh.
+
+    Constants move with the first power of the mesh size where an edge or a bonded corner makes
+    the stress singular, so that of the change between two meshes of ratio r, change / (r - 1) is
+    left; for smooth solutions that is more than there is.
+
+    Shapes: returns (p,), MPa.
+    """
+    coarser = _coarser(config)
+    if coarser is None:
+        return np.zeros_like(found.fit.values)
+    # from the same minimum: the distance to another one is no error of the mesh
+    other = calibrate(coarser, root, progress=progress, begin=found.fit.constants())
+    if not other.converged:
+        raise RefusedError("a coarser mesh gives no constants to tell the mesh's error from: "
+                           "take a finer mesh")  # fmt: skip
+    return np.asarray((found.fit.values - other.fit.values) / (_RATIO - 1))
+
+
+def _coarser(config: CalibrationDesign) -> CalibrationDesign | None:
+    """Calibration of one test on a mesh that is coarser; None where there is no mesh."""
+    (test,) = config.tests
+    if problem_of(test.tables).method != "inverse-fem":
+        return None
+    coarser = test.setup.model.coarser(_RATIO)
+    if coarser is None:
+        mend = 'write mesh = "medium" or "fine" in [model]'
+        raise InputError(Fault("model.mesh", "none is coarser, to tell its error from", mend))
+    mesh = {"mesh": coarser.mesh, "mesh_size_mm": coarser.mesh_size_mm}
+    return replace(config, tests=(replace(test, tables=on_mesh(test.tables, **mesh)),))
+
+
+#: difference of two curves over the larger force that is rounding
+_ROUNDING = 1e-9
+
+Verdict = Literal["differ", "agree", "undecided"]
+
+#: slopes of the models at every test's own constants, or at those of all tests together
+Form = Literal["wald", "score"]
+
+
+@dataclass(frozen=True)
+class Systematic:
+    """Standard uncertainties of one test's constants that all its points share."""
+
+    #: shape (p,); by the mesh and by the zero of the force, MPa (exponents plain).
+    mesh: Array
+    zero: Array
+
+    @property
+    def covariance(self) -> Array:
+        """Of both, shape (p, p)."""
+        return np.outer(self.mesh, self.mesh) + np.outer(self.zero, self.zero)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Constants of every test for itself, and whether one material explains them all."""
+
+    #: Of the calibration and of the energy.
+    name: str
+    model: str
+    #: By test, in the order of the file.
+    fits: Mapping[str, CalibrationResult]
+    test: Agreement
+    #: By test: what moves its constants besides the scatter of its points.
+    systematic: Mapping[str, Systematic]
+    #: Share by which the moduli of one test are off in what the power is stated for.
+    difference: float
+    #: By the test that is off: probability that the Wald test says so.
+    power: Mapping[str, float]
+    #: By the test that is off: share that is seen with a power of 80 %.
+    detectable: Mapping[str, float]
+    #: {"wald", "score"}: whether slopes are those at each test's own constants, or at the common
+    #: ones.
+    form: Form = "wald"
+
+    @property
+    def verdict(self) -> Verdict:
+        """``undecided`` where no difference was seen that could have been missed."""
+        if self.test.p < WALD_ALPHA:
+            return "differ"
+        return "agree" if min(self.power.values()) >= USUAL_POWER else "undecided"
+
+    @property
+    def least(self) -> str:
+        """Test whose difference is the hardest to see."""
+        return min(self.power, key=self.power.__getitem__)
+
+    @property
+    def mu0_spread(self) -> float:
+        """Largest less smallest initial shear modulus of the tests, over their mean."""
+        mu0 = [one.material.mu0 for one in self.fits.values() if one.material is not None]
+        return float(np.ptp(mu0) / np.mean(mu0))
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in words."""
+        test, seen = self.test, f"mu0 spreads over {100 * self.mu0_spread:.3g} %"
+        f = test.statistic / test.df
+        at = ", slopes at the common constants" if self.form == "score" else ""
+        wald = f"F({test.df}, {test.df_error:.4g}) = {f:.4g}, p = {test.p:.3g}{at}"
+        off = f"moduli of {self.least} that are {100 * self.difference:.3g} % off"
+        chance = f"{off} would be seen with a power of {self.power[self.least]:.3g}"
+        says = {
+            "differ": "the tests do not give the same constants",
+            "agree": "one set of constants explains all tests",
+            "undecided": "no difference was seen, but one that matters could have been missed",
+        }
+        return f"{says[self.verdict]}: {wald}; {seen}; {chance}"
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Cautions of every fit, which are those of the comparison as well."""
+        said = [f"{label}: {w}" for label, one in self.fits.items() for w in one.warnings]
+        vague = [
+            f"{label}: the constants are not identifiable ({one.fit.reason}): the Wald test "
+            "compares what the data hardly determine"
+            for label, one in self.fits.items()
+            if not one.fit.identifiable
+        ]
+        short = "alone it ended before its minimum"
+        ended = [f"{k}: {short} ({f.message})" for k, f in self.fits.items() if not f.converged]
+        return (*said, *vague, *ended)
+
+    def to_json(self) -> dict[str, object]:
+        """Document of ``study calibrate --by test --json``."""
+        names = next(iter(self.fits.values())).fit.names
+        error = np.sqrt(np.diag(self.test.covariance))
+        content = {
+            "name": self.name,
+            "model": self.model,
+            "by": "test",
+            "verdict": self.verdict,
+            "sentence": self.sentence,
+            "groups": [
+                {
+                    "label": label,
+                    "status": one.status,
+                    "parameters": parameters(one.fit),
+                    "correlation": one.fit.correlation,
+                    "n": one.fit.n,
+                    "identifiable": one.fit.identifiable,
+                    "mesh_error": _shown(names, self.systematic[label].mesh),
+                    "zero_error": _shown(names, self.systematic[label].zero),
+                    "mu0": None if one.material is None else 1e3 * one.material.mu0,
+                    "power": self.power[label],
+                    "detectable": self.detectable[label],
+                }
+                for label, one in self.fits.items()
+            ],
+            "common": {
+                name: {
+                    "value": scale_of(name) * float(self.test.common[i]),
+                    "unit": ConstantResponse(name).unit,
+                    "standard_error": scale_of(name) * float(error[i]),
+                }
+                for i, name in enumerate(names)
+            },
+            "statistic": self.test.statistic,
+            "f": self.test.statistic / self.test.df,
+            "df": self.test.df,
+            "df_error": self.test.df_error,
+            "p": self.test.p,
+            "p_chi_square": self.test.p_chi_square,
+            "form": self.form,
+            "mu0_spread": self.mu0_spread,
+            "difference": self.difference,
+            "warnings": list(self.warnings),
+        }
+        return cast("dict[str, object]", plain(content, "comparison", {}))
+
+
+def compare(
+    config: CalibrationDesign,
+    root: Path,
+    *,
+    difference: float = 0.05,
+    zero: float = 0.0,
+    progress: Progress | None = None,
+) -> Comparison:
+    """Fit every test of a calibration for itself, and test whether the constants are equal."""
+    groups = _groups(config)
+    fits, joint = _at_least_squares(config, groups, root, progress)
+    if joint is None:
+        _refuse_unconverged(fits)
+    fits = _of_one_sign(groups, fits)
+    compared, form = _compared(groups, root, fits, joint)
+    if form == "wald":  # else slopes at the common constants are compared, which all tests have
+        _refuse_unconverged(fits)
+    systematic = {
+        label: Systematic(
+            mesh_error(one, root, fits[label], progress),
+            zero_error(one, root, compared[label], zero),
+        )
+        for label, one in groups.items()
+    }
+    extra = [one.covariance for one in systematic.values()]
+    test = agreement(list(compared.values()), extra)
+    power: dict[str, float] = {}
+    detectable: dict[str, float] = {}
+    for i, label in enumerate(fits):
+        unit = _off(test.common, next(iter(fits.values())).fit.names, i, len(fits))
+        power[label], detectable[label] = test.power(difference * unit), test.detectable(unit)
+    return Comparison(
+        config.name, config.material.model, fits, test, systematic, difference, power,
+        detectable, form,
+    )  # fmt: skip
+
+
+def _refuse_unconverged(fits: Mapping[str, CalibrationResult]) -> None:
+    for label, one in fits.items():
+        if not one.converged:
+            mend = "take an energy with fewer constants, or give constants to start from"
+            raise RefusedError(f"{label} alone gives no constants ({one.message}): {mend}")
+
+
+def _compared(
+    groups: Mapping[str, CalibrationDesign],
+    root: Path,
+    fits: Mapping[str, CalibrationResult],
+    joint: Fit | None,
+) -> tuple[dict[str, Fit], Form]:
+    """Fits whose constants are compared: those of slopes at the common ones where these are had."""
+    own = {label: one.fit for label, one in fits.items()}
+    if joint is None or any(one.nuisance for one in own.values()):
+        return own, "wald"
+    try:
+        linear = {k: linearized_fit(one, root, joint.constants()) for k, one in groups.items()}
+    except EvaluationFailed:
+        return own, "wald"
+    sound = all(one.converged and (np.diag(one.covariance) > 0).all() for one in linear.values())
+    return (linear, "score") if sound else (own, "wald")
+
+
+def _at_least_squares(
+    config: CalibrationDesign,
+    groups: Mapping[str, CalibrationDesign],
+    root: Path,
+    progress: Progress | None,
+) -> tuple[dict[str, CalibrationResult], Fit | None]:
+    """Fit every test alone, and again from where the others and all together ended.
+
+    The fit of all together comes second, where there are exponents and it converged.
+
+    A sum of squares with exponents has several minima, and a fit that stopped at one of the
+    higher ones would pass for another material.
+    """
+    fits = {label: calibrate(one, root, progress=progress) for label, one in groups.items()}
+    if not any(is_dimensionless(name) for name in next(iter(fits.values())).fit.names):
+        return fits, None  # linear in its moduli: one minimum
+    begins, joint = [one.fit for one in fits.values() if one.converged], None
+    with contextlib.suppress(InputError):
+        whole = calibrate(config.pooled(), root, progress=progress)
+        joint = whole.fit if whole.converged else None
+    begins = begins if joint is None else [joint, *begins]
+    for label, one in groups.items():
+        own = fits[label].fit
+        again = (
+            calibrate(one, root, progress=progress, begin=other.constants())
+            for other in begins
+            if other is not own
+        )
+        found = [each for each in (fits[label], *again) if each.converged]
+        fits[label] = min(found, key=lambda each: each.fit.rss, default=fits[label])
+    return fits, joint
+
+
+def _of_one_sign(
+    groups: Mapping[str, CalibrationDesign], fits: Mapping[str, CalibrationResult]
+) -> dict[str, CalibrationResult]:
+    """Give exponents whose sign a test cannot tell the sign that the others find.
+
+    The stress of Ogden's terms is even in the exponent where one principal stretch is the
+    inverse of another: in simple shear and in planar tension. A fit ends at either sign.
+    """
+    names = next(iter(fits.values())).fit.names
+    out = dict(fits)
+    for k, name in enumerate(names):
+        if not is_dimensionless(name):
+            continue
+        even = {label for label, one in fits.items() if _is_even(groups[label], one.fit, k)}
+        telling = [label for label in fits if label not in even]
+        sign = np.sign(fits[telling[0]].fit.values[k]) if telling else 1.0
+        for label in even:
+            if out[label].fit.values[k] * sign < 0:
+                out[label] = replace(out[label], fit=_mirrored(out[label].fit, k))
+    return out
+
+
+def _is_even(config: CalibrationDesign, found: Fit, k: int) -> bool:
+    """Whether the closed form of a test is the same for the other sign of one constant."""
+    (test,) = config.tests
+    problem = problem_of(test.tables)
+    if problem.method != "closed-form":
+        return False
+    grids = [Curve(one.displacement_mm, one.force_N, time_s=one.time_s) for one in found.curves]
+    predict = fitted_model(problem.method, problem.tables, grids, found.names)
+    other = found.values.copy()
+    other[k] *= -1
+    try:
+        pairs = zip(predict(found.values), predict(other), strict=True)
+        return all(_is_same(one.force_N, two.force_N) for one, two in pairs)
+    except EvaluationFailed:
+        return False
+
+
+def _is_same(one: Array, other: Array) -> bool:
+    return bool(np.abs(one - other).max() <= _ROUNDING * np.abs(one).max())
+
+
+def _mirrored(found: Fit, k: int) -> Fit:
+    """Fit with the other sign of one constant."""
+    sign = np.ones(found.values.size)
+    sign[k] = -1
+    ci95 = found.ci95.copy()
+    ci95[k] = -ci95[k, ::-1]
+    turned = np.outer(sign, sign)
+    # slopes by that constant change their sign as well
+    name = found.names[k]
+    curves = tuple(
+        replace(one, force_gradient={**one.force_gradient, name: -one.force_gradient[name]})
+        for one in found.curves
+    )
+    return replace(
+        found, values=sign * found.values, ci95=ci95, covariance=turned * found.covariance,
+        correlation=turned * found.correlation, curves=curves,
+    )  # fmt: skip
+
+
+def _groups(config: CalibrationDesign) -> dict[str, CalibrationDesign]:
+    """Calibration of every fitted test alone; only the bounds carry over."""
+    fitted = [(i, test) for i, test in enumerate(config.tests) if test.role == "fit"]
+    if len(fitted) < 2:
+        mend = "give a second [[tests]] table with role = 'fit'"
+        raise InputError(Fault("tests", "one test alone has nothing to be compared with", mend))
+    stems, alone = [Path(test.file).stem for _, test in fitted], config.pooled()
+    return {
+        stem if stems.count(stem) == 1 else f"tests[{i}]": replace(alone, tests=(test,))
+        for stem, (i, test) in zip(stems, fitted, strict=True)
+    }
+
+
+def _shown(names: tuple[str, ...], moved: Array) -> dict[str, float]:
+    return {n: scale_of(n) * float(m) for n, m in zip(names, moved, strict=True)}
+
+
+def _off(common: Array, names: tuple[str, ...], group: int, groups: int) -> Array:
+    """Difference of one group: all its moduli are larger by their own size, no exponent is."""
+    out = np.zeros((groups, len(names)))
+    out[group] = [0 if is_dimensionless(n) else v for n, v in zip(names, common, strict=True)]
+    return out
+
+
+# -------------------------------------------------------------------------------------------------
+# Choice between energies: each is fitted to the same tests and weighed by AICc.
+
+#: energies compared: name, order, label
+CANDIDATES = (
+    ("neo-hookean", None, "neo-hookean"),
+    ("mooney-rivlin", None, "mooney-rivlin"),
+    ("reduced-polynomial", 2, "reduced-polynomial-2"),
+    ("reduced-polynomial", 3, "reduced-polynomial-3"),
+    ("ogden", 1, "ogden-1"),
+    ("arruda-boyce", None, "arruda-boyce"),
+    ("gent", None, "gent"),
+    ("fung", None, "fung"),
+    ("veronda-westmann", None, "veronda-westmann"),
+    ("van-der-waals", None, "van-der-waals"),
+    ("extended-tube", None, "extended-tube"),
+)
+
+#: compared besides where the sides are free to follow Poisson's ratio, in closed-form tests
+FOAMS = (("ogden-hill", 1, "ogden-hill-1"), ("ogden-hill", 2, "ogden-hill-2"))
+
+
+@dataclass(frozen=True)
+class EnergyChoice:
+    """Fits of several energies to the same tests."""
+
+    #: By label, in the order of the candidates.
+    fits: Mapping[str, CalibrationResult]
+    #: Akaike weights of those that converged.
+    weights: Mapping[str, float]
+    #: Energies without an answer, and why.
+    failures: Mapping[str, str]
+
+    @property
+    def best(self) -> str | None:
+        """Label of the energy with the smallest AICc; None where none converged."""
+        return max(self.weights, key=self.weights.__getitem__) if self.weights else None
+
+    @property
+    def sentence(self) -> str:
+        """The choice in words, with what it does not say."""
+        if self.best is None:
+            return "no energy could be fitted"
+        found = self.fits[self.best]
+        said = f"AICc prefers {self.best} (weight {self.weights[self.best]:.3g})"
+        if not found.fit.identifiable:
+            return f"{said}, but its constants are not identifiable: {found.fit.reason}"
+        return f"{said}; it compares energies on these data only, not the constants' truth"
+
+    def to_json(self) -> dict[str, object]:
+        """Table of the energies."""
+        best = min((f.fit.aicc for f in self.fits.values()), default=0.0)
+
+        content = {
+            "best": self.best,
+            "sentence": self.sentence,
+            "energies": [
+                {
+                    "energy": label,
+                    "status": found.status,
+                    "constants": len(found.fit.names),
+                    "aicc": found.fit.aicc,
+                    "delta_aicc": found.fit.aicc - best,
+                    "weight": self.weights.get(label),
+                    "rss": found.fit.rss,
+                    "mu0": None if found.material is None else 1e3 * found.material.mu0,
+                    "identifiable": found.fit.identifiable,
+                    "reason": found.fit.reason,
+                    "stable": found.stable,
+                    "held_out": [
+                        c.as_dict()["relative_rms_force_error"]
+                        for c in found.curves
+                        if c.role == "held-out"
+                    ],
+                }
+                for label, found in self.fits.items()
+            ],
+            "failures": dict(self.failures),
+        }
+        return cast("dict[str, object]", plain(content, "energies", {}))
+
+
+def choose(
+    config: CalibrationDesign, root: Path, *, progress: Progress | None = None
+) -> EnergyChoice:
+    """Fit every candidate to the tests of a calibration."""
+    found: dict[str, CalibrationResult] = {}
+    failures: dict[str, str] = {}
+    for model, order, label in (*CANDIDATES, *(FOAMS if _may_be_foam(config) else ())):
+        try:
+            result = calibrate(_with_energy(config, model, order), root, progress=progress)
+        except InputError as error:
+            failures[label] = str(error)
+            continue
+        if result.converged:
+            found[label] = result
+        else:
+            failures[label] = f"{result.status}: {result.message}"
+    weights = akaike_weights({label: one.fit.aicc for label, one in found.items()})
+    return EnergyChoice(found, weights, failures)
+
+
+def _may_be_foam(config: CalibrationDesign) -> bool:
+    """Whether Poisson's ratio is given and no test asks for elements, which foams lack."""
+    problems = (problem_of(test.tables) for test in config.tests)
+    compressible = config.material.compressibility.poisson_ratio is not None
+    return compressible and all(one.method == "closed-form" for one in problems)
+
+
+def _with_energy(config: CalibrationDesign, model: str, order: int | None) -> CalibrationDesign:
+    """Make the same calibration of another energy; start, bounds and extra fits do not carry."""
+    changes: dict[str, object] = {"model": model, "order": order, "constants": {}}
+    tests = tuple(
+        replace(test, tables=with_table(test.tables, "material", **changes))
+        for test in config.tests
+    )
+    return CalibrationDesign(config.name, tests)

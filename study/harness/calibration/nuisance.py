@@ -1,0 +1,604 @@
+"""Nuisance parameters as a fit sees them: names, expected values, and the curves they move."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import cast
+
+import numpy as np
+
+from study.ground.arrays import Array
+from study.ground.curve import Curve
+from study.ground.errors import Fault, InputError
+from study.harness.calibration.measured_tests import FitCurve, problem_of
+from study.harness.design.calibration_section import CalibratedTest
+from study.harness.runner import fit_task
+from study.harness.runner.problem_tables import value_named
+from study.harness.runner.staged_fit import TOLERANCES, Part
+from study.mechanics.calibration.covariance import scaled_inverse
+from study.mechanics.calibration.fit import Fit, fit
+from study.mechanics.calibration.fit_influence import with_serial_correlation
+from study.mechanics.calibration.levenberg_marquardt import Status
+from study.mechanics.calibration.residual_function import (
+    MeasuredCurve,
+    NuisanceEstimate,
+    Prior,
+    pseudo_jacobian,
+)
+from study.mechanics.setup.declaration import table_of, with_table
+from study.mechanics.setup.setup import Tables
+
+OFFSET = "displacement_offset"
+ZERO = "force_zero"
+FRICTION = "friction"
+
+#: change of an input without an uncertainty from which its influence is taken, over its value
+_STEP = 0.01
+
+
+@dataclass(frozen=True)
+class NuisanceParameter:
+    """One nuisance parameter of a fit; mm, N, MPa, degrees or plain."""
+
+    #: What it is called, and its key in the file.
+    name: str
+    key: str
+    expected: float
+    #: Standard uncertainty of it; None where nothing is known.
+    uncertainty: float | None
+    #: Whether the tests may move it; else its uncertainty is propagated.
+    is_fitted: bool
+    #: Places of the curves that it moves, in the order of the fit.
+    curves: tuple[int, ...]
+
+    @property
+    def is_input(self) -> bool:
+        """Whether it is an input of the simulation."""
+        return self.key not in (OFFSET, ZERO, FRICTION)
+
+    @property
+    def step(self) -> float:
+        """Change from which its influence is taken."""
+        return self.uncertainty or _STEP * abs(self.expected)
+
+
+def parameters_of(
+    tests: Sequence[CalibratedTest], curves: Sequence[FitCurve]
+) -> tuple[NuisanceParameter, ...]:
+    """Nuisance parameters of a fit."""
+    units: dict[tuple[str, str], list[int]] = {}
+    for place, curve in enumerate(curves):
+        for key, asked in tests[curve.test].nuisance.items():
+            units.setdefault((key, _unit(asked.each, curve)), []).append(place)
+    count = {key: sum(other == key for other, _ in units) for key, _ in units}
+    return tuple(
+        _parameter(tests, curves, key, key if count[key] == 1 else f"{key} [{unit}]", places)
+        for (key, unit), places in units.items()
+    )
+
+
+def _unit(each: str, curve: FitCurve) -> str:
+    return {"curve": curve.label, "test": f"tests[{curve.test}]", "all": ""}[each]
+
+
+def _parameter(
+    tests: Sequence[CalibratedTest],
+    curves: Sequence[FitCurve],
+    key: str,
+    name: str,
+    places: list[int],
+) -> NuisanceParameter:
+    own = [tests[curves[place].test] for place in places]
+    asked = own[0].nuisance[key]
+    expected = [_expected(test, key) for test in own]
+    if max(expected) - min(expected) > 1e-12 * max(map(abs, expected)):
+        rule = "differs between the tests that share it"
+        raise InputError(Fault(f"nuisance.{key}", rule, 'write each = "test"'))
+    uncertainty = asked.uncertainty
+    if asked.relative and uncertainty is not None:
+        uncertainty = uncertainty * abs(expected[0])
+    found = NuisanceParameter(
+        name, key, expected[0], uncertainty, asked.treat == "fitted", tuple(places)
+    )
+    if key == "material.poisson_ratio" and expected[0] + found.step >= 0.5:
+        rule = f"{expected[0]:g} with an uncertainty of {found.step:g} reaches 0.5"
+        mend = "give a smaller one, or material.bulk_modulus with its uncertainty"
+        raise InputError(Fault(f"nuisance.{key}", rule, mend))
+    return found
+
+
+def _expected(test: CalibratedTest, key: str) -> float:
+    if key == FRICTION and (test.setup.has_no_elements or not test.setup.kind.compresses):
+        rule = "is that of two plates, and this is no compression of a specimen between them"
+        mend = "declare it in the [[tests]] that have plates: nuisance = { friction = ... }"
+        raise InputError(Fault("nuisance.friction", rule, mend))
+    value = test.nuisance[key].value
+    if value is not None:
+        return value
+    table, name = _located(test.tables, key)
+    return float(cast(float, table[name]))
+
+
+def _located(test: Tables, key: str) -> tuple[Mapping[str, object], str]:
+    """Return the table of an input, and its name there."""
+    *path, last = key.split(".")
+    table: Mapping[str, object] = test
+    for part in path:
+        table = table_of(table, part)
+    found = value_named(table, last)
+    if found is not None:
+        return table, found[0]
+    mend = "declare it in the [[tests]] that have it: nuisance = { ... }"
+    raise InputError(Fault(f"nuisance.{key}", "is no input of this test", mend))
+
+
+def moved(test: Tables, key: str, amount: float) -> Tables:
+    """Copy of the tables of a test with one input changed.
+
+    Units: amount mm, mm^2, MPa.
+    """
+    table, name = _located(test, key)
+    *path, _ = key.split(".")
+    changed: Mapping[str, object] = {**table, name: float(cast(float, table[name])) + amount}
+    for depth in range(len(path), 0, -1):
+        outer: Mapping[str, object] = test
+        for part in path[: depth - 1]:
+            outer = table_of(outer, part)
+        changed = {**outer, path[depth - 1]: changed}
+    return changed
+
+
+# -------------------------------------------------------------------------------------------------
+# Predicted curves of tests whose offset, zero, friction and inputs are not known exactly.
+#
+# An offset d0 adds to every recorded displacement and a zero z to every force:
+# F(d) = f(d + d0) + z. Friction between plates lies between the two conditions that can be
+# computed,
+# f = (1 - phi) f_frictionless + phi f_bonded. Other inputs move a curve along the parabola
+# through its values at the expected input and one step on either side, so that the force is a
+# smooth function of them although a mesh is not.
+
+#: standard uncertainties that an offset may reach
+REACH = 4.0
+
+#: share of the largest displacement that an offset of which nothing is known may reach
+_FAR = 0.05
+
+#: change of the offset over the largest displacement from which the slope of a curve is taken
+_SMALL = 1e-4
+
+
+class _Homogeneous:
+    """Closed form at any displacements."""
+
+    def __init__(self, tables: Tables, names: Sequence[str]) -> None:
+        self._tables, self._names = tables, names
+
+    def at(self, values: Array, grids: Sequence[Array]) -> list[Curve]:
+        """Predict forces at displacements, mm; negative ones pull what others press."""
+        asked = [Curve(grid, np.zeros_like(grid)) for grid in grids]
+        return fit_task.closed_form_model(self._tables, asked, self._names)(values)
+
+
+class _Simulated(fit_task.InverseFem):
+    """Simulation at any displacements up to a depth, solved once for each set of constants."""
+
+    def __init__(self, tables: Tables, names: Sequence[str], depth_mm: float) -> None:
+        end = np.array([depth_mm])
+        super().__init__(tables, [Curve(end, np.zeros(1))], names)
+        self._solutions: dict[bytes, Curve] = {}
+
+    def at(self, values: Array, grids: Sequence[Array]) -> list[Curve]:
+        """Predict forces at displacements, mm; before contact the curve goes on as an odd one."""
+        key = values.tobytes()
+        if key not in self._solutions:
+            self(values)
+            self._solutions = {key: self._solved_last}
+        return [self._odd(self._solutions[key], grid) for grid in grids]
+
+    def _solved(self, values: Array) -> Curve:
+        self._solved_last = super()._solved(values)
+        return self._solved_last
+
+    def _odd(self, curve: Curve, grid: Array) -> Curve:
+        found, sign = self._at(curve, np.abs(grid)), np.where(grid < 0, -1.0, 1.0)
+        slopes = {name: sign * slope for name, slope in found.force_gradient.items()}
+        return Curve(grid, sign * found.force_N, force_gradient=slopes)
+
+
+def reach_of(one: NuisanceParameter, depth_mm: float) -> float:
+    """How far an offset may go from its expected value, mm."""
+    return _FAR * depth_mm if one.uncertainty is None else REACH * one.uncertainty
+
+
+class Predictions:
+    """Curves of all parts of a fit for constants and nuisance parameters together."""
+
+    def __init__(
+        self,
+        parts: Sequence[Part],
+        tests: Sequence[CalibratedTest],
+        names: Sequence[str],
+        parameters: Sequence[NuisanceParameter],
+    ) -> None:
+        self._parts, self._tests = parts, tests
+        self._names, self._parameters = tuple(names), tuple(parameters)
+        self._made: dict[tuple[int, str, str, int], _Homogeneous | _Simulated] = {}
+
+    def __call__(self, values: Array, asked: Sequence[NuisanceParameter]) -> list[Curve]:
+        """Predict all curves, with their derivatives by the constants and what is asked.
+
+        Shapes: values (p + k,), MPa.
+        """
+        constants = values[: len(self._names)]
+        given = {one.name: v for one, v in zip(asked, values[len(self._names) :], strict=True)}
+        out: list[Curve] = []
+        for number, part in enumerate(self._parts):
+            first = len(out)
+            places = range(first, first + len(part.measured))
+            out += self._of_part(number, part, constants, places, given)
+        return out
+
+    def _of_part(
+        self, number: int, part: Part, constants: Array, places: range, given: Mapping[str, float]
+    ) -> list[Curve]:
+        own = [[one for one in self._parameters if place in one.curves] for place in places]
+        value = {one.name: given.get(one.name, one.expected) for one in self._parameters}
+        points = [_from_origin(m.curve.displacement_mm) for m in part.measured]
+        depth = max(float(grid[-1]) for grid in points)
+        small = _SMALL * depth
+        offset = [sum(value[o.name] for o in ones if o.key == OFFSET) for ones in own]
+        zeros = [sum(value[o.name] for o in ones if o.key == ZERO) for ones in own]
+        grids = [
+            np.concatenate([grid + d, grid + d + small, grid + d - small])
+            for grid, d in zip(points, offset, strict=True)
+        ]
+        active = [[one for one in ones if one.name in given or one.key == FRICTION] for ones in own]
+        keys = {one.key: one for ones in active for one in ones if one.is_input}
+        plates = {one.key for ones in active for one in ones} & {FRICTION}
+        found: dict[tuple[str, str, int], list[Curve]] = {}
+        for plate in ("frictionless", "bonded") if plates else ("",):
+            found[plate, "", 0] = self._model(number, part, plate, None, 0).at(constants, grids)
+            for key, one in keys.items():
+                for sign in (-1, 1):
+                    model = self._model(number, part, plate, one, sign)
+                    found[plate, key, sign] = model.at(constants, grids)
+        return [
+            self._combined(k, points[k], small, zeros[k], active[k], value, given, found)
+            for k in range(len(points))
+        ]
+
+    def _model(
+        self, number: int, part: Part, plate: str, one: NuisanceParameter | None, sign: int
+    ) -> _Homogeneous | _Simulated:
+        name = (number, plate, "" if one is None else one.key, sign)
+        if name not in self._made:
+            tables = self._tests[number].tables
+            if one is not None:
+                tables = moved(tables, one.key, sign * one.step)
+            if plate:
+                tables = with_table(tables, "test", interface=plate, base=plate)
+            reached = with_table(tables, "test", displacement_mm=self._depth(part))
+            problem = problem_of(reached)
+            if problem.method == "closed-form":
+                self._made[name] = _Homogeneous(problem.tables, self._names)
+            else:
+                self._made[name] = _Simulated(problem.tables, self._names, self._depth(part))
+        return self._made[name]
+
+    def _depth(self, part: Part) -> float:
+        """Depth that a simulation must reach, offsets included, mm."""
+        depth = max(float(m.curve.displacement_mm.max()) for m in part.measured)
+        offsets = [one for one in self._parameters if one.key == OFFSET]
+        beyond = (max(one.expected, 0) + reach_of(one, depth) for one in offsets)
+        return depth + max(beyond, default=0.0) + 2 * _SMALL * depth
+
+    def _combined(
+        self,
+        k: int,
+        points: Array,
+        small: float,
+        zero: float,
+        own: Sequence[NuisanceParameter],
+        value: Mapping[str, float],
+        given: Mapping[str, float],
+        found: Mapping[tuple[str, str, int], Sequence[Curve]],
+    ) -> Curve:
+        """Curve of one test by its parts: shares of the computed ones add up."""
+        shares = _shares(own, value)
+        names = self._names
+        total = _weighed(shares, found, k, names)
+        n = points.size
+        slope = (total[0][n : 2 * n] - total[0][2 * n :]) / (2 * small)
+        gradient = {name: row[:n] for name, row in zip(names, total[1:], strict=True)}
+        for one in self._parameters:  # those of other curves leave this one alone
+            if one.name in given:
+                gradient[one.name] = np.zeros(n)
+        force = total[0][:n]
+        for one in own:
+            if one.key == OFFSET:
+                gradient[one.name] = slope
+            elif one.key == ZERO:
+                gradient[one.name] = np.ones(n)
+            elif one.name in given:
+                change = _shares(own, value, one)
+                gradient[one.name] = _weighed(change, found, k, ())[0][:n]
+        return Curve(points, force + zero, force_gradient=gradient)
+
+
+def _from_origin(grid: Array) -> Array:
+    """Points of a curve with the unloaded one, at which an unknown zero is no zero."""
+    return np.r_[0.0, grid] if grid[0] > 0 else grid
+
+
+def _shares(
+    own: Sequence[NuisanceParameter],
+    value: Mapping[str, float],
+    by: NuisanceParameter | None = None,
+) -> dict[tuple[str, str, int], float]:
+    """Share of every computed curve in the one predicted, or its derivative by a parameter."""
+    friction = next((one for one in own if one.key == FRICTION), None)
+    plates = {"": 1.0}
+    if friction is not None:
+        phi = value[friction.name]
+        plates = {"frictionless": 1 - phi, "bonded": phi}
+        if by is friction:
+            plates = {"frictionless": -1.0, "bonded": 1.0}
+    inner = {("", 0): 0.0 if by is not None and by is not friction else 1.0}
+    for one in own:
+        if not one.is_input or (by is not None and by is not friction and one is not by):
+            continue
+        t = (value[one.name] - one.expected) / one.step
+        parabola = np.array([0.5 * t * (t - 1), -t * t, 0.5 * t * (t + 1)])
+        if one is by:
+            parabola = np.array([t - 0.5, -2 * t, t + 0.5]) / one.step
+        for sign, share in zip((-1, 0, 1), parabola, strict=True):
+            key = (one.key if sign else "", sign)
+            inner[key] = inner.get(key, 0.0) + float(share)
+    return {
+        (plate, key, sign): a * b for plate, a in plates.items() for (key, sign), b in inner.items()
+    }
+
+
+def _weighed(
+    shares: Mapping[tuple[str, str, int], float],
+    found: Mapping[tuple[str, str, int], Sequence[Curve]],
+    k: int,
+    names: Sequence[str],
+) -> Array:
+    """Sum of computed forces and gradients, shape (1 + p, n)."""
+    rows = [
+        share
+        * np.array([found[name][k].force_N, *(found[name][k].force_gradient[n] for n in names)])
+        for name, share in shares.items()
+    ]
+    return np.asarray(np.sum(rows, axis=0))
+
+
+# -------------------------------------------------------------------------------------------------
+# Constants with nuisance parameters: fitted beside them, or propagated to them.
+#
+# A fitted parameter is one more unknown; what is known of it before is a pseudo-observation, which
+# counts as much as a standard deviation of the residuals is worth, correlation of rows allowed for.
+# Of a propagated one the tests learn nothing: its standard uncertainty u adds u^2 b b' to the
+# covariance, b the derivative of the estimates by it (JCGM 100:2008, eq. 10). The interval of a
+# constant holds both; the pseudo-observations' own errors enter it with the size that they are said
+# to have, not with one that the residuals tell.
+
+#: change of the noise, relative, at which pseudo-observations have their weight
+_SETTLED = 1e-3
+
+#: fits in which they find it
+_ROUNDS = 8
+
+#: noise over the largest force of data that have none
+_NOISELESS = 1e-9
+
+
+@dataclass(frozen=True)
+class _Task:
+    """What the fits of one calibration share."""
+
+    predictions: Predictions
+    measured: Sequence[MeasuredCurve]
+    names: tuple[str, ...]
+    bounds: Sequence[tuple[float, float]] | None
+    simulated: bool
+
+    def fitted(
+        self, asked: Sequence[NuisanceParameter], start: Array, noise: float
+    ) -> tuple[Fit, Fit]:
+        """Fit constants and some parameters; as least squares gives it, and from its rows."""
+        free = (-np.inf, np.inf)
+        depth = max(float(m.curve.displacement_mm.max()) for m in self.measured)
+        bounds = [*(self.bounds or [free] * len(self.names))]
+        for one in asked:
+            far = reach_of(one, depth)
+            is_offset = one.key == OFFSET
+            bounds.append((one.expected - far, one.expected + far) if is_offset else free)
+        priors = [
+            Prior(one.name, one.expected, one.uncertainty, noise)
+            for one in asked
+            if one.uncertainty is not None
+        ]
+        found = fit(
+            lambda values: self.predictions(values, asked),
+            self.measured,
+            (*self.names, *(one.name for one in asked)),
+            start,
+            bounds=bounds,
+            priors=priors,
+            **TOLERANCES["inverse-fem" if self.simulated else "closed-form"],
+        )
+        return found, with_serial_correlation(found, self.measured)
+
+
+def with_nuisance(
+    found: Fit,
+    parts: Sequence[Part],
+    tests: Sequence[CalibratedTest],
+    curves: Sequence[FitCurve],
+    bounds: Sequence[tuple[float, float]] | None = None,
+) -> Fit:
+    """Fit of the constants with what is not known exactly."""
+    parameters = parameters_of(tests, curves)
+    if not parameters or not found.converged:
+        return found
+    own = [tests[number] for number in sorted({c.test for c in curves})]
+    predictions = Predictions(parts, own, found.names, parameters)
+    measured = [one for part in parts for one in part.measured]
+    simulated = any(p.method == "inverse-fem" for p in parts)
+    simulated = simulated or any(one.key == "friction" for one in parameters)
+    task = _Task(predictions, measured, found.names, bounds, simulated)
+    fitted = [one for one in parameters if one.is_fitted]
+    plain, joint = _settled(task, fitted, found)
+    if not joint.converged:
+        names = found.names
+        return replace(_part(joint, names), joint=joint)
+    carried = [one for one in parameters if not one.is_fitted]
+    moved = _moved(task, joint, fitted, carried)
+    joint = with_serial_correlation(plain, measured, moved @ moved.T)
+    estimates = tuple(
+        _estimate(one, joint, task, plain, moved, carried) for one in parameters
+    )  # fmt: skip
+    return replace(_part(joint, found.names), joint=joint, nuisance=estimates)
+
+
+def predicted(
+    parts: Sequence[Part],
+    tests: Sequence[CalibratedTest],
+    curves: Sequence[FitCurve],
+    names: Sequence[str],
+    values: Array,
+) -> list[Curve]:
+    """Curves of a fit for constants and fitted nuisance parameters.
+
+    Shapes: values (p + k,), MPa, mm, N.
+    """
+    parameters = parameters_of(tests, curves)
+    own = [tests[number] for number in sorted({c.test for c in curves})]
+    asked = [one for one in parameters if one.is_fitted]
+    return Predictions(parts, own, names, parameters)(values, asked)
+
+
+def _settled(task: _Task, fitted: Sequence[NuisanceParameter], found: Fit) -> tuple[Fit, Fit]:
+    """Fit again until the weight of the pseudo-observations is that of the residuals left."""
+    noise = _noise(found, task.measured)
+    start = np.r_[found.values, [one.expected for one in fitted]]
+    for _ in range(_ROUNDS):
+        plain, joint = task.fitted(fitted, start, noise)
+        now = _noise(joint, task.measured)
+        if not joint.converged or abs(now - noise) <= _SETTLED * noise:
+            break
+        noise, start = now, plain.values
+    else:
+        why = f"the weight of the pseudo-observations has not settled in {_ROUNDS} fits"
+        plain, joint = (
+            replace(one, status=Status.max_evaluations, failure=why) for one in (plain, joint)
+        )
+    return plain, joint
+
+
+def _noise(found: Fit, measured: Sequence[MeasuredCurve]) -> float:
+    """Give the standard deviation with which independent points would know as little."""
+    largest = max(float(np.abs(m.weights * m.curve.force_N).max()) for m in measured)
+    own = np.sqrt(found.rss / max(found.degrees_of_freedom, 1))
+    if found.serial is not None:
+        own *= np.sqrt(found.n / min(found.serial.effective_rows, found.n))
+    return max(float(own), _NOISELESS * largest)
+
+
+def _moved(
+    task: _Task,
+    joint: Fit,
+    fitted: Sequence[NuisanceParameter],
+    carried: Sequence[NuisanceParameter],
+) -> Array:
+    """Change of the estimates by a standard uncertainty of what is propagated, (p, k)."""
+    if not carried:
+        return np.zeros((joint.values.size, 0))
+    values = np.r_[joint.values, [one.expected for one in carried]]
+    curves = task.predictions(values, [*fitted, *carried])
+    jacobian = _jacobian(task.measured, curves, joint.names)
+    full = np.concatenate([jacobian, pseudo_jacobian(joint.priors, joint.names)])
+    slopes = _jacobian(task.measured, curves, [one.name for one in carried])
+    inverse, _ = scaled_inverse(full)
+    steps = np.array([one.step for one in carried])
+    return np.asarray(-inverse @ jacobian.T @ slopes * steps)
+
+
+def _jacobian(
+    measured: Sequence[MeasuredCurve], curves: Sequence[Curve], names: Sequence[str]
+) -> Array:
+    rows = []
+    for one, curve in zip(measured, curves, strict=True):
+        used = one.weights > 0
+        d = one.curve.displacement_mm[used]
+        slopes = curve.gradients_at(names, d)
+        rows.append(one.weights[used][:, None] * slopes)
+    return np.concatenate(rows)
+
+
+def _part(joint: Fit, names: tuple[str, ...]) -> Fit:
+    """Part of a fit that is about some of its parameters, the others still unknown."""
+    kept = [joint.names.index(name) for name in names]
+    serial = joint.serial
+    if serial is not None:
+        mixture = None if serial.mixture is None else serial.mixture.of(np.array(kept))
+        serial = replace(serial, inflation=serial.inflation[kept], mixture=mixture)
+    return replace(
+        joint,
+        names=names,
+        values=joint.values[kept],
+        standard_error=joint.standard_error[kept],
+        ci95=joint.ci95[kept],
+        covariance=joint.covariance[np.ix_(kept, kept)],
+        correlation=joint.correlation[np.ix_(kept, kept)],
+        serial=serial,
+        priors=(),
+    )
+
+
+def _estimate(
+    one: NuisanceParameter,
+    joint: Fit,
+    task: _Task,
+    plain: Fit,
+    moved: Array,
+    carried: Sequence[NuisanceParameter],
+) -> NuisanceEstimate:
+    kept = [i for i, name in enumerate(joint.names) if name in task.names]
+    variance = np.diag(joint.covariance)[kept]
+    if one.is_fitted:
+        i = joint.names.index(one.name)
+        rest = tuple(name for name in joint.names if name != one.name)
+        known = _without(plain, rest)
+        others = [k for k in range(len(joint.names)) if k != i]
+        beside = (moved @ moved.T)[np.ix_(others, others)]
+        left = with_serial_correlation(known, task.measured, beside)
+        gone = 1 - np.diag(left.covariance)[[rest.index(n) for n in task.names]] / variance
+        value, error = float(joint.values[i]), float(joint.standard_error[i])
+        interval = (float(joint.ci95[i, 0]), float(joint.ci95[i, 1]))
+    else:
+        gone = moved[kept, list(carried).index(one)] ** 2 / variance
+        value, error = one.expected, one.step
+        interval = (value - 1.96 * error, value + 1.96 * error)
+    shares = np.clip(np.nan_to_num(gone), 0.0, 1.0)
+    return NuisanceEstimate(
+        one.name,
+        one.key,
+        "fitted" if one.is_fitted else "propagated",
+        one.expected,
+        one.uncertainty,
+        value,
+        error,
+        interval,
+        dict(zip(task.names, shares.tolist(), strict=True)),
+    )
+
+
+def _without(plain: Fit, names: tuple[str, ...]) -> Fit:
+    """Fit as if the parameters left out were known exactly."""
+    priors = tuple(one for one in plain.priors if one.name in names)
+    return replace(_part(plain, names), priors=priors)

@@ -1,0 +1,339 @@
+"""The next test of a material that would tell most of the constants that are badly known.
+
+What a test adds to the constants is its information, the squared gradient of its force over the
+variance of its rows; it adds to the inverse covariance of the fit. Of tests that could be made
+the best is the one that leaves the smallest generalized variance of the badly known constants, the
+others being estimated beside them: D_s-optimality (Atkinson, Donev and Tobias 2007, Optimum
+Experimental Designs, sec. 10.3). Half the logarithm by which that variance falls is the expected
+gain of information, in nats (Lindley 1956, Ann. Math. Stat. 27, 986). Gradients are those of the
+closed forms at the fitted constants: exact, and of first order in the constants.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from study.ground.arrays import Array
+from study.harness.calibration.measured_tests import FitCurve, in_order, parts_of
+from study.harness.design.calibration_section import CalibratedTest
+from study.harness.runner.response import scale_of
+from study.mechanics.calibration.identifiability import KNOWN, fitted_rows
+from study.mechanics.forward.closed_form import height_and_area, indentation
+from study.mechanics.material.energy import poisson_from_bulk
+from study.mechanics.material.homogeneous import LOADINGS
+from study.mechanics.material.material import Material, is_dimensionless, unit_shown
+from study.mechanics.setup.geometry import Sphere
+from study.mechanics.setup.test_section import TEST_KINDS
+
+if TYPE_CHECKING:
+    from study.mechanics.calibration.fit import Fit
+
+
+#: kinds of test that are weighed, and the largest strain at which each is looked for
+REACH: Mapping[str, float] = {
+    "tension": 3.0,
+    "compression": 0.6,
+    "equibiaxial": 2.0,
+    "planar": 3.0,
+    "simple-shear": 1.5,
+    "indentation": 0.1,
+}
+
+#: strain to which tests are compared where the measured ones did not go as far
+USUAL_STRAIN = 0.4
+
+#: strains of a search for the one that a test must reach
+_STRAINS = 80
+
+#: cross-section where no measured specimen has any, mm^2
+_AREA = 100.0
+
+#: singular value over the largest one below which a test does not see a combination
+_SEEN = 1e-6
+
+
+@dataclass(frozen=True)
+class NextTest:
+    """A test that could be made, and what it would do to the standard errors."""
+
+    kind: str
+    #: Largest strain (of simple shear the amount of shear, of a sphere depth over radius).
+    strain: float
+    #: shape (p,); of the constants after it, MPa (exponents plain); infinite where they stay
+    #: undetermined.
+    standard_error: Array
+    #: Expected gain about the badly known constants, nats.
+    information: float
+    #: Of the constants that this test alone determines.
+    combinations: int
+    #: Strain from which every constant is known to 10 %; None where no strain does it.
+    needed: float | None
+
+    @property
+    def words(self) -> str:
+        """The test and its strain."""
+        size = f"{100 * self.strain:.3g} %"
+        if TEST_KINDS[self.kind].takes_indenter:
+            return f"indentation by a sphere to {size} of its radius"
+        return f"{self.kind.replace('-', ' ')} to {size}"
+
+
+@dataclass(frozen=True)
+class NextTests:
+    """Tests that could be made, the best first."""
+
+    names: tuple[str, ...]
+    #: shape (p,); as they are known now, MPa (exponents plain).
+    values: Array
+    standard_error: Array
+    #: Those that are badly known, of which the tests shall tell; all where none is.
+    sought: tuple[str, ...]
+    tests: tuple[NextTest, ...]
+    #: Recorded rows of a test, and what their correlation leaves of them.
+    rows: float
+    effective_rows: float
+    #: Standard deviation of its forces, and its cross-section.
+    noise_N: float  # noqa: N815
+    area_mm2: float
+
+    @property
+    def is_due(self) -> bool:
+        """Whether a constant is badly known."""
+        return bool(np.any(~(self.standard_error <= KNOWN * np.abs(self.values))))
+
+    @property
+    def sentence(self) -> str:
+        """The best test in words; empty where all constants are known."""
+        if not self.is_due:
+            return ""
+        best = self.tests[0]
+        says = " and ".join(self._cut(name, best) for name in self.sought)
+        errors = "error" if len(self.sought) == 1 else "errors"
+        rows = f"{self.rows:.0f} rows worth {self.effective_rows:.3g}"
+        return (
+            f"best next test: {best.words} would cut the standard {errors} {says} (as noisy "
+            f"as the tests made: {self.noise_N:.2g} N on {self.area_mm2:.3g} mm^2, {rows}). "
+            f"{self._reach(best)}"
+        )
+
+    def as_dict(self) -> dict[str, object]:
+        """Conditions and tests, the best first; kPa, exponents plain, null where infinite."""
+        scale = np.array([scale_of(name) for name in self.names])
+
+        def shown(errors: Array) -> dict[str, float]:
+            return dict(zip(self.names, (scale * errors).tolist(), strict=True))
+
+        return {
+            "sentence": self.sentence,
+            "sought": list(self.sought),
+            "noise_N": self.noise_N,
+            "area_mm2": self.area_mm2,
+            "rows": self.rows,
+            "effective_rows": self.effective_rows,
+            "standard_error": shown(self.standard_error),
+            "tests": [
+                {
+                    "kind": one.kind,
+                    "strain": one.strain,
+                    "standard_error": shown(one.standard_error),
+                    "information_nats": one.information,
+                    "combinations": one.combinations,
+                    "needed_strain": one.needed,
+                }
+                for one in self.tests
+            ],
+        }
+
+    def _cut(self, name: str, test: NextTest) -> str:
+        k = self.names.index(name)
+        before, after = self.standard_error[k], test.standard_error[k]
+        return f"of {name} from {self._error(k, before)} to {self._error(k, after)}"
+
+    def _error(self, k: int, error: float) -> str:
+        name, value = self.names[k], abs(float(self.values[k]))
+        if not np.isfinite(error):
+            return "infinity"
+        if value and error < 10 * value:
+            return f"{100 * error / value:.2g} %"
+        scaled = error if is_dimensionless(name) else 1e3 * error
+        unit = unit_shown(name) if is_dimensionless(name) else "kPa"
+        return f"{scaled:.2g} {unit}".rstrip()
+
+    def _reach(self, best: NextTest) -> str:
+        share = f"{100 * KNOWN:.0f} %"
+        if best.needed is None:
+            return f"No strain of it makes every constant known to {share}"
+        return f"It must reach {100 * best.needed:.2g} % for every constant to be known to {share}"
+
+
+def next_tests(
+    found: Fit, curves: Sequence[FitCurve], material: Material, tests: Sequence[CalibratedTest]
+) -> NextTests | None:
+    """Rank the tests that could be made next by what they would tell of the constants."""
+    if material.relaxation or not found.curves or not set(found.names) <= set(material.names):
+        return None
+    own = in_order(curves)
+    measured = [one for part in parts_of(tests, own) for one in part.measured]
+    slopes, weights, left = fitted_rows(found, measured)
+    freedom = left.size - len(found.names)
+    noise = float(np.sqrt(left @ left / freedom)) if freedom > 0 else 0.0
+    if not noise > 0:
+        return None
+    conditions = _Conditions.of(found, own, tests, noise)
+    known = _information(found, weights[:, None] * slopes, weights * left, conditions.worth)
+    now = _covariance(known)
+    error = np.sqrt(np.diag(now))
+    bad = ~(error <= KNOWN * np.abs(found.values))
+    sought = bad if bad.any() else np.ones_like(bad)
+    search = _Search(found.values, material, known, sought, conditions)
+    # a test that leaves a badly known constant undetermined comes last
+    ranked = sorted(search.tests(), key=lambda pair: pair[0])
+    if not ranked:
+        return None
+    return NextTests(
+        found.names, found.values, error,
+        tuple(n for n, is_sought in zip(found.names, sought, strict=True) if is_sought),
+        tuple(one for _, one in ranked),
+        conditions.rows, conditions.worth * conditions.rows, noise, conditions.area_mm2,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Conditions:
+    """What a further test has in common with those that were made."""
+
+    #: Standard deviation of a row, and the cross-section.
+    noise_N: float  # noqa: N815
+    area_mm2: float
+    rows: int
+    #: Share of the rows that their correlation leaves.
+    worth: float
+    strain: float
+
+    @classmethod
+    def of(
+        cls, found: Fit, curves: Sequence[FitCurve], tests: Sequence[CalibratedTest], noise: float
+    ) -> _Conditions:
+        """Mean of the recordings; the first specimen that has a cross-section."""
+        specimens = [s for one in tests if (s := one.setup.specimen) is not None]
+        areas = [height_and_area(one)[1] for one in specimens]
+        serial, rows = found.serial, found.n
+        if serial is not None:
+            rows = serial.rows
+        strains = [_strain_of(one, tests[one.test]) for one in curves]
+        return cls(
+            noise,
+            areas[0] if areas else _AREA,
+            max(1, round(rows / len(found.curves))),
+            1.0 if serial is None else serial.effective_rows / serial.rows,
+            max([USUAL_STRAIN, *strains]),
+        )
+
+
+@dataclass(frozen=True)
+class _Search:
+    """Tests to weigh beside what is known (information matrix) of constants (values)."""
+
+    values: Array
+    material: Material
+    known: Array
+    sought: NDArray[np.bool_]
+    conditions: _Conditions
+
+    def tests(self) -> Iterator[tuple[float, NextTest]]:
+        """Every test that has an answer, with the log of the variance that it leaves."""
+        before = self._left(_covariance(self.known))
+        for kind, largest in REACH.items():
+            strain = min(largest, self.conditions.strain)
+            added = self._added(kind, strain)
+            if added is None:
+                continue
+            after = _covariance(self.known + added)
+            left = self._left(after)
+            gain = 0.5 * (before - left) if np.isfinite(left) else 0.0
+            error, needed = np.sqrt(np.diag(after)), self._needed(kind, largest)
+            yield left, NextTest(kind, strain, error, gain, _rank(added), needed)
+
+    def _left(self, covariance: Array) -> float:
+        """Log of the generalized variance of the sought constants; infinite where undetermined."""
+        own = covariance[np.ix_(self.sought, self.sought)]
+        if not np.isfinite(np.diag(own)).all():
+            return np.inf
+        return float(np.linalg.slogdet(own)[1])
+
+    def _needed(self, kind: str, largest: float) -> float | None:
+        """Smallest strain from which every constant is known, to the width of the search."""
+        for strain in largest * np.geomspace(0.005, 1.0, _STRAINS):
+            added = self._added(kind, float(strain))
+            if added is None:
+                return None
+            error = np.sqrt(np.diag(_covariance(self.known + added)))
+            if np.all(error <= KNOWN * np.abs(self.values)):
+                return float(strain)
+        return None
+
+    def _added(self, kind: str, strain: float) -> Array | None:
+        """Information matrix of a test, 1 / MPa^2; None where the material has no answer."""
+        at = self.conditions
+        slopes = _slopes(self.material, kind, strain * np.arange(1, at.rows + 1) / at.rows, at)
+        if not np.isfinite(slopes).all():
+            return None
+        return np.asarray(at.worth / at.noise_N**2 * slopes.T @ slopes)
+
+
+def _slopes(material: Material, kind: str, strain: Array, at: _Conditions) -> Array:
+    """Differentiate the force by every constant, N / MPa, shape (n, p)."""
+    if TEST_KINDS[kind].takes_indenter:
+        radius = np.sqrt(at.area_mm2 / np.pi)
+        nu = poisson_from_bulk(material.mu0, material.bulk)
+        area = indentation(Sphere(radius), radius * strain, height_mm=np.inf, poisson_ratio=nu)
+        by = material.mu0_gradient()
+        return np.outer(2 * (1 + nu) * area, [by[n] for n in material.names])
+    own = TEST_KINDS[kind]
+    loading = LOADINGS[own.mode]
+    with np.errstate(all="ignore"):  # NaN says that there is no answer
+        state = loading.nominal(material, loading.measure(own.sense * strain))
+    return np.array([at.area_mm2 * state.gradient[n] for n in material.names]).T
+
+
+def _strain_of(curve: FitCurve, test: CalibratedTest) -> float:
+    """Largest mean strain of a measured specimen; 0 of an indented one."""
+    setup = test.setup
+    if setup.height_mm is None or setup.test.indenter is not None:
+        return 0.0
+    return float(np.abs(curve.measured.curve.displacement_mm).max()) / setup.height_mm
+
+
+def _information(found: Fit, jacobian: Array, left: Array, worth: float) -> Array:
+    """Inverse covariance of the constants; from the Jacobian where a constant is undetermined."""
+    if np.isfinite(found.covariance).all():
+        scale = np.sqrt(np.diag(found.covariance))
+        return np.asarray(np.linalg.inv(found.covariance / np.outer(scale, scale))
+                          / np.outer(scale, scale))  # fmt: skip
+    variance = float(left @ left) / (left.size - len(found.names))
+    return np.asarray(worth / variance * jacobian.T @ jacobian)
+
+
+def _covariance(information: Array) -> Array:
+    """Inverse of an information matrix; infinite variance of what it does not determine."""
+    size = np.sqrt(np.diag(information))
+    scale = np.where(size > 0, size, 1.0)
+    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+    seen = values > _SEEN**2 * values[-1]
+    inverse = vectors[:, seen] / values[seen] @ vectors[:, seen].T
+    lost = np.any(np.abs(vectors[:, ~seen]) > _SEEN, axis=1)
+    inverse[lost, lost] = np.inf
+    return np.asarray(inverse / np.outer(scale, scale))
+
+
+def _rank(information: Array) -> int:
+    """Count the combinations of the constants that a test alone determines."""
+    size = np.sqrt(np.diag(information))
+    scale = np.where(size > 0, size, 1.0)
+    values = np.linalg.eigvalsh(information / np.outer(scale, scale))
+    return int(np.sum(values > _SEEN**2 * values[-1]))

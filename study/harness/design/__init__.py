@@ -1,0 +1,1 @@
+"""The study file: tables, factors, layouts, cells, checks."""

@@ -1,0 +1,244 @@
+"""A calibration file as a value: its measured tests, and how the constants are to be found."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Annotated, Literal
+
+from study.ground import units
+from study.ground.errors import nearest
+from study.harness.design.diagnostics import Faults, entries, noted, read_table, with_values
+from study.mechanics.measurement.measurement_section import MeasurementSpec
+from study.mechanics.setup.calibration_table import Bounds, Fitting
+from study.mechanics.setup.declaration import (
+    AsWritten,
+    Bad,
+    Reads,
+    choice,
+    number,
+    section,
+    shown,
+    values_of,
+    written_keys,
+)
+from study.mechanics.setup.material_section import MaterialSection
+from study.mechanics.setup.setup import Setup, Tables
+
+# -------------------------------------------------------------------------------------------------
+# The table ``[nuisance]`` of a calibration file: what moves the constants and is none of them.
+
+OFFSET = "displacement_offset"
+ZERO = "force_zero"
+FRICTION = "friction"
+
+#: dimension of the parameters that are no input of the simulation, and whether every curve has
+#: its own unless the file says otherwise
+_OWN = {OFFSET: ("length", "curve"), ZERO: ("force", "curve"), FRICTION: ("number", "all")}
+
+#: tables whose numbers may be uncertain
+_TABLES = ("specimen", "test.indenter", "material")
+
+_EXAMPLE = '{ uncertainty = "0.1 mm" }'
+
+
+@dataclass(frozen=True)
+class NuisanceInput:
+    """A nuisance parameter of one test, in internal units."""
+
+    #: What is expected; None for an input of the simulation, which has its value elsewhere.
+    value: float | None
+    #: Standard uncertainty before the fit; None where nothing is known.
+    uncertainty: float | None
+    #: Whether the uncertainty is a share of the value.
+    relative: bool
+    #: Whether the tests may move it.
+    treat: str
+    #: What has a value of its own.
+    each: str
+
+
+@section
+class NuisanceTable:
+    """One entry of ``[nuisance]``."""
+
+    #: Standard uncertainty before the fit, or a share of the value; without one nothing is known.
+    uncertainty: AsWritten = None
+    #: What is expected, where the file does not say it elsewhere.
+    value: AsWritten = None
+    #: By default offset, zero and friction are fitted and
+    #: inputs propagated.
+    treat: Annotated[str | None, Reads(choice("fitted", "propagated"))] = None
+    #: What has a value of its own: every curve, every test, or
+    #: none.
+    each: Annotated[str | None, Reads(choice("curve", "test", "all"))] = None
+
+
+def nuisance_from(
+    table: object, dimension: Callable[[str], str | None], path: str, faults: Faults
+) -> dict[str, NuisanceInput]:
+    """Read the declarations of nuisance parameters, by key."""
+    found: dict[str, NuisanceInput] = {}
+    for key, raw in _flat(entries(table, path, faults)).items():
+        where = f"{path}.{key}"
+        measured = noted(_dimension(dimension), key, where, faults)
+        written = raw if isinstance(raw, Mapping) else {"uncertainty": raw}
+        asked = read_table(NuisanceTable, written, where, faults)
+        if measured is None:
+            continue
+        reader = _uncertainty(measured, key)
+        uncertainty, relative = (
+            (None, False)
+            if asked.uncertainty is None
+            else noted(reader, asked.uncertainty, f"{where}.uncertainty", faults) or (None, False)
+        )
+        value = _value(key, asked.value, measured, where, faults)
+        usual, each = ("fitted", _OWN[key][1]) if key in _OWN else ("propagated", "all")
+        treat = asked.treat or usual
+        if asked.uncertainty is None and treat == "propagated":
+            rule = "is propagated, which needs an uncertainty"
+            faults.add(where, rule, f'write {_EXAMPLE}, or treat = "fitted"')
+        found[key] = NuisanceInput(value, uncertainty, relative, treat, asked.each or each)
+    return found
+
+
+def of_test(
+    shared: Mapping[str, NuisanceInput], own: Mapping[str, NuisanceInput]
+) -> dict[str, NuisanceInput]:
+    """Nuisance parameters of one test: its own, and those of the file that it does not replace.
+
+    What all tests share is common to the tests that take it from the file; a test's own
+    parameter is at most common to its curves.
+    """
+    within = {
+        key: replace(one, each="curve" if one.each == "curve" else "test")
+        for key, one in own.items()
+    }
+    return {**shared, **within}
+
+
+def _flat(table: Mapping[str, object]) -> dict[str, object]:
+    """Keys as they are dotted in the file: TOML nests ``specimen.height`` without quotes."""
+    out: dict[str, object] = {}
+    own = set(written_keys(NuisanceTable))
+    for key, value in table.items():
+        nested = isinstance(value, Mapping) and value and not own & set(value)
+        if nested and isinstance(value, Mapping):
+            out |= {f"{key}.{inner}": one for inner, one in _flat(value).items()}
+        else:
+            out[key] = value
+    return out
+
+
+def _dimension(of: Callable[[str], str | None]) -> Callable[[object], str]:
+    def read(key: object) -> str:
+        name = str(key)
+        if name in _OWN:
+            return _OWN[name][0]
+        table = name.rpartition(".")[0]
+        known = of(name) if table in _TABLES else None
+        is_input = table != "material" or name.endswith((".poisson_ratio", ".bulk_modulus"))
+        if known is None or not is_input:
+            usual = (*_OWN, "specimen.height", "specimen.radius", "specimen.area",
+                     "specimen.length", "material.poisson_ratio",
+                     "material.bulk_modulus")  # fmt: skip
+            raise Bad("is no nuisance parameter", nearest(name[:80], usual))
+        return known
+
+    return read
+
+
+def _uncertainty(dimension: str, key: str) -> Callable[[object], tuple[float, bool]]:
+    """Reader of a standard uncertainty: its value, and whether it is a share of the value."""
+
+    def read(value: object) -> tuple[float, bool]:
+        share = isinstance(value, str) and value.strip().endswith("%")
+        if dimension == "number" and not share:
+            return number(0.0)(value), False
+        size = units.parse(value, "ratio" if share else dimension)
+        if size <= 0:
+            raise Bad(f"must be above 0, got {shown(value)}")
+        if share and key in (OFFSET, ZERO):
+            raise Bad(f"cannot be a share, got {shown(value)}", 'for example "0.02 N" or "0.1 mm"')
+        return size, share
+
+    return read
+
+
+def _value(key: str, raw: object, dimension: str, where: str, faults: Faults) -> float | None:
+    if key not in _OWN:
+        if raw is not None:
+            rule = "stands beside the input itself"
+            faults.add(f"{where}.value", rule, f"leave it out, and change {key}")
+        return None
+    if key == FRICTION:
+        mend = "0 as frictionless plates, 1 as bonded ones"
+        if raw is None:
+            faults.add(f"{where}.value", "is missing", mend)
+            return None
+        return noted(number(0, 1, closed=True, mend=mend), raw, f"{where}.value", faults)
+    if raw is None:
+        return 0.0
+
+    def read(value: object) -> float:
+        return units.parse(value, dimension)
+
+    return noted(read, raw, f"{where}.value", faults)
+
+
+Role = Literal["fit", "held-out"]
+
+
+@dataclass(frozen=True)
+class CalibratedTest:
+    """One of the ``[[tests]]`` of a calibration."""
+
+    #: Document of its problem, in mm, N, MPa and deg: what is hashed and sent to a worker.
+    tables: Tables
+    #: Where its measured curves are.
+    measurements: MeasurementSpec
+    #: Whether its curves enter the fit, or are only predicted.
+    role: Role = "fit"
+    #: Factor on its residuals; ``"equal"``, or ``"scatter"`` for one over the standard error.
+    weight: float | str = "equal"
+    #: What is not known exactly of it, by key.
+    nuisance: Mapping[str, NuisanceInput] = field(default_factory=dict)
+
+    @cached_property
+    def setup(self) -> Setup:
+        """Specimen, test and discretization."""
+        return Setup.of(self.tables)
+
+    @property
+    def file(self) -> str:
+        """Its measured file, or the pattern of its files."""
+        return str(self.measurements.file or self.measurements.files)
+
+
+@dataclass(frozen=True)
+class CalibrationDesign:
+    """One material that is fitted to measured tests."""
+
+    #: Of the calibration: that of its folder of results.
+    name: str
+    #: In the order of the file; all have the same material.
+    tests: tuple[CalibratedTest, ...]
+    #: How the constants are to be found.
+    asked: Fitting = field(default_factory=Fitting)
+    #: Least and largest value of a constant, MPa, exponents plain.
+    bounds: Bounds = field(default_factory=dict)
+
+    @cached_property
+    def material(self) -> MaterialSection:
+        """Energy of all tests, and the constants to start from where the file gives them."""
+        return MaterialSection.of(self.tests[0].tables)
+
+    @property
+    def document(self) -> dict[str, object]:
+        """How the constants are to be found, as plain values for a hash."""
+        return {**values_of(self.asked), "bounds": dict(self.bounds)}
+
+    def pooled(self) -> CalibrationDesign:
+        """Copy of which nothing but the constants of all specimens together is asked."""
+        return replace(self, asked=with_values(self.asked, specimens="pooled", leave_out=None))

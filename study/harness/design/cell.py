@@ -1,0 +1,441 @@
+"""A cell resolved: its problems as sections with all defaults filled in, and as documents."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, is_dataclass
+from functools import cached_property
+from typing import cast, overload
+
+import numpy as np
+
+from study.ground.canonical import Json
+from study.ground.errors import Fault, InputError
+from study.harness.design.diagnostics import Faults, Table, read_table, read_variant, with_values
+from study.mechanics.measurement.column_text import KINEMATIC, KINETIC
+from study.mechanics.measurement.measurement_section import MarkerSpec, MeasurementSpec, groups_of
+from study.mechanics.setup import setup
+from study.mechanics.setup.declaration import shown, table_of, values_of
+from study.mechanics.setup.geometry import INDENTERS, SPECIMENS, Enclosed, Specimen, Surface
+from study.mechanics.setup.material_section import MaterialSection
+from study.mechanics.setup.setup import ForwardModel, Model, Setup
+from study.mechanics.setup.test_kind import Test
+from study.mechanics.setup.test_section import TEST_KINDS, TestSection
+
+# -------------------------------------------------------------------------------------------------
+# Names made of content: the hash of plain values with one spelling.
+
+ID_LENGTH = 16
+
+
+def case_id(content: object) -> str:
+    """Name made of content: 16 hex digits of the sha256 of canonical JSON.
+
+    Numbers are coerced first (``1`` and ``1.0`` are one), keys sorted. Labels, names and
+    citations are no content.
+
+    Examples
+    --------
+    >>> case_id({"a": 1, "b": 2.5}) == case_id({"b": 2.5, "a": 1.0})
+    True
+    """
+    return _name(canonical_json(content))
+
+
+def block_ids(content: Mapping[str, object], blocks: Sequence[str | None]) -> list[str]:
+    """Names of some content in every block; the content is walked once.
+
+    Examples
+    --------
+    >>> block_ids({"a": 1}, ["x"]) == [case_id({"a": 1, "block": "x"})]
+    True
+    """
+    walked = without_places(plain(content))
+    shared = walked if isinstance(walked, dict) else {}
+    return [_name(_text({**shared, "block": block})) for block in blocks]
+
+
+def _name(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:ID_LENGTH]
+
+
+def canonical_json(content: object) -> str:
+    """One spelling of JSON for equal content.
+
+    Examples
+    --------
+    >>> canonical_json({"b": (1.0, 2), "a": None})
+    '{"a":null,"b":[1,2]}'
+    """
+    return _text(without_places(plain(content)))
+
+
+def _text(named: Json) -> str:
+    return json.dumps(named, sort_keys=True, allow_nan=False, separators=(",", ":"))
+
+
+def without_places(value: Json) -> Json:
+    """Content without ``path``: where a file lies on this machine names nothing."""
+    if isinstance(value, dict):
+        return {k: without_places(v) for k, v in value.items() if k != "path"}
+    return [without_places(v) for v in value] if isinstance(value, list) else value
+
+
+@overload
+def plain(value: Mapping[str, object]) -> dict[str, Json]: ...
+
+
+@overload
+def plain(value: object) -> Json: ...
+
+
+def plain(value: object) -> Json:
+    """Plain JSON values of a configuration, numbers coerced."""
+    return _plain(value)
+
+
+#: types that are plain as they are, asked for first: nine values in ten
+_ATOMS = frozenset({str, int, bool, type(None)})
+
+
+def _plain(value: object) -> Json:
+    kind = type(value)
+    if kind in _ATOMS:
+        return cast("Json", value)
+    if kind is dict:
+        return {str(k): _plain(v) for k, v in cast("dict[object, object]", value).items()}
+    if isinstance(value, MeasurementSpec):
+        return _plain({k: v for k, v in value.as_dict().items() if k != "citation"})
+    if is_dataclass(value) and not isinstance(value, type):
+        return _plain(vars(value))
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    if isinstance(value, (np.ndarray, np.generic)):
+        return _plain(value.tolist())
+    if value is None or isinstance(value, (str, bool, int)):
+        return value
+    if isinstance(value, float) and math.isfinite(value):
+        return int(value) if value.is_integer() and abs(value) < 2**53 else value
+    raise InputError(Fault("case", f"cannot name the content {value!r}"))
+
+
+#: Document of a cell or of a file, in mm, N, MPa and deg: what leaves this room, to be hashed and
+#: to be computed. Inside the room a cell is a value of the classes below.
+Config = dict[str, object]
+
+#: keys of a test that few have: its course in time, a stretch before it; left out where they say
+#: nothing
+SELDOM = ("speed_mm_per_s", "hold_s", "cycles", "prestretch")
+
+
+@dataclass(frozen=True)
+class CellProblem:
+    """One test of a cell: what is pressed, how, and how it is discretized."""
+
+    #: Sections of the study file.
+    specimen: Specimen
+    #: Sections of the study file.
+    test: TestSection
+    #: Sections of the study file.
+    material: MaterialSection
+    #: Sections of the study file.
+    model: Model
+    #: Where its measured curves are.
+    measurements: MeasurementSpec | None = None
+    #: What predicts its curves; None for the built-in finite elements.
+    forward: ForwardModel | None = None
+    #: Where the places of markers inside the specimen are.
+    markers: MarkerSpec | None = None
+
+    @property
+    def setup(self) -> Setup:
+        """Specimen, test and discretization."""
+        return Setup(self.specimen, self.test.loading(), self.model, self.height_mm)
+
+    @property
+    def height_mm(self) -> float | None:
+        """Height of the specimen; only the file of a surface knows it."""
+        return None if isinstance(self.specimen, Surface) else self.specimen.height_mm
+
+    @property
+    def is_homogeneous(self) -> bool:
+        """Whether the deformation is the same everywhere: compression, both faces frictionless.
+
+        The closed form is then exact, and space, mesh, order and element shape cannot matter.
+        """
+        weight = self.test.gravity
+        test = Test(self.test.kind, None, self.test.interface, self.test.held_below, gravity=weight)
+        return setup.is_homogeneous(test, self.specimen.shape)
+
+    @property
+    def has_closed_form(self) -> bool:
+        """Whether our own model predicts, and the closed form is its answer."""
+        return self.is_homogeneous and self.forward is None
+
+    def document(self) -> Config:
+        """Plain values in internal units, without what is left open."""
+        written = values_of(self.test)
+        test = {k: v for k, v in written.items() if k not in SELDOM or v is not None}
+        # what a kind of test does not have names no other
+        for key in ("indenter", "motion", "gravity"):
+            made = test.pop(key)
+            if made is not None:
+                test[key] = values_of(made)
+        beside: Config = {} if self.forward is None else {"forward": values_of(self.forward)}
+        if self.markers is not None:
+            beside["markers"] = self.markers.as_dict()
+        return {
+            "specimen": values_of(self.specimen),
+            "test": test,
+            "material": _material(self.material),
+            "model": _model(self.model),
+            "measurements": self.measurements,
+        } | beside
+
+    def physical(self) -> Config:
+        """Part of the document that can change a curve.
+
+        In homogeneous compression the closed form is exact: of the specimen its area and
+        height count, and nothing of the discretisation.
+        """
+        kept, specimen = self.document(), self.specimen
+        if isinstance(specimen, Enclosed) or not self.has_closed_form:
+            return kept
+        test = {k: v for k, v in table_of(kept, "test").items() if k != "steps"}
+        area = float(f"{specimen.area_mm2:.12g}")
+        reduced = {"area_mm2": area, "height_mm": specimen.height_mm}
+        return {**kept, "specimen": reduced, "test": test, "model": None}
+
+
+def _material(section: MaterialSection) -> Config:
+    volume = section.compressibility
+    document: Config = {
+        "model": section.model,
+        "order": section.order,
+        "constants": dict(section.constants),
+    }
+    if section.relaxation:
+        document["relaxation"] = [term.document() for term in section.relaxation]
+    if volume.incompressible:
+        return {**document, "incompressible": True}
+    if volume.bulk_modulus_MPa is not None:
+        return {**document, "bulk_modulus_MPa": volume.bulk_modulus_MPa}
+    return {**document, "poisson_ratio": volume.poisson_ratio}
+
+
+def _model(model: Model) -> Config:
+    """Discretization with one size: that of its elements, or that of a named mesh."""
+    named = ("mesh", "mesh_ratio") if model.mesh_size_mm is None else ("mesh_size_mm",)
+    kept = ("space", "element_order", "element_shape", "formulation", *named)
+    return {key: value for key, value in values_of(model).items() if key in kept}
+
+
+@dataclass(frozen=True)
+class Cell:
+    """What a cell of a design computes."""
+
+    #: What is predicted.
+    problem: CellProblem
+    #: How the constants are found.
+    method: str
+    #: What is predicted by constants that were fitted
+    #: without it.
+    leave_out: str | None = None
+    #: Test that the constants are fitted to, where it is another one.
+    fitted_elsewhere: CellProblem | None = None
+
+    @property
+    def fitted(self) -> CellProblem:
+        """Test that the constants are fitted to."""
+        return self.fitted_elsewhere or self.problem
+
+    @property
+    def is_calibrated(self) -> bool:
+        """Whether constants are fitted at all."""
+        return self.method != "none"
+
+    def document(self) -> Config:
+        """Plain values in internal units."""
+        other = self.fitted_elsewhere
+        calibration = {
+            "method": self.method,
+            "problem": None if other is None else other.document(),
+            "leave_out": self.leave_out,
+        }
+        return {**self.problem.document(), "calibration": calibration}
+
+    @cached_property
+    def calibration_key(self) -> str | None:
+        """Name of its calibration problem: cells with one name share one fit a block."""
+        if not self.is_calibrated:
+            return None
+        return case_id({**self.fitted.physical(), "method": self._distinct_method})
+
+    @cached_property
+    def physical_key(self) -> str:
+        """Name of what it computes: cells with one name must agree physically."""
+        other = self.fitted_elsewhere
+        calibration = {
+            "method": self._distinct_method,
+            "problem": None if other is None else other.physical(),
+            "leave_out": self.leave_out,
+        }
+        return case_id({**self.problem.physical(), "calibration": calibration})
+
+    @cached_property
+    def content_key(self) -> str:
+        """Name of its document: cells with one name are one computation."""
+        return case_id(self.document())
+
+    @property
+    def _distinct_method(self) -> str:
+        """Method, where the closed form makes all methods one."""
+        return "exact" if self.is_calibrated and self.fitted.has_closed_form else self.method
+
+
+# -------------------------------------------------------------------------------------------------
+# The table ``[measurements]``: its keys read, and checked against one another.
+
+
+def measurements_from(
+    table: object, faults: Faults, path: str = "measurements"
+) -> MeasurementSpec | None:
+    """Read where measured curves are; None where a fault was found."""
+    before = len(faults)
+    found = read_table(MeasurementSpec, table, path, faults)
+    if isinstance(table, Mapping):
+        _check_together(table, path, faults)
+    return None if len(faults) > before else found
+
+
+def markers_from(table: object, faults: Faults, path: str = "markers") -> MarkerSpec | None:
+    """Read where markers inside a specimen are; None without them, or where a fault was found."""
+    if table is None:
+        return None
+    before = len(faults)
+    found = read_table(MarkerSpec, table, path, faults)
+    if len(faults) == before and found.fit and found.layer is None:
+        faults.add(f"{path}.layer", "is missing beside fit", "name the column of the layers")
+    return None if len(faults) > before else found
+
+
+def _check_columns(table: Table, fault: Callable[[str, str, str], None]) -> None:
+    """One column says how far, one how hard, and each has its unit."""
+    columns, units = table.get("columns"), table.get("units")
+    if not isinstance(columns, Mapping):
+        return
+    for quantities, usual in ((KINEMATIC, "displacement"), (KINETIC, "force")):
+        given = [key for key in quantities if key in columns]
+        if not given:
+            fault(f"columns.{usual}", "is missing", "displacement and force")
+        if len(given) > 1:
+            rule = f"stands beside {given[0]}"
+            fault(f"columns.{given[1]}", rule, f"give one of {', '.join(quantities)}")
+        wanted = given[0] if given else usual
+        if isinstance(units, Mapping) and wanted not in units:
+            fault(f"units.{wanted}", "is missing", f'for example {wanted} = "{_UNITS[wanted]}"')
+    if isinstance(units, Mapping) and "time" in columns and "time" not in units:
+        fault("units.time", "is missing", 'for example time = "s"')
+
+
+_UNITS = {
+    **dict.fromkeys(KINEMATIC, "1"),
+    **dict.fromkeys(KINETIC, "kPa"),
+    "displacement": "mm",
+    "force": "N",
+}
+
+
+def _check_course(table: Table, fault: Callable[[str, str, str], None]) -> None:
+    """Keep rules that take rows out, or move them, from tests whose course in time matters."""
+    columns = table.get("columns")
+    if not isinstance(columns, Mapping) or "time" not in columns:
+        return
+    asked = {
+        "points": table.get("points", "raw") != "raw",
+        "range": "range" in table,
+        "toe": "toe" in table,
+        "zero": table.get("zero") == "fit",
+    }
+    mends = {"points": 'write points = "raw"', "zero": 'write zero = "first"'}
+    rule = "has no meaning for a test with a column of time, whose rows all count"
+    for key in (key for key, given in asked.items() if given):
+        fault(key, rule, mends.get(key, "leave it out"))
+
+
+def _check_together(table: Table, path: str, faults: Faults) -> None:
+    def fault(key: str, rule: str, mend: str) -> None:
+        faults.add(f"{path}.{key}", rule, mend)
+
+    _check_columns(table, fault)
+    _check_course(table, fault)
+    given = [key for key in ("file", "files") if key in table]
+    if len(given) != 1:
+        rule = "stands beside file" if given else "is missing"
+        fault("file" if not given else "files", rule, "give one of file and files")
+    for key, other in (("fit", "score"), ("score", "fit")):
+        if key in table and other not in table:
+            fault(other, f"is missing beside {key}", "give both, or neither")
+    if table.get("swap") is True and "fit" not in table:
+        fault("swap", "needs fit and score", "say which rows change places")
+    block, files = table.get("block"), table.get("files")
+    if isinstance(block, str) and isinstance(files, str) and block not in groups_of(files):
+        rule = f"{block!r} is no group of the file names {shown(files)}"
+        fault("block", rule, f"write {{{block}}} where its label stands")
+
+
+# -------------------------------------------------------------------------------------------------
+# Specimen, test and discretization of a cell, with the defaults that other tables decide.
+#
+# Checks of one table against another are in :mod:`study.harness.design.plausibility`.
+
+
+def specimen_from(table: object, faults: Faults, path: str = "specimen") -> Specimen:
+    """Read a specimen: its shape says which keys it has."""
+    return read_variant(SPECIMENS, "shape", table, path, faults)
+
+
+def loading_from(table: object, faults: Faults, path: str = "test") -> TestSection:
+    """Read how the specimen is loaded; the measured range may give the displacement later."""
+    found = read_table(TestSection, table, path, faults)
+    written: Table = table if isinstance(table, Mapping) else {}
+    base = found.base if "base" in written else found.held_below
+    kind, where = TEST_KINDS.get(found.kind), f"{path}.indenter"
+    indenter = None
+    if kind is not None and kind.takes_indenter:
+        if "indenter" in written:
+            indenter = read_variant(INDENTERS, "shape", written["indenter"], where, faults)
+        else:
+            faults.add(where, "is missing", f"{{ shape = ... }} with {'|'.join(INDENTERS)}")
+    return with_values(found, base=base, indenter=indenter)
+
+
+def model_from(
+    table: object, faults: Faults, shape: str, ratio: float, path: str = "model"
+) -> Model:
+    """Read the discretization."""
+    found = read_table(Model, table, path, faults)
+    written: Table = table if isinstance(table, Mapping) else {}
+    if "mesh" in written and "mesh_size" in written:
+        faults.add(f"{path}.mesh_size", "stands beside mesh", "give one of the two")
+    usual = "axisymmetric" if shape == "cylinder" else "3d"
+    space = found.space if "space" in written else usual
+    return with_values(found, space=space, mesh_ratio=ratio)
+
+
+def forward_from(table: object, faults: Faults, path: str = "forward") -> ForwardModel | None:
+    """Read what predicts the curves; None for the built-in finite elements."""
+    if table is None:
+        return None
+    found = read_table(ForwardModel, table, path, faults)
+    if found.model is None or found.model == "fem":
+        return None
+    missing = None if found.argv is None else found.fault(path)
+    if missing is not None:
+        faults.add(missing.where, missing.rule, missing.mend)
+    return found

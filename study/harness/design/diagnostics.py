@@ -1,0 +1,466 @@
+"""Errors of a study file as faults: where, which rule, how to mend it."""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TypeGuard, TypeVar
+
+from pydantic import ValidationError
+
+from study.ground.bounded_file import NotRegularError, UnreadableError, read_regular
+from study.ground.errors import Fault, InputError, UnitError, nearest
+from study.mechanics.setup.declaration import (
+    Bad,
+    Key,
+    keys_of,
+    quoted,
+    read_section,
+    shown,
+    written_keys,
+)
+
+Kind = TypeVar("Kind")
+Value = TypeVar("Value")
+
+#: a table as it is written
+Table = Mapping[str, object]
+
+
+class Faults(list[Fault]):
+    """Faults found so far."""
+
+    def add(self, where: str, rule: str, mend: str = "") -> None:
+        """Note a fault."""
+        fault = Fault(where, rule, mend)
+        if fault not in self:
+            self.append(fault)
+
+
+def read_table(
+    kind: type[Kind], table: object, path: str, faults: Faults, also: Collection[str] = ()
+) -> Kind:
+    """Read one table and the tables in it; every fault is noted, and a faulty value is None.
+
+    A section with None where it must not be lives as long as the file is checked: whoever
+    loads one raises the faults.
+    """
+    if not isinstance(table, Mapping):
+        faults.add(path, f"must be a table, got {shown(table)}", f"write [{path}]")
+        return _partial(kind, {}, {key.written for key in keys_of(kind) if key.must_be_written})
+    own = {key: value for key, value in table.items() if key not in also}
+    bad = _unwritten(kind, own, path, faults) | _foreign(kind, own, path, faults, also)
+    for key in keys_of(kind):
+        if key.kind is not None and key.written in own:
+            own[key.written] = _within(key, key.kind, own[key.written], path, faults)
+    try:
+        found = read_section(kind, {key: value for key, value in own.items() if key not in bad})
+    except ValidationError as error:
+        bad |= _invalid(error, path, faults, bad)
+    else:
+        if not bad:
+            return found
+    return _partial(kind, own, bad)
+
+
+def _within(key: Key, kind: type, value: object, path: str, faults: Faults) -> object:
+    """Read a table within a table, or a list of tables."""
+    where, rows = _dotted(path, key.written), key.rows
+    if rows is None:
+        return read_table(kind, value, where, faults)
+    if not isinstance(value, list) or not rows.least <= len(value) <= rows.most:
+        rule = rows.rule or f"must be tables, got {shown(value)}"
+        faults.add(where, rule, rows.mend or f"write [[{where}]]")
+        return ()
+    return tuple(read_table(kind, one, f"{where}[{i}]", faults) for i, one in enumerate(value))
+
+
+def read_variant(
+    kinds: Mapping[str, type[Kind]], ruling: str, table: object, path: str, faults: Faults
+) -> Kind:
+    """Read a table one of whose words says which section it is."""
+    if not isinstance(table, Mapping):
+        faults.add(path, f"must be a table, got {shown(table)}", f"write [{path}]")
+    elif ruling not in table:
+        faults.add(_dotted(path, ruling), "is missing", f"one of {', '.join(kinds)}")
+    else:
+        word = noted(one_of(kinds), table[ruling], _dotted(path, ruling), faults)
+        if word is not None:
+            return read_table(kinds[word], table, path, faults)
+    first = next(iter(kinds.values()))
+    return _partial(first, {}, {key.written for key in keys_of(first) if key.reads is not None})
+
+
+def entries(value: object, path: str, faults: Faults) -> Table:
+    """Entries of a table whose keys are the user's own names; none where it is no table."""
+    if value is None or isinstance(value, Mapping):
+        return value or {}
+    faults.add(path, f"must be a table, got {shown(value)}", f"write [{path}]")
+    return {}
+
+
+def noted(
+    read: Callable[[object], Value], value: object, where: str, faults: Faults
+) -> Value | None:
+    """Read one value whose rule depends on other tables; None, and a fault, where it breaks it."""
+    try:
+        return read(value)
+    except Bad as bad:
+        faults.add(where, bad.rule, bad.mend)
+    except UnitError as error:
+        faults.add(where, error.faults[0].rule, error.faults[0].mend)
+    return None
+
+
+def one_of(names: Iterable[str]) -> Callable[[object], str]:
+    """Reader of the word that says which section a table is."""
+    known = tuple(names)
+
+    def read(value: object) -> str:
+        if not isinstance(value, str):
+            raise Bad(f"must be a text, got {shown(value)}", nearest("", known))
+        if value not in known:
+            raise Bad(f"unknown value {shown(value)}", nearest(value[:80], known))
+        return value
+
+    return read
+
+
+def is_known(*values: object) -> bool:
+    """Whether all values of sections that may be faulty could be read."""
+    return not any(value is None for value in values)
+
+
+def with_values(section: Kind, **values: object) -> Kind:
+    """Copy of a section that may be faulty with other values, which nobody checks again."""
+    kind = type(section)
+    made = object.__new__(kind)
+    for key in keys_of(kind):
+        object.__setattr__(made, key.name, values.get(key.name, getattr(section, key.name)))
+    return made
+
+
+def _unwritten(kind: type, written: Table, path: str, faults: Faults) -> set[str]:
+    """Note the keys that must stand in a file and do not."""
+    missing = [k for k in keys_of(kind) if k.must_be_written and k.written not in written]
+    for key in missing:
+        faults.add(_dotted(path, key.written), "is missing", key.mend)
+    return {key.written for key in missing}
+
+
+def _foreign(
+    kind: type, written: Table, path: str, faults: Faults, also: Collection[str]
+) -> set[str]:
+    """Note the keys that nobody declares."""
+    valid = written_keys(kind)
+    foreign = [key for key in written if key not in valid]
+    for key in foreign:
+        faults.add(_dotted(path, quoted(key)), "unknown key", nearest(key, [*valid, *also]))
+    return set(foreign)
+
+
+def _invalid(found: ValidationError, path: str, faults: Faults, noted: set[str]) -> set[str]:
+    """Note the errors of pydantic, each of one key, but for the keys that are noted."""
+    errors = {str(one["loc"][0]): one for one in found.errors(include_url=False)}
+    for key, error in errors.items():
+        if key not in noted:
+            broken = error["ctx"]["error"]
+            faults.add(_dotted(path, key), broken.rule, broken.mend)
+    return set(errors)
+
+
+def _dotted(path: str, key: str) -> str:
+    return f"{path}.{key}" if path and key else path or key
+
+
+def _partial(kind: type[Kind], written: Table, bad: set[str]) -> Kind:
+    """Values of the keys that are right, the defaults of those left out, None for the others."""
+    found = object.__new__(kind)
+    for key in keys_of(kind):
+        value = None if key.written in bad else key.default
+        if key.written in written and key.written not in bad:
+            raw = written[key.written]
+            value = raw if key.reads is None else key.reads(raw)
+        object.__setattr__(found, key.name, value)
+    return found
+
+
+def quoted_path(key: str) -> str:
+    """Dotted key whose odd parts are quoted."""
+    return ".".join(quoted(part) for part in key[:500].split("."))
+
+
+def is_about(fault: Fault, table: str) -> bool:
+    """Whether a fault is one of a table, or of a key in it."""
+    return fault.where == table or fault.where.startswith(f"{table}.")
+
+
+def all_about(faults: Faults, table: str) -> bool:
+    """Whether nothing but one table has faults, so that all others can be relied on."""
+    return all(is_about(fault, table) for fault in faults)
+
+
+# -------------------------------------------------------------------------------------------------
+# TOML in and out: size caps, positions of errors, overrides, canonical dump.
+#
+# Nothing here knows what a key means.
+
+#: nested tables of a file
+Tables = dict[str, object]
+MAX_BYTES = 256 * 1024
+MAX_LINE = 4096
+MAX_DOTS = 32  # before an equals sign: tomllib takes quadratic time in the parts of a key
+MAX_DEPTH = 12
+_PLACE = re.compile(r"^(.*) \((?:at line (\d+), column (\d+)|at end of document)\)$", re.DOTALL)
+
+
+def read_text(path: str | Path) -> str:
+    """Text of a file, refused when it is missing, too large or not UTF-8."""
+    source = str(path)
+    try:
+        raw = read_regular(path, MAX_BYTES)
+    except NotRegularError as error:
+        raise InputError(Fault(source, error.rule, "keep measured data in CSV files")) from error
+    except UnreadableError as error:
+        raise InputError(Fault(repr(source), error.rule)) from error
+    if raw is None:
+        raise InputError(Fault(source, "there is no such file", _beside(Path(path))))
+    return decode(raw, source)
+
+
+def _beside(path: Path) -> str:
+    """Name the files in the same folder that could have been meant."""
+    names = sorted(p.name for p in path.parent.glob(f"*{path.suffix}") if p.is_file())[:20]
+    return nearest(path.name, names) if names else "study new FILE writes a design to start from"
+
+
+def decode(raw: bytes, source: str) -> str:
+    """Text of the bytes of a file."""
+    if len(raw) > MAX_BYTES:
+        rule = f"is larger than {MAX_BYTES // 1024} KiB, which no study file needs"
+        raise InputError(Fault(source, rule, "keep measured data in CSV files"))
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = raw.count(b"\n", 0, error.start) + 1
+        rule = f"is not UTF-8 (byte {raw[error.start]:#04x})"
+        raise InputError(Fault(f"{source}:{line}", rule, "save it as UTF-8 text")) from error
+
+
+def parse_toml(text: str, source: str) -> Tables:
+    """Tables of a TOML text."""
+    if len(text) > MAX_BYTES:
+        raise InputError(Fault(source, f"is longer than {MAX_BYTES // 1024} KiB"))
+    for number, line in enumerate(text.split("\n"), 1):
+        rule = _unfit_line(line)
+        if rule:
+            raise InputError(Fault(f"{source}:{number}", rule, "break it into several lines"))
+    try:
+        tables = tomllib.loads(text)
+    except RecursionError as error:
+        raise InputError(Fault(source, "is nested too deeply")) from error
+    except ValueError as error:  # TOMLDecodeError, or an integer of thousands of digits
+        raise InputError(_syntax_fault(str(error), text, source)) from error
+    unfit = _unfit(tables)
+    if unfit:
+        raise InputError(Fault(source, unfit))
+    return tables
+
+
+def _unfit_line(line: str) -> str:
+    """Reason why a line is refused before it is parsed."""
+    if len(line) > MAX_LINE:
+        return f"this line has {len(line)} characters, the limit is {MAX_LINE}"
+    *left, last = line.split("=")
+    keys = [*left, last] if line.lstrip().startswith("[") else left
+    if any(key.count(".") > MAX_DOTS for key in keys):
+        return f"this key has more than {MAX_DOTS} dots"
+    return ""
+
+
+def _syntax_fault(message: str, text: str, source: str) -> Fault:
+    match = _PLACE.match(message)
+    if match is None:
+        return Fault(source, f"not valid TOML: {message}")
+    if match[2]:
+        line, column = int(match[2]), int(match[3])
+    else:
+        lines = text.split("\n")
+        line, column = len(lines), len(lines[-1]) + 1
+    mend = "a text needs quotes, and every key of a table may stand once"
+    return Fault(f"{source}:{line}:{column}", f"not valid TOML: {match[1]}", mend)
+
+
+def _unfit(tables: Tables) -> str:
+    """Reason why nested tables are refused, found without recursion."""
+    layer: list[object] = [tables]
+    for _ in range(MAX_DEPTH + 1):
+        layer = [v for x in layer if isinstance(x, (dict, list)) for v in _children(x)]
+        if any(isinstance(v, int) and abs(v) >= 2**63 for v in layer):
+            return "holds a whole number beyond 64 bits"
+        if not layer:
+            return ""
+    return f"is nested more than {MAX_DEPTH} levels deep"
+
+
+def _children(value: dict[str, object] | list[object]) -> Iterable[object]:
+    return value.values() if isinstance(value, dict) else value
+
+
+def flatten(table: Mapping[str, object], prefix: str = "") -> dict[str, object]:
+    """Dotted keys of nested tables; an empty table stays, as what nothing can be.
+
+    Examples
+    --------
+    >>> flatten({"model": {"space": "3d"}, "model.mesh": "fine"})
+    {'model.space': '3d', 'model.mesh': 'fine'}
+    """
+    flat: dict[str, object] = {}
+    for key, value in _leaves(table, prefix):
+        if key in flat:
+            rule = "stands twice, quoted and unquoted"
+            raise InputError(Fault(key, rule, "keep one of the two"))
+        flat[key] = value
+    return flat
+
+
+def _leaves(table: Mapping[str, object], prefix: str) -> Iterable[tuple[str, object]]:
+    for key, value in table.items():
+        if isinstance(value, Mapping) and value:
+            yield from _leaves(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
+
+
+def split_key(key: str) -> list[str]:
+    """Parts of a dotted key as TOML reads it, quotes included.
+
+    Examples
+    --------
+    >>> split_key('presets.material."a.b".C10')
+    ['presets', 'material', 'a.b', 'C10']
+    """
+    text = key.strip()
+    if "\n" in text or "=" in text or len(text) > MAX_LINE:
+        raise InputError(Fault(f"-s {key[:80]}", "is no dotted key", "for example model.space=3d"))
+    node: object = parse_toml(f"{text} = 0", f"-s {text}")
+    parts: list[str] = []
+    while isinstance(node, dict):
+        part, node = next(iter(node.items()), ("", 0))
+        parts.append(part)
+    return parts
+
+
+def parse_override(text: str) -> tuple[list[str], object]:
+    """Key and value of ``"key=value"``; the value is TOML, or else a bare text.
+
+    Examples
+    --------
+    >>> parse_override("model.mesh_size=2 mm"), parse_override("test.steps=5")
+    ((['model', 'mesh_size'], '2 mm'), (['test', 'steps'], 5))
+    """
+    key, equals, value = text.partition("=")
+    if not equals:
+        rule = f"must be key=value, got {text[:80]!r}"
+        raise InputError(Fault("-s", rule, 'for example -s model.mesh_size="2 mm"'))
+    return split_key(key), _toml_value(value.strip())
+
+
+def _toml_value(text: str) -> object:
+    if "\n" in text:
+        return text
+    try:
+        value = parse_toml(f"v = {text}", "-s")
+    except InputError:
+        return text
+    return value["v"] if _plain(value["v"]) else text
+
+
+def _plain(value: object) -> bool:
+    """Whether a value is no date or time, which a bare text such as 10:30 would become."""
+    if isinstance(value, list):
+        return all(_plain(v) for v in value)
+    return isinstance(value, (str, bool, int, float, dict))
+
+
+def set_value(tables: Tables, path: Sequence[str], value: object) -> None:
+    """Set one key in nested tables, made where missing; a number in the path counts entries."""
+    where = "-s " + ".".join(path)
+    node: dict[str, object] | list[object] = tables
+    for part in path[:-1]:
+        if isinstance(node, list):
+            inner = node[_index(part, node, where)]
+        else:
+            inner = node.setdefault(part, {})
+        if not isinstance(inner, (dict, list)):
+            raise InputError(Fault(where, f"{part!r} is a value, no table"))
+        node = inner
+    if isinstance(node, list):
+        node[_index(path[-1], node, where)] = value
+    else:
+        node[path[-1]] = value
+
+
+def _index(part: str, items: list[object], where: str) -> int:
+    if part.isascii() and part.isdigit() and len(part) < 6 and int(part) < len(items):
+        return int(part)
+    raise InputError(Fault(where, f"needs a number from 0 to {len(items) - 1}, got {part!r}"))
+
+
+_BARE = re.compile(r"[A-Za-z0-9_-]+")
+
+
+def dump_toml(tables: Mapping[str, object]) -> str:
+    """Canonical TOML of nested tables: one spelling for equal content, read back identically.
+
+    Examples
+    --------
+    >>> print(dump_toml({"schema": 1, "model": {"space": "3d"}}), end="")
+    schema = 1
+    <BLANKLINE>
+    [model]
+    space = "3d"
+    """
+    return _block(tables, ()).lstrip("\n")
+
+
+def _block(table: Mapping[str, object], path: tuple[str, ...]) -> str:
+    """Write the plain keys of a table first, then its tables under headers of their own."""
+    nested = {k: v for k, v in table.items() if isinstance(v, Mapping) or _is_tables(v)}
+    text = "".join(f"{_key(k)} = {_value(v)}\n" for k, v in table.items() if k not in nested)
+    for name, value in nested.items():
+        header = ".".join(_key(part) for part in (*path, name))
+        if isinstance(value, Mapping):
+            text += f"\n[{header}]\n" + _block(value, (*path, name))
+        else:
+            text += "".join(f"\n[[{header}]]\n" + _block(row, (*path, name)) for row in value)
+    return text
+
+
+def _is_tables(value: object) -> TypeGuard[list[Mapping[str, object]]]:
+    return isinstance(value, list) and bool(value) and all(isinstance(v, Mapping) for v in value)
+
+
+def _key(key: str) -> str:
+    return key if _BARE.fullmatch(key) else _string(key)
+
+
+def _string(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _value(value: object) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return _string(value)
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{_key(k)} = {_value(v)}" for k, v in value.items()) + " }"
+    if isinstance(value, (list, tuple)):
+        items = [_value(v) for v in value]
+        one_line = "[" + ", ".join(items) + "]"
+        return one_line if len(one_line) < 100 else "[\n    " + ",\n    ".join(items) + "\n]"
+    return repr(value)  # whole numbers and floats: TOML writes them as Python does

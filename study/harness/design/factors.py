@@ -1,0 +1,345 @@
+"""Factors, preset sets and exclusions of a design."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Collection, Mapping, Sequence
+from functools import partial
+
+from study.ground.errors import nearest
+from study.ground.units import parse, split
+from study.harness.design import overlay
+from study.harness.design.diagnostics import (
+    Faults,
+    Table,
+    entries,
+    flatten,
+    is_known,
+    noted,
+    quoted_path,
+)
+from study.harness.design.material_table import DISTRIBUTION_KEYS
+from study.harness.design.spec import Exclusion, Factor, Level, Span
+from study.harness.design.study_file import ExclusionTable
+from study.mechanics.setup.declaration import MAX_NAME, Bad, choice, name, number, quoted, shown
+
+MAX_FACTORS = 20
+MAX_LEVELS = 100
+
+#: set -> label -> dotted keys laid over the file
+Presets = Mapping[str, Mapping[str, Table]]
+
+
+def presets_from(table: object, faults: Faults) -> Presets:
+    """Read ``[presets.SET.LEVEL]``: dotted keys of the whole file for every level.
+
+    A set named like a table of the file is laid over that table.
+    """
+    presets: dict[str, dict[str, Table]] = {}
+    for set_name, levels in entries(table, "presets", faults).items():
+        where = f"presets.{quoted(set_name)}"
+        if not _readable(set_name, where, faults):
+            continue
+        prefix = f"{set_name}." if set_name in overlay.TABLES else ""
+        presets[set_name] = {
+            label.strip(): _settings(level, prefix, f"{where}.{quoted(label)}", faults)
+            for label, level in entries(levels, where, faults).items()
+            if _readable(label, f"{where}.{quoted(label)}", faults)
+        }
+    return presets
+
+
+def _settings(level: object, prefix: str, where: str, faults: Faults) -> Table:
+    settings = flatten(entries(level, where, faults), prefix)
+    for key in settings:
+        if not overlay.may_vary(key):
+            inner = quoted_path(key.removeprefix(prefix))
+            faults.add(f"{where}.{inner}", "unknown key", overlay.suggestion(key))
+    return {key: value for key, value in settings.items() if overlay.may_vary(key)}
+
+
+def _readable(value: str, where: str, faults: Faults) -> bool:
+    try:
+        name(value)
+    except Bad as bad:
+        faults.add(where, f"this name {bad.rule}", bad.mend)
+        return False
+    return True
+
+
+def factors_from(table: object, presets: Presets, faults: Faults) -> tuple[Factor, ...]:
+    """Read ``[factors]`` with the levels of every factor; a faulty factor is left out."""
+    written = entries(table, "factors", faults)
+    if not written:
+        faults.add("factors", "is missing", 'for example model.space = ["axisymmetric", "3d"]')
+    if len(written) > MAX_FACTORS:
+        faults.add("factors", f"has {len(written)} factors, the limit is {MAX_FACTORS}")
+        return ()
+    for key in sorted(set(written) & {key.rpartition(".")[0] for key in written if _is_end(key)}):
+        rule = "stands twice, with levels and with an end of a range"
+        faults.add(f"factors.{quoted_path(key)}", rule, "keep one of the two")
+    read = [_factor(key, value, presets, faults) for key, value in grouped(written).items()]
+    found = [factor for factor in read if factor is not None]
+    _check_overlap(found, faults)
+    return tuple(found)
+
+
+def _factor(key: str, value: object, presets: Presets, faults: Faults) -> Factor | None:
+    if isinstance(value, Mapping) and key not in presets and overlay.may_vary(key):
+        return _range(key, value, f"factors.{quoted_path(key)}", faults)
+    levels = _levels(key, value, presets, faults)
+    return Factor(key, levels) if levels else None
+
+
+def _levels(key: str, value: object, presets: Presets, faults: Faults) -> tuple[Level, ...]:
+    where = f"factors.{quoted_path(key)}"
+    if key not in presets and not overlay.may_vary(key):
+        table = key.split(".")[0]
+        valid = [*presets, *(k for k in overlay.VARYING if k.partition(".")[0] == table)]
+        mend = nearest(key[:MAX_NAME], valid) if valid else overlay.suggestion(key)
+        faults.add(where, "is neither a key that may vary nor a preset set", mend)
+        return ()
+    if not isinstance(value, list):
+        faults.add(where, f"must be a list of levels, got {shown(value)}", "write [.., ..]")
+        return ()
+    if not 2 <= len(value) <= MAX_LEVELS:
+        rule = f"needs 2 to {MAX_LEVELS} levels, got {len(value)}"
+        faults.add(where, rule, "a factor with one level is no factor: set the key itself")
+        return ()
+    levels: dict[str, Level] = {}
+    for i, raw in enumerate(value):
+        level = _level(key, raw, presets, f"{where}[{i}]", faults)
+        if level is not None and level.label in levels:
+            rule = f"levels must be distinct, got {level.label!r} again ({shown(raw)})"
+            faults.add(f"{where}[{i}]", rule, "leave one out")
+        elif level is not None:
+            levels[level.label] = level
+    return tuple(levels.values())
+
+
+def _level(key: str, raw: object, presets: Presets, where: str, faults: Faults) -> Level | None:
+    label = noted(level_label, raw, where, faults)
+    if label is None:
+        return None
+    if key not in presets:
+        return Level(label, {key: raw})
+    if label not in presets[key]:
+        faults.add(where, f"no preset {label!r} in presets.{key}", nearest(label, presets[key]))
+        return None
+    return Level(label, presets[key][label])
+
+
+def level_label(raw: object) -> str:
+    """Label of a level's value: ``"1"``, ``1`` and ``1.0`` have the same.
+
+    Examples
+    --------
+    >>> level_label(1.0), level_label(" 1"), level_label(["1 %", "20 %"])
+    ('1', '1', '1 %, 20 %')
+    """
+    if isinstance(raw, bool):
+        return "true" if raw else "false"
+    if isinstance(raw, str):
+        return name(raw)
+    if isinstance(raw, (int, float)) and math.isfinite(raw):
+        return repr(raw).removesuffix(".0")
+    if isinstance(raw, list) and raw and len(raw) <= 9:
+        return name(", ".join(level_label(item) for item in raw))
+    mend = "give it a name: [presets.SET.LEVEL]" if isinstance(raw, Mapping) else ""
+    raise Bad(f"is no level, got {shown(raw)}", mend)
+
+
+def _check_overlap(factors: Sequence[Factor], faults: Faults) -> None:
+    """Two factors that set one key would hide one another."""
+    owner: dict[str, str] = {}
+    for factor in factors:
+        for slot in {_slot(key) for key in factor.keys}:
+            if owner.setdefault(slot, factor.name) != factor.name:
+                rule = f"sets {slot}, which the factor {owner[slot]!r} sets too"
+                faults.add(f"factors.{factor.name}", rule, "let one of the two set it")
+
+
+def _slot(key: str) -> str:
+    """Key, or the first of the keys that cannot stand beside it."""
+    table, _, last = key.rpartition(".")
+    place = overlay.PLACES.get(table)
+    alternatives = () if place is None else place.alternatives
+    return f"{table}.{alternatives[0]}" if last in alternatives else key
+
+
+def exclusions_from(
+    tables: Sequence[ExclusionTable],
+    factors: Sequence[Factor],
+    declared: Collection[str],
+    faults: Faults,
+) -> tuple[Exclusion, ...]:
+    """Say of every ``[[exclude]]`` which cells it leaves out."""
+    by_name = {factor.name: factor for factor in factors}
+    found = []
+    for i, table in enumerate(tables):
+        before, where = len(faults), f"exclude[{i}].when"
+        if not is_known(table.why, table.when):
+            continue
+        labels = _labels(table.when, where, by_name, declared, faults)
+        if len(faults) == before:
+            found.append(Exclusion(labels, table.why))
+    return tuple(found)
+
+
+def _labels(
+    when: object,
+    where: str,
+    by_name: Mapping[str, Factor],
+    declared: Collection[str],
+    faults: Faults,
+) -> dict[str, tuple[str, ...]]:
+    written = entries(when, where, faults)
+    if isinstance(when, Mapping) and not written:
+        faults.add(where, "is empty: it would leave out every cell")
+    found = {}
+    for key, raw in written.items():
+        if key in by_name:
+            found[key] = noted(partial(_chosen, by_name[key]), raw, f"{where}.{key}", faults) or ()
+        elif key not in declared:
+            faults.add(f"{where}.{quoted(key)}", "unknown key", nearest(key, declared))
+    return found
+
+
+def _chosen(factor: Factor, raw: object) -> tuple[str, ...]:
+    """Labels of the levels of a factor that one label, or a list of labels, names."""
+    items = raw if isinstance(raw, list) and raw else [raw]
+    return tuple(dict.fromkeys(known_level(item, factor) for item in items))
+
+
+def known_level(raw: object, factor: Factor) -> str:
+    """Label of a level, which the factor must have."""
+    label = level_label(raw)
+    if label not in factor.labels:
+        raise Bad(f"no level {label!r} of {factor.name!r}", nearest(label, factor.labels))
+    return label
+
+
+ENDS = ("low", "high")
+RANGE_KEYS = (*ENDS, "scale")
+SCALES = ("linear", "log")
+_QUANTITY = re.compile(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*(\S.*?)\s*")
+
+
+def grouped(table: Table) -> dict[str, object]:
+    """Join the keys of a range, which joining dotted keys took apart, to ``KEY``.
+
+    Examples
+    --------
+    >>> grouped({"a.low": 1, "a.high": 2, "b": [3, 4]})
+    {'a': {'low': 1, 'high': 2}, 'b': [3, 4]}
+    """
+    found: dict[str, object] = {}
+    ends: dict[str, dict[str, object]] = {}
+    for key, value in table.items():
+        name, _, end = key.rpartition(".")
+        if _is_end(key):
+            found[name] = ends.setdefault(name, {})
+            ends[name][end] = value
+        else:
+            found[key] = value
+    return found
+
+
+def set_whole(table: Table, key: str, value: object) -> dict[str, object]:
+    """Copy of a table with a key set, in the place of its old value or of the parts of a range.
+
+    Examples
+    --------
+    >>> set_whole({"a.low": 1, "a.high": 2, "b": [3, 4]}, "a", [5, 6])
+    {'a': [5, 6], 'b': [3, 4]}
+    """
+    old = {key, *(f"{key}.{part}" for part in (*RANGE_KEYS, *DISTRIBUTION_KEYS))}
+    found: dict[str, object] = {}
+    for known, own in table.items():
+        found |= {key: value} if known in old else {known: own}
+    return {**found, key: value}
+
+
+def _is_end(key: str) -> bool:
+    """Whether a joined key is one of a range: an end, or how it is divided."""
+    name, _, end = key.rpartition(".")
+    return bool(name) and end in RANGE_KEYS
+
+
+def _range(key: str, value: Table, where: str, faults: Faults) -> Factor | None:
+    """Factor of a range, with its two ends as levels."""
+    dimension = overlay.dimension(key)
+    if dimension is None:
+        faults.add(where, "is no number, so it has no range", "list its levels: [.., ..]")
+        return None
+    missing = [end for end in ENDS if end not in value]
+    if missing:
+        faults.add(where, f"has no {missing[0]}", "write { low = .., high = .. }")
+        return None
+    scale = noted(choice(*SCALES), value.get("scale", "linear"), f"{where}.scale", faults)
+    log = scale == "log"
+    span = noted(lambda _: _span(value["low"], value["high"], dimension, log), value, where, faults)
+    return None if span is None else Factor(key, levels_at(key, span, (0.0, 1.0)), span)
+
+
+def _span(low: object, high: object, dimension: str, log: bool) -> Span:
+    (first, unit), (last, other) = _end(low, dimension), _end(high, dimension)
+    if unit != other:
+        raise Bad(f"mixes {unit!r} and {other!r}", "write both ends in one unit")
+    if not first < last:
+        raise Bad(f"must rise, got {shown(low)} to {shown(high)}", "exchange low and high")
+    if log and first <= 0:
+        rule = f"has a logarithm of positive numbers alone, got {shown(low)}"
+        raise Bad(rule, 'begin above 0, or leave scale = "log" out')
+    return Span(first, last, unit, log)
+
+
+def _end(raw: object, dimension: str) -> tuple[float, str]:
+    """Value and unit of one end, the unit as written."""
+    if dimension == "number":
+        return number()(raw), ""
+    parse(raw, dimension)
+    match = _QUANTITY.fullmatch(str(raw))
+    if match is None:
+        raise Bad(f"must be a number and its unit, got {shown(raw)}", 'for example "28 mm"')
+    return float(match[1]), match[2]
+
+
+def levels_at(key: str, span: Span, shares: Sequence[float]) -> tuple[Level, ...]:
+    """Levels at shares of a range, 0 its low and 1 its high end, in as few digits as tell them.
+
+    Examples
+    --------
+    >>> [level.label for level in levels_at("a", Span(1.0, 2.0, "mm"), [0, 1 / 3, 1])]
+    ['1 mm', '1.3333 mm', '2 mm']
+    >>> [level.label for level in levels_at("a", Span(1.0, 100.0, "", log=True), [0, 0.5, 1])]
+    ['1', '10', '100']
+    """
+    values = [span.at(share) for share in shares]
+    for digits in range(1, 17):
+        texts = [f"{value:.{digits}g}" for value in values]
+        near = all(math.isclose(float(t), v, rel_tol=0, abs_tol=span.step(v))
+                   for t, v in zip(texts, values, strict=True))  # fmt: skip
+        if near and len(set(texts)) == len(set(values)):
+            break
+    return tuple(_range_level(key, _plain(text), span.unit) for text in texts)
+
+
+def _plain(text: str) -> str:
+    """Write a number of few digits without a power of ten, unless it is long: 1e+02 is 100."""
+    return f"{float(text):g}" if "e" in text and float(f"{float(text):g}") == float(text) else text
+
+
+def _range_level(key: str, text: str, unit: str) -> Level:
+    written = f"{text} {unit}" if unit else float(text)
+    return Level(f"{text} {unit}".strip(), {key: written})
+
+
+def settings_of(factor: Factor) -> dict[str, float]:
+    """Read the setting of every label of a range, in the unit of its span."""
+    settings = {level.label: level.settings[factor.name] for level in factor.levels}
+    return {
+        label: split(value)[0] if isinstance(value, str) else float(str(value))
+        for label, value in settings.items()
+    }

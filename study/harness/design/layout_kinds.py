@@ -1,0 +1,351 @@
+"""Kind ``d-optimal`` of ``[design]``: fewer cells than combinations, of factors with any levels."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Annotated, Literal
+
+import numpy as np
+
+from study.ground.arrays import Array
+from study.ground.errors import nearest
+from study.harness.design import generators
+from study.harness.design.diagnostics import Faults, noted, read_table
+from study.harness.design.factors import levels_at
+from study.harness.design.generators import Word, d_optimal, efficiency
+from study.harness.design.layouts import (
+    MAX_CELLS,
+    MAX_RUNS,
+    BoxBehnken,
+    CentralComposite,
+    Fractional,
+    Full,
+    LatinHypercube,
+    Layout,
+    Listed,
+    Made,
+    PlackettBurman,
+    Request,
+    Sobol,
+)
+from study.harness.design.spec import Factor, Level, Scheme
+from study.harness.design.study_file import Sequential
+from study.mechanics.setup.declaration import (
+    AsWritten,
+    Bad,
+    Reads,
+    choice,
+    integer,
+    number,
+    section,
+    shown,
+)
+
+
+@section
+class DOptimal:
+    """Cells that tell given terms apart best."""
+
+    #: Number of cells.
+    runs: Annotated[int, Reads(integer(2, 1024), mend="say how many, for example 12")]
+    kind: Literal["d-optimal"] = "d-optimal"
+    #: Highest order of interaction, or a list of terms such as ``["material", "material:mesh"]``;
+    #: main effects by default.
+    terms: AsWritten = None
+    #: Of the search; that of ``[study]`` by default.
+    seed: Annotated[int | None, Reads(integer(0, 2**32 - 1))] = None
+
+    def make(self, request: Request) -> Made:
+        """Search the cells, and say how good they are."""
+        names = [factor.name for factor in request.factors]
+        sizes = [len(factor.levels) for factor in request.factors]
+        words = noted(
+            partial(words_of, names), 1 if self.terms is None else self.terms, "design.terms",
+            request.faults,
+        )  # fmt: skip
+        if words is None or not self.runs or request.is_faulty("seed"):
+            return request.nothing
+        if not self._fits(request, sizes, words):
+            return request.nothing
+        seed = request.seed if self.seed is None else self.seed
+        rows = d_optimal(sizes, words, self.runs, seed)
+        found = efficiency(rows, sizes, words)
+        if not found:
+            rule = f"{self.runs} cells were not found that tell all terms apart"
+            request.fault("runs", rule, "add cells, or ask for fewer terms")
+        told = f"{100 * found:.1f} % of the precision of as many cells of an orthogonal design"
+        summary = f"D-optimal: {self.runs} of {math.prod(sizes)} cells, {told}"
+        terms = tuple(":".join(names[k] for k in word) for word in words)
+        note = f"told apart: {', '.join(terms)}; every other interaction may be mixed with these"
+        return request.factors, Scheme(self.kind, rows, summary, (note,), terms=terms)
+
+    def _fits(self, request: Request, sizes: Sequence[int], words: Sequence[Word]) -> bool:
+        """Check the number of cells against the factors and the terms."""
+        before, every = len(request.faults), math.prod(sizes)
+        wanted = 1 + sum(math.prod(sizes[k] - 1 for k in word) for word in words)
+        if any(factor.span is not None for factor in request.factors):
+            mend = 'list its levels, or use kind = "central-composite"'
+            request.fault("kind", "a D-optimal design takes listed levels, no range", mend)
+        if every > MAX_CELLS:
+            request.fault(
+                "kind", f"{every} combinations are more than {MAX_CELLS}", "use fewer levels"
+            )
+        if self.runs < wanted:
+            rule = f"{self.runs} cells cannot tell {wanted} numbers (the mean and the terms)"
+            request.fault("runs", rule, f"at least {wanted}")
+        if self.runs > every:
+            rule = f"{self.runs} cells, of which there are {every}"
+            request.fault("runs", rule, 'at most as many, or kind = "full"')
+        return len(request.faults) == before
+
+
+def words_of(names: Sequence[str], value: object) -> tuple[Word, ...]:
+    """Read an order of interaction or a list of terms as the numbers of their factors."""
+    if isinstance(value, list) and value:
+        return tuple(dict.fromkeys(_word(names, term) for term in value))
+    highest = integer(1, len(names))(value)
+    orders = range(1, highest + 1)
+    return tuple(w for order in orders for w in itertools.combinations(range(len(names)), order))
+
+
+def _word(names: Sequence[str], term: object) -> Word:
+    parts = [part.strip() for part in term.split(":")] if isinstance(term, str) else []
+    for part in parts or [shown(term)]:
+        if part not in names:
+            raise Bad(f"no factor {shown(part)}", nearest(part[:80], names))
+    if len(set(parts)) < len(parts):
+        raise Bad(f"a factor stands twice in {shown(term)}")
+    return tuple(sorted(names.index(part) for part in parts))
+
+
+# -------------------------------------------------------------------------------------------------
+# Kind ``adaptive`` of ``[design]``: a Latin hypercube, and cells that are added while it runs.
+
+#: fewest cells at the beginning for each range: an emulator needs three
+FEWEST = 3
+
+_UNTIL = ("q2", "verdict")
+
+
+def _added(value: object) -> tuple[tuple[float, ...], ...]:
+    """Read cells that a run has added, as shares of every range."""
+    if not isinstance(value, list):
+        raise Bad(f"must be a list of cells, got {shown(value)}", "leave it to `study run`")
+    share = number(0.0, 1.0, closed=True)
+    return tuple(tuple(share(x) for x in (c if isinstance(c, list) else [c])) for c in value)
+
+
+_Count = Annotated[int, Reads(integer(2, MAX_RUNS), mend="say how many, for example 32")]
+
+
+@section
+class Adaptive:
+    """Cells that are chosen by what those before them have shown."""
+
+    #: Cells of the Latin hypercube that it begins with, equally many at every combination of the
+    #: factors that are no ranges.
+    start: _Count
+    #: Most cells in all.
+    budget: _Count
+    kind: Literal["adaptive"] = "adaptive"
+    #: Cells added at a time; it decides the result, the number of workers does not.
+    batch: Annotated[int, Reads(integer(1, 100))] = 4
+    #: What ends it before the budget does: every response has this Q2, or every
+    #: factor a verdict.
+    until: Annotated[str, Reads(choice(*_UNTIL))] = "q2"
+    #: Leave-one-out Q2 that is enough.
+    q2: Annotated[float, Reads(number(0.5, 1.0))] = 0.95
+    #: Of the draw; that of ``[study]`` by default.
+    seed: Annotated[int | None, Reads(integer(0, 2**32 - 1))] = None
+    #: Cells that a run has added: the share of every factor's range, in the order of the factors.
+    added: Annotated[tuple[tuple[float, ...], ...], Reads(_added)] = ()
+
+    def make(self, request: Request) -> Made:
+        """Draw the first cells, and place those that were added."""
+        factors = request.factors
+        ranges = [factor for factor in factors if factor.span is not None]
+        others = [len(factor.levels) for factor in factors if factor.span is None]
+        if not self._fits(request, len(ranges), math.prod(others)):
+            return request.nothing
+        own = request.seed if self.seed is None else self.seed
+        shares = _start(factors, self.start // math.prod(others), own)
+        made, rows = _placed(factors, np.vstack([shares, *(np.array([c]) for c in self.added)]))
+        if len(set(rows)) < len(rows):
+            request.fault("added", "two cells are the same", "leave it to `study run`")
+        settings = Sequential(self.start, self.batch, self.budget, self.until, self.q2, own)
+        note = "cells are added where an emulator is least sure: see the surface"
+        return made, Scheme(
+            self.kind, rows, self._summary(own), (note,), sequential=settings
+        )  # fmt: skip
+
+    def _summary(self, seed: int) -> str:
+        goal = (
+            f"the leave-one-out Q2 of every response is {self.q2:g}"
+            if self.until == "q2"
+            else "every factor has a verdict"
+        )
+        more = f", {len(self.added)} cells were added" if self.added else ""
+        return (
+            f"Adaptive: {self.start} cells of a Latin hypercube (seed {seed}){more}; {self.batch} "
+            f"at a time are added where the emulator is least sure, until {goal}, at most "
+            f"{self.budget} cells"
+        )
+
+    def _fits(self, request: Request, ranges: int, others: int) -> bool:
+        """Check the numbers of cells against each other and against the factors."""
+        before = len(request.faults)
+        if not ranges:
+            mend = 'write one as { low = "28 mm", high = "32 mm" }'
+            request.fault("kind", "no factor is a range to be filled", mend)
+        known = None not in (self.start, self.budget, self.batch, self.added, self.until, self.q2)
+        if not known or request.is_faulty("seed") or not ranges:
+            return False
+        least = FEWEST * ranges * others
+        if self.start < least or self.start % others:
+            whole = others * math.ceil(max(self.start, least) / others)
+            rule = f"{self.start} cells do not carry an emulator of {ranges} ranges"
+            if self.start >= least:
+                rule = f"{self.start} cells cannot be shared by {others} combinations of levels"
+            request.fault("start", rule, f"for example {whole}")
+        if self.budget < self.start + len(self.added):
+            rule = f"{self.budget} is less than the {self.start + len(self.added)} cells there are"
+            request.fault("budget", rule, f"for example {2 * self.start}")
+        if any(len(cell) != len(request.factors) for cell in self.added):
+            rule = f"every cell needs a share of each of the {len(request.factors)} factors"
+            request.fault("added", rule, "leave it to `study run`")
+        return len(request.faults) == before
+
+
+def _start(factors: Sequence[Factor], runs: int, seed: int) -> Array:
+    """Shares of a Latin hypercube of its own at every combination of the listed levels."""
+    ranged = [j for j, factor in enumerate(factors) if factor.span is not None]
+    listed = [j for j, factor in enumerate(factors) if factor.span is None]
+    parts = []
+    combinations = itertools.product(*(range(len(factors[j].levels)) for j in listed))
+    for number_of, combination in enumerate(combinations):
+        part = np.empty((runs, len(factors)))
+        part[:, ranged] = generators.latin_hypercube(len(ranged), runs, seed + number_of)
+        for j, index in zip(listed, combination, strict=True):
+            part[:, j] = share_of(index, len(factors[j].levels))
+        parts.append(part)
+    return np.vstack(parts)
+
+
+def share_of(index: int, count: int) -> float:
+    """Share that stands for one of some listed levels.
+
+    Examples
+    --------
+    >>> share_of(0, 2), share_of(1, 2)
+    (0.25, 0.75)
+    """
+    return (index + 0.5) / count
+
+
+def _placed(
+    factors: Sequence[Factor], shares: Array
+) -> tuple[tuple[Factor, ...], tuple[tuple[int, ...], ...]]:
+    """Levels of every factor and the rows of the cells.
+
+    A level is written by its own share alone, so that a cell stays what it is when more are added.
+    """
+    made, columns = [], []
+    for factor, column in zip(factors, shares.T, strict=True):
+        if factor.span is None:
+            count = len(factor.levels)
+            made.append(factor)
+            columns.append([min(int(x * count), count - 1) for x in column])
+            continue
+        levels: dict[str, Level] = {}
+        labels = []
+        for share in np.sort(column):
+            (level,) = levels_at(factor.name, factor.span, (float(share),))
+            levels.setdefault(level.label, level)
+        for share in column:
+            (level,) = levels_at(factor.name, factor.span, (float(share),))
+            labels.append(level.label)
+        places = {label: index for index, label in enumerate(levels)}
+        made.append(replace(factor, levels=tuple(levels.values())))
+        columns.append([places[label] for label in labels])
+    return tuple(made), tuple(zip(*columns, strict=True))
+
+
+# -------------------------------------------------------------------------------------------------
+# Table ``[design]``: which combinations of the levels are run.
+#
+# ::
+#
+#     [design]
+#     kind = "fractional"        # full | fractional | plackett-burman | central-composite
+#                                # | box-behnken | latin-hypercube | sobol | adaptive
+#                                # | d-optimal | listed
+#     generators = ["model.element_order = material:plates"]     # fractional; or
+#     resolution = 4                                             # the smallest fraction that has it
+#     star = "inscribed"         # central-composite: or "faced"
+#     runs = 32                  # latin-hypercube, sobol (a power of two), d-optimal
+#     seed = 7                   # of these three; that of [study] by default
+#     start = 30                 # adaptive: cells of a Latin hypercube that it begins with,
+#     batch = 4                  # cells added at a time,
+#     budget = 60                # most cells in all,
+#     until = "verdict"          # what ends it earlier: every factor has a verdict; or "q2":
+#     q2 = 0.95                  # leave-one-out Q2 that is enough
+#     terms = 2                  # d-optimal: highest order of interaction, or a list of terms
+#     treatments = [{ material = "yeoh", plates = "bonded" }]    # listed: exactly these cells
+#     zip = [["specimen.height", "test.displacement"]]           # full: levels change together
+#     [[design.nested]]          # full: levels that exist only within a level of another factor
+#     factor = "model.mesh_size"
+#     within = "model.space"
+#     levels = { axisymmetric = ["1 mm", "2 mm"], 3d = ["3 mm", "4 mm"] }
+
+#: every kind of ``[design]`` by its name
+LAYOUTS: Mapping[str, type[Layout]] = {
+    "full": Full,
+    "fractional": Fractional,
+    "plackett-burman": PlackettBurman,
+    "central-composite": CentralComposite,
+    "box-behnken": BoxBehnken,
+    "latin-hypercube": LatinHypercube,
+    "sobol": Sobol,
+    "adaptive": Adaptive,
+    "d-optimal": DOptimal,
+    "listed": Listed,
+}
+
+
+def scheme_from(
+    table: object, factors: tuple[Factor, ...], seed: int, excluding: bool, faults: Faults
+) -> Made:
+    """Read ``[design]`` and give every factor the levels that it needs.
+
+    Parameters
+    ----------
+    table : mapping or None
+        The table as written; None where it is left out.
+    factors : tuple of Factor
+        As listed; a range has its two ends as levels.
+    seed : int
+        Of the study, for designs that draw.
+    excluding : bool
+        Whether the file excludes cells.
+    faults : Faults
+        Where faults go.
+    """
+    written = {} if table is None else table
+    asked = written.get("kind", "full") if isinstance(written, Mapping) else "full"
+    kind = noted(choice(*LAYOUTS), asked, "design.kind", faults)
+    if kind is None or not factors:
+        return _few(factors), Scheme()
+    before = len(faults)
+    if excluding and kind not in ("full", "listed"):
+        faults.add("exclude", f"a {kind} design cannot lose runs", 'use kind = "full", or none')
+    made = read_table(LAYOUTS[kind], written, "design", faults).make(Request(factors, seed, faults))
+    return (_few(factors), Scheme()) if len(faults) > before else made
+
+
+def _few(factors: tuple[Factor, ...]) -> tuple[Factor, ...]:
+    """Factors of a faulty table, for checks of their cells; none where these are too many."""
+    return factors if math.prod(len(f.levels) for f in factors) <= MAX_CELLS else ()

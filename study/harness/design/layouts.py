@@ -1,0 +1,595 @@
+"""What a kind of ``[design]`` is given, and what it makes of it."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Annotated, Literal, Protocol
+
+import numpy as np
+
+from study.ground.arrays import Array
+from study.ground.errors import nearest
+from study.harness.design import generators
+from study.harness.design import generators as aliases
+from study.harness.design.diagnostics import Faults, flatten, is_known, noted
+from study.harness.design.factors import known_level, levels_at
+from study.harness.design.spec import Factor, Scheme
+from study.mechanics.setup.declaration import (
+    AsWritten,
+    Bad,
+    Reads,
+    Rows,
+    as_written,
+    choice,
+    integer,
+    name,
+    section,
+    shown,
+)
+
+#: factors with the levels that a design needs, and which combinations of them are run
+Made = tuple[tuple[Factor, ...], Scheme]
+
+MAX_CELLS = 4096
+
+
+@dataclass(frozen=True)
+class Request:
+    """What a design is made of.
+
+    Parameters
+    ----------
+    factors : tuple of Factor
+        As listed; a range has its two ends as levels.
+    seed : int
+        Of the study, for designs that draw.
+    faults : Faults
+        Where faults go.
+    """
+
+    factors: tuple[Factor, ...]
+    seed: int
+    faults: Faults
+
+    def fault(self, key: str, rule: str, mend: str = "") -> None:
+        """Note a fault of a key of ``[design]``."""
+        self.faults.add(f"design.{key}", rule, mend)
+
+    def is_faulty(self, key: str) -> bool:
+        """Whether a key of ``[design]`` has a fault, and is None for it."""
+        return any(fault.where == f"design.{key}" for fault in self.faults)
+
+    @property
+    def nothing(self) -> Made:
+        """What is made where a fault was found: the factors, for checks of their cells."""
+        return self.factors, Scheme()
+
+
+class Layout(Protocol):
+    """One kind of ``[design]``: a section whose keys are those that the kind has."""
+
+    def make(self, request: Request) -> Made:
+        """Levels and combinations; anything where a fault is noted."""
+
+
+def placed(request: Request, kind: str, shares: Array, summary: str, note: str) -> Made:
+    """Levels and rows of a design given as shares of each range.
+
+    Parameters
+    ----------
+    request : Request
+        Factors; one with listed levels takes them in equal shares.
+    kind : str
+        Name of the design.
+    shares : ndarray, shape (runs, factors)
+        0 at the low and 1 at the high end.
+    summary, note : str
+        What it is, and what it cannot tell.
+    """
+    made, columns = [], []
+    for factor, column in zip(request.factors, shares.T, strict=True):
+        if factor.span is None:
+            count = len(factor.levels)
+            made.append(factor)
+            columns.append([min(int(x * count), count - 1) for x in column])
+            continue
+        values, index = np.unique(np.round(column, 12), return_inverse=True)
+        made.append(replace(factor, levels=levels_at(factor.name, factor.span, values.tolist())))
+        columns.append(index.tolist())
+    rows = tuple(zip(*columns, strict=True))
+    if len(set(rows)) < len(rows):
+        request.fault("runs", "two runs are the same cell", "use another seed or fewer")
+    return tuple(made), Scheme(kind, rows, summary, (note,))
+
+
+# -------------------------------------------------------------------------------------------------
+# Full factorials, also with factors that change together or are nested; and listed cells.
+
+#: parent of a nested factor, and the labels that exist within each of its levels
+Nests = Mapping[str, tuple[str, Mapping[str, tuple[str, ...]]]]
+
+_Name = Annotated[object, as_written("name a factor")]
+_Within = Annotated[object, as_written("{ LEVEL = [..], LEVEL = [..] }")]
+_Cells = Annotated[object, as_written("list the cells: treatments = [{ A = .., B = .. }]")]
+
+
+@section
+class Nested:
+    """One ``[[design.nested]]``: levels that exist only within a level of another factor."""
+
+    factor: _Name
+    within: _Name
+    levels: _Within
+
+
+@section
+class Full:
+    """Every combination of the levels that the factors have."""
+
+    kind: Literal["full"] = "full"
+    #: List of lists of factors whose levels change together.
+    zip: AsWritten = None
+    #: Factors whose levels exist only within a level of another one.
+    nested: Annotated[tuple[Nested, ...], Rows()] = ()
+
+    def make(self, request: Request) -> Made:
+        """Leave out the combinations that zipped or nested factors do not have."""
+        factors = request.factors
+        zipped: tuple[tuple[str, ...], ...] | None = ()
+        if self.zip is not None:
+            zipped = noted(partial(_zipped, factors), self.zip, "design.zip", request.faults)
+        nests = _nests(self.nested, request)
+        if zipped is None or nests is None:
+            return request.nothing
+        followers = {n for group in zipped for n in group[1:]}
+        count = math.prod(len(f.levels) for f in factors if f.name not in followers)
+        if count > MAX_CELLS:
+            rule = f"give {count} cells, the limit is {MAX_CELLS}"
+            request.faults.add("factors", rule, "use fewer levels, or several studies")
+            return (), Scheme()
+        if not zipped and not nests:
+            return request.nothing
+        rows = tuple(row for row in _product(factors, zipped) if _allowed(row, factors, nests))
+        summary = f"{len(rows)} of {math.prod(len(f.levels) for f in factors)} combinations"
+        return factors, Scheme("full", rows, summary, _told(zipped, nests))
+
+
+def _told(zipped: Sequence[tuple[str, ...]], nests: Nests) -> tuple[str, ...]:
+    """Say what zipped and nested factors cannot tell."""
+    together = [
+        f"{' and '.join(group)} change together: nothing tells their effects apart"
+        for group in zipped
+    ]
+    within = [
+        f"{child} is nested in {parent}: its levels are compared within one level of {parent}"
+        for child, (parent, _) in nests.items()
+    ]
+    return (*together, *within)
+
+
+def _product(factors: Sequence[Factor], zipped: Sequence[tuple[str, ...]]) -> list[tuple[int, ...]]:
+    leader = {n: group[0] for group in zipped for n in group}
+    free = [f for f in factors if leader.get(f.name, f.name) == f.name]
+    rows = []
+    for combination in itertools.product(*(range(len(f.levels)) for f in free)):
+        index = dict(zip((f.name for f in free), combination, strict=True))
+        rows.append(tuple(index[leader.get(f.name, f.name)] for f in factors))
+    return rows
+
+
+def _allowed(row: Sequence[int], factors: Sequence[Factor], nests: Nests) -> bool:
+    labels = {f.name: f.labels[i] for f, i in zip(factors, row, strict=True)}
+    return all(labels[child] in within[labels[parent]] for child, (parent, within) in nests.items())
+
+
+def _zipped(factors: Sequence[Factor], value: object) -> tuple[tuple[str, ...], ...]:
+    lists = isinstance(value, list) and bool(value) and isinstance(value[0], list)
+    groups: list[tuple[str, ...]] = []
+    by_name = {factor.name: factor for factor in factors}
+    seen: set[str] = set()
+    for group in value if isinstance(value, list) and lists else [value]:
+        if not isinstance(group, list) or len(group) < 2:
+            raise Bad(f"must list two or more factors, got {shown(group)}", 'zip = [["A", "B"]]')
+        for key in group:
+            if not isinstance(key, str) or key not in by_name:
+                raise Bad(f"no factor {shown(key)}", nearest(str(key)[:80], by_name))
+            if key in seen:
+                raise Bad(f"{key!r} stands twice", "a factor is zipped once")
+            seen.add(key)
+        counts = {key: len(by_name[key].levels) for key in group}
+        if len(set(counts.values())) > 1:
+            words = ", ".join(f"{key} has {count}" for key, count in counts.items())
+            raise Bad(f"needs equal numbers of levels: {words}", "level k goes with level k")
+        groups.append(tuple(group))
+    return tuple(groups)
+
+
+def _nests(tables: Sequence[Nested], request: Request) -> Nests | None:
+    """Nested factors; None where one is faulty."""
+    faults = request.faults
+    found: dict[str, tuple[str, Mapping[str, tuple[str, ...]]]] = {}
+    sound = not request.is_faulty("nested")
+    by_name = {factor.name: factor for factor in request.factors}
+    for i, table in enumerate(tables):
+        where, before = f"design.nested[{i}]", len(faults)
+        known = partial(_known, by_name)
+        child = (
+            noted(known, table.factor, f"{where}.factor", faults)
+            if is_known(table.factor)
+            else None
+        )
+        parent = (
+            noted(known, table.within, f"{where}.within", faults)
+            if is_known(table.within)
+            else None
+        )
+        if child is None or parent is None or not is_known(table.levels):
+            sound = False
+            continue
+        if child == parent or child in found or parent in found:
+            faults.add(f"{where}.within", f"{child!r} in {parent!r} is no single nesting")
+        else:
+            read = partial(_levels_within, by_name[child], by_name[parent])
+            levels = noted(read, table.levels, f"{where}.levels", faults)
+            found[child] = (parent, levels or {})
+        sound = sound and len(faults) == before
+    return found if sound else None
+
+
+def _known(by_name: Mapping[str, Factor], value: object) -> str:
+    label = name(value)
+    if label not in by_name:
+        raise Bad(f"no factor {shown(value)}", nearest(label, by_name))
+    return label
+
+
+def _levels_within(child: Factor, parent: Factor, value: object) -> Mapping[str, tuple[str, ...]]:
+    """Labels of the child within each level of the parent: every one in exactly one."""
+    if not isinstance(value, Mapping):
+        raise Bad(f"must be a table, got {shown(value)}", "{ LEVEL = [..], LEVEL = [..] }")
+    found: dict[str, tuple[str, ...]] = {}
+    for label, items in value.items():
+        if label not in parent.labels:
+            raise Bad(f"no level {label!r} of {parent.name!r}", nearest(label, parent.labels))
+        listed = items if isinstance(items, list) else [items]
+        found[label] = tuple(known_level(item, child) for item in listed)
+    flat = [label for labels in found.values() for label in labels]
+    if sorted(flat) != sorted(child.labels) or set(found) != set(parent.labels):
+        rule = f"each level of {child.name!r} must stand in one level of {parent.name!r}"
+        raise Bad(rule, f"levels: {', '.join(child.labels)}")
+    return found
+
+
+@section
+class Listed:
+    """Exactly the treatments of a list, in its order."""
+
+    #: List of tables, each with one level of every factor.
+    treatments: _Cells
+    kind: Literal["listed"] = "listed"
+
+    def make(self, request: Request) -> Made:
+        """Look up the levels of every treatment."""
+        if self.treatments is None:
+            return request.nothing
+        factors = request.factors
+        read = partial(_treatments, factors)
+        rows = noted(read, self.treatments, "design.treatments", request.faults)
+        if rows is None:
+            return request.nothing
+        count = math.prod(len(factor.levels) for factor in factors)
+        note = (
+            "only the listed cells are run: terms that they do not separate are named by the "
+            "analysis"
+        )
+        summary = f"{len(rows)} listed of {count} combinations"
+        return factors, Scheme(self.kind, rows, summary, (note,))
+
+
+def _treatments(factors: Sequence[Factor], value: object) -> tuple[tuple[int, ...], ...]:
+    if not isinstance(value, list) or not 2 <= len(value) <= MAX_CELLS:
+        raise Bad(f"must list 2 to {MAX_CELLS} treatments, got {shown(value)}")
+    rows = [_row(factors, item, i) for i, item in enumerate(value)]
+    twice = next((row for i, row in enumerate(rows) if row in rows[:i]), None)
+    if twice is not None:
+        again = rows.index(twice) + 1
+        raise Bad(f"treatment {again} stands twice", "the same simulation is no replicate")
+    for f, column in zip(factors, zip(*rows, strict=True), strict=True):
+        if len(set(column)) < len(f.levels):
+            unused = next(lv for i, lv in enumerate(f.labels) if i not in column)
+            raise Bad(f"no treatment has {f.name} = {unused!r}", "leave the level out")
+    return tuple(rows)
+
+
+def _row(factors: Sequence[Factor], item: object, index: int) -> tuple[int, ...]:
+    given = flatten(item) if isinstance(item, Mapping) else {}
+    missing = [f.name for f in factors if f.name not in given]
+    extra = [key for key in given if key not in {f.name for f in factors}]
+    if missing or extra:
+        what = f"has no {missing[0]!r}" if missing else f"names no factor with {extra[0]!r}"
+        rule = f"treatment {index + 1} {what}"
+        raise Bad(rule, "each treatment gives one level of every factor")
+    return tuple(f.labels.index(known_level(given[f.name], f)) for f in factors)
+
+
+# -------------------------------------------------------------------------------------------------
+# Two-level designs with fewer cells than combinations.
+
+#: factors of a two-level design: every product of its columns is formed
+MAX_FRACTION = 12
+MAX_SCREENED = 15
+
+#: generated factor -> sign and factors of the product that it equals
+Words = Mapping[str, tuple[int, Sequence[str]]]
+
+
+@section
+class Fractional:
+    """Fraction of the two-level factorial."""
+
+    kind: Literal["fractional"] = "fractional"
+    #: List of ``"C = A:B"`` or ``"C = -A:B"``; or
+    generators: AsWritten = None
+    #: The smallest fraction that has it is made.
+    resolution: Annotated[int | None, Reads(integer(3, 12))] = None
+
+    def make(self, request: Request) -> Made:
+        """Make the fraction, and verify its resolution."""
+        labels = [factor.name for factor in request.factors]
+        given = None
+        if self.generators is not None:
+            read = partial(_words, labels)
+            given = noted(read, self.generators, "design.generators", request.faults)
+        one = (self.generators is None) != (self.resolution is None)
+        if not one and not request.is_faulty("resolution"):
+            mend = 'for example generators = ["C = A:B"], or resolution = 4'
+            request.fault("generators", "or a resolution must be given, and not both", mend)
+            return request.nothing
+        if not _two_levels(request, 3, MAX_FRACTION):
+            return request.nothing
+        if given is not None:
+            return _verified(request, generators.fractional(labels, given), self.resolution)
+        if self.resolution is not None:
+            return _smallest(request, self.resolution)
+        return request.nothing
+
+
+def _smallest(request: Request, resolution: int) -> Made:
+    """Smallest fraction of a resolution."""
+    count = len(request.factors)
+    try:
+        runs = generators.by_resolution(count, resolution)
+    except ValueError:
+        rule = f"{count} factors have no fraction of resolution {resolution}"
+        request.fault("resolution", rule, 'lower it, or use kind = "full"')
+        return request.nothing
+    return _verified(request, runs, resolution)
+
+
+def _verified(request: Request, runs: Array, wanted: int | None) -> Made:
+    """Scheme of a fraction whose resolution was found by brute force, not believed."""
+    factors, labels = request.factors, [factor.name for factor in request.factors]
+    found = aliases.resolution(runs)
+    if found is not None and found < (wanted or 3):
+        rule = f"give resolution {found}: {aliases.defining_relation(runs, labels)}"
+        mend = "main effects would be one another; generate with more factors"
+        request.fault("generators", rule, mend)
+    count = 2 ** len(factors)
+    word = "full" if found is None else aliases.ROMAN[found]
+    summary = (
+        f"two-level fractional factorial: {len(runs)} of {count} cells, resolution {word}, "
+        f"verified over all {count - 1} products of columns"
+    )
+    scheme = Scheme(
+        "fractional", _rows(runs), summary, tuple(aliases.sentences(runs, labels)), found,
+        aliases.defining_relation(runs, labels),
+    )  # fmt: skip
+    return factors, scheme
+
+
+def _words(labels: Sequence[str], value: object) -> Words:
+    """Read ``"C = A:B"`` or ``"C = -A:B"``, each structured and never run as code."""
+    if not isinstance(value, list) or not value:
+        raise Bad(f"must be a list, got {shown(value)}", 'for example ["C = A:B"]')
+    found: dict[str, tuple[int, list[str]]] = {}
+    for item in value:
+        name, sign, parts = _word(item)
+        for part in (name, *parts):
+            if part not in labels:
+                raise Bad(f"no factor {shown(part)}", nearest(part[:80], labels))
+        if name in found:
+            raise Bad(f"{name!r} is generated twice", "leave one out")
+        if len(set(parts)) < max(2, len(parts)):
+            raise Bad(f"{shown(item)} needs two or more different factors on the right")
+        found[name] = (sign, parts)
+    if len({frozenset(parts) for _, parts in found.values()}) < len(found):
+        raise Bad("two factors have the same generator", "they would be one another")
+    for _, parts in found.values():
+        for part in parts:
+            if part in found:
+                raise Bad(f"{part!r} is generated itself", "generate from the other factors")
+    return found
+
+
+def _word(item: object) -> tuple[str, int, list[str]]:
+    """Split a word into the generated factor, the sign, and the factors of the product."""
+    left, equals, right = str(item).partition("=")
+    if not isinstance(item, str) or not equals:
+        raise Bad(f"must be NAME = A:B, got {shown(item)}", 'for example "C = A:B"')
+    right = right.strip()
+    parts = [part.strip() for part in right.removeprefix("-").split(":")]
+    return left.strip(), -1 if right.startswith("-") else 1, parts
+
+
+@section
+class PlackettBurman:
+    """Screening design for main effects alone."""
+
+    kind: Literal["plackett-burman"] = "plackett-burman"
+
+    def make(self, request: Request) -> Made:
+        """Make the design, and verify that no main effects are aliased."""
+        if not _two_levels(request, 2, MAX_SCREENED):
+            return request.nothing
+        labels = [factor.name for factor in request.factors]
+        runs = generators.plackett_burman(len(labels))
+        found = aliases.resolution(runs)
+        if found is not None and found < 3:
+            request.fault("kind", f"the design of {len(labels)} factors has aliased effects")
+        summary = (
+            f"Plackett-Burman: {len(runs)} of {2 ** len(labels)} cells; main effects are free of "
+            "one another (verified), and each is mixed with interactions"
+        )
+        told = tuple(aliases.sentences(runs, labels))
+        return request.factors, Scheme(self.kind, _rows(runs), summary, told, found)
+
+
+def _two_levels(request: Request, least: int, most: int) -> bool:
+    """Whether a two-level design can be made of the factors; faults say why not."""
+    wrong = [f for f in request.factors if len(f.levels) != 2]
+    for factor in wrong:
+        rule = f"has {len(factor.levels)} levels, a two-level design needs 2"
+        request.faults.add(f"factors.{factor.name}", rule, "list two, or write a range")
+    count = len(request.factors)
+    if not least <= count <= most:
+        request.fault("kind", f"takes {least} to {most} factors, got {count}")
+        return False
+    return not wrong
+
+
+def _rows(runs: Array) -> tuple[tuple[int, ...], ...]:
+    return tuple(tuple(int(x > 0) for x in run) for run in runs)
+
+
+# -------------------------------------------------------------------------------------------------
+# Response-surface designs: points for a quadratic model, inside the ranges of the factors.
+
+MAX_FACTORS = 10
+
+
+@section
+class CentralComposite:
+    """Corners, stars and the center."""
+
+    kind: Literal["central-composite"] = "central-composite"
+    #: Whether the stars alone, or the corners too, lie at the ends of the
+    #: ranges.
+    star: Annotated[str, Reads(choice("inscribed", "faced"))] = "inscribed"
+
+    def make(self, request: Request) -> Made:
+        """Rotatable design, or the face-centered one."""
+        if not self.star or not _spans(request, 2):
+            return request.nothing
+        runs = generators.central_composite(len(request.factors), self.star)
+        what = "rotatable" if self.star == "inscribed" else "face-centered"
+        return _surface(request, self.kind, runs, f"{what} central composite design")
+
+
+@section
+class BoxBehnken:
+    """Middles of edges and the center."""
+
+    kind: Literal["box-behnken"] = "box-behnken"
+
+    def make(self, request: Request) -> Made:
+        """Box-Behnken design."""
+        if not _spans(request, 3):
+            return request.nothing
+        runs = generators.box_behnken(len(request.factors))
+        return _surface(request, self.kind, runs, "Box-Behnken design")
+
+
+def _spans(request: Request, least: int) -> bool:
+    """Whether every factor is a range; faults say which is not."""
+    wrong = [factor for factor in request.factors if factor.span is None]
+    for factor in wrong:
+        mend = 'write { low = "28 mm", high = "32 mm" }'
+        where = f"factors.{factor.name}"
+        request.faults.add(where, "must be a range for this design", mend)
+    count = len(request.factors)
+    if count < least:
+        request.fault("kind", f"takes at least {least} factors, got {count}")
+        return False
+    if count > MAX_FACTORS:
+        request.fault("kind", f"takes at most {MAX_FACTORS} factors, got {count}")
+        return False
+    return not wrong
+
+
+def _surface(request: Request, kind: str, runs: Array, what: str) -> Made:
+    """Levels of each factor are the coded values that it takes."""
+    note = (
+        "made for a quadratic model of the values, from the table of cases; "
+        "the analysis of levels has main effects only"
+    )
+    words = f"{what}: {len(runs)} cells, the center once"
+    return placed(request, kind, (runs + 1) / 2, words, note)
+
+
+# -------------------------------------------------------------------------------------------------
+# Space-filling designs: samples of the ranges of the factors.
+
+MAX_RUNS = 1024
+
+_Runs = Annotated[int, Reads(integer(2, MAX_RUNS), mend="say how many, for example 32")]
+_Seed = Annotated[int | None, Reads(integer(0, 2**32 - 1))]
+
+
+@section
+class LatinHypercube:
+    """Every range in as many slices as runs, each with one run."""
+
+    #: Number of cells.
+    runs: _Runs
+    kind: Literal["latin-hypercube"] = "latin-hypercube"
+    #: Of the draw; that of ``[study]`` by default.
+    seed: _Seed = None
+
+    def make(self, request: Request) -> Made:
+        """Sample the ranges."""
+        return _filled(request, self.kind, self.runs, self.seed, generators.latin_hypercube)
+
+
+@section
+class Sobol:
+    """Scrambled Sobol sequence."""
+
+    #: Number of cells, a power of two.
+    runs: _Runs
+    kind: Literal["sobol"] = "sobol"
+    #: Of the scrambling; that of ``[study]`` by default.
+    seed: _Seed = None
+
+    def make(self, request: Request) -> Made:
+        """Sample the ranges."""
+        if self.runs and self.runs & (self.runs - 1):
+            near = 2 ** round(math.log2(self.runs))
+            rule = f"must be a power of two, got {self.runs}"
+            request.fault("runs", rule, f"for example {near}")
+            return request.nothing
+        return _filled(request, self.kind, self.runs, self.seed, generators.sobol)
+
+
+def _filled(
+    request: Request,
+    kind: str,
+    runs: int,
+    seed: int | None,
+    draw: Callable[[int, int, int], Array],
+) -> Made:
+    if all(factor.span is None for factor in request.factors):
+        mend = 'write one as { low = "28 mm", high = "32 mm" }'
+        request.fault("kind", "no factor is a range to be filled", mend)
+    if not runs or request.is_faulty("seed"):
+        return request.nothing
+    own = request.seed if seed is None else seed
+    words = f"{kind.replace('-', ' ')}: {runs} cells, seed {own}".capitalize()
+    note = (
+        "every setting of a range stands in one cell: no table of levels, but a surface over the "
+        "ranges tells the factors apart; study run fits it"
+    )
+    return placed(request, kind, draw(len(request.factors), runs, own), words, note)

@@ -1,0 +1,503 @@
+"""Load and validate the three kinds of files: problem, design, calibration.
+
+Every fault of a file is reported at once, with its key, the rule, the nearest valid name
+and how to mend it; a file without faults gives frozen values.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import TypeVar
+
+from study.ground.contrast import sides_of
+from study.ground.errors import Fault, InputError, nearest
+from study.harness.design import diagnostics, overlay, plausibility
+from study.harness.design.calibration_section import CalibrationDesign
+from study.harness.design.cell import Cell, Config, measurements_from
+from study.harness.design.diagnostics import (
+    Faults,
+    Table,
+    Tables,
+    entries,
+    is_about,
+    quoted_path,
+    read_table,
+)
+from study.harness.design.factors import (
+    Presets,
+    exclusions_from,
+    factors_from,
+    grouped,
+    presets_from,
+    set_whole,
+)
+from study.harness.design.hypotheses import analysis_from, expected_from
+from study.harness.design.layout_kinds import scheme_from
+from study.harness.design.resolve import calibration_from, resolve_calibration, resolve_problem
+from study.harness.design.response_tables import responses_from, uncertainty_from
+from study.harness.design.spec import Design, Level
+from study.harness.design.study_file import (
+    MARKED,
+    RESPONSES,
+    RESPONSES_MEND,
+    SCORED,
+    CalibrationFile,
+    DesignFile,
+    ProblemFile,
+    is_simulated,
+    simulated_at,
+)
+from study.mechanics.material.material import is_constant_key
+
+# -------------------------------------------------------------------------------------------------
+# Checks of a whole design: every cell, every response, every replicate.
+
+MAX_FAULTS = 100
+
+
+def check_cells(design: Design, presets: Presets, faults: Faults) -> None:
+    """Check every cell that is not left out; a fault of a level is told where it is written."""
+    count, cells = 0, []
+    found: dict[Fault, list[str]] = {}
+    for one, levels in design.combinations():
+        if design.why_excluded(one.levels) is not None or len(found) > MAX_FAULTS:
+            continue
+        count += 1
+        own = Faults()
+        cells.append(design.resolved(levels, own))
+        places = _places(design, levels, presets)
+        for fault in own:
+            found.setdefault(_moved(fault, places), []).append(one.label)
+    for fault, labelled in found.items():
+        told = len(labelled) == count or fault.where.startswith(("presets.", "factors."))
+        where = "" if told else f" (in {_listed(labelled)})"
+        faults.add(fault.where, fault.rule + where, fault.mend)
+    _check_left(design, faults)
+    if not faults:  # a level that cannot be read would be missed here once more
+        _check_contrasts(design, faults)
+    if not found and cells:
+        _check_courses(cells, faults)
+        _check_responses(design, cells, faults)
+        check_replicates(design, cells, faults)
+
+
+def _check_contrasts(design: Design, faults: Faults) -> None:
+    """Find differences that are asked for of levels that do not exist, or of cells left out."""
+    where = "analysis.contrasts"
+    levels = {factor.name: factor.labels for factor in design.factors if factor.span is None}
+    kept = [one.levels for one, _ in design.combinations() if not design.why_excluded(one.levels)]
+    for text in design.analysis.contrasts:
+        try:
+            sides = sides_of(text, levels)
+        except InputError as error:
+            for fault in error.faults:
+                faults.add(where, f"{fault.where}: {fault.rule}", fault.mend)
+            continue
+        for side in sides:
+            if not any(side.items() <= cell.items() for cell in kept):
+                named = ", ".join(f"{name}={level}" for name, level in side.items())
+                faults.add(where, f"contrast {text!r}: no cell that is run has {named}", "")
+
+
+def _listed(labels: Sequence[str]) -> str:
+    return labels[0] + (f" and {len(labels) - 1} more cells" if len(labels) > 1 else "")
+
+
+def _places(design: Design, levels: Sequence[Level], presets: Presets) -> dict[str, str]:
+    """Dotted key of the merged file -> where the level that sets it is written."""
+    places: dict[str, str] = {}
+    for factor, level in zip(design.factors, levels, strict=True):
+        for key in level.settings:
+            places[key] = f"factors.{quoted_path(factor.name)}"
+            if factor.name in presets:
+                inner = key.removeprefix(f"{factor.name}.")
+                places[key] = f"presets.{factor.name}.{quoted_path(level.label)}.{inner}"
+    return places
+
+
+def _moved(fault: Fault, places: Mapping[str, str]) -> Fault:
+    for key, place in places.items():
+        if fault.where == key or fault.where.startswith((f"{key}.", f"{key}[")):
+            return Fault(place + fault.where.removeprefix(key), fault.rule, fault.mend)
+    return fault
+
+
+def _check_left(design: Design, faults: Faults) -> None:
+    """Check that the exclusions leave every factor two levels."""
+    every = [one.levels for one, _ in design.combinations()]
+    left = [levels for levels in every if design.why_excluded(levels) is None]
+    for factor in design.factors:
+        count = len({levels[factor.name] for levels in left})
+        if count < 2 <= len(factor.levels):
+            rule = f"leaves {count} of the {len(factor.levels)} levels of {factor.name!r}"
+            faults.add("exclude", rule, "a factor needs two levels; remove it, or exclude less")
+
+
+def _check_courses(cells: Sequence[Cell], faults: Faults) -> None:
+    """Keep courses that stand still or go back out of designs, whose curves are over distance."""
+    for cell in cells:
+        for problem in (cell.problem, cell.fitted):
+            test, spec = problem.test, problem.measurements
+            mend = "responses compare curves over displacement: `study solve` follows a course"
+            for key, value in (("hold", test.hold_s), ("cycles", test.cycles)):
+                if value is not None:
+                    faults.add(f"test.{key}", "has no place in a design", mend)
+            if spec is not None and spec.columns.time is not None:
+                mend = "give test.speed, or fit the course by `study calibrate`"
+                faults.add("measurements.columns.time", "has no place in a design", mend)
+
+
+def _check_responses(design: Design, cells: Sequence[Cell], faults: Faults) -> None:
+    for i, response in enumerate(design.responses):
+        where = f"response[{i}].name"
+        if response.name in SCORED and any(c.problem.measurements is None for c in cells):
+            rule = f"{response.name} compares with measured curves, and there are none"
+            faults.add(where, rule, "add [measurements]")
+        elif response.name in MARKED:
+            _check_marked(response.name, where, cells, faults)
+        elif is_simulated(response.name):
+            _check_place(response.name, f"response[{i}].displacement", cells, faults)
+        elif response.name and response.name not in RESPONSES:
+            names = {n for c in cells for n in c.problem.material.calibrated_names}
+            if response.name not in names:
+                rule = f"no material of this design has a constant {response.name}"
+                faults.add(where, rule, nearest(response.name, sorted(names)))
+
+
+def _check_marked(name: str, where: str, cells: Sequence[Cell], faults: Faults) -> None:
+    """Check that there are markers, and some that are left to be predicted."""
+    specs = [cell.problem.markers for cell in cells]
+    if any(spec is None for spec in specs):
+        rule = f"{name} compares with markers inside the specimen, and there are none"
+        faults.add(where, rule, "add [markers]")
+    elif name == "predicted_marker_error" and not all(spec and spec.fit for spec in specs):
+        rule = f"{name} is of markers that did not tell how the plate moved, and all did"
+        faults.add(where, rule, "add markers.layer and markers.fit")
+
+
+def _check_place(name: str, where: str, cells: Sequence[Cell], faults: Faults) -> None:
+    """Check that every cell is pressed as far as a response looks."""
+    place = simulated_at(name)[1]
+    depths = [c.problem.test.displacement_mm for c in cells]
+    least = min((depth for depth in depths if depth is not None), default=None)
+    if place is not None and least is not None and place > least * (1 + 1e-9):
+        rule = f"is {place:g} mm, and a cell is pressed {least:g} mm only"
+        faults.add(where, rule, "take it inside the test of every cell, or press deeper")
+
+
+#: responses that a fit alone does not give
+_NO_CONSTANT = (*SCORED, *MARKED, "seconds")
+
+
+def check_replicates(design: Design, cells: Sequence[Cell], faults: Faults) -> None:
+    """Check that every cell has what its replicates vary."""
+    asked = design.replicates.noise or design.replicates.mesh_seeds
+    if design.analysis.error == "replicates" and not asked:
+        rule = "is the scatter of replicates, and the design asks for none"
+        faults.add("analysis.error", rule, "add [replicates] mesh_seeds = 5 or noise = 200")
+    if design.replicates.noise:
+        _check_noise(design, cells, faults)
+    if design.replicates.mesh_seeds and not any(_meshed(cell) for cell in cells):
+        rule = (
+            "every cell is compression between frictionless plates, which is the same on every "
+            "mesh: there is no scatter of meshes to learn"
+        )
+        faults.add("replicates.mesh_seeds", rule, "leave it out, or vary something with a mesh")
+
+
+def _check_noise(design: Design, cells: Sequence[Cell], faults: Faults) -> None:
+    where = "replicates.noise"
+    given = sum(not cell.is_calibrated for cell in cells)
+    if given:
+        rule = (
+            "fits again to the measured curve with resampled residuals, but in "
+            f"{given} of {len(cells)} cells the constants are given and nothing is fitted"
+        )
+        faults.add(where, rule, 'write calibration.method = "auto", or use mesh_seeds')
+    if not any(is_constant(response.name) for response in design.responses):
+        rule = "says how much calibrated constants scatter, and no response is one"
+        faults.add(where, rule, 'add [[response]] name = "mu0" (or C10, ...), or use mesh_seeds')
+
+
+def is_constant(response: str) -> bool:
+    """Whether a response is a constant or mu0, which a fit gives without a prediction.
+
+    Examples
+    --------
+    >>> is_constant("mu0"), is_constant("C10"), is_constant("work_error"), is_constant("work")
+    (True, True, False, False)
+    """
+    return response not in _NO_CONSTANT and not is_simulated(response)
+
+
+def _meshed(cell: Cell) -> bool:
+    """Whether a mesh can change an answer of a cell: its scored test or its calibration."""
+    return not (cell.problem.is_homogeneous and cell.fitted.is_homogeneous)
+
+
+File = TypeVar("File", ProblemFile, DesignFile, CalibrationFile)
+
+_KINDS: Mapping[type, str] = {
+    ProblemFile: "problem",
+    DesignFile: "design",
+    CalibrationFile: "calibration",
+}
+_VERBS = {
+    "design": "use `study plan` and `study run` with it",
+    "problem": "use `study solve` with it, or give it [factors]",
+    "calibration": "use `study calibrate` with it",
+}
+
+
+def load(path: str | Path, overrides: Sequence[str] = ()) -> Design:
+    """Load a design."""
+    return loads(diagnostics.read_text(path), str(path), overrides)
+
+
+def loads(text: str | bytes, source: str = "<string>", overrides: Sequence[str] = ()) -> Design:
+    """Load a design from a text, or from the bytes of a file; see :func:`load`."""
+    text = diagnostics.decode(text, source) if isinstance(text, bytes) else text
+    tables = _tables(text, source, overrides)
+    file, faults = _read(DesignFile, tables, source)
+    design = _design(file, tables, faults, source, text)
+    _refuse(faults, source)
+    return design
+
+
+def from_tables(tables: Mapping[str, object]) -> str:
+    """Text of a file that holds some tables: its own keys, texts with units or bare numbers.
+
+    Units: tables mm, N, MPa.
+
+    Examples
+    --------
+    >>> print(from_tables({"specimen": {"shape": "cylinder", "radius": 25.0}}), end="")
+    schema = 1
+    <BLANKLINE>
+    [specimen]
+    shape = "cylinder"
+    radius = "25.0 mm"
+    """
+    return diagnostics.dump_toml({"schema": 1, **overlay.with_units(tables)})
+
+
+def dump(design: Design) -> str:
+    """Canonical TOML of a design, overrides included; :func:`loads` reads the same from it."""
+    return diagnostics.dump_toml(design.config)
+
+
+def load_problem(path: str | Path, overrides: Sequence[str] = ()) -> Config:
+    """Load a problem for one forward simulation."""
+    return loads_problem(diagnostics.read_text(path), str(path), overrides)
+
+
+def loads_problem(
+    text: str | bytes, source: str = "<string>", overrides: Sequence[str] = ()
+) -> Config:
+    """Load a problem from a text; see :func:`load_problem`."""
+    text = diagnostics.decode(text, source) if isinstance(text, bytes) else text
+    tables = _tables(text, source, overrides)
+    file, faults = _read(ProblemFile, tables, source)
+    uncertainty_from(file.uncertainty, (), tables, faults)
+    problem = resolve_problem(tables, faults, file.converge.ratio)
+    material = problem.material
+    if (
+        material.model
+        and not material.constants
+        and not any(is_about(f, "material") for f in faults)
+    ):
+        faults.add("material", "has no constants", 'for example C10 = "5 kPa"')
+    plausibility.check_stability(problem, faults)
+    _refuse(faults, source)
+    document = problem.document()
+    del document["measurements"]
+    return {**document, "converge": file.converge}
+
+
+def load_calibration(path: str | Path, overrides: Sequence[str] = ()) -> CalibrationDesign:
+    """Load a calibration."""
+    return loads_calibration(diagnostics.read_text(path), str(path), overrides)
+
+
+def loads_calibration(
+    text: str | bytes, source: str = "<string>", overrides: Sequence[str] = ()
+) -> CalibrationDesign:
+    """Load a calibration from a text; see :func:`load_calibration`."""
+    text = diagnostics.decode(text, source) if isinstance(text, bytes) else text
+    tables = _tables(text, source, overrides)
+    file, faults = _read(CalibrationFile, tables, source)
+    found = resolve_calibration(file, tables, file.study.name or default_name(source), faults)
+    _refuse(faults, source)
+    return found
+
+
+def file_kind(path: str | Path) -> str:
+    """Kind of a file: ``"design"``, ``"calibration"`` or ``"problem"``."""
+    return _kind(diagnostics.parse_toml(diagnostics.read_text(path), str(path)))
+
+
+def default_name(source: str) -> str:
+    """Name of a study that has none: that of its file.
+
+    Examples
+    --------
+    >>> default_name("designs/My study.toml")
+    'My-study'
+    """
+    stem = Path(source).stem if "\0" not in source else ""
+    return re.sub(r"[^A-Za-z0-9_-]+", "-", stem).strip("-")[:80] or "study"
+
+
+def _kind(tables: Table) -> str:
+    if "factors" in tables or "response" in tables:
+        return "design"
+    return "calibration" if "tests" in tables else "problem"
+
+
+def _read(kind: type[File], tables: Table, source: str) -> tuple[File, Faults]:
+    """Read the tables of a file that are the same for all of its cells."""
+    wanted, actual, faults = _KINDS[kind], _kind(tables), Faults()
+    if actual != wanted and (actual != "problem" or wanted == "calibration"):
+        raise InputError(Fault(source, f"is a {actual}, not a {wanted}", _VERBS[actual]))
+    return read_table(kind, tables, "", faults), faults
+
+
+def _refuse(faults: Faults, source: str) -> None:
+    """Raise the faults of a file together, each with the file's name."""
+    if faults:
+        raise InputError([Fault(f"{source}: {f.where}", f.rule, f.mend) for f in faults])
+
+
+def _tables(text: str, source: str, overrides: Sequence[str]) -> Tables:
+    """Tables of a text with dotted keys joined and the overrides laid over."""
+    tables = _joined(diagnostics.parse_toml(text, source), source)
+    for override in overrides:
+        path, value = diagnostics.parse_override(override)
+        if path[0] in ("factors", "uncertainty"):
+            path = [path[0], ".".join(path[1:])] if len(path) > 1 else path
+        _check_override(tables, path)
+        own = tables.get(path[0])
+        if path[0] in ("factors", "uncertainty") and len(path) > 1 and isinstance(own, dict):
+            tables[path[0]] = set_whole(own, path[1], value)
+        elif path[0] in overlay.TABLES and len(path) > 1 and not any("." in part for part in path):
+            tables = overlay.lay(tables, {".".join(path): value})
+        else:
+            diagnostics.set_value(tables, path, value)
+    return _joined(tables, source)
+
+
+def _joined(tables: Tables, source: str) -> Tables:
+    """Join the dotted keys that TOML nests: ``[factors]``, ``[uncertainty]``, ``when``."""
+    try:
+        for key in ("factors", "uncertainty"):
+            table = tables.get(key)
+            if isinstance(table, dict):
+                tables[key] = diagnostics.flatten(table)
+        excluded = tables.get("exclude")
+        for row in excluded if isinstance(excluded, list) else ():
+            if isinstance(row, dict) and isinstance(row.get("when"), dict):
+                row["when"] = diagnostics.flatten(row["when"])
+    except InputError as error:
+        fault = error.faults[0]
+        raise InputError(Fault(f"{source}: {fault.where}", fault.rule, fault.mend)) from error
+    return tables
+
+
+def _check_override(tables: Table, path: Sequence[str]) -> None:
+    """Refuse an override that a factor's levels would hide again."""
+    key, factors = ".".join(path), tables.get("factors")
+    if not isinstance(factors, dict):
+        return
+    if key in grouped(factors):
+        new = "[...]" if key in factors else "{ low = .., high = .. }"
+        mend = f"change it there: -s 'factors.{key}={new}'"
+        raise InputError(Fault(f"-s {key}", "is a factor: its levels would hide this", mend))
+    presets = presets_from(tables.get("presets"), Faults())
+    hiding = [
+        f"presets.{name}.{label}"
+        for name in factors
+        for label, preset in presets.get(name, {}).items()
+        if key in preset
+    ]
+    if hiding:
+        rule = f"is set by {', '.join(hiding[:3])}, which would hide this"
+        raise InputError(Fault(f"-s {key}", rule, f"change it there: -s '{hiding[0]}...=...'"))
+
+
+def _design(file: DesignFile, tables: Tables, faults: Faults, source: str, text: str) -> Design:
+    name = file.study.name or default_name(source)
+    study = tables.setdefault("study", {})
+    if isinstance(study, dict):
+        study.setdefault("name", name)
+    presets = presets_from(file.presets, faults)
+    factors = factors_from(file.factors, presets, faults)
+    declared = list(grouped(entries(file.factors, "factors", faults)))
+    excluding = "exclude" in tables
+    factors, scheme = scheme_from(file.design, factors, file.study.seed, excluding, faults)
+    responses = responses_from(file.response, faults)
+    uncertain, inputs = uncertainty_from(file.uncertainty, factors, tables, faults)
+    _check_asked(tables, faults)
+    design = Design(
+        name=name,
+        question=file.study.question,
+        seed=file.study.seed,
+        assumed=file.study.assumed,
+        config=tables,
+        factors=factors,
+        exclusions=exclusions_from(file.exclude, factors, declared, faults),
+        responses=responses,
+        measurements=measurements_from(file.measurements, Faults()) if file.measurements else None,
+        calibration=calibration_from(tables, _gives_constants(tables), Faults()),
+        analysis=analysis_from(file.analysis, factors, declared, scheme, faults),
+        scheme=scheme,
+        replicates=file.replicates,
+        retry=dict(file.execution.retry or ()),  # None where it is faulty
+        expected=expected_from(file.expected, factors, responses, faults),
+        converge=file.converge,
+        uncertainty=uncertain,
+        inputs=inputs,
+        virtual=file.virtual,
+        report=file.report,
+        source=source,
+        text=text,
+    )
+    if factors:
+        check_cells(design, presets, faults)
+    return design
+
+
+def _gives_constants(tables: Table) -> bool:
+    """Whether the table ``[material]`` itself has constants, before any level is laid over it."""
+    material = tables.get("material")
+    return isinstance(material, dict) and any(is_constant_key(key) for key in material)
+
+
+def _check_asked(tables: Table, faults: Faults) -> None:
+    """Check that something is asked of a design; a mesh study without measurements need not."""
+    studied = "converge" in tables and "measurements" not in tables
+    if "response" not in tables and not studied:
+        faults.add("response", "is missing", RESPONSES_MEND)
+    replicates = tables.get("replicates")
+    if not isinstance(replicates, Mapping):
+        return
+    if {"mesh_seeds", "noise"} <= set(replicates):
+        rule = "mesh_seeds and noise are two error terms, with different questions"
+        faults.add("replicates", rule, "give one of them, and the other in a study of its own")
+    elif not replicates:
+        faults.add("replicates", "is empty", "write mesh_seeds = 5 or noise = 200")
+
+
+def template(name: str = "template") -> str:
+    """Text of a commented, valid file to start from.
+
+    Examples
+    --------
+    >>> template().startswith("# A study")
+    True
+    """
+    return (
+        resources.files("study.harness.design").joinpath(f"{name}.toml").read_text(encoding="utf-8")
+    )

@@ -1,0 +1,355 @@
+"""The table ``[material]``: an energy, its constants as far as given, compressibility, relaxation.
+
+Which constants there are says the energy; all other keys are declared here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from statistics import NormalDist
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from study.ground.arrays import Array
+from study.ground.errors import InputError
+from study.harness.design.diagnostics import Faults, Table, noted, read_table
+from study.mechanics.material.energy import CompressibleEnergy, Energy
+from study.mechanics.material.material import ENERGIES, MODELS, constant_names, is_constant_key
+from study.mechanics.material.relaxation import MOST_TERMS
+from study.mechanics.setup.declaration import (
+    AsWritten,
+    Bad,
+    Reads,
+    choice,
+    integer,
+    number,
+    quantity,
+    section,
+    shown,
+    written_keys,
+)
+from study.mechanics.setup.material_section import Compressibility, MaterialSection, RelaxationKey
+
+# -------------------------------------------------------------------------------------------------
+# The key ``material.relaxation``: terms by which the stress fades, or a grid of their times.
+
+_MEND = 'write [{ share = 0.3, time = "2 s" }], or { from = "0.1 s", to = "100 s", terms = 4 }'
+_TIME = quantity("time")
+
+#: shares from 0 to 1, each of the stress that a load has at once
+_SHARE = number(0, 1, closed=True)
+
+
+def _time(value: object) -> tuple[float, float]:
+    """Read a time, or two between which it is to be found."""
+    ends = value if isinstance(value, list) else [value, value]
+    if len(ends) != 2:
+        raise Bad(f"must be a time or two of them, got {shown(value)}", '["0.5 s", "20 s"]')
+    low, high = (_TIME(one) for one in ends)
+    if isinstance(value, list) and not low < high:
+        raise Bad(f"must rise, got {shown(value)}", '["0.5 s", "20 s"]')
+    return low, high
+
+
+@section
+class TermTable:
+    """One term."""
+
+    #: After which it has faded to 1/e, or two times between which a calibration finds it.
+    time: Annotated[object, Reads(_time, mend='time = "2 s", or time = ["0.5 s", "20 s"]')]
+    #: Of the instantaneous stress; left out where a calibration is to find it.
+    share: Annotated[float | None, Reads(_SHARE)] = None
+
+
+@section
+class GridTable:
+    """Times that a calibration is to find the shares of, even on a logarithmic scale."""
+
+    to: Annotated[float, Reads(_TIME, "time", 'to = "100 s"')]
+    terms: Annotated[int, Reads(integer(2, MOST_TERMS), mend="terms = 4")]
+    first: Annotated[float, Reads(_TIME, "time", 'from = "0.1 s"')] = Field(validation_alias="from")
+
+
+def relaxation_from(value: object, faults: Faults, path: str) -> tuple[RelaxationKey, ...]:
+    """Read how the stress of a material fades."""
+    if value is None:
+        return ()
+    if isinstance(value, Mapping):
+        return _grid(value, faults, path)
+    if not isinstance(value, list) or not 1 <= len(value) <= MOST_TERMS:
+        faults.add(path, f"must be a list of 1 to {MOST_TERMS} terms, got {shown(value)}", _MEND)
+        return ()
+    found = [_term(one, faults, f"{path}[{k}]") for k, one in enumerate(value)]
+    given = math.fsum(term.share or 0.0 for term in found)
+    if given >= 1:
+        rule = f"the shares add up to {given:g}: nothing of the stiffness would be left"
+        faults.add(path, rule, "the sum of all shares must stay below 1")
+    return tuple(found)
+
+
+def _term(value: object, faults: Faults, path: str) -> RelaxationKey:
+    known = len(faults)
+    found = read_table(TermTable, value, path, faults)
+    if len(faults) > known or not isinstance(found.time, tuple):
+        return RelaxationKey(None, 1.0)
+    low, high = found.time
+    middle = math.sqrt(low * high) if low < high else low
+    return RelaxationKey(found.share, middle, (low, high) if low < high else None)
+
+
+def _grid(value: Table, faults: Faults, path: str) -> tuple[RelaxationKey, ...]:
+    known = len(faults)
+    found = read_table(GridTable, value, path, faults)
+    if len(faults) > known:
+        return ()
+    if not found.first < found.to:
+        rule = f"must be later than {found.first:g} s, got {found.to:g} s"
+        faults.add(f"{path}.to", rule, "the grid runs from the shortest to the longest time")
+        return ()
+    step = (found.to / found.first) ** (1 / (found.terms - 1))
+    return tuple(RelaxationKey(None, found.first * step**k) for k in range(found.terms))
+
+
+#: keys of which a material has one
+_COMPRESSIBILITY = written_keys(Compressibility)
+#: value of a constant that could not be read: mu0 and all that follows from it are unknown then
+_UNREAD = math.nan
+_MOST_TERMS = 9
+
+
+@section
+class MaterialTable:
+    """Keys of a material that do not depend on its energy."""
+
+    #: Name of the energy.
+    model: Annotated[str, Reads(choice(*MODELS), mend=f"one of {', '.join(MODELS)}")]
+    #: Number of its terms.
+    order: Annotated[int | None, Reads(integer(1, 9))] = None
+    #: As written; see :func:`study.harness.design.material_table.relaxation_from`.
+    relaxation: AsWritten = None
+
+
+def material_from(table: object, faults: Faults, path: str = "material") -> MaterialSection:
+    """Read a material in MPa, exponents plain."""
+    written: Table = table if isinstance(table, Mapping) else {}
+    named = written.get("model")
+    energy = ENERGIES.get(named) if isinstance(named, str) else None
+    constants = [k for k in written if (energy.has_key if energy else is_constant_key)(k)]
+    examples = energy.constant_names(3 if energy.has_order else 1) if energy else ()
+    listed = energy.list_keys if energy else ()
+    also = (*_COMPRESSIBILITY, *constants, *(listed or examples))
+    found = read_table(MaterialTable, table, path, faults, also)
+    volume = _compressibility(written, faults, path)
+    if energy is None:
+        return MaterialSection("", None, {}, volume)
+    read = _terms if listed else _moduli
+    values = read(energy, {key: written[key] for key in constants}, faults, path)
+    order = _order(energy, found.order, values, faults, path)
+    where = f"{path}.relaxation"
+    fading = relaxation_from(found.relaxation, faults, where)
+    if fading and (energy.small_strain or not energy.splits):
+        rule = f"is one of an isochoric energy, which {energy.name} is not"
+        mend = 'write model = "neo-hookean", or another energy with an isochoric part'
+        faults.add(where, rule, mend)
+    if isinstance(energy, CompressibleEnergy) and volume.poisson_ratio is None:
+        fault = energy.without_poisson_ratio()
+        faults.add(f"{path}.poisson_ratio", fault.rule, fault.mend)
+    return MaterialSection(energy.name, order, values, volume, fading)
+
+
+def _compressibility(written: Table, faults: Faults, path: str) -> Compressibility:
+    own = {key: value for key, value in written.items() if key in _COMPRESSIBILITY}
+    given = [key for key, value in own.items() if value is not False]
+    mend = f"give one of {', '.join(_COMPRESSIBILITY)}"
+    if not given:
+        faults.add(f"{path}.poisson_ratio", "is missing", mend)
+    first, *others = [key for key in _COMPRESSIBILITY if key in given] or [""]
+    if others:
+        faults.add(f"{path}.{first}", f"stands beside {' and '.join(others)}", mend)
+    return read_table(Compressibility, own, path, faults)
+
+
+def _moduli(energy: Energy, given: Table, faults: Faults, path: str) -> dict[str, float]:
+    """Constants of every energy but Ogden's; all of them, or none where they are calibrated."""
+    modulus = quantity("pressure", 0.0 if energy.small_strain else -math.inf)
+    found = {}
+    for key in energy.ordered(given):
+        read = number() if energy.is_dimensionless(key) else modulus
+        value = noted(read, given[key], f"{path}.{key}", faults)
+        found[key] = _UNREAD if value is None else value
+    return found
+
+
+def _terms(energy: Energy, given: Table, faults: Faults, path: str) -> dict[str, float]:
+    """Constants of Ogden's energy: two lists with an entry for every term."""
+    mu = _entries(given, "mu", quantity("pressure", -math.inf), faults, path)
+    alpha = _entries(given, "alpha", number(-30, 30, closed=True), faults, path)
+    missing = [key for key in energy.list_keys if key not in given]
+    if given and missing:
+        faults.add(
+            f"{path}.{missing[0]}", "is missing", "give both lists, one entry for every term"
+        )
+    if len(mu) != len(alpha) and mu and alpha:
+        rule = f"has {len(alpha)} entries, mu has {len(mu)}"
+        faults.add(f"{path}.alpha", rule, "one for every term")
+    for i, value in enumerate(alpha, 1):
+        if value == 0:
+            rule = f"must not be zero (term {i})"
+            faults.add(f"{path}.alpha", rule, "its energy has no such term")
+    found: dict[str, float] = {}
+    for i, (modulus, exponent) in enumerate(zip(mu, alpha, strict=False), 1):
+        found |= {f"mu{i}": modulus, f"alpha{i}": exponent}
+    return found
+
+
+def _entries(
+    given: Table, key: str, read: Callable[[object], float], faults: Faults, path: str
+) -> list[float]:
+    values = given.get(key, [])
+    if not isinstance(values, list) or len(values) > _MOST_TERMS or (key in given and not values):
+        mend = 'mu = ["5 kPa"], alpha = [2.0]'
+        faults.add(f"{path}.{key}", f"must be a list of 1 to {_MOST_TERMS} entries", mend)
+        return []
+    found = [noted(read, value, f"{path}.{key}[{i}]", faults) for i, value in enumerate(values)]
+    return [_UNREAD if value is None else value for value in found]
+
+
+def _order(
+    energy: Energy, order: int | None, constants: Mapping[str, float], faults: Faults, path: str
+) -> int | None:
+    """Check the number of terms against the constants; None for energies that have no choice."""
+    where = f"{path}.order"
+    if not energy.has_order:
+        if order not in (None, 1):
+            faults.add(where, f"{energy.name} has no order, got {order}", "leave it out")
+        _complete(energy, constants, None, faults, path)
+        return None
+    terms = energy.order_of(constants)
+    if order is None and not terms:
+        faults.add(where, "is missing", "give it, or the constants themselves")
+    elif order is not None and terms and order != terms:
+        rule = f"is {order}, but the constants given have {terms} terms ({', '.join(constants)})"
+        faults.add(where, rule, "make them agree")
+    elif terms:
+        _complete(energy, constants, terms, faults, path)
+    return order if order is not None else terms or None
+
+
+def _complete(
+    energy: Energy, constants: Mapping[str, float], terms: int | None, faults: Faults, path: str
+) -> None:
+    """Check that no constant is missing beside those given."""
+    if not constants or energy.sparse:
+        return
+    try:
+        names = constant_names(energy.name, terms)
+    except InputError as error:
+        faults.add(f"{path}.order", error.faults[0].rule)
+        return
+    for name in names:
+        if name not in constants:
+            faults.add(f"{path}.{name}", "is missing", f"{energy.name} takes {', '.join(names)}")
+
+
+# -------------------------------------------------------------------------------------------------
+# Distribution of an uncertain input, cut off at the ends of the range that is run.
+
+#: what each kind of distribution is told by, in the order of its numbers
+PARAMETERS: Mapping[str, tuple[str, ...]] = {
+    "normal": ("mean", "sd"),
+    "uniform": ("low", "high"),
+    "triangular": ("low", "mode", "high"),
+    "lognormal": ("median", "factor"),
+}
+
+#: all keys of a distribution
+DISTRIBUTION_KEYS = ("distribution", *dict.fromkeys(k for own in PARAMETERS.values() for k in own))
+
+
+@dataclass(frozen=True)
+class InputDistribution:
+    """Distribution of an uncertain input, cut off at the ends of the range that is run."""
+
+    #: The family.
+    kind: str
+    #: Its numbers in the order of `PARAMETERS`, in the unit of the range; the factor of a lognormal
+    #: distribution is exp(sd of the logarithm).
+    numbers: tuple[float, ...]
+    #: Ends of the range.
+    low: float
+    #: Ends of the range.
+    high: float
+
+    def below(self, value: float) -> float:
+        """Probability of less than a value, before anything is cut off."""
+        a, b = self.numbers[0], self.numbers[1]
+        if self.kind == "normal":
+            return NormalDist(a, b).cdf(value)
+        if self.kind == "lognormal":
+            return NormalDist(math.log(a), math.log(b)).cdf(math.log(value)) if value > 0 else 0.0
+        if self.kind == "uniform":
+            return min(max((value - a) / (b - a), 0.0), 1.0)
+        return _below_triangle(value, *self.numbers)
+
+    @property
+    def outside(self) -> float:
+        """Probability that is cut off."""
+        return self.below(self.low) + 1.0 - self.below(self.high)
+
+    def quantile(self, shares: Array) -> Array:
+        """Values, in the unit of the range, below which such shares of the distribution lie."""
+        from scipy import special
+
+        first, last = self.below(self.low), self.below(self.high)
+        p = first + shares * (last - first)
+        a, b = self.numbers[0], self.numbers[1]
+        if self.kind == "normal":
+            found = a + b * special.ndtri(p)
+        elif self.kind == "lognormal":
+            found = a * np.exp(math.log(b) * special.ndtri(p))
+        elif self.kind == "uniform":
+            found = a + p * (b - a)
+        else:
+            found = _triangle(p, *self.numbers)
+        return np.asarray(np.clip(found, self.low, self.high))
+
+    def halved(self) -> InputDistribution:
+        """Give the distribution with half the spread, about the same middle."""
+        a, b = self.numbers[0], self.numbers[1]
+        if self.kind == "normal":
+            own: tuple[float, ...] = (a, 0.5 * b)
+        elif self.kind == "lognormal":
+            own = (a, math.sqrt(b))
+        elif self.kind == "uniform":
+            own = (0.75 * a + 0.25 * b, 0.25 * a + 0.75 * b)
+        else:
+            middle = sum(self.numbers) / 3
+            own = tuple(0.5 * (value + middle) for value in self.numbers)
+        return InputDistribution(self.kind, own, self.low, self.high)
+
+    def words(self, unit: str) -> str:
+        """Say what it is, such as ``normal, mean 7 kPa, sd 0.5 kPa``."""
+        told = zip(PARAMETERS[self.kind], self.numbers, strict=True)
+        said = [f"{name} {v:.4g}" + ("" if name == "factor" or not unit else f" {unit}")
+                for name, v in told]  # fmt: skip
+        return ", ".join([self.kind, *said])
+
+
+def _below_triangle(x: float, low: float, mode: float, high: float) -> float:
+    if x <= low:
+        return 0.0
+    if x >= high:
+        return 1.0
+    if x <= mode:
+        return (x - low) ** 2 / ((high - low) * (mode - low))
+    return 1.0 - (high - x) ** 2 / ((high - low) * (high - mode))
+
+
+def _triangle(p: Array, low: float, mode: float, high: float) -> Array:
+    rising = low + np.sqrt(p * (high - low) * (mode - low))
+    falling = high - np.sqrt((1.0 - p) * (high - low) * (high - mode))
+    return np.asarray(np.where(p < (mode - low) / (high - low), rising, falling))

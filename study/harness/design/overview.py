@@ -1,0 +1,288 @@
+"""What a design can and cannot tell, before anything runs: the data of ``study plan``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass
+
+from study.ground.canonical import Json, plain
+from study.harness.design.cell import Cell
+from study.harness.design.diagnostics import Faults
+from study.harness.design.plausibility import cautions
+from study.harness.design.spec import Combination, Design, Factor, Level, Treatment
+
+Groups = tuple[tuple[Treatment, ...], ...]
+Key = Callable[[Cell], Hashable]
+
+
+def _grouped(treatments: Sequence[Treatment], key: Key) -> Groups:
+    groups: dict[Hashable, list[Treatment]] = {}
+    for one in treatments:
+        groups.setdefault(key(one.cell), []).append(one)
+    return tuple(tuple(group) for group in groups.values())
+
+
+def _physical(cell: Cell) -> str:
+    return cell.physical_key
+
+
+def _calibration(cell: Cell) -> str | None:
+    return cell.calibration_key
+
+
+def equivalent_groups(design: Design) -> Groups:
+    """Cells that must agree physically, grouped: one group is one distinct computation.
+
+    In compression with both faces frictionless the deformation is the same everywhere, so
+    that space, order, mesh and element shape cannot matter: those cells are controls.
+    """
+    return _grouped(design.treatments, _physical)
+
+
+def duplicates(design: Design) -> Groups:
+    """Find groups of two or more cells with different labels and the same content."""
+    groups = _grouped(design.treatments, lambda cell: cell.content_key)
+    return tuple(group for group in groups if len(group) > 1)
+
+
+def calibration_groups(design: Design) -> Groups:
+    """Cells that share one calibration problem (one fit a block); none where nothing is fitted."""
+    return _grouped([one for one in design.treatments if one.cell.is_calibrated], _calibration)
+
+
+def calibration_factors(design: Design) -> tuple[str, ...]:
+    """Names of the factors that enter the calibration problem of some cell."""
+    return tuple(f.name for f in design.factors if _calibrates(design, f.name))
+
+
+def _calibrates(design: Design, factor: str) -> bool:
+    """Whether a factor enters the calibration problem of some cell; none where nothing is fitted.
+
+    The cells of a sample of ranges, each with levels of its own, would be made tens of thousands
+    of times to find that out.
+    """
+    fitted = any(one.cell.is_calibrated for one in design.treatments)
+    return fitted and _separated(design, factor, _calibration) > 0
+
+
+def _separated(design: Design, factor: str, key: Key) -> int:
+    """Count the cells in which the factor changes the key."""
+    if design.scheme.rows is not None:
+        return sum(_changes(design, one, factor, key) for one in design.treatments)
+    slices: dict[tuple[str, ...], list[Hashable]] = {}
+    for one in design.treatments:
+        others = tuple(label for name, label in one.levels.items() if name != factor)
+        slices.setdefault(others, []).append(key(one.cell))
+    return sum(len(keys) for keys in slices.values() if len(set(keys)) > 1)
+
+
+def _changes(design: Design, treatment: Treatment, factor: str, key: Key) -> bool:
+    """Whether another level of one factor alone changes the key of a cell.
+
+    A part of the full factorial may hold no two cells that differ in one factor only, so the
+    other cell is made for the comparison.
+    """
+    own, place = key(treatment.cell), [f.name for f in design.factors].index(factor)
+    levels = [f.levels[f.labels.index(treatment.levels[f.name])] for f in design.factors]
+    for other in _compared(design.factors[place]):
+        faults = Faults()
+        made = design.resolved([*levels[:place], other, *levels[place + 1 :]], faults)
+        if not faults and key(made) != own:
+            return True
+    return False
+
+
+def _compared(factor: Factor) -> Sequence[Level]:
+    """Levels that tell whether a factor matters: of a sampled range the ends and the middle."""
+    if factor.span is None or len(factor.levels) <= 3:
+        return factor.levels
+    return [factor.levels[i] for i in (0, len(factor.levels) // 2, -1)]
+
+
+def inert_cells(design: Design, factor: str) -> int:
+    """Count the cells in which a factor cannot change a force: its controls."""
+    return len(design.treatments) - _separated(design, factor, _physical)
+
+
+@dataclass(frozen=True)
+class FactorOverview:
+    """What a factor can tell."""
+
+    #: Of the factor.
+    name: str
+    #: Its labels.
+    levels: tuple[str, ...]
+    #: Whether it enters the calibration problem of some cell.
+    calibrates: bool
+    #: Cells in which it cannot change a force.
+    inert_cells: int
+    #: Both in words.
+    note: str
+
+
+@dataclass(frozen=True)
+class CellOverview:
+    """One row of the design matrix."""
+
+    #: Of the cell.
+    label: str
+    #: Label by factor.
+    levels: Mapping[str, str]
+    #: Number of its computation: cells with one number must agree.
+    group: int
+    #: Number of its calibration problem; None where nothing is fitted.
+    calibration: int | None
+    #: Whether its deformation is the same everywhere.
+    homogeneous: bool
+
+
+@dataclass(frozen=True)
+class Replication:
+    """What is computed several times, and which question that answers."""
+
+    kind: str
+    count: int
+    sentence: str
+
+
+@dataclass(frozen=True)
+class Overview:
+    """What a design can and cannot tell."""
+
+    #: The study.
+    design: Design
+    #: Computations and calibration problems that differ.
+    distinct: int
+    #: Computations and calibration problems that differ.
+    calibrations: int
+    #: What each of them can tell.
+    factors: tuple[FactorOverview, ...]
+    #: Every cell that is run.
+    matrix: tuple[CellOverview, ...]
+    #: Cells left out, and why.
+    excluded: tuple[tuple[Combination, str], ...]
+    #: What is computed several times.
+    replicates: Replication | None
+    #: Cells with different labels and the same content.
+    duplicates: Groups
+    #: What is allowed and probably not meant.
+    warnings: tuple[str, ...]
+
+    def to_json(self) -> dict[str, Json]:
+        """Document of ``study plan --json``."""
+        scheme = self.design.scheme
+        return plain(
+            {
+                "study": self.design.name,
+                "question": self.design.question,
+                "cells": len(self.matrix),
+                "distinct": self.distinct,
+                "calibrations": self.calibrations,
+                "factors": self.factors,
+                "matrix": self.matrix,
+                "excluded": [{"label": one.label, "why": why} for one, why in self.excluded],
+                "scheme": {
+                    "kind": scheme.kind,
+                    "summary": scheme.summary,
+                    "resolution": scheme.resolution,
+                    "defining_relation": scheme.defining_relation,
+                    "aliases": scheme.aliases,
+                },
+                "replicates": self.replicates,
+                "duplicates": [[one.label for one in group] for group in self.duplicates],
+                "warnings": self.warnings,
+            }
+        )
+
+
+def overview(design: Design) -> Overview:
+    """Describe a design: matrix, exclusions, groups, what each factor can tell."""
+    groups, fitted = equivalent_groups(design), calibration_groups(design)
+    return Overview(
+        design,
+        len(groups),
+        len(fitted),
+        tuple(_factor(design, i) for i in range(len(design.factors))),
+        _matrix(design, groups, fitted),
+        design.excluded,
+        replication(design),
+        duplicates(design),
+        warnings(design),
+    )
+
+
+def replication(design: Design) -> Replication | None:
+    """Say what is computed several times, and which question that answers."""
+    asked = design.replicates
+    if asked.mesh_seeds:
+        sentence = (
+            f"every cell is solved on {asked.mesh_seeds} meshes of its size that differ by a seed: "
+            "is an effect larger than the mesh noise at this size? (E3)"
+        )
+        return Replication("mesh-seeds", asked.mesh_seeds, sentence)
+    if asked.noise:
+        sentence = (
+            f"every fit is made {asked.noise} times more, to its curve with resampled residuals: "
+            "is an effect larger than the noise in the measured data alone would give? (E2)"
+        )
+        return Replication("noise", asked.noise, sentence)
+    return None
+
+
+def _factor(design: Design, index: int) -> FactorOverview:
+    factor, total = design.factors[index], len(design.treatments)
+    calibrates = _calibrates(design, factor.name)
+    inert = inert_cells(design, factor.name)
+    note = _note(calibrates, inert, total, design.calibration.method != "none")
+    return FactorOverview(factor.name, factor.labels, calibrates, inert, note)
+
+
+def _note(calibrates: bool, inert: int, total: int, fitted: bool) -> str:
+    if inert == total:
+        return "cannot change any force: every cell is a control"
+    parts = []
+    if fitted:
+        parts.append("enters the fit" if calibrates else "does not enter the fit")
+    if inert:
+        parts.append(f"cannot matter in {inert} of {total} cells, which are controls")
+    return "; ".join(parts)
+
+
+def _matrix(design: Design, groups: Groups, fitted: Groups) -> tuple[CellOverview, ...]:
+    group = {one.label: i for i, members in enumerate(groups, 1) for one in members}
+    fit = {one.label: i for i, members in enumerate(fitted, 1) for one in members}
+    return tuple(
+        CellOverview(
+            one.label,
+            one.levels,
+            group[one.label],
+            fit.get(one.label),
+            one.cell.problem.is_homogeneous,
+        )
+        for one in design.treatments
+    )
+
+
+def warnings(design: Design) -> tuple[str, ...]:
+    """Sentences about what is allowed and probably not meant."""
+    found: dict[str, None] = {}
+    for one in design.treatments:
+        problem = one.cell.problem
+        found.update(dict.fromkeys(cautions(problem.setup, problem.material)))
+        spec = problem.measurements
+        if spec is not None and spec.fit is not None and spec.fit == spec.score:
+            found["cells are scored on the rows they were fitted to: fit, not prediction"] = None
+    for group in duplicates(design):
+        labels = " = ".join(one.label for one in group)
+        found[f"cells with the same content are one computation, no replicates: {labels}"] = None
+    unused = set(_preset_sets(design)) - {factor.name for factor in design.factors}
+    for name in sorted(unused):
+        found[f"the preset set {name!r} is no factor and is not used"] = None
+    if design.converge.ratio < 1.3:
+        found[f"converge.ratio {design.converge.ratio:g} is below 1.3: orders will be noise"] = None
+    return tuple(found)
+
+
+def _preset_sets(design: Design) -> Sequence[str]:
+    presets = design.config.get("presets")
+    return list(presets) if isinstance(presets, dict) else []

@@ -1,0 +1,235 @@
+"""Tables as written -> the problems of a cell or of a calibration, with every fault."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from study.ground.errors import InputError
+from study.harness.design import overlay, plausibility
+from study.harness.design.calibration_section import (
+    CalibratedTest,
+    CalibrationDesign,
+    nuisance_from,
+    of_test,
+)
+from study.harness.design.cell import (
+    Cell,
+    CellProblem,
+    forward_from,
+    loading_from,
+    markers_from,
+    measurements_from,
+    model_from,
+    specimen_from,
+)
+from study.harness.design.diagnostics import (
+    Faults,
+    Table,
+    all_about,
+    is_known,
+    noted,
+    read_table,
+    with_values,
+)
+from study.harness.design.material_table import material_from
+from study.harness.design.study_file import CalibrationFile, TestTable
+from study.mechanics.setup.calibration_table import (
+    ANALYTIC_KEYS,
+    Bounds,
+    Calibration,
+    Fitting,
+    bounds_of,
+)
+from study.mechanics.setup.declaration import values_of
+from study.mechanics.setup.material_section import MaterialSection
+
+TABLES = ("specimen", "test", "material", "model", "measurements", "markers", "forward")
+
+
+def resolve(tables: Table, faults: Faults, ratio: float = 1.5) -> Cell:
+    """Resolve a cell: sections in internal units, the displacement filled from the range."""
+    problem = resolve_problem(tables, faults, ratio)
+    asked = calibration_from(tables, bool(problem.material.constants), faults)
+    other = None
+    if asked.problem is not None:
+        own = {k: v for k, v in values_of(asked.problem).items() if v is not None}
+        places = {k: f"calibration.problem.{k}" for k in own}
+        other = resolve_problem({**tables, **own}, faults, ratio, places)
+    cell = Cell(problem, asked.method or "auto", asked.leave_out, other)
+    if asked.method is not None:
+        _check_method(cell, faults)
+    return cell
+
+
+def resolve_problem(
+    tables: Table,
+    faults: Faults,
+    ratio: float = 1.5,
+    places: Mapping[str, str] | None = None,
+) -> CellProblem:
+    """Resolve specimen, test, material, model and measurements."""
+    at = {name: name for name in TABLES} | dict(places or {})
+    specimen = specimen_from(tables.get("specimen", {}), faults, at["specimen"])
+    written = tables.get("test", {})
+    if specimen.shape == "homogeneous" and isinstance(written, Mapping):
+        written = {"interface": "frictionless", **written}  # nothing holds a gauge section
+    test = loading_from(written, faults, at["test"])
+    material = material_from(tables.get("material", {}), faults, at["material"])
+    model = model_from(tables.get("model", {}), faults, specimen.shape, ratio, at["model"])
+    spec = None
+    if "measurements" in tables:
+        table = tables["measurements"]
+        spec = measurements_from(table, faults, at["measurements"])
+        chosen = isinstance(table, Mapping) and "points" in table
+        if spec is not None and specimen.shape == "homogeneous" and not chosen:
+            spec = replace(spec, points="raw")  # every row of a test of material counts
+    forward = forward_from(tables.get("forward"), faults, at["forward"])
+    markers = markers_from(tables.get("markers"), faults, at["markers"])
+    problem = CellProblem(specimen, test, material, model, spec, forward, markers)
+    _check_closed_form(problem, faults, at)
+    problem = _with_displacement(problem, tables, faults, at)
+    plausibility.check(problem, faults, at)
+    return problem
+
+
+def _check_closed_form(problem: CellProblem, faults: Faults, at: Mapping[str, str]) -> None:
+    forward = problem.forward
+    asked = forward is not None and forward.model == "closed-form"
+    if asked and is_known(problem.test.kind) and not problem.is_homogeneous:
+        rule = "closed-form needs a test that deforms the specimen the same everywhere"
+        mend = 'write test.interface = "frictionless", or another forward.model'
+        faults.add(f"{at['forward']}.model", rule, mend)
+
+
+def _with_displacement(
+    problem: CellProblem, tables: Table, faults: Faults, at: Mapping[str, str]
+) -> CellProblem:
+    """Take the end of the range for a displacement left out; both given must agree."""
+    where = f"{at['test']}.displacement"
+    given, high = problem.test.displacement_mm, _range_end(problem, faults, at)
+    if problem.markers is not None:
+        high = problem.markers.deepest_mm
+    if given is None:
+        _check_displacement(problem, tables, high, where, faults)
+        return replace(problem, test=with_values(problem.test, displacement_mm=high))
+    if high is not None and abs(high - given) > 1e-9 * high:
+        source = (
+            "the deepest of markers.states is" if problem.markers else "measurements.range ends at"
+        )
+        rule = f"{given:g} mm, but {source} {high:g} mm"
+        faults.add(where, rule, "make them agree, or leave the displacement out")
+    return problem
+
+
+def _check_displacement(
+    problem: CellProblem, tables: Table, high: float | None, where: str, faults: Faults
+) -> None:
+    """Note a displacement that nothing gives, unless what would give it is faulty itself."""
+    test, spec, measured = tables.get("test"), problem.measurements, "measurements" in tables
+    written = isinstance(test, Mapping) and "displacement" in test
+    unread = measured and (
+        spec is None
+        or spec.range is not None
+        or spec.points == "raw"
+        or spec.columns.time is not None
+    )
+    unread = unread or "markers" in tables  # which say it, or are faulty themselves
+    if high is None and not written and not unread:
+        mend = 'write displacement = "5 mm"' + (", or measurements.range" if measured else "")
+        faults.add(where, "is missing", mend)
+
+
+def _range_end(problem: CellProblem, faults: Faults, at: Mapping[str, str]) -> float | None:
+    spec, height = problem.measurements, problem.height_mm
+    if spec is None or spec.range is None:
+        return None
+    if spec.range.kind == "percent" and height is None and problem.specimen.shape != "surface":
+        return None  # the height itself is faulty, and reported
+    try:
+        return spec.range.in_mm(height)[1]
+    except InputError as error:
+        fault = error.faults[0]
+        faults.add(f"{at['measurements']}.range", fault.rule, fault.mend)
+        return None
+
+
+def calibration_from(tables: Table, given: bool, faults: Faults) -> Calibration:
+    """Read ``[calibration]``; the method is ``auto`` unless the constants are given."""
+    table = tables.get("calibration", {})
+    found = read_table(Calibration, table, "calibration", faults)
+    if isinstance(table, Mapping) and "method" in table:
+        return found
+    return with_values(found, method="none" if given else "auto")
+
+
+def _check_method(cell: Cell, faults: Faults) -> None:
+    material, test = cell.problem.material, cell.fitted.test
+    if cell.method == "none":
+        if not material.constants and material.model:
+            mend = "give them, or let [calibration] find them"
+            faults.add("material", "has no constants, and calibration.method is none", mend)
+        if any(term.share is None or term.range_s for term in material.relaxation):
+            rule = "has shares or times to be found, and calibration.method is none"
+            faults.add("material.relaxation", rule, "give them, or let [calibration] find them")
+        plausibility.check_stability(cell.problem, faults)
+        return
+    if cell.fitted.measurements is None:
+        if not any("measurements" in f.where for f in faults):
+            mend = "add [measurements], or give the constants"
+            faults.add("measurements", "is missing: there is nothing to calibrate with", mend)
+        return
+    readable = is_known(test.kind, test.interface)
+    if cell.method == "analytic" and readable and not cell.fitted.is_homogeneous:
+        rule = "analytic needs compression of a cylinder or block with both faces frictionless"
+        faults.add("calibration.method", rule, 'write method = "auto" or "inverse-fem"')
+
+
+def resolve_calibration(
+    file: CalibrationFile, tables: Table, name: str, faults: Faults
+) -> CalibrationDesign:
+    """Resolve a calibration: its tests in internal units, and the bounds of its constants."""
+    problems = [_test(tables, test, f"tests[{i}]", faults) for i, test in enumerate(file.tests)]
+    if all_about(faults, "calibration") and not any(test.role == "fit" for test in file.tests):
+        faults.add("tests", "has no test with role fit", 'write role = "fit" in one of them')
+    material = problems[0].material if all_about(faults, "calibration") else None
+    bounds = _bounds(file.calibration, material, faults)
+    shared = nuisance_from(file.nuisance, overlay.dimension, "nuisance", faults)
+    own = [
+        nuisance_from(test.nuisance, overlay.dimension, f"tests[{i}].nuisance", faults)
+        for i, test in enumerate(file.tests)
+    ]
+    if faults:
+        return CalibrationDesign(name, ())
+    tests = tuple(
+        CalibratedTest(
+            problem.document(),
+            spec,
+            "fit" if test.role == "fit" else "held-out",
+            test.weight,
+            of_test(shared, nuisance),
+        )
+        for test, problem, nuisance in zip(file.tests, problems, own, strict=True)
+        if (spec := problem.measurements) is not None  # it must stand in the file
+    )
+    return CalibrationDesign(name, tests, file.calibration, bounds)
+
+
+def _test(tables: Table, test: TestTable, where: str, faults: Faults) -> CellProblem:
+    """Resolve one of the ``[[tests]]``, whose own tables replace those of the file."""
+    own = ("test", "measurements", "specimen", "model")
+    given = {key: value for key in own if (value := getattr(test, key)) is not None}
+    places = {key: f"{where}.{key}" for key in given}
+    return resolve_problem({"test": {}, **tables, **given}, faults, places=places)
+
+
+def _bounds(asked: Fitting, material: MaterialSection | None, faults: Faults) -> Bounds:
+    """Bounds of the constants; keys that the closed form of indentations has alone are noted."""
+    for key in ANALYTIC_KEYS:
+        if asked.method != "analytic" and getattr(asked, key) != getattr(Fitting(), key):
+            mend = 'write method = "analytic", or leave it out'
+            faults.add(f"calibration.{key}", "is of the closed form of indentations", mend)
+    if asked.bounds is None:
+        return {}
+    names = () if material is None else material.calibrated_names
+    return noted(bounds_of(names), asked.bounds, "calibration.bounds", faults) or {}

@@ -1,0 +1,218 @@
+"""The tables ``[[response]]``: what a study answers, and the smallest difference that matters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+
+from study.ground import units
+from study.ground.errors import UnitError, nearest
+from study.harness.design import overlay
+from study.harness.design.diagnostics import Faults, Table, entries, noted
+from study.harness.design.material_table import DISTRIBUTION_KEYS, PARAMETERS, InputDistribution
+from study.harness.design.spec import Factor, Practical, Response, Span
+from study.harness.design.study_file import AT_DISPLACEMENT, ResponseTable, response_unit
+from study.mechanics.setup.declaration import Bad, choice, number, quantity, shown
+
+_DIMENSION = {
+    "N": "force",
+    "kPa": "pressure",
+    "s": "time",
+    "mm": "length",
+    "N/mm": "stiffness",
+    "N mm": "work",
+}
+
+
+def responses_from(tables: Sequence[ResponseTable], faults: Faults) -> tuple[Response, ...]:
+    """Responses with their units; a faulty one has no name."""
+    found = [_response(table, f"response[{i}]", faults) for i, table in enumerate(tables)]
+    given = [response.name for response in found if response.name]
+    for name in sorted({n for n in given if given.count(n) > 1}):
+        faults.add("response", f"{name} stands {given.count(name)} times", "once is enough")
+    return tuple(found)
+
+
+def _response(table: ResponseTable, where: str, faults: Faults) -> Response:
+    name = _name(table, where, faults)
+    unit, practical = (response_unit(name) if name else None) or "", None
+    if name and table.practical is not None:
+        read = partial(_practical, unit)
+        practical = noted(read, table.practical, f"{where}.practical", faults)
+    return Response(name, unit, practical, table.transform or "none")
+
+
+def _name(table: ResponseTable, where: str, faults: Faults) -> str:
+    """Name of a response; one at a displacement carries it, so that every table says it."""
+    name, place = table.name or "", table.displacement
+    if name in AT_DISPLACEMENT:
+        at = f"{where}.displacement"
+        if place is None:
+            if all(fault.where != at for fault in faults):
+                faults.add(at, "is missing", 'for example displacement = "2 mm"')
+            return ""
+        return f"{name}_{place:g}_mm"
+    if name and place is not None:
+        rule = f"{name} is not taken at a displacement"
+        mend = f"leave it out, or ask for {' or '.join(AT_DISPLACEMENT)}"
+        faults.add(f"{where}.displacement", rule, mend)
+    return name
+
+
+def _practical(unit: str, value: object) -> Practical:
+    """Read the smallest difference that matters, in the response's unit or "5 % of mean"."""
+    example = {"%": "2 pp", "": "0.1"}.get(unit, f"0.05 {unit}")
+    mend = f'write, for example, "{example}" or "5 % of mean"'
+    if unit == "" and isinstance(value, (int, float)):
+        return Practical(number(0)(value), unit, relative=False)
+    if not isinstance(value, str):
+        raise Bad(f"needs a unit, got {shown(value)}", mend)
+    amount, written = units.split(value)
+    if amount <= 0:
+        raise Bad(f"must be positive, got {shown(value)}", mend)
+    if written == "% of mean":
+        return Practical(amount, "%", relative=True)
+    if unit == "%" and written == "pp":
+        return Practical(amount, "pp", relative=False)
+    if unit not in _DIMENSION:
+        raise Bad(f"is not in percentage points, got {shown(value)}", mend)
+    inside = units.parse(value, _DIMENSION[unit])
+    return Practical(units.to_display(inside, "MPa")[0] if unit == "kPa" else inside, unit, False)
+
+
+# -------------------------------------------------------------------------------------------------
+# Table ``[uncertainty]``: standard uncertainties of inputs, and distributions over ranges.
+#
+# ::
+#
+#     [uncertainty]
+#     specimen.radius = "0.1 mm"         # a standard uncertainty: normal about the file's value
+#     material.C10 = { distribution = "normal", mean = "7 kPa", sd = "0.5 kPa" }
+#     material.C20 = { distribution = "lognormal", median = "1 kPa", factor = 1.3 }
+#     specimen.height = { distribution = "uniform", low = "19 mm", high = "21 mm" }
+#     test.indenter.tip_radius = { distribution = "triangular", low = .., mode = .., high = .. }
+
+#: most of a distribution that may lie outside of the range that is run, and is cut off
+MOST_OUTSIDE = 0.05
+
+_EXAMPLE = '{ distribution = "normal", mean = "7 kPa", sd = "0.5 kPa" }'
+
+
+def uncertainty_from(
+    table: object, factors: Sequence[Factor], config: Table, faults: Faults
+) -> tuple[dict[str, float], dict[str, InputDistribution]]:
+    """Read ``[uncertainty]``, dotted keys already joined."""
+    plain: dict[str, float] = {}
+    found: dict[str, InputDistribution] = {}
+    spans = {factor.name: factor.span for factor in factors if factor.span is not None}
+    for key, raw in _grouped(entries(table, "uncertainty", faults)).items():
+        where, kind, span = f"uncertainty.{key}", overlay.dimension(key), spans.get(key)
+        if kind is None:
+            faults.add(where, "names no input with a value", overlay.suggestion(key))
+            continue
+        if isinstance(raw, Mapping):
+            read = _distribution(key, raw, kind, span, list(spans), faults)
+        else:
+            size = noted(number(0) if kind == "number" else quantity(kind), raw, where, faults)
+            if size is not None:
+                plain[key] = size
+            read = None if size is None or span is None else _about(key, size, kind, span, config)
+        if read is not None and read.outside > MOST_OUTSIDE:
+            rule = (
+                f"{100 * read.outside:.0f} % of it lies outside the range that is run, "
+                f"{read.low:g} to {read.high:g}"
+            )
+            faults.add(where, rule, "widen the range in [factors], or narrow the distribution")
+        elif read is not None:
+            found[key] = read
+    return plain, found
+
+
+def _grouped(table: Table) -> dict[str, object]:
+    """Join the keys of a distribution, which joining dotted keys took apart."""
+    found: dict[str, object] = {}
+    own: dict[str, dict[str, object]] = {}
+    for key, value in table.items():
+        name, _, last = key.rpartition(".")
+        if name and last in DISTRIBUTION_KEYS and not overlay.may_vary(key):
+            found[name] = own.setdefault(name, {})
+            own[name][last] = value
+        else:
+            found[key] = value
+    return found
+
+
+def _distribution(
+    key: str, raw: Table, kind: str, span: Span | None, ranges: Sequence[str], faults: Faults
+) -> InputDistribution | None:
+    where = f"uncertainty.{key}"
+    if span is None:
+        rule = "has a distribution and is no range of [factors], which alone a surface knows"
+        mend = nearest(key, ranges) if ranges else "give it a range, or a standard uncertainty"
+        faults.add(where, rule, mend)
+        return None
+    word = noted(choice(*PARAMETERS), raw.get("distribution"), f"{where}.distribution", faults)
+    if word is None:
+        return None
+    wanted = PARAMETERS[word]
+    for name in (n for n in wanted if n not in raw):
+        faults.add(f"{where}.{name}", "is missing", f"for example {_EXAMPLE}")
+    for name in (n for n in raw if n not in (*wanted, "distribution")):
+        rule = f"is no number of a {word} distribution"
+        faults.add(f"{where}.{name}", rule, nearest(name, wanted))
+    if set(raw) != {"distribution", *wanted}:
+        return None
+    values = [_value(raw[name], name, kind, span, f"{where}.{name}", faults) for name in wanted]
+    if any(value is None for value in values):
+        return None
+    told = tuple(value for value in values if value is not None)
+    if word in ("uniform", "triangular") and (list(told) != sorted(told) or told[0] == told[-1]):
+        faults.add(where, f"must rise, got {', '.join(shown(raw[n]) for n in wanted)}",
+                   "from low to high")  # fmt: skip
+        return None
+    return InputDistribution(word, told, span.low, span.high)
+
+
+def _value(
+    raw: object, name: str, kind: str, span: Span, where: str, faults: Faults
+) -> float | None:
+    """One number of a distribution, in the unit of the range."""
+    if name == "factor":
+        return noted(number(1.0), raw, where, faults)
+    positive = name in ("sd", "median")
+    if kind == "number":
+        return noted(number(0.0) if positive else number(), raw, where, faults)
+
+    def read(value: object) -> float:
+        size = units.parse(value, kind) / units.parse(f"1 {span.unit}", kind)
+        if positive and size <= 0:
+            raise Bad(f"must be above 0, got {shown(value)}")
+        return size
+
+    return noted(read, raw, where, faults)
+
+
+def _about(key: str, size: float, kind: str, span: Span, config: Table) -> InputDistribution:
+    """Make a normal distribution about the value of the file, or the middle of the range."""
+    scale = 1.0 if kind == "number" else units.parse(f"1 {span.unit}", kind)
+    return InputDistribution(
+        "normal", (usual_value(key, kind, span, config), size / scale), span.low, span.high
+    )
+
+
+def usual_value(key: str, kind: str, span: Span, config: Table) -> float:
+    """Value that a file gives to a range beside its ends, else the middle of the range."""
+    node: object = config
+    for part in key.split("."):
+        node = node.get(part) if isinstance(node, Mapping) else None
+    middle = span.at(0.5)
+    if isinstance(node, bool) or not isinstance(node, str | int | float):
+        return middle
+    try:
+        if kind == "number":
+            value = float(node)
+        else:
+            value = units.parse(node, kind) / units.parse(f"1 {span.unit}", kind)
+    except (UnitError, ValueError):  # told where the value stands
+        return middle
+    return value if span.low <= value <= span.high else middle

@@ -1,0 +1,367 @@
+"""What a loaded file holds: frozen values, made by :mod:`study.harness.design.load` alone."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+from study.ground.errors import Fault, InputError
+from study.harness.design import overlay
+from study.harness.design.cell import Cell, Config, block_ids
+from study.harness.design.diagnostics import Faults, Table
+from study.harness.design.material_table import InputDistribution
+from study.harness.design.resolve import resolve
+from study.harness.design.study_file import (
+    MARKED,
+    SCORED,
+    Analysis,
+    Converge,
+    Replicates,
+    Report,
+    Sequential,
+    Virtual,
+    is_simulated,
+)
+from study.mechanics.measurement.measurement_section import MeasurementSpec
+from study.mechanics.setup.calibration_table import Calibration
+from study.mechanics.setup.material_section import MaterialSection
+from study.mechanics.setup.setup import Setup
+
+
+@dataclass(frozen=True)
+class Level:
+    """One level of a factor: its label and the dotted keys that it lays over the file."""
+
+    label: str
+    settings: Table
+
+
+@dataclass(frozen=True)
+class Span:
+    """Numeric range of a factor: ends in ``unit``, which may be empty.
+
+    Equal shares of a range with ``log`` are equal ratios.
+    """
+
+    low: float
+    high: float
+    unit: str
+    log: bool = False
+
+    def at(self, share: float) -> float:
+        """Value at a share of the range, 0 its low and 1 its high end."""
+        if self.log:
+            return float(self.low * (self.high / self.low) ** share)
+        return self.low + share * (self.high - self.low)
+
+    def step(self, value: float) -> float:
+        """Difference from a value that is a ten-thousandth of the range."""
+        return 1e-4 * (value * math.log(self.high / self.low) if self.log else self.high - self.low)
+
+
+@dataclass(frozen=True)
+class Factor:
+    """A factor and its levels; the name is a dotted key or a preset set.
+
+    A factor written as a range has a ``span``; its levels are those that the design needs.
+    """
+
+    name: str
+    levels: tuple[Level, ...]
+    span: Span | None = None
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Labels of the levels, in order."""
+        return tuple(level.label for level in self.levels)
+
+    @property
+    def keys(self) -> frozenset[str]:
+        """Dotted keys that its levels lay over the file."""
+        return frozenset(key for level in self.levels for key in level.settings)
+
+
+@dataclass(frozen=True)
+class Scheme:
+    """Which combinations of levels are run."""
+
+    #: Name of the design.
+    kind: str = "full"
+    #: Index of the level of every factor, one tuple a cell; None for the full factorial.
+    rows: tuple[tuple[int, ...], ...] | None = None
+    #: The design in a sentence.
+    summary: str = ""
+    #: What it cannot tell apart, in words.
+    aliases: tuple[str, ...] = ()
+    #: Verified by brute force; None where nothing is aliased or the word has no meaning.
+    resolution: int | None = None
+    #: Such as ``"I = A:B:C"``.
+    defining_relation: str = ""
+    #: What it was made to tell apart; empty where its kind says so.
+    terms: tuple[str, ...] = ()
+    #: How cells are added while it runs.
+    sequential: Sequential | None = None
+
+
+@dataclass(frozen=True)
+class Exclusion:
+    """Cells left out: every factor named takes one of its labels."""
+
+    when: Mapping[str, tuple[str, ...]]
+    why: str
+
+    def matches(self, levels: Mapping[str, str]) -> bool:
+        """Whether a treatment is left out."""
+        return all(levels[name] in labels for name, labels in self.when.items())
+
+
+@dataclass(frozen=True)
+class Practical:
+    """Smallest difference that matters: in ``unit``, or in percent of the mean."""
+
+    value: float
+    unit: str
+    relative: bool
+
+
+@dataclass(frozen=True)
+class Response:
+    """One scalar answer of a case, with its own analysis."""
+
+    name: str
+    unit: str
+    practical: Practical | None = None
+    transform: str = "none"
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What was expected of a response before the study ran."""
+
+    #: A factor matters, has
+    #: a larger effect than another one, two interact, a cell (mean over all other factors) is the
+    #: best, two cells differ by less than what matters, levels of a factor score better or need
+    #: less than its others.
+    kind: str
+    #: One or two factors.
+    factors: tuple[str, ...]
+    #: One or two cells: labels by factor, joined by a tab where there are several.
+    cells: tuple[Mapping[str, str], ...]
+    #: What it is said of, and who said it.
+    response: str
+    #: What it is said of, and who said it.
+    source: str = ""
+
+
+@dataclass(frozen=True)
+class Design:
+    """A validated study."""
+
+    #: Of the study.
+    name: str
+    #: Of the study.
+    question: str
+    #: The file's tables as written (strings with their units), overrides applied, dotted keys of
+    #: ``[factors]`` and ``[uncertainty]`` joined; :func:`study.design.dump` writes it.
+    config: Table
+    #: What varies, what is left out, what is answered.
+    factors: tuple[Factor, ...]
+    #: What varies, what is left out, what is answered.
+    exclusions: tuple[Exclusion, ...]
+    #: What varies, what is left out, what is answered.
+    responses: tuple[Response, ...]
+    #: Of every random draw of the study.
+    seed: int
+    #: Inputs that nobody measured.
+    assumed: tuple[str, ...]
+    #: The tables of these names.
+    measurements: MeasurementSpec | None
+    #: The tables of these names.
+    calibration: Calibration
+    #: The tables of these names.
+    analysis: Analysis
+    #: The tables of these names.
+    converge: Converge
+    #: Standard uncertainty of inputs, in internal units, by dotted key.
+    uncertainty: Mapping[str, float]
+    #: The tables of these names.
+    report: Report
+    #: Distributions of inputs that are ranges, by dotted key.
+    inputs: Mapping[str, InputDistribution] = field(default_factory=dict)
+    #: Which combinations of the levels are run.
+    scheme: Scheme = field(default_factory=Scheme)
+    #: What is computed several times, for an error term.
+    replicates: Replicates = field(default_factory=Replicates)
+    #: What is changed of a case without an answer, by its cause.
+    retry: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    #: What the study's owner expected before it ran.
+    expected: tuple[Expected, ...] = ()
+    #: How carefully the curve of virtual specimens is solved.
+    virtual: Virtual | None = None
+    #: The file it was read from; no part of the study's identity.
+    source: str = field(default="<string>", compare=False)
+    #: The file's text, for the report; no part of the study's identity.
+    text: str = field(default="", compare=False, repr=False)
+
+    @property
+    def asks_for_scores(self) -> bool:
+        """Whether predicted curves are compared with measured ones."""
+        return any(response.name in SCORED for response in self.responses)
+
+    @property
+    def asks_for_constants(self) -> bool:
+        """Whether constants of the material are responses."""
+        other = {*SCORED, *MARKED, "seconds"}
+        return any(r.name not in other and not is_simulated(r.name) for r in self.responses)
+
+    @cached_property
+    def is_measured(self) -> bool:
+        """Whether the predicted curves of all cells stand beside measured ones."""
+        return all(cell.cell.problem.measurements is not None for cell in self.treatments)
+
+    def combinations(self) -> Iterator[tuple[Combination, tuple[Level, ...]]]:
+        """Labels and levels of every cell, left out or not; the last factor varies fastest."""
+        names = [factor.name for factor in self.factors]
+        every = itertools.product(*(range(len(factor.levels)) for factor in self.factors))
+        for row in self.scheme.rows or every:
+            levels = tuple(f.levels[i] for f, i in zip(self.factors, row, strict=True))
+            yield Combination({n: one.label for n, one in zip(names, levels, strict=True)}), levels
+
+    def why_excluded(self, levels: Mapping[str, str]) -> str | None:
+        """Reason why a cell is left out; None if it is not."""
+        return next((e.why for e in self.exclusions if e.matches(levels)), None)
+
+    @property
+    def excluded(self) -> tuple[tuple[Combination, str], ...]:
+        """Cells left out and why; they are not resolved, for they may be impossible."""
+        reasons = ((one, self.why_excluded(one.levels)) for one, _ in self.combinations())
+        return tuple((one, why) for one, why in reasons if why is not None)
+
+    def resolved(self, levels: Sequence[Level], faults: Faults) -> Cell:
+        """Resolve one cell, once where it is sound; faults name the keys of the merged file."""
+        known, place = self._sound, tuple(map(id, levels))
+        if place in known:
+            return known[place]
+        own = Faults()
+        cell = self._resolved(levels, own)
+        if not own:
+            known[place] = cell
+        for fault in own:
+            faults.add(fault.where, fault.rule, fault.mend)
+        return cell
+
+    @cached_property
+    def _sound(self) -> dict[tuple[int, ...], Cell]:
+        """Cells that were resolved without a fault, by the levels, which are the design's own."""
+        return {}
+
+    def _resolved(self, levels: Sequence[Level], faults: Faults) -> Cell:
+        settings = {k: v for level in levels for k, v in level.settings.items()}
+        tables = {k: v for k, v in self.config.items() if k in overlay.TABLES}
+        return resolve(overlay.lay(tables, settings), faults, self.converge.ratio)
+
+    @cached_property
+    def treatments(self) -> tuple[Treatment, ...]:
+        """Cells of the design without those left out."""
+        faults = Faults()
+        cells = tuple(
+            Treatment(one.levels, self.resolved(levels, faults))
+            for one, levels in self.combinations()
+            if self.why_excluded(one.levels) is None
+        )
+        if faults:
+            raise InputError(faults)
+        return cells
+
+    @property
+    def roles(self) -> dict[str, str]:
+        """Role of every factor: as declared, else unknown where all its keys are assumed."""
+        return {f.name: self._usual_role(f) for f in self.factors} | dict(self.analysis.roles)
+
+    def _usual_role(self, factor: Factor) -> str:
+        assumed = tuple(f"{key}." for key in self.assumed)
+        is_covered = bool(factor.keys) and all(f"{k}.".startswith(assumed) for k in factor.keys)
+        return "unknown" if is_covered else "choice"
+
+
+@dataclass(frozen=True)
+class Combination:
+    """A label for every factor."""
+
+    levels: Mapping[str, str]
+
+    @property
+    def label(self) -> str:
+        """Labels of the levels, such as ``"neo-hookean / bonded / 3d / linear"``."""
+        return " / ".join(self.levels.values())
+
+
+@dataclass(frozen=True)
+class Treatment(Combination):
+    """One cell of the design: a label for every factor, and what they make of the file."""
+
+    cell: Cell
+
+    @cached_property
+    def config(self) -> Config:
+        """Document of the cell."""
+        return self.cell.document()
+
+
+@dataclass(frozen=True)
+class Case:
+    """One treatment in one block."""
+
+    #: Cell of the design.
+    treatment: Treatment
+    #: Label of the block.
+    block: str | None
+    #: Document that is computed: of the cell, or with files found and meshes seeded.
+    config: Config
+    #: A hash of what decides its numbers.
+    case_id: str
+
+    @property
+    def levels(self) -> Mapping[str, str]:
+        """Label of every factor."""
+        return self.treatment.levels
+
+    @cached_property
+    def setup(self) -> Setup:
+        """Specimen, test and discretization, typed."""
+        return Setup.of(self.config)
+
+    @cached_property
+    def material(self) -> MaterialSection:
+        """Energy and constants, as far as these are given."""
+        return MaterialSection.of(self.config)
+
+    @property
+    def label(self) -> str:
+        """Labels of the levels, and the block."""
+        return " / ".join([self.treatment.label, *([] if self.block is None else [self.block])])
+
+
+# -------------------------------------------------------------------------------------------------
+# Cells -> cases: every cell in every block, named by its content.
+
+MAX_CASES = 100_000
+
+
+def cases(design: Design, blocks: Sequence[str] = ()) -> tuple[Case, ...]:
+    """Every cell in every block; one case a cell where there are no blocks."""
+    if len(set(blocks)) < len(blocks):
+        raise InputError(Fault("measurements.block", f"labels must be distinct, got {blocks}"))
+    cells = design.treatments
+    if len(cells) * max(1, len(blocks)) > MAX_CASES:
+        rule = f"{len(cells)} cells in {len(blocks)} blocks are more than {MAX_CASES} cases"
+        raise InputError(Fault("factors", rule, "use fewer levels, or several studies"))
+    places = tuple(blocks) or (None,)
+    return tuple(
+        Case(cell, block, cell.config, name)
+        for cell in cells
+        for block, name in zip(places, block_ids(cell.config, places), strict=True)
+    )

@@ -1,0 +1,456 @@
+"""The study file: every table with fixed keys, declared once; values in mm, N, MPa and deg.
+
+The declarations of a problem's tables stand in ``setup``, those of measured files in
+:mod:`study.mechanics.measurement`, and of the kinds of ``[design]`` in :mod:`study.harness.design`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Annotated
+
+from pydantic import Field
+
+from study.ground import units
+from study.ground.errors import nearest
+from study.harness.design import overlay
+from study.harness.design.diagnostics import flatten
+from study.mechanics.material.material import is_constant, unit_shown
+from study.mechanics.setup.calibration_table import Fitting
+from study.mechanics.setup.declaration import (
+    AsWritten,
+    Bad,
+    Duration,
+    Length,
+    Reads,
+    Rows,
+    as_written,
+    choice,
+    integer,
+    number,
+    section,
+    shown,
+    slug,
+    text,
+    texts,
+)
+from study.mechanics.setup.setup import MESH_LEVELS
+
+# -------------------------------------------------------------------------------------------------
+# Responses of a predicted curve alone, by their names in a study file.
+
+#: responses of a predicted curve alone, with their units; those at a displacement name it, too
+SIMULATED = {
+    "peak_force": "N",
+    "work": "N mm",
+    "force_at": "N",
+    "stiffness_at": "N/mm",
+    "dofs": "",
+}
+
+AT_DISPLACEMENT = ("force_at", "stiffness_at")
+
+
+def simulated_at(name: str) -> tuple[str, float | None]:
+    """Split the name of a response at a displacement into the response and the place in mm.
+
+    Examples
+    --------
+    >>> simulated_at("force_at_2.5_mm"), simulated_at("work")
+    (('force_at', 2.5), ('work', None))
+    """
+    for start in AT_DISPLACEMENT:
+        place = name.removeprefix(f"{start}_").removesuffix("_mm")
+        if name == f"{start}_{place}_mm":
+            return start, float(place)
+    return name, None
+
+
+def is_simulated(name: str) -> bool:
+    """Whether a response is one of the predicted curve alone."""
+    return simulated_at(name)[0] in SIMULATED
+
+
+# -------------------------------------------------------------------------------------------------
+# ``[virtual]``: how carefully the true curve of virtual specimens is solved.
+
+
+@section
+class Virtual:
+    """Discretization of the reference curve that virtual specimens follow."""
+
+    #: Load steps of the curve; between them it is interpolated with its tangent.
+    steps: Annotated[int, Reads(integer(1, 1000))] = 12
+    #: Of its elements.
+    element_order: Annotated[str, Reads(choice("quadratic", "linear"))] = "quadratic"
+    #: Named mesh; without one, and without a size, one step finer than the finest of the design.
+    mesh: Annotated[str | None, Reads(choice(*MESH_LEVELS))] = None
+    #: Element size, instead of a named mesh.
+    mesh_size_mm: Length | None = Field(default=None, validation_alias="mesh_size")
+
+    @property
+    def chooses_mesh(self) -> bool:
+        """Whether the mesh is given here."""
+        return self.mesh is not None or self.mesh_size_mm is not None
+
+
+SCHEMA = 1
+MAX_RESPONSES = 50
+MAX_EXCLUSIONS = 4096
+MAX_TESTS = 1000
+#: terms that may be declared primary before the run
+MOST_PRIMARY = 3
+
+#: responses that compare with measured curves
+SCORED = ("relative_rms_force_error", "rms_force_error", "peak_force_error", "work_error")
+
+
+#: responses that compare with the displacements of markers inside a specimen
+MARKED = ("marker_error", "predicted_marker_error")
+
+#: unit of every other response; constants are reported in kPa, exponents plain
+RESPONSES = {
+    "relative_rms_force_error": "%",
+    "rms_force_error": "N",
+    "peak_force_error": "N",
+    "work_error": "%",
+    **dict.fromkeys(MARKED, "mm"),
+    "mu0": "kPa",
+    "seconds": "s",
+}
+QUANTITIES = ("peak_force", "work", "curve_rms", *RESPONSES)
+FORMATS = ("html", "pdf", "tex", "csv")
+
+#: what a factor is: decided by the analyst; a part of the question, answered at each level; a
+#: fact that nobody measured, never recommended
+ROLES = ("choice", "condition", "unknown")
+RESPONSES_MEND = '[[response]] with name = "relative_rms_force_error"'
+
+#: least and most meshes of a cell (below five their scatter is not known well enough), and
+#: resamples of a fit (the scatter of 20 is known to 16 %, of 200 to 5 %)
+SEEDS = (5, 1000)
+RESAMPLES = (20, 10_000)
+
+#: what may be changed of a case that has no answer
+SMALLER_STEPS = "smaller-steps"
+FINER_MESH = "finer-mesh"
+LONGER_LIMIT = "longer-limit"
+MORE_MEMORY = "more-memory"
+
+#: causes of which something can be tried, and what may help
+REMEDIES = {
+    "not-converged": (SMALLER_STEPS, FINER_MESH),
+    "unstable": (SMALLER_STEPS, FINER_MESH),
+    "mesh-failed": (FINER_MESH,),
+    "timeout": (LONGER_LIMIT,),
+    "out-of-memory": (MORE_MEMORY,),
+    "crashed": (MORE_MEMORY,),
+}
+
+
+def response_unit(name: str) -> str | None:
+    """Find the unit of a response: "" for a plain number, None if there is no such response.
+
+    Examples
+    --------
+    >>> response_unit("C10"), response_unit("stiffness_at"), response_unit("force_at_2.5_mm")
+    ('kPa', 'N/mm', 'N')
+    """
+    if name in RESPONSES:
+        return RESPONSES[name]
+    if is_simulated(name):
+        return SIMULATED[simulated_at(name)[0]]
+    if not is_constant(name):
+        return None
+    return unit_shown(name)
+
+
+def _schema(value: object) -> int:
+    if isinstance(value, bool) or value != SCHEMA:
+        raise Bad(f"must be {SCHEMA}, got {shown(value)}", "this version reads schema 1 only")
+    return SCHEMA
+
+
+def _assumed(value: object) -> tuple[str, ...]:
+    found = texts("keys", "test.interface")(value)
+    for key in found:
+        if key not in overlay.TABLES and not overlay.may_vary(key):
+            raise Bad(f"names no input: {shown(key)}", overlay.suggestion(key))
+    return found
+
+
+def _response_name(value: object) -> str:
+    if not isinstance(value, str) or response_unit(value) is None:
+        valid = (*RESPONSES, *SIMULATED, "or a constant such as C10")
+        raise Bad(f"unknown response {shown(value)}", nearest(str(value)[:80], valid))
+    return value
+
+
+def _share(value: object) -> float:
+    """Read a share: a plain number, or percent."""
+    if isinstance(value, str):
+        percent = units.parse_percent(value)
+        if not 0 < percent < 100:
+            raise Bad(f"must be between 0 % and 100 %, got {shown(value)}")
+        return percent / 100
+    return number(0, 1, mend='for example "1 %"')(value)
+
+
+def _count(low: int, high: int, why: str) -> Callable[[object], int]:
+    """Reader of a number of repeats; below ``low`` the reason is told."""
+    whole = integer(0, high)
+
+    def read(value: object) -> int:
+        count = whole(value)
+        if count < low:
+            raise Bad(f"must be at least {low}, got {shown(value)}: with fewer {why}")
+        return count
+
+    return read
+
+
+def _formats(value: object) -> tuple[str, ...]:
+    """Read one format or several."""
+    items = value if isinstance(value, list) else [value]
+    return tuple(dict.fromkeys(choice(*FORMATS)(item) for item in items)) or ("html",)
+
+
+def _primary(value: object) -> tuple[str, ...]:
+    """Read the terms that were declared before the run; three at most, or they are no choice."""
+    found = texts("terms", "material")(value)
+    if len(found) > MOST_PRIMARY:
+        raise Bad(f"has {len(found)} terms, at most {MOST_PRIMARY} are a choice before the run")
+    return found
+
+
+def _roles(value: object) -> tuple[tuple[str, str], ...]:
+    """Read the role of every factor that has one."""
+    if not isinstance(value, Mapping):
+        mend = 'for example { plates = "unknown", range = "condition" }'
+        raise Bad(f"must be a table of factors, got {shown(value)}", mend)
+    return tuple((name, choice(*ROLES)(role)) for name, role in flatten(value).items())
+
+
+def _retry(value: object) -> tuple[tuple[str, tuple[str, ...]], ...]:
+    """Read what is tried of every cause."""
+    if not isinstance(value, Mapping):
+        mend = f'for example {{ not-converged = ["{SMALLER_STEPS}", "{FINER_MESH}"] }}'
+        raise Bad(f"must be a table of causes, got {shown(value)}", mend)
+    found = []
+    for cause, wanted in value.items():
+        choice(*REMEDIES)(cause)
+        changes = wanted if isinstance(wanted, list) else [wanted]
+        read = choice(*REMEDIES[cause])
+        found.append((cause, tuple(dict.fromkeys(read(change) for change in changes))))
+    return tuple(found)
+
+
+def _weight(value: object) -> str | float:
+    return choice("scatter", "equal")(value) if isinstance(value, str) else number(0, 1e12)(value)
+
+
+def _reason(value: object) -> str:
+    why = text(value)
+    if not why:
+        raise Bad("is empty", "say why these cells are left out")
+    return why
+
+
+@section
+class Study:
+    """Name, question, seed and what is assumed; the name is by default that of the file."""
+
+    name: Annotated[str, Reads(slug)] = ""
+    question: Annotated[str, Reads(text)] = ""
+    seed: Annotated[int, Reads(integer(0, 2**32 - 1))] = 2011
+    assumed: Annotated[tuple[str, ...], Reads(_assumed)] = ()
+
+
+@section
+class Converge:
+    """Mesh refinement: ratio, meshes, watched quantity, tolerance (a fraction), time budget."""
+
+    ratio: Annotated[float, Reads(number(1, 10))] = 1.5
+    levels: Annotated[int, Reads(integer(2, 10))] = 3
+    qoi: Annotated[str, Reads(choice(*QUANTITIES))] = "peak_force"
+    tolerance: Annotated[float | None, Reads(_share)] = None
+    budget_s: Duration | None = Field(default=None, validation_alias="budget")
+
+
+@section
+class Replicates:
+    """What is computed several times for an error term; at most one of the two."""
+
+    mesh_seeds: Annotated[int, Reads(_count(*SEEDS, "the scatter of the mesh is not known"))] = 0
+    noise: Annotated[int, Reads(_count(*RESAMPLES, "the scatter of the fits is not known"))] = 0
+
+
+@dataclass(frozen=True)
+class Sequential:
+    """How cells are added to a design while it runs."""
+
+    #: Cells that it begins with, that are added at a time, and at most in all.
+    start: int
+    #: Cells that it begins with, that are added at a time, and at most in all.
+    batch: int
+    #: Cells that it begins with, that are added at a time, and at most in all.
+    budget: int
+    #: What ends it before its budget does.
+    until: str
+    #: Leave-one-out Q2 that is enough.
+    q2: float
+    #: Of the candidates.
+    seed: int
+
+
+@section
+class Execution:
+    """What is tried of a case without an answer, by its cause; the report lists such cases."""
+
+    retry: Annotated[tuple[tuple[str, tuple[str, ...]], ...], Reads(_retry)] = ()
+
+
+@section
+class Report:
+    """Formats of the report."""
+
+    format: Annotated[tuple[str, ...], Reads(_formats)] = ("html",)
+
+
+@section
+class AnalysisTable:
+    """How the table of cases is analyzed; ``model`` is by default what the design can tell."""
+
+    model: AsWritten = None
+    type: Annotated[str, Reads(choice("I", "II", "III"))] = "II"
+    error: Annotated[str, Reads(choice("auto", "pooled", "own", "replicates"))] = "auto"
+    alpha: Annotated[float, Reads(number(0, 1))] = 0.05
+    roles: Annotated[tuple[tuple[str, str], ...], Reads(_roles)] = ()
+    family: Annotated[str, Reads(choice("response", "study"))] = "response"
+    primary: Annotated[tuple[str, ...], Reads(_primary)] = ()
+    surface: Annotated[str, Reads(choice("auto", "quadratic", "emulator", "none"))] = "auto"
+    contrasts: Annotated[tuple[str, ...], Reads(texts("contrasts", "stiff - soft"))] = ()
+
+
+@section
+class ResponseTable:
+    """One ``[[response]]``: ``practical`` in its unit, a force or stiffness at ``displacement``."""
+
+    name: Annotated[str, Reads(_response_name, mend="for example relative_rms_force_error")]
+    displacement: Length | None = None
+    practical: AsWritten = None
+    transform: Annotated[str, Reads(choice("none", "log"))] = "none"
+
+
+@section
+class ExclusionTable:
+    """One ``[[exclude]]``: labels of levels by factor, and why their cells are left out."""
+
+    why: Annotated[str, Reads(_reason, mend='say why: why = "..."')]
+    when: Annotated[object, as_written('when = { material = "ogden-1" }')]
+
+
+@section
+class TestTable:
+    """One of the ``[[tests]]`` of a calibration file, with tables of its own."""
+
+    __test__ = False  # not a pytest class
+
+    test: Annotated[object, as_written("write test = { ... }")]
+    measurements: Annotated[object, as_written("write measurements = { ... }")]
+    role: Annotated[str, Reads(choice("fit", "held-out"))] = "fit"
+    weight: Annotated[str | float, Reads(_weight)] = "equal"
+    specimen: AsWritten = None
+    model: AsWritten = None
+    nuisance: AsWritten = None
+
+
+_Schema = Annotated[int, Reads(_schema, mend=f"write schema = {SCHEMA} on the first line")]
+_Responses = Annotated[
+    tuple[ResponseTable, ...],
+    Rows(1, MAX_RESPONSES, RESPONSES_MEND),
+]
+_Exclusions = Annotated[tuple[ExclusionTable, ...], Rows(0, MAX_EXCLUSIONS, "write [[exclude]]")]
+_Tests = Annotated[
+    tuple[TestTable, ...],
+    Rows(1, MAX_TESTS, "write [[tests]]", f"must be 1 to {MAX_TESTS} tables"),
+]
+
+
+@section
+class ProblemFile:
+    """A file for one forward simulation."""
+
+    schema: _Schema
+    study: Study = Study()
+    specimen: AsWritten = None
+    test: AsWritten = None
+    material: AsWritten = None
+    model: AsWritten = None
+    converge: Converge = Converge()
+    report: Report = Report()
+    uncertainty: AsWritten = None
+
+
+@section
+class DesignFile(ProblemFile):
+    """A file of a study. Tables that cells may vary are read for each of them."""
+
+    presets: AsWritten = None
+    factors: AsWritten = None
+    design: AsWritten = None
+    exclude: _Exclusions = ()
+    measurements: AsWritten = None
+    markers: AsWritten = None
+    calibration: AsWritten = None
+    forward: AsWritten = None
+    response: _Responses = ()
+    analysis: AnalysisTable = AnalysisTable()
+    replicates: Replicates = Replicates()
+    execution: Execution = Execution()
+    expected: AsWritten = None
+    virtual: Virtual | None = None
+
+
+@section
+class CalibrationFile:
+    """A file for the constants of one material."""
+
+    schema: _Schema
+    study: Study = Study()
+    specimen: AsWritten = None
+    material: AsWritten = None
+    model: AsWritten = None
+    tests: _Tests = ()
+    calibration: Fitting = Fitting()
+    nuisance: AsWritten = None
+
+
+# -------------------------------------------------------------------------------------------------
+# How the table of cases is analyzed, as a design declares it.
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """How the table of cases is analyzed."""
+
+    #: Terms: all, those up to an order, or those listed, ``"A"`` or ``"A:B"``.
+    model: str | int | tuple[str, ...] = "full"
+    #: Of the sums of squares.
+    type: str = "II"
+    #: What effects are compared with.
+    error: str = "auto"
+    #: Level of significance.
+    alpha: float = 0.05
+    #: Factors and what they are to the question (:data:`study.harness.design.study_file.ROLES`).
+    roles: tuple[tuple[str, str], ...] = ()
+    #: Tests that Holm's adjustment takes together: of one response, or of
+    #: all.
+    family: str = "response"
+    #: Terms declared before the run, which then are the family; all terms where it is empty.
+    primary: tuple[str, ...] = ()
+    #: What is fitted over the factors that are ranges.
+    surface: str = "auto"
+    #: Differences of two settings that every response is asked for (:mod:`study.ground.contrast`).
+    contrasts: tuple[str, ...] = ()

@@ -1,0 +1,1 @@
+"""Tasks and who does them: this process, local workers, a Dask cluster."""

@@ -1,0 +1,658 @@
+"""The way to a scheduler, and what is used of Dask's client."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import hashlib
+import json
+import logging
+import multiprocessing
+import os
+import queue
+import re
+import shutil
+import sys
+import tempfile
+import threading
+import time
+import uuid
+from collections import Counter
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from multiprocessing.util import Finalize
+from pathlib import Path
+from typing import Protocol
+
+from study.ground.bounded_file import MAX_BYTES, read_existing
+from study.ground.errors import Fault, InputError, RefusedError, SchedulerLostError
+from study.harness.execution.local import Process
+from study.harness.execution.supervisor import Answer, ReadyQueue, Supervisor
+from study.harness.execution.task import Outcome, Perform, Results, Task, check_limit, stopped_late
+
+#: seconds to reach a scheduler, and those after which one that is silent is taken for gone
+PATIENCE_S = 30.0
+
+
+class Pending(Protocol):
+    """What is used of a future of Dask, which has no types of its own."""
+
+    status: str
+    key: str
+
+    def result(self) -> tuple[str, str]:
+        """Text of the answer, and how its process died."""
+        ...
+
+    def add_done_callback(self, call: Callable[[Pending], None]) -> None:
+        """Call with the future when it ends."""
+        ...
+
+
+class Client(Protocol):
+    """What is used of Dask's client."""
+
+    status: str
+
+    def submit(self, call: Callable[..., object], *args: object, **options: object) -> Pending:
+        """Have a call made on a worker."""
+        ...
+
+    def run(
+        self, call: Callable[..., object], *args: object, **options: object
+    ) -> dict[str, object]:
+        """Make a call on every worker at once, beside its tasks."""
+        ...
+
+    def nthreads(self) -> Mapping[str, int]:
+        """Threads of every worker, by its address."""
+        ...
+
+    def cancel(self, futures: Sequence[Pending], **options: object) -> None:
+        """Give futures up."""
+        ...
+
+    def close(self) -> None:
+        """Leave the cluster."""
+        ...
+
+
+#: loggers that tell the loss of a scheduler with a traceback each; our error tells it once
+_LOGS = ("distributed.client", "distributed.batched")
+
+
+@contextlib.contextmanager
+def connected(scheduler: str | Path | Client) -> Iterator[Client]:
+    """Client of a scheduler, closed again unless it was given."""
+    if not isinstance(scheduler, str | os.PathLike):
+        yield scheduler
+        return
+    try:
+        from distributed import Client as DaskClient
+    except ImportError as error:
+        mend = "install it: python -m pip install 'study[dask]'"
+        raise InputError(Fault("scheduler", "needs the package distributed", mend)) from error
+    where = _place(str(scheduler))
+    client = DaskClient.__new__(DaskClient)
+    levels = {name: logging.getLogger(name).level for name in _LOGS}
+    _set_levels(dict.fromkeys(_LOGS, logging.CRITICAL))
+    try:
+        client.__init__(**where, timeout=PATIENCE_S, set_as_default=False)
+    except Exception as error:  # whatever it is, there is no way in
+        client.status = "closed"  # it would else wait for its farewell when it is collected
+        mend = (
+            "is it running, does the address begin with tls:// where it is encrypted, and are the\n"
+            "    certificates those of the cluster?"
+        )
+        rule = f"{scheduler} cannot be reached: {first_line(error)}"
+        raise InputError(Fault("scheduler", rule, mend)) from error
+    try:
+        yield client
+    finally:
+        with contextlib.suppress(Exception):  # a cluster that is gone needs no farewell
+            client.close()
+    _set_levels(levels)  # after a loss they stay quiet: threads of the client still complain
+
+
+def _set_levels(levels: Mapping[str, int]) -> None:
+    for name, level in levels.items():
+        logging.getLogger(name).setLevel(level)
+
+
+def _place(scheduler: str) -> dict[str, str]:
+    """Keyword of Dask's client for an address or a scheduler file."""
+    if Path(scheduler).is_file():
+        return {"scheduler_file": scheduler}
+    host, _, port = scheduler.rpartition(":")
+    if host and port.isdigit():
+        return {"address": scheduler}
+    mend = "give tls://HOST:PORT, tcp://HOST:PORT, or the file that dask scheduler wrote"
+    raise InputError(Fault("scheduler", f"{scheduler!r} is no address and no file", mend))
+
+
+def first_line(error: BaseException) -> str:
+    """First line of what an error says, or its kind where it says nothing."""
+    return (str(error).splitlines() or [type(error).__name__])[0]
+
+
+# -------------------------------------------------------------------------------------------------
+# Whether a worker would give the numbers of this machine.
+
+#: names and versions of what decides a number, asked of this machine and of every worker
+Identity = Callable[[], Mapping[str, str]]
+
+#: kinds of difference that are listed before "and ... more"
+LISTED = 4
+#: how an error of an import begins as text
+_IMPORT = re.compile(r"(ImportError|ModuleNotFoundError|AttributeError)\b")
+#: what is said of a package that is not there
+ABSENT = "absent"
+
+
+def about(identity: Identity) -> dict[str, str]:
+    """Versions of this machine, Dask's included."""
+    import distributed
+
+    return {**identity(), "distributed": str(distributed.__version__)}
+
+
+def differences(here: Mapping[str, str], there: object) -> str:
+    """Say what differs between this machine and a worker; empty if nothing does."""
+    if not isinstance(there, Mapping):
+        told = first_line(there) if isinstance(there, BaseException) else str(there)
+        # the scheduler hands over errors of a worker as text
+        is_import = isinstance(there, ImportError) or _IMPORT.match(told) is not None
+        return f"study cannot be imported there: {told}" if is_import else told
+    return ", ".join(
+        f"{name} {there.get(name, ABSENT)} (here {here.get(name, ABSENT)})"
+        for name in dict.fromkeys([*here, *there])
+        if here.get(name) != there.get(name)
+    )
+
+
+def refusal(different: Mapping[str, str]) -> str:
+    """Say which workers cannot be used and why, those with the same differences together."""
+    alike = Counter(different.values())
+    lines = [
+        f"    {count} worker{'s' if count > 1 else ''}: {told}"
+        for told, count in alike.most_common(LISTED)
+    ]
+    if len(alike) > LISTED:
+        lines.append(f"    and {len(alike) - LISTED} more kinds of difference")
+    return (
+        "workers of the cluster would not give the numbers of this machine:\n"
+        + "\n".join(lines)
+        + "\n    install the same versions there: python -m pip install --require-hashes -r\n"
+        "    requirements.lock, then study itself"
+    )
+
+
+# -------------------------------------------------------------------------------------------------
+# Tasks in processes of their own, on a machine that others send tasks to.
+#
+# A worker of a cluster must not die of a task: what it had finished and not yet sent would be
+# lost with it. So it hands every task to a process beside it, which may die alone (the bulkhead
+# of Nygard 2018, Release It!, section 5.3), and keeps that process for the next task of the same
+# sender, who counts on what it remembers.
+
+#: seconds after which a process that nobody uses ends: its sender may be gone without a word
+IDLE_S = 60.0
+#: seconds between two looks whether a task is still wanted
+ISOLATION_LOOK_S = 0.25
+#: of all that ends with this process, ours end first
+FIRST = 100
+
+
+class Processes:
+    """The processes of one machine, by the run and the slot that they serve."""
+
+    def __init__(self) -> None:
+        self._idle: dict[tuple[str, int], tuple[Process, float]] = {}
+        self._busy: dict[Process, str] = {}
+        self._lock = threading.Lock()
+        self._is_watched = False
+
+    def perform(
+        self,
+        place: tuple[str, int],
+        perform: Perform,
+        text: str,
+        limit_s: float | None,
+        unwanted: Callable[[], bool],
+    ) -> Answer:
+        """Do one task; never raises, never dies."""
+        process = self._taken(place, perform)
+        try:
+            return _watched(process, text, limit_s, unwanted)
+        finally:
+            self._put_back(place, process)
+
+    def end(self, run: str) -> None:
+        """Kill the processes of a run and no other's."""
+        with self._lock:
+            idle = [place for place in self._idle if place[0] == run]
+            ours = [self._idle.pop(place)[0] for place in idle]
+            ours += [process for process, name in self._busy.items() if name == run]
+        for process in ours:
+            process.kill()
+
+    def close(self) -> None:
+        """Kill all processes."""
+        with self._lock:
+            runs = {place[0] for place in self._idle} | set(self._busy.values())
+        for run in runs:
+            self.end(run)
+
+    def end_idle(self, idle_s: float = IDLE_S) -> None:
+        """Kill the processes that had nothing to do for longer than so many seconds."""
+        now = time.monotonic()
+        with self._lock:
+            late = [place for place, (_, since) in self._idle.items() if now - since > idle_s]
+            ours = [self._idle.pop(place)[0] for place in late]
+        for process in ours:
+            process.kill()
+
+    def _taken(self, place: tuple[str, int], perform: Perform) -> Process:
+        with self._lock:
+            if not self._is_watched:
+                self._is_watched = True
+                self._prepare()
+            process, _ = self._idle.pop(place, (None, 0.0))
+            process = process or Process(perform)
+            self._busy[process] = place[0]
+        return process
+
+    def _put_back(self, place: tuple[str, int], process: Process) -> None:
+        with self._lock:
+            del self._busy[process]
+            other, _ = self._idle.get(place, (None, 0.0))
+            if other is None:
+                self._idle[place] = process, time.monotonic()
+        if other is not None:
+            process.kill()
+
+    def _prepare(self) -> None:
+        """Make this process one that may have others, and that does not leave them behind."""
+        # workers of a cluster are children of their nannies, which may have none of their own
+        multiprocessing.current_process().daemon = False
+        # not atexit: such a child runs none of its functions, and waits for its own children
+        Finalize(None, self.close, exitpriority=FIRST)
+        threading.Thread(target=self._watch, daemon=True).start()
+
+    def _watch(self) -> None:
+        while True:
+            time.sleep(IDLE_S / 6)
+            self.end_idle()
+
+
+def _watched(
+    process: Process, text: str, limit_s: float | None, unwanted: Callable[[], bool]
+) -> Answer:
+    """Answer of a process, or what became of it."""
+    done: queue.SimpleQueue[tuple[object, Answer]] = queue.SimpleQueue()
+    process.start(text, done, None)
+    ends = time.monotonic() + (float("inf") if limit_s is None else limit_s)
+    while True:
+        try:
+            _, answer = done.get(timeout=max(0.0, min(ISOLATION_LOOK_S, ends - time.monotonic())))
+        except queue.Empty:
+            answer = None
+        if answer is not None and answer.began:  # the process is up: its task has the whole limit
+            ends = time.monotonic() + (float("inf") if limit_s is None else limit_s)
+            continue
+        if answer is None and unwanted():
+            answer = Answer(death="stopped")
+        elif answer is None and limit_s is not None and time.monotonic() >= ends:
+            process.kill()
+            return Answer(json.dumps(stopped_late(limit_s)))
+        if answer is not None:
+            if answer.death:
+                process.kill()
+            return answer
+
+
+#: those of this machine
+HERE = Processes()
+
+
+# -------------------------------------------------------------------------------------------------
+# What a worker of the cluster does: found there by its name.
+
+#: folder of each run's files, and where it has the copy of each file of the study's machine
+_COPIES: dict[str, tuple[str, Mapping[str, str]]] = {}
+
+
+def keep_files(run: str, files: Mapping[str, bytes]) -> None:
+    """Keep copies of the files that the tasks of a run read, until the run ends."""
+    folder = tempfile.mkdtemp(prefix="study-")
+    copies = {}
+    for path, content in files.items():
+        name = hashlib.sha256(path.encode()).hexdigest()[:16] + os.path.splitext(path)[1]
+        copies[path] = os.path.join(folder, name)
+        with open(copies[path], "wb") as stream:
+            stream.write(content)
+    _COPIES[run] = folder, copies
+
+
+def serve(
+    place: tuple[str, int], perform: Perform, text: str, limit_s: float | None
+) -> tuple[str, str]:
+    """Do one task on a worker: what the cluster calls."""
+    from distributed import get_worker
+
+    worker = get_worker()
+    key = worker.get_current_task()
+
+    def unwanted() -> bool:
+        known = worker.state.tasks.get(key)
+        return known is None or known.state in ("cancelled", "released", "forgotten")
+
+    for path, copy in _COPIES.get(place[0], ("", {}))[1].items():
+        text = text.replace(json.dumps(path), json.dumps(copy))
+    answer = HERE.perform(place, perform, text, limit_s, unwanted)
+    return answer.text, answer.death
+
+
+def end_run(run: str) -> None:
+    """End the processes of a run on this worker, and remove its files."""
+    HERE.end(run)
+    folder, _ = _COPIES.pop(run, ("", {}))
+    if folder:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+# -------------------------------------------------------------------------------------------------
+# The workers of a cluster as one run uses them: every thread of theirs is a slot.
+
+#: where the outcome of a slot's task is put
+Done = queue.SimpleQueue[tuple[object, Answer]]
+
+#: seconds between two looks at the workers
+LOOK_S = 1.0
+#: seconds for the workers to end the processes of a run that is over
+FAREWELL_S = 5.0
+
+
+@dataclass(eq=False)
+class Worker:
+    """Worker of the cluster with the versions of this machine."""
+
+    address: str
+    threads: int
+    load: int = 0
+
+    @property
+    def free(self) -> int:
+        """Threads beyond the slots that it has; negative where it has more slots."""
+        return self.threads - self.load
+
+
+@dataclass(eq=False)
+class RemoteSlot:
+    """Room for one task at a time on some worker of the cluster."""
+
+    crew: Crew
+    number: int
+    worker: Worker | None = None
+    future: Pending | None = None
+    waiting: tuple[str, Done, object] | None = None
+    end: Callable[[Answer], None] | None = None
+
+    def start(self, text: str, done: Done, ticket: object) -> None:
+        """Begin a task given as JSON, at once or when a worker comes."""
+        self.waiting = text, done, ticket
+        self.begin()
+
+    def begin(self) -> None:
+        """Send what waits to a worker, if there is one."""
+        if self.waiting is None or not self.crew.place(self):
+            return
+        (text, done, ticket), self.waiting = self.waiting, None
+        told: list[bool] = []
+
+        def end(answer: Answer) -> None:
+            """Tell once: of a worker that was lost, the answer may still come."""
+            if not told:
+                told.append(True)
+                done.put((ticket, answer))
+
+        self.end = end
+        self.future = self.crew.send(self.number, self.worker, text)
+        self.future.add_done_callback(functools.partial(self._ended, end))
+
+    def kill(self) -> None:
+        """Give up what runs; its worker notices within a second."""
+        future, self.future = self.future, None
+        self.waiting = None
+        if future is not None:
+            self.crew.give_up([future])
+
+    def lose(self, why: str) -> None:
+        """Report the death of what runs here."""
+        end = self.end
+        if end is not None:
+            end(Answer(death=why))
+
+    def _ended(self, end: Callable[[Answer], None], future: Pending) -> None:
+        """Hand over what became of a future; called in a thread of the client."""
+        if future.status == "cancelled":
+            self.crew.dropped.put(self)  # by us, by the end of the scheduler, or by a stranger
+            return
+        try:
+            text, death = future.result()
+        except Exception as error:  # noqa: BLE001 - whatever became of it, the study goes on
+            text, death = "", f"lost by the cluster: {first_line(error)}"
+        if self.future is future:
+            self.future = None  # a worker keeps an answer for as long as somebody holds its future
+        end(Answer(text, death))
+
+
+@dataclass(eq=False)
+class Crew:
+    """The workers of a cluster as one run uses them."""
+
+    client: Client
+    perform: Perform
+    identity: Identity
+    jobs: int | None
+    limit_s: float | None
+    files: Sequence[Path] = ()
+    name: str = field(default_factory=lambda: uuid.uuid4().hex)
+    workers: dict[str, Worker] = field(default_factory=dict)
+    slots: list[RemoteSlot] = field(default_factory=list)
+    #: slots whose future was cancelled, for a reason that is still to be found
+    dropped: queue.SimpleQueue[RemoteSlot] = field(default_factory=queue.SimpleQueue)
+    _strangers: set[str] = field(default_factory=set)
+    _looked: float = float("-inf")
+    _call: Pending | None = None
+
+    @property
+    def wanted(self) -> int:
+        """Tasks that run at once."""
+        return self.jobs or sum(worker.threads for worker in self.workers.values())
+
+    def gather(self) -> None:
+        """Wait for a worker, and refuse those whose versions differ."""
+        while not self.workers:
+            different = self._look()
+            if different:
+                raise RefusedError(refusal(different))
+            if not self.workers:
+                self._call_for_workers()
+                time.sleep(LOOK_S)
+
+    def arrivals(self) -> list[RemoteSlot]:
+        """Look at the workers now and then; slots for those that have come."""
+        if time.monotonic() - self._looked >= LOOK_S or not self.dropped.empty():
+            for address, told in self._look().items():
+                print(f"warning: {address} gets no task of this study: {told}", file=sys.stderr)
+            self._explain_dropped()
+            if self.workers:
+                self._end_call()
+            elif any(slot.waiting for slot in self.slots):
+                self._call_for_workers()
+            for slot in self.slots:
+                slot.begin()
+        known = len(self.slots)
+        self.slots += [RemoteSlot(self, k) for k in range(known, max(self.wanted, known))]
+        return self.slots[known:]
+
+    def place(self, slot: RemoteSlot) -> bool:
+        """Find a worker for a slot: its own, unless it is gone or another has more room."""
+        best = max(self.workers.values(), key=lambda worker: worker.free, default=None)
+        own = slot.worker
+        if own is not None and (best is None or self.workers.get(own.address) is not own):
+            own.load, own, slot.worker = own.load - 1, None, None
+        if best is not None and (own is None or best.free - own.free > 1):
+            if own is not None:
+                own.load -= 1
+            best.load, slot.worker = best.load + 1, best
+        return slot.worker is not None
+
+    def send(self, number: int, worker: Worker | None, text: str) -> Pending:
+        """Submit a task to one worker."""
+        if worker is None:
+            raise RuntimeError("a slot without a worker sends no task")
+        self._check_scheduler()
+        return self.client.submit(
+            serve, (self.name, number), self.perform, text, self.limit_s,
+            workers=[worker.address], pure=False, key=f"study-{self.name}-{uuid.uuid4().hex}",
+        )  # fmt: skip
+
+    def give_up(self, futures: Sequence[Pending]) -> None:
+        """Cancel futures of ours."""
+        if self.client.status == "running":
+            with contextlib.suppress(Exception):  # what is gone already needs no cancelling
+                self.client.cancel(futures, force=True)
+
+    def dismiss(self) -> None:
+        """Cancel what runs for this run alone, and end its processes on the workers."""
+        self._end_call()
+        self.give_up([slot.future for slot in self.slots if slot.future is not None])
+        if self.client.status != "running":
+            return
+        # of a worker that hangs nobody waits for a farewell: its idle processes end by themselves
+        farewell = threading.Thread(target=self._say_farewell, daemon=True)
+        farewell.start()
+        farewell.join(FAREWELL_S)
+
+    def _say_farewell(self) -> None:
+        with contextlib.suppress(Exception):  # a worker that is gone has ended them already
+            self.client.run(end_run, self.name, workers=list(self.workers), on_error="ignore")
+
+    def _look(self) -> dict[str, str]:
+        """Notice who came and who went; what is different about those that cannot be used."""
+        self._looked = time.monotonic()
+        self._check_scheduler()
+        try:
+            there = dict(self.client.nthreads())
+        except Exception as error:
+            raise SchedulerLostError(_lost(error)) from error
+        for address in [address for address in self.workers if address not in there]:
+            self._lost_worker(self.workers.pop(address))
+        new = [a for a in there if a not in self.workers and a not in self._strangers]
+        different = self._differences(new) if new else {}
+        self._strangers |= set(different)
+        known = [address for address in new if address not in different]
+        if known and self.files:
+            contents = {str(path): read_existing(path, MAX_BYTES) for path in self.files}
+            self.client.run(keep_files, self.name, contents, workers=known, on_error="ignore")
+        for address in known:
+            self.workers[address] = Worker(address, max(there[address], 1))
+        return different
+
+    def _lost_worker(self, worker: Worker) -> None:
+        for slot in self.slots:
+            if slot.worker is worker and slot.future is not None:
+                slot.lose(f"lost with its worker {worker.address}")
+
+    def _differences(self, addresses: Sequence[str]) -> dict[str, str]:
+        """Ask workers for their versions; say of each with other ones what differs."""
+        here = about(self.identity)
+        answers = self.client.run(about, self.identity, workers=list(addresses), on_error="return")
+        found = {}
+        for address in addresses:
+            there = answers.get(address, "it gave no answer")
+            told = differences(here, there)
+            if told:
+                found[address] = told
+        return found
+
+    def _explain_dropped(self) -> None:
+        """Report tasks that somebody else cancelled, the scheduler being there."""
+        while not self.dropped.empty():
+            slot = self.dropped.get()
+            if slot.future is not None and slot.future.status == "cancelled":
+                slot.lose("cancelled on the cluster")
+
+    def _check_scheduler(self) -> None:
+        if self.client.status != "running":
+            raise SchedulerLostError(_lost())
+
+    def _call_for_workers(self) -> None:
+        """Leave a task that anybody may do: a cluster that grows on demand sees a demand."""
+        if self._call is None:
+            print("waiting for a worker of the cluster", file=sys.stderr, flush=True)
+            self._check_scheduler()
+            self._call = self.client.submit(os.getpid, pure=False)
+
+    def _end_call(self) -> None:
+        call, self._call = self._call, None
+        if call is not None:
+            self.give_up([call])
+
+
+def _lost(error: BaseException | None = None) -> str:
+    why = f" ({first_line(error)})" if error is not None and str(error) else ""
+    return (
+        f"the scheduler of the cluster is gone{why}: what is finished is kept\n"
+        "    start the cluster again, then the same command: it resumes"
+    )
+
+
+# -------------------------------------------------------------------------------------------------
+# Tasks on a Dask cluster that exists.
+#
+# Tasks and results travel as text, so that workers share no disk with the study. A worker hands
+# its task to a process of its own (:mod:`study.harness.execution.cluster`), where it dies, hangs
+# and is limited as on this machine. A slot stays with its worker, so that a task meets what the
+# last one of its group left there; where a worker is gone, its tasks are done once more elsewhere.
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """Executor on the workers of a Dask cluster."""
+
+    #: Does one task; a function of a module that the workers can import.
+    perform: Perform
+    #: Address (``tls://host:8786``), scheduler file, or a client that is connected.
+    scheduler: str | Path | Client
+    #: Versions of what decides a number; a worker with others is refused.
+    identity: Identity = dict
+    #: Tasks at once; by default one a thread of the workers, of those that come later too.
+    jobs: int | None = None
+    #: Wall-clock limit of one task in seconds, which waiting for a worker does not use up.
+    limit_s: float | None = None
+    #: Files that tasks name by their whole path: every worker gets a copy, and tasks its name.
+    files: Sequence[Path] = ()
+
+    def run(
+        self, tasks: Sequence[Task], finished: Results | None = None
+    ) -> Generator[Outcome, None, None]:
+        """Yield the outcome of every task as it comes; ``close()`` stops this run's alone."""
+        limit = check_limit(self.limit_s)
+        with connected(self.scheduler) as client:
+            crew = Crew(client, self.perform, self.identity, self.jobs, limit, self.files)
+            try:
+                crew.gather()
+                ready = ReadyQueue(tasks, finished or {})
+                yield from Supervisor(ready, [], arrivals=crew.arrivals).outcomes()
+            finally:
+                crew.dismiss()
+
+    def slots(self) -> int:
+        """Count the tasks that run at once, having waited for a worker and compared versions."""
+        with connected(self.scheduler) as client:
+            crew = Crew(client, self.perform, self.identity, self.jobs, None)
+            crew.gather()
+            return crew.wanted

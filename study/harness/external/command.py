@@ -1,0 +1,326 @@
+"""Programs as forward models: a fresh folder, files in, no shell, a time limit, files out."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import sys
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypedDict
+
+import numpy as np
+
+from study.ground.arrays import Array
+from study.ground.bounded_file import UnreadableError, read_regular
+from study.ground.canonical import digest
+from study.ground.errors import Fault, RefusedError
+from study.ground.working_folder import environment
+from study.harness.external import exchange, program
+from study.harness.external.exchange import Answer, NoAnswer, PythonFunction
+from study.mechanics.setup.declaration import section_of
+from study.mechanics.setup.setup import ForwardModel, Problem
+
+#: word that stands for the interpreter that runs this package
+PYTHON = "python"
+
+#: seconds that a program may take to say its version, and bytes that it may say
+_VERSION_S = 20.0
+_VERSION_BYTES = 65_536
+
+#: how the return code of a program that wrote a larger file than it may is seen
+_FILE_TOO_LARGE = -25  # SIGXFSZ
+
+
+class StepDocument(TypedDict):
+    """One command of a solution, for the record."""
+
+    argv: list[str]
+    code: int | None
+    output: str
+
+
+class ProgramDocument(TypedDict):
+    """What ran, for the record."""
+
+    version: str
+    digest: str
+    steps: list[StepDocument]
+
+
+@dataclass(frozen=True)
+class Command:
+    """Commands that make one solution."""
+
+    argv: tuple[tuple[str, ...], ...]
+    #: Name and text of every file that they find in their folder.
+    contents: Mapping[str, str]
+    #: Command that says the version of the program; may be empty.
+    version: tuple[str, ...] = ()
+    #: Text that one of the commands must say, and text that none may say.
+    success: str = ""
+    failure: str = ""
+    #: Name of commands, files and programs by their content.
+    digest: str = ""
+    timeout_s: float | None = None
+
+
+def solve_by_command(
+    command: Command, problem: Problem, displacement_mm: Array
+) -> tuple[Answer, ProgramDocument]:
+    """Run the commands for one problem.
+
+    Shapes: displacement_mm (n,).
+    """
+    document: ProgramDocument = {
+        "version": said_version(command.version, command.contents),
+        "digest": command.digest,
+        "steps": [],
+    }
+    limit = None if command.timeout_s is None else time.monotonic() + command.timeout_s
+    with program.fresh_folder() as folder:
+        wanted = json.dumps(exchange.request(problem, displacement_mm), indent=1)
+        _write(folder, {**command.contents, exchange.PROBLEM_FILE: wanted})
+        for argv in command.argv:
+            document["steps"].append(_step(argv, folder, command, limit))
+            _check(document["steps"][-1], command)
+        _check_success(document["steps"], command)
+        return exchange.answer(_written(folder), displacement_mm), document
+
+
+def path_of(word: str) -> str | None:
+    """Path of a program on this machine; None where there is none."""
+    return sys.executable if word == PYTHON else shutil.which(word)
+
+
+def said_version(argv: tuple[str, ...], contents: Mapping[str, str]) -> str:
+    """First line that a program says of itself, whatever its return code; ``ccx -v`` gives 201."""
+    path = path_of(argv[0]) if argv else None
+    if path is None:
+        return ""
+    with program.fresh_folder() as folder:
+        _write(folder, contents)
+        until = time.monotonic() + _VERSION_S
+        ended = program.run(
+            [path, *argv[1:]], folder, until, _VERSION_BYTES, _environment(argv, contents)
+        )
+    lines = ended.beginning.splitlines()
+    return next((line.strip()[:200] for line in lines if line.strip()), "")
+
+
+def _environment(argv: tuple[str, ...], contents: Mapping[str, str]) -> dict[str, str]:
+    """Environment of a program; Python imports from its folder where it runs a file of the user."""
+    runs_user_file = any(os.path.normpath(word) in contents for word in argv[1:])
+    return environment(is_safe=argv[0] == PYTHON and not runs_user_file)
+
+
+def _write(folder: Path, contents: Mapping[str, str]) -> None:
+    for file, text in contents.items():
+        (folder / file).write_text(text, encoding="utf-8")
+
+
+def _step(
+    argv: tuple[str, ...], folder: Path, command: Command, limit: float | None
+) -> StepDocument:
+    path = path_of(argv[0])
+    if path is None:
+        raise NoAnswer("failed", f"{argv[0]}: there is no such program on this machine")
+    ended = program.run(
+        [path, *argv[1:]], folder, limit, environment=_environment(argv, command.contents)
+    )
+    if ended.excess:
+        raise NoAnswer("failed", f"{argv[0]}: was ended, for {ended.excess}")
+    return {"argv": list(argv), "code": ended.code, "output": ended.output}
+
+
+def _check(step: StepDocument, command: Command) -> None:
+    name, said = step["argv"][0], step["output"]
+    if step["code"] is None:
+        raise NoAnswer("timeout", f"{name}: stopped after {command.timeout_s:g} s")
+    if step["code"] == _FILE_TOO_LARGE:
+        most = f"{program.FOLDER_BYTES / 1e9:g} GB"
+        raise NoAnswer("failed", f"{name}: was ended, for it wrote a file of more than {most}")
+    if step["code"] != 0:
+        raise NoAnswer("failed", f"{name}: return code {step['code']}: {_last(said)}")
+    if command.failure and command.failure in said:
+        raise NoAnswer("failed", f"{name} said: {_last(said)}")
+
+
+def _check_success(steps: list[StepDocument], command: Command) -> None:
+    if command.success and not any(command.success in step["output"] for step in steps):
+        rule = f"no command said {command.success!r}: {_last(steps[-1]['output'])}"
+        raise NoAnswer("not-converged", rule)
+
+
+def _last(said: str) -> str:
+    lines = [line.strip() for line in said.splitlines() if line.strip()]
+    told = [line for line in lines if "ERROR" in line.upper()]
+    return (told or lines or ["no output"])[-1][:200]
+
+
+def _written(folder: Path) -> dict[str, str]:
+    """Texts of the files of an answer; a link, a pipe or a device is none."""
+    texts = {}
+    for name in (exchange.CURVE_FILE, exchange.FACTS_FILE):
+        try:
+            data = read_regular(folder / name, exchange.MAX_BYTES, follow=False)
+        except UnreadableError as error:
+            rule = f"the program wrote no {name}: what stands there {error.rule}"
+            raise NoAnswer("failed", rule) from error
+        if data is not None:
+            texts[name] = data.decode(errors="replace")
+    return texts
+
+
+# -------------------------------------------------------------------------------------------------
+# Forward models that are not ours, as a resolved table ``forward`` says them.
+
+#: digits of the name of a set of commands that a person compares and gives
+DIGITS = 12
+
+#: step of a finite difference, relative to a constant (or, where that is 0, to the largest):
+#: programs print six digits or more, of which a step of 1e-3 leaves three
+STEP = 1e-3
+
+
+@dataclass(frozen=True)
+class Solved:
+    """Curve of an external forward model, and how it was found."""
+
+    answer: Answer
+    seconds: float
+    program: ProgramDocument | None = None
+
+
+@dataclass(frozen=True)
+class External:
+    """Forward model of a resolved table."""
+
+    section: ForwardModel
+    #: Name and text of the files that go along.
+    contents: Mapping[str, str]
+    #: sha256 of every program on this machine; empty where it is missing.
+    programs: Mapping[str, str]
+    #: Of ``model = "python"``; None until :func:`study.run` is given one.
+    function: PythonFunction | None
+
+    @classmethod
+    def of(cls, tables: Mapping[str, object]) -> External | None:
+        """Read the table ``forward`` of resolved tables; None where our own model predicts."""
+        table = tables.get("forward")
+        if not isinstance(table, Mapping):
+            return None
+        section = section_of("forward", ForwardModel, _tupled(table))
+        if not section.is_external:
+            return None
+        text, version = str(table.get("function") or ""), str(table.get("function_version") or "")
+        function = PythonFunction(text, version) if text else None
+        return cls(section, _texts(table, "contents"), _texts(table, "programs"), function)
+
+    @property
+    def digest(self) -> str:
+        """Name of commands, files and programs, or of the function, by their content."""
+        if self.section.model == "python":
+            version = None if self.function is None else self.function.version
+            return digest(["python", version], DIGITS)
+        one = self.section
+        return digest(
+            [one.argv, one.success, one.failure, one.version, dict(self.contents),
+             dict(self.programs)],
+            DIGITS,
+        )  # fmt: skip
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Programs that are not on this machine."""
+        return tuple(name for name, sha in self.programs.items() if not sha)
+
+    def lines(self) -> list[str]:
+        """Say what it runs, for whoever has to allow it."""
+        shown = [f"runs: {' '.join(argv)}" for argv in self.section.argv]
+        return [*shown, *(f"with the file {name}" for name in self.contents)]
+
+    def solve(self, problem: Problem, displacement_mm: Array) -> Solved:
+        """Solve one problem.
+
+        Shapes: displacement_mm (n,).
+        """
+        began = time.perf_counter()
+        if self.section.model == "python":
+            if self.function is None:
+                raise NoAnswer("failed", "no function was given: study.run(..., forward=f)")
+            found = self.function.solve(problem, displacement_mm)
+            return Solved(found, time.perf_counter() - began)
+        one = self.section
+        made = Command(
+            one.argv, self.contents, one.version, one.success, one.failure, self.digest,
+            one.timeout_s,
+        )  # fmt: skip
+        found, document = solve_by_command(made, problem, displacement_mm)
+        return Solved(found, time.perf_counter() - began, document)
+
+
+def _texts(table: Mapping[str, object], key: str) -> dict[str, str]:
+    found = table.get(key)
+    return {str(k): str(v) for k, v in found.items()} if isinstance(found, Mapping) else {}
+
+
+def _tupled(table: Mapping[str, object]) -> dict[str, object]:
+    """Make the lists of JSON the tuples that the section holds."""
+    return {k: _deep(v) for k, v in table.items()}
+
+
+def _deep(value: object) -> object:
+    return tuple(_deep(v) for v in value) if isinstance(value, list | tuple) else value
+
+
+def check_allowed(models: Iterable[External], allowed: bool | str) -> None:
+    """Refuse to run what the person at the keyboard did not allow, or what is not there."""
+    distinct = list({one.digest: one for one in models}.values())
+    if any(one.section.model == "python" and one.function is None for one in distinct):
+        raise RefusedError(
+            "forward.model = 'python' stands for a function given in Python:\n"
+            '    study.run(design, forward=function, version="1")'
+        )
+    commands = [one for one in distinct if one.section.model == "command"]
+    name = common_digest(commands)
+    if commands and not (allowed is True or (isinstance(allowed, str) and _fits(name, allowed))):
+        raise RefusedError(_refusal(name, commands, allowed))
+    for one in commands:
+        if one.missing:
+            install = one.section.install or "install it, or leave these cells out"
+            rule = f"{', '.join(one.missing)}: there is no such program on this machine"
+            raise RefusedError(str(Fault("forward.argv", rule, install)))
+
+
+def common_digest(models: Sequence[External]) -> str:
+    """Name of all commands of a study together, which a person allows at once."""
+    return digest(sorted(one.digest for one in models), DIGITS) if models else ""
+
+
+def _fits(name: str, prefix: str) -> bool:
+    """Whether a digest begins with what was typed; fewer than six digits are a guess."""
+    return len(prefix) >= 6 and name.startswith(prefix)
+
+
+def _refusal(name: str, commands: Sequence[External], allowed: bool | str) -> str:
+    changed = f"this study runs other commands than {allowed!r} allows" if allowed else ""
+    begin = changed or "this study runs programs with your rights, which nobody allowed"
+    what = "\n".join(f"    {line}" for one in commands for line in one.lines())
+    mend = (
+        "    read them; then add --allow-commands, or, for exactly these commands, files and\n"
+        f"    programs, --allow-digest {name}"
+    )
+    return f"{begin}:\n{what}\n{mend}"
+
+
+def steps_of(values: Array) -> Array:
+    """Step of the finite difference by every constant, shape (p,).
+
+    Units: values MPa.
+    """
+    largest = float(np.abs(values).max(initial=0.0)) or 1.0
+    return STEP * np.where(values != 0.0, np.abs(values), largest)

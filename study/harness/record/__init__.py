@@ -1,0 +1,1 @@
+"""Records on disk: sealed documents, the store, its index, locks."""

@@ -1,0 +1,296 @@
+"""Files that are either there whole or not at all.
+
+A file is written beside its place, flushed to the disk, renamed over its final name, and the
+folder is flushed: after a crash or a power loss the old content or the new one is there,
+never something in between (Pillai et al. 2014, OSDI, "All file systems are not created
+equal"). :mod:`study.ground.bounded_file` reads them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import errno
+import fcntl
+import json
+import os
+import socket
+import stat
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+from study.ground.bounded_file import parse_json
+from study.ground.errors import DiskFullError, StoreError
+
+TEMPORARY = ".part"
+
+#: what the system says of a disk that takes no more: no space, quota, size of a file, broken disk
+FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO})
+
+
+class FileSystem:
+    """The operations that change the disk; tests replace it to crash at each of them."""
+
+    def make_folder(self, path: Path) -> None:
+        """Make a folder and those above it."""
+        path.mkdir(parents=True, exist_ok=True)
+
+    def write(self, path: Path, data: bytes) -> None:
+        """Write a new file; what was left there, a link too, is not written through."""
+        path.unlink(missing_ok=True)
+        with open(path, "xb") as stream:
+            stream.write(data)
+
+    def sync_file(self, path: Path) -> None:
+        """Flush a file to the disk."""
+        _sync(path, os.O_RDONLY)
+
+    def replace(self, source: Path, target: Path) -> None:
+        """Rename, atomically, over whatever stands there."""
+        os.replace(source, target)
+
+    def sync_folder(self, path: Path) -> None:
+        """Flush the names in a folder to the disk."""
+        _sync(path, os.O_RDONLY)
+
+    def unlink(self, path: Path) -> None:
+        """Delete a file."""
+        path.unlink(missing_ok=True)
+
+
+def _sync(path: Path, flags: int) -> None:
+    handle = os.open(path, flags)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def write_atomic(
+    path: Path,
+    data: bytes,
+    system: FileSystem | None = None,
+    later: dict[Path, None] | None = None,
+    *,
+    flush: bool = True,
+) -> None:
+    """Write ``data`` to ``path`` so that a crash leaves the old content or the new.
+
+    A link that stands at ``path`` is replaced, not followed.
+    """
+    system = system or FileSystem()
+    part = _part(path)
+    try:
+        for folder in _make_folder(path.parent, system):
+            _sync_names(folder, system, later)
+        system.write(part, data)
+        if flush:
+            system.sync_file(part)
+        system.replace(part, path)
+        if flush:
+            _sync_names(path.parent, system, later)
+    except OSError as error:
+        _discard(part, system)
+        raise write_error(path, error) from error
+    except KeyboardInterrupt:
+        _discard(part, system)
+        raise
+
+
+@contextlib.contextmanager
+def replaced(path: Path) -> Iterator[Path]:
+    """Name beside ``path`` for a writer that takes names alone; renamed when all is well."""
+    part = _part(path)
+    try:
+        yield part
+        os.replace(part, path)
+    except OSError as error:
+        raise write_error(path, error) from error
+    finally:
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)
+
+
+def write_new(path: Path, text: str) -> None:
+    """Write a file where there is none, whole or not at all."""
+    with open(path, "x", encoding="utf-8"):
+        pass
+    try:
+        write_atomic(path, text.encode())
+    except BaseException:
+        _discard(path, FileSystem())
+        raise
+
+
+def write_error(path: str | Path, error: OSError) -> StoreError:
+    """Error of a file that could not be written, by what the system says of it."""
+    text = f"{path}: could not be written ({error.strerror or error}); what was there before is "
+    if error.errno in FULL:
+        return DiskFullError(f"{text}unharmed. Free space, then run again")
+    return StoreError(f"{text}unharmed. Choose another folder, or mend this one, then run again")
+
+
+def _part(path: Path) -> Path:
+    return path.with_name(f".{path.name}.{os.getpid()}{TEMPORARY}")
+
+
+def _sync_names(folder: Path, system: FileSystem, later: dict[Path, None] | None) -> None:
+    """Flush the names in a folder, now or later."""
+    if later is None:
+        system.sync_folder(folder)
+    else:
+        later[folder] = None
+
+
+def _make_folder(folder: Path, system: FileSystem) -> list[Path]:
+    """Make a folder; those to be flushed for its name to survive a power loss too."""
+    if folder.is_dir():
+        return []
+    new = [path for path in (folder, *folder.parents) if not path.exists()]
+    if new:
+        system.make_folder(folder)
+    return [path.parent for path in reversed(new)]
+
+
+def is_leftover(name: str) -> bool:
+    """Whether the name of a file is of those that an interrupted write leaves behind."""
+    return name.startswith(".") and name.endswith(TEMPORARY)
+
+
+def _discard(part: Path, system: FileSystem) -> None:
+    try:
+        system.unlink(part)
+    except OSError:
+        return  # the disk refuses even this; the next run clears the leftover
+
+
+# -------------------------------------------------------------------------------------------------
+# One runner per results folder.
+#
+# The lock is the operating system's (flock), so it dies with its owner: there is no stale lock
+# to clear by hand. On a network file system flock may hold on one machine only.
+
+LOCK_NAME = ".lock"
+
+#: times that a lock is tried for, and seconds between them
+_GLANCES = 5
+_GLANCE_S = 0.01
+
+#: what the lock file says of its owner, and the bytes that this and its progress take
+_OWNER = ("pid", "host", "since")
+_LENGTH = 512
+
+
+@contextmanager
+def exclusive(folder: Path) -> Iterator[None]:
+    """Hold the lock of a results folder, or say who holds it."""
+    path = folder / LOCK_NAME
+    try:
+        handle = _opened(folder, os.O_RDWR | os.O_CREAT)
+    except OSError as error:
+        raise StoreError(f"{path}: cannot be written ({error.strerror or error})") from error
+    try:
+        try:
+            _take(handle)
+        except BlockingIOError as error:
+            raise StoreError(_held(folder, path)) from error
+        except OSError as error:
+            raise StoreError(
+                f"{path}: this file system cannot lock files ({error.strerror or error}); keep "
+                "results on a local disk"
+            ) from error
+        _sign(handle)
+        yield
+    finally:
+        os.close(handle)  # releases the lock
+
+
+def _opened(folder: Path, flags: int) -> int:
+    """Open the lock file, and nothing else in its place: to open a pipe may take forever."""
+    handle = os.open(folder / LOCK_NAME, flags | os.O_NOFOLLOW | os.O_NONBLOCK, 0o644)
+    if not stat.S_ISREG(os.fstat(handle).st_mode):
+        os.close(handle)
+        raise OSError("it is no file; remove it")
+    return handle
+
+
+def _take(handle: int) -> None:
+    """Take the lock; one who only looks whether it is held has it for some microseconds."""
+    for _ in range(_GLANCES):
+        with contextlib.suppress(BlockingIOError):
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return
+        time.sleep(_GLANCE_S)
+    fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def holder(folder: Path) -> dict[str, object]:
+    """Read what the lock file says of its owner; empty if unreadable or never locked."""
+    try:
+        handle = _opened(folder, os.O_RDONLY)
+    except OSError:
+        return {}
+    try:
+        found = parse_json(os.read(handle, 4096), LOCK_NAME)
+    except (OSError, StoreError):
+        return {}
+    finally:
+        os.close(handle)
+    return found if isinstance(found, dict) else {}
+
+
+def is_locked(folder: Path) -> bool:
+    """Whether a runner is at work in the folder just now."""
+    try:
+        handle = _opened(folder, os.O_RDONLY)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    finally:
+        os.close(handle)
+    return False
+
+
+def sign(folder: Path, progress: Mapping[str, object]) -> None:
+    """Add progress to what the owner of the lock says of itself."""
+    owner = {name: value for name, value in holder(folder).items() if name in _OWNER}
+    try:
+        handle = _opened(folder, os.O_WRONLY)
+    except OSError:
+        return  # nobody depends on it
+    try:
+        _write(handle, owner | dict(progress))
+    finally:
+        os.close(handle)
+
+
+def _sign(handle: int) -> None:
+    now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+    _write(handle, dict(zip(_OWNER, (os.getpid(), socket.gethostname(), now), strict=True)))
+
+
+def _write(handle: int, facts: Mapping[str, object]) -> None:
+    """Replace what the file says in one write: blanks cover what was there before."""
+    text = json.dumps(facts).encode().ljust(_LENGTH)
+    try:
+        os.pwrite(handle, text, 0)
+        os.ftruncate(handle, len(text))
+    except OSError:
+        return  # a full disk: the lock holds all the same, it only cannot name its owner
+
+
+def _held(folder: Path, path: Path) -> str:
+    owner = holder(folder)
+    if not owner:
+        return f"{path.parent}: locked by another runner; wait for it or stop it"
+    return (
+        f"{path.parent}: locked by pid {owner.get('pid')} on host {owner.get('host')} since "
+        f"{owner.get('since')}; wait for it or stop it"
+    )

@@ -1,0 +1,387 @@
+"""The results folder of one study: crash-safe, one runner at a time, nothing damaged is used.
+
+::
+
+    results/<study>/
+        study.json                  manifest
+        index.json                  what each record says of itself, so that counting reads none
+        fits/<fit_id>.json          calibrations shared by cases
+        cases/<case_id>/record.json
+        cases/<case_id>/fields-<hash>.npz
+        cases/<case_id>/*.corrupt-1 what was damaged, set aside
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+from collections import defaultdict
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from typing import cast
+
+from numpy.typing import ArrayLike
+
+from study.ground.curve import Curve
+from study.ground.errors import NewerSchemaError, StoreError
+from study.harness.record import document
+from study.harness.record.atomic_files import write_atomic
+from study.harness.record.document import (
+    MAX_FIELD_BYTES,
+    CurveKey,
+    ManifestDocument,
+    SolutionDocument,
+    Stored,
+    StoredFitDocument,
+    fault_of_curves,
+    fault_of_fits,
+)
+from study.harness.record.folder import ID, ManifestFolder
+from study.harness.record.index import (
+    CURRENT,
+    Entry,
+    FileStamp,
+    OtherLibraries,
+    RecordIndex,
+    StoredRecords,
+    Survey,
+    differences,
+    name_of,
+)
+from study.harness.record.index import NAME as INDEX
+from study.harness.record.record import CONVERGED, Record
+
+# -------------------------------------------------------------------------------------------------
+# Results that are no records: fits that cases share, solutions of refinement series.
+
+#: key of a stored result: name of the libraries that made it
+_MADE_WITH = "made_with"
+
+#: ends of a fit that has constants
+ENDS_WITH_CONSTANTS = (CONVERGED, "at-edge", "at-kink")
+
+
+class ResultFolder(ManifestFolder):
+    """Results folder in which each result keeps the name of the libraries that made it."""
+
+    #: name of the libraries that make what is written now, and whether nothing else counts
+    _libraries = ""
+    _strict = False
+
+    def made_with(self, versions: Mapping[str, str], *, strict: bool = False) -> None:
+        """Say which libraries compute from now on."""
+        self._libraries, self._strict = name_of(versions), strict
+
+    def write_fit(
+        self, fit_id: str, content: Mapping[str, object], *, followed: bool = False
+    ) -> None:
+        """Store a calibration that several cases share; ``followed`` as for a record."""
+        self._write_result(f"fits/{fit_id}", content, followed)
+
+    def read_fit(self, fit_id: str) -> dict[str, object] | None:
+        """Read a shared calibration; None if it is missing, was damaged, or does not count."""
+        found = self.read_document(f"fits/{fit_id}", StoredFitDocument, _fault_of_fit)
+        return self._counting(found)
+
+    def write_solution(self, key: str, content: Mapping[str, object]) -> None:
+        """Store a solution of a refinement series."""
+        self._write_result(f"solves/{key}", content, False)
+
+    def read_solution(self, key: str) -> dict[str, object] | None:
+        """Read a solution; None as for a calibration."""
+        found = self.read_document(f"solves/{key}", SolutionDocument, _fault_of_solution)
+        return self._counting(found)
+
+    def _write_result(self, name: str, content: Mapping[str, object], followed: bool) -> None:
+        self.write_json(name, {**content, _MADE_WITH: self._libraries}, followed=followed)
+
+    def _counting(
+        self, found: StoredFitDocument | SolutionDocument | None
+    ) -> dict[str, object] | None:
+        """Leave out the name of the libraries; None where other ones are to be as missing."""
+        if found is None:
+            return None
+        result = cast("dict[str, object]", found)
+        made_with = result.pop(_MADE_WITH, "")
+        return None if self._strict and made_with != self._libraries else result
+
+
+def _fault_of_fit(fit: StoredFitDocument) -> str:
+    """Say why cases cannot use a fit that they share; empty if they can."""
+    if fit["status"] in ENDS_WITH_CONSTANTS and not fit.get("values"):
+        return "it has no values"
+    if set(fit.get("names", ())) != fit.get("values", {}).keys():
+        return "its names are not those of its values"
+    if "curve" not in fit:
+        return fault_of_fits({"fit": fit}, needed=())
+    if "solver" not in fit:
+        return "it has no solver"
+    return fault_of_fits({"fit": fit}, needed=()) or _fault_of_curve(fit["curve"])
+
+
+def _fault_of_solution(found: SolutionDocument) -> str:
+    """Say why a series cannot use a solution; empty if it can."""
+    if found["status"] != CONVERGED:
+        return _fault_of_curve(found["curve"]) if found.get("curve") else ""
+    lost = [key for key in ("curve", "elements", "dofs") if key not in found]
+    return f"it has no {lost[0]}" if lost else _fault_of_curve(found["curve"])
+
+
+def _fault_of_curve(written: Mapping[str, object]) -> str:
+    try:
+        curve = Curve.from_dict(written)
+    except (TypeError, ValueError, LookupError, ArithmeticError) as error:
+        return f"its curve cannot be read ({error})"
+    return fault_of_curves({CurveKey("predicted", "force"): curve})
+
+
+def laid_by(input_hash: str) -> str:
+    """Name of the file of a record that another one took the place of."""
+    return f"record-{hashlib.sha256(input_hash.encode()).hexdigest()[:16]}.json"
+
+
+class Store(ResultFolder):
+    """Records, shared fits and manifests of one study."""
+
+    def write(
+        self,
+        record: Record,
+        fields: Mapping[str, ArrayLike] | None = None,
+        *,
+        followed: bool = False,
+    ) -> Record:
+        """Store a record, whole or not at all, and after its fields."""
+        folder = self._case(record.case_id)
+        name = ""
+        if fields:
+            name, data = document.pack(fields)
+            record = replace(record, extra={**record.extra, "fields": name})
+            write_atomic(folder / name, data, self._system)
+        path = folder / CURRENT
+        self._lay_by(record)
+        self._write(path, record.to_json().encode(), followed)
+        self._drop_other_fields(folder, name)
+        if self._locked:
+            self._index.note(record, FileStamp.of(path))
+            if self._index.is_due:
+                self._write_index()
+        return record
+
+    def read(self, case_id: str, input_hash: str | None = None) -> Record | None:
+        """Record of a case; None if there is none or it is damaged (set aside, and warned)."""
+        folder = self._case(case_id)
+        stamp = FileStamp.of(folder / CURRENT)  # taken first: what changes meanwhile is read again
+        record = self._read_file(case_id, folder / CURRENT)
+        if record is not None and self._locked:
+            self._index.note(record, stamp)
+        if input_hash is None or (record is not None and record.input_hash == input_hash):
+            return record
+        beside = self._read_file(case_id, folder / laid_by(input_hash))
+        return beside if beside is not None and beside.input_hash == input_hash else record
+
+    def _read_file(self, case_id: str, path: Path) -> Record | None:
+        data = self._bytes(path)
+        if data is None:
+            return None
+        try:
+            record = Record.from_json(data, str(path))
+            if record.case_id != case_id:
+                raise StoreError(f"{path}: belongs to case {record.case_id!r}")
+        except NewerSchemaError:
+            raise
+        except StoreError as error:
+            self._set_aside(path, str(error))
+            self._distrust(case_id)
+            return None
+        return record
+
+    def read_all(self) -> list[Record]:
+        """Every valid record, by case id: the order of the runs leaves no trace."""
+        return [record for name in self._case_ids() if (record := self.read(name)) is not None]
+
+    def read_fields(self, record: Record) -> dict[str, Stored]:
+        """Arrays kept with a record; empty if it has none."""
+        name = record.extra.get("fields")
+        if not name:
+            return {}
+        if not isinstance(name, str) or not document.is_name(name):
+            raise StoreError(f"case {record.case_id}: {name!r} is no name of a field file")
+        path = self._case(record.case_id) / name
+        data = self._bytes(path, MAX_FIELD_BYTES)
+        if data is None or not document.fits(name, data):
+            raise StoreError(f"{path}: is missing or damaged; delete the case to run it again")
+        return document.unpack(data, path)
+
+    def survey(self, input_hashes: Mapping[str, str]) -> Survey:
+        """Sort the wanted cases into done, failed and missing."""
+        done: list[str] = []
+        statuses: dict[str, str] = {}
+        made_with: dict[str, str] = {}
+        missing: list[str] = []
+        foreign: list[str] = []
+        for case_id, wanted in input_hashes.items():
+            said = self._said(case_id, wanted)
+            if said is None or not self._counts(said, wanted):
+                missing.append(case_id)
+                if said is not None:
+                    foreign.append(case_id)
+                continue
+            made_with[case_id] = said.libraries
+            if said.converged:
+                done.append(case_id)
+            else:
+                statuses[case_id] = said.status
+        if foreign:
+            self._say(
+                f"{self.path}: {len(foreign)} records come from another version of the program, "
+                "its settings or the data; they are not used and will be computed again"
+            )
+        return Survey(
+            tuple(done), tuple(statuses), tuple(missing), tuple(foreign), statuses, made_with
+        )
+
+    def done_ids(
+        self, input_hashes: Mapping[str, str], retry: Collection[str] = ()
+    ) -> frozenset[str]:
+        """Cases that need no run: a valid record of this input, whatever its status."""
+        found = self.survey(input_hashes)
+        again = {case_id for case_id, status in found.statuses.items() if status in retry}
+        return frozenset(found.done + found.failed) - again
+
+    def records(self, input_hashes: Mapping[str, str]) -> list[Record]:
+        """Read the records of this very input, in the order of ``input_hashes``."""
+        found = (self.read(case_id, wanted) for case_id, wanted in input_hashes.items())
+        return [
+            r for r in found if r is not None and self._counts(Entry.of(r), input_hashes[r.case_id])
+        ]
+
+    def meshes(self, input_hashes: Mapping[str, str]) -> dict[str, str]:
+        """Hash of the mesh of each case that has one."""
+        said = {case: self._said(case, wanted) for case, wanted in input_hashes.items()}
+        return {case: one.mesh for case, one in said.items() if one is not None and one.mesh}
+
+    def by_case(self, input_hashes: Mapping[str, str]) -> dict[str, Record]:
+        """Read the records of this very input, by the name of their case."""
+        return {record.case_id: record for record in self.records(input_hashes)}
+
+    def on_demand(self, input_hashes: Mapping[str, str]) -> Mapping[str, Record]:
+        """Give the records of this very input by their case, each read when it is asked for."""
+        return StoredRecords(
+            input_hashes,
+            lambda case_id: next(iter(self.records({case_id: input_hashes[case_id]})), None),
+        )
+
+    def other_libraries(
+        self, input_hashes: Mapping[str, str], versions: Mapping[str, str]
+    ) -> list[OtherLibraries]:
+        """Results that other libraries made than those of today, by what differs."""
+        cases: dict[str, list[str]] = defaultdict(list)
+        for case_id, made_with in self.survey(input_hashes).made_with.items():
+            if made_with not in ("", name_of(versions)):
+                cases[made_with].append(case_id)
+        found = []
+        for ids in cases.values():
+            record = self.read(ids[0], input_hashes[ids[0]])
+            if record is not None:
+                found.append(OtherLibraries(tuple(ids), differences(record.versions, versions)))
+        return found
+
+    @cached_property
+    def _index(self) -> RecordIndex:
+        return RecordIndex(self.path)
+
+    def _begin(self) -> None:
+        for known in ("_index", "_finished"):  # another runner may have written since
+            self.__dict__.pop(known, None)
+        names = [os.path.join(self.path, "cases", name) for name in self._case_ids()]
+        own = [os.path.join(self.path, name) for name in ("", "fits", "runs")]
+        self._clear_leftovers([*own, *names])
+
+    def _end(self) -> None:
+        self._flush()
+        self._write_index()
+
+    def _write_index(self) -> None:
+        """Write the index where it would say something new."""
+        index = self._index
+        if index.is_stale:
+            self._write(self._json(INDEX), index.text().encode())
+            index.written()
+
+    def _said(self, case_id: str, wanted: str) -> Entry | None:
+        """Say what a record says: the one that is wanted, by the index where that knows it."""
+        said = self._index.entry(case_id)
+        if said is not None and said.input_hash == wanted:
+            return said
+        record = self.read(case_id, wanted)
+        return None if record is None else Entry.of(record)
+
+    def _counts(self, said: Entry, wanted: str) -> bool:
+        """Whether a result is one of the input that is wanted."""
+        made_now = not self._strict or said.libraries == self._libraries
+        return said.input_hash == wanted and made_now
+
+    def _lay_by(self, record: Record) -> None:
+        """Keep the record of a finished study that one of an edited design takes the place of."""
+        kept = self._finished.get(record.case_id)
+        if kept is None or kept == record.input_hash:
+            return
+        path = self._case(record.case_id) / CURRENT
+        before = self._read_file(record.case_id, path)
+        if before is not None and before.input_hash == kept:
+            write_atomic(path.with_name(laid_by(kept)), before.to_json().encode(), self._system)
+
+    @cached_property
+    def _finished(self) -> Mapping[str, str]:
+        """Cases of the finished study that is to stay readable."""
+        known = self.read_manifest() if self._locked else None
+        if known is None or not known.get("finished", True):
+            return {}
+        return known["cases"]
+
+    def begin_run(self, meta: ManifestDocument) -> None:
+        """Note what is going to be computed; a finished study of another design stays as it is."""
+        super().begin_run(meta)
+        self.__dict__.pop("_finished", None)
+
+    def finish_run(self, meta: ManifestDocument) -> None:
+        """Make a run the one that is read from; what was laid by for the one before it may go."""
+        before = dict(self._finished)
+        super().finish_run(meta)
+        self.__dict__.pop("_finished", None)
+        for case_id, kept in before.items():
+            if meta["cases"].get(case_id) != kept:
+                with contextlib.suppress(OSError):  # only space is lost
+                    self._system.unlink(self._case(case_id) / laid_by(kept))
+
+    def _distrust(self, case_id: str) -> None:
+        """Forget a damaged record; an index that vouched for it is worth nothing."""
+        vouched = self._index.entry(case_id) is not None
+        self._index.forget(case_id)
+        if vouched:
+            with contextlib.suppress(OSError):  # who may not delete it may not run here either
+                self._system.unlink(self._json(INDEX))
+
+    def _case(self, case_id: str) -> Path:
+        if not ID.fullmatch(case_id):
+            raise StoreError(f"{case_id!r} is no case id (small letters, digits and hyphens)")
+        return self._inside(self.path / "cases" / case_id)
+
+    def _case_ids(self) -> list[str]:
+        folder = self.path / "cases"
+        try:
+            return sorted(entry.name for entry in folder.iterdir() if ID.fullmatch(entry.name))
+        except FileNotFoundError:
+            return []
+        except OSError as error:
+            raise StoreError(f"{folder}: cannot be read ({error.strerror or error})") from error
+
+    def _drop_other_fields(self, folder: Path, keep: str) -> None:
+        for name in os.listdir(folder):
+            if document.is_name(name) and name != keep:
+                self._flush()  # the record that names them is gone for good
+                with contextlib.suppress(OSError):  # only space is lost
+                    self._system.unlink(folder / name)

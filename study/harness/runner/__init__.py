@@ -1,0 +1,1 @@
+"""Cases, fits and refinements of a study, and how they are run."""

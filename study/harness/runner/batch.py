@@ -1,0 +1,472 @@
+"""Many cases: what is missing is computed in parallel, and every result is written at once.
+
+The parent owns the store; workers only compute. Whatever happens to a worker or to the
+parent, finished results stay, and running again does the rest.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+from study.harness.design.cell import plain
+from study.harness.design.study_file import FINER_MESH, LONGER_LIMIT, MORE_MEMORY, SMALLER_STEPS
+from study.harness.execution.task import Document, Executor, Outcome, Results, Task
+from study.harness.external.command import check_allowed
+from study.harness.record.record import Record
+from study.harness.record.store import Store
+from study.harness.runner.cost import Costs, Pace, same_model
+from study.harness.runner.expansion import case_job
+from study.harness.runner.fit_problem import externals
+from study.harness.runner.fit_summary import FitResult
+from study.harness.runner.fit_task import FitTask
+from study.harness.runner.job import CaseFrame, CaseJob, CaseTask, FitJob, ScoreTask, Work, fits_of
+from study.harness.runner.problem_tables import PROBLEM, on_mesh, with_both
+from study.harness.runner.refinement import base_size_mm
+from study.harness.runner.tasks import adapted, default_jobs, limit_of, processes
+from study.mechanics.forward.finite_element import Anchor
+from study.mechanics.setup.setup import Setup, Tables
+
+# -------------------------------------------------------------------------------------------------
+# What is tried when a case has no answer: declared in the design, by cause, and never silent.
+#
+# ``[execution] retry`` names the changes of every cause, in the order in which they are tried; each
+# is made besides those before it. The record of the case says of every attempt what was changed and
+# why, so that a report can list the cases whose setting is not that of the design.
+
+#: what is kept in a record of its attempts, under this name
+RETRIES = "retries"
+
+#: how many load steps replace one, and how many times the limit is prolonged
+STEPS_FACTOR = 4
+LIMIT_FACTOR = 4.0
+
+#: letters of a message that a record keeps of an attempt that failed
+MESSAGE = 300
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """A case to be computed once more."""
+
+    #: Under its own name, with the changed tables.
+    job: CaseJob
+    #: Every change so far: ``cause`` and ``message`` of the failure before it, the ``change``, and
+    #: ``what`` it is in numbers.
+    notes: tuple[Mapping[str, str], ...]
+    #: Times the limit of one computation.
+    longer: float = 1.0
+    #: Whether nothing else may be computed beside it.
+    alone: bool = False
+
+
+def attempts(work: Work, store: Store, limited: bool) -> list[Attempt]:
+    """List the cases that failed for a cause of which something is still to be tried."""
+    if not work.design.retry:
+        return []
+    failed = store.survey(work.input_hashes).failed
+    jobs = {job.case.case_id: job for job in work.jobs}
+    found = []
+    for case_id in failed:
+        record = store.read(case_id)
+        if record is not None and case_id in jobs:
+            attempt = _next(work, jobs[case_id], record, limited)
+            found += [] if attempt is None else [attempt]
+    return found
+
+
+def _next(work: Work, job: CaseJob, record: Record, limited: bool) -> Attempt | None:
+    """Next change of a failed case; None where there is none left."""
+    before = notes_of(record)
+    done = [note["change"] for note in before]
+    for change in work.design.retry.get(record.status, ()):
+        if change in done or not _applies(change, job, limited):
+            continue
+        changed, what = _changed(job, [*done, change], work)
+        note = {
+            "cause": record.status,
+            "message": record.message[:MESSAGE],
+            "change": change,
+            "what": what,
+        }
+        longer = LIMIT_FACTOR if LONGER_LIMIT in (*done, change) else 1.0
+        return Attempt(changed, (*before, note), longer, MORE_MEMORY in (*done, change))
+    return None
+
+
+def notes_of(record: Record) -> tuple[Mapping[str, str], ...]:
+    """Every attempt that a record tells of; empty where the design's own setting gave it."""
+    kept = record.extra.get(RETRIES)
+    return tuple(kept) if isinstance(kept, (list, tuple)) else ()
+
+
+def has_other_mesh(record: Record) -> bool:
+    """Whether a case was computed on a finer mesh than its own."""
+    return any(note["change"] == FINER_MESH for note in notes_of(record))
+
+
+def _applies(change: str, job: CaseJob, limited: bool) -> bool:
+    """Whether a change can be made of a case.
+
+    A refined case is one of a series of meshes, a refit belongs to the residuals of a fit, and
+    other programs have steps and meshes of their own.
+    """
+    if change == LONGER_LIMIT:
+        return limited
+    if change == MORE_MEMORY:
+        return True
+    if job.origin.noise_seed or job.forward in ("closed-form", "external"):
+        return False
+    return change == SMALLER_STEPS or job.origin.purpose is None
+
+
+def _changed(job: CaseJob, changes: Sequence[str], work: Work) -> tuple[CaseJob, str]:
+    """Job of a case with changes, and the last of them in numbers; its name stays."""
+    tables: Tables = job.case.config
+    what = ""
+    for change in changes:
+        if change == SMALLER_STEPS:
+            tables, what = _with_steps(tables)
+        elif change == FINER_MESH:
+            old = base_size_mm(job)
+            size = old / work.design.converge.ratio
+            tables = on_mesh(tables, mesh=None, mesh_size_mm=size)
+            what = f"elements of {size:.4g} mm instead of {old:.4g} mm"
+        elif change == LONGER_LIMIT:
+            what = f"a limit {LIMIT_FACTOR:g} times as long"
+        else:
+            what = "computed with nothing else beside it"
+    if tables is job.case.config:
+        return job, what
+    case = replace(job.case, config=dict(tables))
+    made = case_job(case, work.data, work.design, job.origin)
+    return replace(made, input_hash=job.input_hash), what
+
+
+def _with_steps(tables: Tables) -> tuple[Tables, str]:
+    """Copy tables with smaller load steps, in the problem of the calibration too."""
+    old = Setup.of(tables).test.steps
+    new = STEPS_FACTOR * old
+    return with_both(tables, "test", steps=new), f"{new} load steps instead of {old}"
+
+
+#: a fit with one of these results is worth keeping: the same input gives it again
+_KEPT = ("converged", "not-converged", "unstable", "mesh-failed")
+
+#: seconds for which a prediction of the time left is good: it looks at all that is left
+FORETOLD_S = 0.2
+
+#: what may go better next time: memory and time depend on the machine
+RETRIED = ("crashed", "timeout", "out-of-memory")
+
+
+@dataclass(frozen=True)
+class Progress:
+    """State of a run after each finished computation; what a progress line shows.
+
+    Of ``done`` and ``total`` computations, ``fits_done`` and ``fits`` are calibrations; the others
+    are cases.
+    """
+
+    done: int
+    total: int
+    failed: int
+    seconds: float
+    seconds_left: float
+    label: str
+    fits_done: int = 0
+    fits: int = 0
+
+    @property
+    def counted(self) -> str:
+        """Cases and calibrations in words.
+
+        Examples
+        --------
+        >>> Progress(7, 10, 0, 1.0, 2.0, "", fits_done=4, fits=4).counted
+        '3/6 cases, 4/4 calibrations'
+        """
+        cases = f"{self.done - self.fits_done}/{self.total - self.fits} cases"
+        return cases + (f", {self.fits_done}/{self.fits} calibrations" if self.fits else "")
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What a run did."""
+
+    #: Cases computed now, and those of them without an answer.
+    computed: int
+    failed: int
+    already: int
+    fits: int
+    seconds: float
+    #: Worker seconds spent on ``"fits"`` and ``"cases"``.
+    compute_seconds: Mapping[str, float]
+
+    def with_retried(self, other: Summary) -> Summary:
+        """Add what was computed of cases that had failed."""
+        spent = {k: v + other.compute_seconds[k] for k, v in self.compute_seconds.items()}
+        saved = other.computed - other.failed
+        return replace(
+            self,
+            failed=max(self.failed - saved, 0),
+            fits=self.fits + other.fits,
+            seconds=self.seconds + other.seconds,
+            compute_seconds=spent,
+        )
+
+
+def run_batch(
+    work: Work,
+    store: Store,
+    *,
+    jobs: int | None = None,
+    progress: Callable[[Progress], None] | None = None,
+    timeout_s: float | None = None,
+    executor: Executor | None = None,
+    memory_MB: float | None = None,  # noqa: N803
+) -> Summary:
+    """Compute every case of ``work`` that the store does not hold yet."""
+    with store.lock(), _terminate_is_interrupt():
+        todo = missing(work, store)
+        check_allowed(externals(job.case.config for job in todo), work.allowed.commands)
+        workers, told = jobs or default_jobs(), progress or (lambda _: None)
+        place = executor or processes(workers, timeout_s, memory_MB)
+        first = _Batch(work, store, todo, told).execute(workers, place)
+        return _retried(work, store, first, workers, place, told)
+
+
+def _retried(
+    work: Work,
+    store: Store,
+    first: Summary,
+    workers: int,
+    place: Executor,
+    progress: Callable[[Progress], None],
+) -> Summary:
+    """Try what the design says of the cases that failed, until nothing is left to be tried."""
+    total = first
+    while todo := attempts(work, store, limit_of(place) is not None):
+        ways = {(one.longer, one.alone): None for one in todo}
+        for longer, alone in ways:
+            own = [one for one in todo if (one.longer, one.alone) == (longer, alone)]
+            notes = {one.job.case.case_id: one.notes for one in own}
+            batch = _Batch(work, store, [one.job for one in own], progress, notes)
+            there = adapted(place, longer, alone)
+            total = total.with_retried(batch.execute(1 if alone else workers, there))
+    return total
+
+
+def computing(
+    work: Work,
+    store: Store,
+    *,
+    jobs: int | None = None,
+    progress: Callable[[Progress], None] | None = None,
+    timeout_s: float | None = None,
+    executor: Executor | None = None,
+) -> Callable[[Sequence[CaseJob]], list[Record | None]]:
+    """Make the computation of cases, for :func:`study.harness.runner.refinement.refine`."""
+
+    def compute(cases: Sequence[CaseJob]) -> list[Record | None]:
+        part = replace(work, jobs=tuple(cases))
+        run_batch(part, store, jobs=jobs, progress=progress, timeout_s=timeout_s, executor=executor)
+        records = store.by_case(part.input_hashes)
+        return [records.get(case.case.case_id) for case in cases]
+
+    return compute
+
+
+def missing(work: Work, store: Store) -> list[CaseJob]:
+    """Cases without a usable record of this very input."""
+    done = store.done_ids(work.input_hashes, RETRIED)
+    return [job for job in work.jobs if job.case.case_id not in done]
+
+
+def open_fits(todo: Sequence[CaseJob], store: Store) -> list[FitJob]:
+    """Fits that the cases need and that are not stored yet."""
+    return [job for job in fits_of(todo).values() if store.read_fit(job.key) is None]
+
+
+class _Batch:
+    def __init__(
+        self,
+        work: Work,
+        store: Store,
+        todo: Sequence[CaseJob],
+        progress: Callable[[Progress], None],
+        notes: Mapping[str, Sequence[Mapping[str, str]]] | None = None,
+    ) -> None:
+        self.work, self.store, self.progress, self.notes = work, store, progress, notes or {}
+        self.cases = {f"case-{job.case.case_id}": job for job in todo}
+        self.fits: dict[str, FitJob] = {}
+        self.known: dict[str, Document] = {}
+        for job in fits_of(todo).values():
+            stored = store.read_fit(job.key)
+            if stored is None:
+                self.fits[job.key] = job
+            else:
+                self.known[job.key] = stored
+        self.failed = 0
+        self.fits_done = 0
+        self.spent = {"fits": 0.0, "cases": 0.0}
+
+    def execute(self, workers: int, executor: Executor) -> Summary:
+        began = time.monotonic()
+        tasks = self._tasks()
+        prices = {task.key: task.seconds for task in tasks}
+        pace = Pace(prices, {task.key: self._kind(task.key) for task in tasks}, workers)
+        outcomes = executor.run(tasks, self.known)
+        left, foretold = 0.0, -math.inf
+        with contextlib.closing(outcomes):
+            for count, outcome in enumerate(outcomes, 1):
+                self._keep(outcome)
+                pace.finished(outcome.key, outcome.seconds)
+                seconds = time.monotonic() - began
+                if seconds - foretold > FORETOLD_S or count == len(tasks):
+                    left, foretold = pace.seconds_left(), seconds
+                self.fits_done += outcome.key in self.fits
+                state = Progress(
+                    count, len(tasks), self.failed, seconds, left, self._label(outcome.key),
+                    self.fits_done, len(self.fits),
+                )  # fmt: skip
+                self.progress(state)
+        already = len(self.work.jobs) - len(self.cases)
+        seconds = time.monotonic() - began
+        return Summary(
+            len(self.cases), self.failed, already, len(self.fits), seconds, dict(self.spent)
+        )
+
+    def _tasks(self) -> list[Task]:
+        """List fits and cases with what they are predicted to take, which gives their order."""
+        costs = Costs()
+        tasks = [
+            Task(
+                job.key,
+                partial(_fit_document, job),
+                (job.start.key,) if job.start else (),
+                seconds=costs.fit_seconds(job.problem),
+                memory_MB=costs.fit_memory_MB(job.problem),
+            )
+            for job in self.fits.values()
+        ]
+        tasks += [
+            Task(
+                key,
+                partial(_case_document, self.work, job),
+                job.needs,
+                job.group,
+                costs.case_seconds(job),
+                costs.case_memory_MB(job),
+            )
+            for key, job in self.cases.items()
+        ]
+        return tasks
+
+    def _kind(self, key: str) -> str:
+        """Name what costs alike: computations on one mesh of one test."""
+        if key in self.fits:
+            return f"fit {same_model(self.fits[key].problem.tables)}"
+        return same_model(self.cases[key].case.config)
+
+    def _label(self, key: str) -> str:
+        if key in self.fits:
+            return f"calibration of {self.fits[key].label}"
+        return self.cases[key].case.label
+
+    def _keep(self, outcome: Outcome) -> None:
+        if outcome.key in self.fits:
+            self.spent["fits"] += outcome.seconds
+            if outcome.status in _KEPT:
+                self.store.write_fit(outcome.key, outcome.result, followed=outcome.followed)
+            return
+        self.spent["cases"] += outcome.seconds
+        record = self._record(outcome)
+        self.failed += not record.converged
+        tried = self.notes.get(record.case_id)
+        if tried:
+            record = replace(record, extra={**record.extra, RETRIES: [dict(n) for n in tried]})
+        self.store.write(record, followed=outcome.followed)
+
+    def _record(self, outcome: Outcome) -> Record:
+        text = outcome.result.get("record")
+        if isinstance(text, str):
+            return Record.from_json(text, f"worker, {self._label(outcome.key)}")
+        return _case_frame(self.work, self.cases[outcome.key]).record(
+            outcome.status,
+            outcome.message,
+            seconds=outcome.seconds,
+            traceback=str(outcome.result.get("traceback", "")),
+        )
+
+
+def _fit_document(job: FitJob, results: Results) -> Document:
+    """Make what a worker gets of a fit, once the fit that starts it is known."""
+    start = None if job.start is None else FitResult.from_json(results[job.start.key])
+    return FitTask(job.problem, job.measured, start, job.noise).to_json()
+
+
+def _case_frame(work: Work, job: CaseJob) -> CaseFrame:
+    """Everything of a record that is known before the case is computed."""
+    case = job.case
+    return CaseFrame(
+        case.case_id, work.design.name, case.levels, case.block, work.responses, job.input_hash,
+        job.origin,
+    )  # fmt: skip
+
+
+def _case_document(work: Work, job: CaseJob, results: Results) -> Document:
+    """Make what a worker gets of a case, once its fits are known."""
+    fits = {key: FitResult.from_json(results[key]) for key in job.needs}
+    directions = tuple(
+        ScoreTask(
+            pair.label, pair.measured, pair.role, pair.fit_label, pair.scatter_N, pair.depth_mm,
+            pair.fit_key,
+            None if pair.fit is None else fits[pair.fit.key],
+        )
+        for pair in job.directions
+    )  # fmt: skip
+    known = job.case.config
+    tables = plain({name: known[name] for name in (*PROBLEM, "markers") if name in known})
+    frame = _case_frame(work, job)
+    return CaseTask(frame, tables, job.forward, directions, _anchor(job, fits)).to_json()
+
+
+def _anchor(job: CaseJob, fits: Mapping[str, FitResult]) -> Anchor | None:
+    """Name of the shared solution and its constants; None where they could not be fitted."""
+    if not job.group:
+        return None
+    if job.anchor is None:
+        return Anchor(job.group)
+    fit = fits[job.anchor.key]
+    return Anchor(job.group, fit.constants) if fit.usable else None
+
+
+@contextlib.contextmanager
+def _terminate_is_interrupt() -> Iterator[None]:
+    """SIGTERM and SIGHUP stop a run as Ctrl-C does, but for a SIGHUP that nohup ignores.
+
+    Only the main thread may listen to signals.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def stop(number: int, frame: object) -> None:
+        raise KeyboardInterrupt
+
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
+    for number, handler in before.items():
+        if handler is not signal.SIG_IGN:
+            signal.signal(number, stop)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,361 @@
+"""One case: constants, prediction, score -> Record. Expected failure is a status, never raised."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from study.ground.curve import Curve
+from study.ground.errors import Fault, InputError
+from study.harness.execution.task import Received
+from study.harness.external.command import External
+from study.harness.external.exchange import NoAnswer
+from study.harness.record.document import (
+    CurveKey,
+    FitDocument,
+    MarkerDocument,
+    ParameterDocument,
+    Quantity,
+    ResponseDocument,
+    ScoreDocument,
+    SolverDocument,
+)
+from study.harness.record.record import STATUSES, Record
+from study.harness.runner import response
+from study.harness.runner.fit_summary import Predicted, external_curve
+from study.harness.runner.job import CaseTask, ScoreTask
+from study.harness.runner.plate_fit import plate_fits
+from study.mechanics.forward import closed_form
+from study.mechanics.forward.finite_element import Anchors, load_compiled, solve
+from study.mechanics.measurement.marker_states import read_markers
+from study.mechanics.measurement.measurement_section import MarkerSpec
+from study.mechanics.setup.declaration import table_of, with_table
+from study.mechanics.setup.geometry import Block
+from study.mechanics.setup.setup import Setup, Tables, problem_of
+
+# -------------------------------------------------------------------------------------------------
+# A specimen with markers inside: its prediction, and what the markers say of it.
+
+
+def predicted_markers(
+    tables: Tables, constants: Mapping[str, float] | None, label: str, depth_mm: float
+) -> Predicted:
+    """Predict a state of a marked specimen and compare all markers.
+
+    Units: constants MPa.
+    """
+    from study.mechanics.solver.load_path import NoEquilibrium
+
+    began, spec = time.perf_counter(), MarkerSpec.from_dict(table_of(tables, "markers"))
+    problem = problem_of(with_table(tables, "test", displacement_mm=depth_mm), constants)
+    if not isinstance(problem.specimen, Block):
+        raise InputError(Fault("specimen.shape", "markers lie in a block", 'write "block"'))
+    markers = read_markers(spec, Path(str(table_of(tables, "markers")["path"])), problem.specimen)
+    load_compiled(problem)
+    solution = solve(problem, gradients=False)
+    if solution.status != "converged":
+        raise NoAnswer(solution.status, solution.message)
+    try:
+        fits = plate_fits(spec, markers, label, problem, solution)
+    except NoEquilibrium as error:
+        raise NoAnswer("not-converged", str(error)) from error
+    document: MarkerDocument = {
+        "state": label,
+        "floor_mm": markers.localization_floor(label),
+        "fits": [fit.to_json(markers.layers) for fit in fits],
+    }
+    found = Predicted.of(solution, time.perf_counter() - began)
+    return replace(found, markers=document)
+
+
+def marker_responses(tables: Tables, found: MarkerDocument) -> dict[str, Quantity]:
+    """Errors of the markers, with the plate that the study asks for, mm."""
+    plate = MarkerSpec.from_dict(table_of(tables, "markers")).plate
+    # of all markers first; then, where layers are named, of those outside them
+    errors = [fit["error_mm"] for fit in found["fits"] if fit["plate"] == plate]
+    return {
+        "marker_error": {"value": errors[0], "unit": "mm"},
+        "predicted_marker_error": {"value": errors[1] if len(errors) > 1 else None, "unit": "mm"},
+    }
+
+
+# One cache per worker process. A worker runs its cases one at a time, so no lock is needed.
+_ANCHORS = Anchors()
+
+
+class Stopped(Exception):
+    """A part of the case has no answer; carries the status of the record."""
+
+    def __init__(self, status: str, message: str) -> None:
+        super().__init__(message)
+        self.status = status if status in STATUSES else "failed"
+
+
+def perform(document: Received) -> dict[str, object]:
+    """Execute one case: a task for a worker."""
+    record = executed(CaseTask.from_json(document))
+    return {"status": record.status, "message": record.message, "record": record.to_json()}
+
+
+def executed(task: CaseTask) -> Record:
+    """Execute one case; what has no answer is a status of its record."""
+    began = time.perf_counter()
+    try:
+        for direction in task.directions:
+            _check_fit(direction)
+        return _predicted(task) if task.frame.origin.predicts else _refitted(task)
+    except Stopped as stop:
+        return task.frame.record(stop.status, str(stop), seconds=time.perf_counter() - began)
+    except InputError as error:
+        return task.frame.record("failed", str(error))
+
+
+def _check_fit(direction: ScoreTask) -> None:
+    fit = direction.fit
+    if fit is None:
+        return
+    if not fit.converged:
+        where = f"calibration on {direction.fit_label or 'the measured curve'}"
+        raise Stopped(fit.status, f"{where}: {fit.message}")
+    if not fit.usable:
+        stability = fit.fit.get("stability")
+        raise Stopped("unstable", f"the fitted constants are unstable: {stability}")
+
+
+def _predicted(task: CaseTask) -> Record:
+    """Record of a case whose curves are predicted and scored."""
+    directions = task.scored
+    predictions = [_predict(task, direction) for direction in directions]
+    found = [
+        direction.scored(task.tables, prediction.curve)
+        for direction, prediction in zip(directions, predictions, strict=True)
+    ]
+    scores = [response.score(one, task.frame.units) for one in found]
+    seconds = _seconds(task, predictions)
+    means = response.averaged(scores) | _constants(task)
+    means |= {"seconds": {"value": seconds["total"], "unit": "s"}}
+    marked = [one.markers for one in predictions if one.markers is not None]
+    for one in marked:
+        means |= marker_responses(task.tables, one)
+    means |= {"dofs": {"value": predictions[-1].mesh.get("dofs"), "unit": ""}}
+    steps = _step_uncertainty(task, predictions)
+    record = task.frame.record("converged", "")
+    return replace(
+        record,
+        responses=_wanted(task, means, steps),
+        parameters=_parameters(task),
+        fit=_fits(task.directions),
+        curves=_curves(predictions, directions),
+        timings=seconds,
+        mesh=predictions[-1].mesh,
+        solver=_solver(predictions),
+        extra={
+            **record.extra,
+            "directions": list(map(_score_document, directions, scores)),
+            **({"markers": marked} if marked else {}),
+        },
+    )
+
+
+def _refitted(task: CaseTask) -> Record:
+    """Record of a fit to resampled noise: its constants, and no prediction."""
+    return replace(
+        task.frame.record("converged", ""),
+        responses=_wanted(task, _constants(task), {}),
+        parameters=_parameters(task),
+        fit=_fits(task.directions),
+        timings=_seconds(task, []),
+    )
+
+
+def _constants(task: CaseTask) -> dict[str, Quantity]:
+    """Constants averaged over the directions that give them, with units."""
+    return response.averaged(
+        [response.constants_of(one.scored(task.tables)) for one in task.identified]
+    )
+
+
+def _wanted(
+    task: CaseTask, means: Mapping[str, Quantity], steps: Mapping[str, float]
+) -> dict[str, ResponseDocument]:
+    """Responses that the record of a case holds, with the uncertainty of the load steps."""
+    wanted: dict[str, ResponseDocument] = {}
+    for name, unit in task.frame.units.items():
+        mean = means.get(name, {"value": None, "unit": unit})
+        wanted[name] = {"value": mean["value"], "unit": mean["unit"]}
+        if name in steps:
+            wanted[name]["u_steps"] = steps[name]
+    return wanted
+
+
+def _predict(task: CaseTask, direction: ScoreTask) -> Predicted:
+    """Predicted curve of the scored test with the constants of the fit."""
+    fit = direction.fit
+    if task.forward == "fit" and fit is not None and fit.prediction is not None:
+        # the last solution of the fit is the prediction: same geometry, same constants
+        return fit.prediction
+    constants = None if fit is None else fit.constants
+    if task.tables.get("markers"):
+        return _marked(task, constants, direction.depth_mm)
+    if task.forward == "closed-form":
+        return _closed_form(task, constants, direction)
+    if task.forward == "external" or External.of(task.tables) is not None:
+        return _external(task.tables, constants, direction)
+    found = _ANCHORS.predict(task.tables, constants, direction.depth_mm, task.anchor)
+    solution = found.solution
+    if solution.status != "converged":
+        raise Stopped(solution.status, f"{solution.message} (reached {solution.reached_mm:g} mm)")
+    return Predicted.of(solution, found.cold_seconds)
+
+
+def _marked(task: CaseTask, constants: Mapping[str, float] | None, depth_mm: float) -> Predicted:
+    """Curve of a specimen with markers, and what these say of it."""
+    try:
+        return predicted_markers(task.tables, constants, str(task.frame.block), depth_mm)
+    except NoAnswer as error:
+        raise Stopped(error.status, str(error)) from error
+
+
+def _external(
+    tables: Tables, constants: Mapping[str, float] | None, direction: ScoreTask
+) -> Predicted:
+    """Curve of another program, at the measured displacements or at the load steps."""
+    if direction.measured is not None:
+        at = direction.measured.displacement_mm
+    else:
+        steps = Setup.of(tables).test.steps
+        at = direction.depth_mm * np.arange(1, steps + 1) / steps
+    try:
+        return external_curve(tables, constants, at)
+    except NoAnswer as error:
+        raise Stopped(error.status, str(error)) from error
+
+
+#: fewest steps of a curve in closed form beside which nothing was measured: interpolation between
+#: them is off by less than a millionth
+_STEPS = 50
+
+
+def _closed_form(
+    task: CaseTask, constants: Mapping[str, float] | None, direction: ScoreTask
+) -> Predicted:
+    """Curve at the measured displacements, or at the load steps."""
+    problem, measured = problem_of(task.tables, constants, direction.depth_mm), direction.measured
+    if measured is None:
+        test = replace(problem.test, steps=max(problem.test.steps, _STEPS))
+        found = closed_form.solution(replace(problem, test=test))
+        if found.status != "converged":
+            raise Stopped(found.status, found.message)
+        return Predicted(found.curve.without_gradients(), solver={"name": found.solver})
+    setup, material = problem.setup, problem.material
+    if measured.time_s is None and response.of_prediction(task.frame.units):
+        curve = closed_form.between_rows(setup, material, measured.displacement_mm)
+    else:
+        curve = closed_form.at_rows(setup, material, measured)
+    if not np.all(np.isfinite(curve.force_N)):
+        raise Stopped("unstable", "the material has no equilibrium state in this range")
+    return Predicted(curve.without_gradients(), solver={"name": "closed form"})
+
+
+def _step_uncertainty(task: CaseTask, predictions: Sequence[Predicted]) -> dict[str, float]:
+    """Return what half the load steps change in every response, as a mean over directions."""
+    if External.of(task.tables) is not None:
+        each = [response.splined_uncertainty(one.curve, task.frame.units) for one in predictions]
+    else:
+        each = [
+            response.step_uncertainty(prediction.curve, direction.measured, task.frame.units)
+            for prediction, direction in zip(predictions, task.scored, strict=True)
+        ]
+    # of one direction fewer points may have been measured, too few to leave half of them out
+    known = [name for name in each[0] if all(name in u for u in each)]
+    return {name: float(np.mean([u[name] for u in each])) for name in known}
+
+
+def _solver(predictions: Sequence[Predicted]) -> SolverDocument:
+    """Facts of the last direction's solver, with the worst energy balance of all directions."""
+    every = [prediction.solver for prediction in predictions]
+    found: SolverDocument = {**every[-1]}
+    mismatch = [one["energy_mismatch"] for one in every if "energy_mismatch" in one]
+    if mismatch:
+        found["energy_mismatch"] = max(mismatch)
+    shares = [one["stabilization_share"] for one in every if "stabilization_share" in one]
+    if shares:
+        found["stabilization_share"] = max(shares)
+    if "snaps_mm" in found:
+        found["snaps_mm"] = sorted({place for one in every for place in one.get("snaps_mm", ())})
+    return found
+
+
+def _seconds(task: CaseTask, predictions: Sequence[Predicted]) -> dict[str, float]:
+    """Add up what this cell would cost alone: its fits (shared or not) and its predictions."""
+    fits = [direction.fit for direction in task.directions if direction.fit is not None]
+    fitted = sum(fit.seconds + fit.start_seconds for fit in fits)
+    predicted = sum(prediction.seconds for prediction in predictions)
+    return {"fit": fitted, "predict": predicted, "total": fitted + predicted}
+
+
+def _parameters(task: CaseTask) -> dict[str, ParameterDocument]:
+    """Each constant averaged over the directions, with the error of that average."""
+    fits = [FitDocument() if d.fit is None else d.fit.fit for d in task.identified]
+    return {
+        name: {
+            **mean,
+            "standard_error": _standard_error(name, fits),
+            # the interval of one fit; that of an average of two specimens is the blocks' business
+            "ci95": _interval(name, fits[0]) if len(fits) == 1 else None,
+        }
+        for name, mean in _constants(task).items()
+    }
+
+
+def _standard_error(name: str, fits: Sequence[FitDocument]) -> float | None:
+    """Find the standard error of the mean of a constant; None unless all fits know theirs."""
+    errors = [fit.get("standard_error", {}).get(name) for fit in fits]
+    known = [response.scale_of(name) * float(e) for e in errors if e is not None]
+    complete = bool(known) and len(known) == len(fits)
+    return float(np.sqrt(np.sum(np.square(known))) / len(known)) if complete else None
+
+
+def _interval(name: str, fit: FitDocument) -> list[float] | None:
+    pair = fit.get("ci95", {}).get(name) or ()
+    known = [response.scale_of(name) * float(end) for end in pair if end is not None]
+    return known if len(known) == 2 else None
+
+
+def _fits(directions: Sequence[ScoreTask]) -> dict[str, FitDocument] | None:
+    """Describe each fit, by the label of its specimen."""
+    found: dict[str, FitDocument] = {}
+    for direction in directions:
+        if direction.fit is None or direction.fit_key is None:
+            continue
+        name = direction.fit_label or "all"
+        if name in found and found[name]["key"] != direction.fit_key:
+            # with one specimen left out, both directions fit "all but" it, to other curves
+            name = f"{name}, to score {direction.label}"
+        found[name] = {**direction.fit.fit, "key": direction.fit_key}
+    return found or None
+
+
+def _curves(
+    predictions: Sequence[Predicted], directions: Sequence[ScoreTask]
+) -> dict[CurveKey, Curve]:
+    out: dict[CurveKey, Curve] = {}
+    for prediction, direction in zip(predictions, directions, strict=True):
+        if direction.measured is not None:
+            out[CurveKey("measured", direction.label)] = direction.measured
+        out[CurveKey("predicted", direction.label)] = prediction.curve
+    return out
+
+
+def _score_document(direction: ScoreTask, responses: Mapping[str, Quantity]) -> ScoreDocument:
+    return {
+        "score": direction.label,
+        "fit": direction.fit_label,
+        "role": direction.role,
+        "scatter_N": None if direction.scatter_N is None else list(direction.scatter_N),
+        "responses": dict(responses),
+    }

@@ -1,0 +1,390 @@
+"""Cases of one cell that differ in their mesh alone: what the series says of a study's numbers.
+
+Either the cell was refined beside the study, whose own mesh is then the coarsest, or the meshes
+are a factor of the study, and the finest of them is what the others are compared with.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from study.ground.arrays import Array
+from study.ground.curve import Curve
+from study.ground.errors import StoreError
+from study.harness.design.study_file import Converge
+from study.harness.record.record import Record
+from study.harness.runner.batch import has_other_mesh
+from study.harness.runner.job import CaseJob
+from study.harness.runner.judgement import SeriesJudgement, Values, combined, inconclusive, judged
+from study.harness.runner.refinement import (
+    FEWEST,
+    QUANTITIES,
+    FormalOrder,
+    base_size_mm,
+    formal_of_case,
+    series_sizes,
+)
+from study.statistics.convergence.grid_convergence import (
+    ConvergenceResult,
+    NumericalUncertainty,
+    grid_convergence,
+)
+
+# -------------------------------------------------------------------------------------------------
+# Half-width of a series of values on its coarsest or on its finest mesh.
+#
+# Rules of the grid convergence index (Roache 1994, ASME JFE 116, 405; Celik et al. 2008), and for
+# series without an order thrice the range of the values (Eca and Hoekstra 2014, J. Comput. Phys.
+# 262, 104).
+
+#: Observed order where only two meshes exist: bonded corners limit it to one.
+ASSUMED_ORDER = 1.0
+
+#: An observed order below this says that the meshes are not in the asymptotic range.
+MIN_ORDER = 0.5
+
+#: Safety factor with two meshes, and on the range of a series without an order.
+TWO_MESH_FACTOR = 3.0
+
+
+def two_mesh_uncertainty(coarse: float, fine: float, ratio: float) -> float:
+    """Half-width for the coarser of two meshes: factor 3 on first-order extrapolation.
+
+    Examples
+    --------
+    >>> round(two_mesh_uncertainty(1.1, 1.0, 2.0), 10)
+    0.6
+    """
+    error = abs(coarse - fine) / (1 - ratio**-ASSUMED_ORDER)
+    return float(TWO_MESH_FACTOR * error)
+
+
+def ratio_of(sizes: Sequence[float], asked: float) -> float:
+    """Ratio that the two first meshes really have, or the one asked for where that is unknown.
+
+    Units: sizes mm.
+    """
+    known = len(sizes) > 1 and sizes[1] > 0 and sizes[0] > sizes[1]
+    return sizes[0] / sizes[1] if known else asked
+
+
+def series_uncertainty(
+    values: Sequence[float],
+    ratio: float,
+    sizes: Sequence[float] = (),
+    formal: float | None = None,
+) -> tuple[str, float]:
+    """Behaviour of a series from coarse to fine, and half-width for its coarsest mesh.
+
+    Where the series converges with an order of its own, the distance to the extrapolated
+    value counts, with the factor of the grid convergence index; elsewhere thrice the range of
+    the values (Eca and Hoekstra 2014, J. Comput. Phys. 262, 104, for series without an order).
+
+    Units: sizes mm.
+
+    Examples
+    --------
+    >>> behaviour, u = series_uncertainty([1.4, 1.2, 1.1], 2.0, formal=1.0)
+    >>> behaviour, round(u, 6)
+    ('monotone', 0.5)
+    >>> behaviour, u = series_uncertainty([1.4, 1.2, 1.1], 2.0)  # without a formal order: thrice
+    >>> round(u, 6)
+    1.2
+    """
+    usable = len(set(sizes)) == len(values) and all(size > 0 for size in sizes)
+    nominal = [ratio**-k for k in range(len(values))]
+    found = grid_convergence(sizes if usable else nominal, values, formal_order=formal)
+    ordered = found.observed_order is not None and found.observed_order >= MIN_ORDER
+    if ordered and (bound := found.bound_of(values[0])) is not None:
+        return found.behaviour, bound
+    if found.behaviour == "noise-floor":
+        return found.behaviour, abs(values[0] - values[-1])
+    return found.behaviour, TWO_MESH_FACTOR * (max(values) - min(values))
+
+
+def fine_uncertainty(
+    values: Sequence[float], sizes: Sequence[float], formal: float | None = None
+) -> tuple[str, float]:
+    """Behaviour of a series from coarse to fine, and half-width for its finest mesh.
+
+    Without an order it is thrice the range of the values (Eca and Hoekstra 2014, J. Comput.
+    Phys. 262, 104).
+
+    Units: sizes mm.
+
+    Examples
+    --------
+    >>> behaviour, u = fine_uncertainty([1.4, 1.2, 1.1], [4.0, 2.0, 1.0], formal=1.0)
+    >>> behaviour, round(u, 6)
+    ('monotone', 0.125)
+    """
+    found = grid_convergence(sizes, values, formal_order=formal)
+    if found.u_num:
+        return found.behaviour, float(found.u_num)
+    spread = max(values) - min(values)
+    return found.behaviour, spread if found.behaviour == "noise-floor" else TWO_MESH_FACTOR * spread
+
+
+#: Relative error of a fitted constant or a score at the tolerances of fit and solver.
+TOLERANCE = 1e-6
+
+#: Responses that tell what a solution costs: they grow with the mesh and converge to nothing.
+COSTS = ("seconds", "dofs")
+
+#: Places along a curve where it is compared, from its first measured point to its last.
+PLACES = np.linspace(0.0, 1.0, 21)
+
+
+@dataclass
+class CaseSeries:
+    """Cases of one cell on several meshes, from coarse to fine, and their records."""
+
+    jobs: tuple[CaseJob, ...]
+    #: Ratio of the element sizes that was asked for.
+    ratio: float
+    own: Literal["coarsest", "finest"] = "coarsest"
+    #: What is computed of them, by case id; None where that failed to give a record.
+    records: dict[str, Record | None] = field(default_factory=dict)
+    #: The case on another mesh of the study's own size, where a generator chooses among many.
+    other: CaseJob | None = None
+
+    @property
+    def base(self) -> CaseJob:
+        """The case on the coarsest mesh."""
+        return self.jobs[0]
+
+    @property
+    def every(self) -> tuple[CaseJob, ...]:
+        """Cases of the series and that on another mesh."""
+        return self.jobs if self.other is None else (*self.jobs, self.other)
+
+    @property
+    def levels(self) -> dict[str, str]:
+        """Levels that all cases share."""
+        first, last = self.jobs[0].case.levels, self.jobs[-1].case.levels
+        return {name: level for name, level in first.items() if last[name] == level}
+
+    @property
+    def formal(self) -> FormalOrder:
+        """Order that the elements of the study's mesh promise."""
+        return formal_of_case(self.base if self.own == "coarsest" else self.jobs[-1])
+
+    @property
+    def good(self) -> list[tuple[CaseJob, Record]]:
+        """Cases with an answer on the mesh that is theirs in the series."""
+        found = [(job, self.records.get(job.case.case_id)) for job in self.jobs]
+        return [
+            (job, record)
+            for job, record in found
+            if record is not None and record.converged and not has_other_mesh(record)
+        ]
+
+    def due(self) -> list[CaseJob]:
+        """Cases that were not computed yet: all of them, for none depends on another."""
+        return [job for job in self.every if job.case.case_id not in self.records]
+
+    def add(self, step: CaseJob, found: Record | None) -> None:
+        """Take the record of a case."""
+        self.records[step.case.case_id] = found
+
+    def sizes(self, records: Sequence[Record]) -> tuple[float, ...]:
+        """Mesh sizes of some records by the elements of their meshes, the first as asked for."""
+        asked = {job.case.case_id: job for job in self.jobs}
+        # another program does not say what its mesh is: it was asked for this one
+        sizes = [float(r.mesh.get("mesh_size_mm") or base_size_mm(asked[r.case_id]))
+                 for r in records]  # fmt: skip
+        elements = [int(record.mesh.get("elements", 0)) for record in records]
+        return tuple(series_sizes(sizes, elements, self.base.case.setup, anchor=0))
+
+    def half_width(
+        self, values: Sequence[float], sizes: Sequence[float], formal: float
+    ) -> tuple[str, float]:
+        """Behaviour of some values from coarse to fine, and half-width on the study's mesh."""
+        if self.own == "finest":
+            return fine_uncertainty(values, sizes, formal)
+        if len(values) == 2:
+            real = ratio_of(sizes, self.ratio)
+            return "two meshes", two_mesh_uncertainty(values[0], values[1], real)
+        return series_uncertainty(values, self.ratio, sizes, formal)
+
+    def uncertainty(self, response: str, unit: str) -> NumericalUncertainty:
+        """Numerical uncertainty of a response on the study's mesh.
+
+        What the size of the elements and the choice of a mesh of that size move is independent,
+        and adds up in squares. Thrice the difference of two meshes holds the deviation of one from
+        the mean of all in 89 of 100 cases.
+        """
+        known = [(job, r, v) for job, r in self.good if (v := r.value(response)) is not None]
+        values = tuple(value for _, _, value in known)
+        lacking = self._lacking([job for job, _, _ in known])
+        if lacking:
+            first = bool(known) and known[0][0] is self.base and self.own == "coarsest"
+            value = values[0] if first else None
+            return NumericalUncertainty(
+                self.levels, response, value, None, unit, "not available", lacking
+            )
+        sizes, formal = self.sizes([record for _, record, _ in known]), self.formal
+        behaviour, u = self.half_width(values, sizes, formal.order)
+        value, note = values[0] if self.own == "coarsest" else values[-1], self._note(len(known))
+        if self.other is not None:
+            again = None if self._again is None else self._again.value(response)
+            if again is None:
+                note += "; no other mesh of the study's own size gave an answer"
+            else:
+                note += f"; another mesh of the study's own size gives {again:.4g} {unit}".rstrip()
+                u = math.hypot(u, TWO_MESH_FACTOR * abs(again - value))
+        return NumericalUncertainty(
+            self.levels, response, value, u, unit, behaviour, note, sizes, values,
+            formal.order, formal.why,
+        )  # fmt: skip
+
+    @property
+    def _again(self) -> Record | None:
+        """Answer on another mesh of the study's own size."""
+        record = None if self.other is None else self.records.get(self.other.case.case_id)
+        usable = record is not None and record.converged and not has_other_mesh(record)
+        return record if usable else None
+
+    def _lacking(self, known: Sequence[CaseJob]) -> str:
+        """Why the meshes with an answer are too few; empty if they are enough."""
+        if self.own == "finest":
+            few = len(known) < len(self.jobs)
+            return f"{len(known)} of {len(self.jobs)} meshes gave an answer" if few else ""
+        few = len(known) < 2 or known[0] is not self.base
+        return f"no second mesh gave an answer ({self.base.case.label})" if few else ""
+
+    def _note(self, meshes: int) -> str:
+        """Which meshes an uncertainty rests on."""
+        ends = (self.good[0][1], self.good[-1][1])
+        unknowns = " to ".join(str(int(record.mesh.get("dofs", 0))) for record in ends)
+        if self.own == "finest":
+            return f"the study's own {meshes} meshes, {unknowns} unknowns; on the finest"
+        label = self.base.case.label
+        return f"{label}; {meshes} meshes of ratio {self.ratio:g}, {unknowns} unknowns"
+
+    def shares(self) -> dict[str, Array]:
+        """Relative numerical uncertainty of the force at :data:`PLACES`, by case id.
+
+        Of a refined cell that of its own mesh. Where the meshes are a factor a coarser one is
+        off by its distance to the finest, and the finest by its own uncertainty: the sum is on
+        the safe side. Empty where too few meshes gave an answer.
+        """
+        good = self.good
+        if len(good) < (len(self.jobs) if self.own == "finest" else 2):
+            return {}
+        forces = np.array([force_at_places(record) for _, record in good])
+        sizes, formal = self.sizes([record for _, record in good]), self.formal.order
+        u = np.array([self.half_width(list(place), sizes, formal)[1] for place in forces.T])
+        if self._again is not None:
+            own = forces[0 if self.own == "coarsest" else -1]
+            u = np.hypot(u, TWO_MESH_FACTOR * np.abs(force_at_places(self._again) - own))
+        if self.own == "coarsest":
+            return {self.base.case.case_id: u / np.abs(forces[0])}
+        return {
+            job.case.case_id: (np.abs(force - forces[-1]) + u) / np.abs(force)
+            for (job, _), force in zip(good, forces, strict=True)
+        }
+
+    def judge(self, spec: Converge, units: Mapping[str, str]) -> SeriesJudgement:
+        """Judge curves, responses and constants of the series."""
+        records, formal = [record for _, record in self.good], self.formal
+        said = list(self._unanswered())
+        values = quantities(records, units)
+        known = spec.qoi if spec.qoi in QUANTITIES else "peak_force"
+        verdict = f"an order needs three meshes with an answer, there are {len(records)}"
+        facts = SeriesJudgement(
+            inconclusive(
+                spec.qoi, QUANTITIES[known][1], [], [], formal_order=formal.order, verdict=verdict
+            ),
+            {},
+            formal,
+            levels=self.base.case.levels,
+            block=self.base.case.block,
+        )
+        if len(records) < FEWEST or not values:
+            return facts.warned(*said)
+        qoi = spec.qoi if spec.qoi in values else next(iter(values))
+        elements = [int(record.mesh.get("elements", 0)) for record in records]
+        asked = [base_size_mm(job) for job, _ in self.good]
+        sizes = series_sizes(asked, elements, self.base.case.setup)
+        results = judged(sizes, values, formal.order, TOLERANCE)
+        return combined(facts, qoi, results, spec.tolerance, said)
+
+    def _unanswered(self) -> Iterable[str]:
+        """Say which meshes gave no answer, and why."""
+        for job in self.jobs:
+            record = self.records.get(job.case.case_id)
+            if record is None or not record.converged:
+                why = "it was not computed" if record is None else record.message
+                yield f"the mesh of {base_size_mm(job):.4g} mm gave no answer: {why}"
+            elif has_other_mesh(record):
+                size = f"{base_size_mm(job):.4g} mm"
+                yield f"the mesh of {size} gave no answer: only a finer one did, on a second try"
+
+
+def quantities(records: Sequence[Record], units: Mapping[str, str]) -> Values:
+    """Values of the predicted curve, of responses and of constants that every record has."""
+    columns: dict[str, tuple[list[float], str]] = {}
+
+    def add(name: str, numbers: Iterable[float | None], unit: str) -> None:
+        known = [float(v) for v in numbers if v is not None]
+        if known and len(known) == len(records):
+            columns.setdefault(name, (known, unit))
+
+    curves = [record.first_prediction() for record in records]
+    for name, (function, unit) in QUANTITIES.items():
+        add(name, (None if curve is None else function(curve) for curve in curves), unit)
+    for name, unit in units.items():
+        if name not in COSTS:
+            add(name, (record.value(name) for record in records), unit)
+    for name, entry in (records[0].parameters if records else {}).items():
+        known = [record.parameters.get(name) for record in records]
+        add(name, (None if p is None else p["value"] for p in known), entry["unit"])
+    return columns
+
+
+def places_of(curve: Curve) -> Array:
+    """Displacements of :data:`PLACES` on a curve, mm."""
+    d = curve.displacement_mm
+    return np.asarray(d[0] + PLACES * (d[-1] - d[0]))
+
+
+def force_at_places(record: Record) -> Array:
+    """Predicted force of the first direction at :data:`PLACES` of the measured curve, N.
+
+    Without a measured curve the places are those of the prediction, from its first load step on.
+    """
+    pair, predicted = record.first_pair(), record.first_prediction()
+    if predicted is None:
+        raise StoreError(
+            f"case {record.case_id}: its record has an answer and no curve; delete its folder "
+            "below cases and run the design again"
+        )
+    return predicted.force_at(places_of(predicted if pair is None else pair[0]))
+
+
+def stored_convergence(rows: Sequence[NumericalUncertainty]) -> list[dict[str, object]]:
+    """Judge every stored series of a study."""
+    return [
+        {"levels": dict(row.levels), "note": row.note}
+        | _stored(row).to_json()
+        | ({"formal_reason": row.formal_reason} if len(row.series) >= FEWEST else {})
+        for row in rows
+    ]
+
+
+def _stored(row: NumericalUncertainty) -> ConvergenceResult:
+    if len(row.series) >= FEWEST:
+        return grid_convergence(
+            row.mesh_size, row.series, formal_order=row.formal_order, qoi=row.response,
+            unit=row.unit,
+        )  # fmt: skip
+    verdict = f"{len(row.series)} meshes have no order; u_num is that of the study"
+    return inconclusive(
+        row.response, row.unit, row.mesh_size, row.series, u_num=row.u_num, verdict=verdict
+    )

@@ -1,0 +1,206 @@
+"""Predicted seconds of a run, before anything is solved."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+from study.ground.canonical import digest
+from study.ground.errors import InputError
+from study.harness.external.command import External
+from study.harness.runner.fit_problem import FitProblem
+from study.harness.runner.fit_summary import USUAL_EVALUATIONS
+from study.harness.runner.job import CaseJob, FitJob
+from study.harness.runner.problem_tables import with_placeholder
+from study.mechanics.setup.material_section import MaterialSection
+from study.mechanics.setup.setup import Setup, Tables
+
+#: what any computation takes besides solving: hashing, scoring, writing
+_OVERHEAD_S = 0.02
+
+#: seconds in which meshes are made to count their unknowns, for one table of costs
+_PATIENCE_S = 2.0
+
+#: forward solutions of a fit in units of a cold one; the later ones start from the one before
+_SOLVES_LINEAR = 1.5
+_SOLVES_FIRST = 2.0
+_SOLVES_PER_CONSTANT = 0.7
+
+#: a prediction that starts from the solution of its cell, in units of a cold one: where forces
+#: scale with the one constant, between plates, and under an indenter, where contact is found anew
+_SCALED = 0.1
+_FROM_ANCHOR = 0.25
+_FROM_ANCHOR_INDENTED = 0.6
+
+
+class Costs:
+    """Cost of computations; each distinct forward problem is estimated once.
+
+    The first case of a cell that is asked for bears the cost of the cell's cold solution. Meshes
+    are made to count their unknowns while that takes a moment in all, in the order asked for; by
+    no clock, so that what is refined is the same on every machine.
+    """
+
+    def __init__(self) -> None:
+        self._patience_s = _PATIENCE_S
+        self._known: dict[str, tuple[float, float]] = {}
+        self._anchored: set[str] = set()
+
+    def fit_seconds(self, problem: FitProblem) -> float:
+        """Seconds of one calibration."""
+        names = problem.material.calibrated_names
+        return _OVERHEAD_S + sum(self._test_seconds(*test, names) for test in problem.tests)
+
+    def _test_seconds(self, method: str, tables: Tables, names: Sequence[str]) -> float:
+        """Seconds that one test of a fit takes: nothing where it has a closed form."""
+        external = External.of(tables)
+        if method == "external" and external is not None:
+            return _evaluations(names) * external.section.seconds_s
+        if method != "inverse-fem":
+            return 0.0
+        solves = (
+            _SOLVES_LINEAR if _scales(names) else _SOLVES_FIRST + _SOLVES_PER_CONSTANT * len(names)
+        )
+        return solves * self.solve_seconds(tables)
+
+    def case_seconds(self, job: CaseJob) -> float:
+        """Seconds of one case without its fits."""
+        config, external = job.case.config, External.of(job.case.config)
+        if external is not None and job.origin.predicts and job.forward == "external":
+            return _OVERHEAD_S + job.predictions * external.section.seconds_s
+        if not job.origin.predicts or job.forward != "simulation":
+            return _OVERHEAD_S
+        one, solves = self.solve_seconds(config, job.depth_mm), float(job.predictions)
+        if job.group:
+            solves = _from_anchor(config) * solves + (job.group not in self._anchored)
+            self._anchored.add(job.group)
+        return _OVERHEAD_S + solves * one
+
+    def total_seconds(self, fits: Iterable[FitJob], cases: Iterable[CaseJob], jobs: int) -> float:
+        """Wall time on a number of workers."""
+        work = sum(self.fit_seconds(f.problem) for f in fits)
+        work += sum(self.case_seconds(c) for c in cases)
+        return work / jobs
+
+    @staticmethod
+    def side_by_side(seconds: Sequence[float], jobs: int) -> float:
+        """Wall time of a few solutions at once: the longest of them takes what it takes.
+
+        Examples
+        --------
+        >>> Costs.side_by_side([10.0, 2.0], 2), Costs.side_by_side([4.0, 4.0, 4.0], 2)
+        (10.0, 6.0)
+        """
+        return max(sum(seconds) / jobs, max(seconds, default=0.0))
+
+    def solve_seconds(self, config: Tables, depth_mm: float | None = None) -> float:
+        """Seconds of one forward solution."""
+        return self._estimate(config, depth_mm)[0]
+
+    def memory_MB(self, config: Tables) -> float:  # noqa: N802
+        """Peak memory of one worker at this configuration."""
+        return self._estimate(config, None)[1]
+
+    def fit_memory_MB(self, problem: FitProblem) -> float:  # noqa: N802
+        """Peak memory of one calibration."""
+        simulated = [tables for method, tables in problem.tests if method == "inverse-fem"]
+        return max(map(self.memory_MB, simulated), default=0.0)
+
+    def case_memory_MB(self, job: CaseJob) -> float:  # noqa: N802
+        """Peak memory of one case; none worth counting without a simulation of its own."""
+        simulated = job.forward == "simulation" and job.origin.predicts
+        return self.memory_MB(job.case.config) if simulated else 0.0
+
+    def _estimate(self, config: Tables, depth_mm: float | None) -> tuple[float, float]:
+        key = same_model(config)
+        if key not in self._known:
+            seconds, memory, spent = _estimated(config, depth_mm, self._patience_s)
+            self._known[key], self._patience_s = (seconds, memory), self._patience_s - spent
+        return self._known[key]
+
+
+def fit_calls(problem: FitProblem) -> int:
+    """Count the calls of another program in a fit: each evaluation and one for every constant.
+
+    A program that writes its gradients takes fewer; nobody knows before it has run.
+    """
+    external = sum(method == "external" for method, _ in problem.tests)
+    return external * _evaluations(problem.material.calibrated_names)
+
+
+def _evaluations(names: Sequence[str]) -> int:
+    """Count the calls for one test: each evaluation, and one more for every constant."""
+    return USUAL_EVALUATIONS * (1 + len(names))
+
+
+def program_calls(fits: Iterable[FitJob], cases: Iterable[CaseJob]) -> int:
+    """Count the calls of other programs in some fits and cases."""
+    asked = (one for one in cases if one.forward == "external" and one.origin.predicts)
+    predicted = sum(one.predictions for one in asked)
+    return predicted + sum(fit_calls(one.problem) for one in fits)
+
+
+def _scales(names: Sequence[str]) -> bool:
+    """Whether forces are in proportion to the only constant, a modulus by its unit."""
+    return len(names) == 1
+
+
+def _from_anchor(config: Tables) -> float:
+    # weight stays what it is where a modulus doubles, so that nothing scales
+    setup = Setup.of(config)
+    if _scales(MaterialSection.of(config).calibrated_names) and not setup.test.weight_N_mm3:
+        return _SCALED
+    return _FROM_ANCHOR_INDENTED if setup.kind.takes_indenter else _FROM_ANCHOR
+
+
+def same_model(config: Tables) -> str:
+    """Name of all that differ in their material alone."""
+    return digest([{k: config.get(k) for k in ("specimen", "test", "model")}])
+
+
+def _estimated(
+    config: Tables, depth_mm: float | None, patience_s: float
+) -> tuple[float, float, float]:
+    """Seconds and memory of a solution, and the seconds that it took to count its unknowns."""
+    from study.mechanics.solver.solution_cost import estimate
+
+    depth = depth_mm or 0.2 * (Setup.of(config).height_mm or 1.0)
+    try:
+        problem = with_placeholder(config, depth, C10_MPa=0.005)
+        found = estimate(problem.setup, patience_s=patience_s)
+        return float(found.seconds), float(found.memory_MB), found.counting_s
+    except (InputError, ValueError, RuntimeError):
+        return 1.0, 0.0, 0.0  # an estimate must never stop a plan; the case will say what is wrong
+
+
+#: share of the work after which what was done is believed more than a prediction
+_ENOUGH = 0.05
+
+
+class Pace:
+    """Predicted seconds of computations, corrected by those that are done.
+
+    Computations of one kind cost alike: what one of them took tells more of the next than what
+    others took. A kind of which none is done yet goes at the pace of all.
+    """
+
+    def __init__(self, prices: Mapping[str, float], kinds: Mapping[str, str], workers: int) -> None:
+        self._left, self._kinds, self._workers = dict(prices), kinds, workers
+        self._enough = _ENOUGH * sum(prices.values())
+        self._predicted: dict[str, float] = {}
+        self._taken: dict[str, float] = {}
+
+    def finished(self, key: str, seconds: float) -> None:
+        """Count a computation that kept a worker busy for so many seconds."""
+        kind, price = self._kinds[key], self._left.pop(key)
+        self._predicted[kind] = self._predicted.get(kind, 0.0) + price
+        self._taken[kind] = self._taken.get(kind, 0.0) + seconds
+
+    def seconds_left(self) -> float:
+        """Wall time of the rest."""
+        predicted = sum(self._predicted.values())
+        if predicted < self._enough or not predicted:
+            return Costs.side_by_side(list(self._left.values()), self._workers)
+        usual = sum(self._taken.values()) / predicted
+        own = {kind: self._taken[kind] / price for kind, price in self._predicted.items() if price}
+        rest = [price * own.get(self._kinds[key], usual) for key, price in self._left.items()]
+        return Costs.side_by_side(rest, self._workers)

@@ -1,0 +1,504 @@
+"""A design and its data -> every computation that is needed, each once, with its name.
+
+Treatments become cases, cases their replicates, these become jobs with their fits, and the jobs
+of resampled residuals follow: each step takes the values of the one before and changes none.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from study.ground.canonical import digest
+from study.ground.curve import Curve
+from study.ground.errors import Fault, InputError
+from study.harness.design.cell import Config, plain
+from study.harness.design.spec import MAX_CASES, Case, Design, Treatment, cases
+from study.harness.record.record import Record
+from study.harness.runner import provenance
+from study.harness.runner.fit_problem import (
+    NOTHING,
+    Allowed,
+    FitProblem,
+    fit_problem,
+    identity,
+    start_problem,
+    together,
+    with_external,
+)
+from study.harness.runner.job import (
+    CONSTANTS,
+    CaseJob,
+    DataCache,
+    FitJob,
+    Forward,
+    Origin,
+    ScorePair,
+    Work,
+    repeated,
+)
+from study.harness.runner.problem_tables import measurements_of, on_mesh
+from study.harness.runner.provenance import code_version
+from study.harness.runner.response import units_of
+from study.mechanics.measurement.measured_test import MeasuredTest, Measurements, Selection
+from study.mechanics.setup.calibration_table import NOTHING as calibration_NOTHING
+from study.mechanics.setup.declaration import table_of
+from study.mechanics.setup.setup import Tables
+
+# -------------------------------------------------------------------------------------------------
+# Repeats of every cell for an error term: other meshes, or fits to resampled noise.
+
+
+def mesh_seeded(found: Sequence[Case], design: Design) -> tuple[tuple[Case, Origin], ...]:
+    """Every case on each of its meshes, with the number of the mesh; once where none are asked.
+
+    Seeds are made of the study's seed and the cell: the meshes of one cell are the same in
+    every block, and those of two cells have nothing to do with each other.
+    """
+    seeds = design.replicates.mesh_seeds
+    if not seeds:
+        return tuple((case, Origin()) for case in found)
+    _check_count(len(found) * seeds)
+    return tuple(
+        (_on_mesh(case, _seed(design, case, number)), Origin(mesh_seed=number))
+        for case in found
+        for number in range(1, seeds + 1)
+    )
+
+
+def _check_count(count: int) -> None:
+    if count > MAX_CASES:
+        rule = f"{count} cases with their replicates are more than {MAX_CASES}"
+        raise InputError(Fault("replicates", rule, "ask for fewer, or use fewer levels"))
+
+
+def _seed(design: Design, case: Case, number: int) -> int:
+    return int(digest([design.seed, plain(case.config), number], 8), 16)
+
+
+def _on_mesh(case: Case, seed: int) -> Case:
+    """Copy a case with the seed of its mesh in its tables, and so in its name."""
+    return repeated(case, ["mesh seed", seed], on_mesh(case.config, mesh_seed=seed))
+
+
+def resampled(jobs: Sequence[CaseJob], design: Design) -> tuple[CaseJob, ...]:
+    """Cases whose fits see resampled noise.
+
+    The fit itself stays a case of its own: it is what the study is about, and replicates
+    tell how far to trust it.
+    """
+    _check_count(len(jobs) * (1 + design.replicates.noise))
+    numbers = range(1, design.replicates.noise + 1)
+    return tuple(_again(job, design.seed, number) for job in jobs for number in numbers)
+
+
+def refitted(case: Case, number: int) -> Case:
+    """Copy a case whose fits see resampled noise."""
+    return repeated(case, ["noise", number])
+
+
+def _again(job: CaseJob, seed: int, number: int) -> CaseJob:
+    directions = tuple(_refitted(pair, seed, number) for pair in job.directions)
+    keys = {pair.fit_key for pair in directions} - {None}
+    return replace(
+        job,
+        case=refitted(job.case, number),
+        directions=directions,
+        input_hash=digest([job.input_hash, "noise", seed, number, sorted(map(str, keys))]),
+        origin=replace(job.origin, noise_seed=number),
+        group="",
+        anchor=None,
+    )
+
+
+def _refitted(pair: ScorePair, seed: int, number: int) -> ScorePair:
+    """Copy a pair with the fit to resampled residuals; one whose constants are given stays."""
+    return pair if pair.fit is None else replace(pair, fit=pair.fit.resampled(seed, number))
+
+
+# -------------------------------------------------------------------------------------------------
+# Cross-validation: which curve a score is held out from, and the fit that did not see it.
+#
+# A model with more constants fits the curve that it was fitted to at least as well, whatever the
+# truth. Under a truth of two constants a model of five is the better one in 100 % of simulated
+# studies that score the curve fitted, and in 11 % of those that score other specimens. A study
+# that would score the curve fitted is therefore cross-validated over its blocks (Stone 1974, J. R.
+# Stat. Soc. B 36, 111).
+
+#: fewest blocks of which one is held out: of two, one specimen would stand for all others
+FEWEST_BLOCKS = 3
+
+
+def held_out(
+    leave_out: str | None,
+    fit: Selection | None,
+    score: Selection | None,
+    blocks: int,
+    *,
+    other_test: bool,
+) -> str | None:
+    """Say what is left out of the fit that a curve is scored with."""
+    if leave_out is not None:
+        return None if leave_out == calibration_NOTHING else leave_out
+    sees_the_scored = not other_test and dict(fit or {}) == dict(score or fit or {})
+    return "specimen" if sees_the_scored and blocks >= FEWEST_BLOCKS else None
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """One scored curve and the fit that did not see it."""
+
+    test: MeasuredTest
+    score_where: Selection | None
+    problem: FitProblem
+    measured: tuple[Curve, ...]
+    label: str
+
+
+def distinct_tests(configs: Sequence[Tables]) -> tuple[Tables, ...]:
+    """List the tests of a study: its different specimens, tests and measurements."""
+    found = {_name(config): _sections(config) for config in configs}
+    return tuple(found.values())
+
+
+def left_out(kind: str, case: Case, scored: Measurements, data: DataCache) -> list[LeftOut]:
+    """Every scored curve of a case, with the fit to everything else."""
+    if kind == "specimen":
+        return _without_specimen(case, scored, data)
+    return [_without_test(case, scored, data)]
+
+
+def _without_specimen(case: Case, scored: Measurements, data: DataCache) -> list[LeftOut]:
+    own = data.calibrated(case.config)
+    fitted = scored if own is None else own
+    others = [block for block in fitted.blocks if block != case.block]
+    if not others or case.block is None:
+        rule = "leaves one specimen out, but the measurements have fewer than two blocks"
+        mend = "name the column of the specimens in measurements.block"
+        raise InputError(Fault("calibration.leave_out", rule, mend))
+    out = []
+    for fit_where, score_where in scored.sides:
+        where = dict((fit_where if own is None else own.fit) or {})
+        curves = tuple(fitted.curve(block, **where).curve for block in others)
+        test = scored.curve(case.block, **dict(score_where or {}))
+        label = f"all but {case.block}"
+        out.append(LeftOut(test, score_where, fit_problem(case.config), curves, label))
+    return out
+
+
+def _without_test(case: Case, scored: Measurements, data: DataCache) -> LeftOut:
+    own = _name(case.config)
+    others = [test for test in data.tests if _name(test) != own]
+    if not others:
+        rule = "leaves one test out, but the design has only one"
+        mend = "make the tests a factor: presets with test and measurements"
+        raise InputError(Fault("calibration.leave_out", rule, mend))
+    curves = []
+    for test in others:
+        found = data.scored(test)
+        if found is None:
+            raise InputError(Fault("measurements", "are missing for one of the tests"))
+        block = case.block if found.block is not None else None
+        curves.append(found.curve(block, **dict(found.fit or {})).curve)
+    problem = together(case.config, others)
+    where = scored.score or scored.fit
+    held = scored.curve(case.block, **dict(where or {}))
+    return LeftOut(held, where, problem, tuple(curves), "all other tests")
+
+
+def _sections(config: Tables) -> Tables:
+    return {key: config[key] for key in ("specimen", "test", "measurements")}
+
+
+def _name(config: Tables) -> str:
+    spec = measurements_of(config)
+    test = {k: v for k, v in table_of(config, "test").items() if k != "steps"}
+    return digest([config["specimen"], test, None if spec is None else spec.as_dict()])
+
+
+def expand(design: Design, data_root: Path, allowed: Allowed = NOTHING) -> Work:
+    """List every case and every fit of a design."""
+    cells = design.treatments
+    data = DataCache(data_root, distinct_tests([cell.config for cell in cells]))
+    blocks = _common_blocks(cells, data)
+    places = provenance.folders(design.source, data_root)
+    # a replicate is named by what was written, not by where its surface was found
+    planned = mesh_seeded(_distinct(cases(design, blocks)), design)
+    shared: dict[int, Computed] = {}
+
+    def job(case: Case, origin: Origin) -> CaseJob:
+        place = id(case.config)  # one for all blocks of a cell, kept alive by its cases
+        if place not in shared:
+            shared[place] = Computed.of(_located(case, places, allowed), design)
+        return case_job(case, data, design, origin, shared[place])
+
+    jobs = _anchored(job(case, origin) for case, origin in planned)
+    every = (*jobs, *resampled(jobs, design))
+    return Work(design, every, units_asked(design), blocks, data, allowed)
+
+
+def cases_by_id(design: Design, blocks: Sequence[str]) -> dict[str, Case]:
+    """List every case that :func:`expand` makes of a design; nothing measured is read."""
+    planned = [case for case, _ in mesh_seeded(_distinct(cases(design, blocks)), design)]
+    numbers = range(1, design.replicates.noise + 1)
+    again = [refitted(case, number) for case in planned for number in numbers]
+    return {case.case_id: case for case in (*planned, *again)}
+
+
+def relabeled(
+    records: Iterable[Record], design: Design, known: Mapping[str, Case]
+) -> tuple[Record, ...]:
+    """Give records the levels of their cases: a level of another name is computed no more."""
+    found = []
+    for record in records:
+        case = known.get(record.case_id)
+        if case is None:
+            found += [record] if _is_of(record, design) else []
+        elif case.levels == record.levels and case.block == record.block:
+            found.append(record)
+        else:
+            found.append(replace(record, levels=dict(case.levels), block=case.block))
+    return tuple(found)
+
+
+def _is_of(record: Record, design: Design) -> bool:
+    """Whether each level of a record is one of the design's."""
+    known = {factor.name: factor.labels for factor in design.factors}
+    return known.keys() == record.levels.keys() and all(
+        record.levels[name] in labels for name, labels in known.items()
+    )
+
+
+@dataclass(frozen=True)
+class Computed:
+    """What a case computes before anything is measured: the same in every block of its cell."""
+
+    #: Document of the cell, with its files found.
+    config: Config
+    problem: FitProblem
+    #: Where its predicted curves come from.
+    forward: Forward
+    #: What enters the names of its cases besides their content and their measurements.
+    names: tuple[object, ...]
+
+    @classmethod
+    def of(cls, case: Case, design: Design) -> Computed:
+        """Work out what the cases of a cell share, from one whose files were found."""
+        problem = fit_problem(case.config)
+        names = (code_version(), *provenance.fingerprints(case.config), *identity(case.config))
+        asked = sorted(units_asked(design))
+        return cls(case.config, problem, _forward_of(case, problem), (asked, *names))
+
+
+def units_asked(design: Design) -> dict[str, str]:
+    """List every response that the records of a design hold, with its unit."""
+    return units_of((response.name for response in design.responses), design.is_measured)
+
+
+def _common_blocks(cells: Sequence[Treatment], data: DataCache) -> tuple[str, ...]:
+    """Labels of the blocks, the same in the measurements of every treatment."""
+    found: tuple[str, ...] | None = None
+    for cell in cells:
+        measured, marked = data.scored(cell.config), cell.cell.problem.markers
+        own = () if measured is None else measured.blocks
+        own = own if marked is None else marked.labels
+        if found is not None and own != found:
+            rule = f"treatments have different blocks: {', '.join(found)} and {', '.join(own)}"
+            raise InputError(Fault("measurements.block", rule))
+        found = own
+    return found or ()
+
+
+def _distinct(found: Sequence[Case]) -> tuple[Case, ...]:
+    """Give cells of equal content names of their own, so that none hides the other's record."""
+    seen: set[str] = set()
+    out = []
+    for case in found:
+        made = repeated(case, [case.levels]) if case.case_id in seen else case
+        seen.add(made.case_id)
+        out.append(made)
+    return tuple(out)
+
+
+def _located(case: Case, places: Sequence[Path], allowed: Allowed = NOTHING) -> Case:
+    """Copy a case with its surfaces, and the files of its forward model, found and checked."""
+    found = provenance.with_markers(provenance.located(case.config, places), places)
+    return replace(case, config=with_external(found, places, allowed.function))
+
+
+def case_job(
+    case: Case,
+    data: DataCache,
+    design: Design,
+    origin: Origin | None = None,
+    computed: Computed | None = None,
+) -> CaseJob:
+    """Make the job of one case."""
+    shared = computed or Computed.of(case, design)
+    placed = case if computed is None else replace(case, config=shared.config)
+    pairs = tuple(_score_pairs(placed, shared.problem, data, design))
+    content = [case.case_id, [pair.identity for pair in pairs], *shared.names]
+    return CaseJob(placed, pairs, digest(content), shared.forward, origin or Origin())
+
+
+def _forward_of(case: Case, problem: FitProblem) -> Forward:
+    """Where the predicted curves of a case come from."""
+    if problem.method in ("inverse-fem", "external") and problem.shares_scored_problem:
+        return "fit"
+    forward = case.treatment.cell.problem.forward
+    if forward is not None:
+        return "closed-form" if forward.model == "closed-form" else "external"
+    asked = case.treatment.cell.method == "analytic" and case.setup.is_homogeneous
+    return "closed-form" if asked or case.setup.has_no_elements else "simulation"
+
+
+def _score_pairs(
+    case: Case, problem: FitProblem, data: DataCache, design: Design
+) -> list[ScorePair]:
+    """Say what is fitted and what is scored in a case."""
+    scored = data.scored(case.config)
+    if scored is None:
+        return [_simulated(case, problem)]
+    if problem.method == "none":
+        return [_first_pair(scored, case, None)]
+    kind = _held_out(case, scored, design)
+    if kind is not None:
+        return _held_out_pairs(kind, case, scored, data, design)
+    return _fitted_pairs(case, problem, scored, data)
+
+
+def _simulated(case: Case, problem: FitProblem) -> ScorePair:
+    """Prediction that nothing was measured beside."""
+    depth, marked = case.setup.test.displacement_mm, case.treatment.cell.problem.markers
+    if marked is not None and case.block is not None:  # each state is a block
+        depth = marked.state(case.block).displacement_mm
+    if problem.method != "none" or depth is None:
+        rule = "there is none to fit the constants to, nor to say how far the test goes"
+        mend = "add it, or give [material] its constants and [test] its displacement"
+        raise InputError(Fault("measurements", rule, mend))
+    return ScorePair("all", None, None, pressed_mm=float(depth))
+
+
+def _held_out(case: Case, scored: Measurements, design: Design) -> str | None:
+    """Say what is left out of the fits; a study of constants alone fits each curve by itself."""
+    cell = case.treatment.cell
+    if cell.leave_out is None and not design.asks_for_scores:
+        return None
+    return held_out(
+        cell.leave_out, scored.fit, scored.score, len(scored.blocks),
+        other_test=cell.fitted_elsewhere is not None,
+    )  # fmt: skip
+
+
+def _held_out_pairs(
+    kind: str, case: Case, scored: Measurements, data: DataCache, design: Design
+) -> list[ScorePair]:
+    """Pairs whose fits never saw what is scored.
+
+    A constant that is asked for is a specimen's own: those of all others together would differ
+    less between specimens than specimens do.
+    """
+    pairs = [
+        replace(
+            _pair(one.test, one.score_where, fit_job(one.problem, one.measured, case.label)),
+            fit_label=one.label,
+        )
+        for one in left_out(kind, case, scored, data)
+    ]
+    if kind == "specimen" and design.asks_for_constants:
+        own = _fitted_pairs(case, fit_problem(case.config), scored, data)
+        label = f"{case.block} alone"
+        pairs += [replace(one, role=CONSTANTS, fit_label=label) for one in own[:1]]
+    return pairs
+
+
+def _fitted_pairs(
+    case: Case, problem: FitProblem, scored: Measurements, data: DataCache
+) -> list[ScorePair]:
+    """Pairs whose constants come from the curves that the study file selects."""
+    own = data.calibrated(case.config)
+    if own is not None:
+        fitted = own.curve(_block_in(own, case.block), **dict(own.fit or {}))
+        return [_first_pair(scored, case, fit_job(problem, (fitted.curve,), case.label))]
+    return _swapped_pairs(scored, case, problem)
+
+
+def _first_pair(scored: Measurements, case: Case, fit: FitJob | None) -> ScorePair:
+    _, test = scored.pairs(case.block)[0]
+    return _pair(test, scored.score, fit)
+
+
+def _swapped_pairs(scored: Measurements, case: Case, problem: FitProblem) -> list[ScorePair]:
+    """Pairs of fit and score; with ``swap`` both also change places."""
+    out = []
+    pairs = zip(scored.pairs(case.block), scored.sides, strict=True)
+    for (fitted, test), (fit_where, score_where) in pairs:
+        fit = fit_job(problem, (fitted.curve,), case.label)
+        role = "fit" if fit_where == score_where else "score"
+        out.append(_pair(test, score_where, fit, fit_where, role))
+    return out
+
+
+def _pair(
+    test: MeasuredTest,
+    score_where: Selection | None,
+    fit: FitJob | None,
+    fit_where: Selection | None = None,
+    role: str = "score",
+) -> ScorePair:
+    scatter = None if test.scatter_N is None else tuple(float(v) for v in test.scatter_N)
+    return ScorePair(_label(score_where), test.curve, fit, role, _label(fit_where), scatter)
+
+
+def _label(where: Selection | None) -> str:
+    if not where:
+        return "all"
+    groups = [[v] if isinstance(v, (str, float, int)) else v for v in where.values()]
+    return " ".join("+".join(map(str, group)) for group in groups)
+
+
+def fit_job(problem: FitProblem, measured: tuple[Curve, ...], label: str) -> FitJob:
+    """Make a fit and those that give its start values."""
+    before = start_problem(problem)
+    start = None if before is None else fit_job(before, measured, label)
+    return FitJob.of(problem, measured, start, label)
+
+
+def _block_in(found: Measurements, block: str | None) -> str | None:
+    return block if found.block is not None else None
+
+
+def _anchored(found: Iterable[CaseJob]) -> tuple[CaseJob, ...]:
+    """Give the cases of each cell their anchor: the fit of the first case's first direction.
+
+    The anchor decides the last digits of a prediction and is therefore part of its identity.
+    """
+    jobs = tuple(found)
+    groups = [_group(job) if _may_share_a_start(job) else "" for job in jobs]
+    solutions: Counter[str] = Counter()
+    first: dict[str, CaseJob] = {}
+    for job, group in zip(jobs, groups, strict=True):
+        solutions[group] += job.predictions
+        first.setdefault(group, job)
+    return tuple(
+        _with_anchor(job, group, first[group]) if group and solutions[group] > 1 else job
+        for job, group in zip(jobs, groups, strict=True)
+    )
+
+
+def _with_anchor(job: CaseJob, group: str, leader: CaseJob) -> CaseJob:
+    anchor = leader.directions[0].fit
+    name = digest([job.input_hash, None if anchor is None else anchor.key])
+    return replace(job, group=group, anchor=anchor, input_hash=name)
+
+
+def _group(job: CaseJob) -> str:
+    return digest([plain(job.case.config), job.depth_mm], 32)
+
+
+def _may_share_a_start(job: CaseJob) -> bool:
+    """Whether predictions, all of one depth, may start from another specimen's load steps."""
+    one_depth = len({pair.depth_mm for pair in job.directions}) == 1
+    return one_depth and job.forward == "simulation" and not job.case.setup.has_close_equilibria

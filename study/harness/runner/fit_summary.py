@@ -1,0 +1,334 @@
+"""What became of a fit: constants with all that is known of them, or why there are none."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Literal, cast
+
+import numpy as np
+
+from study.ground.arrays import Array
+from study.ground.curve import Curve
+from study.ground.errors import Fault, InputError
+from study.harness.external.command import External, Solved, steps_of
+from study.harness.external.exchange import NoAnswer
+from study.harness.record.document import FitDocument, MarkerDocument, MeshDocument, SolverDocument
+from study.mechanics.calibration.fit import Fit
+from study.mechanics.calibration.levenberg_marquardt import Status
+from study.mechanics.calibration.residual_function import EvaluationFailed
+from study.mechanics.material.stability import stability
+from study.mechanics.setup.material_section import MaterialSection
+from study.mechanics.setup.setup import Setup, Tables, problem_of
+
+if TYPE_CHECKING:
+    from study.mechanics.solver.solution import Solution
+
+
+# -------------------------------------------------------------------------------------------------
+# A predicted curve, and how it was found.
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """A predicted curve."""
+
+    curve: Curve
+    #: How it was found; a closed form has no mesh.
+    mesh: MeshDocument = field(default_factory=MeshDocument)
+    solver: SolverDocument = field(default_factory=SolverDocument)
+    #: What it cost beside the fit that gave the constants.
+    seconds: float = 0.0
+    #: What markers inside the specimen say of it.
+    markers: MarkerDocument | None = None
+
+    @classmethod
+    def of(cls, solution: Solution, seconds: float = 0.0) -> Predicted:
+        """Prediction of a solution, without the gradients that nobody reads from the store."""
+        curve = solution.curve.without_gradients()
+        return cls(curve, mesh_document(solution), solver_document(solution), seconds)
+
+    def to_json(self) -> dict[str, object]:
+        """Plain data, for the store and for workers."""
+        return {"curve": self.curve.as_dict(), "mesh": self.mesh, "solver": self.solver}
+
+    @classmethod
+    def from_json(cls, document: Mapping[str, object]) -> Predicted:
+        """Inverse of :meth:`to_json`."""
+        return cls(
+            Curve.from_dict(cast("Mapping[str, object]", document["curve"])),
+            cast(MeshDocument, document.get("mesh", {})),
+            cast(SolverDocument, document["solver"]),
+        )
+
+
+def mesh_document(solution: Solution) -> MeshDocument:
+    """Describe the mesh of a solution for the record."""
+    return {
+        "dofs": int(solution.dofs),
+        "elements": int(solution.elements),
+        "hash": str(solution.mesh_hash),
+        "mesh_size_mm": float(solution.mesh_size_mm),
+    }
+
+
+def solver_document(solution: Solution) -> SolverDocument:
+    """Describe how a solution was found, and its energy balance, for the record.
+
+    Units: solution mm.
+    """
+    return {
+        "name": str(solution.solver),
+        "min_j": float(solution.min_j),
+        "energy_mismatch": float(solution.energy.largest_mismatch),
+        "stabilization_share": float(solution.energy.stabilization_share),
+        "snaps_mm": [float(place) for place in solution.energy.jumps_mm],
+    }
+
+
+FitStatus = Literal["converged", "at-edge", "at-kink", "not-converged"]
+
+#: ends of a fit that has constants
+WITH_CONSTANTS: Collection[str] = ("converged", "at-edge", "at-kink")
+
+
+def status_of(found: Fit) -> FitStatus:
+    """How a fit ended, in the words of every verb.
+
+    ``at-edge`` and ``at-kink`` are ends with constants that describe the data as well as the
+    model can, and without standard errors.
+    """
+    if found.status is Status.at_edge:
+        return "at-edge"
+    if found.status is Status.at_kink:
+        return "at-kink"
+    return "converged" if found.converged else "not-converged"
+
+
+@dataclass(frozen=True)
+class FitResult:
+    """Outcome of a fit, as the store keeps it and cases read it."""
+
+    #: ``"converged"``, ``"at-edge"``, ``"at-kink"``, or the reason why there are no constants.
+    status: str
+    #: What is known of it; of a fit without constants its message alone.
+    fit: FitDocument
+    #: Last solution of an inverse fit of one test: the curve of the final constants.
+    prediction: Predicted | None = None
+    #: What the fit took that gave the start.
+    start_seconds: float = 0.0
+
+    @classmethod
+    def without_answer(cls, status: str, message: str) -> FitResult:
+        """Outcome of a fit that could not be begun."""
+        return cls(status, {"message": message})
+
+    @property
+    def converged(self) -> bool:
+        """Whether it found constants, if without standard errors."""
+        return self.status in WITH_CONSTANTS
+
+    @property
+    def usable(self) -> bool:
+        """Whether its constants are stable over the range of the test."""
+        return self.converged and self.fit.get("usable", True)
+
+    @property
+    def message(self) -> str:
+        """How it ended."""
+        return self.fit.get("message", "")
+
+    @property
+    def constants(self) -> dict[str, float]:
+        """Constants in MPa, exponents plain; none where it did not converge."""
+        return self.fit.get("values", {})
+
+    @property
+    def seconds(self) -> float:
+        """What it took, the fit before it left out."""
+        return self.fit.get("seconds", 0.0)
+
+    def to_json(self) -> dict[str, object]:
+        """Plain data with all keys side by side."""
+        predicted = {} if self.prediction is None else self.prediction.to_json()
+        plain = {"status": self.status, "start_seconds": self.start_seconds}
+        return {**plain, **self.fit, **predicted}
+
+    @classmethod
+    def from_json(cls, document: Mapping[str, object]) -> FitResult:
+        """Inverse of :meth:`to_json`; a task that had no answer has a status and a message."""
+        known = {k: v for k, v in document.items() if k in FitDocument.__annotations__}
+        return cls(
+            str(document["status"]),
+            cast(FitDocument, known),
+            Predicted.from_json(document) if "curve" in document else None,
+            cast(float, document.get("start_seconds", 0.0)),
+        )
+
+
+def described(found: Fit, tables: Tables, measured: Sequence[Curve]) -> FitDocument:
+    """Describe a fit.
+
+    Units: found MPa; returns MPa.
+    """
+    names = found.names
+    document: FitDocument = {
+        "message": found.message,
+        "names": list(names),  # JSON sorts keys; the matrices need their order
+        "values": found.constants(),
+        "standard_error": {n: _finite(v) for n, v in zip(names, found.standard_error, strict=True)},
+        "ci95": {n: _row(pair) for n, pair in zip(names, found.ci95, strict=True)},
+        "correlation": [_row(row) for row in found.correlation],
+        "condition": _finite(found.condition),
+        "rss": _finite(found.rss),
+        "r_squared": _finite(found.r_squared),
+        "aicc": _finite(found.aicc),
+        "n": int(found.n),
+        "identifiable": bool(found.identifiable) and found.converged,
+        "reason": str(found.reason),
+        "evaluations": int(found.evaluations),
+    }
+    if found.status.usable:
+        document.update(_stability(tables, found.constants(), measured))
+    return document
+
+
+def _stability(
+    tables: Tables, constants: Mapping[str, float], measured: Sequence[Curve]
+) -> FitDocument:
+    """Mu0 and whether the material is stable over the range that was measured."""
+    material = MaterialSection.of(tables).material(constants)
+    if material.mu0 <= 0:
+        raise InputError(Fault("fit", f"ended at a shear modulus of {material.mu0:g} MPa"))
+    setup = Setup.of(tables)
+    height, is_pressed = setup.height_mm, setup.kind.compresses
+    depth = max(float(curve.displacement_mm.max()) for curve in measured)
+    if height is None or not is_pressed or depth >= height:
+        judged = stability(material)
+    else:
+        judged = stability(material, stretches=np.linspace(1 - depth / height, 1.0, 41))
+    # only uniaxial failure inside the range makes the answer itself meaningless; the other
+    # modes are a warning about using the constants elsewhere
+    return {
+        "mu0": float(material.mu0),
+        "stable": bool(judged.stable),
+        "stability": str(judged.sentence),
+        "usable": "uniaxial" not in judged.limits,
+    }
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _row(values: Array) -> list[float | None]:
+    return [_finite(value) for value in values]
+
+
+# -------------------------------------------------------------------------------------------------
+# Constants found through a program or a function, with gradients it has or differences.
+
+#: evaluations of a fit beside those of its gradients: measured on neo-Hookean to third order
+#: (4 to 12); the plan says the cost of this many
+USUAL_EVALUATIONS = 8
+
+
+class InverseExternal:
+    """Curves of an external forward model for the optimizer.
+
+    The program is asked for the forces at the measured displacements themselves.
+    """
+
+    def __init__(self, tables: Tables, measured: Sequence[Curve], names: Sequence[str]) -> None:
+        external = External.of(tables)
+        if external is None:
+            raise ValueError("these tables name no external forward model")
+        self._external, self._tables, self._names = external, tables, names
+        self._grids = [curve.displacement_mm for curve in measured]
+        self._points = np.unique(np.concatenate(self._grids))
+        self._last: tuple[bytes, Solved] | None = None
+        #: solutions so far
+        self.solves = 0
+
+    def __call__(self, values: Array) -> list[Curve]:
+        """Predict the forces at the measured displacements for constants in MPa."""
+        solved = self._solved(values)
+        self._last = (values.tobytes(), solved)
+        curve = solved.answer.curve
+        gradient = {
+            name: curve.force_gradient[name]
+            if name in solved.answer.gradients
+            else self._difference(values, i, curve.force_N)
+            for i, name in enumerate(self._names)
+        }
+        return [self._at(curve, gradient, grid) for grid in self._grids]
+
+    def _solved(self, values: Array) -> Solved:
+        constants = dict(zip(self._names, values.tolist(), strict=True))
+        self.solves += 1
+        try:
+            problem = problem_of(self._tables, constants, float(self._points[-1]))
+            return self._external.solve(problem, self._points)
+        except (InputError, NoAnswer) as error:
+            raise EvaluationFailed(str(error)) from error
+
+    def _difference(self, values: Array, i: int, force: Array) -> Array:
+        """Forward difference; a step back where the program has no answer ahead."""
+        step = float(steps_of(values)[i])
+        for signed in (step, -step):
+            moved = values.copy()
+            moved[i] += signed
+            try:
+                ahead = self._solved(moved).answer.curve.force_N
+            except EvaluationFailed:
+                continue
+            return np.asarray((ahead - force) / (moved[i] - values[i]))
+        raise EvaluationFailed(f"the program has no answer beside these constants ({i + 1})")
+
+    def _at(self, curve: Curve, gradient: Mapping[str, Array], grid: Array) -> Curve:
+        here = np.searchsorted(self._points, grid)
+        return Curve(grid, curve.force_N[here],
+                     force_gradient={k: v[here] for k, v in gradient.items()})  # fmt: skip
+
+    def predicted(self, values: Array) -> Predicted:
+        """Curve at the final constants; solved again where the last one was another."""
+        key = np.asarray(values).tobytes()
+        solved = self._last[1] if self._last and self._last[0] == key else self._solved(values)
+        return predicted_of(solved, self._external)
+
+
+def predicted_of(solved: Solved, external: External) -> Predicted:
+    """Prediction of an external forward model, for the record."""
+    answer = solved.answer
+    solver: SolverDocument = {"name": _name(solved, external)}
+    if solved.program is not None:
+        solver["program"] = solved.program
+    mesh: MeshDocument = {}
+    if answer.dofs or answer.elements:
+        mesh = {"dofs": answer.dofs, "elements": answer.elements}
+    return Predicted(answer.curve.without_gradients(), mesh, solver, solved.seconds)
+
+
+def _name(solved: Solved, external: External) -> str:
+    if external.function is not None:
+        return f"Python function, version {external.function.version}"
+    said = "" if solved.program is None else solved.program["version"]
+    return said or external.section.argv[0][0]
+
+
+def external_curve(
+    tables: Tables, constants: Mapping[str, float] | None, displacement_mm: Array
+) -> Predicted:
+    """Curve of a case by its external forward model.
+
+    Shapes: constants MPa; displacement_mm (n,).
+    """
+    external = External.of(tables)
+    if external is None:
+        raise ValueError("these tables name no external forward model")
+    problem = problem_of(tables, constants, float(displacement_mm[-1]))
+    found = predicted_of(external.solve(problem, displacement_mm), external)
+    mesh = found.mesh
+    if mesh and problem.model.mesh_size_mm is not None:
+        mesh = {**mesh, "mesh_size_mm": problem.model.mesh_size_mm}
+    return replace(found, curve=found.curve.with_tangents(), mesh=mesh)

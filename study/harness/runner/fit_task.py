@@ -1,0 +1,418 @@
+"""Calibration of one material on one block, as a worker does it.
+
+A fit goes to a worker complete in itself: its problem (:mod:`study.harness.runner.fit_problem`),
+its measured curves, and the fit that gives its start values.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from study.ground.arrays import Array
+from study.ground.canonical import digest
+from study.ground.curve import Curve
+from study.ground.errors import InputError
+from study.harness.execution.task import Received
+from study.harness.record.document import FitDocument
+from study.harness.runner.fit_problem import FitProblem
+from study.harness.runner.fit_summary import (
+    FitResult,
+    InverseExternal,
+    Predicted,
+    described,
+    status_of,
+)
+from study.harness.runner.staged_fit import Checkpoint, Part, Predict, single_stage, staged_fit
+from study.mechanics.calibration.fit import Fit
+from study.mechanics.calibration.fit_influence import with_serial_correlation
+from study.mechanics.calibration.residual_function import EvaluationFailed, MeasuredCurve
+from study.mechanics.forward import closed_form, finite_element
+from study.mechanics.material.material import ENERGIES
+from study.mechanics.setup.material_section import MaterialSection
+from study.mechanics.setup.setup import Problem, Setup, Tables, problem_of
+
+if TYPE_CHECKING:
+    from study.mechanics.solver.solution import Solution
+
+
+#: smallest load step over the largest: constants that need less are next to having no answer,
+#: and an optimizer that asks there should hear so soon
+_CUTBACKS = 0.12
+
+
+@dataclass(frozen=True)
+class FitTask:
+    """A fit as it goes to a worker, complete in itself."""
+
+    problem: FitProblem
+    #: The averaged curves that it is fitted to.
+    measured: tuple[Curve, ...]
+    #: Outcome of the fit of :func:`start_problem`, or of the fit whose residuals are resampled.
+    start: FitResult | None = None
+    #: Seed and number of a fit to resampled residuals.
+    noise: tuple[int, int] | None = None
+
+    @property
+    def kind(self) -> str:
+        """Name of what a worker does with it."""
+        return "fit" if self.noise is None else "noise"
+
+    def to_json(self) -> dict[str, object]:
+        """Plain data for a worker."""
+        return {
+            "kind": self.kind,
+            "method": self.problem.method,
+            "tables": dict(self.problem.tables),
+            "measured": [curve.as_dict(recorded=True) for curve in self.measured],
+            "start": None if self.start is None else self.start.to_json(),
+            "noise": self.noise,
+        }
+
+    @classmethod
+    def from_json(cls, task: Received) -> FitTask:
+        """Inverse of :meth:`to_json`."""
+        return cls(
+            FitProblem(task["method"], task["tables"], False),
+            tuple(Curve.from_dict(curve) for curve in task["measured"]),
+            None if task["start"] is None else FitResult.from_json(task["start"]),
+            None if task["noise"] is None else (task["noise"][0], task["noise"][1]),
+        )
+
+
+def perform_fit(document: Received) -> dict[str, object]:
+    """Fit the constants of one material to measured curves: a task for a worker."""
+    return fitted(FitTask.from_json(document)).to_json()
+
+
+def fitted(task: FitTask) -> FitResult:
+    """Fit the constants of one material to measured curves."""
+    began = time.perf_counter()
+    start = task.start
+    if start is not None and not start.converged:  # it cannot be fitted alone
+        why = f"the fit that starts it did not converge: {start.message}"
+        return FitResult.without_answer(start.status, why)
+    parts = parts_of(task)
+    names, first = start_values(
+        parts[0].tables, task.measured, None if start is None else start.constants
+    )
+    done = staged_fit(parts, names, first, fitted_model)
+    fitted_curves = [one for part in parts for one in part.measured]
+    found = described(
+        with_serial_correlation(done.fit, fitted_curves),
+        parts[0].tables,
+        task.measured[:1] if len(parts) > 1 else task.measured,
+    )
+    asked = task.problem.method
+    found.update({"message": done.message, "evaluations": done.evaluations, "method": asked})
+    predict, predicted = done.models[0], None
+    if isinstance(predict, InverseFem) and task.problem.method == "inverse-fem":
+        predicted = predict.predicted(done.fit.values)
+        found.update({"newton_iterations": predict.newton_iterations, "solves": predict.solves})
+    if isinstance(predict, InverseExternal):
+        predicted = predict.predicted(done.fit.values) if done.fit.status.usable else None
+        found["solves"] = predict.solves
+    found["seconds"] = time.perf_counter() - began
+    return FitResult(status_of(done.fit), found, predicted, 0.0 if start is None else start.seconds)
+
+
+def parts_of(task: FitTask) -> list[Part]:
+    """Parts of a fit, each with the measured curves that belong to it."""
+    tests = task.problem.tests
+    data = [
+        MeasuredCurve(f"measured {k}", curve, recordings=curve.recorded)
+        for k, curve in enumerate(task.measured)
+    ]
+    if len(tests) == 1:
+        return [Part(*tests[0], tuple(data))]
+    return [Part(*test, (one,)) for test, one in zip(tests, data, strict=True)]
+
+
+def start_values(
+    tables: Tables, measured: Sequence[Curve], neo_hookean: Mapping[str, float] | None
+) -> tuple[tuple[str, ...], Array]:
+    """Names of the constants and where the fit starts.
+
+    Higher constants start at zero: those of the closed form soften so much that a bonded
+    specimen cannot be solved with them.
+
+    Shapes: neo_hookean MPa; returns (p,), MPa, s.
+    """
+    known = MaterialSection.of(tables)
+    names, fading = known.calibrated_names, known.starts_of_relaxation()
+    if known.constants:
+        return names, np.array([float({**known.constants, **fading}[n]) for n in names])
+    if neo_hookean is None:
+        first = measured[0]
+        neo_hookean = closed_form.neo_hookean_start(tables, first.displacement_mm, first.force_N)
+    energy, shear_modulus = ENERGIES[known.model], 2 * float(neo_hookean["C10"])
+    own = [name for name in names if name not in fading]
+    values = {**neo_hookean, **energy.starting_values(own, shear_modulus), **fading}
+    return names, np.array([values.get(n, 0.0) for n in names])
+
+
+def fitted_model(
+    method: str, tables: Tables, measured: Sequence[Curve], names: Sequence[str]
+) -> Predict:
+    """Model of one test, for the optimizer.
+
+    Units: measured mm, s; returns MPa.
+    """
+    if method == "external":
+        return InverseExternal(tables, measured, names)
+    make = closed_form_model if method == "closed-form" else InverseFem
+    return make(tables, measured, names)
+
+
+def closed_form_model(tables: Tables, measured: Sequence[Curve], names: Sequence[str]) -> Predict:
+    """Model of a homogeneous test, for the optimizer."""
+    setup, section = Setup.of(tables), MaterialSection.of(tables)
+
+    def predict(values: Array) -> list[Curve]:
+        constants = dict(zip(names, values.tolist(), strict=True))
+        try:
+            material = section.material(constants)
+        except InputError as error:
+            raise EvaluationFailed(str(error)) from error
+        curves = [closed_form.at_rows(setup, material, curve) for curve in measured]
+        if not all(np.all(np.isfinite(curve.force_N)) for curve in curves):
+            raise EvaluationFailed("the material has no equilibrium state at these constants")
+        return curves
+
+    return predict
+
+
+class InverseFem:
+    """Forward solutions with gradients; each starts from the one before it in the same fit.
+
+    Between the solved steps the first curve is interpolated with its tangent (Hermite), and
+    what later curves add to it by a spline that is linear in the solved forces. The gradient
+    of the forces at the measured points is then the exact gradient of what is compared;
+    otherwise the optimizer would chase the difference of two interpolations.
+    """
+
+    def __init__(self, tables: Tables, measured: Sequence[Curve], names: Sequence[str]) -> None:
+        self._tables, self._names = tables, names
+        self._grids = [curve.displacement_mm for curve in measured]
+        self._depth = max(float(grid.max()) for grid in self._grids)
+        self._base: Curve | None = None
+        self._last: Solution | None = None
+        #: simulations so far, and iterations of Newton's method in them
+        self.solves = 0
+        self.newton_iterations = 0
+        #: solved curve at every set of constants
+        self.curves: dict[bytes, Curve] = {}
+
+    def __call__(self, values: Array) -> list[Curve]:
+        """Predict the forces at the measured displacements for constants in MPa."""
+        curve = self._solved(values)
+        self.curves[values.tobytes()] = curve.without_gradients()
+        if self._base is None:
+            self._base = curve
+        return [self._at(curve, grid) for grid in self._grids]
+
+    def _solved(self, values: Array) -> Curve:
+        constants = dict(zip(self._names, values.tolist(), strict=True))
+        try:
+            problem = problem_of(self._tables, constants, self._depth)
+            solution = self._simulated(problem, self._last)
+            if solution.status == "not-converged" and self._last is not None:
+                # the way from the solution before was too long: that says nothing of the constants
+                solution = self._simulated(problem, None)
+        except InputError as error:
+            raise EvaluationFailed(str(error)) from error
+        if solution.status != "converged":
+            raise EvaluationFailed(f"{solution.status}: {solution.message}")
+        self._last = solution
+        return solution.curve
+
+    def _simulated(self, problem: Problem, warm: Solution | None) -> Solution:
+        solution = finite_element.solve(problem, gradients=True, warm=warm, cutbacks=_CUTBACKS)
+        self.solves += 1
+        self.newton_iterations += int(sum(solution.newton_iterations))
+        return solution
+
+    def _at(self, curve: Curve, grid: Array) -> Curve:
+        """Interpolate force and gradient at measured points, each consistent with the other."""
+        base = curve if self._base is None else self._base
+        here = curve.displacement_mm
+        added = _spline(here, curve.force_N - base.force_at(here), grid)
+        gradient = {
+            n: _spline(curve.displacement_mm, curve.force_gradient[n], grid) for n in self._names
+        }
+        return Curve(grid, base.force_at(grid) + added, force_gradient=gradient)
+
+    def predicted(self, values: Array) -> Predicted | None:
+        """Curve at the final constants, with mesh and solver of the last solution."""
+        if self._last is None:
+            return None
+        return replace(Predicted.of(self._last), curve=self.curves[np.asarray(values).tobytes()])
+
+
+def _spline(knots: Array, values: Array, at: Array) -> Array:
+    """Cubic spline from the unloaded origin through the solved steps; linear in ``values``."""
+    from scipy.interpolate import CubicSpline
+
+    x, y = (knots, values) if knots[0] <= 0 else (np.r_[0.0, knots], np.r_[0.0, values])
+    if x.size < 3:
+        return np.asarray(np.interp(at, x, y))
+    return np.asarray(CubicSpline(x, y)(at))
+
+
+# -------------------------------------------------------------------------------------------------
+# What the noise of a measured curve does to its constants: fits to resampled residuals.
+#
+# The residuals of a fit are laid around its curve again, in blocks where neighbors are
+# correlated, and the constants are fitted to that curve, starting from the fit (Efron and
+# Tibshirani 1993, chapter 9; blocks on a circle: Politis and Romano 1992). Draws depend on the
+# study's seed and the measured curve alone: cells that are fitted to one curve, with blocks of
+# one length, see its noise at the same places, so that effects are compared under one noise.
+
+#: points below which residuals say nothing of their correlation
+_FEWEST = 8
+
+#: correlation of neighbors beyond this many standard errors is believed
+_BELIEVED = 2.0
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """What a fit left of a measured curve, ready to be drawn from."""
+
+    #: shape (n,); force of the fit, and its residuals, centered and scaled for the constants
+    #: fitted.
+    predicted_N: Array  # noqa: N815
+    noise_N: Array  # noqa: N815
+    lag1: float
+    block: int
+
+
+def residuals_of(measured: Curve, predicted_N: Array, share: float) -> Residuals:  # noqa: N803
+    """Residuals of a fit with their block length.
+
+    Shapes: predicted_N (n,).
+    """
+    left = measured.force_N - predicted_N
+    left = left - left.mean()
+    power = float(left @ left)
+    lag1 = float(left[1:] @ left[:-1]) / power if power > 0 else 0.0
+    return Residuals(predicted_N, math.sqrt(share) * left, lag1, block_length(lag1, left.size))
+
+
+def block_length(lag1: float, n: int) -> int:
+    """Length of the blocks that serves the variance of a mean best; 1 without correlation.
+
+    Politis and White (2004, Econometric Reviews 23, 53), eq. 6 for circular blocks, with the
+    autocovariances of a first-order autoregression, and their upper bound.
+
+    Examples
+    --------
+    >>> block_length(0.0, 200), block_length(0.5, 200), block_length(0.9, 200)
+    (1, 8, 30)
+    """
+    if n < _FEWEST or lag1 <= _BELIEVED / math.sqrt(n):
+        return 1
+    rho = min(lag1, 0.999)
+    best = math.cbrt(6 * rho**2 / (1 - rho**2) ** 2 * n)
+    return max(1, min(round(best), math.ceil(min(3 * math.sqrt(n), n / 3))))
+
+
+def resampled(residuals: Residuals, random: np.random.Generator) -> Array:
+    """Force of the fit with its residuals drawn anew, N, shape (n,)."""
+    n, block = residuals.noise_N.size, residuals.block
+    starts = random.integers(0, n, math.ceil(n / block))
+    drawn = ((starts[:, None] + np.arange(block)) % n).ravel()[:n]
+    return np.asarray(residuals.predicted_N + residuals.noise_N[drawn])
+
+
+def perform_bootstrap(document: Received) -> dict[str, object]:
+    """Fit the constants again to resampled curves: a task for a worker."""
+    return refitted(FitTask.from_json(document)).to_json()
+
+
+def refitted(task: FitTask) -> FitResult:
+    """Fit the constants again to resampled curves."""
+    began = time.perf_counter()
+    if task.start is None or task.noise is None:
+        raise ValueError("a refit needs a fit, a seed and a number")
+    base, (seed, number) = task.start, task.noise
+    if not base.converged:
+        why = f"the fit to the measured curve did not converge: {base.message}"
+        return FitResult.without_answer(base.status, why)
+    names = tuple(base.fit["names"])
+    start = np.array([base.constants[name] for name in names])
+    parts = parts_of(task)
+    models = [_Remembering(fitted_model(p.method, p.tables, _curves(p), names)) for p in parts]
+    predicted = [curve for model in models for curve in model(start)]
+    points = sum(len(curve) for curve in task.measured)
+    share = points / max(1, points - len(names))
+    found = [
+        residuals_of(curve, own.force_at(curve.displacement_mm), share)
+        for curve, own in zip(task.measured, predicted, strict=True)
+    ]
+    drawn = [
+        Curve(curve.displacement_mm, resampled(own, _random(seed, curve, number)))
+        for curve, own in zip(task.measured, found, strict=True)
+    ]
+    again, made = _with_forces(parts, drawn), iter(models)
+    done = single_stage(
+        "resampled", again, names, start, lambda *_: next(made), None, None, Checkpoint()
+    )
+    document = _described(done.fit, parts[0].tables, found)
+    document.update({"method": task.problem.method, "seconds": time.perf_counter() - began})
+    return FitResult(status_of(done.fit), document)
+
+
+def _described(fit: Fit, tables: Tables, found: Sequence[Residuals]) -> FitDocument:
+    """Describe a refit; unstable constants stay, for they are part of the scatter."""
+    constants = fit.constants()
+    return {
+        "message": fit.message,
+        "names": list(fit.names),
+        "values": constants,
+        "mu0": float(MaterialSection.of(tables).material(constants).mu0),
+        "identifiable": fit.converged,
+        "reason": "" if fit.converged else fit.status.sentence,
+        "evaluations": int(fit.evaluations),
+        "resampling": [{"block": own.block, "lag1": own.lag1} for own in found],
+    }
+
+
+def _random(seed: int, measured: Curve, number: int) -> np.random.Generator:
+    """Numbers of one resample of one measured curve, the same for every cell fitted to it."""
+    name = digest([measured.displacement_mm.tolist(), measured.force_N.tolist()], 16)
+    return np.random.default_rng([seed, int(name, 16), number])
+
+
+def _curves(part: Part) -> list[Curve]:
+    return [one.curve for one in part.measured]
+
+
+def _with_forces(parts: Sequence[Part], drawn: Sequence[Curve]) -> list[Part]:
+    """Put resampled curves, in order, in place of the measured ones."""
+    left = iter(drawn)
+    return [
+        replace(part, measured=tuple(replace(one, curve=next(left)) for one in part.measured))
+        for part in parts
+    ]
+
+
+class _Remembering:
+    """A model that does not solve again for the constants it was last asked for."""
+
+    def __init__(self, model: Predict) -> None:
+        self._model = model
+        self._values = b""
+        self._curves: list[Curve] = []
+
+    def __call__(self, values: Array) -> list[Curve]:
+        """Predict the curves at constants in MPa."""
+        if values.tobytes() != self._values:
+            self._curves = self._model(values)
+            self._values = values.tobytes()
+        return self._curves

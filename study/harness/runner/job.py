@@ -1,0 +1,452 @@
+"""The jobs of a study: its measurements, cases and fits, as values that know what they need."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Literal
+
+from study.ground.canonical import digest
+from study.ground.curve import Curve
+from study.harness.design.cell import case_id
+from study.harness.design.spec import Case, Design
+from study.harness.execution.task import Received
+from study.harness.record.record import Record, is_repeat
+from study.harness.runner import provenance
+from study.harness.runner.fit_problem import NOTHING, Allowed, FitProblem, fit_key
+from study.harness.runner.fit_summary import FitResult
+from study.harness.runner.problem_tables import CalibrationTable, gauge_of, measurements_of
+from study.harness.runner.provenance import versions
+from study.harness.runner.response import Scored
+from study.mechanics.forward.finite_element import Anchor
+from study.mechanics.measurement import conditioning
+from study.mechanics.measurement.conditioning import is_caution
+from study.mechanics.measurement.measured_test import Measurements
+from study.mechanics.measurement.measurement_section import MeasurementSpec
+from study.mechanics.measurement.reading import read_measurements
+from study.mechanics.measurement.recording import Recordings, read_recordings
+from study.mechanics.setup.material_section import MaterialSection
+from study.mechanics.setup.setup import Setup, Tables
+
+# -------------------------------------------------------------------------------------------------
+# A case as it goes to a worker: what is known of its record, its problem, its fits.
+
+#: role of a direction that gives the constants of a specimen where its score is held out
+CONSTANTS = "constants"
+
+#: Where the predicted curve of a case comes from: the last solution of its fit, a closed form,
+#: a solution of its own, or one by another program.
+Forward = Literal["fit", "closed-form", "simulation", "external"]
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Why a case is computed besides the cells of the design; its record says so."""
+
+    #: Number among the cases that repeat a cell on other meshes, or with resampled residuals.
+    mesh_seed: int | None = None
+    noise_seed: int | None = None
+    #: What it serves beside the study's own answer.
+    purpose: Literal["refinement", "input"] | None = None
+    #: Id of the case that it is compared with.
+    of: str | None = None
+    #: How often the mesh was refined.
+    level: int | None = None
+    #: Key of the input that was moved.
+    input: str | None = None
+
+    @property
+    def predicts(self) -> bool:
+        """Whether its curve is wanted: a fit to resampled residuals has constants alone."""
+        return not self.noise_seed
+
+    def to_json(self) -> dict[str, object]:
+        """Plain data without what does not apply."""
+        return {name: value for name, value in asdict(self).items() if value is not None}
+
+
+@dataclass(frozen=True)
+class CaseFrame:
+    """Everything of a record that is known before the case is computed."""
+
+    case_id: str
+    study: str
+    levels: Mapping[str, str]
+    block: str | None
+    #: Unit of every response that the record holds.
+    units: Mapping[str, str]
+    input_hash: str
+    #: Why it is computed besides the cells of the design.
+    origin: Origin
+
+    def to_json(self) -> dict[str, object]:
+        """Plain data for a worker."""
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, document: Received) -> CaseFrame:
+        """Inverse of :meth:`to_json`."""
+        return cls(**{**document, "origin": Origin(**document["origin"])})
+
+    def record(
+        self,
+        status: str,
+        message: str,
+        *,
+        seconds: float | None = None,
+        traceback: str = "",
+    ) -> Record:
+        """Record of a case without an answer: every response is missing."""
+        return Record(
+            case_id=self.case_id,
+            study=self.study,
+            levels=self.levels,
+            block=self.block,
+            status=status,
+            message=message,
+            responses={name: {"value": None, "unit": unit} for name, unit in self.units.items()},
+            timings={} if seconds is None else {"total": seconds},
+            versions=versions(),
+            input_hash=self.input_hash,
+            extra=self.origin.to_json() | ({"traceback": traceback} if traceback else {}),
+        )
+
+
+@dataclass(frozen=True)
+class ScoreTask:
+    """One direction of a case: the scored curve, and the fit that gives the constants."""
+
+    label: str
+    measured: Curve | None
+    role: str
+    fit_label: str
+    scatter_N: tuple[float, ...] | None  # noqa: N815
+    #: How far the curve is predicted.
+    depth_mm: float
+    fit_key: str | None
+    #: What it found; None where the constants are given.
+    fit: FitResult | None
+
+    def to_json(self) -> dict[str, object]:
+        """Plain data for a worker."""
+        return {
+            **vars(self),
+            "measured": None if self.measured is None else self.measured.as_dict(),
+            "fit": None if self.fit is None else self.fit.to_json(),
+        }
+
+    @classmethod
+    def from_json(cls, document: Received) -> ScoreTask:
+        """Inverse of :meth:`to_json`."""
+        fit, measured = document["fit"], document["measured"]
+        scatter = document["scatter_N"]
+        return cls(**{
+            **document,
+            "measured": None if measured is None else Curve.from_dict(measured),
+            "scatter_N": None if scatter is None else tuple(scatter),
+            "fit": None if fit is None else FitResult.from_json(fit),
+        })  # fmt: skip
+
+    def scored(self, tables: Tables, predicted: Curve | None = None) -> Scored:
+        """Collect what responses are computed from; given constants stand in the tables."""
+        if self.fit is not None:
+            return Scored(self.measured, predicted, self.fit.constants, self.fit.fit.get("mu0"))
+        material = MaterialSection.of(tables).material()
+        return Scored(self.measured, predicted, material.constants, material.mu0)
+
+
+@dataclass(frozen=True)
+class CaseTask:
+    """A case as it goes to a worker, complete in itself."""
+
+    #: What is known of its record.
+    frame: CaseFrame
+    tables: Tables
+    #: Where the predicted curves come from.
+    forward: Forward
+    directions: tuple[ScoreTask, ...]
+    #: The solution that the cases of a cell start from.
+    anchor: Anchor | None = None
+
+    @property
+    def scored(self) -> tuple[ScoreTask, ...]:
+        """Directions whose curves are predicted and scored."""
+        return tuple(one for one in self.directions if one.role != CONSTANTS)
+
+    @property
+    def identified(self) -> tuple[ScoreTask, ...]:
+        """Directions that give the constants: the specimen's own where its score is held out."""
+        return tuple(one for one in self.directions if one.role == CONSTANTS) or self.directions
+
+    def to_json(self) -> dict[str, object]:
+        """Plain data for a worker."""
+        return {
+            "kind": "case",
+            "frame": self.frame.to_json(),
+            "tables": dict(self.tables),
+            "forward": self.forward,
+            "directions": [one.to_json() for one in self.directions],
+            "anchor": None if self.anchor is None else asdict(self.anchor),
+        }
+
+    @classmethod
+    def from_json(cls, document: Received) -> CaseTask:
+        """Inverse of :meth:`to_json`."""
+        anchor = document["anchor"]
+        return cls(
+            CaseFrame.from_json(document["frame"]),
+            document["tables"],
+            document["forward"],
+            tuple(ScoreTask.from_json(one) for one in document["directions"]),
+            None if anchor is None else Anchor(**anchor),
+        )
+
+
+#: ends in the name of the file that says how virtual measurements were made
+TRUTH_SUFFIX = ".virtual.json"
+
+
+class DataCache:
+    """Measured tests of a study."""
+
+    def __init__(self, root: Path, tests: Sequence[Tables] = ()) -> None:
+        self.root, self.tests = root, tests
+        self._read: dict[str, Measurements] = {}
+        self._recorded: dict[str, Recordings] = {}
+        # what was asked for already, by the specification itself, which is kept so that its
+        # identity stays its own
+        self._asked: dict[tuple[object, ...], tuple[object, Measurements]] = {}
+
+    def scored(self, tables: Tables) -> Measurements | None:
+        """Measurements that a case is scored on."""
+        return self._get(tables)
+
+    def calibrated(self, tables: Tables) -> Measurements | None:
+        """Measurements that only the calibration uses."""
+        own = CalibrationTable.of(tables).problem
+        if not own or own.get("measurements") == tables.get("measurements"):
+            return None
+        return self._get(own)
+
+    def notes(self) -> tuple[str, ...]:
+        """Count what every rule did to the data, each once."""
+        return tuple(dict.fromkeys(n for found in self._read.values() for n in found.notes))
+
+    def files(self) -> dict[str, str]:
+        """Name of each file read and its sha256."""
+        return {name: sha for found in self._read.values() for name, sha in found.files.items()}
+
+    def _get(self, tables: Tables) -> Measurements | None:
+        spec, made = tables.get("measurements"), measurements_of(tables)
+        if made is None:
+            return None
+        setup = Setup.of(tables)
+        asked = (id(spec), setup.height_mm, setup.test.displacement_mm, gauge_of(setup))
+        if asked not in self._asked:
+            self._asked[asked] = (spec, self._conditioned(made, setup))
+        return self._asked[asked][1]
+
+    def _conditioned(self, made: MeasurementSpec, setup: Setup) -> Measurements:
+        height, depth, gauge = setup.height_mm, setup.test.displacement_mm, gauge_of(setup)
+        key = digest([made.as_dict(), height, depth, None if gauge is None else asdict(gauge)])
+        if key not in self._read:
+            rows = self._recordings(made)
+            found = read_measurements(made, self.root, height, depth, gauge, rows)
+            self._read[key] = conditioning.checked(found, setup)
+        return self._read[key]
+
+    def _recordings(self, spec: MeasurementSpec) -> Recordings:
+        """Rows of the files, read once for all ranges that are cut out of them."""
+        rules = ("range", "points", "sign", "zero", "toe")
+        key = digest({k: v for k, v in spec.as_dict().items() if k not in rules})
+        if key not in self._recorded:
+            self._recorded[key] = read_recordings(spec, self.root)
+        return self._recorded[key]
+
+
+@dataclass(frozen=True)
+class FitJob:
+    """One fit: its problem, its data, and the fit that gives its start values.
+
+    ``noise`` is the seed and the number of a fit to the resampled residuals of its start.
+    """
+
+    key: str
+    problem: FitProblem
+    measured: tuple[Curve, ...]
+    start: FitJob | None = None
+    label: str = ""
+    noise: tuple[int, int] | None = None
+
+    @classmethod
+    def of(
+        cls, problem: FitProblem, measured: tuple[Curve, ...], start: FitJob | None, label: str
+    ) -> FitJob:
+        """Make a fit with the name of its content."""
+        return cls(fit_key(problem, measured), problem, measured, start, label)
+
+    def resampled(self, seed: int, number: int) -> FitJob:
+        """Make the fit to resampled residuals of this one."""
+        key = digest([self.key, "noise", seed, number], 32)
+        return replace(self, key=key, start=self, noise=(seed, number))
+
+    @property
+    def chain(self) -> tuple[FitJob, ...]:
+        """The fits before this one, the first one first, and itself."""
+        return (self,) if self.start is None else (*self.start.chain, self)
+
+
+@dataclass(frozen=True)
+class ScorePair:
+    """What is fitted and what is scored; with ``swap`` a case has two, each other's reverse."""
+
+    #: Which of the block's curves is scored, for example ``"B"``.
+    label: str
+    #: The scored curve; None in a study of simulations alone.
+    measured: Curve | None
+    #: The fit that gives the constants; None where they are given.
+    fit: FitJob | None
+    #: ``"score"``, ``"fit"`` where the scored curve is the fitted one, or ``"constants"`` where
+    #: nothing is scored: the fit to the specimen's own curve, whose score is held out.
+    role: str = "score"
+    fit_label: str = ""
+    #: Standard deviation of the averaged repeats at each point.
+    scatter_N: tuple[float, ...] | None = None  # noqa: N815
+    #: Displacement of the test where nothing was measured.
+    pressed_mm: float = 0.0
+
+    @property
+    def fit_key(self) -> str | None:
+        """Name of the fit that gives the constants."""
+        return None if self.fit is None else self.fit.key
+
+    @property
+    def depth_mm(self) -> float:
+        """How far the curve is predicted: to the largest measured displacement."""
+        if self.measured is None:
+            return self.pressed_mm
+        return float(self.measured.displacement_mm.max())
+
+    @property
+    def identity(self) -> list[object]:
+        """Plain values that decide what the prediction is compared with."""
+        against = self.measured
+        if against is None:
+            return [self.label, self.pressed_mm]
+        return [self.label, self.fit_label, self.fit_key, against.name]
+
+
+@dataclass(frozen=True)
+class CaseJob:
+    """One case and the fits that it needs."""
+
+    case: Case
+    directions: tuple[ScorePair, ...]
+    #: Name of everything that decides the record.
+    input_hash: str
+    #: Where the predicted curves come from.
+    forward: Forward = "simulation"
+    #: Why it is computed besides the cells of the design.
+    origin: Origin = field(default_factory=Origin)
+    #: Cell whose cases share a solution to start from; empty where none is shared.
+    group: str = ""
+    #: The fit that gives the constants of that solution (see ``finite_element``).
+    anchor: FitJob | None = None
+
+    @property
+    def predictions(self) -> int:
+        """Number of curves that are predicted and scored."""
+        return sum(pair.role != CONSTANTS for pair in self.directions)
+
+    @property
+    def depth_mm(self) -> float:
+        """Largest measured displacement of its directions."""
+        return max(pair.depth_mm for pair in self.directions)
+
+    @property
+    def fits(self) -> tuple[FitJob, ...]:
+        """The fits that it waits for, each once."""
+        found = (self.anchor, *(pair.fit for pair in self.directions))
+        return tuple({fit.key: fit for fit in found if fit is not None}.values())
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Keys of its fits."""
+        return tuple(fit.key for fit in self.fits)
+
+
+@dataclass(frozen=True)
+class Work:
+    """Everything that a study computes."""
+
+    design: Design
+    #: One for every case, in the order of the design.
+    jobs: tuple[CaseJob, ...]
+    #: Unit of every response that a record holds.
+    responses: Mapping[str, str]
+    blocks: tuple[str, ...]
+    #: The measurements, each specification read once.
+    data: DataCache
+    #: What may be used besides this package.
+    allowed: Allowed = NOTHING
+
+    @cached_property
+    def fits(self) -> dict[str, FitJob]:
+        """Every fit by its key, those that give start values included."""
+        return fits_of(self.jobs)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was done to the measurements."""
+        return self.data.notes()
+
+    @property
+    def cautions(self) -> tuple[str, ...]:
+        """What was done to measurements and surfaces that may not be what they seem."""
+        mended = provenance.surface_notes([job.case.config for job in self.jobs])
+        return (*(note for note in self.notes if is_caution(note)), *mended)
+
+    @property
+    def files(self) -> dict[str, str]:
+        """Name of each measurement file and its sha256."""
+        return self.data.files()
+
+    @property
+    def virtual(self) -> bool:
+        """Whether the measurements were generated."""
+        return any((self.data.root / f"{name}{TRUTH_SUFFIX}").is_file() for name in self.files)
+
+    def plain(self) -> Work:
+        """Leave the replicates out: the first mesh of a cell, the curve as measured."""
+        own = [job for job in self.jobs if not is_repeat(job.origin.to_json())]
+        return replace(self, jobs=tuple(own))
+
+    @property
+    def input_hashes(self) -> dict[str, str]:
+        """Case id -> hash of everything that decides its record."""
+        return {job.case.case_id: job.input_hash for job in self.jobs}
+
+
+def fits_of(jobs: Iterable[CaseJob]) -> dict[str, FitJob]:
+    """Every fit that some cases need, by its key, with those that give start values first."""
+    found: dict[str, FitJob] = {}
+    for job in jobs:
+        for fit in job.fits:
+            for one in fit.chain:
+                found.setdefault(one.key, one)
+    starts = {fit.start.key for fit in found.values() if fit.start is not None}
+    return dict(sorted(found.items(), key=lambda item: item[0] not in starts))
+
+
+def repeated(case: Case, way: Sequence[object], tables: Tables | None = None) -> Case:
+    """Copy a case that repeats it in some way; its name is made of the case's and of the way."""
+    config = case.config if tables is None else dict(tables)
+    return replace(case, config=config, case_id=case_id([case.case_id, *way]))
+
+
+def varied(case: Case, tables: Tables, purpose: str) -> Case:
+    """Copy a case with other tables; its name is made of them and of the purpose."""
+    name = case_id({**tables, "block": case.block, "purpose": purpose})
+    return replace(case, config=dict(tables), case_id=name)

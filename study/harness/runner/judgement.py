@@ -1,0 +1,393 @@
+"""What a refinement series says of every quantity: what ``study converge`` answers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+from study.ground.canonical import plain
+from study.harness.design.study_file import Converge
+from study.harness.runner.refinement import (
+    FEWEST,
+    QUANTITIES,
+    Budget,
+    FormalOrder,
+    Level,
+    Outlook,
+    Series,
+    curve_values,
+    quantity,
+    representative_sizes,
+    usable,
+)
+from study.harness.runner.solve_task import Solver, SolveResult, SolveTask, solutions
+from study.mechanics.setup.setup import Setup, Tables, problem_of
+from study.statistics.convergence.grid_convergence import ConvergenceResult, grid_convergence
+
+# -------------------------------------------------------------------------------------------------
+# Errors of mesh, load steps and solver tolerance side by side.
+
+#: How many load steps replace one.
+STEPS = (1, 2, 4)
+
+#: How much looser than usual the solver is.
+LOOSER = (1.0, 10.0, 100.0)
+
+#: The algebraic error should be this much smaller than that of the mesh.
+ALGEBRAIC = 100.0
+
+
+@dataclass(frozen=True)
+class ErrorSource:
+    """What one source of error does to a quantity."""
+
+    #: ``"mesh"``, ``"load steps"`` or ``"solver tolerance"``; what it moves, and its unit.
+    source: str
+    quantity: str
+    unit: str
+    #: Mesh size, number of steps or factor on the tolerance, finest first, and the values.
+    setting: tuple[float, ...]
+    value: tuple[float, ...]
+    #: Uncertainty of the quantity, in its unit.
+    u: float | None
+    relative: float | None
+
+
+def source_tasks(tables: Tables, size_mm: float) -> list[SolveTask]:
+    """Solutions that the studies of steps and tolerance need, the usual one first."""
+    usual = [SolveTask.of(tables, size_mm)]
+    usual += [SolveTask.of(tables, size_mm, more_steps=k) for k in STEPS[1:]]
+    return usual + [SolveTask.of(tables, size_mm, looser=k) for k in LOOSER[1:]]
+
+
+def other_sources(
+    tables: Tables, size_mm: float, solve: Solver
+) -> tuple[list[ErrorSource], list[str]]:
+    """Errors of load steps and tolerance for every quantity, and which solutions failed."""
+    results = solutions(solve, source_tasks(tables, size_mm))
+    count = Setup.of(tables).test.steps
+    steps = [(float(count * k), r) for k, r in zip(STEPS, results, strict=False)]
+    looser = list(zip(LOOSER, [results[0], *results[len(STEPS) :]], strict=True))
+    rows, said = [], []
+    for name, pairs, text in (
+        ("load steps", steps[::-1], "{:g} load steps"),
+        ("solver tolerance", looser, "a tolerance {:g} times the usual"),
+    ):
+        good = [(k, result) for k, result in pairs if result.converged]
+        said += [
+            f"{text.format(k)} gave no answer: {result.message}"
+            for k, result in pairs
+            if not result.converged
+        ]
+        rows += [_source(name, quantity, good) for quantity in QUANTITIES if len(good) > 1]
+    return rows, said
+
+
+def _source(source: str, name: str, good: Sequence[tuple[float, SolveResult]]) -> ErrorSource:
+    function, unit = QUANTITIES[name]
+    values = tuple(function(result.curve) for _, result in good)
+    settings, reference = tuple(k for k, _ in good), values[0]
+    # steps: what the problem's own number of them is off by; tolerance: what ten times it costs
+    u = _error_of(values) if source == "load steps" else abs(values[1] - reference)
+    relative = u / abs(reference) if reference else None
+    return ErrorSource(source, name, unit, settings, values, u, relative)
+
+
+def _error_of(values: Sequence[float]) -> float:
+    """Uncertainty of the last (coarsest) value: the changes of a halved step form a series."""
+    change = abs(values[-1] - values[0])
+    if len(values) < 3:
+        return change
+    found = grid_convergence([1.0, 2.0, 4.0], values, tolerance=1e-8 * abs(values[0]))
+    if found.extrapolated is None or found.factor_of_safety is None:
+        return change
+    return max(change, found.factor_of_safety * abs(values[-1] - found.extrapolated))
+
+
+def one_table(
+    quantities: Mapping[str, ConvergenceResult], others: Sequence[ErrorSource]
+) -> tuple[ErrorSource, ...]:
+    """Set the three sources of error of every quantity side by side."""
+    table: list[ErrorSource] = []
+    for name, found in quantities.items():
+        u, value = found.u_num, found.value[0]
+        relative = None if u is None or not value else u / abs(value)
+        mesh = ErrorSource("mesh", name, found.unit, found.mesh_size, found.value, u, relative)
+        table += [mesh, *(row for row in others if row.quantity == name)]
+    return tuple(table)
+
+
+def remarks(table: Sequence[ErrorSource]) -> list[str]:
+    """Say where another error is too large beside that of the mesh."""
+    found = []
+    meshes = {row.quantity: row.relative for row in table if row.source == "mesh"}
+    for row in table:
+        mesh, own = meshes.get(row.quantity), row.relative
+        if row.source == "mesh" or mesh is None or own is None:
+            continue
+        if row.source == "solver tolerance" and own * ALGEBRAIC > max(mesh, 1e-9):
+            found.append(
+                f"{row.quantity}: the solver's tolerance moves it by {own:.1g} of its value, "
+                f"more than a hundredth of the mesh's {mesh:.1g}"
+            )
+        if row.source == "load steps" and own > mesh:
+            found.append(
+                f"{row.quantity}: the load steps are off by {own:.1g} of its value, more than "
+                f"the mesh ({mesh:.1g}): raise test.steps before refining"
+            )
+    return found
+
+
+Values = Mapping[str, tuple[Sequence[float], str]]
+
+#: relative error of a force at the solver's tolerance
+SOLVER_TOLERANCE = 1e-7
+
+#: a value of this part of the largest of its kind is nothing to be settled
+_NOTHING = 1e-9
+
+
+def judged(
+    sizes: Sequence[float],
+    values: Values,
+    formal: float | None,
+    tolerance: float = SOLVER_TOLERANCE,
+) -> dict[str, ConvergenceResult]:
+    """Judge every quantity of a series of at least three meshes."""
+    return {
+        name: grid_convergence(
+            sizes, numbers, formal_order=formal, qoi=name, unit=unit,
+            tolerance=tolerance * max(abs(v) for v in numbers),
+        )
+        for name, (numbers, unit) in values.items()
+    }  # fmt: skip
+
+
+def within(results: Mapping[str, ConvergenceResult], accuracy: float) -> dict[str, bool]:
+    """Whether the uncertainty of each quantity is at most a fraction of its value.
+
+    A series without an order has no GCI; it settles where thrice the range of its finest three
+    meshes is small enough (Eca and Hoekstra 2014 for series that are noise).
+    """
+    return {name: _bound(r) <= accuracy * abs(r.value[0]) + _NOTHING for name, r in results.items()}
+
+
+def _bound(result: ConvergenceResult) -> float:
+    if result.u_num is not None:
+        return result.u_num
+    finest = result.value[:3]
+    return 3 * (max(finest) - min(finest))
+
+
+def outlook(
+    levels: Sequence[Level], setup: Setup, wanted: float | None, formal: float | None
+) -> Outlook:
+    """Whether every quantity has the accuracy that its problem asks for, else the size it takes."""
+    kept, _ = usable(levels)
+    if len(kept) < FEWEST or wanted is None:
+        return Outlook(False)
+    sizes = representative_sizes(kept, setup)
+    results = judged(sizes, curve_values(kept), formal)
+    sizes_needed = [size_needed(r, wanted) for r in results.values()]
+    known = [size for size in sizes_needed if size is not None]
+    return Outlook(all(within(results, wanted).values()), min(known, default=None))
+
+
+def series_of(
+    tables: Tables,
+    spec: Converge,
+    formal: FormalOrder,
+    budget: Budget | None = None,
+    levels_of: Mapping[str, str] | None = None,
+) -> Series:
+    """Make the series of a problem, from its own mesh size."""
+    from study.mechanics.mesh.mesher import mesh_size
+
+    first = float(mesh_size(problem_of(tables).setup))
+    seen = partial(outlook, setup=Setup.of(tables), wanted=spec.tolerance, formal=formal.order)
+    return Series(tables, spec, first, budget or Budget(), seen, levels_of or {})
+
+
+@dataclass(frozen=True)
+class GivenMesh:
+    """Value and uncertainty of the main quantity on the problem's own mesh."""
+
+    mesh_size: float
+    value: float
+    u_num: float | None
+
+
+@dataclass(frozen=True)
+class SeriesJudgement:
+    """What a refinement series says of every quantity."""
+
+    main: ConvergenceResult
+    #: Of every quantity; empty where there are no three meshes.
+    quantities: Mapping[str, ConvergenceResult]
+    #: What the elements promise, and what limits it.
+    formal: FormalOrder
+    #: Wanted uncertainty over the value; None where none was asked, or no order is known.
+    accuracy: float | None = None
+    #: Levels of the factors and block, where the series is that of a cell.
+    levels: Mapping[str, str] = field(default_factory=dict)
+    #: The mesh as it was asked for.
+    given: GivenMesh | None = None
+    #: Every mesh of a problem, the finest first, and why no further one was solved.
+    meshes: tuple[Level, ...] = ()
+    stopped: str = ""
+    #: Errors of mesh, load steps and solver side by side.
+    sources: tuple[ErrorSource, ...] = ()
+    block: str | None = None
+
+    @property
+    def settled(self) -> bool:
+        """Whether every quantity has the wanted accuracy, or an uncertainty where none is asked."""
+        return bool(self.quantities) and not self.unsettled
+
+    @property
+    def unsettled(self) -> list[str]:
+        """Quantities without the wanted accuracy; without an uncertainty where none is asked."""
+        if self.accuracy is None:
+            return [name for name, r in self.quantities.items() if r.u_num is None]
+        good = within(self.quantities, self.accuracy)
+        return [name for name, ok in good.items() if not ok]
+
+    @property
+    def mesh_size_needed(self) -> float | None:
+        """Mesh size that would have the wanted accuracy, in mm."""
+        return None if self.accuracy is None else size_needed(self.main, self.accuracy)
+
+    def warned(self, *said: str) -> SeriesJudgement:
+        """Copy with further warnings, each once."""
+        warnings = tuple(dict.fromkeys([*self.main.warnings, *said]))
+        return replace(self, main=replace(self.main, warnings=warnings))
+
+    def to_json(self) -> dict[str, object]:
+        """Document of ``study converge``: the keys of the main quantity, and all others."""
+        of_problem = {
+            "meshes": [level.to_json() for level in self.meshes],
+            "stopped": self.stopped,
+            "sources": [dict(plain(source)) for source in self.sources],
+        }
+        if not self.quantities:
+            del of_problem["sources"]
+        return {
+            **self.main.to_json(),
+            "quantities": {name: one.to_json() for name, one in self.quantities.items()},
+            "accuracy": self.accuracy,
+            "settled": self.settled,
+            "given_mesh": None if self.given is None else vars(self.given),
+            "mesh_size_needed": self.mesh_size_needed,
+            "formal_reason": self.formal.why,
+            "levels": dict(self.levels),
+            **(of_problem if self.meshes else {"block": self.block}),
+        }
+
+
+def judge(series: Series, formal: FormalOrder, tolerance: float | None = None) -> SeriesJudgement:
+    """Judge the series of a problem."""
+    function, unit = quantity(series.spec.qoi)
+    kept, said = usable(series.levels)
+    facts = SeriesJudgement(
+        inconclusive(
+            series.spec.qoi,
+            unit,
+            [level.mesh_size_mm for level in kept],
+            [function(level.curve) for level in kept],
+            formal_order=formal.order,
+        ),
+        {},
+        formal,
+        levels=series.levels_of,
+        meshes=tuple(reversed(series.levels)),
+        stopped=series.stopped,
+    )
+    if len(kept) < FEWEST:
+        return facts.warned(*said)
+    fraction, coarsest = SOLVER_TOLERANCE, kept[0]
+    if tolerance and (main := function(kept[-1].curve)):
+        fraction = tolerance / abs(main)
+    sizes = representative_sizes(kept, series.setup)
+    results = judged(sizes, curve_values(kept), formal.order, fraction)
+    found = combined(facts, series.spec.qoi, results, series.spec.tolerance, said)
+    given = given_mesh(found.main)
+    return replace(found, given=replace(given, mesh_size=coarsest.mesh_size_mm))
+
+
+def with_sources(found: SeriesJudgement, series: Series, solve: Solver) -> SeriesJudgement:
+    """Add the errors of load steps and solver on the coarsest mesh to those of the meshes."""
+    rows, said = other_sources(series.tables, series.good[0].mesh_size_mm, solve)
+    table = one_table(found.quantities, rows)
+    return replace(found, sources=table).warned(*said, *remarks(table))
+
+
+def combined(
+    facts: SeriesJudgement,
+    qoi: str,
+    results: Mapping[str, ConvergenceResult],
+    accuracy: float | None,
+    said: Sequence[str],
+) -> SeriesJudgement:
+    """Judgement of several judged quantities, all of which must settle."""
+    main = results[qoi]
+    found = replace(
+        facts,
+        main=replace(main, warnings=(*said, *main.warnings)),
+        quantities=results,
+        accuracy=accuracy,
+        given=given_mesh(main),
+    )
+    if accuracy is None or not found.unsettled:
+        return found.warned()
+    return found.warned(f"not within {100 * accuracy:g} %: {', '.join(found.unsettled)}")
+
+
+def given_mesh(result: ConvergenceResult) -> GivenMesh:
+    """Value and uncertainty on the problem's own mesh, the coarsest of its series."""
+    value, u = result.value[-1], None
+    if (bound := result.bound_of(value)) is not None:
+        u = bound
+    elif result.u_num is not None:
+        u = max(result.u_num, abs(value - result.value[0]))
+    return GivenMesh(result.mesh_size[-1], value, u)
+
+
+def inconclusive(
+    qoi: str,
+    unit: str,
+    sizes: Sequence[float],
+    values: Sequence[float],
+    *,
+    formal_order: float | None = None,
+    u_num: float | None = None,
+    verdict: str = "",
+) -> ConvergenceResult:
+    """Make the result of a series, coarse to fine, with too few meshes for an order.
+
+    Units: sizes, values mm.
+    """
+    usual = f"an order needs three meshes with an answer, there are {len(values)}"
+    return ConvergenceResult(
+        qoi=qoi,
+        unit=unit,
+        mesh_size=tuple(reversed(sizes)),
+        value=tuple(reversed(values)),
+        behaviour="inconclusive",
+        observed_order=None,
+        formal_order=formal_order,
+        extrapolated=None,
+        gci_fine=None,
+        factor_of_safety=None,
+        u_num=u_num,
+        asymptotic_ratio=None,
+        verdict=verdict or usual,
+    )
+
+
+def size_needed(result: ConvergenceResult, accuracy: float) -> float | None:
+    """Mesh size whose uncertainty would be the wanted fraction of the value, by the order used."""
+    if result.order_used is None or not result.u_num or result.extrapolated in (None, 0.0):
+        return None
+    allowed = accuracy * abs(result.extrapolated)
+    return float(result.mesh_size[0] * (allowed / result.u_num) ** (1 / result.order_used))

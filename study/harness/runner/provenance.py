@@ -1,0 +1,305 @@
+"""Names made of content: what was computed, from what, by which code."""
+
+from __future__ import annotations
+
+import ast
+import contextlib
+import functools
+import hashlib
+import platform
+from collections.abc import Iterator, Mapping, Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import TypeGuard, cast
+
+import study
+from study.ground.bounded_file import sha256_of
+from study.ground.errors import Fault, InputError, MissingDataError, StoreError, nearest
+from study.harness.design.cell import Config
+from study.harness.record.atomic_files import write_atomic
+from study.harness.runner.problem_tables import CalibrationTable, with_placeholder
+from study.mechanics.measurement.marker_states import read_markers
+from study.mechanics.measurement.measurement_section import MarkerSpec
+from study.mechanics.measurement.recording import check_relative, locate
+from study.mechanics.setup.declaration import table_of
+from study.mechanics.setup.geometry import Block, Enclosed
+from study.mechanics.setup.setup import Setup, Tables, specimen_of
+
+#: Modules that do the tasks of a worker; what they import decides the numbers.
+_TASKS = (
+    "study.harness.runner.case",
+    "study.harness.runner.fit_task",
+    "study.harness.runner.solve_task",
+)
+
+#: Rooms and modules in which imports are followed; reports and statistics may change without a
+#: new run.
+_NUMERIC_ROOMS = (
+    "study.ground.arrays",
+    "study.ground.compilation",
+    "study.ground.curve",
+    "study.ground.units",
+    "study.harness.external",
+    "study.harness.runner",
+    "study.mechanics.calibration",
+    "study.mechanics.contact",
+    "study.mechanics.element",
+    "study.mechanics.forward",
+    "study.mechanics.material",
+    "study.mechanics.mesh",
+    "study.mechanics.setup",
+    "study.mechanics.solver",
+    "study.mechanics.surface",
+)
+
+#: Modules that name results or foretell what they cost, and decide none of their numbers.
+_WITHOUT_NUMBERS = (
+    "study.mechanics.solver.solution_cost",
+    "study.harness.runner.cost",
+    "study.harness.runner.provenance",
+)
+_PACKAGES = ("numpy", "scipy", "numba", "scikit-fem", "gmsh", "pypardiso", "mkl")
+
+
+@functools.cache
+def code_version() -> str:
+    """Version of the package and a hash of the code that decides a number.
+
+    It is kept beside the compiled files until one of the sources changes on the disk.
+
+    The hash is taken of the syntax without docstrings, so that comments and
+    formatting may change without sending a finished study back to work.
+    """
+    root = Path(__file__).resolve().parents[2]
+    state, kept = _state(root), root / "__pycache__" / "code-version"
+    with contextlib.suppress(OSError, ValueError):
+        known, version = kept.read_text(encoding="ascii").split()
+        if known == state:
+            return version
+    version = f"{study.__version__}+{_code_hash(root)}"
+    with contextlib.suppress(OSError, StoreError):  # an installation that may not be written to
+        kept.parent.mkdir(exist_ok=True)
+        write_atomic(kept, f"{state} {version}".encode("ascii"))
+    return version
+
+
+def _state(root: Path) -> str:
+    """Name of the files as they lie on the disk: reading 110 of them takes a second, this 10 ms."""
+    files = sorted(root.rglob("*.py"))
+    facts = [(str(p), s.st_size, s.st_mtime_ns) for p in files for s in [p.stat()]]
+    return hashlib.sha256(repr((study.__version__, facts)).encode()).hexdigest()
+
+
+def _code_hash(root: Path) -> str:
+    """Hash of the syntax of the numeric files."""
+    sha = hashlib.sha256()
+    for path, tree in _numeric_files(root):
+        sha.update(str(path.relative_to(root)).encode())
+        sha.update(_code_only(tree).encode())
+    return sha.hexdigest()[:12]
+
+
+def versions() -> dict[str, str]:
+    """Versions of everything that may move a digit, for the record."""
+    return {"study": code_version(), **libraries()}
+
+
+@functools.cache
+def libraries() -> Mapping[str, str]:
+    """Versions of Python and of the libraries that compute, looked up once a process."""
+    found = {"python": platform.python_version()}
+    for name in _PACKAGES:
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            found[name] = metadata.version(name)
+    return found
+
+
+def _numeric_files(root: Path) -> Sequence[tuple[Path, ast.Module]]:
+    """Files that the tasks of a worker import, one through the other, with their syntax."""
+    found: dict[str, tuple[Path, ast.Module]] = {}
+    waiting = list(_TASKS)
+    while waiting:
+        module = waiting.pop()
+        path = _file_of(root, module)
+        parts = module.split(".")
+        if path is None or module in found or module in _WITHOUT_NUMBERS:
+            continue
+        if not f"{module}.".startswith(tuple(f"{room}." for room in _NUMERIC_ROOMS)):
+            continue
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        found[module] = (path, tree)
+        waiting += _imported(tree)
+        waiting += [".".join(parts[:k]) for k in range(2, len(parts))]
+    return [found[module] for module in sorted(found)]
+
+
+def _file_of(root: Path, module: str) -> Path | None:
+    """File of a module or package of ours; None where a name is no module."""
+    path = root.joinpath(*module.split(".")[1:])
+    for candidate in (path.with_suffix(".py"), path / "__init__.py"):
+        if candidate.is_file():
+            return candidate
+    return None
+
+
+def _imported(tree: ast.Module) -> Sequence[str]:
+    """Names of ours that a file imports, in functions too; what is for types alone is left out."""
+    for_types = {
+        id(inner)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.If) and _is_type_checking(node.test)
+        for one in node.body
+        for inner in ast.walk(one)
+    }
+    nodes = [node for node in ast.walk(tree) if id(node) not in for_types]
+    froms = [n for n in nodes if isinstance(n, ast.ImportFrom) and n.module]
+    names = [f"{n.module}.{alias.name}" for n in froms for alias in n.names]
+    names += [str(n.module) for n in froms]
+    plain = [n for n in nodes if isinstance(n, ast.Import)]
+    names += [alias.name for n in plain for alias in n.names]
+    return [name for name in names if name.split(".")[0] == "study"]
+
+
+def _is_type_checking(test: ast.expr) -> bool:
+    name = test.attr if isinstance(test, ast.Attribute) else getattr(test, "id", "")
+    return name == "TYPE_CHECKING"
+
+
+def _code_only(tree: ast.Module) -> str:
+    for node in ast.walk(tree):
+        body = getattr(node, "body", None)
+        if isinstance(body, list) and body and _is_text(body[0]):
+            body[0] = ast.Pass()
+    return ast.unparse(tree)
+
+
+def _is_text(node: object) -> bool:
+    return (
+        isinstance(node, ast.Expr)
+        and isinstance(node.value, ast.Constant)
+        and isinstance(node.value.value, str)
+    )
+
+
+_WHERE = "specimen.file"
+
+#: depth of a test over the height where the measurements have to give it
+_USUAL_DEPTH = 0.1
+
+
+def folders(source: str | Path, data_root: Path) -> tuple[Path, ...]:
+    """Where a surface may be: the data root first, as measurements; then beside the design."""
+    home = Path(source).resolve().parent if Path(source).is_file() else None
+    found = [data_root, *([home] if home is not None else [])]
+    return tuple(dict.fromkeys(folder.resolve() for folder in found))
+
+
+def located(config: Tables, places: Sequence[Path]) -> Config:
+    """Copy a configuration with every surface in it found and checked."""
+    found = cast(Config, _walked(config, places))
+    if _is_surface(found.get("specimen")):
+        _check_use(found)
+    return found
+
+
+def _is_surface(section: object) -> TypeGuard[Tables]:
+    return isinstance(section, Mapping) and section.get("shape") == "surface"
+
+
+def _walked(value: object, places: Sequence[Path]) -> object:
+    if _is_surface(value):
+        return _found(value, places)
+    if isinstance(value, Mapping):
+        return {k: _walked(v, places) for k, v in value.items()}
+    return [_walked(v, places) for v in value] if isinstance(value, list) else value
+
+
+def _found(section: Tables, places: Sequence[Path]) -> Tables:
+    from study.mechanics.surface.closed_surface import height_of
+
+    path = find(str(section["file"]), places)
+    whole = {**section, "path": str(path), "sha256": sha256_of(path)}
+    return {**whole, "height_mm": height_of(specimen_of(whole))}
+
+
+def with_markers(config: Config, places: Sequence[Path]) -> Config:
+    """Copy a configuration with the file of its markers found."""
+    table = table_of(config, "markers")
+    if not table:
+        return config
+    name, where, missing = str(table["file"]), "markers.file", list[Fault]()
+    for folder in places:
+        try:
+            path = locate(name, folder, citation=str(table["citation"]), where=where)
+        except MissingDataError as error:
+            missing += error.faults
+            continue
+        specimen = specimen_of(table_of(config, "specimen"))
+        if isinstance(specimen, Block):  # what is wrong with the file is told before a run
+            read_markers(MarkerSpec.from_dict(table), path, specimen)
+        return {**config, "markers": {**table, "path": str(path), "sha256": sha256_of(path)}}
+    raise MissingDataError(missing[:1])
+
+
+def find(name: str, places: Sequence[Path]) -> Path:
+    """Path of a surface file in or below one of some folders."""
+    check_relative(name, _WHERE)
+    for folder in places:
+        try:
+            return locate(name, folder, where=_WHERE)
+        except MissingDataError:
+            continue
+    looked = " or ".join(repr(str(folder)) for folder in places)
+    parent = Path(name).parent
+    names = sorted(
+        p.name
+        for folder in places
+        for p in (folder / parent).glob("*")
+        if p.suffix.lower() in (".stl", ".ply", ".obj")
+    )
+    mend = nearest(Path(name).name, names[:20]) if names else "name its folder with --data DIR"
+    raise InputError(Fault(_WHERE, f"there is no file {name!r} below {looked}", mend))
+
+
+def _check_use(config: Tables) -> None:
+    """Refuse what cannot be meshed or held, with placeholders for what a fit will find."""
+    from study.mechanics.solver.finite_element_solution import check
+
+    setup = Setup.of(config)
+    depth = setup.test.displacement_mm or _USUAL_DEPTH * (setup.height_mm or 1.0)
+    check(with_placeholder(config, depth, C10_MPa=0.005))
+
+
+def surface_notes(configs: Sequence[Tables]) -> tuple[str, ...]:
+    """List what was mended in the surfaces of some configurations, each once."""
+    return tuple(dict.fromkeys(note for config in configs for note in _notes(config)))
+
+
+def _notes(config: Tables) -> Iterator[str]:
+    from study.mechanics.surface.closed_surface import body
+
+    specimen = table_of(config, "specimen")
+    if _is_surface(specimen):
+        made = specimen_of(specimen)
+        if isinstance(made, Enclosed):
+            yield from body(made).notes
+
+
+def fingerprints(config: Tables) -> list[str]:
+    """Hashes of the files of surfaces and markers that a configuration uses."""
+    own = CalibrationTable.of(config).problem or {}
+    sections = [table_of(config, name) for name in ("specimen", "markers")]
+    sections.append(table_of(own, "specimen"))
+    return [str(section["sha256"]) for section in sections if section.get("sha256")]
+
+
+def surface_files(config: object) -> set[Path]:
+    """Files of the surfaces in a configuration that was :func:`located`."""
+    if _is_surface(config):
+        return {Path(str(config["path"]))} if config.get("path") else set()
+    values: Sequence[object] = ()
+    if isinstance(config, Mapping):
+        values = tuple(config.values())
+    elif isinstance(config, list):
+        values = config
+    return {path for value in values for path in surface_files(value)}

@@ -1,0 +1,572 @@
+"""Refinement: the loop, and the series of a problem.
+
+A series says which computations are due and takes what they gave, until it has enough; the loop
+does what is due of all series at once. A problem asks for one mesh after the other, as long as
+its accuracy and its budget want; the cells of a study know all their meshes from the start (see
+:mod:`study.harness.runner.case_series`).
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Protocol, TypeVar
+
+import numpy as np
+
+from study.ground.arrays import Array
+from study.ground.curve import Curve
+from study.ground.errors import Fault, InputError, nearest
+from study.harness.runner.problem_tables import with_placeholder
+from study.harness.runner.solve_task import Solver, SolveResult, SolveTask, solutions
+from study.mechanics.material.material import Material
+from study.mechanics.setup.geometry import Cylinder, Enclosed, Flat
+from study.mechanics.setup.setup import Problem, Setup, Tables
+from study.mechanics.setup.test_kind import ClampedCorner, RoundedEdge, SharpEdge, Singularity
+
+if TYPE_CHECKING:
+    from study.harness.design.study_file import Converge
+    from study.harness.runner.job import CaseJob
+
+
+#: a computation, and what it gave
+Step = TypeVar("Step")
+Found_contra = TypeVar("Found_contra", contravariant=True)
+Found = TypeVar("Found")
+
+
+class Refinable(Protocol[Step, Found_contra]):
+    """A series of computations on finer and finer meshes."""
+
+    def due(self) -> Sequence[Step]:
+        """List what is to be computed next; empty where the series has ended."""
+        ...
+
+    def add(self, step: Step, found: Found_contra) -> None:
+        """Take what a computation gave."""
+        ...
+
+
+def refine(
+    series: Sequence[Refinable[Step, Found]], compute: Callable[[Sequence[Step]], Sequence[Found]]
+) -> None:
+    """Compute what is due of every series, all series of one round together, until none is."""
+    while due := [(one, step) for one in series for step in one.due()]:
+        found = compute([step for _, step in due])
+        for (one, step), result in zip(due, found, strict=True):
+            one.add(step, result)
+
+
+#: an order needs as many meshes, and no series gets longer than this
+FEWEST = 3
+MOST = 10
+
+#: part of the free memory that a solution may take
+MEMORY_SHARE = 0.7
+
+#: exponents of time in the unknowns where only one mesh is known (numerics.md)
+_TIME_EXPONENT = {"axisymmetric": 1.2, "3d": 1.95}
+_MEMORY_EXPONENT = 1.35
+
+
+@dataclass(frozen=True)
+class Predictions:
+    """What a solution was predicted to take; None where nothing was known yet."""
+
+    seconds: float | None = None
+    memory_MB: float | None = None  # noqa: N815
+    unknowns: int | None = None
+
+
+@dataclass(frozen=True)
+class PlannedMesh:
+    """A mesh that is due: its solution, and what that is predicted to take."""
+
+    mesh_size_mm: float
+    task: SolveTask
+    predicted: Predictions
+
+
+@dataclass(frozen=True)
+class Level:
+    """One mesh of a series: what was predicted and what came out."""
+
+    mesh_size_mm: float
+    result: SolveResult
+    predicted: Predictions = field(default_factory=Predictions)
+
+    @property
+    def converged(self) -> bool:
+        """Whether it has an answer."""
+        return self.result.converged
+
+    @property
+    def curve(self) -> Curve:
+        """Predicted curve, as far as it came."""
+        return self.result.curve
+
+    @property
+    def elements(self) -> int:
+        """Elements of the mesh."""
+        return self.result.elements
+
+    def to_json(self) -> dict[str, object]:
+        """Everything but the curve."""
+        return {
+            "mesh_size": self.mesh_size_mm,
+            "status": self.result.status,
+            "message": self.result.message,
+            "elements": self.result.elements,
+            "unknowns": self.result.dofs,
+            "seconds": self.result.seconds,
+            "memory_MB": self.result.memory_MB,
+            "predicted_seconds": self.predicted.seconds,
+            "predicted_MB": self.predicted.memory_MB,
+            "predicted_unknowns": self.predicted.unknowns,
+        }
+
+
+@dataclass(frozen=True)
+class Budget:
+    """When a series must stop: seconds from ``began``, and memory."""
+
+    seconds: float | None = None
+    memory_MB: float = field(default_factory=lambda: MEMORY_SHARE * free_MB())
+    began: float = field(default_factory=time.monotonic)
+
+    def refuses(self, seconds: float | None, memory: float | None) -> str:
+        """Why a solution of this predicted cost is not begun; empty if it may."""
+        left = None if self.seconds is None else self.seconds - (time.monotonic() - self.began)
+        if left is not None and (seconds or 0.0) > left:
+            return f"the next mesh would take {seconds or 0:.3g} s of {max(left, 0):.3g} s left"
+        if memory is not None and memory > self.memory_MB:
+            return f"the next mesh would take {memory:.0f} MB of {self.memory_MB:.0f} MB"
+        return ""
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """What the meshes so far say: whether they are enough, else the size that would be."""
+
+    settled: bool
+    size_needed_mm: float | None = None
+
+
+@dataclass
+class Series:
+    """Refinement of one problem, coarse to fine."""
+
+    tables: Tables
+    #: Ratio, number of meshes, wanted accuracy.
+    spec: Converge
+    #: Element size of the problem, the coarsest of the series.
+    first_mm: float
+    budget: Budget
+    #: What its meshes so far say.
+    outlook: Callable[[Sequence[Level]], Outlook]
+    #: Levels of the factors, where the problem is a cell.
+    levels_of: Mapping[str, str] = field(default_factory=dict)
+    levels: list[Level] = field(default_factory=list)
+    stopped: str = ""
+
+    @cached_property
+    def setup(self) -> Setup:
+        """Problem that is refined."""
+        return Setup.of(self.tables)
+
+    @property
+    def good(self) -> list[Level]:
+        """Meshes with an answer."""
+        return [level for level in self.levels if level.converged]
+
+    def due(self) -> list[PlannedMesh]:
+        """List the next mesh; none where the series has ended (``stopped`` says why)."""
+        self.stopped = self.stopped or self._end()
+        if self.stopped:
+            return []
+        size = float(self.first_mm / self.spec.ratio ** len(self.levels))
+        return [PlannedMesh(size, SolveTask.of(self.tables, size), self.predicted())]
+
+    def add(self, step: PlannedMesh, found: SolveResult) -> None:
+        """Take a solution."""
+        self.levels.append(Level(step.mesh_size_mm, found, step.predicted))
+
+    def _end(self) -> str:
+        """Why no further mesh is solved; empty while one is wanted."""
+        count, wanted = len(self.levels), max(FEWEST, self.spec.levels)
+        if count >= wanted and len(self.good) >= FEWEST:
+            if self.spec.tolerance is None:
+                return f"{count} meshes were asked for"
+            seen = self.outlook(self.levels)
+            if seen.settled:
+                return "every quantity has the wanted accuracy"
+            if hopeless := self._hopeless(seen.size_needed_mm):
+                return hopeless
+        if count >= MOST or (count >= wanted + 2 and len(self.good) < FEWEST):
+            return f"{count} meshes are enough"
+        next_one = self.predicted()
+        return self.budget.refuses(next_one.seconds, next_one.memory_MB) if count else ""
+
+    def _hopeless(self, needed_mm: float | None) -> str:
+        """Why the mesh that would be fine enough is out of reach; empty if it may be."""
+        last = self.good[-1]
+        if needed_mm is None or needed_mm >= last.mesh_size_mm:
+            return ""
+        space = self.setup.model.space
+        power = (2 if space == "axisymmetric" else 3) * _TIME_EXPONENT[space]
+        seconds = last.result.seconds * (last.mesh_size_mm / needed_mm) ** power
+        if not self.budget.refuses(seconds, None):
+            return ""
+        return (
+            f"the wanted accuracy needs a mesh size of about {needed_mm:.2g} mm and "
+            f"{seconds:.2g} s, which the budget does not have"
+        )
+
+    def predicted(self) -> Predictions:
+        """Cost of the next mesh, from what the meshes so far took."""
+        known = [level.result for level in self.good if level.result.dofs > 0]
+        if not known:
+            return Predictions()
+        last, space = known[-1], self.setup.model.space
+        growth = self.spec.ratio ** (2 if space == "axisymmetric" else 3)
+        time_exponent = _TIME_EXPONENT[space]
+        if len(known) > 1 and known[-2].dofs < last.dofs:
+            growth = last.dofs / known[-2].dofs
+            time_exponent = _exponent(known[-2], last, time_exponent)
+        own = max(last.memory_MB - last.base_MB, 1.0)
+        memory = last.base_MB + own * growth**_MEMORY_EXPONENT
+        return Predictions(last.seconds * growth**time_exponent, memory, round(last.dofs * growth))
+
+
+def _exponent(before: SolveResult, last: SolveResult, usual: float) -> float:
+    """Power of the unknowns that the time followed; small times say nothing."""
+    if before.seconds < 0.02 or last.seconds <= before.seconds:
+        return usual
+    found = math.log(last.seconds / before.seconds) / math.log(last.dofs / before.dofs)
+    return min(max(found, 1.0), 3.0)
+
+
+def budget_of(seconds: float | None, memory_MB: float | None) -> Budget:  # noqa: N803
+    """Budget of a command, from now on."""
+    return Budget(seconds) if memory_MB is None else Budget(seconds, memory_MB)
+
+
+def free_MB() -> float:  # noqa: N802
+    """Memory that is free on this machine, in MB."""
+    try:
+        return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 2**20
+    except (ValueError, OSError):
+        return 4096.0
+
+
+def solving(
+    solve: Solver, progress: Callable[[str], None] = lambda _: None
+) -> Callable[[Sequence[PlannedMesh]], list[SolveResult]]:
+    """Make the computation of the meshes of problems, for :func:`refine`."""
+
+    def compute(planned: Sequence[PlannedMesh]) -> list[SolveResult]:
+        progress(_announced(planned))
+        return solutions(solve, [mesh.task for mesh in planned])
+
+    return compute
+
+
+def _announced(planned: Sequence[PlannedMesh]) -> str:
+    known = [m.predicted.seconds for m in planned if m.predicted.seconds is not None]
+    sizes = ", ".join(dict.fromkeys(f"{mesh.mesh_size_mm:.3g}" for mesh in planned[:4]))
+    cost = f", about {sum(known):.2g} s of computing" if known else ""
+    several = "s" if len(planned) > 1 else ""
+    return f"mesh size {sizes} mm: {len(planned)} solution{several}{cost}"
+
+
+# -------------------------------------------------------------------------------------------------
+# Single numbers of a curve whose convergence is judged: peak force, root mean square, work.
+
+#: points of a curve that integrals over it take, between the solved steps by their tangents
+_POINTS = 400
+
+
+def _samples(curve: Curve) -> tuple[Array, Array]:
+    """Displacements and forces, so close that the number of load steps does not matter."""
+    d = np.linspace(0.0, float(curve.displacement_mm[-1]), _POINTS + 1)
+    return d, curve.force_at(d)
+
+
+def peak_force(curve: Curve) -> float:
+    """Force at the last step, N."""
+    return float(curve.force_N[-1])
+
+
+def curve_rms(curve: Curve) -> float:
+    """Root mean square of the force over the displacement, N: it stands for the whole curve."""
+    return float(np.sqrt(np.mean(_samples(curve)[1][1:] ** 2)))
+
+
+def work(curve: Curve) -> float:
+    """Work done on the specimen, N mm."""
+    d, force = _samples(curve)
+    return float(np.trapezoid(force, d))
+
+
+#: quantities of a curve that a series can watch, with their units
+QUANTITIES: Mapping[str, tuple[Callable[[Curve], float], str]] = {
+    "peak_force": (peak_force, "N"),
+    "curve_rms": (curve_rms, "N"),
+    "work": (work, "N mm"),
+}
+
+
+def quantity(name: str) -> tuple[Callable[[Curve], float], str]:
+    """Look up function and unit of a quantity of a single problem."""
+    if name not in QUANTITIES:
+        rule = f"{name!r} needs measured curves"
+        raise InputError(Fault("converge.qoi", rule, nearest(name, QUANTITIES)))
+    return QUANTITIES[name]
+
+
+def curve_values(levels: Sequence[Level]) -> dict[str, tuple[list[float], str]]:
+    """Every quantity of the curves of a series, in the order of the meshes."""
+    return {
+        name: ([function(level.curve) for level in levels], unit)
+        for name, (function, unit) in QUANTITIES.items()
+    }
+
+
+# -------------------------------------------------------------------------------------------------
+# Formal order of the force: what an element can promise where the solution is singular.
+#
+# The force of a test driven by a displacement is a derivative of the energy, whose error is
+# the square of the error of the gradient: order 2 k for an element of degree k, if the
+# solution is smooth. A corner where the displacement goes as s^lambda allows 2 lambda only,
+# whatever the element (Babuska and Szabo 1982, Int. J. Numer. Meth. Eng. 18, 323).
+#
+# The sharp edge of a flat punch has lambda = 1/2, bonded or not: the contact pressure goes as
+# s^(-1/2) with the distance s to the edge (Sneddon 1965, Int. J. Eng. Sci. 3, 47; Johnson 1985,
+# Contact Mechanics, chapters 2 and 3: bonded it oscillates besides, unless nu = 1/2).
+
+_DEGREE = {"linear": 1, "quadratic": 2}
+
+#: elements along the radius of a rounded edge from which on it is not sharp to a mesh
+_ACROSS_EDGE = 2.0
+
+#: depth over the coarsest element at a sharp edge from which on its strains are large on the
+#: finest one; equilibria are not unique there then
+_DEEP = 0.25
+_RIM = (
+    "the rim of the contact, which a mesh places to within an element; the force is stationary "
+    "in it"
+)
+
+
+@dataclass(frozen=True)
+class FormalOrder:
+    """Order of the force in the mesh size, and what limits it."""
+
+    order: float
+    why: str
+
+
+def formal_order(problem: Problem) -> FormalOrder:
+    """Order that the element promises for the force of a problem; work and RMS share it."""
+    smooth = 2.0 * _DEGREE[problem.model.element_order]
+    degree = problem.model.element_order
+    limits = _limits(problem)  # first: of two equal limits the problem's says more
+    limits.append((smooth, f"{degree} elements: twice the order of their gradient"))
+    order, why = min(limits, key=lambda item: item[0])
+    return FormalOrder(order, why)
+
+
+def formal_of_case(job: CaseJob) -> FormalOrder:
+    """Formal order of a case whose constants are not known yet.
+
+    Units: job mm.
+    """
+    return formal_order(_in_mind(job))
+
+
+def _limits(problem: Problem) -> list[tuple[float, str]]:
+    singularities = problem.setup.kind.singularities(problem.test)
+    found = [_limit(problem, singularity) for singularity in singularities]
+    if problem.model.space == "3d" and isinstance(problem.specimen, Cylinder):
+        found.append((2.0, "the cylinder's straight-sided elements"))
+    if isinstance(problem.specimen, Enclosed):
+        found.append((2.0, "straight-sided elements, and edges of the surface that are corners"))
+    return found
+
+
+def _limit(problem: Problem, singularity: Singularity) -> tuple[float, str]:
+    """Limit that a singularity sets, and why."""
+    if isinstance(singularity, ClampedCorner):
+        exponent = clamped_corner(poisson_ratio(problem.material))
+        return 2 * exponent, (
+            f"the corner between a bonded and a free face: the displacement goes as "
+            f"s^{exponent:.3f} there"
+        )
+    if isinstance(singularity, SharpEdge):
+        return 1.0, _sharp(problem, singularity.name)
+    if isinstance(singularity, RoundedEdge):
+        return _rounded(singularity.radius_mm, _edge_size(problem))
+    return 2.0, _RIM
+
+
+def _sharp(problem: Problem, edge: str) -> str:
+    """Why the order is 1 under a sharp edge, and what may hide it."""
+    depth = problem.test.depth_mm
+    orders = " and ".join(f"{2 * degree} of {name}" for name, degree in _DEGREE.items())
+    why = (
+        f"the {edge} of the flat punch, where the contact pressure is singular as an "
+        "inverse square root of the distance: energy and force converge with the mesh size, "
+        "whatever the element, so an observed order near 1 is right here (the orders "
+        f"{orders} elements need a smooth solution)"
+    )
+    size = _edge_size(problem)
+    large = not problem.material.small_strain
+    if large and size is not None and depth > _DEEP * size:
+        why += (
+            f"; at a depth of {depth:.3g} mm, beside elements of {size:.3g} mm and less, large "
+            "strains and sliding at the edge may hide the order: a smaller depth shows it"
+        )
+    return why
+
+
+def _rounded(edge: float, size: float | None) -> tuple[float, str]:
+    """Limit that a rounded edge sets, by whether elements of a size resolve it."""
+    if size is not None and size > edge / _ACROSS_EDGE:
+        return 1.0, (
+            f"the edge of the flat punch, rounded with {edge:.3g} mm, which the coarsest mesh of "
+            f"{size:.3g} mm does not resolve: it looks sharp, where the order is 1; meshes of "
+            f"{edge / _ACROSS_EDGE:.3g} mm and less have order 2 at most"
+        )
+    return 2.0, (
+        f"the rounded edge of the flat punch ({edge:.3g} mm), which the meshes resolve: the "
+        f"pressure is finite, and what counts is {_RIM}"
+    )
+
+
+def _edge_size(problem: Problem) -> float:
+    """Element size at the edge of a punch."""
+    from study.mechanics.mesh.mesher import mesh_size
+
+    return float(mesh_size(problem.setup))
+
+
+def edge_rules(setup: Setup) -> bool:
+    """Whether all error comes from a sharp edge around which every mesh looks the same.
+
+    The size at the edge is the size of the mesh then: how many elements lie elsewhere says
+    nothing of it.
+    """
+    pressed = setup.test.indenter
+    sharp = isinstance(pressed, Flat) and not pressed.edge_radius_mm
+    return sharp and setup.model.space == "axisymmetric"
+
+
+def clamped_corner(nu: float) -> float:
+    """Exponent lambda of the displacement at a right angle between a bonded and a free face.
+
+    Root of ``(3 - 4 nu) sin^2(pi lambda / 2) = 4 (1 - nu)^2 - lambda^2`` (Williams 1952,
+    J. Appl. Mech. 19, 526).
+
+    Examples
+    --------
+    >>> round(clamped_corner(0.3), 4), round(clamped_corner(0.5), 4)
+    (0.7112, 0.5946)
+    """
+    from scipy.optimize import brentq
+
+    def mismatch(s: float) -> float:
+        return (3 - 4 * nu) * math.sin(math.pi * s / 2) ** 2 - 4 * (1 - nu) ** 2 + s * s
+
+    return float(brentq(mismatch, 0.3, 1.0)) if mismatch(1.0) > 0 else 1.0
+
+
+def poisson_ratio(material: Material) -> float:
+    """Give the initial Poisson's ratio of a material."""
+    K, mu = material.bulk, material.mu0
+    return 0.5 if math.isinf(K) else (3 * K - 2 * mu) / (2 * (3 * K + mu))
+
+
+def base_size_mm(job: CaseJob) -> float:
+    """Element size of a case, named or given, in mm."""
+    from study.mechanics.mesh.mesher import mesh_size
+
+    return float(mesh_size(_in_mind(job).setup))
+
+
+def _in_mind(job: CaseJob) -> Problem:
+    """Problem of a case whose constants are not known yet."""
+    return with_placeholder(job.case.config, job.depth_mm if job.directions else 1.0)
+
+
+# -------------------------------------------------------------------------------------------------
+# Meshes of a series that can be judged, and the sizes by which they are.
+
+
+def usable(levels: Sequence[Level]) -> tuple[list[Level], list[str]]:
+    """Meshes with an answer and with elements of their own, and what is wrong with the others."""
+    kept: list[Level] = []
+    said = [
+        f"the mesh of {level.mesh_size_mm:.4g} mm gave no answer: {level.result.message}"
+        for level in levels
+        if not level.converged
+    ]
+    for level in levels:
+        if not level.converged:
+            continue
+        same = [k for k in kept if k.elements == level.elements and level.elements > 0]
+        if same:
+            said.append(
+                f"the meshes of {same[0].mesh_size_mm:.4g} mm and {level.mesh_size_mm:.4g} mm "
+                f"have the same {level.elements} elements: the coarser is left out; a larger "
+                "ratio or a smaller mesh_size would refine"
+            )
+            kept.remove(same[0])
+        kept.append(level)
+    return kept, said
+
+
+def representative_sizes(levels: Sequence[Level], setup: Setup) -> list[float]:
+    """Sizes of solved meshes, scaled to the finest mesh's own size."""
+    sizes = [level.mesh_size_mm for level in levels]
+    return series_sizes(sizes, [level.elements for level in levels], setup)
+
+
+def series_sizes(
+    sizes: Sequence[float],
+    elements: Sequence[int],
+    setup: Setup,
+    *,
+    anchor: int = -1,
+) -> list[float]:
+    """Sizes by which a series is judged: by its elements, or those at a sharp edge.
+
+    Units: sizes, elements mm.
+    """
+    if edge_rules(setup):
+        return list(sizes)
+    return by_elements(sizes, elements, setup.model.space, anchor=anchor)
+
+
+def by_elements(
+    sizes: Sequence[float], elements: Sequence[int], space: str, *, anchor: int = -1
+) -> list[float]:
+    """Sizes h = (V / N)^(1/d) of meshes with N elements, scaled to the size of one of them.
+
+    What counts is the ratio, and the elements a mesh really has decide it (Celik et al. 2008):
+    whole numbers of cells never give exactly the ratio that was asked for.
+
+    Units: sizes, elements mm.
+
+    Examples
+    --------
+    >>> by_elements([2.0, 1.0], [100, 441], "axisymmetric")
+    [2.1, 1.0]
+    """
+    if min(elements) <= 0 or len(set(elements)) < len(elements):
+        return list(sizes)
+    power = 1 / (3 if space == "3d" else 2)
+    return [sizes[anchor] * (elements[anchor] / n) ** power for n in elements]

@@ -1,0 +1,399 @@
+"""Responses: one number each, from a predicted and a measured curve or from the constants."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from enum import Enum
+from typing import ClassVar, Protocol
+
+import numpy as np
+
+from study.ground.arrays import Array
+from study.ground.curve import Curve
+from study.harness.design.study_file import MARKED, RESPONSES, SIMULATED, is_simulated, simulated_at
+from study.harness.record.document import Quantity
+from study.mechanics.material.material import is_dimensionless, unit_shown
+
+#: kPa in one MPa: a fit is in MPa, a response in kPa
+KPA = 1000.0
+
+
+class Need(Enum):
+    """What a response is computed from."""
+
+    CURVES = "a predicted and a measured curve"
+    CONSTANTS = "the constants of the material"
+    PREDICTION = "a predicted curve"
+
+
+@dataclass(frozen=True)
+class Scored:
+    """One scored curve of a case: all that a response may look at.
+
+    Parameters
+    ----------
+    measured : Curve or None
+        What was measured; None in a study of simulations alone.
+    predicted : Curve or None
+        What the model says; None for a fit to resampled residuals, which predicts nothing.
+    constants : mapping of str to float
+        Constants of the material in MPa, exponents plain.
+    mu0 : float or None
+        Initial shear modulus in MPa, where it is known.
+    """
+
+    measured: Curve | None
+    predicted: Curve | None = None
+    constants: Mapping[str, float] = field(default_factory=dict)
+    mu0: float | None = None
+
+
+class Response(Protocol):
+    """One number of a scored curve."""
+
+    @property
+    def name(self) -> str:
+        """Key of the study file and of records."""
+        ...
+
+    @property
+    def unit(self) -> str:
+        """Unit of its value; empty for a plain number."""
+        ...
+
+    @property
+    def needs(self) -> frozenset[Need]:
+        """What it is computed from."""
+        ...
+
+    def compute(self, found: Scored) -> float:
+        """Value of the response, in its unit."""
+        ...
+
+
+class CurveResponse(ABC):
+    """A response that compares a predicted with a measured curve."""
+
+    name: ClassVar[str]
+    unit: ClassVar[str]
+    needs: ClassVar[frozenset[Need]] = frozenset({Need.CURVES})
+
+    def compute(self, found: Scored) -> float:
+        """Value of the response, in its unit.
+
+        Raises
+        ------
+        ValueError
+            If one of the curves is missing.
+        """
+        if found.predicted is None or found.measured is None:
+            raise ValueError(f"{self.name} needs {Need.CURVES.value}")
+        return self.between(found.predicted, found.measured)
+
+    @abstractmethod
+    def between(self, predicted: Curve, measured: Curve) -> float:
+        """Compare two curves over the measured points."""
+
+
+class RmsForceError(CurveResponse):
+    """Root mean square of the difference in force over the measured points."""
+
+    name = "rms_force_error"
+    unit = RESPONSES[name]
+
+    def between(self, predicted: Curve, measured: Curve) -> float:
+        """Compare two curves, N."""
+        return float(np.sqrt(np.mean(residual_N(predicted, measured) ** 2)))
+
+
+class RelativeRmsForceError(CurveResponse):
+    """RMS of the difference over the RMS of the measured force.
+
+    Examples
+    --------
+    >>> measured = Curve(np.array([1.0, 2.0]), np.array([3.0, 4.0]))
+    >>> predicted = Curve(np.array([1.0, 2.0]), np.array([3.3, 4.4]))
+    >>> round(RelativeRmsForceError().between(predicted, measured), 10)
+    10.0
+    """
+
+    name = "relative_rms_force_error"
+    unit = RESPONSES[name]
+
+    def between(self, predicted: Curve, measured: Curve) -> float:
+        """Compare two curves, %."""
+        scale = float(np.sqrt(np.mean(measured.force_N**2)))
+        return 100 * RmsForceError().between(predicted, measured) / scale
+
+
+class PeakForceError(CurveResponse):
+    """Absolute difference of the largest forces."""
+
+    name = "peak_force_error"
+    unit = RESPONSES[name]
+
+    def between(self, predicted: Curve, measured: Curve) -> float:
+        """Compare two curves, N."""
+        forces = predicted.force_at(measured.displacement_mm)
+        return float(abs(forces.max() - measured.force_N.max()))
+
+
+class WorkError(CurveResponse):
+    """Absolute difference of the work over the measured range, over the measured work."""
+
+    name = "work_error"
+    unit = RESPONSES[name]
+
+    def between(self, predicted: Curve, measured: Curve) -> float:
+        """Compare two curves, %."""
+        d = measured.displacement_mm
+        work = float(np.trapezoid(measured.force_N, d))
+        return 100 * abs(float(np.trapezoid(residual_N(predicted, measured), d)) / work)
+
+
+@dataclass(frozen=True)
+class SimulatedResponse:
+    """A number of a predicted curve alone; one at a displacement has it in its name.
+
+    Examples
+    --------
+    >>> curve = Curve(np.array([1.0, 2.0]), np.array([3.0, 8.0]))
+    >>> [SimulatedResponse(name).of(curve) for name in ("peak_force", "force_at_1.5_mm", "work")]
+    [8.0, 5.5, 7.0]
+    """
+
+    name: str
+    needs: ClassVar[frozenset[Need]] = frozenset({Need.PREDICTION})
+
+    @property
+    def unit(self) -> str:
+        """Unit of its value."""
+        return SIMULATED[simulated_at(self.name)[0]]
+
+    def compute(self, found: Scored) -> float:
+        """Value of the response, in its unit.
+
+        Raises
+        ------
+        ValueError
+            If there is no predicted curve.
+        """
+        if found.predicted is None:
+            raise ValueError(f"{self.name} needs {Need.PREDICTION.value}")
+        return self.of(found.predicted)
+
+    def of(self, curve: Curve) -> float:
+        """Value for a curve."""
+        name, place = simulated_at(self.name)
+        if place is not None:
+            ordinate = curve.stiffness_at if name == "stiffness_at" else curve.force_at
+            return float(ordinate(place))
+        if name == "peak_force":
+            return float(curve.force_N.max())
+        return _work_of(curve)
+
+
+#: points between which the work of a curve is summed: the trapezoidal rule is then off by a
+#: millionth of the work, for a force that grows with the square of the displacement
+_POINTS = 400
+
+
+def _work_of(curve: Curve) -> float:
+    """Work done on the specimen from the unloaded state, N mm."""
+    if curve.work_Nmm is not None:
+        return float(curve.work_Nmm[-1])
+    ends = np.linspace(0.0, float(curve.displacement_mm[-1]), _POINTS + 1)
+    return float(np.trapezoid(curve.force_at(ends), ends))
+
+
+@dataclass(frozen=True)
+class ConstantResponse:
+    """A constant of the material in kPa; an exponent is a plain number, a time is in s."""
+
+    name: str
+    needs: ClassVar[frozenset[Need]] = frozenset({Need.CONSTANTS})
+
+    @property
+    def unit(self) -> str:
+        """Unit of its value."""
+        return unit_shown(self.name)
+
+    def compute(self, found: Scored) -> float:
+        """Value of the constant."""
+        return scale_of(self.name) * float(found.constants[self.name])
+
+
+class InitialShearModulus:
+    """Initial shear modulus of the material."""
+
+    name: ClassVar[str] = "mu0"
+    unit: ClassVar[str] = RESPONSES[name]
+    needs: ClassVar[frozenset[Need]] = frozenset({Need.CONSTANTS})
+
+    def compute(self, found: Scored) -> float:
+        """Value of the modulus, kPa; NaN where it is not known."""
+        return float("nan") if found.mu0 is None else KPA * found.mu0
+
+
+#: responses of a predicted and a measured curve, by name; every record holds them all
+CURVE_RESPONSES: Mapping[str, CurveResponse] = {
+    one.name: one
+    for one in (RelativeRmsForceError(), RmsForceError(), PeakForceError(), WorkError())
+}
+
+
+def units_of(asked: Iterable[str], measured: bool = True) -> dict[str, str]:
+    """Units of all responses that the records of a study hold, by name.
+
+    Parameters
+    ----------
+    asked : iterable of str
+        Names of the responses that the study asks for; every record also holds those of
+        :data:`CURVE_RESPONSES` and the initial shear modulus.
+    measured : bool
+        Whether predicted curves stand beside measured ones.
+    """
+    every: list[Response] = [*(CURVE_RESPONSES.values() if measured else ()), InitialShearModulus()]
+    names = list(asked)
+    every += [SimulatedResponse(name) for name in names if is_simulated(name)]
+    units = {one.name: one.unit for one in every}
+    units |= {name: RESPONSES[name] for name in names if name in MARKED}
+    constants = [ConstantResponse(name) for name in names if name not in {*units, "seconds"}]
+    units |= {one.name: one.unit for one in constants}
+    return units | ({"seconds": RESPONSES["seconds"]} if "seconds" in names else {})
+
+
+def scale_of(constant: str) -> float:
+    """Factor from MPa to the unit in which a constant is reported; 1 for one that is no modulus.
+
+    Parameters
+    ----------
+    constant : str
+        Name, such as ``"C10"``; a share or time of relaxation has the factor 1 too.
+    """
+    return 1.0 if is_dimensionless(constant) else KPA
+
+
+def score(found: Scored, asked: Iterable[str] = ()) -> dict[str, Quantity]:
+    """Every response that a curve has, with its unit.
+
+    Parameters
+    ----------
+    found : Scored
+        The predicted curve, the measured one if there is one, and the constants.
+    asked : iterable of str
+        Names of the responses that the record holds.
+    """
+    every: list[Response] = []
+    if found.predicted is not None:
+        every += of_prediction(asked)
+        every += [] if found.measured is None else list(CURVE_RESPONSES.values())
+    return _computed(every, found) | constants_of(found)
+
+
+def of_prediction(asked: Iterable[str]) -> list[SimulatedResponse]:
+    """Those responses asked for that a predicted curve alone gives.
+
+    Parameters
+    ----------
+    asked : iterable of str
+        Names of responses; others are passed over, as is ``dofs``, which the mesh gives.
+    """
+    return [SimulatedResponse(name) for name in asked if is_simulated(name) and name != "dofs"]
+
+
+def constants_of(found: Scored) -> dict[str, Quantity]:
+    """List the initial shear modulus, where it is known, and every constant, with its unit.
+
+    Parameters
+    ----------
+    found : Scored
+        Its constants in MPa are listed in kPa, plain numbers and times as they are.
+    """
+    known: list[Response] = [] if found.mu0 is None else [InitialShearModulus()]
+    known += [ConstantResponse(name) for name in found.constants]
+    return _computed(known, found)
+
+
+def _computed(responses: Iterable[Response], found: Scored) -> dict[str, Quantity]:
+    """Values of some responses, by name."""
+    return {one.name: {"value": one.compute(found), "unit": one.unit} for one in responses}
+
+
+def averaged(scores: Sequence[Mapping[str, Quantity]]) -> dict[str, Quantity]:
+    """Mean over the directions (fit and score changed places), with units.
+
+    Parameters
+    ----------
+    scores : sequence of mapping of str to Quantity
+        One a direction; the first says which responses. A mean that is not finite becomes None.
+    """
+    out: dict[str, Quantity] = {}
+    for name, first in scores[0].items():
+        numbers = [score[name]["value"] for score in scores if name in score]
+        mean = float(np.mean(np.array(numbers, dtype=float)))
+        out[name] = {"value": mean if np.isfinite(mean) else None, "unit": first["unit"]}
+    return out
+
+
+def splined_uncertainty(predicted: Curve, asked: Iterable[str]) -> dict[str, float]:
+    """Change of every response of a curve whose tangents are a spline's, with half of its points.
+
+    Another program solves with load steps of its own, which are not ours to halve; what lies
+    between the displacements that it was asked for is. Nothing where too few points are left.
+
+    Parameters
+    ----------
+    predicted, asked
+        A curve with tangents, and names of responses; the change is in the unit of each.
+    """
+    rough = replace(predicted.every_other_point(), stiffness_N_per_mm=None, work_Nmm=None)
+    rough = rough.with_tangents()
+    if rough.stiffness_N_per_mm is None:
+        return {}
+    return {one.name: abs(one.of(predicted) - one.of(rough)) for one in of_prediction(asked)}
+
+
+def step_uncertainty(
+    predicted: Curve, measured: Curve | None, asked: Iterable[str] = ()
+) -> dict[str, float]:
+    """Change of every response where the curve keeps every other load step only.
+
+    The steps that are left out are twice as many as were solved; what is left of their effect in
+    the response itself is a part of this change, since the interpolation between two steps gets
+    better by more than twice when they are halved. Zero where the force is known everywhere
+    (closed form), and nothing where one step is all there is.
+
+    Parameters
+    ----------
+    predicted, measured, asked
+        The curve, the measured one that it is compared with (None where there is none), and the
+        names of the responses asked for. The change is in the unit of each response.
+    """
+    own = of_prediction(asked)
+    compared = CURVE_RESPONSES if measured is not None else {}
+    if predicted.stiffness_N_per_mm is None:
+        return dict.fromkeys([*compared, *(one.name for one in own)], 0.0)
+    if len(predicted) < 2:
+        return {}
+    rough = predicted.every_other_point()
+    scatter = {one.name: abs(one.of(predicted) - one.of(rough)) for one in own}
+    if measured is None:
+        return scatter
+    return scatter | {
+        name: abs(one.between(predicted, measured) - one.between(rough, measured))
+        for name, one in compared.items()
+    }
+
+
+def residual_N(predicted: Curve, measured: Curve) -> Array:  # noqa: N802
+    """Predicted less measured force at the measured points, N, shape (n,).
+
+    Parameters
+    ----------
+    predicted, measured : Curve
+        The predicted one has to reach as far as the measured one, which has the n points.
+    """
+    return predicted.force_at(measured.displacement_mm) - measured.force_N

@@ -1,0 +1,239 @@
+"""One solution of a refinement series: what a worker gets, does and answers."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from study.ground.canonical import digest
+from study.ground.curve import Curve
+from study.harness.execution.local import Loky
+from study.harness.execution.task import Document, Executor, Received, Results, Task
+from study.harness.external.command import External
+from study.harness.record.folder import own_folder
+from study.harness.record.store import Store
+from study.harness.runner.problem_tables import PROBLEM, on_mesh
+from study.harness.runner.provenance import code_version
+from study.mechanics.forward import finite_element
+from study.mechanics.forward.finite_element import load_compiled
+from study.mechanics.setup.declaration import with_table
+from study.mechanics.setup.setup import Setup, Tables, problem_of
+
+if TYPE_CHECKING:
+    from study.mechanics.solver.newton import Options
+
+
+@dataclass(frozen=True)
+class SolveTask:
+    """A solution as it goes to a worker, complete in itself."""
+
+    #: The problem, with its element size and number of load steps.
+    tables: Tables
+    #: How much the solver's tolerance is multiplied by.
+    looser: float = 1.0
+    #: By how much what sticks divides the steps that it takes whatever is asked for.
+    more_steps: int = 1
+
+    @classmethod
+    def of(
+        cls, tables: Tables, size_mm: float, *, more_steps: int = 1, looser: float = 1.0
+    ) -> SolveTask:
+        """Make the task of a problem."""
+        problem = {name: tables[name] for name in PROBLEM if name in tables}
+        problem = with_table(problem, "test", steps=Setup.of(tables).test.steps * more_steps)
+        return cls(on_mesh(problem, mesh=None, mesh_size_mm=size_mm), looser, more_steps)
+
+    @property
+    def key(self) -> str:
+        """Name of the solution: a hash of the problem and of the code."""
+        return digest([self.tables, self.looser, self.more_steps, code_version()], 32)
+
+    def to_json(self) -> dict[str, object]:
+        """Plain data for a worker."""
+        return {
+            "kind": "solve",
+            "tables": dict(self.tables),
+            "looser": self.looser,
+            "more_steps": self.more_steps,
+        }
+
+    @classmethod
+    def from_json(cls, document: Received) -> SolveTask:
+        """Inverse of :meth:`to_json`."""
+        return cls(document["tables"], float(document["looser"]), int(document["more_steps"]))
+
+
+def _no_curve() -> Curve:
+    return Curve(np.zeros(0), np.zeros(0))
+
+
+@dataclass(frozen=True)
+class SolveResult:
+    """What became of a solution."""
+
+    #: ``"converged"``, or the reason why not.
+    status: str
+    message: str = ""
+    curve: Curve = field(default_factory=_no_curve)
+    elements: int = 0
+    dofs: int = 0
+    #: Name of the mesh by its content.
+    mesh_hash: str = ""
+    seconds: float = 0.0
+    #: Peak memory of the process, and what it took before.
+    memory_MB: float = 0.0  # noqa: N815
+    base_MB: float = 0.0  # noqa: N815
+
+    @property
+    def converged(self) -> bool:
+        """Whether it has an answer."""
+        return self.status == "converged"
+
+    def to_json(self) -> dict[str, object]:
+        """Plain data, for the store."""
+        return {**vars(self), "curve": self.curve.as_dict()}
+
+    @classmethod
+    def from_json(cls, document: Received) -> SolveResult:
+        """Inverse of :meth:`to_json`; of a task that had no answer a status and a message stay."""
+        known = {k: v for k, v in document.items() if k in cls.__dataclass_fields__}
+        if "curve" in known:
+            known["curve"] = Curve.from_dict(known["curve"])
+        return cls(**known)
+
+
+#: Solves some tasks and gives each result with the key of its task as soon as it is there.
+Solver = Callable[[Sequence[SolveTask]], Iterable[tuple[str, SolveResult]]]
+
+
+def solutions(solve: Solver, tasks: Sequence[SolveTask]) -> list[SolveResult]:
+    """Results of some tasks in their order; equal ones are solved once."""
+    found = dict(solve(list({task.key: task for task in tasks}.values())))
+    return [found[task.key] for task in tasks]
+
+
+def perform(document: Received) -> dict[str, object]:
+    """Solve: a task for a worker."""
+    return solved(SolveTask.from_json(document)).to_json()
+
+
+def solved(task: SolveTask) -> SolveResult:
+    """Solve; what did not converge is a status."""
+    if External.of(task.tables) is not None:
+        return SolveResult("failed", "another program predicts here; this solves with ours alone")
+    problem = problem_of(task.tables)
+    load_compiled(problem)
+    reset_peak()
+    before = peak_MB()
+    found = finite_element.solve(problem, gradients=False, options=_options(task))
+    return SolveResult(
+        status=str(found.status),
+        message=str(found.message),
+        curve=found.curve,
+        elements=int(found.elements),
+        dofs=int(found.dofs),
+        mesh_hash=str(found.mesh_hash),
+        seconds=float(found.seconds.get("total", 0.0)),
+        memory_MB=peak_MB(),
+        base_MB=before,
+    )
+
+
+def _options(task: SolveTask) -> Options | None:
+    """Solver settings of a looser tolerance or smaller steps; None for the usual ones."""
+    if task.looser == 1.0 and task.more_steps == 1:
+        return None
+    from study.mechanics.solver.newton import Options
+
+    usual = Options()
+    newton = replace(usual.newton, tolerance=usual.newton.tolerance * task.looser)
+    steps = replace(usual.steps, sticking=usual.steps.sticking / task.more_steps)
+    return replace(usual, newton=newton, steps=steps)
+
+
+def reset_peak() -> None:
+    """Forget the peak memory of what this process did before; only Linux can."""
+    with contextlib.suppress(OSError), open("/proc/self/clear_refs", "w") as stream:
+        stream.write("5")
+
+
+def peak_MB() -> float:  # noqa: N802
+    """Peak memory of this process in MB since :func:`reset_peak`."""
+    with contextlib.suppress(OSError), open("/proc/self/status") as stream:
+        for line in stream:
+            if line.startswith("VmHWM:"):
+                return float(line.split()[1]) / 1024
+    import resource
+
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+# -------------------------------------------------------------------------------------------------
+# Where solutions of refinement series come from: this process, workers, or the store.
+
+#: results that the same input gives again; memory and time may be better another day
+_KEPT = ("converged", "not-converged", "unstable", "mesh-failed")
+
+
+def in_process(tasks: Sequence[SolveTask]) -> Iterator[tuple[str, SolveResult]]:
+    """Solve one after another in this process."""
+    for task in tasks:
+        yield task.key, solved(task)
+
+
+def by_workers(jobs: int, executor: Executor | None = None) -> Solver:
+    """Solve on several worker processes; a worker that dies costs its own solution only."""
+
+    def solve(tasks: Sequence[SolveTask]) -> Iterator[tuple[str, SolveResult]]:
+        work = [Task(task.key, partial(_as_is, task.to_json())) for task in tasks]
+        for outcome in (executor or Loky(perform, jobs)).run(work):
+            yield outcome.key, SolveResult.from_json(outcome.result)
+
+    return solve
+
+
+def _as_is(document: Document, results: Results) -> Document:
+    """Payload of a task that needs no other's result."""
+    return document
+
+
+def kept(solve: Solver, store: Store) -> Solver:
+    """Read what is stored, solve the rest, and store each result as it comes."""
+
+    def looked_up(tasks: Sequence[SolveTask]) -> Iterator[tuple[str, SolveResult]]:
+        missing = []
+        for task in tasks:
+            known = store.read_solution(task.key)
+            if known is not None:
+                yield task.key, SolveResult.from_json(known)
+            else:
+                missing.append(task)
+        for key, result in solve(missing) if missing else ():
+            if result.status in _KEPT:
+                with store.lock():
+                    store.write_solution(key, result.to_json())
+            yield key, result
+
+    return looked_up
+
+
+def is_kept(task: SolveTask, store: Store) -> bool:
+    """Whether the solution of a task is stored."""
+    return store.read_solution(task.key) is not None
+
+
+def store_of(results: Path, name: str) -> Store:
+    """Store of a problem or a design by its name."""
+    return Store(own_folder(results, slug(name)))
+
+
+def slug(name: str) -> str:
+    """Name of a folder from any name."""
+    return re.sub(r"[^A-Za-z0-9_-]+", "-", name).strip("-")[:80] or "problem"

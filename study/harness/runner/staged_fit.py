@@ -1,0 +1,401 @@
+"""One fit in stages: a cheaper problem gives the start, the wanted one the answer.
+
+The first steps of a fit are far from its end, so that the error of a coarse mesh, or of the
+equivalent cylinder in axisymmetric space, does not matter to them; on the wanted mesh one or
+two simulations are left. A stage that has no answer at its start begins again at a gentler one
+(:mod:`study.harness.runner.staged_fit`). Start values remain a function of the case alone.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, TypedDict, cast
+
+import numpy as np
+
+from study.ground.arrays import Array
+from study.ground.bounded_file import read_json
+from study.ground.curve import Curve
+from study.ground.errors import StoreError
+from study.harness.record.atomic_files import write_atomic
+from study.harness.runner.problem_tables import on_mesh
+from study.mechanics.calibration.fit import fit
+from study.mechanics.calibration.levenberg_marquardt import Iteration, Status
+from study.mechanics.calibration.residual_function import EvaluationFailed
+from study.mechanics.material.relaxation import is_of_relaxation
+from study.mechanics.setup.setup import MESH_LEVELS, Setup, Tables
+
+if TYPE_CHECKING:
+    from study.mechanics.calibration.fit import Fit
+    from study.mechanics.calibration.residual_function import MeasuredCurve
+
+
+# -------------------------------------------------------------------------------------------------
+# Starts of a fit, the wanted one first, then gentler ones for where the model has no answer.
+#
+# Higher constants that were fitted on another mesh, or with one constant less, can soften so much
+# that the wanted model loses its equilibrium before the end of the test. Less of them is nearer
+# to a neo-Hookean solid of the same initial shear modulus, which has an answer wherever the test
+# has one. The order is fixed, so that a start remains a function of the case alone.
+
+#: what is kept of the higher constants, and how a message calls it
+_SHARES = (
+    (0.5, "the higher constants halved"),
+    (0.25, "the higher constants halved twice"),
+    (0.0, "the neo-Hookean constant alone"),
+)
+
+
+@dataclass(frozen=True)
+class Start:
+    """Start values of a fit."""
+
+    #: shape (p,); in MPa, exponents plain.
+    values: Array
+    words: str = "the start values"
+
+
+def gentler(
+    names: Sequence[str],
+    start: Array,
+    bounds: Sequence[tuple[float, float]] | None = None,
+) -> list[Start]:
+    """List a start and what may be tried after it, each one once.
+
+    Shapes: start (p,), MPa.
+
+    Examples
+    --------
+    >>> for one in gentler(("C10", "C20"), np.array([3.0, -0.4])):
+    ...     print(one.values, one.words)
+    [ 3.  -0.4] the start values
+    [ 3.  -0.2] the higher constants halved
+    [ 3.  -0.1] the higher constants halved twice
+    [3. 0.] the neo-Hookean constant alone
+    """
+    found = [Start(np.array(start, float))]
+    for share, words in _SHARES:
+        values = _softened(names, found[0].values, share)
+        if bounds is not None:
+            values = np.clip(values, *np.array(bounds, float).T)
+        if not any(np.array_equal(values, one.values) for one in found):
+            found.append(Start(values, words))
+    return found
+
+
+def _softened(names: Sequence[str], start: Array, share: float) -> Array:
+    """Keep a share of the higher constants, and the initial shear modulus."""
+    every = dict(zip(names, start.tolist(), strict=True))
+    old = {n: v for n, v in every.items() if not is_of_relaxation(n)}
+    if "mu1" in old:
+        new = _softened_ogden(old, share)
+    elif "C10" in old:
+        new = {n: v if n == "C10" else share * v for n, v in old.items()}
+        # mu0 = 2 (C10 + C01)
+        new["C10"] = old["C10"] + (1 - share) * old.get("C01", 0.0)
+    else:
+        new = old
+    return np.array([{**every, **new}[n] for n in names]) + 0.0  # no minus zero
+
+
+def _softened_ogden(old: dict[str, float], share: float) -> dict[str, float]:
+    """Move moduli to the first term, whose exponent nears the 2 of a neo-Hookean solid."""
+    new = {n: share * v if re.fullmatch(r"mu\d+", n) else v for n, v in old.items()}
+    total = sum(v for n, v in old.items() if re.fullmatch(r"mu\d+", n))
+    new["mu1"] += (1 - share) * total
+    if "alpha1" in old:
+        new["alpha1"] = 2 + share * (old["alpha1"] - 2)
+    return new
+
+
+Predict = Callable[[Array], list[Curve]]
+
+
+class Tolerances(TypedDict, total=False):
+    """When a search ends; see ``levenberg_marquardt``."""
+
+    ftol: float
+    xtol: float
+    gtol: float
+    edge: float
+
+
+#: each evaluation of an inverse fit is a simulation: digits far below the error of the mesh
+#: are not worth one; a start needs fewer still
+TOLERANCES: Mapping[str, Tolerances] = {
+    "closed-form": {},
+    "inverse-fem": {"ftol": 1e-9, "xtol": 1e-7, "gtol": 1e-5, "edge": 1e-3},
+    # gradients by differences are good to three digits
+    "external": {"ftol": 1e-9, "xtol": 1e-6, "gtol": 1e-4, "edge": 1e-3},
+    "start": {"ftol": 1e-6, "xtol": 1e-2, "gtol": 1e-3, "edge": 1e-2},
+}
+
+#: name of the stage that gives the start
+FIRST = "cheaper model"
+
+#: name of the stage that gives the answer
+LAST = "wanted mesh"
+
+#: coarse over fine of the named meshes
+_COARSER = 2.25
+
+#: elements over the height below which a mesh is coarse already
+_FEW = 4.0
+
+
+@dataclass(frozen=True)
+class Part:
+    """One test of a fit: how it is predicted, and the curves measured in it."""
+
+    method: str
+    tables: Tables
+    #: Curves of this test, of one or several specimens of equal size.
+    measured: tuple[MeasuredCurve, ...]
+
+
+@dataclass(frozen=True)
+class Step:
+    """An accepted iteration of a stage; what a progress line shows."""
+
+    stage: str
+    names: tuple[str, ...]
+    iteration: Iteration
+
+
+Progress = Callable[[Step], None]
+
+#: method, tables, measured curves and names -> model
+MakeModel = Callable[[str, Tables, Sequence[Curve], Sequence[str]], Predict]
+
+
+@dataclass(frozen=True)
+class Staged:
+    """A fit, the models that made it, one for each part, and the coarse fit before it.
+
+    ``fruitless`` counts the calls of the model in starts that were given up, and ``notes`` say
+    what was begun with instead.
+    """
+
+    fit: Fit
+    models: tuple[Predict, ...]
+    rough: Fit | None = None
+    fruitless: int = 0
+    notes: tuple[str, ...] = ()
+
+    @property
+    def evaluations(self) -> int:
+        """Calls of the model in all stages, starts without an answer included."""
+        return self.fit.evaluations + self.fruitless + (self.rough.evaluations if self.rough else 0)
+
+    @property
+    def message(self) -> str:
+        """How the fit ended, and what it was begun with where that was not its own start."""
+        return "; ".join([self.fit.message, *self.notes])
+
+
+def staged_fit(
+    parts: Sequence[Part],
+    names: tuple[str, ...],
+    start: Array,
+    make: MakeModel,
+    *,
+    bounds: Sequence[tuple[float, float]] | None = None,
+    progress: Progress | None = None,
+    checkpoint: Checkpoint | None = None,
+) -> Staged:
+    """Fit common constants to all parts at once.
+
+    Shapes: start (p,), MPa.
+    """
+    kept = checkpoint or Checkpoint()
+    cheap = [cheaper(part) for part in parts]
+    starts = gentler(names, start, bounds)
+    rough: Staged | None = None
+    if len(names) > 1 and any(one is not None for one in cheap):
+        first = [own if own is not None else part for own, part in zip(cheap, parts, strict=True)]
+        rough = begun_stage(FIRST, first, names, starts, make, bounds, progress, kept)
+        if rough.fit.status.usable and not np.array_equal(rough.fit.values, start):
+            # what the cheaper problem could solve may be beyond the wanted one
+            starts = [Start(rough.fit.values, f"the constants of the {FIRST}"), *starts]
+    done = begun_stage(LAST, parts, names, starts, make, bounds, progress, kept)
+    if rough is None:
+        return done
+    return replace(
+        done,
+        rough=rough.fit,
+        fruitless=rough.fruitless + done.fruitless,
+        notes=(*rough.notes, *done.notes),
+    )
+
+
+def begun_stage(
+    stage: str,
+    parts: Sequence[Part],
+    names: tuple[str, ...],
+    starts: Sequence[Start],
+    make: MakeModel,
+    bounds: Sequence[tuple[float, float]] | None,
+    progress: Progress | None,
+    checkpoint: Checkpoint,
+) -> Staged:
+    """Fit from the first start that leads anywhere; from the last one if none does."""
+    labels = [stage, *(f"{stage}, {one.words}" for one in starts[1:])]
+    # an interrupted fit goes on from the start that it was at; those before it failed at once
+    number = max((k for k, one in enumerate(labels) if checkpoint.last(one)), default=0)
+    fruitless = number
+    while True:
+        done = single_stage(
+            labels[number], parts, names, starts[number].values, make, bounds, progress, checkpoint
+        )
+        if number + 1 == len(starts) or not _nowhere(done.fit):
+            break
+        fruitless, number = fruitless + done.fit.evaluations, number + 1
+    notes = () if number == 0 else (_told(stage, starts[: number + 1], _nowhere(done.fit)),)
+    return replace(done, fruitless=fruitless, notes=notes)
+
+
+def _nowhere(found: Fit) -> bool:
+    """Whether the model had no answer at the start of a fit, or nowhere around it."""
+    stuck = found.status is Status.too_many_failures and len(found.history) <= 1
+    return found.status is Status.start_failed or stuck
+
+
+def _told(stage: str, tried: Sequence[Start], in_vain: bool) -> str:
+    """Say which starts were given up, and what was begun with."""
+    failed = tried if in_vain else tried[:-1]
+    rule = f"the {stage} led nowhere from {', nor from '.join(one.words for one in failed)}"
+    return rule if in_vain else f"{rule}: it was begun with {tried[-1].words}"
+
+
+def single_stage(
+    stage: str,
+    parts: Sequence[Part],
+    names: tuple[str, ...],
+    start: Array,
+    make: MakeModel,
+    bounds: Sequence[tuple[float, float]] | None,
+    progress: Progress | None,
+    checkpoint: Checkpoint,
+) -> Staged:
+    """Fit on the given meshes from one start."""
+    models = [make(p.method, p.tables, [m.curve for m in p.measured], names) for p in parts]
+
+    def predict(values: Array) -> list[Curve]:
+        return [curve for model in models for curve in model(values)]
+
+    def accepted(iteration: Iteration) -> None:
+        checkpoint.keep(stage, iteration)
+        if progress is not None:
+            progress(Step(stage, names, iteration))
+
+    resume = checkpoint.last(stage)
+    if resume is not None:
+        # models interpolate relative to what they solved first: make that the start again
+        with contextlib.suppress(EvaluationFailed):
+            predict(np.asarray(start, float))
+    simulated = any(part.method == "inverse-fem" for part in parts)
+    tolerances = "start" if stage.startswith(FIRST) else "inverse-fem"
+    if any(part.method == "external" for part in parts):
+        simulated, tolerances = True, "external"
+    found = fit(
+        predict,
+        [m for part in parts for m in part.measured],
+        names,
+        start,
+        bounds=bounds,
+        callback=accepted,
+        resume=resume,
+        **TOLERANCES[tolerances if simulated else "closed-form"],
+    )
+    return Staged(found, tuple(models))
+
+
+def cheaper(part: Part) -> Part | None:
+    """Make the same part axisymmetric, or on a coarse mesh; None where nothing is cheaper."""
+    if part.method != "inverse-fem":
+        return None
+    setup = Setup.of(part.tables)
+    if setup.model.space == "3d" and not setup.is_whole:
+        return replace(part, tables=on_mesh(part.tables, space="axisymmetric"))
+    coarse = _coarse(setup)
+    return None if coarse is None else replace(part, tables=on_mesh(part.tables, **coarse))
+
+
+def _coarse(setup: Setup) -> dict[str, object] | None:
+    """Return the keys of a coarse mesh; None where it is one already, or too few are left."""
+    size = setup.model.mesh_size_mm
+    if size is None:
+        return {"mesh": "coarse"} if setup.model.level < len(MESH_LEVELS) - 1 else None
+    coarser, height = _COARSER * size, setup.height_mm
+    few = height is None or height / coarser < _FEW
+    return None if few else {"mesh_size_mm": coarser}
+
+
+class StageDocument(TypedDict):
+    """An accepted iteration as it is kept; see ``Iteration``."""
+
+    iteration: int
+    evaluations: int
+    x: list[float]
+    cost: float
+    radius: float
+    damping: float
+    offset: float
+    scale: list[float]
+
+
+class CheckpointDocument(TypedDict):
+    """Accepted iterations by the name of their stage, and the fit that they are of."""
+
+    key: str
+    stages: dict[str, StageDocument]
+
+
+class Checkpoint:
+    """Last accepted iteration of every stage of one fit."""
+
+    def __init__(self, path: Path | None = None, key: str = "") -> None:
+        self.path, self.key = path, key
+        self.stages: dict[str, StageDocument] = {} if path is None else _read(path, key)
+
+    def last(self, stage: str) -> Iteration | None:
+        """Last accepted iteration of a stage; None where it has not begun."""
+        kept = self.stages.get(stage)
+        if kept is None:
+            return None
+        return Iteration(
+            kept["iteration"], kept["evaluations"], np.array(kept["x"], float), kept["cost"],
+            kept["radius"], kept["damping"], kept["offset"], np.array(kept["scale"], float),
+        )  # fmt: skip
+
+    def keep(self, stage: str, iteration: Iteration) -> None:
+        """Keep an accepted iteration."""
+        if self.path is None:
+            return
+        arrays = {"x": iteration.x.tolist(), "scale": iteration.scale.tolist()}
+        self.stages[stage] = cast(StageDocument, {**vars(iteration), **arrays})
+        text = json.dumps({"key": self.key, "stages": self.stages}, indent=1, allow_nan=False)
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomic(self.path, text.encode())
+
+    def clear(self) -> None:
+        """Forget everything: the fit is finished."""
+        if self.path is not None:
+            self.path.unlink(missing_ok=True)
+        self.stages = {}
+
+
+def _read(path: Path, key: str) -> dict[str, StageDocument]:
+    """Stages of a file; none where it is of another fit, or damaged: the fit then starts anew."""
+    try:
+        content = cast(CheckpointDocument, read_json(path))
+        stages: dict[str, StageDocument] = content["stages"] if content["key"] == key else {}
+        wanted = set(StageDocument.__annotations__)
+        return {name: kept for name, kept in stages.items() if set(kept) == wanted}
+    except (StoreError, KeyError, TypeError, AttributeError):
+        return {}

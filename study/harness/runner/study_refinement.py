@@ -1,0 +1,339 @@
+"""Refinement of the mesh under a study: which cells are refined, and how often.
+
+Cells of every kind of discretization are computed again in the first block, calibration and
+all, on finer meshes: a change of the constants and of the score is what a finer mesh would
+have changed in the study. Only cells whose deformation is not homogeneous have a mesh error.
+All of them are refined where that is cheap, and at least two elsewhere: a difference of cells
+is bounded by its own series, or by the scatter of the error over those that were refined.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Final, Literal
+
+import numpy as np
+
+from study.ground.arrays import Array
+from study.ground.canonical import digest
+from study.ground.errors import Fault, InputError
+from study.harness.design.cell import case_id, plain
+from study.harness.design.spec import Case
+from study.harness.record.record import Record
+from study.harness.runner.case_series import CaseSeries, force_at_places
+from study.harness.runner.cost import Costs
+from study.harness.runner.expansion import case_job
+from study.harness.runner.job import CaseJob, Origin, Work, varied
+from study.harness.runner.problem_tables import (
+    CalibrationTable,
+    measurements_of,
+    on_mesh,
+    value_named,
+)
+from study.harness.runner.refinement import FEWEST, base_size_mm
+from study.mechanics.measurement.measurement_section import Range
+from study.mechanics.setup.declaration import table_of, with_table
+from study.mechanics.setup.geometry import Enclosed
+from study.mechanics.setup.setup import Tables, known_height_mm
+
+PURPOSE: Final = "refinement"
+
+#: Seed of the other mesh of a surface, whose difference tells how far a choice of meshes moves it.
+OTHER_MESH = 1
+
+#: Seconds below which the solution on a third mesh is predicted to be cheap, so that it is made.
+CHEAP_S = 20.0
+
+#: Seconds for which all cells of one discretization may be refined; a few are beyond that.
+ALL_CELLS_S = 60.0
+
+#: Cells of one discretization that are refined where all of them would take too long.
+FEW_CELLS = 2
+
+#: Cells whose mean cost is taken for that of all: indenters, depths, interfaces may be factors.
+PRICED_CELLS = 8
+
+#: Keys of a model that choose its mesh.
+_MESH_KEYS = ("mesh", "mesh_size_mm", "mesh_ratio", "mesh_seed")
+
+
+def study_series(work: Work, records: Mapping[str, Record]) -> list[CaseSeries]:
+    """Series that tell the numerical uncertainty of a study.
+
+    Its own columns where its meshes are a factor; else the cells of :func:`chosen`, each to be
+    refined twice where that is cheap and once elsewhere.
+    """
+    return own_series(work, records) or chosen_series(work, records)
+
+
+def chosen_series(work: Work, records: Mapping[str, Record]) -> list[CaseSeries]:
+    """Series of the cells of :func:`chosen`."""
+    costs = Costs()
+    return [
+        refined_series(work, base, _refinements(work, base, costs), records)
+        for base in chosen(work)
+    ]
+
+
+def refinement_work(work: Work, bases: Sequence[CaseJob] = ()) -> Work:
+    """List the refined cases of a study, as work like any other."""
+    series = every_series(work, bases, {}) if bases else chosen_series(work, {})
+    return replace(work, jobs=tuple(job for one in series for job in one.every[1:]))
+
+
+def refined_series(
+    work: Work, base: CaseJob, times: int, records: Mapping[str, Record]
+) -> CaseSeries:
+    """Series of a cell on its own mesh and some finer ones."""
+    size, ratio = base_size_mm(base), work.design.converge.ratio
+    finer = [
+        case_job(
+            refined(base.case, size / ratio**level),
+            work.data,
+            work.design,
+            Origin(purpose=PURPOSE, of=base.case.case_id, level=level),
+        )
+        for level in range(1, times + 1)
+    ]
+    return _series(work, (base, *finer), records)
+
+
+def every_series(
+    work: Work, bases: Sequence[CaseJob], records: Mapping[str, Record]
+) -> list[CaseSeries]:
+    """Series of some cells, each refined as often as ``[converge] levels`` says."""
+    times = max(2, work.design.converge.levels - 1)
+    return [refined_series(work, base, times, records) for base in bases]
+
+
+def own_series(work: Work, records: Mapping[str, Record]) -> list[CaseSeries]:
+    """Cells of the first block that differ in their mesh alone, from coarse to fine.
+
+    Empty unless every column of the study has its three meshes.
+    """
+    found: dict[str, list[CaseJob]] = {}
+    for job in meshed_cells(work):
+        found.setdefault(_column(job.case.config), []).append(job)
+    if any(len(jobs) < FEWEST for jobs in found.values()):
+        return []
+    series = []
+    for jobs in found.values():
+        ordered = sorted(jobs, key=lambda job: -base_size_mm(job))
+        series.append(_series(work, tuple(ordered), records, "finest"))
+    return series
+
+
+def _series(
+    work: Work,
+    jobs: tuple[CaseJob, ...],
+    records: Mapping[str, Record],
+    own: Literal["coarsest", "finest"] = "coarsest",
+) -> CaseSeries:
+    """Series with its records; of a surface with another mesh of the study's own size."""
+    base = jobs[0 if own == "coarsest" else -1]
+    other = None
+    if isinstance(base.case.setup.specimen, Enclosed):
+        case = varied(base.case, on_mesh(base.case.config, mesh_seed=OTHER_MESH), PURPOSE)
+        origin = Origin(purpose=PURPOSE, of=base.case.case_id, level=0)
+        other = case_job(case, work.data, work.design, origin)
+    series = CaseSeries(jobs, work.design.converge.ratio, own, other=other)
+    for job in series.every:
+        record = records.get(job.case.case_id)
+        if record is not None:
+            series.add(job, record)
+    return series
+
+
+def chosen(work: Work) -> list[CaseJob]:
+    """Choose cases of every kind of discretization, in the first block, before any result is seen.
+
+    All of a kind where that is cheap; else those of fewest and of most constants, which the mesh
+    can move most differently.
+    """
+    groups: dict[str, list[CaseJob]] = {}
+    for job in meshed_cells(work):
+        groups.setdefault(discretization_key(job.case.config), []).append(job)
+    costs = Costs()
+    found = []
+    for jobs in groups.values():
+        ordered = sorted(jobs, key=lambda job: len(job.case.material.calibrated_names))
+        priced = _spread(ordered, PRICED_CELLS)
+        finest = [costs.solve_seconds(_twice(work, job).config) for job in priced]
+        cheap = len(jobs) * float(np.mean(finest)) <= ALL_CELLS_S
+        found += jobs if cheap else _spread(ordered, FEW_CELLS)
+    return found
+
+
+def _spread(jobs: Sequence[CaseJob], count: int) -> list[CaseJob]:
+    """Take a few from the first to the last."""
+    return [jobs[round(i)] for i in np.linspace(0, len(jobs) - 1, min(count, len(jobs)))]
+
+
+def every_cell(work: Work) -> list[CaseJob]:
+    """List the case of every cell in the first block."""
+    return [job for job in work.jobs if job.case.block in (None, *work.blocks[:1])]
+
+
+def meshed_cells(work: Work) -> list[CaseJob]:
+    """List those whose answer depends on a mesh: their deformation is not homogeneous."""
+    return [job for job in every_cell(work) if not job.case.setup.is_homogeneous]
+
+
+def _refinements(work: Work, job: CaseJob, costs: Costs) -> int:
+    """Count the refinements: two where the second is cheap, one elsewhere."""
+    return 2 if costs.solve_seconds(_twice(work, job).config) < CHEAP_S else 1
+
+
+def _twice(work: Work, job: CaseJob) -> Case:
+    return refined(job.case, base_size_mm(job) / work.design.converge.ratio**2)
+
+
+def refined(case: Case, size_mm: float) -> Case:
+    """Copy a case with another mesh; everything else, the block too, stays."""
+    return varied(case, on_mesh(case.config, mesh=None, mesh_size_mm=size_mm), PURPOSE)
+
+
+def discretization_key(tables: Tables) -> str:
+    """Name of a kind of discretization: cells that share it share their mesh error."""
+    apart = ("mesh_ratio", "mesh_seed")
+    return case_id({k: v for k, v in table_of(tables, "model").items() if k not in apart})
+
+
+def _column(tables: Tables) -> str:
+    """Name of a column: everything but the mesh, that of the calibration left out too."""
+    own = CalibrationTable.of(tables).problem or {}
+    rest = {k: v for k, v in tables.items() if k not in ("model", "calibration")}
+    return digest(
+        [plain(rest), _meshless(table_of(tables, "model")), _meshless(table_of(own, "model"))]
+    )
+
+
+def _meshless(model: Tables) -> dict[str, object]:
+    return {k: v for k, v in model.items() if k not in _MESH_KEYS}
+
+
+# -------------------------------------------------------------------------------------------------
+# What the uncertainty of the inputs does: cases computed again with one input moved.
+#
+# One cell of every combination of the factors that are no discretization, the one that costs
+# least, in the first block, is computed again for every input of ``[uncertainty]``, calibration
+# and all; the change is carried to the other discretizations in proportion to their force.
+
+#: levels of the factors that are no discretization
+Physics = tuple[tuple[str, str], ...]
+
+INPUT_PURPOSE: Final = "input"
+
+
+def input_work(work: Work) -> Work:
+    """List the cases with one input moved by its standard uncertainty, as work like any other."""
+    jobs = []
+    for base in representatives(work):
+        for key, amount in moved_inputs(work).items():
+            case = _moved(base.case, key, amount)
+            origin = Origin(purpose=INPUT_PURPOSE, of=base.case.case_id, input=key)
+            jobs.append(case_job(case, work.data, work.design, origin))
+    return replace(work, jobs=tuple(jobs))
+
+
+def moved_inputs(work: Work) -> dict[str, float]:
+    """List the uncertain inputs of the simulation; those of the data move no case.
+
+    Units: returns mm, N, MPa, deg, s.
+    """
+    return {
+        k: float(u)
+        for k, u in work.design.uncertainty.items()
+        if u and not k.startswith("measurements.")
+    }
+
+
+def representatives(work: Work) -> list[CaseJob]:
+    """List the cheapest cell for every combination of the other factors, in the first block."""
+    costs = Costs()
+    best: dict[Physics, tuple[float, CaseJob]] = {}
+    for job in every_cell(work):
+        key = physics_of(job.case.levels)
+        price = costs.case_seconds(job)
+        if key not in best or price < best[key][0]:
+            best[key] = (price, job)
+    return [job for _, job in best.values()]
+
+
+def physics_of(levels: Mapping[str, str]) -> Physics:
+    """Levels of the factors that are no discretization."""
+    return tuple(
+        sorted((k, v) for k, v in levels.items() if k != "model" and not k.startswith("model."))
+    )
+
+
+def _moved(case: Case, key: str, amount: float) -> Case:
+    """Copy a case with one input moved; the measured points stay where they are."""
+    config = shifted(_fixed_range(case.config), key, amount)
+    own = CalibrationTable.of(config).problem
+    if own and key.split(".")[0] in own:
+        inner = shifted(_fixed_range(own), key, amount)
+        config = with_table(config, "calibration", problem=inner)
+    return varied(case, config, INPUT_PURPOSE)
+
+
+def shifted(config: Tables, key: str, amount: float) -> Tables:
+    """Copy of a configuration with one value moved, named as in the file.
+
+    Examples
+    --------
+    >>> shifted({"specimen": {"height_mm": 30.0}}, "specimen.height", 0.5)
+    {'specimen': {'height_mm': 30.5}}
+    """
+    path = key.split(".")
+    return _shifted(config, path, amount, key)
+
+
+def _shifted(section: Tables, path: Sequence[str], amount: float, key: str) -> Tables:
+    inner = table_of(section, path[0])
+    if len(path) > 1 and inner:
+        return {**section, path[0]: _shifted(inner, path[1:], amount, key)}
+    constants = section.get("constants")
+    if isinstance(constants, Mapping) and path[-1] in constants:
+        return {**section, "constants": _shifted(constants, path[-1:], amount, key)}
+    found = value_named(section, path[-1])
+    if found is not None:
+        return {**section, found[0]: found[1] + amount}
+    rule = "has no value in the design that could be uncertain"
+    raise InputError(Fault(f"uncertainty.{key}", rule, "give the input, or leave this out"))
+
+
+def _fixed_range(config: Tables) -> Tables:
+    """Say the measured range in mm, so that another height does not move it."""
+    made, height = measurements_of(config), known_height_mm(table_of(config, "specimen"))
+    if made is None or height is None or made.range is None:
+        return config
+    if made.range.kind == "mm":
+        return config
+    low, high = made.range.in_mm(height)
+    return {**config, "measurements": replace(made, range=Range("mm", low, high))}
+
+
+def input_shares(work: Work, moved: Work, records: Mapping[str, Record]) -> dict[Physics, Array]:
+    """Relative standard uncertainty of the force from all inputs, at the places of a series.
+
+    Shapes: returns (places,).
+    """
+    found: dict[Physics, Array] = {}
+    for base in representatives(work):
+        record = records.get(base.case.case_id)
+        if record is None or not record.converged:
+            continue
+        force = force_at_places(record)
+        changes = [
+            force_at_places(other) - force
+            for job in moved.jobs
+            if job.origin.of == base.case.case_id
+            and (other := records.get(job.case.case_id)) is not None
+            and other.converged
+        ]
+        if changes:
+            squares = np.sum([change**2 for change in changes], axis=0)
+            found[physics_of(base.case.levels)] = np.sqrt(squares) / np.abs(force)
+    return found

@@ -1,0 +1,111 @@
+"""The kinds of task of a study, each with the function that does it in a worker."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TypeGuard, cast
+
+from study.ground.errors import Fault, InputError, UnitError
+from study.ground.units import parse
+from study.harness.execution.cluster import Client, Cluster
+from study.harness.execution.local import Loky
+from study.harness.execution.task import Document, Executor, Perform
+from study.harness.runner import case, fit_task, solve_task, virtual_specimens
+from study.harness.runner.provenance import versions
+
+#: where a study is computed: an executor, or the scheduler of a Dask cluster by its address, its
+#: scheduler file or a client of it
+Engine = Executor | Client | str | Path
+
+KINDS: dict[str, Perform] = {
+    "case": case.perform,
+    "fit": fit_task.perform_fit,
+    "noise": fit_task.perform_bootstrap,
+    "reference": virtual_specimens.perform,
+    "solve": solve_task.perform,
+    "ping": lambda task: {"status": "converged"},
+}
+
+
+def perform(task: dict[str, object]) -> Document:
+    """Do one task, named by its ``kind``."""
+    return KINDS[str(task["kind"])](task)
+
+
+def processes(
+    jobs: int,
+    timeout_s: float | None = None,
+    memory_MB: float | None = None,  # noqa: N803
+) -> Executor:
+    """Start processes of this machine, which know every kind of task."""
+    return Loky(perform, jobs, timeout_s, memory_MB or free_memory_MB())
+
+
+def free_memory_MB() -> float | None:  # noqa: N802
+    """Memory of this machine that nobody uses now; None where it does not say."""
+    try:
+        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
+        found = {name: rest for name, _, rest in (line.partition(":") for line in lines)}
+        return float(found["MemAvailable"].split()[0]) * 1.024e-3  # of 1,024 bytes each
+    except (OSError, KeyError, ValueError, IndexError):
+        return None
+
+
+def memory_of(text: str) -> float:
+    """Read an amount of memory in MB.
+
+    Examples
+    --------
+    >>> memory_of("20 GB")
+    20000.0
+    """
+    try:
+        found = parse(text, "memory")
+    except UnitError as error:
+        raise InputError([replace(fault, where="memory") for fault in error.faults]) from error
+    if found <= 0:
+        raise InputError(Fault("memory", f"must be more than zero, got {text!r}"))
+    return found
+
+
+def computing_on(
+    engine: Engine,
+    jobs: int | None = None,
+    timeout_s: float | None = None,
+    files: Sequence[Path] = (),
+) -> tuple[Executor, int | None]:
+    """Find the executor that an engine means, and how many tasks it does at once."""
+    if not _is_scheduler(engine):
+        return cast("Executor", engine), jobs
+    cluster = Cluster(perform, engine, versions, jobs, timeout_s, files)
+    return cluster, cluster.slots()
+
+
+def _is_scheduler(engine: Engine) -> TypeGuard[str | Path | Client]:
+    """Whether it leads to a cluster; a client of Dask has a ``run`` too, which is another one."""
+    return isinstance(engine, str | os.PathLike) or hasattr(engine, "nthreads")
+
+
+def limit_of(place: Executor) -> float | None:
+    """Wall-clock limit of one task of an executor in seconds; None where there is none."""
+    return place.limit_s if isinstance(place, Loky | Cluster) else None
+
+
+def adapted(place: Executor, longer: float = 1.0, alone: bool = False) -> Executor:
+    """Copy an executor with a longer limit, or with one task at a time."""
+    if not isinstance(place, Loky | Cluster):
+        return place
+    limit = None if place.limit_s is None else longer * place.limit_s
+    longest = replace(place, limit_s=limit)
+    return replace(longest, jobs=1) if alone else longest
+
+
+def default_jobs() -> int:
+    """One worker for each core that this process may use."""
+    with contextlib.suppress(AttributeError):
+        return max(1, len(os.sched_getaffinity(0)))
+    return os.cpu_count() or 1

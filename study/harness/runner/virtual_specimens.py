@@ -1,0 +1,538 @@
+"""Virtual tests of material: what `study new --calibration` writes beside its file.
+
+The solid is Gent's with the constants of :data:`TRUTH`; every stress has the normal noise of one
+load cell, from a fixed seed, so that the files are always the same.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from math import factorial
+from pathlib import Path
+
+import numpy as np
+
+from study.ground.arrays import Array
+from study.ground.curve import Curve
+from study.ground.errors import Fault, InputError, nearest
+from study.ground.units import parse
+from study.harness.design.spec import Design
+from study.harness.design.study_file import Virtual
+from study.harness.execution.local import Loky
+from study.harness.execution.task import Received, Task
+from study.harness.record.atomic_files import write_atomic, write_new
+from study.harness.runner import provenance
+from study.harness.runner.job import TRUTH_SUFFIX
+from study.harness.runner.problem_tables import CalibrationTable, measurements_of
+from study.harness.runner.solve_task import SolveResult
+from study.mechanics.forward import finite_element
+from study.mechanics.material.homogeneous import LOADINGS
+from study.mechanics.material.material import Material, unit_shown
+from study.mechanics.measurement.measurement_section import MeasurementSpec
+from study.mechanics.setup.declaration import table_of
+from study.mechanics.setup.geometry import Block, Enclosed
+from study.mechanics.setup.setup import Setup, Tables, problem_of
+
+#: what a fit should find
+TRUTH = Material("gent", {"mu": 0.03, "Jm": 8.0}, poisson_ratio=0.495)
+
+#: standard deviation of the noise, kPa: 0.6 % of the largest stress
+NOISE_KPA = 0.5
+
+_SEED = 20261123
+_LENGTH_MM = 25.0
+
+
+def write_tests(folder: Path) -> list[Path]:
+    """Write tension, simple shear and compression of one solid."""
+    rng = np.random.default_rng(_SEED)
+    stretch, shear = np.linspace(1.0, 2.2, 25), np.linspace(0.0, 1.0, 21)
+    shortened = np.linspace(1.0, 0.7, 16)
+    folder.mkdir(parents=True, exist_ok=True)
+    return [
+        _write(folder / "tension.csv", "stretch", stretch, _stress("uniaxial", stretch, rng)),
+        _write(
+            folder / "simple-shear.csv", "shear", 100 * shear, _stress("simple-shear", shear, rng)
+        ),
+        _write(
+            folder / "compression.csv", "displacement_mm", _LENGTH_MM * (1 - shortened),
+            _stress("uniaxial", shortened, rng),
+        ),
+    ]  # fmt: skip
+
+
+def _stress(loading: str, measure: Array, rng: np.random.Generator) -> Array:
+    """Nominal stress in kPa with its noise."""
+    exact = 1e3 * LOADINGS[loading].nominal(TRUTH, measure).stress
+    return np.asarray(exact + NOISE_KPA * rng.standard_normal(exact.size))
+
+
+def _write(path: Path, column: str, measure: Array, stress: Array) -> Path:
+    rows = [f"{m:.5f},{p:.4f}" for m, p in zip(measure, stress, strict=True)]
+    write_new(path, "\n".join(["# virtual", f"{column},stress_kPa", *rows]) + "\n")
+    return path
+
+
+# -------------------------------------------------------------------------------------------------
+# Materials behind virtual specimens: energies with published constants, and how they scatter.
+#
+# The truth of a virtual specimen should lie in no family that a design compares; otherwise
+# the member of that family wins by birth. Constants are those of Ecoflex 00-10, mix EF10_0T
+# (``hyperelastic_parameters_ef10.json`` of Dawood et al. 2026, data CC BY 4.0).
+
+Constants = Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Truth:
+    """A material and the ways in which its shape of response scatters."""
+
+    #: Energy as the solver knows it.
+    model: str
+    #: Its constants, MPa (exponents plain).
+    constants: Constants
+    #: Each is a change of the constants per unit of one standard normal number, before it is
+    #: multiplied by the generator's ``shape_sd``; the stiffness scatters besides.
+    directions: tuple[Constants, ...]
+    #: What it is, for the record.
+    words: str
+
+
+def _yeoh() -> Truth:
+    constants = {"C10": 7.7021e-3, "C20": -0.0628e-3, "C30": 0.2479e-3}
+    higher = tuple({n: constants[n]} for n in ("C20", "C30"))
+    return Truth("reduced-polynomial", constants, higher, "reduced polynomial of order 3")
+
+
+def _ogden() -> Truth:
+    """Two terms; published as classical moduli m = 2 mu / alpha."""
+    classical = ((0.12417390e-3, 10.490170), (10.288743e-3, 2.8092082))
+    constants: dict[str, float] = {}
+    for i, (m, alpha) in enumerate(classical, start=1):
+        constants |= {f"mu{i}": m * alpha / 2, f"alpha{i}": alpha}
+    directions = ({"alpha1": constants["alpha1"]}, {"alpha2": constants["alpha2"]})
+    return Truth("ogden", constants, directions, "Ogden's energy of two terms")
+
+
+def _humphrey(order: int = 9) -> Truth:
+    """W = b (exp(c (I1 - 3)) - 1) (Humphrey and Yin 1987), as its power series.
+
+    What nine terms leave out is below 4e-5 of the stress up to I1 - 3 = 6; a stretch of 2.5
+    has 4. The exponent scatters at fixed initial modulus 2 b c.
+    """
+    b, c = 24.913774e-3, 0.25632133
+    constants = {f"C{k}0": b * c**k / factorial(k) for k in range(1, order + 1)}
+    exponent = {f"C{k}0": (k - 1) * constants[f"C{k}0"] for k in range(2, order + 1)}
+    return Truth("reduced-polynomial", constants, (exponent,), "Humphrey's exponential energy")
+
+
+TRUTHS: Mapping[str, Truth] = {"yeoh": _yeoh(), "ogden": _ogden(), "humphrey": _humphrey()}
+
+
+def truth(name: str) -> Truth:
+    """Find a truth by its name."""
+    if name not in TRUTHS:
+        raise InputError(Fault("--truth", f"no truth {name!r}", nearest(name, TRUTHS)))
+    return TRUTHS[name]
+
+
+# -------------------------------------------------------------------------------------------------
+# Reference curve of virtual specimens: a finer model than any cell of the design.
+
+#: plates of a reference curve for a design of a single test
+_BONDED = {"interface": "bonded", "base": "bonded"}
+
+
+def reference_curve(
+    tables: Tables,
+    material: Truth,
+    poisson_ratio: float,
+    *,
+    as_designed: bool = False,
+    virtual: Virtual | None = None,
+) -> Curve:
+    """Solve for the reference force and its gradient, in a worker of one thread."""
+    task = _task(tables, material, poisson_ratio, as_designed, virtual)
+    return _solved(task, "the reference curve")
+
+
+def reference_error(
+    tables: Tables,
+    material: Truth,
+    poisson_ratio: float,
+    curve: Curve,
+    *,
+    as_designed: bool,
+    virtual: Virtual | None = None,
+) -> float:
+    """Largest change of the reference force on the next coarser mesh, over the largest force.
+
+    The error of the reference itself is less wherever a finer mesh is a better one.
+    """
+    task = _task(tables, material, poisson_ratio, as_designed, virtual)
+    coarser = replace(task, refined=task.refined - 1, gradients=False)
+    other = _solved(coarser, "the reference curve on the next coarser mesh")
+    change = other.force_at(curve.displacement_mm) - curve.force_N
+    return float(np.abs(change).max() / np.abs(curve.force_N).max())
+
+
+def _task(
+    tables: Tables, material: Truth, poisson_ratio: float, as_designed: bool, asked: Virtual | None
+) -> ReferenceTask:
+    virtual, setup = asked or Virtual(), Setup.of(tables)
+    # the grid runs a little past the range, as a real test does
+    changes = {"steps": virtual.steps, "displacement_mm": 1.03 * setup.test.depth_mm}
+    test = {**table_of(tables, "test"), **({} if as_designed else _BONDED), **changes}
+    finer = as_designed and not virtual.chooses_mesh and not setup.is_homogeneous
+    return ReferenceTask(
+        {
+            "specimen": tables["specimen"],
+            "test": test,
+            "material": {"model": material.model, "constants": dict(material.constants),
+                         "poisson_ratio": poisson_ratio},
+            "model": _reference_model(setup, virtual, as_designed),
+        },
+        int(finer),
+    )  # fmt: skip
+
+
+def _solved(task: ReferenceTask, what: str) -> Curve:
+    (outcome,) = Loky(perform, 1).run([Task("reference", lambda _: task.to_json())])
+    found = SolveResult.from_json(outcome.result)
+    if not found.converged:
+        rule = f"{what} failed: {found.message}"
+        raise InputError(Fault("virtual specimens", rule))
+    return found.curve
+
+
+def _reference_model(setup: Setup, virtual: Virtual, as_designed: bool) -> dict[str, object]:
+    """3D where the specimen is no body of revolution and that matters; the mesh of ``[virtual]``.
+
+    Without one, and where every test is as the design has it, the mesh is the finest that the
+    design uses, to be made finer still.
+    """
+    specimen, own = setup.specimen, setup.model
+    corners = isinstance(specimen, Block) and setup.kind.takes_indenter
+    solid = isinstance(specimen, Enclosed) or corners
+    order = virtual.element_order
+    found: dict[str, object] = {"space": "3d" if solid else "axisymmetric", "element_order": order}
+    ratio = {"mesh_ratio": own.mesh_ratio}
+    if virtual.mesh_size_mm is not None:
+        return found | ratio | {"mesh_size_mm": virtual.mesh_size_mm}
+    if virtual.mesh is not None:
+        return found | ratio | {"mesh": virtual.mesh}
+    if not as_designed:
+        return {**found, "mesh": "fine"}
+    return found | ratio | {"mesh": own.mesh, "mesh_size_mm": own.mesh_size_mm}
+
+
+@dataclass(frozen=True)
+class ReferenceTask:
+    """The reference problem as it goes to a worker."""
+
+    tables: Tables
+    #: How often its mesh is made finer by one step, so that no cell of the design generates its own
+    #: data; coarser where negative.
+    refined: int
+    #: Whether the derivatives by the constants are wanted.
+    gradients: bool = True
+
+    def to_json(self) -> dict[str, object]:
+        """Plain data for a worker."""
+        return {"kind": "reference", **vars(self), "tables": dict(self.tables)}
+
+    @classmethod
+    def from_json(cls, document: Received) -> ReferenceTask:
+        """Inverse of :meth:`to_json`."""
+        return cls(document["tables"], int(document["refined"]), bool(document["gradients"]))
+
+
+def perform(document: Received) -> dict[str, object]:
+    """Solve the reference problem: a task for a worker."""
+    task = ReferenceTask.from_json(document)
+    problem = problem_of(task.tables)
+    if task.refined:
+        from study.mechanics.mesh.mesher import mesh_size
+
+        size = mesh_size(problem.setup) / problem.model.mesh_ratio**task.refined
+        problem = replace(problem, model=replace(problem.model, mesh_size_mm=size))
+    solution = finite_element.solve(problem, gradients=task.gradients)
+    return SolveResult(solution.status, solution.message, solution.curve).to_json()
+
+
+# -------------------------------------------------------------------------------------------------
+# Virtual specimens: measured curves with known truth, for the demo and for trying a design.
+#
+# The generator, in full. A batch of silicone has the constants of one of the energies of
+# ``virtual_specimens`` (Ecoflex 00-10, mix EF10_0T: Dawood et al. 2026, data CC BY 4.0)
+# times a stiffness factor, and a shape of response that scatters besides; each specimen of a
+# batch has a further stiffness factor; each repeat on a specimen has load-cell noise, a
+# load-cell zero and position noise. The reference curve comes from finite elements with bonded
+# plates, quadratic elements and the fine mesh, so that no cell of a design generates its own
+# data; a block under an indenter is solved in 3D.
+#
+# A design that reads several files reads several tests of the same specimens: each file then
+# holds its own test as the design describes it, of the same stiffness factors, on a mesh finer
+# than any of the design.
+#
+# One solution serves all specimens: at a given Poisson's ratio the force is proportional to
+# a common factor on all moduli, which is exact, and the scatter of the shape enters through
+# the exact gradient of the reference curve, to first order. Of a specimen that has a weight, moduli
+# and density together are such a factor, and what its weight does is known to first order. What is
+# written is the truth of this generator, and p values on it describe this scatter and nothing else.
+
+#: constants of the usual truth, MPa
+ECOFLEX_00_10 = TRUTHS["yeoh"].constants
+CITATION = (
+    "virtual specimens with the constants of Dawood et al. (2026), Hyperelastic "
+    "Characterisation of Silicone Tissue Phantoms, data CC BY 4.0"
+)
+
+
+@dataclass(frozen=True)
+class Generator:
+    """Numbers of the generator; everything random comes from ``seed``."""
+
+    seed: int = 2011
+    #: Number of batches (blocks), and of tests on one specimen.
+    batches: int = 6
+    repeats: int = 3
+    #: Standard deviation of the logarithm of the stiffness factors.
+    batch_sd: float = 0.06
+    specimen_sd: float = 0.02
+    #: Relative standard deviation of each higher constant between batches.
+    shape_sd: float = 0.15
+    #: Standard deviation of the load cell.
+    noise_N: float = 0.02
+    #: Further noise, and the load cell's zero of a test, over the largest force of the test.
+    noise_share: float = 0.0
+    zero_share: float = 0.0
+    position_mm: float = 0.0
+    spacing_mm: float = 0.05
+    #: Name of the material, see :mod:`study.harness.runner.virtual_specimens`.
+    truth: str = "yeoh"
+    poisson_ratio: float = 0.4995
+
+
+@dataclass(frozen=True)
+class VirtualTest:
+    """One generated test: labels of its groups, displacement (mm) and force (N), shape (n,)."""
+
+    groups: Mapping[str, str]
+    displacement_mm: Array
+    force_N: Array
+
+
+def usual_generator(
+    design: Design, *, truth_name: str = "yeoh", blocks: int | None = None
+) -> Generator:
+    """Numbers that suit a design: an indentation is measured with a smaller load cell."""
+    usual = Generator(seed=design.seed, truth=truth_name)
+    if any(Setup.of(c).kind.takes_indenter for _, c in _sources(design)):
+        usual = replace(
+            usual, noise_N=0.0, noise_share=0.003, zero_share=0.002, position_mm=0.005, repeats=1
+        )
+    return usual if blocks is None else replace(usual, batches=blocks)
+
+
+def write_virtual(design: Design, out: Path, generator: Generator | None = None) -> list[Path]:
+    """Write virtual measurements in the files, columns and groups that a design reads."""
+    generator = generator or usual_generator(design)
+    if design.measurements is None:
+        raise InputError(Fault("measurements", "the design reads no measurements to imitate"))
+    places = provenance.folders(design.source, out)
+    sources = [(spec, provenance.located(config, places)) for spec, config in _sources(design)]
+    written = []
+    several = len(sources) > 1
+    for number, (spec, config) in enumerate(sources):
+        given = (config, truth(generator.truth), generator.poisson_ratio)
+        reference = reference_curve(*given, as_designed=several, virtual=design.virtual)
+        stated = {}
+        if design.virtual is not None:
+            change = reference_error(*given, reference, as_designed=several, virtual=design.virtual)
+            stated = {"reference": {**asdict(design.virtual), "change_by_coarser_mesh": change}}
+        weighs = Setup.of(config).test.gravity is not None
+        which = number if several else None
+        tests = list(generate(reference, generator, spec, noise=which, weighs=weighs))
+        for name, rows in _files(spec, tests).items():
+            path = out / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_atomic(path, rows.encode())
+            note_of = {
+                "generator": asdict(generator),
+                "material": asdict(truth(generator.truth)),
+                "citation": CITATION,
+                **stated,
+            }
+            note = path.with_name(path.name + TRUTH_SUFFIX)
+            write_atomic(note, json.dumps(note_of, indent=2, default=dict).encode())
+            written += [path, note]
+    return written
+
+
+def _sources(design: Design) -> list[tuple[MeasurementSpec, Tables]]:
+    """Each file that a design reads, with the deepest test and the finest mesh that read it."""
+    found: dict[str, tuple[MeasurementSpec, Tables]] = {}
+    for treatment in design.treatments:
+        own = CalibrationTable.of(treatment.config).problem or {}
+        for config in (treatment.config, own):
+            spec = measurements_of(config)
+            if spec is None:
+                continue
+            _depth(config)
+            name = str(spec.file or spec.files)
+            if name in found:  # every treatment reads its own range from the same file
+                deepest = max(config, found[name][1], key=_depth)
+                finest = min(found[name][1], config, key=_coarseness)
+                config = {**deepest, "model": finest["model"]}
+                spec = measurements_of(config) or spec
+            found[name] = (spec, config)
+    return list(found.values())
+
+
+def _coarseness(tables: Tables) -> tuple[float, int]:
+    """Order of meshes: a given size, else the named level."""
+    model = Setup.of(tables).model
+    size = model.mesh_size_mm
+    return (np.inf if size is None else size, model.level)
+
+
+def _depth(config: Tables) -> float:
+    depth = Setup.of(config).test.displacement_mm
+    if depth is None:
+        rule = "is missing: measurements that are yet to be made cannot say how far a test goes"
+        raise InputError(Fault("test.displacement", rule, 'write displacement = "10 mm"'))
+    return float(depth)
+
+
+def generate(
+    reference: Curve,
+    generator: Generator,
+    spec: MeasurementSpec,
+    noise: int | None = None,
+    *,
+    weighs: bool = False,
+) -> Iterator[VirtualTest]:
+    """Generate every test of every specimen, in a fixed order.
+
+    Examples
+    --------
+    >>> curve = Curve(np.array([1.0, 2.0]), np.array([3.0, 7.0]),
+    ...               force_gradient={"C20": np.array([1.0, 2.0])})
+    >>> from study.mechanics.measurement.measurement_section import Columns, Units
+    >>> spec = MeasurementSpec(columns=Columns("d", "F"), units=Units("mm", "N"),
+    ...                        file="a.csv", block="batch", average=("repeat",))
+    >>> tests = list(generate(curve, Generator(batches=2, repeats=2), spec))
+    >>> [t.groups for t in tests][:2]
+    [{'batch': '1', 'repeat': '1'}, {'batch': '1', 'repeat': '2'}]
+    """
+    random = np.random.default_rng(generator.seed)
+    cell = random if noise is None else np.random.default_rng([generator.seed, 1 + noise])
+    d = np.arange(0.0, float(reference.displacement_mm[-1]), generator.spacing_mm)
+    force, slopes = reference.force_at(d), _shape_changes(reference, generator, d)
+    by_weight = _weight_change(reference, generator, d) if weighs else 0.0 * d
+    # without a column for them, further batches could not be told from the first
+    batches = generator.batches if spec.block else 1
+    for batch in range(1, batches + 1):
+        numbers = generator.shape_sd * random.standard_normal(len(slopes))
+        shape = sum((n * slope for n, slope in zip(numbers, slopes, strict=True)), 0.0 * d)
+        stiffness = np.exp(generator.batch_sd * random.standard_normal())
+        for groups in _specimens(spec, str(batch)):
+            own = stiffness * np.exp(generator.specimen_sd * random.standard_normal())
+            for labels in _repeats(spec, groups, generator.repeats):
+                true = own * (force + shape) + (1 - own) * by_weight
+                yield VirtualTest(labels, d, _measured(d, true, generator, cell))
+
+
+def _shape_changes(reference: Curve, generator: Generator, d: Array) -> list[Array]:
+    """Change of the force with each direction of the truth's scatter."""
+    return [
+        sum((rate * reference.gradient_at(n, d) for n, rate in direction.items()), 0.0 * d)
+        for direction in truth(generator.truth).directions
+        if set(direction) <= set(reference.force_gradient)
+    ]
+
+
+def _weight_change(reference: Curve, generator: Generator, d: Array) -> Array:
+    """Change of the force with the logarithm of the density.
+
+    The force is of the first degree in all moduli and the density together (Euler): what its
+    derivatives by the moduli leave of it is the density's.
+    """
+    material = truth(generator.truth)
+    moduli = [name for name in material.constants if unit_shown(name)]
+    stiff = (material.constants[name] * reference.gradient_at(name, d) for name in moduli)
+    return np.asarray(reference.force_at(d) - sum(stiff, 0.0 * d))
+
+
+def _measured(d: Array, force: Array, generator: Generator, random: np.random.Generator) -> Array:
+    """Force as a load cell at an uncertain position gives it."""
+    largest = float(np.abs(force).max())
+    spread = np.hypot(generator.noise_N, generator.noise_share * largest)
+    measured = force + spread * random.standard_normal(d.size)
+    if generator.zero_share:
+        measured = measured + generator.zero_share * largest * random.standard_normal()
+    if generator.position_mm:
+        wrong = generator.position_mm * random.standard_normal(d.size)
+        measured = measured + np.gradient(force, d) * wrong
+    return np.asarray(measured)
+
+
+def _specimens(spec: MeasurementSpec, batch: str) -> list[dict[str, str]]:
+    """Specimens of a batch: one for each of the fit and score selections."""
+    base = {spec.block: batch} if spec.block else {}
+    chosen: list[dict[str, str]] = []
+    for where in (spec.fit, spec.score):
+        if where:
+            labels = {k: str(v[0] if isinstance(v, (list, tuple)) else v) for k, v in where.items()}
+            if {**base, **labels} not in chosen:
+                chosen.append({**base, **labels})
+    return chosen or [base]
+
+
+def _repeats(
+    spec: MeasurementSpec, groups: Mapping[str, str], repeats: int
+) -> list[dict[str, str]]:
+    if not spec.average:
+        return [dict(groups)]
+    first, rest = spec.average[0], spec.average[1:]
+    return [{**groups, first: str(k), **dict.fromkeys(rest, "1")} for k in range(1, repeats + 1)]
+
+
+def _files(spec: MeasurementSpec, tests: Sequence[VirtualTest]) -> dict[str, str]:
+    """Text of each CSV file by its name below the data root."""
+    if spec.file:
+        if not spec.file.endswith(".csv"):
+            rule = f"virtual measurements are written as plain .csv, got {spec.file!r}"
+            raise InputError(Fault("measurements.file", rule))
+        return {spec.file: _csv(spec, tests, list(tests[0].groups))}
+    pattern = spec.files or ""
+    sorted_tests: dict[str, list[VirtualTest]] = {}
+    for test in tests:
+        try:
+            name = pattern.format_map(dict(test.groups))
+        except (KeyError, IndexError, ValueError) as error:
+            rule = f"needs the group {error} in {pattern!r}, which no table names"
+            raise InputError(Fault("measurements.files", rule)) from None
+        sorted_tests.setdefault(name, []).append(test)
+    inside = [n for n in tests[0].groups if "{" + n + "}" not in pattern]
+    return {name: _csv(spec, found, inside) for name, found in sorted_tests.items()}
+
+
+def _csv(spec: MeasurementSpec, tests: Sequence[VirtualTest], groups: Sequence[str]) -> str:
+    columns, units = spec.columns, spec.units
+    length = parse(f"1 {units.displacement}", "length")
+    newton = parse(f"1 {units.force}", "force")
+    sign = -1.0 if spec.sign == "negative" else 1.0
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow([*groups, columns.displacement, columns.force])
+    for test in tests:
+        labels = [test.groups[name] for name in groups]
+        for d, f in zip(test.displacement_mm, test.force_N, strict=True):
+            writer.writerow([*labels, f"{d / length:.5f}", f"{sign * f / newton:.5f}"])
+    return stream.getvalue()

@@ -1,0 +1,1 @@
+"""Force laws and force surfaces for real-time use."""

@@ -1,0 +1,1 @@
+"""Rigid motions between point sets and surfaces, with their covariance."""

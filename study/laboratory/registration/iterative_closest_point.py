@@ -1,0 +1,437 @@
+"""Rigid registration of a cloud to a surface by iterated closest points.
+
+First trimmed (Chetverikov, Stepanov and Krsek 2005): of every pairing only the nearest share
+counts, from several starts. Then Tukey's biweight on the distances along the normals (Chen and
+Medioni 1992), whose Gauss-Newton steps converge to the rounding. Directions in which the
+surface can slide along itself are found, left alone, and named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from study.ground.arrays import Array, Ints
+from study.laboratory.registration.closest_point import Closest, TriangleSurface
+from study.laboratory.registration.rigid import (
+    BIWEIGHT,
+    RigidMotion,
+    biweight,
+    fit_pairs,
+    identity,
+    inlier_scale,
+    on_a_line,
+    sandwich,
+    turned_about,
+)
+
+# -------------------------------------------------------------------------------------------------
+# Distances along normals, linearized by a small rigid motion, and the motions that slide.
+#
+# A surface that can move along itself (a plane, a cylinder) leaves eigenvalues of the normal
+# matrix near zero (Gelfand and Guibas 2004): such motions are not fixed by any scan of it.
+
+#: Eigenvalue of the normal matrix, over the largest, below which a direction slides: rotations
+#: are counted in arcs at the RMS distance, so that both kinds compare. A smooth ellipsoid of
+#: axes 1 : 1.1 has 4e-3 about the third one, a cylinder with 180 facets 1e-4.
+SLIDING = 1e-3
+
+
+@dataclass(frozen=True)
+class Sliding:
+    """Small motion that the registration does not fix."""
+
+    #: shape (3,); axis, times the share of rotation, in arcs at the RMS distance from the center.
+    rotation: Array
+    #: shape (3,); direction, times the share of translation.
+    translation: Array
+    stiffness: float
+
+    def __str__(self) -> str:
+        turns = bool(np.linalg.norm(self.rotation) >= np.linalg.norm(self.translation))
+        word = "rotation about" if turns else "translation along"
+        vector = self.rotation if turns else self.translation
+        vector = vector / max(float(np.linalg.norm(vector)), 1e-300)
+        vector = vector * np.sign(vector[np.abs(vector).argmax()])
+        listed = ", ".join(f"{v + 0.0:.2f}" for v in np.where(np.abs(vector) < 5e-3, 0.0, vector))
+        return f"{word} ({listed})"
+
+
+def motion_slopes(away: Array) -> Array:
+    """Differentiate moved points by a rotation vector and a translation, shape (n, 3, 6).
+
+    Shapes: away (n, 3), mm; returns mm.
+    """
+    slopes = np.zeros((len(away), 3, 6))
+    x, y, z = away.T
+    slopes[:, 0, 1], slopes[:, 0, 2] = z, -y
+    slopes[:, 1, 0], slopes[:, 1, 2] = -z, x
+    slopes[:, 2, 0], slopes[:, 2, 1] = y, -x
+    slopes[:, :, 3:] = np.eye(3)
+    return slopes
+
+
+@dataclass(frozen=True)
+class NormalEquations:
+    """Linearized distances along the normals."""
+
+    #: shape (n,); signed distances, mm.
+    residual: Array
+    #: shape (n, 6); derivatives by rotation about ``center`` in arcs at ``arm`` and by translation.
+    slope: Array
+    #: shape (3,); center of rotation, mm.
+    center: Array
+    #: RMS distance from it, mm: makes rotations lengths.
+    arm: float
+    #: shape (n, 3); closest points, mm.
+    places: Array
+
+    def modes(self, weights: Array) -> tuple[Array, Array]:
+        """Eigenvalues over the largest and eigenvectors (columns) of the normal matrix."""
+        normal = (self.slope * weights[:, None]).T @ self.slope
+        values, vectors = np.linalg.eigh(normal)
+        return values / max(float(values[-1]), 1e-300), vectors
+
+    def fixed(self, weights: Array) -> int:
+        """Count the motions that do not slide."""
+        return int((self.modes(weights)[0] > SLIDING).sum())
+
+    def step(self, weights: Array) -> Array:
+        """Least-squares step in the directions that do not slide, shape (6,), mm."""
+        values, vectors = self.modes(weights)
+        firm = vectors[:, values > SLIDING]
+        reduced = self.slope @ firm
+        weighted = reduced * weights[:, None]
+        return np.asarray(firm @ np.linalg.solve(weighted.T @ reduced, -weighted.T @ self.residual))
+
+    def motion(self, step: Array) -> RigidMotion:
+        """Rigid motion of a step."""
+        return turned_about(self.center, step[:3] / self.arm, step[3:])
+
+
+def normal_equations(moved: Array, found: Closest, weights: Array) -> NormalEquations:
+    """Linearize the distances from moved points to their closest ones about their center.
+
+    Shapes: moved (n, 3), mm; weights (n,).
+    """
+    center = np.average(moved, axis=0, weights=weights) if weights.any() else moved.mean(axis=0)
+    away = moved - center
+    arm = float(np.sqrt(np.average((away**2).sum(axis=1), weights=weights + 1e-300)))
+    # between surface and point the normal is the direction of the gap, where there is one
+    gap = moved - found.points
+    length = np.linalg.norm(gap, axis=1)
+    sharp = length > 1e-9 * max(arm, 1e-300)
+    normal = found.normal.copy()
+    sign = np.sign(found.distance[sharp])
+    normal[sharp] = gap[sharp] / (length[sharp] * np.where(sign == 0, 1, sign))[:, None]
+    slope = np.einsum("ni,nij->nj", normal, motion_slopes(away))
+    slope[:, :3] /= max(arm, 1e-300)
+    return NormalEquations(found.distance, slope, center, arm, found.points)
+
+
+#: Share of the nearest pairs that count while it is still far: leaves room for 30 % outliers
+#: and for a tenth of the cloud on parts that the surface has not.
+TRIM = 0.6
+
+#: Points used from every start.
+COARSE_POINTS = 400
+
+#: Steps between points from every start, then most steps along the normals.
+POINT_STEPS = 4
+NORMAL_STEPS = 20
+
+#: Starts that go on to the settled residual.
+FINALISTS = 2
+
+#: Relative change of the trimmed residual at which a start is compared, and has settled.
+COMPARED = 1e-2
+SETTLED = 1e-5
+
+#: Share of the pairs that count where nearly the whole cloud may belong to the surface.
+NEARLY_ALL = 0.95
+
+#: Points by which motions of both shares are compared.
+COMPARED_POINTS = 1600
+
+#: Points used in the end; more of them no longer change the pose by what matters.
+FINE_POINTS = 20_000
+FINE_STEPS = 100
+
+#: Rounding of a registration over the size of the surface.
+ROUNDING_SHARE = 1e-12
+
+#: Patches of the surface whose residuals may go together in the stated uncertainty.
+PATCHES = 60
+
+#: With fewer points in a patch, or fewer patches, residuals are taken as independent.
+FEWEST_IN_PATCH = 5
+FEWEST_PATCHES = 20
+
+#: Factor by which a robust scale grows that would free a motion.
+WIDER = 3.0
+
+#: Steps after which the robust scale is held.
+SCALE_SETTLES = 20
+
+
+@dataclass(frozen=True)
+class Registration:
+    """Cloud registered to a surface."""
+
+    #: Carries the cloud onto the surface.
+    motion: RigidMotion
+    #: shape (3,); point about which the covariance is stated: the mean of the registered cloud, mm.
+    center: Array
+    #: shape (6, 6); of the small rotation about ``center`` (rad) and the translation (mm); zero
+    #: along directions that slide. Residuals of a patch of the surface may go together in it.
+    covariance: Array
+    #: RMS of the weighted distances along the normals.
+    rms_mm: float
+    #: Robust standard deviation of the distances.
+    scale_mm: float
+    #: Motions that are not fixed: the null space.
+    sliding: tuple[Sliding, ...]
+    #: Points without weight among those used.
+    rejected: int
+    used: int
+    steps: int
+    #: Whether the last step was below the rounding or a thousandth of its uncertainty.
+    converged: bool
+
+    def uncertainty_at(self, points: Array) -> Array:
+        """Return the standard uncertainty of the place of registered points, shape (n,), mm."""
+        slopes = motion_slopes(points - self.center)
+        return np.asarray(
+            np.sqrt(np.einsum("nij,jk,nik->n", slopes, self.covariance, slopes).clip(0))
+        )
+
+    def to_json(self) -> dict[str, object]:
+        """Plain values; lengths in mm, angles in deg."""
+        deviations = np.sqrt(np.diag(self.covariance).clip(0))
+        return {
+            **self.motion.to_json(),
+            "center_mm": self.center.tolist(),
+            "rotation_uncertainty_deg": np.degrees(deviations[:3]).tolist(),
+            "translation_uncertainty_mm": deviations[3:].tolist(),
+            "residual_rms_mm": self.rms_mm,
+            "residual_scale_mm": self.scale_mm,
+            "null_space": [str(one) for one in self.sliding],
+            "rejected_points": self.rejected,
+            "points": self.used,
+            "steps": self.steps,
+            "converged": self.converged,
+        }
+
+
+def register(
+    surface: TriangleSurface, cloud: Array, starts: Sequence[RigidMotion] | None = None
+) -> Registration:
+    """Rigid motion that carries a cloud onto a surface.
+
+    Shapes: cloud (n, 3), mm.
+    """
+    _, motion = coarse_registration(surface, cloud, starts)
+    motion = _likelier(surface, _thinned(cloud, COMPARED_POINTS), motion)
+    return _refined(surface, _thinned(cloud, FINE_POINTS), motion)
+
+
+def usual_starts(surface: TriangleSurface, cloud: Array) -> list[RigidMotion]:
+    """Motions to begin from: none, centers together, and principal axes together, four ways.
+
+    Shapes: surface mm; cloud (n, 3), mm.
+    """
+    vertices = surface.points[np.unique(surface.triangles)]
+    target, own = np.median(vertices, axis=0), np.median(cloud, axis=0)
+    starts = [identity(), RigidMotion(np.eye(3), target - own)]
+    axes = [np.linalg.svd(p - p.mean(axis=0), full_matrices=False)[2] for p in (vertices, cloud)]
+    for signs in ((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)):
+        turn = axes[0].T @ np.diag(np.array(signs, dtype=float)) @ axes[1]
+        if np.linalg.det(turn) < 0:
+            turn = axes[0].T @ np.diag(-np.array(signs, dtype=float)) @ axes[1]
+        starts.append(RigidMotion(turn, target - turn @ own))
+    return starts
+
+
+def coarse_registration(
+    surface: TriangleSurface, cloud: Array, starts: Sequence[RigidMotion] | None = None
+) -> tuple[float, RigidMotion]:
+    """Find the best trimmed registration; only the first few starts go all the way.
+
+    Shapes: cloud (n, 3), mm.
+    """
+    starts = starts or usual_starts(surface, cloud)
+    some = _thinned(cloud, COARSE_POINTS)
+    first = [_trimmed(surface, some, start, POINT_STEPS, COMPARED) for start in starts]
+    first.sort(key=lambda found: found[0])
+    last = [_trimmed(surface, some, motion, 0, SETTLED) for _, motion in first[:FINALISTS]]
+    return min(last, key=lambda found: found[0])
+
+
+def _thinned(cloud: Array, most: int) -> Array:
+    """At most so many points of a cloud, spread over its order."""
+    if len(cloud) <= most:
+        return cloud
+    return cloud[np.random.default_rng(2005).choice(len(cloud), most, replace=False)]
+
+
+def _trimmed(
+    surface: TriangleSurface,
+    cloud: Array,
+    start: RigidMotion,
+    point_steps: int,
+    settled: float,
+    share: float = TRIM,
+) -> tuple[float, RigidMotion]:
+    """Trimmed registration from one start: its residual, RMS in mm, and the motion.
+
+    Far away a step between points goes the right way, one along normals may not.
+    """
+    motion, count, last = start, max(int(share * len(cloud)), 3), np.inf
+    for number in range(point_steps + NORMAL_STEPS):
+        moved = motion(cloud)
+        found = surface.closest(moved, exact=False)
+        kept = np.argsort(np.abs(found.distance), kind="stable")[:count]
+        rms = float(np.sqrt((found.distance[kept] ** 2).mean()))
+        if number > point_steps and abs(last - rms) <= settled * rms:
+            break
+        last = rms
+        if number < point_steps:
+            step = _point_step(moved[kept], found.points[kept])
+        else:
+            step = _step(moved, found, _kept_weights(len(cloud), kept))
+        motion = step.after(motion)
+    return rms, motion
+
+
+def _likelier(surface: TriangleSurface, cloud: Array, motion: RigidMotion) -> RigidMotion:
+    """Motion near a given one under which a cloud is likelier.
+
+    The nearest three fifths of a body that is larger all around meet the surface best where it
+    is pushed to one side. Nearly all of it meet it best in the middle.
+    """
+    _, other = _trimmed(surface, cloud, motion, 0, SETTLED, NEARLY_ALL)
+    return min((motion, other), key=lambda one: _surprise(surface, one(cloud)))
+
+
+def _surprise(surface: TriangleSurface, cloud: Array) -> float:
+    """Return - log of the likelihood of distances: normal ones, or anywhere on the surface's size.
+
+    A mixture of both, each point in the one that the robust scale gives it to.
+    """
+    away = surface.closest(cloud, exact=False).distance
+    inside = away[np.abs(away) < BIWEIGHT * inlier_scale(away)]
+    if not inside.size:
+        return float(len(away) * np.log(surface.size))
+    scale = max(float(np.sqrt(np.mean(inside**2))), ROUNDING_SHARE * surface.size)
+    normal = inside.size * np.log(np.sqrt(2 * np.pi * np.e) * scale)
+    return float(normal + (len(away) - inside.size) * np.log(surface.size))
+
+
+def _point_step(moved: Array, found: Array) -> RigidMotion:
+    """Motion between points and their closest ones; a shift where those are a single edge."""
+    if on_a_line(found) or on_a_line(moved):
+        return RigidMotion(np.eye(3), (found - moved).mean(axis=0))
+    return fit_pairs(moved, found).motion
+
+
+def _kept_weights(n: int, kept: Ints) -> Array:
+    weights = np.zeros(n)
+    weights[kept] = 1.0
+    return weights
+
+
+def _step(moved: Array, found: Closest, weights: Array) -> RigidMotion:
+    system = normal_equations(moved, found, weights)
+    return system.motion(system.step(weights))
+
+
+def _refined(surface: TriangleSurface, cloud: Array, motion: RigidMotion) -> Registration:
+    """Registration by the biweight, from a motion near to it."""
+    floor = ROUNDING_SHARE * surface.size
+    scale, converged, steps, last = np.inf, False, 0, np.zeros(6)
+    for number in range(FINE_STEPS):
+        moved = motion(cloud)
+        found = surface.closest(moved)
+        if number < SCALE_SETTLES:
+            scale = _fixing_scale(moved, found, max(inlier_scale(found.distance), floor))
+        weights = biweight(found.distance / scale)
+        system = normal_equations(moved, found, weights)
+        last = step = _shortened(system.step(weights), last)
+        steps = number + 1
+        small = max(1e-4 * scale / np.sqrt(len(cloud)), 10 * floor)
+        if np.linalg.norm(step) <= small:
+            converged = True
+            break
+        motion = system.motion(step).after(motion)
+    return _described(motion, system, weights, scale, (steps, converged))
+
+
+def _shortened(step: Array, last: Array) -> Array:
+    """Return a step, shorter where it goes back on the last one.
+
+    The linear distances leave out that a body which is larger all around turns with a bend of its
+    own: steps of twice the right length then go to and fro for ever (Aitken's extrapolation).
+    """
+    back = -float(step @ last) / max(float(last @ last), 1e-300)
+    return step / (1 + back) if back > 0 else step
+
+
+def _fixing_scale(moved: Array, found: Closest, scale: float) -> float:
+    """Return the least scale, from a given one up, whose weights free no motion that is fixed.
+
+    Where half of a body is met exactly (flat ends) and the rest to the sag of its facets, the
+    robust scale is that of the exact half, and all that fixes the others would be outliers.
+    """
+    every = np.ones(len(moved))
+    fixed = normal_equations(moved, found, every).fixed(every)
+    while scale < np.abs(found.distance).max():
+        weights = biweight(found.distance / scale)
+        if weights.any() and normal_equations(moved, found, weights).fixed(weights) >= fixed:
+            break
+        scale *= WIDER
+    return scale
+
+
+def _described(
+    motion: RigidMotion,
+    system: NormalEquations,
+    weights: Array,
+    scale: float,
+    end: tuple[int, bool],
+) -> Registration:
+    values, vectors = system.modes(weights)
+    firm, loose = vectors[:, values > SLIDING], values <= SLIDING
+    patches = _patches(system.places)
+    reduced = sandwich(system.slope @ firm, system.residual, scale, patches)
+    units = np.diag(np.r_[np.full(3, 1 / system.arm), np.ones(3)])
+    covariance = units @ firm @ reduced @ firm.T @ units
+    sliding = tuple(
+        Sliding(vectors[:3, k], vectors[3:, k], float(values[k])) for k in np.flatnonzero(loose)
+    )
+    return Registration(
+        motion=motion,
+        center=system.center,
+        covariance=covariance,
+        rms_mm=float(np.sqrt(np.average(system.residual**2, weights=weights))),
+        scale_mm=scale,
+        sliding=sliding,
+        rejected=int((weights == 0).sum()),
+        used=len(weights),
+        steps=end[0],
+        converged=end[1],
+    )
+
+
+def _patches(places: Array) -> Ints | None:
+    """Group closest points by patches; None where there are too few to group."""
+    from scipy.cluster.vq import kmeans2
+    from scipy.spatial import cKDTree
+
+    count = min(PATCHES, len(places) // FEWEST_IN_PATCH)
+    if count < FEWEST_PATCHES:
+        return None
+    some = _thinned(places, COARSE_POINTS * 4)
+    centers, _ = kmeans2(some, count, minit="++", rng=np.random.default_rng(1986))
+    return np.asarray(cKDTree(centers).query(places, k=1)[1], dtype=np.int64)

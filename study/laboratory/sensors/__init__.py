@@ -1,0 +1,1 @@
+"""Force sensors: how their errors propagate, and which errors a study allows."""

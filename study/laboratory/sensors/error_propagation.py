@@ -1,0 +1,355 @@
+"""Monte Carlo simulation of whole tests: errors are drawn, constants fitted anew (JCGM 101:2008).
+
+Every test is fitted twice: by the nonlinear fit, and to first order from the same errors. The
+ratio of the two scatters is known far better than either of them, so that a few hundred tests
+show whether first order holds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import cast
+
+import numpy as np
+
+from study.ground.arrays import Array
+from study.ground.errors import RefusedError
+from study.harness.execution.local import Loky
+from study.harness.execution.supervisor import Inline
+from study.harness.execution.task import Executor, Results, Task
+from study.laboratory.sensors.force_model import (
+    ForceAccuracy,
+    ForceAt,
+    PositionAccuracy,
+    multiplied,
+)
+from study.laboratory.sensors.virtual_test import Changes, Chunk, Sampling, perform
+from study.mechanics.calibration.covariance import scaled_inverse
+from study.mechanics.setup.setup import Setup, Tables
+
+# -------------------------------------------------------------------------------------------------
+# First-order propagation of sensor errors through a least-squares fit (JCGM 100:2008, 5).
+#
+# A row measured at displacement d differs from the model there by
+#
+#     zero + scale_F F + noise_F - F' (offset + scale_d d + noise_d),
+#
+# and the fit answers with its pseudo-inverse. Offset, zero and scales are the same in all rows of
+# a test; noise is not.
+
+#: Largest multiple that a requirement is looked for at: beyond it a sensor need not be there.
+UNLIMITED = 1e6
+
+
+@dataclass(frozen=True)
+class ErrorSource:
+    """One error of one sensor."""
+
+    #: ``position`` or ``force``; ``offset``, ``zero``, ``scale`` or ``noise``.
+    sensor: str
+    name: str
+    #: Of ``given``: mm, N, or empty for a share.
+    unit: str
+    given: float
+    #: shape (n,); change of the residual of every row by one unit of the error.
+    response: Array
+    #: Whether all rows have the same error.
+    is_shared: bool
+
+
+def sources_of(
+    position: PositionAccuracy, force: ForceAccuracy, at: ForceAt, displacement_mm: Array
+) -> tuple[ErrorSource, ...]:
+    """List all errors of both sensors, with what they do to the rows of a test.
+
+    Shapes: displacement_mm (n,).
+    """
+    slope, ones = at.stiffness_N_per_mm, np.ones(displacement_mm.size)
+    return (
+        ErrorSource("position", "offset", "mm", position.offset_mm, -slope, True),
+        ErrorSource("position", "scale", "", position.scale, -slope * displacement_mm, True),
+        ErrorSource("position", "noise", "mm", position.noise_mm, -slope, False),
+        ErrorSource("force", "zero", "N", force.zero_N, ones, True),
+        ErrorSource("force", "scale", "", force.scale, at.force_N, True),
+        ErrorSource("force", "noise", "N", force.noise_N, ones, False),
+    )
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A constant, or the force that is predicted with the constants."""
+
+    #: Unit of ``value``: MPa, N, or empty.
+    name: str
+    unit: str
+    value: float
+    #: shape (n_sources,); standard uncertainty by one unit of every source.
+    per_source: Array
+    #: shape (n_sources,); standard uncertainties of the sources.
+    given: Array
+    #: shape (n_sources,); whether a source is one of the tracker.
+    is_position: Array
+
+    @property
+    def parts(self) -> Array:
+        """Standard uncertainty that every source makes, over the value."""
+        return np.asarray(self.per_source * self.given / abs(self.value))
+
+    @property
+    def relative(self) -> float:
+        """Standard uncertainty over the value, all sources together."""
+        return float(np.sqrt(np.sum(self.parts**2)))
+
+    def at_multiples(self, position: Array, force: Array) -> Array:
+        """Relative standard uncertainty with both sensors' errors so many times as large."""
+        squares = self.parts**2
+        own = float(squares[self.is_position.astype(bool)].sum())
+        other = float(squares.sum()) - own
+        return np.asarray(np.sqrt(position**2 * own + force**2 * other))
+
+    def allowed_alone(self, relative: float) -> Array:
+        """Largest error of every source if there were no other; infinite where it does nothing."""
+        unit = self.per_source / abs(self.value)
+        return np.asarray(np.divide(relative, unit, out=np.full(unit.size, np.inf), where=unit > 0))
+
+    def allowed_beside(self, relative: float) -> Array:
+        """Largest error of every source beside the others as given; NaN where they leave none."""
+        unit = self.per_source / abs(self.value)
+        left = relative**2 - (self.relative**2 - self.parts**2)
+        root = np.sqrt(np.where(left >= 0, left, np.nan))
+        return np.asarray(
+            np.divide(root, unit, out=np.where(left >= 0, np.inf, np.nan), where=unit > 0)
+        )
+
+
+@dataclass(frozen=True)
+class Propagation:
+    """Constants and predicted force, to first order of the errors."""
+
+    sources: tuple[ErrorSource, ...]
+    constants: tuple[Quantity, ...]
+    #: Predicted at the end of the predicted test.
+    force: Quantity
+    #: shape (p, n); change of the constants by that of every row.
+    pseudo_inverse: Array
+    #: shape (p,); change of the predicted force by the constants.
+    gradient: Array
+
+    @property
+    def worst(self) -> Quantity:
+        """Constant with the largest relative uncertainty."""
+        return max(self.constants, key=lambda one: one.relative)
+
+
+def propagate(
+    names: Sequence[str],
+    values: Array,
+    units: Sequence[str],
+    at: ForceAt,
+    sources: tuple[ErrorSource, ...],
+    predicted: ForceAt,
+) -> Propagation:
+    """Propagate sensor errors to the constants of an unweighted fit, and to a predicted force.
+
+    Shapes: names, values, units (p,).
+    """
+    inverse, rank = scaled_inverse(at.jacobian)
+    if rank < len(names):
+        raise RefusedError(
+            f"the test determines {rank} of {len(names)} constants ({', '.join(names)}): "
+            "no accuracy of a sensor tells them apart; press deeper, or take a simpler energy"
+        )
+    pseudo_inverse = inverse @ at.jacobian.T
+    effects = np.stack([_covariance_root(pseudo_inverse, one) for one in sources])
+    given = np.array([one.given for one in sources])
+    of_position = np.array([one.sensor == "position" for one in sources])
+    variance = np.einsum("skn,skn->sk", effects, effects)
+    gradient = predicted.jacobian[0]
+    force = np.einsum("k,skn->sn", gradient, effects)
+    return Propagation(
+        sources,
+        tuple(
+            Quantity(name, unit, float(value), np.sqrt(variance[:, k]), given, of_position)
+            for k, (name, value, unit) in enumerate(zip(names, values, units, strict=True))
+        ),
+        Quantity(
+            "force",
+            "N",
+            float(predicted.force_N[0]),
+            np.linalg.norm(force, axis=1),
+            given,
+            of_position,
+        ),  # fmt: skip
+        pseudo_inverse,
+        gradient,
+    )
+
+
+def _covariance_root(pseudo_inverse: Array, source: ErrorSource) -> Array:
+    """Root of the constants' covariance by one unit of a source, shape (p, n).
+
+    A shared error has one column and is filled up with zeros.
+    """
+    moved = pseudo_inverse * source.response
+    if not source.is_shared:
+        return moved
+    found = np.zeros_like(moved)
+    found[:, 0] = moved.sum(axis=1)
+    return found
+
+
+#: Tests of one task, whatever the number of workers, so that this changes no digit.
+CHUNK = 25
+#: Step at which a fit has converged, over the smallest standard uncertainty of a constant. Contact
+#: that sets in node by node makes kinks in the sum of squares, all of them far smaller than that.
+STEP = 1e-3
+#: The same over the constant itself, which is no smaller: forces are solved to about 1e-8.
+SMALLEST_STEP = 1e-7
+#: How often progress is told.
+TOLD = 10
+#: Largest share by which the scatter may differ from first order where that is said to hold.
+LINEAR = 0.05
+#: Largest shift of the mean in standard deviations: an interval of k = 2 then still holds 94.8 %.
+SHIFTED = 0.25
+#: Smallest share of the tests that must have an answer.
+FEWEST = 0.9
+#: Fewest tests whose scatter can be told.
+FEWEST_TESTS = 10
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """How one quantity scatters in the simulated tests."""
+
+    #: Of a constant, or ``force``; MPa, N or empty.
+    name: str
+    unit: str
+    #: In the unit of the quantity.
+    standard_deviation: float
+    #: Its scatter over that of first order with the same errors.
+    ratio: float
+    #: Standard error of the ratio, by the jackknife.
+    ratio_error: float
+    #: Mean less the assumed value, in standard deviations.
+    bias: float
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether first order holds, for scatter and mean."""
+        return abs(self.ratio - 1) <= LINEAR and abs(self.bias) <= SHIFTED
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """All tests with errors so many times as large as given."""
+
+    multiple: float
+    #: Tests, and those whose fit has no answer.
+    samples: int
+    failed: int
+    #: Constants in their order, and the predicted force.
+    scatters: tuple[Scatter, ...]
+    #: Why the first of those that failed did.
+    message: str = ""
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether first order holds for all quantities, and hardly any test failed."""
+        enough = self.samples - self.failed >= FEWEST * self.samples
+        return enough and all(one.is_linear for one in self.scatters)
+
+
+def simulate(
+    sampling: Sampling,
+    propagation: Propagation,
+    multiples: Sequence[float],
+    jobs: int,
+    progress: Callable[[str], None] | None = None,
+) -> tuple[Simulation, ...]:
+    """Simulate tests at several multiples of the given errors."""
+    tasks, owners = [], {}
+    for multiple in multiples:
+        for chunk in _chunks(sampling, propagation, multiple):
+            key = f"{multiple:g}-{chunk.first}"
+            tasks.append(Task(key, _payload(chunk)))
+            owners[key] = multiple
+    found: dict[float, Changes] = {multiple: Changes() for multiple in multiples}
+    say = progress or (lambda text: None)
+    for done, outcome in enumerate(_executor(sampling.fitted, jobs).run(tasks), start=1):
+        found[owners[outcome.key]].add(_changes(outcome.result))
+        if done * TOLD // len(tasks) > (done - 1) * TOLD // len(tasks):
+            say(f"{done} of {len(tasks)} parts of the simulated tests")
+    return tuple(_simulation(m, sampling.samples, propagation, found[m]) for m in multiples)
+
+
+def _chunks(sampling: Sampling, propagation: Propagation, multiple: float) -> Iterator[Chunk]:
+    """Divide a simulation into tasks, whose random numbers are those of multiple and test."""
+    position, force = multiplied(sampling.position, sampling.force, multiple)
+    drawn = replace(sampling, position=position, force=force)
+    stream = (sampling.seed, round(1e6 * multiple))
+    rows = tuple(map(tuple, propagation.pseudo_inverse.tolist()))
+    least = min(one.relative for one in propagation.constants)
+    xtol = max(STEP * multiple * least, SMALLEST_STEP)
+    for first in range(0, sampling.samples, CHUNK):
+        yield Chunk(drawn, stream, first, min(first + CHUNK, sampling.samples), rows, xtol)
+
+
+def _payload(chunk: Chunk) -> Callable[[Results], dict[str, object]]:
+    return lambda _: chunk.to_json()
+
+
+def _changes(result: Mapping[str, object]) -> Changes:
+    """Read what a worker found; one that died answers none of its tests."""
+    if result["status"] == "failed":
+        raise RuntimeError(str(result.get("traceback", result.get("message"))))
+    if result["status"] != "done":
+        return Changes(messages=[str(result.get("message", result["status"]))])
+    return Changes(
+        cast("list[list[float]]", result["fitted"]),
+        cast("list[list[float]]", result["linear"]),
+        cast("list[float]", result["force_N"]),
+        cast("list[str]", result["messages"]),
+    )
+
+
+def _executor(tables: Tables, jobs: int) -> Executor:
+    """Take processes for finite elements; a closed form is done before they have started."""
+    return Inline(perform) if Setup.of(tables).is_homogeneous else Loky(perform, jobs)
+
+
+def _simulation(
+    multiple: float, samples: int, propagation: Propagation, found: Changes
+) -> Simulation:
+    """Judge the tests of one multiple."""
+    answered, message = len(found.fitted), next(iter(found.messages), "")
+    if answered < FEWEST_TESTS:
+        return Simulation(multiple, samples, samples - answered, (), message)
+    linear = np.array(found.linear)
+    force = propagation.force
+    pairs = [
+        *zip(propagation.constants, np.array(found.fitted).T, linear.T, strict=True),
+        (force, np.array(found.force_N) - force.value, linear @ propagation.gradient),
+    ]
+    scatters = tuple(_scatter(one, changed, moved, multiple) for one, changed, moved in pairs)
+    return Simulation(multiple, samples, samples - answered, scatters, message)
+
+
+def _scatter(one: Quantity, fitted: Array, linear: Array, multiple: float) -> Scatter:
+    """Compare the scatter of changes with that of first order from the same errors."""
+    ratios = _without_each(fitted) / _without_each(linear)
+    ratio = float(np.std(fitted, ddof=1) / np.std(linear, ddof=1))
+    n, first_order = fitted.size, multiple * one.relative * abs(one.value)
+    error = float(np.sqrt((n - 1) / n * np.sum((ratios - ratios.mean()) ** 2)))
+    # what the mean of the linear changes is off zero is chance, and the same in both
+    shift = float(np.mean(fitted - linear))
+    return Scatter(
+        one.name, one.unit, first_order * ratio, ratio, error, shift / (first_order * ratio)
+    )
+
+
+def _without_each(values: Array) -> Array:
+    """Give the standard deviation without each value in turn, shape (n,)."""
+    n, centered = values.size, values - values.mean()
+    squares = np.sum(centered**2) - centered**2 - centered**2 / (n - 1)
+    return np.asarray(np.sqrt(np.maximum(squares, 0.0) / (n - 2)))

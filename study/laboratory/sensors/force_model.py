@@ -1,0 +1,388 @@
+"""Force of a test at any displacement and constants, with its derivatives by both."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Protocol
+
+import numpy as np
+from pydantic import Field
+
+from study.ground import units
+from study.ground.arrays import Array
+from study.ground.curve import Curve
+from study.ground.errors import Fault, InputError
+from study.harness.design import diagnostics
+from study.harness.design.diagnostics import Faults, read_table
+from study.harness.design.load import default_name, loads_problem
+from study.harness.design.study_file import Study
+from study.mechanics.calibration.residual_function import EvaluationFailed
+from study.mechanics.forward import finite_element
+from study.mechanics.forward.closed_form import height_and_area
+from study.mechanics.material.homogeneous import response
+from study.mechanics.setup.declaration import (
+    Bad,
+    Reads,
+    integer,
+    measured,
+    number,
+    section,
+    shown,
+    with_table,
+)
+from study.mechanics.setup.setup import Problem, Tables, is_homogeneous, problem_of
+
+if TYPE_CHECKING:
+    from study.mechanics.solver.solution import Solution
+
+
+#: Half the distance of two places whose forces give the stiffness, over the depth: the curve is a
+#: polynomial between its steps, of which this leaves 1e-8.
+DIFFERENCE = 1e-4
+#: Smallest load step over the largest: constants that need less are next to having no answer, and a
+#: fit that asks there should hear so soon.
+CUTBACKS = 0.12
+
+
+@dataclass(frozen=True)
+class ForceAt:
+    """Force at some displacements."""
+
+    #: shape (n,); on the whole specimen.
+    force_N: Array
+    #: shape (n,); dF/dd.
+    stiffness_N_per_mm: Array
+    #: shape (n, p); dF/dconstant, N per MPa (N for a plain exponent).
+    jacobian: Array
+
+
+class ForceModel(Protocol):
+    """Force of one test; zero before touch, that is at negative displacements."""
+
+    problem: Problem
+    #: What is known of its force once it has been asked for.
+    notes: tuple[str, ...]
+
+    def __call__(self, values: Array, displacement_mm: Array) -> ForceAt:
+        """Force for constants in MPa (exponents plain); raises where there is no answer."""
+        ...
+
+
+def force_model(tables: Tables, farthest_mm: float) -> ForceModel:
+    """Model of a test: closed form where its deformation is homogeneous, else finite elements."""
+    problem = problem_of(with_table(tables, "test", displacement_mm=farthest_mm))
+    if problem.material.relaxation:
+        rule = "is not known to sensors: their rows have positions and forces, and no times"
+        raise InputError(Fault("material.relaxation", rule, "leave it out"))
+    if is_homogeneous(problem.test, problem.specimen.shape):
+        return ClosedForm(problem)
+    return Simulated(problem)
+
+
+class ClosedForm:
+    """Compression between frictionless plates."""
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+        self.notes: tuple[str, ...] = ()
+
+    def __call__(self, values: Array, displacement_mm: Array) -> ForceAt:
+        """Force of the homogeneous deformation."""
+        material = self.problem.material.with_constants(values)
+        height, area = height_and_area(self.problem.specimen)
+        sense = self.problem.setup.kind.sense
+        touches = displacement_mm >= 0
+        state = response(
+            material, "uniaxial", 1 + sense * np.where(touches, displacement_mm, 0.0) / height
+        )
+        jacobian = np.stack([sense * area * state.gradient[n] for n in material.names], axis=1)
+        if not np.isfinite(state.stress).all():
+            raise EvaluationFailed("the material has no equilibrium state at these constants")
+        return ForceAt(
+            np.where(touches, sense * area * state.stress, 0.0),
+            np.where(touches, area / height * state.slope, 0.0),
+            np.where(touches[:, None], jacobian, 0.0),
+        )
+
+
+class Simulated:
+    """Finite elements: every set of constants is solved from the solution of the assumed ones.
+
+    The force is then a function of the constants, whatever was solved before: contact remembers
+    where a solution came from, and a fit that is led there by another finds no lower point.
+
+    Between the steps the first solution is interpolated with its slopes and work; what others
+    add to it by a spline that is linear in the solved forces. Gradient and force then belong to
+    one function of the constants.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+        self.notes: tuple[str, ...] = ()
+        self._names = problem.material.names
+        self._first: Curve | None = None
+        self._anchor: Solution | None = None
+        self._known: dict[bytes, Curve] = {}
+
+    def __call__(self, values: Array, displacement_mm: Array) -> ForceAt:
+        """Force between the steps of the solution at these constants."""
+        first = self._base()
+        curve = self._solved(values)
+        knots = curve.displacement_mm
+        d = np.clip(displacement_mm, 0.0, knots[-1])
+        touches = displacement_mm >= 0
+        more = curve.force_N - first.force_at(knots)
+
+        def force(at: Array) -> Array:
+            return np.asarray(first.force_at(at) + _spline(knots, more, at))
+
+        near = DIFFERENCE * float(knots[-1])
+        below, above = np.maximum(d - near, 0.0), np.minimum(d + near, knots[-1])
+        columns = [_spline(knots, curve.force_gradient[n], d) for n in self._names]
+        return ForceAt(
+            np.where(touches, force(d), 0.0),
+            np.where(touches, (force(above) - force(below)) / (above - below), 0.0),
+            np.where(touches[:, None], np.stack(columns, axis=1), 0.0),
+        )
+
+    def _base(self) -> Curve:
+        if self._first is None:
+            self._first = self._solved(self.problem.material.values)
+        return self._first
+
+    def _solved(self, values: Array) -> Curve:
+        key = values.tobytes()
+        if key not in self._known:
+            self._known[key] = self._simulated(values)
+        return self._known[key]
+
+    def _simulated(self, values: Array) -> Curve:
+        try:
+            problem = replace(self.problem, material=self.problem.material.with_constants(values))
+            # where the assumed material snaps, its neighbors do, and must be allowed to
+            cutbacks = None if self._anchor is None or self.notes else CUTBACKS
+            solution = finite_element.solve(problem, warm=self._anchor, cutbacks=cutbacks)
+        except InputError as error:
+            raise EvaluationFailed(str(error)) from error
+        if not solution.converged:
+            raise EvaluationFailed(f"{solution.status}: {solution.message}")
+        if self._anchor is None:
+            self._anchor, self.notes = solution, _notes(solution)
+        return solution.curve
+
+
+def _notes(solution: Solution) -> tuple[str, ...]:
+    """Say where the force is no smooth function of the constants."""
+    if not solution.energy.jumps_mm:
+        return ()
+    places = ", ".join(f"{place:.3g}" for place in sorted(solution.energy.jumps_mm))
+    return (
+        f"past {places} mm the surface snaps to another equilibrium: there the force is no smooth "
+        "function of the constants; press less deep, or refine the mesh",
+    )
+
+
+def _spline(knots: Array, values: Array, at: Array) -> Array:
+    """Cubic spline from the unloaded origin; linear in the values."""
+    from scipy.interpolate import CubicSpline
+
+    return np.asarray(CubicSpline(np.r_[0.0, knots], np.r_[0.0, values])(at))
+
+
+# -------------------------------------------------------------------------------------------------
+# Tables ``[position]``, ``[force]``, ``[requirement]`` of a file for ``study require``.
+
+#: Most multiples of the given errors at which a Monte Carlo simulation is made.
+MOST_MULTIPLES = 6
+
+
+def fraction(value: object) -> float:
+    """Read a share that may be zero: a plain number below 1, or percent."""
+    if isinstance(value, str):
+        share = units.parse_percent(value) / 100
+        if not 0 <= share < 1:
+            raise Bad(f"must be from 0 % to below 100 %, got {shown(value)}")
+        return share
+    return float(number(0, 0.999, closed=True, mend='for example "0.5 %"')(value))
+
+
+def _accuracy(value: object) -> float:
+    share = fraction(value)
+    if share == 0:
+        raise Bad("must be above 0: no sensor reaches it", 'for example "5 %"')
+    return share
+
+
+def _multiples(value: object) -> tuple[float, ...]:
+    items = value if isinstance(value, list) else [value]
+    if not 0 < len(items) <= MOST_MULTIPLES:
+        raise Bad(f"must be 1 to {MOST_MULTIPLES} numbers, got {shown(value)}", "[1, 3]")
+    return tuple(dict.fromkeys(number(0, 100)(item) for item in items))
+
+
+@section
+class PositionAccuracy:
+    """Errors of a tracker along the axis of the test, as standard uncertainties."""
+
+    #: Of its zero, the same in all rows of a test.
+    offset_mm: Annotated[float, measured("length", closed=True)] = Field(
+        default=0.0, validation_alias="offset"
+    )
+    #: Of its scale, a share of the displacement.
+    scale: Annotated[float, Reads(fraction)] = 0.0
+    #: Of every row on its own.
+    noise_mm: Annotated[float, measured("length", closed=True)] = Field(
+        default=0.0, validation_alias="noise"
+    )
+
+
+@section
+class ForceAccuracy:
+    """Errors of a force sensor, as standard uncertainties."""
+
+    #: Of its zero, the same in all rows of a test.
+    zero_N: Annotated[float, measured("force", closed=True)] = Field(
+        default=0.0, validation_alias="zero"
+    )
+    #: Of its scale, a share of the force.
+    scale: Annotated[float, Reads(fraction)] = 0.0
+    #: Of every row on its own.
+    noise_N: Annotated[float, measured("force", closed=True)] = Field(
+        default=0.0, validation_alias="noise"
+    )
+
+
+@section
+class Requirement:
+    """What is asked of the constants, and how it is checked."""
+
+    #: Wanted expanded uncertainty over the value.
+    accuracy: Annotated[float, Reads(_accuracy)] = 0.05
+    #: Coverage factor k: expanded over standard uncertainty (JCGM 100:2008, 6.2).
+    coverage: Annotated[float, Reads(number(0, 10))] = 2.0
+    #: Rows of the test, even in displacement, that enter the fit with one weight.
+    points: Annotated[int, Reads(integer(2, 100_000))] = 100
+    #: Tests of each Monte Carlo simulation; 0 for none.
+    samples: Annotated[int, Reads(integer(0, 1_000_000))] = 200
+    #: Multiples of the given errors at which one is made.
+    multiples: Annotated[tuple[float, ...], Reads(_multiples)] = (1.0, 3.0)
+
+
+def multiplied(
+    position: PositionAccuracy, force: ForceAccuracy, multiple: float
+) -> tuple[PositionAccuracy, ForceAccuracy]:
+    """Return both sensors with all errors so many times as large."""
+    return (
+        replace(
+            position,
+            offset_mm=multiple * position.offset_mm,
+            scale=multiple * position.scale,
+            noise_mm=multiple * position.noise_mm,
+        ),
+        replace(
+            force,
+            zero_N=multiple * force.zero_N,
+            scale=multiple * force.scale,
+            noise_N=multiple * force.noise_N,
+        ),
+    )
+
+
+# -------------------------------------------------------------------------------------------------
+# Read a file for ``study require``: a problem with its constants, two sensors, what is asked.
+
+#: Tables that only this verb knows.
+OWN = ("position", "force", "requirement", "predict")
+#: Tables of the problem that the prediction may replace.
+REPLACEABLE = ("specimen", "test", "model")
+_SHARED = ("specimen", "test", "material", "model")
+
+
+@dataclass(frozen=True)
+class RequirementFile:
+    """What a file for ``study require`` says."""
+
+    name: str
+    question: str
+    seed: int
+    #: Resolved tables of the test that gives the constants, and of the one whose force counts.
+    fitted: Tables
+    predicted: Tables
+    position: PositionAccuracy
+    force: ForceAccuracy
+    #: Wanted accuracy, and how it is checked.
+    asked: Requirement
+
+
+def load_requirement(path: str | Path, overrides: Sequence[str] = ()) -> RequirementFile:
+    """Load a file for ``study require``."""
+    source = str(path)
+    tables = diagnostics.parse_toml(diagnostics.read_text(path), source)
+    rest = []
+    for override in overrides:
+        keys, value = diagnostics.parse_override(override)
+        if keys[0] in (*OWN, "study"):
+            diagnostics.set_value(tables, keys, value)
+        else:
+            rest.append(override)
+    faults = Faults()
+    own = {name: tables.pop(name, {}) for name in OWN}
+    position = read_table(PositionAccuracy, own["position"], "position", faults)
+    force = read_table(ForceAccuracy, own["force"], "force", faults)
+    asked = read_table(Requirement, own["requirement"], "requirement", faults)
+    if not faults and not _has_errors(position, force):
+        mend = 'give one, for example [position] noise = "0.1 mm"'
+        faults.add("position, force", "neither sensor has an error: nothing to propagate", mend)
+    found = [Fault(f"{source}: {f.where}", f.rule, f.mend) for f in faults]
+    fitted = _problem(tables, source, rest, found)
+    predicted = _predicted(tables, own["predict"], source, rest, found) if fitted else None
+    if found or fitted is None or predicted is None:
+        raise InputError(dict.fromkeys(found))
+    study = read_table(Study, tables.get("study", {}), "study", Faults())
+    name = study.name or default_name(source)
+    return RequirementFile(
+        name, study.question, study.seed, fitted, predicted, position, force, asked
+    )
+
+
+def _has_errors(position: PositionAccuracy, force: ForceAccuracy) -> bool:
+    errors = (position.offset_mm, position.scale, position.noise_mm)
+    return any((*errors, force.zero_N, force.scale, force.noise_N))
+
+
+def _problem(
+    tables: Mapping[str, object], source: str, overrides: Sequence[str], faults: list[Fault]
+) -> Tables | None:
+    """Resolve a problem; None, and its faults, where it has any."""
+    try:
+        config = loads_problem(diagnostics.dump_toml(tables), source, overrides)
+    except InputError as error:
+        faults += error.faults
+        return None
+    return {name: config[name] for name in _SHARED}
+
+
+def _predicted(
+    tables: Mapping[str, object],
+    table: object,
+    source: str,
+    overrides: Sequence[str],
+    faults: list[Fault],
+) -> Tables | None:
+    """Problem with the tables that ``[predict]`` replaces whole."""
+    if not isinstance(table, Mapping):
+        faults.append(Fault(f"{source}: predict", "must be a table", "write [predict.test]"))
+        return None
+    for key in table:
+        if key not in REPLACEABLE:
+            mend = f"one of {', '.join(REPLACEABLE)}; the material is the fitted one"
+            faults.append(Fault(f"{source}: predict.{key}", "unknown key", mend))
+    kept = [one for one in overrides if one.split("=")[0].split(".")[0].strip() not in table]
+    before = len(faults)
+    found = _problem({**tables, **table}, source, kept, faults)
+    for k in range(before, len(faults)):
+        one = faults[k]
+        faults[k] = Fault(one.where.replace(": ", ": predict.", 1), one.rule, one.mend)
+    return found

@@ -1,0 +1,262 @@
+"""What a test and its sensors give, and what the sensors must be for a wanted accuracy."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from study.ground.arrays import Array
+from study.ground.errors import Fault, InputError
+from study.laboratory.sensors.error_propagation import (
+    ErrorSource,
+    Propagation,
+    Quantity,
+    Simulation,
+    propagate,
+    simulate,
+    sources_of,
+)
+from study.laboratory.sensors.force_model import RequirementFile, force_model, multiplied
+from study.laboratory.sensors.virtual_test import Sampling, depth_of, rows_mm
+from study.mechanics.material.material import is_dimensionless
+from study.mechanics.setup.setup import Setup
+
+#: Multiples of the given errors that the map of accuracies shows, from a tenth to ten times.
+MULTIPLES = np.logspace(-1, 1, 61)
+
+
+@dataclass(frozen=True)
+class SensorRequirement:
+    """Uncertainty of constants and force by sensors, and what a wanted accuracy needs."""
+
+    name: str
+    question: str
+    #: Wanted expanded uncertainty over the value; expanded over standard uncertainty.
+    accuracy: float
+    coverage: float
+    #: shape (n,); of the test that is fitted.
+    rows_mm: Array
+    force_N: Array
+    propagation: Propagation
+    #: Monte Carlo, at multiples of the given errors.
+    simulations: tuple[Simulation, ...]
+    #: What is wrong with the simulated force, if anything.
+    notes: tuple[str, ...] = ()
+
+    @property
+    def standard(self) -> float:
+        """Wanted standard uncertainty over the value."""
+        return self.accuracy / self.coverage
+
+    @property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """Constants and the predicted force."""
+        return (*self.propagation.constants, self.propagation.force)
+
+    @property
+    def is_met(self) -> bool:
+        """Whether every constant is known as well as wanted."""
+        return self.propagation.worst.relative <= self.standard
+
+    @property
+    def needed_multiple(self) -> float:
+        """Multiple of all given errors that just meets the wanted accuracy."""
+        return self.standard / self.propagation.worst.relative
+
+    def allowed(self, source: int) -> tuple[float, float]:
+        """Largest error of a source for all constants: alone, and beside the others as given."""
+        alone = min(one.allowed_alone(self.standard)[source] for one in self.propagation.constants)
+        beside = [one.allowed_beside(self.standard)[source] for one in self.propagation.constants]
+        return float(alone), float(np.min(beside))
+
+    def worst_at(self, position: Array, force: Array) -> Array:
+        """Largest expanded relative uncertainty of a constant at multiples of both errors."""
+        each = [one.at_multiples(position, force) for one in self.propagation.constants]
+        return np.asarray(self.coverage * np.max(each, axis=0))
+
+
+def sensor_requirement(
+    file: RequirementFile, jobs: int, progress: Callable[[str], None] | None = None
+) -> SensorRequirement:
+    """Propagate the errors of both sensors, and check that by simulated tests."""
+    asked, depth = file.asked, depth_of(file.fitted)
+    sampling = Sampling(
+        file.fitted, file.predicted, file.position, file.force, asked.points, asked.samples,
+        file.seed,
+    )  # fmt: skip
+    _check_reach(file, sampling)
+    fitted = force_model(file.fitted, sampling.farthest_mm)
+    material, rows = fitted.problem.material, rows_mm(depth, asked.points)
+    at = fitted(material.values, rows)
+    end = depth_of(file.predicted)
+    predicted = force_model(file.predicted, end)(material.values, np.array([end]))
+    units = ["" if is_dimensionless(name) else "MPa" for name in material.names]
+    sources = sources_of(file.position, file.force, at, rows)
+    found = propagate(material.names, material.values, units, at, sources, predicted)
+    simulations: tuple[Simulation, ...] = ()
+    if asked.samples:
+        simulations = simulate(sampling, found, asked.multiples, jobs, progress)
+    return SensorRequirement(
+        file.name, file.question, asked.accuracy, asked.coverage, rows, at.force_N, found,
+        simulations, fitted.notes,
+    )  # fmt: skip
+
+
+def _check_reach(file: RequirementFile, sampling: Sampling) -> None:
+    """Refuse errors with which a test would go through its specimen."""
+    height = Setup.of(file.fitted).height_mm
+    for multiple in file.asked.multiples if file.asked.samples else ():
+        position, force = multiplied(file.position, file.force, multiple)
+        farthest = replace(sampling, position=position, force=force).farthest_mm
+        if height is not None and farthest >= height:
+            rule = (
+                f"at {multiple:g} times its errors the tracker may tell {farthest:.4g} mm, "
+                f"which reaches the specimen's height of {height:g} mm"
+            )
+            mend = "press less deep, or ask for smaller requirement.multiples"
+            raise InputError(Fault("position", rule, mend))
+
+
+def sentences(found: SensorRequirement) -> list[str]:
+    """Say what is known how well, what it needs, and where first order holds."""
+    worst, k = found.propagation.worst, found.coverage
+    said = [
+        f"{worst.name} is known to {percent(k * worst.relative)} (k = {k:g}), the force that is "
+        f"predicted to {percent(k * found.propagation.force.relative)}.",
+        _needed(found),
+        _largest_part(found),
+    ]
+    return [*said, *(_linear(one) for one in found.simulations)]
+
+
+def _needed(found: SensorRequirement) -> str:
+    wanted = percent(found.accuracy)
+    if found.is_met:
+        return (
+            f"{wanted} for every constant is met; all errors could be "
+            f"{found.needed_multiple:.3g} times as large."
+        )
+    return (
+        f"{wanted} for every constant needs all errors {found.needed_multiple:.3g} times as large."
+    )
+
+
+def _largest_part(found: SensorRequirement) -> str:
+    worst = found.propagation.worst
+    shares = worst.parts**2 / worst.relative**2
+    largest = int(np.argmax(shares))
+    source = found.propagation.sources[largest]
+    return (
+        f"{percent(shares[largest])} of the variance of {worst.name} comes from the "
+        f"{source.sensor}'s {source.name} of {size(source, source.given)}."
+    )
+
+
+def _linear(one: Simulation) -> str:
+    times = f"At {one.multiple:g} times the given errors"
+    answered = one.samples - one.failed
+    if not one.scatters:
+        return f"{times} {one.failed} of {one.samples} fits have no answer ({one.message})."
+    off = max(one.scatters, key=lambda s: abs(s.ratio - 1))
+    shifted = max(one.scatters, key=lambda s: abs(s.bias))
+    lost = f"; {one.failed} fits have no answer" if one.failed else ""
+    bias = (
+        f", and {shifted.name} is shifted by {shifted.bias:+.2f} standard deviations"
+        if abs(shifted.bias) > 0.1
+        else ""
+    )
+    verdict = "first order holds" if one.is_linear else "first order does not hold"
+    return (
+        f"{times} {verdict}: in {answered} simulated tests {off.name} scatters {off.ratio:.3f} "
+        f"+- {2 * off.ratio_error:.3f} times as much as first order says{bias}{lost}."
+    )
+
+
+def percent(share: float) -> str:
+    """Write a share in percent, three digits."""
+    return f"{100 * share:.3g} %"
+
+
+def size(source: ErrorSource, value: float) -> str:
+    """Write an error with its unit.
+
+    Units: source mm.
+    """
+    if math.isinf(value):
+        return "any"
+    if math.isnan(value):
+        return "none"
+    return f"{value:.3g} {source.unit}" if source.unit else percent(value)
+
+
+def document(found: SensorRequirement) -> dict[str, object]:
+    """Document of ``study require --json``: constants in kPa, exponents plain."""
+    sources = found.propagation.sources
+    return {
+        "name": found.name,
+        "accuracy": found.accuracy,
+        "coverage": found.coverage,
+        "met": found.is_met,
+        "needed_multiple": found.needed_multiple,
+        "quantities": [_quantity(one, sources, found.coverage) for one in found.quantities],
+        "required": [
+            {
+                "sensor": one.sensor,
+                "error": one.name,
+                "unit": one.unit or "1",
+                "given": one.given,
+                "allowed_alone": _finite(alone),
+                "allowed_beside_the_others": _finite(beside),
+            }
+            for one, (alone, beside) in zip(sources, _allowed(found), strict=True)
+        ],
+        "monte_carlo": [_simulation(one) for one in found.simulations],
+        "sentences": sentences(found),
+    }
+
+
+def _allowed(found: SensorRequirement) -> Sequence[tuple[float, float]]:
+    return [found.allowed(k) for k in range(len(found.propagation.sources))]
+
+
+def _quantity(one: Quantity, sources: Sequence[ErrorSource], coverage: float) -> dict[str, object]:
+    factor = 1e3 if one.unit == "MPa" else 1.0
+    return {
+        "name": one.name,
+        "unit": "kPa" if one.unit == "MPa" else one.unit,
+        "value": factor * one.value,
+        "relative_standard_uncertainty": one.relative,
+        "relative_expanded_uncertainty": coverage * one.relative,
+        "parts": {
+            f"{source.sensor}.{source.name}": float(part)
+            for source, part in zip(sources, one.parts, strict=True)
+        },
+    }
+
+
+def _simulation(one: Simulation) -> dict[str, object]:
+    return {
+        "multiple": one.multiple,
+        "samples": one.samples,
+        "failed": one.failed,
+        "linear": one.is_linear,
+        "message": one.message,
+        "quantities": [
+            {
+                "name": s.name,
+                "standard_deviation": s.standard_deviation * (1e3 if s.unit == "MPa" else 1.0),
+                "ratio": s.ratio,
+                "ratio_standard_error": s.ratio_error,
+                "bias": s.bias,
+            }
+            for s in one.scatters
+        ],
+    }
+
+
+def _finite(value: float) -> float | None:
+    """Return a number, or None for any (infinite) and for none (NaN)."""
+    return value if math.isfinite(value) else None

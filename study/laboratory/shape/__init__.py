@@ -1,0 +1,1 @@
+"""Deformed shapes: a simulated body against scans and markers."""

@@ -1,0 +1,415 @@
+"""Surface of a finite-element mesh: faces of one cell only, split into triangles.
+
+A mesh of a quarter, of an upper half or of a meridian section becomes the whole body.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from study.ground.arrays import Array, Flags, Ints
+from study.ground.bounded_file import open_regular
+from study.ground.errors import Fault, InputError
+from study.ground.units import unit_factor
+from study.laboratory.registration.closest_point import TriangleSurface
+
+if TYPE_CHECKING:
+    from scipy.interpolate import LinearNDInterpolator
+
+
+#: Segments of a body of revolution: its chords lie within 1.6e-4 radii of the circle.
+SEGMENTS = 180
+
+#: Places within this share of the extent lie in a plane of symmetry, or are one point.
+SAME_PLACE = 1e-6
+
+_TRIANGLE = ((0, 1), (1, 2), (2, 0))
+_QUADRILATERAL = ((0, 1), (1, 2), (2, 3), (3, 0))
+_TETRAHEDRON = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2))
+_HEXAHEDRON = (
+    (0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7),
+)  # fmt: skip
+
+#: Corners, sides as their corners, and corners in whose middle every further node lies (VTK).
+_SHAPES: dict[str, tuple[int, tuple[tuple[int, ...], ...], tuple[tuple[int, ...], ...]]] = {
+    "triangle": (3, _TRIANGLE, ()),
+    "triangle6": (3, _TRIANGLE, _TRIANGLE),
+    "quad": (4, _QUADRILATERAL, ()),
+    "quad9": (4, _QUADRILATERAL, (*_QUADRILATERAL, (0, 1, 2, 3))),
+    "tetra": (4, _TETRAHEDRON, ()),
+    "tetra10": (4, _TETRAHEDRON, ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))),
+    "hexahedron": (8, _HEXAHEDRON, ()),
+    "hexahedron27": (
+        8,
+        _HEXAHEDRON,
+        (
+            (0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6),
+            (3, 7), (0, 3, 4, 7), (1, 2, 5, 6), (0, 1, 4, 5), (2, 3, 6, 7), (0, 1, 2, 3),
+            (4, 5, 6, 7), (0, 1, 2, 3, 4, 5, 6, 7),
+        ),
+    ),
+}  # fmt: skip
+KINDS = tuple(_SHAPES)
+PLANE_KINDS = ("triangle", "triangle6", "quad", "quad9")
+
+
+@dataclass(frozen=True)
+class DeformedMesh:
+    """Cells with their nodes before the deformation and their displacements."""
+
+    #: shape (n_nodes, 3); nodes at rest and displacements, mm; (r, z, 0) on a meridian section.
+    points: Array
+    displacement: Array
+    #: Type of the cells as meshio names it.
+    kind: str
+    #: shape (n_cells, nodes of a cell); nodes of each cell.
+    cells: Ints
+
+    @property
+    def is_section(self) -> bool:
+        """Whether it is a meridian section of a body of revolution."""
+        return self.kind in PLANE_KINDS
+
+    @property
+    def axis(self) -> int:
+        """Axis of loading: the second coordinate of a section, else the third."""
+        return 1 if self.is_section else 2
+
+
+@dataclass(frozen=True)
+class Symmetry:
+    """What of a body a mesh is."""
+
+    section: bool
+    #: Whether planes x = 0 and y = 0 mirror it, and the lowest plane across the axis.
+    mirrored: tuple[bool, bool, bool]
+    #: Place of that plane, mm.
+    lowest: float
+
+    def __str__(self) -> str:
+        parts = ["meridian section, revolved"] if self.section else []
+        names = ("x = 0", "y = 0", f"the middle at z = {self.lowest:.4g} mm")
+        planes = [name for name, on in zip(names, self.mirrored, strict=True) if on]
+        parts += [f"mirrored at {' and '.join(planes)}"] if planes else []
+        return "; ".join(parts) or "whole body"
+
+
+@dataclass(frozen=True)
+class BodySurface:
+    """Surface of a whole body at rest, with the displacements of its points."""
+
+    #: shape (n, 3); vertices at rest and displacements, mm.
+    points: Array
+    displacement: Array
+    #: shape (m, 3); counterclockwise seen from outside.
+    triangles: Ints
+
+
+def symmetry_of(mesh: DeformedMesh) -> Symmetry:
+    """Find out what part of a body a mesh is.
+
+    A specimen stands on z = 0; a plane that no node crosses, in which sides lie and out of
+    which nothing moves, is one of symmetry.
+    """
+    size = float(np.ptp(mesh.points, axis=0).max())
+    axis = mesh.axis
+    lowest = float(mesh.points[:, axis].min())
+
+    def is_plane(k: int, place: float) -> bool:
+        on = np.abs(mesh.points[:, k] - place) < SAME_PLACE * size
+        still = np.abs(mesh.displacement[on, k]).max(initial=0.0) < SAME_PLACE * size
+        return bool(mesh.points[:, k].min() > place - SAME_PLACE * size and on.sum() > 2 and still)
+
+    half = lowest > SAME_PLACE * size and is_plane(axis, lowest)
+    quarter = (False, False) if mesh.is_section else (is_plane(0, 0.0), is_plane(1, 0.0))
+    return Symmetry(mesh.is_section, (*quarter, half), lowest)
+
+
+def surface_of(mesh: DeformedMesh) -> BodySurface:
+    """Surface of the whole body that a mesh is a part of."""
+    if mesh.kind not in _SHAPES:
+        rule = f"has cells of type {mesh.kind!r}"
+        raise InputError(Fault("simulation", rule, f"known are {', '.join(KINDS)}"))
+    symmetry = symmetry_of(mesh)
+    keep = _real_sides(mesh, symmetry)
+    points, displacement = mesh.points, mesh.displacement
+    if mesh.is_section:
+        points, displacement, triangles = _revolved(mesh, keep)
+    else:
+        triangles = keep
+        for k in (0, 1):
+            if symmetry.mirrored[k]:
+                points, displacement, triangles = _mirrored(points, displacement, triangles, k, 0.0)
+    if symmetry.mirrored[2]:
+        points, displacement, triangles = _mirrored(
+            points, displacement, triangles, 2, symmetry.lowest
+        )
+    return _joined(points, displacement, triangles)
+
+
+def _real_sides(mesh: DeformedMesh, symmetry: Symmetry) -> Ints:
+    """Sides of one cell only, split, turned outward, without those in planes of symmetry."""
+    corners, sides, _ = _SHAPES[mesh.kind]
+    nodes = np.concatenate([mesh.cells[:, list(side)] for side in sides])
+    owner = np.tile(np.arange(len(mesh.cells)), len(sides))
+    number = np.repeat(np.arange(len(sides)), len(mesh.cells))
+    _, first, count = np.unique(
+        np.sort(nodes, axis=1), axis=0, return_index=True, return_counts=True
+    )
+    alone = first[count == 1]
+    alone = alone[~_in_symmetry(mesh, symmetry, nodes[alone])]
+    parts = []
+    for k in range(len(sides)):
+        own = alone[number[alone] == k]
+        split = _split(mesh, owner[own], k)
+        centers = mesh.points[mesh.cells[owner[own], :corners]].mean(axis=1)
+        parts.append(_turned(mesh.points, split, np.repeat(centers, len(split) // max(len(own), 1),
+                                                           axis=0)))  # fmt: skip
+    return np.concatenate(parts)
+
+
+def _in_symmetry(mesh: DeformedMesh, symmetry: Symmetry, nodes: Ints) -> Flags:
+    """Which sides lie in a plane of symmetry, or on the axis of a section."""
+    size = float(np.ptp(mesh.points, axis=0).max())
+    planes = [(mesh.axis, symmetry.lowest)] if symmetry.mirrored[2] else []
+    planes += [(0, 0.0)] if symmetry.mirrored[0] or symmetry.section else []
+    planes += [(1, 0.0)] if symmetry.mirrored[1] else []
+    inside = np.zeros(len(nodes), dtype=bool)
+    for k, place in planes:
+        inside |= (np.abs(mesh.points[nodes, k] - place) < SAME_PLACE * size).all(axis=1)
+    return inside
+
+
+def _split(mesh: DeformedMesh, owners: Ints, side: int) -> Ints:
+    """Split one side of some cells into triangles (or lines), those of a cell in a row."""
+    pieces = np.array(_pieces(mesh.kind, side))
+    return np.asarray(mesh.cells[owners][:, pieces].reshape(-1, pieces.shape[1]))
+
+
+def _pieces(kind: str, side: int) -> list[tuple[int, ...]]:
+    """Nodes of a cell that make up the lines or triangles of one of its sides."""
+    count, sides, middles = _SHAPES[kind]
+    corners = sides[side]
+    n = len(corners)
+    local = {frozenset(middle): count + k for k, middle in enumerate(middles)}
+    if not middles:
+        fan = [(corners[0], corners[k], corners[k + 1]) for k in range(1, n - 1)]
+        return [corners] if n == 2 else [*fan]
+    between = [local[frozenset((corners[k], corners[(k + 1) % n]))] for k in range(n)]
+    if n == 2:
+        return [(corners[0], between[0]), (between[0], corners[1])]
+    ends = [(corners[k], between[k], between[k - 1]) for k in range(n)]
+    if n == 3:
+        return [*ends, (between[0], between[1], between[2])]
+    center = local[frozenset(corners)]
+    return [*ends, *((center, between[k - 1], between[k]) for k in range(n))]
+
+
+def _turned(points: Array, pieces: Ints, inside: Array) -> Ints:
+    """Turn triangles away from the middle of their cell; lines keep it on their left."""
+    a = points[pieces[:, 0]]
+    along = points[pieces[:, 1]] - a
+    if pieces.shape[1] == 2:
+        normal = np.column_stack([along[:, 1], -along[:, 0], np.zeros(len(pieces))])
+    else:
+        normal = np.cross(along, points[pieces[:, 2]] - a)
+    inward = ((points[pieces].mean(axis=1) - inside) * normal).sum(axis=1) < 0
+    turned = pieces.copy()
+    turned[inward] = turned[inward, ::-1]
+    return turned
+
+
+def _revolved(mesh: DeformedMesh, lines: Ints) -> tuple[Array, Array, Ints]:
+    """Revolve lines of a section (r, z) about the axis r = 0."""
+    angle = 2 * np.pi * np.arange(SEGMENTS) / SEGMENTS
+    c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
+
+    def around(section: Array) -> Array:
+        r, z = section[:, 0], np.broadcast_to(section[:, 1], (SEGMENTS, len(section)))
+        return np.stack([c * r, s * r, z], axis=-1).reshape(-1, 3)
+
+    n = len(mesh.points)
+    here = np.arange(SEGMENTS)[:, None] * n
+    there = np.roll(np.arange(SEGMENTS), -1)[:, None] * n
+    a, b = lines.T
+    # outside is on the right of a line in (r, z); seen from there a quadrilateral runs so
+    quads = np.stack([here + a, there + a, there + b, here + b], axis=-1).reshape(-1, 4)
+    triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    return around(mesh.points), around(mesh.displacement), triangles
+
+
+def _mirrored(
+    points: Array, displacement: Array, triangles: Ints, axis: int, place: float
+) -> tuple[Array, Array, Ints]:
+    """Body and its mirror image across a plane."""
+    other, moved = points.copy(), displacement.copy()
+    other[:, axis] = 2 * place - other[:, axis]
+    moved[:, axis] = -moved[:, axis]
+    both = np.concatenate([triangles, triangles[:, ::-1] + len(points)])
+    return np.concatenate([points, other]), np.concatenate([displacement, moved]), both
+
+
+def _joined(points: Array, displacement: Array, triangles: Ints) -> BodySurface:
+    """Make one point of those at one place, drop triangles without area, and check it closes."""
+    size = float(np.ptp(points, axis=0).max())
+    used, place = np.unique(triangles, return_inverse=True)
+    group, first = _groups(points[used], SAME_PLACE * size)
+    joined = group[place.reshape(-1, 3)]
+    whole = (joined != np.roll(joined, 1, axis=1)).all(axis=1)
+    joined = joined[whole]
+    edges = np.sort(joined[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    _, count = np.unique(edges, axis=0, return_counts=True)
+    if (count != 2).any():
+        rule = f"its surface does not close: {int((count != 2).sum())} open edges"
+        mend = "the mesh must be a whole body, a quarter at x = 0 and y = 0, or a section"
+        raise InputError(Fault("simulation", rule, mend))
+    return BodySurface(points[used][first], displacement[used][first], joined)
+
+
+def _groups(points: Array, tolerance: float) -> tuple[Ints, Ints]:
+    """Group points at one place: the group of every point, and a point of every group."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    near = cKDTree(points).query_pairs(tolerance, output_type="ndarray")
+    links = coo_matrix((np.ones(len(near)), near.T), shape=(len(points), len(points)))
+    _, group = connected_components(links, directed=False)
+    _, first = np.unique(group, return_index=True)
+    return group.astype(np.int64), first
+
+
+# -------------------------------------------------------------------------------------------------
+# A simulated body: its surface before and after the deformation, and what moves inside.
+
+#: Name of the displacements in a VTU file.
+DISPLACEMENT = "displacement_mm"
+
+
+@dataclass(frozen=True)
+class SimulatedBody:
+    """Simulated body in its own frame."""
+
+    #: Surface at rest with its displacements; none where only the deformed surface is known.
+    body: BodySurface
+    #: Mesh that it comes from; None for a surface file.
+    mesh: DeformedMesh | None = None
+    #: What part of the body the mesh is.
+    symmetry: Symmetry | None = None
+    notes: tuple[str, ...] = ()
+
+    def at(self, share: float) -> TriangleSurface:
+        """Surface at a share of the displacement: 0 at rest, 1 deformed."""
+        points = self.body.points + share * self.body.displacement
+        return TriangleSurface(points, self.body.triangles)
+
+    @cached_property
+    def deformed(self) -> TriangleSurface:
+        """Deformed surface."""
+        return self.at(1.0)
+
+    @property
+    def largest_displacement_mm(self) -> float:
+        """Largest displacement of a point of the surface."""
+        return float(np.linalg.norm(self.body.displacement, axis=1).max())
+
+    @cached_property
+    def _interpolator(self) -> LinearNDInterpolator:
+        from scipy.interpolate import LinearNDInterpolator
+
+        if self.mesh is None:
+            raise InputError(Fault("--markers", "a surface file says nothing of points inside it",
+                                   "give the problem or its VTU file"))  # fmt: skip
+        size = 2 if self.mesh.is_section else 3
+        used = np.unique(self.mesh.cells)
+        return LinearNDInterpolator(
+            self.mesh.points[used, :size], self.mesh.displacement[used, :size]
+        )
+
+    def displacement_at(self, points: Array) -> Array:
+        """Displacement of material points, shape (n, 3), mm; nan outside the body.
+
+        Between nodes it is linear on tetrahedra of Delaunay, whose error is of the second order
+        in the element size, as that of linear elements.
+        """
+        interpolate, symmetry = (
+            self._interpolator,
+            self.symmetry or Symmetry(False, (False,) * 3, 0),
+        )
+        signs = np.ones_like(points)
+        places = points.copy()
+        for k, mirrored in enumerate(symmetry.mirrored):
+            plane = symmetry.lowest if k == 2 else 0.0
+            flipped = mirrored & (points[:, k] < plane)
+            places[flipped, k] = 2 * plane - places[flipped, k]
+            signs[flipped, k] = -1.0
+        if not symmetry.section:
+            return np.asarray(interpolate(places) * signs)
+        radius = np.hypot(points[:, 0], points[:, 1])
+        moved = interpolate(np.column_stack([radius, places[:, 2]]))
+        outward = points[:, :2] / np.maximum(radius, 1e-300)[:, None]
+        return np.column_stack([moved[:, [0]] * outward, moved[:, 1] * signs[:, 2]])
+
+
+def body_of_mesh(mesh: DeformedMesh) -> SimulatedBody:
+    """Body that a mesh is a part of."""
+    return SimulatedBody(surface_of(mesh), mesh, symmetry_of(mesh))
+
+
+def read_body(path: Path, unit: str) -> SimulatedBody:
+    """Read a simulated body from a file.
+
+    Units: unit mm.
+    """
+    if path.suffix.lower() == ".vtu":
+        return body_of_mesh(_read_vtu(path))
+    from study.mechanics.surface.closed_surface import inspect, read_mesh
+
+    where = f"simulation: {path.name}"
+    points, triangles = read_mesh(path, where)
+    if not len(triangles):
+        raise InputError(Fault(where, "holds no triangles", "the cloud is given by --scan"))
+    try:
+        found = inspect(points, triangles, path.name, unit)
+    except InputError as error:
+        raise InputError(
+            [Fault(f.where.replace("specimen.file", "simulation"), f.rule, f.mend)
+             for f in error.faults]
+        ) from None  # fmt: skip
+    scaled = unit_factor(unit, "length") * found.points
+    notes = tuple(note.replace("specimen.file", "simulation") for note in found.notes)
+    body = BodySurface(scaled, np.zeros_like(scaled), found.triangles)
+    return SimulatedBody(body, notes=notes)
+
+
+def _read_vtu(path: Path) -> DeformedMesh:
+    """Read cells, points and displacements of a VTU file."""
+    from meshio import vtu
+
+    where = f"simulation: {path.name}"
+    try:
+        stream = open_regular(path)
+        if stream is not None:
+            stream.close()
+        mesh = vtu.read(str(path))
+    except Exception as error:  # meshio's parsers raise whatever they stumble over
+        reason = str(error).split("\n")[0][:120] or type(error).__name__
+        raise InputError(Fault(where, f"cannot be read: {reason}", "write it again")) from error
+    data: Mapping[str, Array] = mesh.point_data
+    if DISPLACEMENT not in data:
+        mend = f"study solve FILE --vtu OUT.vtu writes it; it holds {', '.join(data) or 'none'}"
+        raise InputError(Fault(where, f"has no point data {DISPLACEMENT!r}", mend))
+    blocks = [(block.type, block.data) for block in mesh.cells if block.type in KINDS]
+    kinds = {kind for kind, _ in blocks}
+    if len(kinds) != 1:
+        rule = f"has cells of types {', '.join(sorted(block.type for block in mesh.cells))}"
+        raise InputError(Fault(where, rule, f"one of {', '.join(KINDS)} is read"))
+    cells = np.concatenate([np.asarray(cells, dtype=np.int64) for _, cells in blocks])
+    points = np.array(mesh.points, dtype=float)
+    return DeformedMesh(points, np.array(data[DISPLACEMENT], dtype=float), kinds.pop(), cells)

@@ -1,0 +1,271 @@
+"""Deviation of a simulated surface from a scan: registration, signed distances, markers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from study.ground.arrays import Array
+from study.ground.canonical import Json, plain
+from study.ground.errors import Fault, InputError, RefusedError
+from study.laboratory.registration.closest_point import TriangleSurface
+from study.laboratory.registration.iterative_closest_point import (
+    Registration,
+    coarse_registration,
+    register,
+)
+from study.laboratory.registration.rigid import RigidMotion, identity
+from study.laboratory.shape.boundary import SimulatedBody
+from study.laboratory.shape.scan import Markers, Scan
+
+#: Percentiles of the signed distances that are reported.
+PERCENTILES = (5, 25, 50, 75, 95)
+
+#: A scan is called mirrored, or of another state, if that fits it with less than this share of
+#: the residual.
+CLEARLY_BETTER = 0.5
+
+#: Residuals below this share of the size are the resolution of any scanner: nothing is judged.
+RESOLUTION_SHARE = 1e-3
+
+#: Shares of the displacement at which a scan could have been taken by mistake.
+OTHER_STATES = (0.0, 0.5, 1.5)
+
+#: Part of the surface that is nearer to a scanned point than this many spacings of them.
+SEEN_SPACINGS = 3.0
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """Signed distances, positive where the scan lies outside the simulated surface, mm."""
+
+    points: int
+    #: Mean with its sign, of the sizes, root mean square, standard deviation.
+    mean: float
+    mean_absolute: float
+    rms: float
+    sd: float
+    largest: float
+    percentiles: dict[str, float]
+    #: 95 % of the sizes are below.
+    absolute_p95: float
+
+
+@dataclass(frozen=True)
+class MarkerDeviation:
+    """Marked points against the simulation."""
+
+    names: tuple[str, ...]
+    #: shape (n, 3); measured less simulated place, mm; nan for a marker outside the simulated body.
+    #: For markers without a place at rest: their way to the deformed surface.
+    errors: Array
+    #: shape (n,); measured displacement, mm.
+    moved: Array | None
+    #: Whether material points were compared, rather than distances to the surface.
+    paired: bool
+    #: Markers outside the simulated body at rest, without an error.
+    outside: int
+
+    @property
+    def sizes(self) -> Array:
+        """Size of the errors of markers inside, mm."""
+        sizes = np.linalg.norm(self.errors, axis=1)
+        return np.asarray(sizes[np.isfinite(sizes)])
+
+    @property
+    def mean(self) -> float:
+        """Mean size, mm."""
+        return float(self.sizes.mean())
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the sizes, mm."""
+        return float(np.sqrt((self.sizes**2).mean()))
+
+
+@dataclass(frozen=True)
+class ShapeDeviation:
+    """Deviation of a simulated body from a scan."""
+
+    name: str
+    scan: str
+    #: Isolated points of the scan that were left out.
+    outliers: int
+    #: None where the frames were taken as they are.
+    registration: Registration | None
+    #: shape (n, 3); registered points and their signed distances, mm.
+    points: Array
+    distances: Array
+    #: shape (n, 3); unit normals of the simulated surface there.
+    normals: Array
+    statistics: Statistics
+    #: Share of the simulated surface that the scan shows.
+    seen: float
+    #: RMS over the points of the uncertainty that the registration adds, mm.
+    registration_uncertainty: float | None
+    markers: MarkerDeviation | None
+    #: How the simulated part became the whole body.
+    symmetry: str
+    #: What was mended, and what the figures do not say.
+    notes: tuple[str, ...] = ()
+    report: str | None = None
+
+    def to_json(self) -> dict[str, Json]:
+        """Document of ``study shape --json``; lengths in mm."""
+        marked = self.markers
+        found: dict[str, Json] = plain({
+            "name": self.name,
+            "scan": self.scan,
+            "outliers": self.outliers,
+            "registration": None if self.registration is None else self.registration.to_json(),
+            "registration_uncertainty_mm": self.registration_uncertainty,
+            "deviation_mm": self.statistics,
+            "seen": self.seen,
+            "markers": marked and {
+                "paired": marked.paired, "markers": len(marked.names), "outside": marked.outside,
+                "mean_mm": marked.mean, "rms_mm": marked.rms,
+                "largest_mm": float(marked.sizes.max()),
+            },
+            "symmetry": self.symmetry,
+            "notes": list(self.notes),
+            "report": self.report,
+        })  # fmt: skip
+        return found
+
+
+@dataclass(frozen=True)
+class Options:
+    """How a scan is compared."""
+
+    #: Whether the scan is moved onto the surface; else the frames agree already.
+    register: bool = True
+    #: Whether a scan that another state fits better is compared nevertheless.
+    any_state: bool = False
+
+
+def judge_shape(
+    name: str, body: SimulatedBody, scan: Scan, markers: Markers | None, options: Options
+) -> ShapeDeviation:
+    """Compare a simulated body with a scan of the real one."""
+    surface, registration, motion = body.deformed, None, identity()
+    if options.register:
+        own, start = coarse_registration(surface, scan.points)
+        _check_handedness(surface, scan, own)
+        if not options.any_state:
+            _check_state(body, scan, own, start)
+        registration = register(surface, scan.points, [start])
+        motion = registration.motion
+    placed = motion(scan.points)
+    found = surface.closest(placed)
+    added = None
+    if registration is not None:
+        added = float(np.sqrt((registration.uncertainty_at(placed) ** 2).mean()))
+    return ShapeDeviation(
+        name=name,
+        scan=scan.source,
+        outliers=scan.outliers,
+        registration=registration,
+        points=placed,
+        distances=found.distance,
+        normals=found.normal,
+        statistics=statistics_of(found.distance),
+        seen=_seen(surface, placed),
+        registration_uncertainty=added,
+        markers=None if markers is None else _marked(body, markers, motion),
+        symmetry=str(body.symmetry) if body.symmetry else "whole body",
+        notes=(*body.notes, *_notes(registration)),
+    )
+
+
+def statistics_of(distances: Array) -> Statistics:
+    """Describe signed distances.
+
+    Shapes: distances (n,), mm.
+    """
+    sizes = np.abs(distances)
+    return Statistics(
+        points=len(distances),
+        mean=float(distances.mean()),
+        mean_absolute=float(sizes.mean()),
+        rms=float(np.sqrt((distances**2).mean())),
+        sd=float(distances.std(ddof=1)),
+        largest=float(sizes.max()),
+        percentiles={
+            f"p{q}": float(value)
+            for q, value in zip(PERCENTILES, np.percentile(distances, PERCENTILES), strict=True)
+        },
+        absolute_p95=float(np.percentile(sizes, 95)),
+    )
+
+
+def _check_handedness(surface: TriangleSurface, scan: Scan, own: float) -> None:
+    """Refuse a cloud whose mirror image fits far better."""
+    if own < RESOLUTION_SHARE * surface.size:
+        return
+    other, _ = coarse_registration(surface, scan.points * np.array([-1.0, 1.0, 1.0]))
+    if other < CLEARLY_BETTER * own:
+        rule = f"is mirrored: its mirror image lies {other:.3g} mm from the surface, it {own:.3g}"
+        mend = "negate one coordinate: the scanner's frame is left-handed"
+        raise InputError(Fault(f"--scan: {scan.source}", rule, mend))
+
+
+def _check_state(body: SimulatedBody, scan: Scan, own: float, start: RigidMotion) -> None:
+    """Refuse a scan that the body at rest, or at another displacement, fits far better."""
+    size = body.deformed.size
+    if body.largest_displacement_mm < RESOLUTION_SHARE * size:
+        return
+    if own < RESOLUTION_SHARE * size:
+        return
+    others = {
+        share: coarse_registration(body.at(share), scan.points, [start])[0]
+        for share in OTHER_STATES
+    }
+    share, least = min(others.items(), key=lambda pair: pair[1])
+    if least < CLEARLY_BETTER * own:
+        state = "the body at rest" if share == 0 else f"{100 * share:g} % of the displacement"
+        raise RefusedError(
+            f"{scan.source}: is a scan of another state: {state} fits it to {least:.3g} mm, the "
+            f"simulated one to {own:.3g} mm. Give the scan of this displacement, or say "
+            "--any-state if the simulation itself is in doubt"
+        )
+
+
+def _seen(surface: TriangleSurface, points: Array) -> float:
+    """Share of the area of a surface near which there are scanned points."""
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(points)
+    spacing = float(np.median(tree.query(points, k=2)[0][:, 1]))
+    centers = surface.corners.mean(axis=1)
+    off = float(np.median(np.abs(surface.closest(points).distance)))
+    near = tree.query(centers, k=1)[0] < SEEN_SPACINGS * (spacing + off)
+    return float(surface.areas[near].sum() / surface.areas.sum())
+
+
+def _marked(body: SimulatedBody, markers: Markers, motion: RigidMotion) -> MarkerDeviation:
+    """Errors of markers, as material points where their places at rest are known."""
+    measured = motion(markers.deformed)
+    if markers.rest is None:
+        found = body.deformed.closest(measured)
+        return MarkerDeviation(markers.names, measured - found.points, None, False, 0)
+    rest = motion(markers.rest)
+    errors = measured - rest - body.displacement_at(rest)
+    outside = int((~np.isfinite(errors).all(axis=1)).sum())
+    if outside == len(errors):
+        mend = "markers must be in the frame and unit of the scan (--unit)"
+        raise InputError(Fault("--markers", "all lie outside the simulated body", mend))
+    moved = np.linalg.norm(measured - rest, axis=1)
+    return MarkerDeviation(markers.names, errors, moved, True, outside)
+
+
+def _notes(registration: Registration | None) -> tuple[str, ...]:
+    if registration is None:
+        return ("the scan was compared as it lies, without registration",)
+    notes = ["a registered deviation holds no rigid motion: what the fit takes up is not seen"]
+    if registration.sliding:
+        listed = "; ".join(str(one) for one in registration.sliding)
+        notes.append(f"the shape does not fix: {listed}; the scan was not moved along it")
+    if not registration.converged:
+        notes.append("the registration did not settle: see its residual")
+    return tuple(notes)

@@ -1,0 +1,1 @@
+"""Accuracy of an optical or electromagnetic tracker."""

@@ -1,0 +1,376 @@
+"""What a tracker wrote: positions of its markers over time, in visits to stages of a motion."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from study.ground.arrays import Array, Ints
+from study.ground.errors import Fault, InputError, nearest
+from study.ground.tabular import CsvTable, read_csv
+from study.ground.units import unit_factor
+from study.harness.design import diagnostics
+from study.harness.design.diagnostics import Faults, read_table
+from study.laboratory.registration.rigid import check_places
+from study.mechanics.measurement.measurement_section import csv_path
+from study.mechanics.setup.declaration import (
+    Bad,
+    Length,
+    LengthOrZero,
+    Reads,
+    choice,
+    number,
+    section,
+    shown,
+    text,
+    unit_of_length,
+)
+from study.mechanics.setup.declaration import name as label
+
+# -------------------------------------------------------------------------------------------------
+# The file of a tracker study: its tables are classes, and a class's fields are the keys.
+
+SCHEMA = 1
+
+#: Coordinates of a point: names of three columns.
+Triple = tuple[str, str, str]
+
+
+def triple(value: object) -> Triple:
+    """Read the names of three columns."""
+    if not isinstance(value, list) or len(value) != 3:
+        raise Bad(f"must be three columns, got {shown(value)}", 'for example ["x", "y", "z"]')
+    x, y, z = (label(one) for one in value)
+    if len({x, y, z}) < 3:
+        raise Bad(f"names a column twice, got {shown(value)}")
+    return x, y, z
+
+
+def two_triples(value: object) -> tuple[Triple, Triple]:
+    """Read the columns of two points."""
+    if not isinstance(value, list) or len(value) != 2:
+        raise Bad(f"must be the columns of two points, got {shown(value)}")
+    return triple(value[0]), triple(value[1])
+
+
+def triples(value: object) -> dict[str, Triple]:
+    """Read markers: a name and three columns each."""
+    if not isinstance(value, Mapping) or not value:
+        raise Bad(f"must be a table, got {shown(value)}", 'for example { tip = ["x", "y", "z"] }')
+    return {label(key): triple(columns) for key, columns in value.items()}
+
+
+def pair(value: object) -> tuple[str, str]:
+    """Read the names of two markers."""
+    if not isinstance(value, list) or len(value) != 2 or value[0] == value[1]:
+        raise Bad(f"must be two markers, got {shown(value)}", 'for example ["tip", "tail"]')
+    return label(value[0]), label(value[1])
+
+
+def two_files(value: object) -> tuple[str, str]:
+    """Read the files of two scanned spheres."""
+    if not isinstance(value, list) or len(value) != 2:
+        raise Bad(f"must be two files, got {shown(value)}", 'for example ["a.csv", "b.csv"]')
+    return csv_path(value[0]), csv_path(value[1])
+
+
+@section
+class RecordingTable:
+    """``[recording]``: what the tracker wrote, one row a sample."""
+
+    #: CSV below the data root.
+    file: Annotated[str, Reads(csv_path, mend='for example file = "samples.csv"')]
+    #: Columns of the coordinates of every marker.
+    markers: Annotated[
+        dict[str, Triple], Reads(triples, mend='for example markers = { tip = ["x", "y", "z"] }')
+    ]
+    #: Unit of the coordinates.
+    unit: Annotated[str, Reads(unit_of_length, mend='for example unit = "mm"')]
+    #: Column of the time stamps, in s.
+    time: Annotated[str | None, Reads(label)] = None
+    #: Column that says in which stage of the motion, or at which pose, a sample was taken.
+    stage: Annotated[str | None, Reads(label)] = None
+    #: Decimal mark.
+    decimal: Annotated[str, Reads(choice(".", ","))] = "."
+
+
+@section
+class DistanceTable:
+    """``[distance]``: two markers on one rigid body, and how far apart they are known to be."""
+
+    #: The markers.
+    markers: Annotated[tuple[str, str], Reads(pair, mend='for example ["tip", "tail"]')]
+    #: Known distance, mm.
+    reference: Length | None = None
+    #: Standard uncertainty of the known distance, mm.
+    uncertainty: LengthOrZero = 0.0
+    #: Instead: CSV files of points scanned on the spheres of both markers.
+    spheres: Annotated[tuple[str, str] | None, Reads(two_files)] = None
+    #: Columns of these points.
+    columns: Annotated[Triple, Reads(triple)] = ("x", "y", "z")
+    #: Unit of these points.
+    unit: Annotated[str, Reads(unit_of_length)] = "mm"
+    #: Smallest difference of distances that matters, mm.
+    practical: Length | None = None
+
+
+@section
+class DisplacementTable:
+    """``[displacement]``: a marker on a stage that was told where to go."""
+
+    #: The marker.
+    marker: Annotated[str, Reads(label, mend="name a marker of [recording]")]
+    #: Column of the commanded position along the axis.
+    commanded: Annotated[str, Reads(label, mend="name the column of the commanded position")]
+    #: Its unit.
+    unit: Annotated[str, Reads(unit_of_length)] = "mm"
+    #: Standard uncertainty of a commanded position, mm; 0 for an exact stage.
+    uncertainty: LengthOrZero = 0.0
+
+
+@section
+class ReferenceTable:
+    """``[reference]``: a better instrument that measured the same poses in its own frame."""
+
+    #: CSV with one row a pose.
+    file: Annotated[str, Reads(csv_path, mend='for example file = "laser.csv"')]
+    #: The marker that was measured.
+    marker: Annotated[str, Reads(label, mend="name a marker of [recording]")]
+    #: Column of the pose; its labels pair with those of the recording.
+    stage: Annotated[str, Reads(label, mend="name the column of the pose")]
+    #: Columns of the reference's point on the body.
+    position: Annotated[Triple, Reads(triple, mend='for example position = ["x", "y", "z"]')]
+    #: Columns of two more points on the body, beside the first one: they show how it is turned, so
+    #: that the lever arm between marker and reference point can be estimated.
+    axes: Annotated[tuple[Triple, Triple] | None, Reads(two_triples)] = None
+    #: Unit of these columns.
+    unit: Annotated[str, Reads(unit_of_length)] = "mm"
+
+
+@section
+class TrackingTable:
+    """``[tracking]``: what the study is called."""
+
+    #: Of the report; that of the file where it is left out.
+    name: Annotated[str, Reads(label)] = ""
+    #: Printed above the answer.
+    question: Annotated[str, Reads(text)] = ""
+    #: Size of tests; intervals have the level 1 - alpha.
+    alpha: Annotated[float, Reads(number(0, 0.5))] = Field(default=0.05)
+
+
+@dataclass(frozen=True)
+class TrackingFile:
+    """A file of ``study tracking``, read."""
+
+    #: Always there.
+    tracking: TrackingTable
+    #: Always there.
+    recording: RecordingTable
+    #: What the tracker is compared with; at least one is there.
+    distance: DistanceTable | None
+    #: What the tracker is compared with; at least one is there.
+    displacement: DisplacementTable | None
+    #: What the tracker is compared with; at least one is there.
+    reference: ReferenceTable | None
+
+
+TABLES = ("schema", "tracking", "recording", "distance", "displacement", "reference")
+
+
+def load_tracking(path: str | Path) -> TrackingFile:
+    """Read a file of ``study tracking``."""
+    source = str(path)
+    tables = diagnostics.parse_toml(diagnostics.read_text(path), source)
+    faults = Faults()
+    if tables.get("schema") != SCHEMA:
+        faults.add("schema", f"must be {SCHEMA}", f"write schema = {SCHEMA} on the first line")
+    for key in tables:
+        if key not in TABLES:
+            faults.add(key, "unknown key", nearest(key, TABLES))
+    tracking = read_table(TrackingTable, tables.get("tracking", {}), "tracking", faults)
+    recording = read_table(RecordingTable, tables.get("recording"), "recording", faults)
+    distance = displacement = reference = None
+    if "distance" in tables:
+        distance = read_table(DistanceTable, tables["distance"], "distance", faults)
+    if "displacement" in tables:
+        displacement = read_table(DisplacementTable, tables["displacement"], "displacement", faults)
+    if "reference" in tables:
+        reference = read_table(ReferenceTable, tables["reference"], "reference", faults)
+    found = TrackingFile(tracking, recording, distance, displacement, reference)
+    if not faults:
+        faults.extend(_across(found))
+    if faults:
+        raise InputError([Fault(f"{source}: {f.where}", f.rule, f.mend) for f in faults])
+    return found
+
+
+def is_tracking(path: str | Path) -> bool:
+    """Whether a file is one of ``study tracking``: it has a table ``[recording]``."""
+    return "recording" in diagnostics.parse_toml(diagnostics.read_text(path), str(path))
+
+
+def _across(found: TrackingFile) -> Sequence[Fault]:
+    """Faults between tables."""
+    faults = Faults()
+    known = found.recording.markers
+    asked = {
+        "distance.markers": found.distance.markers if found.distance else (),
+        "displacement.marker": (found.displacement.marker,) if found.displacement else (),
+        "reference.marker": (found.reference.marker,) if found.reference else (),
+    }
+    for where, markers in asked.items():
+        for marker in markers:
+            if marker not in known:
+                faults.add(where, f"no marker {marker!r} in [recording]", nearest(marker, known))
+    if not (found.distance or found.displacement or found.reference):
+        mend = "write [distance], [displacement] or [reference]"
+        faults.add("tracking", "nothing says what to compare the tracker with", mend)
+    if found.reference and found.recording.stage is None:
+        mend = 'write stage = "COLUMN" in [recording]'
+        faults.add("recording.stage", "is missing: poses pair by it", mend)
+    if found.distance and found.distance.reference and found.distance.spheres:
+        faults.add("distance", "has a reference and spheres", "keep the one that is the standard")
+    return faults
+
+
+#: Name of the only stage of a recording without a column of stages.
+WHOLE = "all"
+
+#: Samples that a visit needs for its scatter and correlation.
+FEWEST_SAMPLES = 4
+
+
+@dataclass(frozen=True)
+class Visit:
+    """Samples in a row at one stage: they go together, and only their mean is independent."""
+
+    stage: str
+    #: First sample, and the one after the last.
+    begin: int
+    end: int
+
+    @property
+    def rows(self) -> slice:
+        """Samples of the visit."""
+        return slice(self.begin, self.end)
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Positions of markers, sample by sample."""
+
+    #: shape (n, 3); of every marker, mm.
+    positions: dict[str, Array]
+    #: shape (n,); time stamps.
+    time_s: Array | None
+    #: In the order of the recording.
+    visits: tuple[Visit, ...]
+    table: CsvTable
+
+    @property
+    def stages(self) -> tuple[str, ...]:
+        """Stages in the order of their first visit."""
+        return tuple(dict.fromkeys(visit.stage for visit in self.visits))
+
+    def visits_of(self, stage: str) -> tuple[Visit, ...]:
+        """Return the visits to a stage."""
+        return tuple(visit for visit in self.visits if visit.stage == stage)
+
+
+def read_recording(declared: RecordingTable, root: Path) -> Recording:
+    """Read what a tracker wrote."""
+    columns = [c for triple in declared.markers.values() for c in triple]
+    columns += [c for c in (declared.time, declared.stage) if c]
+    table = read_csv(
+        root / declared.file, required=columns, decimal=declared.decimal, source=declared.file
+    )
+    factor = unit_factor(declared.unit, "length")
+    positions = {
+        marker: factor * coordinates(table, triple) for marker, triple in declared.markers.items()
+    }
+    for marker, points in positions.items():
+        check_places(points, f"{declared.file}: marker {marker}")
+    time = None if declared.time is None else table.numbers(declared.time)
+    if time is not None:
+        _check_time(time, table)
+    labels = table.text(declared.stage) if declared.stage else (WHOLE,) * len(table.lines)
+    return Recording(positions, time, visits_to(labels), table)
+
+
+def coordinates(table: CsvTable, columns: Triple) -> Array:
+    """Coordinates in three columns of a table.
+
+    Shapes: returns (n, 3).
+    """
+    return np.column_stack([table.numbers(column) for column in columns])
+
+
+def _check_time(time: Array, table: CsvTable) -> None:
+    back = np.flatnonzero(np.diff(time) <= 0)
+    if back.size:
+        first = int(back[0]) + 1
+        word = "goes backwards" if time[first] < time[first - 1] else "stands still"
+        more = f" (and at {back.size - 1} more rows)" if back.size > 1 else ""
+        rule = f"the time {word}: {time[first]:g} s after {time[first - 1]:g} s{more}"
+        mend = "sort the rows by time; was the clock set, or were two recordings joined?"
+        raise InputError(Fault(f"{table.source}:{table.lines[first]}", rule, mend))
+
+
+def visits_to(labels: Sequence[str]) -> tuple[Visit, ...]:
+    """Find runs of equal labels.
+
+    Examples
+    --------
+    >>> [(v.stage, v.begin, v.end) for v in visits_to(["a", "a", "b", "a"])]
+    [('a', 0, 2), ('b', 2, 3), ('a', 3, 4)]
+    """
+    marks = np.array(labels, dtype=object)
+    ends = [*(np.flatnonzero(marks[1:] != marks[:-1]) + 1).tolist(), len(labels)]
+    begins = [0, *ends[:-1]]
+    return tuple(Visit(labels[a], a, b) for a, b in zip(begins, ends, strict=True))
+
+
+def passes(visits: Sequence[Visit]) -> Ints | None:
+    """Pass of the motion that every visit belongs to.
+
+    A pass visits every stage once. Comparing stages within passes takes a drift out.
+
+    Shapes: returns (visits,).
+    """
+    stages = list(dict.fromkeys(visit.stage for visit in visits))
+    count, left = divmod(len(visits), len(stages))
+    if left or count < 2 or len(stages) < 2:
+        return None
+    for k in range(count):
+        part = visits[k * len(stages) : (k + 1) * len(stages)]
+        if {visit.stage for visit in part} != set(stages):
+            return None
+    return np.arange(len(visits)) // len(stages)
+
+
+def correlation_time(series: Array) -> float:
+    """Count the samples that go for one independent one: the autocorrelation time, at least 1.
+
+    Sokal 1997: the sum 1 + 2 sum rho_k is cut at the first lag beyond five times itself, so
+    that the noise of far lags does not add up. The mean of n samples then has the variance of
+    n over this many independent ones.
+
+    Shapes: series (n,).
+    """
+    n = len(series)
+    away = series - series.mean()
+    variance = float(away @ away) / n
+    if variance == 0 or n < FEWEST_SAMPLES:
+        return 1.0
+    spectrum = np.abs(np.fft.rfft(away, 2 * n)) ** 2
+    rho = np.fft.irfft(spectrum)[:n] / n / variance
+    total = 1 + 2 * np.cumsum(rho[1:])
+    beyond = np.arange(1, n) >= 5 * total
+    where = int(beyond.argmax()) if beyond.any() else n - 2
+    return float(min(max(total[where], 1.0), n))

@@ -1,1 +1,0 @@
-"""Materials: energies declared once, their closed-form tests, conversions, stability."""

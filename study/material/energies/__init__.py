@@ -1,1 +1,0 @@
-"""Every energy, one class each, and what they share."""

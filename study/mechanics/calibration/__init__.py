@@ -1,0 +1,1 @@
+"""Least squares of curves: Levenberg-Marquardt, covariance, identifiability, lack of fit."""

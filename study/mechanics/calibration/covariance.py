@@ -1,0 +1,222 @@
+"""What a fit knows and what it cannot know: covariance, intervals, identifiability.
+
+Everything starts from a QR of the column-scaled Jacobian; ``inv(J'J)`` loses every digit of
+the standard errors on six of NIST's 27 sets.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from study.ground.arrays import Array
+
+#: V39: a warning is due above these
+CAUTION_CORRELATION = 0.95
+CAUTION_CONDITION = 100.0
+
+#: V39: not identifiable above this
+LIMIT_CORRELATION = 0.99
+
+#: share of the largest force below which what an interval leaves open does not matter
+AS_GOOD_AS_ZERO = 0.01
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """Covariance of least-squares estimates; the error variance is estimated from the fit."""
+
+    #: shape (p, p); ``s^2 (J'J)^-1`` with ``s^2 = rss / (n - p)``: weights are relative, so that a
+    #: common factor on all of them changes nothing.
+    covariance: Array
+    #: shape (p,)
+    standard_error: Array
+    #: shape (p, 2); student-t intervals with n - p degrees of freedom.
+    ci95: Array
+    #: shape (p, p)
+    correlation: Array
+    condition: float
+    #: Numerical rank of the scaled Jacobian.
+    rank: int
+    degrees_of_freedom: int
+    #: shape (p,); largest change of a force by a constant, over the largest force.
+    influence: Array | None = None
+
+
+def uncertainty(
+    jacobian: Array, residual: Array, values: Array, free: NDArray[np.bool_] | None = None
+) -> Uncertainty:
+    """Covariance, standard errors, 95 % intervals and correlation at a minimum.
+
+    Shapes: jacobian (n, p); residual (n,); values (p,); free (p,).
+    """
+    n, p = jacobian.shape
+    free = np.ones(p, bool) if free is None else free
+    dof = n - int(free.sum())
+    inverse, rank = scaled_inverse(jacobian[:, free])
+    covariance = np.full((p, p), np.nan)
+    variance = float(residual @ residual) / dof if dof > 0 else np.nan
+    covariance[np.ix_(free, free)] = variance * inverse
+    error = np.sqrt(np.diag(covariance))
+    half = student_t(dof) * error
+    return Uncertainty(
+        covariance,
+        error,
+        np.stack([values - half, values + half], axis=1),
+        _correlation(inverse, free),
+        scaled_condition(jacobian[:, free], values[free]),
+        rank,
+        dof,
+    )
+
+
+def influence(jacobian: Array, force: Array) -> Array:
+    """Largest change of a force by every parameter, over the largest force; both weighted.
+
+    Shapes: jacobian (n, p); force (n,); returns (p,).
+    """
+    largest = np.abs(jacobian).max(axis=0, initial=0.0)
+    return np.asarray(largest / np.abs(force).max())
+
+
+def scaled_inverse(jacobian: Array) -> tuple[Array, int]:
+    """``(J'J)^-1`` by QR of the column-scaled Jacobian, and its rank; NaN if deficient.
+
+    Shapes: jacobian (n, p); returns (p, p).
+    """
+    p = jacobian.shape[1]
+    norms = np.linalg.norm(jacobian, axis=0)
+    if p == 0 or jacobian.shape[0] < p or not np.all(norms > 0):
+        return np.full((p, p), np.nan), int(np.count_nonzero(norms))
+    triangle = np.linalg.qr(jacobian / norms, mode="r")
+    singular = np.linalg.svd(triangle, compute_uv=False)
+    rank = int(np.sum(singular > max(jacobian.shape) * np.finfo(float).eps * singular[0]))
+    if rank < p:
+        return np.full((p, p), np.nan), rank
+    inverse = np.linalg.solve(triangle, np.eye(p)) / norms[:, None]
+    return inverse @ inverse.T, rank
+
+
+def scaled_condition(jacobian: Array, values: Array) -> float:
+    """cond(J diag(theta)): sensitivity to relative changes; a zero constant counts as one.
+
+    Shapes: jacobian (n, p); values (p,).
+    """
+    if jacobian.size == 0:
+        return 1.0
+    scaled = jacobian * np.where(values == 0, 1.0, values)
+    singular = np.linalg.svd(scaled, compute_uv=False)
+    return float(singular[0] / singular[-1]) if singular[-1] > 0 else float("inf")
+
+
+def student_t(degrees_of_freedom: int, level: float = 0.95) -> float:
+    """Two-sided quantile of Student's t; NaN without degrees of freedom."""
+    if degrees_of_freedom <= 0:
+        return float("nan")
+    from scipy.special import stdtrit
+
+    return float(stdtrit(degrees_of_freedom, 0.5 + level / 2))
+
+
+def identifiability(names: Sequence[str], values: Array, known: Uncertainty) -> tuple[bool, str]:
+    """Verdict of V39 on whether the data determine every constant, and why.
+
+    Not identifiable: rank-deficient, two constants correlated beyond 0.99, or an interval
+    wider than twice the value of a constant, unless half of it changes no force by more than 1 %
+    of the largest: such a constant is known to be as good as zero. A correlation beyond 0.95
+    or a scaled condition number above 100 is only a caution.
+
+    Shapes: values (p,).
+    """
+    free = np.isfinite(np.diag(known.correlation)) | (known.rank < len(names))
+    if known.rank < int(free.sum()) and not np.isfinite(known.correlation).all():
+        return False, (
+            f"the data determine only {known.rank} of {len(names)} combinations of {_listed(names)}"
+        )
+    first, second, worst = _worst_pair(known.correlation)
+    if abs(worst) > LIMIT_CORRELATION:
+        ratio = _ratio_of_errors(known, first, second)
+        return False, _together(names[first], names[second], worst, ratio)
+    if known.degrees_of_freedom <= 0:
+        return False, "as many constants as points: nothing is left to judge them by"
+    wide = _widest(names, values, known)
+    if wide:
+        return False, wide
+    return True, _caution(names, first, second, worst, known.condition)
+
+
+def verdict_at_end(
+    names: Sequence[str],
+    values: Array,
+    known: Uncertainty,
+    free: NDArray[np.bool_],
+    ended: str,
+) -> tuple[bool, str]:
+    """Verdict on a fit that ended at a kink, at an edge or at a bound.
+
+    Shapes: free (p,).
+    """
+    identifiable, reason = identifiability(names, values, known)
+    if ended:
+        return False, ended if identifiable or not reason else f"{ended}; besides, {reason}"
+    if not free.all():
+        held = [name for name, is_free in zip(names, free, strict=True) if not is_free]
+        return False, f"{', '.join(held)} ended at a bound"
+    return identifiable, reason
+
+
+def _correlation(inverse: Array, free: NDArray[np.bool_]) -> Array:
+    correlation = np.full((free.size, free.size), np.nan)
+    scale = np.sqrt(np.diag(inverse))
+    inner = inverse / np.outer(scale, scale)
+    np.fill_diagonal(inner, np.where(np.isfinite(scale), 1.0, np.nan))
+    correlation[np.ix_(free, free)] = inner
+    return correlation
+
+
+def _worst_pair(correlation: Array) -> tuple[int, int, float]:
+    off = np.nan_to_num(correlation - np.diag(np.diag(correlation)))
+    i, j = np.unravel_index(int(np.argmax(np.abs(off))), off.shape)
+    return min(int(i), int(j)), max(int(i), int(j)), float(off[i, j])
+
+
+def _together(first: str, second: str, correlation: float, ratio: float) -> str:
+    # errors that go together leave only first / s1 -+ second / s2 determined
+    sign, shown = ("+" if correlation < 0 else "-"), f"{ratio:.3g}"
+    also = second if shown == "1" else f"{shown} {second}"
+    return (
+        f"{first} and {second} move together: correlation {correlation:.4f}; "
+        f"only {first} {sign} {also} is determined"
+    )
+
+
+def _ratio_of_errors(known: Uncertainty, first: int, second: int) -> float:
+    """Error of one constant over that of another: what the second weighs in what is known."""
+    return float(known.standard_error[first] / known.standard_error[second])
+
+
+def _widest(names: Sequence[str], values: Array, known: Uncertainty) -> str:
+    width = known.ci95[:, 1] - known.ci95[:, 0]
+    # an interval that changes no force by more than this says that the constant is zero
+    seen = np.inf if known.influence is None else 0.5 * width * known.influence
+    ratio = np.zeros(values.size)
+    np.divide(width, np.abs(values), out=ratio, where=(values != 0) & (seen > AS_GOOD_AS_ZERO))
+    worst = int(np.argmax(np.nan_to_num(ratio)))
+    if not ratio[worst] > 2:
+        return ""
+    return f"the 95 % interval of {names[worst]} is {ratio[worst]:.3g} times as wide as its value"
+
+
+def _caution(names: Sequence[str], first: int, second: int, worst: float, condition: float) -> str:
+    if abs(worst) > CAUTION_CORRELATION:
+        return f"caution: {names[first]} and {names[second]} are correlated by {worst:.4f}"
+    if condition > CAUTION_CONDITION:
+        return f"caution: the scaled condition number is {float(f'{condition:.3g}'):,.0f}"
+    return ""
+
+
+def _listed(names: Sequence[str]) -> str:
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)

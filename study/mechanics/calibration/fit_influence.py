@@ -1,0 +1,252 @@
+"""From the errors of recorded rows to those of constants, whatever grid the fit was made on.
+
+A curve that was interpolated at 1,000 displacements from 60 rows holds 60 errors, each of which
+moves many of its points. The estimates are linear in the rows to first order; their influence is
+followed through weighting, averaging of repeats and interpolation.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from study.ground.arrays import Array
+from study.ground.curve import Curve
+from study.mechanics.calibration.covariance import (
+    Uncertainty,
+    identifiability,
+    influence,
+    scaled_inverse,
+    student_t,
+)
+from study.mechanics.calibration.fit import Fit, small_sample_aic
+from study.mechanics.calibration.residual_function import (
+    MeasuredCurve,
+    known_covariance,
+    pseudo_jacobian,
+    pseudo_rows,
+)
+from study.mechanics.calibration.serial_correlation import (
+    Intervals,
+    Pseudo,
+    SerialCorrelation,
+    Series,
+    effective_rows,
+    intervals,
+)
+
+
+def with_serial_correlation(
+    found: Fit, measured: Sequence[MeasuredCurve], known: Array | None = None
+) -> Fit:
+    """Errors, intervals, AICc and verdict of a fit from its recorded rows and their correlation.
+
+    Shapes: known (p, p).
+    """
+    free = np.isfinite(found.standard_error)
+    if not found.converged or not free.any() or found.rss == 0:
+        return found
+    names = [name for name, is_free in zip(found.names, free, strict=True) if is_free]
+    series, beside = _series(found, measured, names)
+    if known is not None:
+        beside = beside + known[np.ix_(free, free)]
+    from_rows = intervals(series, _pseudo(found, names), beside)
+    if from_rows is None:
+        return found
+    rows = sum(one.residual.size for one in series)
+    covariance = np.full_like(found.covariance, np.nan)
+    covariance[np.ix_(free, free)] = from_rows.covariance
+    half = np.full(free.size, np.nan)
+    half[free] = from_rows.half_width
+    freedom = found.n + len(found.priors) - int(free.sum())
+    independent = student_t(freedom) * found.standard_error
+    rho = from_rows.correlation
+    mixture = from_rows.mixture if free.all() else None
+    serial = SerialCorrelation(rows, rho, effective_rows(rows, rho), half / independent, mixture)
+    corrected = replace(
+        found,
+        covariance=covariance,
+        standard_error=np.sqrt(np.diag(covariance)),
+        ci95=np.stack([found.values - half, found.values + half], axis=1),
+        correlation=_correlation(covariance),
+        aicc=_aicc(from_rows, rows, found.values.size),
+        serial=serial,
+    )
+    return (
+        _judged(corrected, rows + len(found.priors) - free.size, measured)
+        if free.all()
+        else corrected
+    )
+
+
+def _correlation(covariance: Array) -> Array:
+    scale = np.sqrt(np.diag(covariance))
+    return np.asarray(covariance / np.outer(scale, scale))
+
+
+def _pseudo(found: Fit, names: Sequence[str]) -> Pseudo:
+    """Pseudo-observations of the free parameters."""
+    priors = [one for one in found.priors if one.name in names]
+    values = np.array([found.values[found.names.index(name)] for name in names])
+    return Pseudo(pseudo_rows(priors, names, values), pseudo_jacobian(priors, names))
+
+
+def _aicc(known: Intervals, rows: int, parameters: int) -> float:
+    """AICc of recorded rows; the variance and, where it was estimated, rho count as parameters."""
+    correlated = math.isfinite(known.correlation)
+    return small_sample_aic(known.deviance, rows, parameters + 1 + int(correlated))
+
+
+def _judged(found: Fit, degrees_of_freedom: int, measured: Sequence[MeasuredCurve]) -> Fit:
+    """Fit with the verdict that its new intervals give."""
+    pairs = [(m, c) for m, c in zip(measured, found.curves, strict=True) if m.role == "fit"]
+    rows = np.concatenate([_gradient(m, c, found.names) for m, c in pairs])
+    force = np.concatenate([m.weights * m.curve.force_N for m, _ in pairs])
+    largest = influence(rows, force)
+    known = Uncertainty(
+        found.covariance,
+        found.standard_error,
+        found.ci95,
+        found.correlation,
+        found.condition,
+        found.values.size,
+        degrees_of_freedom,
+        largest,
+    )
+    identifiable, reason = identifiability(found.names, found.values, known)
+    return replace(found, identifiable=identifiable, reason=reason)
+
+
+def _series(
+    found: Fit, measured: Sequence[MeasuredCurve], names: Sequence[str]
+) -> tuple[list[Series], Array]:
+    """Every recording with the influence of its rows on the free constants, and that of priors."""
+    pairs = [(m, c) for m, c in zip(measured, found.curves, strict=True) if m.role == "fit"]
+    rows = [_gradient(m, c, names) for m, c in pairs]
+    priors = [one for one in found.priors if one.name in names]
+    inverse, _ = scaled_inverse(np.concatenate([*rows, pseudo_jacobian(priors, names)]))
+    out = []
+    for (one, predicted), jacobian in zip(pairs, rows, strict=True):
+        used = one.weights > 0
+        # estimates move by minus this times a change of the measured forces at the points, N
+        by_point = inverse @ (jacobian * one.weights[used][:, None]).T
+        places = one.curve.places[used]
+        recordings = one.recordings or (one.curve.at_points(np.flatnonzero(used)),)
+        for weight, rows_used, force, slopes in _recorded(one, recordings, predicted, names):
+            residual = weight * (force - rows_used.force_N)
+            own = interpolation_transposed(by_point, places, rows_used.places) / len(recordings)
+            out.append(Series(residual, weight[:, None] * slopes, own / weight))
+    return out, known_covariance(priors, names, inverse)
+
+
+def _gradient(measured: MeasuredCurve, predicted: Curve, names: Sequence[str]) -> Array:
+    used = measured.weights > 0
+    d = measured.curve.displacement_mm[used]
+    return np.asarray(measured.weights[used][:, None] * predicted.gradients_at(names, d))
+
+
+def _recorded(
+    measured: MeasuredCurve, recordings: Sequence[Curve], predicted: Curve, names: Sequence[str]
+) -> list[tuple[Array, Curve, Array, Array]]:
+    """Weight, rows in the fitted range, predicted force and slopes of each recording with any."""
+    places = measured.curve.places[measured.weights > 0]
+    found = []
+    for recording in recordings:
+        inside = (recording.places >= places[0]) & (recording.places <= places[-1])
+        if not inside.any():
+            continue
+        # the mean of k repeats scatters by one over root k of one of them
+        weights = np.interp(recording.places, measured.curve.places, measured.weights)
+        weights /= math.sqrt(len(recordings))
+        used = inside & (weights > 0)
+        found.append((weights[used], recording.at_points(np.flatnonzero(used))))
+    at = [rows.displacement_mm for _, rows in found]
+    if predicted.time_s is not None or not found:  # a course is known at its own rows alone
+        known = [predicted.smooth_at(names, d) for d in at]
+    else:
+        ends = np.cumsum([d.size for d in at])[:-1]
+        force, slopes = predicted.smooth_at(names, np.concatenate(at))
+        known = list(zip(np.split(force, ends), np.split(slopes, ends), strict=True))
+    return [(*one, *told) for one, told in zip(found, known, strict=True)]
+
+
+def interpolation_transposed(by_point: Array, places: Array, rows: Array) -> Array:
+    """Influence of rows from that of the points interpolated between them.
+
+    Shapes: by_point (p, m); places (m,), mm; rows (n,); returns (p, n).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> points = np.array([[1.0, 2.0, 4.0]])
+    >>> interpolation_transposed(points, np.array([0.0, 0.25, 3.0]), np.array([0.0, 1.0]))
+    array([[2.5, 4.5]])
+    """
+    place = np.interp(places, rows, np.arange(rows.size, dtype=float))
+    left = np.minimum(place.astype(int), max(rows.size - 2, 0))
+    share = place - left
+    out = np.zeros((by_point.shape[0], rows.size))
+    for k, own in enumerate(by_point):
+        out[k] = np.bincount(left, own * (1 - share), rows.size)
+        right = np.minimum(left + 1, rows.size - 1)
+        out[k] += np.bincount(right, own * share, rows.size)
+    return out
+
+
+# -------------------------------------------------------------------------------------------------
+# Specimens as the unit: a constant's mean in the population and its range for the next specimen.
+#
+# The scatter between specimens is no error of a test: more rows do not lessen it. A pooled fit of
+# eight specimens whose stiffness scatters by 15 % takes it for noise of rows; were they
+# independent, its interval would hold the population's mean in a quarter of all cases. Here each
+# specimen gives one value, and their mean has Student's t distribution with specimens - 1 degrees
+# of freedom, whatever the errors within specimens, as long as these are alike.
+
+
+@dataclass(frozen=True)
+class Population:
+    """One constant among specimens; MPa, exponents plain."""
+
+    name: str
+    specimens: int
+    #: Of their values, each counted once.
+    mean: float
+    #: Of their values; holds the errors within specimens.
+    standard_deviation: float
+    #: Standard deviation of the true values: the errors within specimens taken off (by moments,
+    #: Hedges 1983, Psychol. Bull. 93, 388); zero where these explain all scatter.
+    between: float
+    #: 95 % intervals of the population's mean, and of the value found in the next specimen.
+    mean_ci95: tuple[float, float]
+    next_ci95: tuple[float, float]
+
+
+def population(fits: Sequence[Fit]) -> tuple[Population, ...]:
+    """Mean, scatter and intervals of every constant from fits to one specimen each."""
+    names = fits[0].names if fits else ()
+    found = (_of(name, k, fits) for k, name in enumerate(names))
+    return tuple(one for one in found if one is not None)
+
+
+def _of(name: str, k: int, fits: Sequence[Fit]) -> Population | None:
+    used = [one for one in fits if one.converged and not math.isnan(one.standard_error[k])]
+    n = len(used)
+    if n < 2:
+        return None
+    values = np.array([one.values[k] for one in used])
+    within = float(np.mean([one.standard_error[k] ** 2 for one in used]))
+    mean, deviation = float(values.mean()), float(values.std(ddof=1))
+    t = student_t(n - 1)
+    of_mean, of_next = t * deviation / math.sqrt(n), t * deviation * math.sqrt(1 + 1 / n)
+    return Population(
+        name,
+        n,
+        mean,
+        deviation,
+        math.sqrt(max(deviation**2 - within, 0.0)),
+        (mean - of_mean, mean + of_mean),
+        (mean - of_next, mean + of_next),
+    )

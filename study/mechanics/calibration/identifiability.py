@@ -1,0 +1,273 @@
+"""What the tests know of the constants, in the units of the curves that were measured.
+
+Constants of different order, or a modulus and an exponent, cannot be compared as numbers. What
+can be compared is what they do to the measured curve: every column of the Jacobian is taken in
+lengths of itself, so that a constant counts in the unit of the force. Singular vectors of these
+columns are the combinations that the tests know best and least (Raue et al. 2009, Bioinformatics
+25, 1923; Gutenkunst et al. 2007, PLoS Comput. Biol. 3, e189), whatever units the constants have.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from study.ground.arrays import Array
+from study.ground.errors import RefusedError
+from study.mechanics.calibration.covariance import AS_GOOD_AS_ZERO, student_t
+from study.mechanics.calibration.fit import Fit, Predict, residual_function
+from study.mechanics.calibration.levenberg_marquardt import levenberg_marquardt
+from study.mechanics.calibration.residual_function import Function, MeasuredCurve
+from study.mechanics.material.material import is_dimensionless
+
+#: relative standard error up to which a combination counts as known
+KNOWN = 0.1
+
+#: share of the largest part below which a constant is no part of a combination
+_PART = 0.03
+
+#: share of the largest part from which a constant may be the first of a combination
+_FIRST = 0.9
+
+
+@dataclass(frozen=True)
+class Direction:
+    """A combination of constants, the first with the coefficient 1."""
+
+    #: Coefficient of every constant that takes part; MPa over the unit of the constant, relative to
+    #: the first.
+    combination: Mapping[str, float]
+    #: Of the combination, in the unit of the first constant (MPa, exponents plain).
+    value: float
+    standard_error: float
+
+    @property
+    def relative(self) -> float:
+        """Standard error over the value."""
+        return self.standard_error / abs(self.value) if self.value else float("inf")
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the tests determine it."""
+        return self.relative <= KNOWN
+
+    @property
+    def words(self) -> str:
+        """The combination as a formula, moduli in kPa."""
+        first, *others = self.combination
+        parts = [first]
+        for name in others:
+            factor = self.combination[name]
+            unit = ""
+            if is_dimensionless(name) != is_dimensionless(first):
+                factor *= 1e-3 if is_dimensionless(first) else 1e3
+                unit = " / kPa x" if is_dimensionless(first) else " kPa x"
+            size = f"{abs(factor):.3g}"
+            shown = name if size == "1" and not unit else f"{size}{unit} {name}"
+            parts.append(f"{'-' if factor < 0 else '+'} {shown}")
+        return " ".join(parts)
+
+
+@dataclass(frozen=True)
+class ConstantEffect:
+    """What one constant does to the curves."""
+
+    name: str
+    #: Largest change of a force by leaving it out (taking it as zero), the others kept.
+    alone_N: float  # noqa: N815
+    #: The same with the others fitted again, by linear estimate.
+    refitted_N: float  # noqa: N815
+    #: Whether its interval excludes zero, or changes no force by more than 1 % of the largest.
+    is_known: bool
+
+
+@dataclass(frozen=True)
+class Identifiability:
+    """What the tests know of the constants."""
+
+    #: Standard deviation of the residuals of the fitted points.
+    noise_N: float  # noqa: N815
+    #: From the stiffest to the sloppiest.
+    directions: tuple[Direction, ...]
+    constants: tuple[ConstantEffect, ...]
+
+    @property
+    def sentence(self) -> str:
+        """Say in words what is known, and what is not."""
+        open_ones = [one for one in self.constants if not one.is_known]
+        # as many combinations as remain: the sloppy ones say of no constant more than its interval
+        stiff = self.directions[: max(len(self.constants) - len(open_ones), 1)]
+        known = [one for one in stiff if one.is_known]
+        said = [f"{one.words} is known to {100 * one.relative:.2g} %" for one in known]
+        noise = f"the noise is {self.noise_N:.2g} N"
+        said += [
+            f"{one.name} alone is not: without it, the others fitted again, the curve changes by "
+            f"at most {one.refitted_N:.2g} N, where {noise}"
+            for one in open_ones
+        ]
+        return "; ".join(said)
+
+
+def identify(found: Fit, measured: Sequence[MeasuredCurve]) -> Identifiability | None:
+    """Stiff and sloppy combinations of the constants of a fit, and what each constant does."""
+    if not np.isfinite(found.covariance).all() or not found.curves:
+        return None
+    slopes, weights, left = fitted_rows(found, measured)
+    jacobian = weights[:, None] * slopes
+    norms = np.linalg.norm(jacobian, axis=0)
+    freedom = left.size - norms.size
+    if freedom <= 0 or not np.all(norms > 0):
+        return None
+    noise = float(np.sqrt(left @ left / freedom))
+    right = np.linalg.svd(jacobian / norms, full_matrices=False)[2]
+    directions = tuple(_direction(found, row, norms) for row in right)
+    force = max(float(np.abs(one.curve.force_N).max()) for one in measured)
+    half = 0.5 * (found.ci95[:, 1] - found.ci95[:, 0])
+    constants = tuple(
+        _effect(found, k, slopes, jacobian, weights, half, force) for k in range(norms.size)
+    )
+    return Identifiability(noise, directions, constants)
+
+
+def fitted_rows(found: Fit, measured: Sequence[MeasuredCurve]) -> tuple[Array, Array, Array]:
+    """Slopes of the forces, weights and residuals of the fitted points.
+
+    Shapes: returns (n, p), MPa; returns (n,), N.
+    """
+    slopes, weights, left = [], [], []
+    for one, curve in zip(measured, found.curves, strict=True):
+        used = one.weights > 0
+        d = one.curve.displacement_mm[used]
+        slopes.append(curve.gradients_at(found.names, d))
+        weights.append(one.weights[used])
+        left.append(curve.force_at(d) - one.curve.force_N[used])
+    return np.concatenate(slopes), np.concatenate(weights), np.concatenate(left)
+
+
+def _direction(found: Fit, row: Array, norms: Array) -> Direction:
+    size = np.abs(row)
+    first = int(np.argmax(size >= _FIRST * size.max()))
+    coefficients = row * norms / (row[first] * norms[first])
+    kept = [k for k in np.argsort(np.arange(size.size) != first, kind="stable")
+            if size[k] >= _PART * size.max()]  # fmt: skip
+    whole = np.where(np.isin(np.arange(size.size), kept), coefficients, 0.0)
+    return Direction(
+        {found.names[k]: float(coefficients[k]) for k in kept},
+        float(whole @ found.values),
+        float(np.sqrt(whole @ found.covariance @ whole)),
+    )
+
+
+def _effect(
+    found: Fit, k: int, slopes: Array, jacobian: Array, weights: Array, half: Array, force: float
+) -> ConstantEffect:
+    value, column = abs(float(found.values[k])), jacobian[:, k]
+    others = np.delete(jacobian, k, axis=1)
+    own = column
+    if others.shape[1]:
+        scale = np.linalg.norm(others, axis=0)
+        own = column - others / scale @ np.linalg.lstsq(others / scale, column, rcond=None)[0]
+    largest = float(np.abs(slopes[:, k]).max())
+    known = float(half[k]) <= max(value, AS_GOOD_AS_ZERO * force / largest)
+    return ConstantEffect(
+        found.names[k], value * largest, value * float(np.abs(own / weights).max()), bool(known)
+    )
+
+
+# -------------------------------------------------------------------------------------------------
+# Profile likelihood: an interval that does not trust the parabola.
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Smallest sum of squares for given values of one constant."""
+
+    name: str
+    #: shape (m,); values tried, in order, and the sum of squares with the other constants refitted,
+    #: that of pseudo-observations included.
+    values: Array
+    rss: Array
+    #: Where rss = rss_min (1 + t^2 / (n - p)), t times the inflation by serial correlation;
+    #: infinite on a side that never gets there.
+    interval: tuple[float, float]
+
+
+def profile(
+    predict: Predict,
+    measured: Sequence[MeasuredCurve],
+    result: Fit,
+    name: str,
+    *,
+    bounds: Sequence[tuple[float, float]] | None = None,
+) -> Profile:
+    """Profile-likelihood interval at 95 % of one constant (Bates and Watts 1988, sec. 6.1)."""
+    index = result.names.index(name)
+    error = float(result.standard_error[index])
+    if not result.converged or not error > 0:
+        raise RefusedError(f"no profile of {name}: the fit has no standard error for it")
+    function = residual_function(predict, measured, result.names, result.priors)
+    inflation = 1.0 if result.serial is None else float(result.serial.inflation[index])
+    freedom, least = result.degrees_of_freedom, result.penalized_rss
+    limit = least * (1 + (inflation * student_t(freedom)) ** 2 / freedom)
+    tried: dict[float, float] = {float(result.values[index]): least}
+    sides = []
+    for sign in (-1.0, 1.0):
+        rss_at = _profiled(function, result, index, bounds, tried)
+        sides.append(_crossing(rss_at, float(result.values[index]), sign * error, limit))
+    order = sorted(tried)
+    rss = np.array([tried[v] for v in order])
+    return Profile(name, np.array(order), rss, (sides[0], sides[1]))
+
+
+def _profiled(
+    function: Function,
+    result: Fit,
+    index: int,
+    bounds: Sequence[tuple[float, float]] | None,
+    tried: dict[float, float],
+) -> Callable[[float], float]:
+    """Sum of squares at a fixed value, the others refitted from the last point of this side."""
+    others = np.arange(result.values.size) != index
+    last = result.values[others].copy()
+    kept = None if bounds is None else [b for i, b in enumerate(bounds) if i != index]
+
+    def full(value: float, rest: Array) -> Array:
+        x = result.values.copy()
+        x[index], x[others] = value, rest
+        return x
+
+    def rss_at(value: float) -> float:
+        nonlocal last
+        if not np.any(others):
+            residual = function(full(value, last))[0]
+            tried[value] = float(residual @ residual)
+            return tried[value]
+
+        def inner(rest: Array) -> tuple[Array, Array]:
+            residual, jacobian = function(full(value, rest))
+            return residual, jacobian[:, others]
+
+        found = levenberg_marquardt(inner, last, bounds=kept, max_evaluations=100, gtol=1e-7)
+        if found.converged:
+            last = found.x
+        tried[value] = 2 * found.cost if found.converged else np.inf
+        return tried[value]
+
+    return rss_at
+
+
+def _crossing(rss_at: Callable[[float], float], best: float, step: float, limit: float) -> float:
+    """Value on one side where the profile meets the limit: outward steps, then bisection."""
+    inner, outer = best, best + step
+    for _ in range(12):
+        if rss_at(outer) >= limit:
+            break
+        inner, outer = outer, best + 2 * (outer - best)
+    else:
+        return float(np.copysign(np.inf, step))
+    while abs(outer - inner) > 1e-3 * abs(step):
+        middle = 0.5 * (inner + outer)
+        inner, outer = (inner, middle) if rss_at(middle) >= limit else (middle, outer)
+    return 0.5 * (inner + outer)

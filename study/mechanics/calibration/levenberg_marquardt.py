@@ -1,0 +1,642 @@
+"""Levenberg-Marquardt for nonlinear least squares, after More (1978).
+
+Two parts: :func:`damped_step` solves the damped linear problem inside the trust region, by
+QR of the column-scaled Jacobian (never its normal equations), and :func:`updated_radius`
+grows or shrinks the region by how well the linear model foretold the decrease. Columns are
+scaled by the running maximum of their norms (More 1978, eq. 6.1), which makes every result
+independent of the parameters' units. Convergence is judged by the full Gauss-Newton step
+(Bates and Watts 1981), not by the damped one, which also gets small where nothing converges.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from study.ground.arrays import Array
+from study.mechanics.calibration.residual_function import Function, checked_bounds, evaluate
+
+# -------------------------------------------------------------------------------------------------
+# The damped linear least-squares problem inside a trust region, with bounds.
+
+
+@dataclass(frozen=True)
+class Linearization:
+    """Jacobian reduced by a column-scaled QR, its triangle by SVD: every step is cheap.
+
+    Columns of unit length decide the rank and the full step, because the running maximum of
+    the norms, which shapes the trust region, can exceed today's norms by many digits.
+    """
+
+    #: shape (p,); undamped (Gauss-Newton) step, of least length where the rank is deficient.
+    full_step: Array
+    full_length: float
+    #: Share of the residual that lies in the space of the Jacobian.
+    offset: float
+    rank: int
+    #: Column scale D, singular values and right vectors (rows) of J D^-1, and the residual in its
+    #: left vectors.
+    scale: Array
+    singular: Array
+    right: Array
+    load: Array
+
+    @classmethod
+    def of(cls, jacobian: Array, residual: Array, scale: Array) -> Linearization:
+        """Factorize a Jacobian (n, p) with its residual (n,) and column scale (p,)."""
+        if jacobian.shape[1] == 0:
+            none = np.zeros(0)
+            return cls(none, 0.0, 0.0, 0, none, none, np.zeros((0, 0)), none)
+        norms = np.linalg.norm(jacobian, axis=0)
+        norms = np.where(norms > 0, norms, 1.0)
+        q, triangle = np.linalg.qr(jacobian / norms)
+        projected = q.T @ residual
+        left, singular, right = np.linalg.svd(triangle, full_matrices=False)
+        load = left.T @ projected
+        kept = singular > max(jacobian.shape) * np.finfo(float).eps * singular.max()
+        unit = -(right[kept].T @ (load[kept] / singular[kept]))
+        length = float(np.linalg.norm(residual))
+        offset = float(np.linalg.norm(load[kept])) / length if length else 0.0
+        left, singular, right = np.linalg.svd(triangle * (norms / scale), full_matrices=False)
+        return cls(
+            unit / norms,
+            length_of(scale / norms * unit),
+            offset,
+            int(kept.sum()),
+            scale,
+            singular,
+            right,
+            left.T @ projected,
+        )
+
+
+def length_of(vector: Array) -> float:
+    """Euclidean length without overflow or underflow of the squares.
+
+    Shapes: vector (n,).
+    """
+    return math.hypot(*vector)
+
+
+def damped_step(linear: Linearization, radius: float) -> tuple[Array, float]:
+    """Levenberg-Marquardt step of scaled length at most 1.1 ``radius``, and its damping.
+
+    The step p minimizes |J p + r|^2 + damping |D p|^2; damping solves |D p| = radius to 10 %
+    by Hebden's iteration (More 1978, sec. 5), safeguarded by a bracket. The iteration sees
+    lengths over the gradient's, so that no magnitude of the residual overflows in it.
+
+    Shapes: returns (p,).
+    """
+    if linear.full_length <= 1.1 * radius:
+        return linear.full_step, 0.0
+    gradient = linear.singular * linear.load
+    steepness = length_of(gradient)
+    if steepness == 0:  # the gradient is too small for a number: there is no direction to go
+        return np.zeros_like(linear.scale), 0.0
+    s2, unit, target = linear.singular**2, gradient / steepness, radius / steepness
+    low, high = 0.0, 1 / target
+    damping = 1e-3 * high
+    for _ in range(60):
+        terms = unit / (s2 + damping)
+        length = length_of(terms)
+        if abs(length - target) <= 0.1 * target:
+            break
+        low, high = (damping, high) if length > target else (low, damping)
+        slope = float((terms / length) ** 2 @ (1 / (s2 + damping)))
+        damping += (length / target - 1) / slope
+        if not low < damping < high:
+            damping = max(1e-3 * high, math.sqrt(low) * math.sqrt(high))
+    scaled = -linear.right.T @ (unit / (s2 + damping))
+    return steepness * scaled / linear.scale, damping
+
+
+def bounded_step(
+    jacobian: Array,
+    residual: Array,
+    scale: Array,
+    radius: float,
+    held: NDArray[np.bool_],
+    low: Array,
+    high: Array,
+    linear: Linearization,
+) -> tuple[Array, float]:
+    """Damped step in the free parameters; one that would cross its bound stops there.
+
+    The others are then solved again with that part of the step given, at most p times.
+
+    Shapes: jacobian, residual, scale (n, p); held (p,); low, high (p,); returns (p,).
+    """
+    step, free = np.zeros(scale.size), ~held
+    while True:
+        step[free], damping = damped_step(linear, radius)
+        crossing = free & ((step < low) | (step > high))
+        if not np.any(crossing):
+            return step, damping
+        step[crossing] = np.clip(step, low, high)[crossing]
+        free = free & ~crossing
+        if not np.any(free):
+            return step, damping
+        given = residual + jacobian[:, ~free] @ step[~free]
+        linear = Linearization.of(jacobian[:, free], given, scale[free])
+
+
+# -------------------------------------------------------------------------------------------------
+# State of a least-squares search, and what can be read from it: convergence, edges, limits.
+
+EPS = float(np.finfo(float).eps)
+
+#: first trust-region radius as a multiple of the start's scaled length
+FIRST_RADIUS = 1.0
+
+#: scaled distance, relative to the parameters, at which a failed evaluation counts as next door
+NEXT_DOOR = 0.01
+
+#: accepted steps over which a search that creeps along failures is judged
+CRAWL = 5
+
+#: growth of a parameter over its start that counts as running to infinity
+FAR = 1e8
+
+
+@dataclass(frozen=True)
+class Iteration:
+    """One accepted point: what a progress line shows and what a resumed fit needs.
+
+    ``scale`` is the largest norm of every column of the Jacobian so far, zero where there was
+    no influence.
+    """
+
+    iteration: int
+    evaluations: int
+    x: Array
+    cost: float
+    radius: float
+    damping: float
+    offset: float
+    scale: Array
+
+
+@dataclass
+class State:
+    """The search in progress."""
+
+    #: shape (p,); best parameters so far, each in its unit.
+    x: Array
+    #: shape (n,); there, weighted.
+    residual: Array
+    jacobian: Array
+    #: shape (p,); largest absolute value of each parameter so far.
+    reach: Array
+    #: shape (p,); largest norm of each column of the Jacobian so far; zero where there was no
+    #: influence.
+    peak: Array
+    #: Of the trust region, in the unit of the residual.
+    radius: float
+    #: Largest rank of the Jacobian so far.
+    rank: int = 0
+    #: Levenberg's parameter of the last step.
+    damping: float = 0.0
+    evaluations: int = 1
+    #: Whether the sum of squares was seen to have a kink here.
+    kink: bool = False
+    history: list[Iteration] = field(default_factory=list)
+    #: Parameters at which the model had no answer.
+    failed: list[Array] = field(default_factory=list)
+    #: How many there were at each accepted point.
+    failures: list[int] = field(default_factory=list)
+
+    @property
+    def cost(self) -> float:
+        """Half the sum of squares."""
+        return 0.5 * float(self.residual @ self.residual)
+
+    @property
+    def scale(self) -> Array:
+        """Scale of the parameters: the peak of their columns' norms, 1 before any influence."""
+        return np.where(self.peak > 0, self.peak, 1.0)
+
+    @classmethod
+    def at_start(
+        cls, x: Array, residual: Array, jacobian: Array, resume: Iteration | None
+    ) -> State:
+        """State at the start, or where an earlier search stopped."""
+        norms = np.linalg.norm(jacobian, axis=0)
+        if resume is not None:
+            peak = np.maximum(resume.scale, norms)
+            return cls(x, residual, jacobian, np.abs(x), peak, resume.radius)
+        radius = FIRST_RADIUS * size(norms * x, residual)
+        return cls(x, residual, jacobian, np.abs(x), norms, radius)
+
+    def is_negligible(self, step: Array) -> bool:
+        """Whether a step changes the residual by less than the parameters' own rounding does."""
+        norms = np.linalg.norm(self.jacobian, axis=0)
+        return length_of(norms * step) <= 2 * EPS * size(norms * self.x, self.residual)
+
+    def snapshot(self, offset: float) -> Iteration:
+        """Make the accepted point for the history."""
+        return Iteration(
+            len(self.history),
+            self.evaluations,
+            self.x.copy(),
+            self.cost,
+            self.radius,
+            self.damping,
+            offset,
+            self.peak.copy(),
+        )
+
+    def accept(self, x: Array, residual: Array, jacobian: Array) -> None:
+        """Move to a better point."""
+        self.x, self.residual, self.jacobian = x, residual, jacobian
+        self.peak = np.maximum(self.peak, np.linalg.norm(jacobian, axis=0))
+        self.reach = np.maximum(self.reach, np.abs(x))
+
+    def gain(self, step: Array, evaluated: tuple[Array, Array] | None) -> float:
+        """Actual over foretold decrease of the sum of squares."""
+        if evaluated is None:
+            return -np.inf
+        change = self.jacobian @ step
+        foretold = -float(change @ (2 * self.residual + change))
+        new = evaluated[0]
+        # (r - s)(r + s) keeps the digits that the difference of two sums of squares loses
+        actual = float((self.residual - new) @ (self.residual + new))
+        return actual / foretold if foretold > 0 else -np.inf
+
+    def held_by_bounds(self, low: Array, high: Array) -> NDArray[np.bool_]:
+        """Parameters at a bound that the gradient pushes against."""
+        gradient = self.jacobian.T @ self.residual
+        at_low = (self.x <= low) & (gradient >= 0)
+        return np.asarray(at_low | ((self.x >= high) & (gradient <= 0)))
+
+    def length(self, held: NDArray[np.bool_]) -> float:
+        """Scaled length of the parameters that may move, see :func:`size`."""
+        return size((self.peak * self.x)[~held], self.residual)
+
+    def steepest(self, held: NDArray[np.bool_]) -> float:
+        """Largest cosine between the residual and a column of the Jacobian."""
+        norms = np.linalg.norm(self.jacobian, axis=0) * float(np.linalg.norm(self.residual))
+        slopes = np.abs(self.jacobian.T @ self.residual)
+        return float(np.max(np.where(held | (norms == 0), 0.0, slopes / norms), initial=0.0))
+
+    def is_beside_failure(self) -> bool:
+        """Whether the model had no answer at constants next to the best ones."""
+        reach = NEXT_DOOR * self.length(np.zeros(self.x.size, bool))
+        return any(length_of(self.scale * (x - self.x)) <= reach for x in self.failed)
+
+    def is_crawling(self, edge: float) -> bool:
+        """Whether the search creeps along constants at which the model has no answer."""
+        if len(self.history) <= CRAWL:
+            return False
+        gained = self.history[-1 - CRAWL].cost - self.cost
+        blocked = self.failures[-1] - self.failures[-1 - CRAWL]
+        return gained < edge * self.cost and blocked >= 2 and self.is_beside_failure()
+
+    def converged(
+        self, linear: Linearization, held: NDArray[np.bool_], xtol: float, gtol: float
+    ) -> Status | None:
+        """How a search has converged here; None where it has not."""
+        length = float(np.linalg.norm(self.residual))
+        influence = float(np.linalg.norm(self.jacobian, axis=0) @ np.abs(self.x))
+        # a residual is a difference of a few terms, each with a rounding of its own
+        if length <= 4 * EPS * influence or length == 0:
+            return Status.converged_zero
+        if linear.offset <= gtol:
+            return Status.converged_gradient
+        if linear.full_length <= xtol * self.length(held):
+            return Status.converged_step
+        return None
+
+    def trusted(self, status: Status, linear: Linearization, held: NDArray[np.bool_]) -> Status:
+        """No success where a parameter, or a combination, lost the influence it once had.
+
+        Nor where none has any: the residual is then orthogonal to nothing.
+        """
+        first = np.abs(self.history[0].x)
+        if status is Status.no_decrease and np.any((np.abs(self.x) > FAR * first) & (first > 0)):
+            return Status.running_away
+        norms = np.linalg.norm(self.jacobian, axis=0)
+        length = float(np.linalg.norm(self.residual))
+        lost = (norms * self.reach <= 1e-8 * length) & (self.peak > norms) & ~held
+        singular = linear.rank + int(held.sum()) < self.rank or not (held | (norms > 0)).any()
+        doubtful = status.converged and status is not Status.converged_zero
+        return Status.no_influence if doubtful and (singular or np.any(lost)) else status
+
+
+def size(influence: Array, residual: Array) -> float:
+    """Length of parameters in the unit of the residual: what steps and radii are relative to.
+
+    Parameters without influence within the rounding of the residual are as good as zero. Their
+    length is that of the residual, which the parameters have yet to explain: any other number,
+    such as More's factor itself (1978, sec. 3), would have a unit.
+
+    Shapes: influence, residual (p,).
+    """
+    length, left = length_of(influence), float(np.linalg.norm(residual))
+    return length if length > EPS * left else left
+
+
+class Status(Enum):
+    """How the optimizer ended; the value is a sentence."""
+
+    converged_gradient = "a minimum: no small change of the constants lowers the sum of squares"
+    converged_step = "the next full step would not change the parameters"
+    converged_cost = "the sum of squares can fall no further within rounding"
+    converged_zero = "the model meets the data within rounding"
+    max_evaluations = "the evaluations allowed were used up before a minimum was reached"
+    no_decrease = "no step lowers the sum of squares although its gradient is not zero"
+    at_edge = "the sum of squares falls on towards constants at which the model has no answer"
+    at_kink = (
+        "the sum of squares has a kink at its lowest point: contact sets in on one side of it, "
+        "so that a standard error would mean nothing"
+    )
+    no_influence = "a parameter lost all influence on the model: this is no minimum to trust"
+    running_away = "a parameter runs to infinity: no minimum lies within reach"
+    start_failed = "the model has no answer at the start values"
+    too_many_failures = "the model had no answer in the whole neighborhood of the best point"
+    stopped = "stopped by the caller"
+
+    @property
+    def converged(self) -> bool:
+        """Whether a local minimum was reached."""
+        return self.name.startswith("converged")
+
+    @property
+    def usable(self) -> bool:
+        """Whether the constants describe the data as well as the model can."""
+        return self.converged or self in (Status.at_edge, Status.at_kink)
+
+    @property
+    def sentence(self) -> str:
+        """The end in words."""
+        return str(self.value)
+
+
+#: share of the full Gauss-Newton step, and scaled length relative to the parameters, within
+#: which no smooth model turns its gradient
+SHORT = 0.01
+SMALL = 1e-3
+
+#: shares of the step along the surface that are tried
+SHARES = (1.0, 0.25, 0.06)
+
+
+def turned(before: Array, after: Array, step: Array) -> bool:
+    """Whether the cost falls at the beginning of a step and rises at its end.
+
+    After a step too short for that there is a kink in between: a gradient that is merely
+    wrong, or noisy, points the same way on both sides.
+
+    Shapes: before, after, step (p,).
+    """
+    return float(before @ step) < 0 < float(after @ step)
+
+
+def step_along(
+    jacobian: Array, residual: Array, scale: Array, held: NDArray[np.bool_], jump: Array
+) -> Array:
+    """Gauss-Newton step that stays on the surface, shape (p,).
+
+    Shapes: jacobian, residual (n, p).
+    """
+    free, step = ~held, np.zeros(scale.size)
+    if np.count_nonzero(free) < 2:
+        return step
+    normal = (jump / scale)[free]
+    frame = np.linalg.qr(np.column_stack([normal, np.eye(normal.size)]))[0][:, 1:]
+    own = (jacobian / scale)[:, free] @ frame
+    step[free] = frame @ np.linalg.lstsq(own, -residual, rcond=1e-10)[0] / scale[free]
+    return step
+
+
+#: gain from which a step is taken
+ACCEPTED = 1e-4
+
+#: cosine below which a point where no step helps is a minimum with a singular Jacobian
+STATIONARY = 1e-6
+
+#: Foretold decrease of the cost, in ``ftol``, that the precision of the function may hide where
+#: no step lowers the cost. A simulation started from another state differs by 3e-9 N; the cost
+#: of a flat indentation fitted to 1.3 % noise then scatters by 1e-9 of itself, which is the
+#: ``ftol`` of fits by simulation, and one specimen in six ended there with 1.5e-9 foretold.
+HIDDEN = 10.0
+
+#: Relative offset below which the rest of the way is a thousandth of the radius of a 95 % region,
+#: which a model that scatters by itself need not go (Bates and Watts 1981, Technometrics 23, 179)
+NEGLIGIBLE_OFFSET = 1e-3
+Callback = Callable[[Iteration], bool | None]
+
+
+@dataclass(frozen=True)
+class LMResult:
+    """Where the optimizer ended."""
+
+    #: shape (p,); best point found, whatever the status.
+    x: Array
+    #: Half the sum of squared residuals.
+    cost: float
+    #: shape (n,); residual at ``x``.
+    residual: Array
+    #: shape (n, p); its derivative at ``x``.
+    jacobian: Array
+    #: How it ended; only a ``converged_*`` status is a success.
+    status: Status
+    #: Calls of the function; accepted steps.
+    evaluations: int
+    iterations: int
+    #: Share of the residual that the parameters could still explain (0 at a minimum).
+    offset: float
+    #: shape (p,); parameters held by a bound.
+    at_bound: NDArray[np.bool_]
+    #: The accepted points; the last one resumes the fit.
+    history: tuple[Iteration, ...] = ()
+
+    @property
+    def converged(self) -> bool:
+        """Whether a local minimum was reached."""
+        return self.status.converged
+
+
+def levenberg_marquardt(
+    function: Function,
+    start: ArrayLike,
+    *,
+    bounds: Sequence[tuple[float, float]] | None = None,
+    max_evaluations: int = 1000,
+    ftol: float = 1e-12,
+    xtol: float = 1e-12,
+    gtol: float = 1e-10,
+    edge: float = 0.0,
+    callback: Callback | None = None,
+    resume: Iteration | None = None,
+) -> LMResult:
+    """Minimize half the sum of squares of a residual.
+
+    Shapes: start (p,); gtol Relative offset (Bates and Watts 1981): length of the residual's
+    projection on the space of the Jacobian over the length of the residual.
+    """
+    first = np.array(start if resume is None else resume.x, dtype=float)
+    low, high = checked_bounds(first, bounds)
+    evaluated = evaluate(function, first)
+    if evaluated is None:
+        empty = np.zeros((0, first.size))
+        none = np.zeros(first.size, bool)
+        return LMResult(first, np.inf, empty[:, 0], empty, Status.start_failed, 1, 0, np.inf, none)
+    state = State.at_start(first, *evaluated, resume)
+    with np.errstate(over="ignore"):  # a full step can be infinite: it is damped then
+        status, offset, held = _search(
+            function, state, low, high, max_evaluations, (ftol, xtol, gtol, edge), callback
+        )
+    return LMResult(
+        state.x,
+        state.cost,
+        state.residual,
+        state.jacobian,
+        status,
+        state.evaluations,
+        len(state.history) - 1,
+        offset,
+        held,
+        tuple(state.history),
+    )
+
+
+def updated_radius(radius: float, length: float, gain: float, damping: float) -> float:
+    """Grow or shrink the trust region by the gain ratio (More 1978, sec. 4)."""
+    if gain <= 0.25:
+        # the parabola through both costs and the slope has its minimum at 1/(2 (2 - gain))
+        shrink = 0.1 if not np.isfinite(gain) else min(max(0.5 / (2 - gain), 0.1), 0.5)
+        # a full step that failed far inside the region must not be tried a second time
+        reach = length if damping == 0 and gain <= ACCEPTED else 10 * length
+        return shrink * min(radius, reach)
+    if damping == 0 or gain >= 0.75:
+        return 2 * length
+    return radius
+
+
+def _search(
+    function: Function,
+    state: State,
+    low: Array,
+    high: Array,
+    max_evaluations: int,
+    tolerances: tuple[float, float, float, float],
+    callback: Callback | None,
+) -> tuple[Status, float, NDArray[np.bool_]]:
+    ftol, xtol, gtol, edge = tolerances
+    while True:
+        held = state.held_by_bounds(low, high)
+        linear = Linearization.of(state.jacobian[:, ~held], state.residual, state.scale[~held])
+        state.rank = max(state.rank, linear.rank + int(held.sum()))
+        state.history.append(state.snapshot(linear.offset))
+        state.failures.append(len(state.failed))
+        status = state.converged(linear, held, xtol, gtol)
+        if status is None and state.is_crawling(edge):
+            status = Status.at_edge
+        if status is None and callback is not None and callback(state.history[-1]):
+            status = Status.stopped
+        if status is None:
+            limits = (low, high, max_evaluations)
+            status = _advance(function, state, held, linear, limits, ftol, edge)
+        if status is not None:
+            return state.trusted(status, linear, held), linear.offset, held
+
+
+def _advance(
+    function: Function,
+    state: State,
+    held: NDArray[np.bool_],
+    linear: Linearization,
+    limits: tuple[Array, Array, int],
+    ftol: float,
+    edge: float,
+) -> Status | None:
+    """Try steps in a shrinking region until one lowers the cost; the reason if none does."""
+    low, high, max_evaluations = limits
+    answered = False
+    while state.evaluations < max_evaluations:
+        step, damping = bounded_step(
+            state.jacobian, state.residual, state.scale, state.radius, held, low - state.x,
+            high - state.x, linear,
+        )  # fmt: skip
+        trial = np.clip(state.x + step, low, high)
+        length = length_of(state.scale * step)
+        if state.is_negligible(trial - state.x):
+            return _no_step(state, linear, held, answered, (ftol, edge))
+        evaluated = evaluate(function, trial)
+        state.evaluations += 1
+        answered = answered or evaluated is not None
+        if evaluated is None:
+            state.failed.append(trial)
+        gain = state.gain(step, evaluated)
+        state.radius, state.damping = updated_radius(state.radius, length, gain, damping), damping
+        if evaluated is not None and gain > ACCEPTED:
+            state.accept(trial, *evaluated)
+            return None
+        if linear.offset**2 <= ftol and answered and damping == 0:
+            return Status.converged_cost
+        short = 0 < length <= min(SHORT * linear.full_length, SMALL * state.length(held))
+        if short and evaluated is not None:
+            before, after = state.jacobian.T @ state.residual, evaluated[1].T @ evaluated[0]
+            state.kink = turned(before, after, step)
+            if state.kink and _moved_along(function, state, held, after - before, limits, edge):
+                return None
+        if state.kink and edge > 0:
+            return Status.converged_cost if _is_near_enough(linear, edge) else Status.at_kink
+    return Status.max_evaluations
+
+
+def _no_step(
+    state: State,
+    linear: Linearization,
+    held: NDArray[np.bool_],
+    answered: bool,
+    tolerances: tuple[float, float],
+) -> Status:
+    ftol, edge = tolerances
+    if not answered and state.is_beside_failure():
+        return Status.too_many_failures
+    # at a minimum rounding hides any decrease below about sqrt(eps) of the residual
+    if linear.offset**2 <= HIDDEN * ftol or _is_near_enough(linear, edge):
+        return Status.converged_cost
+    if state.steepest(held) <= STATIONARY:
+        return Status.converged_gradient
+    if linear.full_length <= 1e-9 * state.length(held):
+        return Status.converged_step
+    if state.is_beside_failure():
+        return Status.at_edge
+    return Status.at_kink if state.kink else Status.no_decrease
+
+
+def _is_near_enough(linear: Linearization, edge: float) -> bool:
+    """Whether a model whose evaluations scatter is as near to its minimum as matters."""
+    return edge > 0 and linear.offset <= NEGLIGIBLE_OFFSET
+
+
+def _moved_along(
+    function: Function,
+    state: State,
+    held: NDArray[np.bool_],
+    jump: Array,
+    limits: tuple[Array, Array, int],
+    edge: float,
+) -> bool:
+    """Step along a kink; False if that lowers the cost by no more than ``edge`` of it."""
+    low, high, _ = limits
+    step = step_along(state.jacobian, state.residual, state.scale, held, jump)
+    change = state.jacobian @ step
+    if -float(change @ (2 * state.residual + change)) <= 2 * max(edge, EPS) * state.cost:
+        return False
+    for share in SHARES:
+        trial = np.clip(state.x + share * step, low, high)
+        evaluated = evaluate(function, trial)
+        state.evaluations += 1
+        if evaluated is not None and state.gain(share * step, evaluated) > ACCEPTED:
+            state.radius = float(np.linalg.norm(state.scale * share * step))
+            state.accept(trial, *evaluated)
+            return True
+    return False

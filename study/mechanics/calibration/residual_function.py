@@ -1,0 +1,237 @@
+"""The function that is fitted: its calls, its bounds, and its derivatives by differences."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from study.ground.arrays import Array
+from study.ground.curve import Curve
+from study.ground.errors import Fault, InputError
+
+Function = Callable[[Array], tuple[Array, Array]]
+
+
+def evaluate(function: Function, x: Array) -> tuple[Array, Array] | None:
+    """Call a function for its residual and Jacobian; None where there is no finite answer.
+
+    Shapes: function, x (p,).
+    """
+    if not np.all(np.isfinite(x)):
+        return None
+    try:
+        with np.errstate(all="ignore"):  # a far trial point may overflow: that is a rejection
+            residual, jacobian = function(x.copy())
+    except (EvaluationFailed, OverflowError, ZeroDivisionError):
+        return None
+    residual = np.asarray(residual, float).ravel()
+    jacobian = np.asarray(jacobian, float).reshape(residual.size, x.size)
+    if not (np.all(np.isfinite(residual)) and np.all(np.isfinite(jacobian))):
+        return None
+    # beyond 1e150 the squares overflow, also those of a parameter's influence on the residual
+    with np.errstate(over="ignore"):
+        sizes = [np.abs(part).max(initial=0) for part in (residual, jacobian, jacobian * x)]
+    return (residual, jacobian) if max(sizes) <= 1e150 else None
+
+
+def checked_bounds(
+    start: Array, bounds: Sequence[tuple[float, float]] | None
+) -> tuple[Array, Array]:
+    """Check a start against its bounds and return them as two arrays."""
+    if start.ndim != 1 or start.size == 0 or not np.all(np.isfinite(start)):
+        raise InputError(Fault("start", f"must be finite numbers in a row, got {start}"))
+    pairs = np.array([(-np.inf, np.inf)] * start.size if bounds is None else bounds, float)
+    if pairs.shape != (start.size, 2) or np.any(pairs[:, 0] >= pairs[:, 1]):
+        raise InputError(Fault("bounds", f"need low < high for {start.size} parameters"))
+    outside = np.flatnonzero((start < pairs[:, 0]) | (start > pairs[:, 1]))
+    if outside.size:
+        raise InputError(
+            [
+                Fault(
+                    f"start[{i}]",
+                    f"{start[i]:g} lies outside its bounds {pairs[i, 0]:g} to {pairs[i, 1]:g}",
+                    "start inside them or widen them",
+                )
+                for i in outside
+            ]
+        )
+    return pairs[:, 0].copy(), pairs[:, 1].copy()
+
+
+def finite_difference(
+    function: Callable[[Array], Array],
+    x: ArrayLike,
+    *,
+    scheme: str = "central",
+    relative_step: float | None = None,
+    base: Array | None = None,
+) -> Array:
+    """Jacobian of a function that has no gradient, by differences, shape (n, p).
+
+    Shapes: x (p,); base (n,).
+    """
+    point = np.asarray(x, dtype=float)
+    eps = float(np.finfo(float).eps)
+    power = 1 / 3 if scheme == "central" else 1 / 2
+    relative = eps**power if relative_step is None else relative_step
+    size = np.maximum(np.abs(point), 1e-8 * (np.abs(point).max(initial=0.0) or 1.0))
+    columns = []
+    forward = scheme == "forward"
+    origin = (function(point) if base is None else base) if forward else np.zeros(0)
+    for i, step in enumerate(relative * size):
+        ahead, behind = point.copy(), point.copy()
+        ahead[i] += step
+        behind[i] -= step
+        if forward:
+            columns.append((function(ahead) - origin) / (ahead[i] - point[i]))
+        else:
+            columns.append((function(ahead) - function(behind)) / (ahead[i] - behind[i]))
+    return np.array(columns).T
+
+
+class EvaluationFailed(Exception):
+    """The model has no answer at these constants; the optimizer rejects the step."""
+
+
+# -------------------------------------------------------------------------------------------------
+# A measured curve of a fit, and what must hold of it.
+
+
+@dataclass(frozen=True)
+class MeasuredCurve:
+    """One measured curve of a fit."""
+
+    #: How reports and errors call it.
+    label: str
+    curve: Curve
+    #: shape (n,); factor on the residual, for instance one over the scatter; zero leaves a point
+    #: out.
+    weight: float | Array = 1.0
+    #: ``fit``, or ``held-out``: predicted and scored, never fitted.
+    role: Literal["fit", "held-out"] = "fit"
+    #: Rows as recorded, of every repeat, whose linear interpolation and mean the curve is; none
+    #: where the curve's points are the rows.
+    recordings: tuple[Curve, ...] = ()
+
+    @property
+    def weights(self) -> Array:
+        """Weight of every point, shape (n,)."""
+        return np.broadcast_to(np.asarray(self.weight, float), (len(self.curve),))
+
+
+def curve_faults(measured: MeasuredCurve) -> list[Fault]:
+    """Say what of a curve cannot be fitted."""
+    d, force = measured.curve.displacement_mm, measured.curve.force_N
+    where = f"curve {measured.label!r}"
+    if d.size == 0 or d.shape != force.shape:
+        return [Fault(where, f"has {d.size} displacements and {force.size} forces")]
+    if not (np.all(np.isfinite(d)) and np.all(np.isfinite(force))):
+        return [Fault(where, "holds numbers that are not finite")]
+    try:
+        weights = measured.weights
+    except ValueError:
+        return [Fault(where, f"has {np.size(measured.weight)} weights for {d.size} points")]
+    if not (np.all(np.isfinite(weights)) and np.all(weights >= 0)):
+        return [Fault(where, "weights must be finite and not negative")]
+    used = weights > 0
+    if measured.role == "fit" and np.count_nonzero(used) > 1:
+        if measured.curve.time_s is None:
+            return _force_faults(where, d[used], force[used])
+        return _course_faults(where, d[used], force[used])
+    return []
+
+
+def _course_faults(where: str, d: Array, force: Array) -> list[Fault]:
+    """Say that a course in time does not resist: its force may fall while it is held."""
+    if float(d @ force) <= 0:
+        mend = "a force that resists is positive: see `sign` of the measurements"
+        return [Fault(where, "the force does not resist the displacement", mend)]
+    return []
+
+
+def _force_faults(where: str, d: Array, force: Array) -> list[Fault]:
+    if np.ptp(force) <= 1e-9 * np.abs(force).max():
+        return [Fault(where, f"is constant ({force[0]:g} N everywhere): no stiffness to fit")]
+    if float((d - d.mean()) @ (force - force.mean())) <= 0:
+        mend = "a force that resists is positive: see `sign` of the measurements"
+        return [Fault(where, "the force falls as the displacement grows", mend)]
+    return []
+
+
+# -------------------------------------------------------------------------------------------------
+# What is known of a parameter before the fit, as one more observation of it, and after it.
+#
+# A prior with a mean and a standard uncertainty is a pseudo-observation: a row of the least-squares
+# problem that measures the parameter itself (Theil and Goldberger 1961, Int. Econ. Rev. 2, 65). It
+# is no measurement of these tests, and is told from them wherever rows are counted.
+
+
+@dataclass(frozen=True)
+class Prior:
+    """Normal prior of one parameter."""
+
+    name: str
+    #: Expected value and standard uncertainty, in the parameter's unit.
+    mean: float
+    uncertainty: float
+    #: Standard deviation of a weighted residual that a standard uncertainty is to count as much as:
+    #: the weight of the pseudo-observation is ``noise / uncertainty``.
+    noise: float
+
+    @property
+    def weight(self) -> float:
+        """Factor on the deviation from the mean, in units of the weighted residual."""
+        return self.noise / self.uncertainty
+
+
+def pseudo_rows(priors: Sequence[Prior], names: Sequence[str], values: Array) -> Array:
+    """Residuals of the pseudo-observations, shape (k,).
+
+    Shapes: values (p,).
+    """
+    place = {name: i for i, name in enumerate(names)}
+    return np.array([one.weight * (values[place[one.name]] - one.mean) for one in priors])
+
+
+def pseudo_jacobian(priors: Sequence[Prior], names: Sequence[str]) -> Array:
+    """Return the derivative of :func:`pseudo_rows` by the parameters, shape (k, p)."""
+    rows = np.zeros((len(priors), len(names)))
+    for row, one in zip(rows, priors, strict=True):
+        row[list(names).index(one.name)] = one.weight
+    return rows
+
+
+def known_covariance(priors: Sequence[Prior], names: Sequence[str], inverse: Array) -> Array:
+    """Covariance of the estimates by the errors of the priors alone.
+
+    Shapes: inverse (p, p); returns (p, p).
+    """
+    total = np.zeros_like(inverse)
+    for one in priors:
+        moved = inverse[:, list(names).index(one.name)] * one.weight**2 * one.uncertainty
+        total += np.outer(moved, moved)
+    return total
+
+
+@dataclass(frozen=True)
+class NuisanceEstimate:
+    """One nuisance parameter after the fit; mm, N, MPa, degrees or plain."""
+
+    #: What it is called, and its key in the file.
+    name: str
+    key: str
+    #: Whether the tests helped to find it, or its uncertainty was carried to the constants.
+    treated: Literal["fitted", "propagated"]
+    #: Value that was expected before the fit.
+    expected: float
+    #: Standard uncertainty of that; None where nothing was known.
+    uncertainty: float | None
+    value: float
+    standard_error: float
+    ci95: tuple[float, float]
+    #: By constant: share of its variance that would be gone if this were known exactly.
+    shares: Mapping[str, float]

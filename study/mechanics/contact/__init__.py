@@ -1,0 +1,1 @@
+"""Contact with rigid surfaces without penalties: collocation, friction and adhesion."""

@@ -1,0 +1,358 @@
+"""Where contact is enforced: collocation points of contact pairs, and their areas."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from study.ground.arrays import Array, Ints
+from study.ground.errors import Fault, InputError
+from study.mechanics.contact.contact import (
+    STIFFNESS,
+    SWITCHING,
+    ContactPoints,
+    Plate,
+    RigidSurface,
+    gripping,
+    prescribed_rates,
+)
+from study.mechanics.contact.rigid_surface import Press, profile, profile_height
+from study.mechanics.element.function_space import (
+    _SAME,
+    Discretization,
+    _side_facets,
+    _top_facets,
+    at_level,
+)
+from study.mechanics.mesh.structured import Mesh
+from study.mechanics.setup.geometry import Enclosed, Indenter
+from study.mechanics.setup.setup import Problem, Setup
+from study.mechanics.setup.test_kind import IndenterContact, PlateContact
+from study.mechanics.surface.closed_surface import height_of
+
+#: allowance of a corner over the size of its facets
+CORNER_ALLOWANCE = 0.2
+
+
+def touch_radius(setup: Setup) -> float:
+    """Length whose square carries the first contact, mm; 0 where nothing begins to touch."""
+    pressed = [c.indenter for c in setup.contacts if isinstance(c, IndenterContact)]
+    limit, depth = 0.1 * height_of(setup.specimen), setup.test.depth_mm
+    return max((min(one.contact_radius_mm(depth), limit) for one in pressed), default=0.0)
+
+
+def contact_points(
+    problem: Problem, space: Discretization, mesh: Mesh, *, folding: bool = True
+) -> tuple[ContactPoints, ...]:
+    """Every set of points that may meet a rigid surface."""
+    whole = isinstance(problem.specimen, Enclosed)
+    found: list[ContactPoints] = []
+    for pair in problem.setup.contacts:
+        if isinstance(pair, IndenterContact):
+            under = _under_indenter_anywhere if whole else _under_indenter
+            found += under(problem, pair, space, mesh)
+        elif folding:
+            onto = _onto_plane if whole else _side_onto_plate
+            found += [p for p in onto(problem, pair, space, mesh) if p.size]
+    return tuple(found)
+
+
+def _under_indenter(
+    problem: Problem, pair: IndenterContact, space: Discretization, mesh: Mesh
+) -> tuple[ContactPoints, ...]:
+    press = Press(profile(pair.indenter, far_mm=1e3 * mesh.height_mm), mesh.height_mm)
+    if pair.indenter.is_sharp_edged:
+        return _under_sharp_edge(problem, space, mesh, press, pair.indenter.face_radius_mm)
+    return gripping(
+        _on_top(problem, space, mesh, press),
+        space.dim,
+        is_bonded=pair.is_bonded,
+        reach_mm=touch_radius(problem.setup),
+    )
+
+
+def _on_top(
+    problem: Problem,
+    space: Discretization,
+    mesh: Mesh,
+    surface: RigidSurface,
+    *,
+    nodal: bool = False,
+) -> ContactPoints:
+    """Points of the loaded face that a surface may meet."""
+    return meeting(problem, space, mesh, surface, _top_facets(space, mesh), nodal=nodal)
+
+
+def meeting(
+    problem: Problem,
+    space: Discretization,
+    mesh: Mesh,
+    surface: RigidSurface,
+    chosen: NDArray[np.bool_],
+    *,
+    nodal: bool = False,
+) -> ContactPoints:
+    """Points of some facets that a surface may meet.
+
+    Shapes: chosen (n_facets,).
+    """
+    points = _points_of(problem, mesh, surface, *_collocation(space, chosen, nodal=nodal))
+    return _with_corners(problem, space, points, space.facets[chosen])
+
+
+def _under_sharp_edge(
+    problem: Problem, space: Discretization, mesh: Mesh, press: Press, face_mm: float
+) -> tuple[ContactPoints, ...]:
+    """Points of the closed disc under a flat face meet its plane, the others the whole punch.
+
+    The node at a sharp edge carries the largest pressure. Whether it is under the face must
+    not hang on its last digit, and a point that the face has run past must be pushed down by
+    it, not out by the nearer side. Quadratic edges touch with their nodes here: they can lie
+    in the plane exactly, and the force then comes from above as an energy does.
+    """
+    rho = np.linalg.norm(space.nodes[:, : space.dim - 1], axis=1)
+    under = rho <= face_mm * (1 + _SAME)
+    below = _on_top(problem, space, mesh, Plate(mesh.height_mm, -1, 1.0), nodal=True)
+    beside = _on_top(problem, space, mesh, press)
+    parts = (
+        only(below, under[below.nodes].all(axis=1)),
+        only(beside, ~under[beside.nodes].all(axis=1)),
+    )
+    return tuple(points for points in parts if points.size)
+
+
+def only(points: ContactPoints, kept: NDArray[np.bool_]) -> ContactPoints:
+    """Keep some of the points.
+
+    Shapes: kept (n_points,).
+    """
+    allowance = np.broadcast_to(points.allowance_mm, kept.shape)[kept]
+    return replace(
+        points,
+        allowance_mm=allowance,
+        nodes=points.nodes[kept],
+        shape=points.shape[kept],
+        weights=points.weights[kept],
+        eps=points.eps[kept],
+        middles=None if points.middles is None else points.middles[kept][:, kept],
+    )
+
+
+def _with_corners(
+    problem: Problem, space: Discretization, points: ContactPoints, facets: Ints
+) -> ContactPoints:
+    """Say how the corners of six-node triangles take part.
+
+    A uniform pressure loads only their mid-sides, so that the sign of a corner's force says
+    nothing. Under a cone or a sphere they go with their mid-sides: left alone they open, and
+    let the surface buckle. Under a flat indenter they may sink in a little: held to a gap of
+    zero they stop a specimen that turns about the edge.
+    """
+    if facets.shape[1] != 6:
+        return points
+    pressed = problem.test.indenter
+    if pressed is None or not pressed.has_face:
+        return replace(points, middles=_middles(space, points, facets))
+    corners = np.isin(points.nodes[:, 0], facets[:, :3])
+    # a corner of six facets of area A has the weight A / 2
+    allowance = np.where(corners, CORNER_ALLOWANCE * np.sqrt(4 * points.weights), 0.0)
+    return replace(points, allowance_mm=allowance)
+
+
+def _middles(space: Discretization, points: ContactPoints, facets: Ints) -> sp.csr_matrix:
+    """Mid-side points next to each corner of six-node triangles, shape (n_points, n_points)."""
+    number = np.full(len(space.nodes), -1)
+    number[points.nodes[:, 0]] = np.arange(points.size)
+    ends = np.array([[0, 1], [1, 2], [2, 0]])
+    halfway = space.nodes[facets[:, ends]].mean(axis=2)
+    apart = np.linalg.norm(space.nodes[facets[:, 3:]][:, :, None] - halfway[:, None], axis=-1)
+    corners = number[np.take_along_axis(facets[:, None], ends[apart.argmin(axis=2)], axis=2)]
+    middles = np.repeat(number[facets[:, 3:]][:, :, None], 2, axis=2)
+    entries = np.ones(corners.size, dtype=int)
+    shape = (points.size, points.size)
+    return sp.csr_matrix((entries, (corners.ravel(), middles.ravel())), shape) > 0
+
+
+def _points_of(
+    problem: Problem, mesh: Mesh, surface: RigidSurface, nodes: Ints, shape: Array, weights: Array
+) -> ContactPoints:
+    scale = problem.material.mu0 / mesh.contact_size_mm
+    small = problem.material.small_strain
+    return ContactPoints(
+        surface, nodes, shape, weights, np.full(weights.shape, STIFFNESS * scale),
+        SWITCHING * scale, small,
+    )  # fmt: skip
+
+
+def _collocation(
+    space: Discretization, chosen: NDArray[np.bool_], *, nodal: bool = False
+) -> tuple[Ints, Array, Array]:
+    """Contact points of some facets: as many conditions as their surface can satisfy.
+
+    Quadratic edges carry two Gauss points (unless ``nodal``: then all nodes but that on the
+    axis, which a uniform pressure does not load), everything else its nodes. More points than
+    the surface has normal displacements over-constrain it.
+    """
+    facets, areas = space.facets[chosen], space.facet_weights[chosen]
+    k = facets.shape[1]
+    if space.dim == 2 and k == 3 and not nodal:
+        return _gauss_edges(space, facets)
+    share = {
+        (2, 2): None,  # consistent with the radius, below
+        (2, 3): None,
+        (3, 3): np.full(3, 1 / 3),
+        (3, 4): np.full(4, 1 / 4),
+        (3, 6): np.array([1, 1, 1, 3, 3, 3]) / 12,
+        (3, 9): np.array([1, 1, 1, 1, 4, 4, 4, 4, 16]) / 36,
+    }[(space.dim, k)]
+    if share is None:
+        r = space.nodes[facets][:, :, 0]
+        share = _ring_shares(r)
+    return _at_nodes(_nodal_areas(space, facets, areas[:, None] * share))
+
+
+def _ring_shares(r: Array) -> Array:
+    """Part of an edge's ring-shaped area that each node stands for (end, end, middle)."""
+    ends = r[:, :2]
+    both = ends.sum(axis=1, keepdims=True)
+    if r.shape[1] == 2:
+        return np.asarray((ends + both) / (3 * both))
+    return np.hstack([ends / (3 * both), np.full((len(r), 1), 2 / 3)])
+
+
+def _nodal_areas(space: Discretization, facets: Ints, shares: Array) -> Array:
+    """Sum over facets of the area that each gives to its nodes, shape (n_nodes,)."""
+    nodal = np.bincount(facets.ravel(), shares.ravel(), minlength=len(space.nodes))
+    return nodal.astype(float)
+
+
+def _at_nodes(areas: Array) -> tuple[Ints, Array, Array]:
+    """Contact points at the nodes that have an area."""
+    nodes = np.flatnonzero(areas > 0)
+    return nodes[:, None], np.ones((nodes.size, 1)), areas[nodes]
+
+
+def _gauss_edges(space: Discretization, edges: Ints) -> tuple[Ints, Array, Array]:
+    """Two Gauss points on each quadratic edge (end, end, middle) of an axisymmetric mesh."""
+    s = np.array([-1, 1]) / np.sqrt(3)
+    N = np.stack([s * (s - 1) / 2, s * (s + 1) / 2, 1 - s**2], axis=-1)
+    ends = space.nodes[edges]
+    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    radius = np.einsum("qa,ea->eq", N, ends[:, :, 0])
+    weights = 2 * np.pi * radius * length[:, None] / 2
+    return np.repeat(edges, 2, axis=0), np.tile(N, (len(edges), 1)), weights.ravel()
+
+
+def _side_onto_plate(
+    problem: Problem, pair: PlateContact, space: Discretization, mesh: Mesh
+) -> tuple[ContactPoints, ...]:
+    """Points of the free side that could fold onto a bonded plate; another one is plane."""
+    if not pair.is_bonded or (mesh.half_height and pair.face == "base"):
+        return ()
+    return (_side_points(problem, space, mesh, _plate(problem, pair, mesh)),)
+
+
+def _plate(problem: Problem, pair: PlateContact, mesh: Mesh) -> Plate:
+    """Plane of a plate, which moves as the face that it holds; half as far in a half model."""
+    is_top = pair.face == "top"
+    axial = next(f.axial for f in problem.setup.faces if f.face == pair.face)
+    speed = (0.0 - axial) * (0.5 if mesh.half_height else 1.0)
+    return Plate(mesh.height_mm if is_top else 0.0, -1 if is_top else 1, speed)
+
+
+def _side_points(
+    problem: Problem, space: Discretization, mesh: Mesh, plate: Plate
+) -> ContactPoints:
+    side = _side_facets(space, mesh)
+    facets, areas = space.facets[side], space.facet_weights[side]
+    nodal = _nodal_areas(space, facets, np.repeat(areas / facets.shape[1], facets.shape[1]))
+    nodal[at_level(space, mesh, plate.height_mm)] = 0.0  # held by the plate already
+    return _points_of(problem, mesh, plate, *_at_nodes(nodal))
+
+
+#: subdivisions of the triangles where an indenter could touch first, and how many are kept
+_DIVISIONS = 14
+_KEPT = 48
+
+#: points of a triangle in halves: its corners and the middles of its sides, and the quarters
+_HALVES = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.5, 0.5, 0], [0, 0.5, 0.5], [0.5, 0, 0.5]])
+_QUARTERS = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])
+
+
+def _under_indenter_anywhere(
+    problem: Problem, pair: IndenterContact, space: Discretization, mesh: Mesh
+) -> tuple[ContactPoints, ...]:
+    """Points of a whole surface, its base left out, that may meet an indenter."""
+    held = _in_plate(space, mesh, 0.0)
+    corners = mesh.points[space.facets[~held][:, :3]]
+    touch = touch_mm(pair.indenter, corners, mesh.height_mm)
+    press = Press(profile(pair.indenter, far_mm=1e3 * mesh.height_mm), touch)
+    points = meeting(problem, space, mesh, press, ~held)
+    reach = touch_radius(problem.setup)
+    return gripping(points, space.dim, is_bonded=pair.is_bonded, reach_mm=reach)
+
+
+def _onto_plane(
+    problem: Problem, pair: PlateContact, space: Discretization, mesh: Mesh
+) -> tuple[ContactPoints, ...]:
+    """Points of a whole surface that may come to lie in a plate; a clamp stands for the base."""
+    specimen = problem.specimen
+    clamped = isinstance(specimen, Enclosed) and specimen.clamp_below_mm is not None
+    if clamped and pair.face == "base":
+        return ()
+    held = np.array(sorted(prescribed_rates(problem.setup, space, mesh)), dtype=np.int64)
+    nodes = np.unique(held[held % space.dim == space.dim - 1] // space.dim)
+    return (_on_plate(problem, space, mesh, _plate(problem, pair, mesh), nodes),)
+
+
+def _in_plate(space: Discretization, mesh: Mesh, level: float) -> NDArray[np.bool_]:
+    """Facets that lie in a plate."""
+    held = np.zeros(len(space.nodes), dtype=bool)
+    held[at_level(space, mesh, level)] = True
+    return np.asarray(held[space.facets].all(axis=1))
+
+
+def _on_plate(
+    problem: Problem, space: Discretization, mesh: Mesh, plate: Plate, nodes: Ints
+) -> ContactPoints:
+    """Points that may meet a plate; ``nodes`` are held in one already, or clamped."""
+    chosen = np.asarray(~np.isin(space.facets, nodes).all(axis=1))
+    points = meeting(problem, space, mesh, plate, chosen)
+    held = np.isin(points.nodes[:, 0], nodes)
+    return only(points, ~held)
+
+
+def touch_mm(indenter: Indenter, triangles: Array, height: float) -> float:
+    """Height of the lowest point of an indenter that just touches some triangles, mm.
+
+    Shapes: triangles (m, 3, 3).
+
+    Notes
+    -----
+    The height of the profile is convex, that of a triangle linear: their difference has one
+    greatest value in each triangle, found by halving its sides where it is greatest.
+    """
+    pieces = profile(indenter, far_mm=1e3 * height)
+    _under_axis(triangles)
+    best, kept = -np.inf, triangles
+    for _ in range(_DIVISIONS):
+        places = np.einsum("qk,mkj->mqj", _HALVES, kept)
+        rho = np.hypot(places[:, :, 0], places[:, :, 1])
+        level = places[:, :, 2] - profile_height(pieces, rho.ravel()).reshape(rho.shape)
+        best = max(best, float(level.max()))
+        quarters = places[:, _QUARTERS].reshape(-1, 3, 3)
+        order = np.argsort(-level[:, _QUARTERS].max(axis=2).ravel(), kind="stable")
+        kept = quarters[order[:_KEPT]]
+    return best
+
+
+def _under_axis(triangles: Array) -> None:
+    """Refuse an axis that passes beside the specimen."""
+    x, y = triangles[:, :, 0], triangles[:, :, 1]
+    area = np.stack([x[:, k - 1] * y[:, k] - x[:, k] * y[:, k - 1] for k in range(3)], axis=1)
+    if not ((area >= 0).all(axis=1) | (area <= 0).all(axis=1)).any():
+        mend = "choose press_x and press_y inside its outline"
+        raise InputError(Fault("specimen.press_x", "the indenter misses the specimen", mend))

@@ -1,0 +1,560 @@
+"""Frictionless contact of boundary points with rigid surfaces: a semismooth active set.
+
+A contact point is a place on a boundary facet: nodes, shape values and a weight (area).
+Its condition ``gap >= 0, pressure >= 0, gap * pressure = 0`` is solved by the primal-dual
+active set of Hueeber and Wohlmuth (2005), with the switching constant ``c`` kept apart
+from the stiffness ``eps`` that only regularizes the linear solve: after every Newton
+solve the multiplier takes up what the spring carried, so forces do not depend on ``eps``.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from study.ground.arrays import Array, Flags, Ints
+from study.mechanics.element.function_space import _SAME, Nodes, at_level
+from study.mechanics.mesh.structured import Mesh
+from study.mechanics.setup.geometry import Enclosed
+from study.mechanics.setup.setup import Setup
+from study.mechanics.setup.test_kind import FaceCondition
+from study.mechanics.surface.closed_surface import body
+
+#: eps = STIFFNESS * mu0 / h and c = SWITCHING * mu0 / h
+STIFFNESS = 4e4
+SWITCHING = 20.0
+
+
+class RigidSurface(Protocol):
+    """A rigid obstacle that moves with the displacement of the test."""
+
+    @property
+    def speed(self) -> float:
+        """Axial motion against the axis per unit of displacement: d(gap)/dd = n_z speed."""
+
+    def gap(self, x: Array, displacement_mm: float) -> tuple[Array, Array, Array]:
+        """Signed distance (n,), outward unit normal (n, dim) and Hessian (n, dim, dim)."""
+
+    def reference_gap(self, x: Array, u: Array, displacement_mm: float) -> tuple[Array, Array]:
+        """Gap (n,) and normal (n, dim) of small-strain contact, from reference positions ``x``."""
+
+
+@dataclass(frozen=True)
+class Glue:
+    """Points that an indenter has taken hold of."""
+
+    #: shape (n_points,); which they are.
+    held: Flags
+    #: shape (n_points, dim); where each is held, in a frame that moves with the indenter, mm.
+    anchor: Array
+    #: shape (n_points, dim); derivative of ``anchor`` by every constant of the material.
+    rates: Mapping[str, Array] = field(default_factory=dict)
+
+    def rate(self, name: str) -> Array:
+        """Return d(anchor)/d(constant); zero where nothing has been held yet."""
+        return self.rates.get(name, np.zeros_like(self.anchor))
+
+
+@dataclass(frozen=True)
+class Plate:
+    """A rigid plane across the axis that presses downwards (``sense = -1``) or is below (+1)."""
+
+    height_mm: float
+    #: {-1, 1}: direction of the normal into the specimen's side.
+    sense: int
+    #: Axial motion per unit of displacement, against the axis: 1, or 0.5 in a half model.
+    speed: float
+
+    def gap(self, x: Array, displacement_mm: float) -> tuple[Array, Array, Array]:
+        """Signed distance, normal and (zero) Hessian."""
+        n, dim = x.shape
+        normal = np.zeros((n, dim))
+        normal[:, -1] = self.sense
+        level = self.height_mm - self.speed * displacement_mm
+        return self.sense * (x[:, -1] - level), normal, np.zeros((n, dim, dim))
+
+    def reference_gap(self, x: Array, u: Array, displacement_mm: float) -> tuple[Array, Array]:
+        """As :meth:`gap`: a plane looks the same from both states."""
+        return self.gap(x + u, displacement_mm)[:2]
+
+
+@dataclass(frozen=True)
+class ContactPoints:
+    """Points that may touch one rigid surface."""
+
+    surface: RigidSurface
+    #: shape (n_points, k); nodes of the facet of each point.
+    nodes: Ints
+    #: shape (n_points, k); shape functions there.
+    shape: Array
+    #: shape (n_points,); area that the point stands for, mm^2.
+    weights: Array
+    #: shape (n_points,); stiffness of the regularization, N/mm^3.
+    eps: Array
+    c: float
+    #: Whether gap and normal belong to the reference state (linear elasticity).
+    small_strain: bool = False
+    #: shape (n_points,); gap below zero at which a point closes.
+    allowance_mm: Array | float = 0.0
+    #: shape (n_points, n_points); row of a corner of six-node triangles: the mid-side points next
+    #: to it.
+    middles: sp.csr_matrix | None = None
+    _dofs: dict[int, Ints] = field(default_factory=dict, init=False, repr=False, compare=False)
+
+    @property
+    def size(self) -> int:
+        """Number of points."""
+        return int(self.weights.size)
+
+    def dofs(self, dim: int) -> Ints:
+        """Displacement unknowns of every point, shape (n_points, dim * k)."""
+        if dim not in self._dofs:
+            each = dim * self.nodes[:, :, None] + np.arange(dim)
+            self._dofs[dim] = np.asarray(each.reshape(self.size, -1))
+        return self._dofs[dim]
+
+    def meet(self, nodes: Array, u: Array, displacement_mm: float) -> Meeting:
+        """Where the points are at displacements ``u`` (n_nodes, dim), as seen by the surface."""
+        place, moved = self.interpolated(nodes), self.interpolated(u)
+        if self.small_strain:
+            gap, normal = self.surface.reference_gap(place, moved, displacement_mm)
+            hessian = np.zeros((self.size, place.shape[1], place.shape[1]))
+        else:
+            gap, normal, hessian = self.surface.gap(place + moved, displacement_mm)
+        direction = (self.shape[:, :, None] * normal[:, None, :]).reshape(self.size, -1)
+        return Meeting(gap + self.allowance_mm, direction, hessian)
+
+    def evaluate(
+        self,
+        met: Meeting,
+        multiplier: Array,
+        closed: Flags | None = None,
+        glue: Glue | None = None,
+    ) -> ContactState:
+        """Active set and pressure.
+
+        ``closed`` imposes the active set; without it every point decides for itself, but for
+        those that ``glue`` holds by other means.
+        """
+        urge = multiplier - self.c * met.gap
+        held = np.zeros(self.size, dtype=bool) if glue is None else glue.held
+        wanted, led = self._decided((urge > 0) | held)
+        wanted &= ~held
+        active = wanted if closed is None else closed
+        pressure = np.where(active, multiplier - self.eps * met.gap, 0.0)
+        carried = np.where(active, multiplier, 0.0)
+        return ContactState(
+            met.gap, active, pressure, carried, met.direction, met.hessian, wanted, urge, led
+        )
+
+    def _decided(self, own: Flags) -> tuple[Flags, Flags]:
+        """Who is to be closed by the points' own decision, and which corners are led.
+
+        A uniform pressure loads only the mid-sides of six-node triangles, so that the sign of
+        a corner's force says nothing. Amid closed mid-sides a corner is closed as well,
+        whichever way it is pulled; amid open ones it is open.
+        """
+        if self.middles is None:
+            return own, np.zeros(own.shape, dtype=bool)
+        around = np.diff(self.middles.indptr)
+        closed = self.middles @ own.astype(int)
+        led = (around > 0) & ((closed == around) | (closed == 0))
+        return np.where(led, closed > 0, own), led
+
+    def admissible(self, multiplier: Array) -> Array:
+        """Pressures that points may have: none pulls but the corners that may be led."""
+        own = multiplier >= 0
+        if self.middles is not None:
+            own |= np.diff(self.middles.indptr) > 0
+        return np.where(own, multiplier, 0.0)
+
+    def interpolated(self, nodal: Array) -> Array:
+        """Values at the points of a nodal field (n_nodes, m), shape (n_points, m)."""
+        return np.asarray(np.einsum("ck,ckj->cj", self.shape, nodal[self.nodes]))
+
+    def rotation_forces(self, state: ContactState) -> Array:
+        """d(residual)/dd at fixed unknowns from the turning normal, shape (n_points, dim * k)."""
+        turning = -self.surface.speed * state.hessian[:, :, -1]
+        moments = (self.weights * state.pressure)[:, None] * turning
+        return np.asarray(self.shape[:, :, None] * moments[:, None, :]).reshape(self.size, -1)
+
+    def rotation_stiffness(self, state: ContactState, rate: Array) -> float:
+        """Return what curved contact owes to dF/dd; ``rate`` is dx/dd of the points' unknowns."""
+        dim = state.hessian.shape[1]
+        slip = np.einsum("ck,ckj->cj", self.shape, rate.reshape(self.size, -1, dim))
+        slip[:, -1] += self.surface.speed
+        bent = np.einsum("ci,cij,cj->c", slip, state.hessian, slip)
+        return -float((self.weights * state.pressure * bent).sum())
+
+    def forces(self, state: ContactState) -> Array:
+        """Residual contributions, shape (n_points, dim * k)."""
+        return -(self.weights * state.pressure)[:, None] * state.direction
+
+    def regularization(self, state: ContactState) -> Array:
+        """Part of :meth:`forces` that stems from gaps, shape (n_points, dim * k)."""
+        return -(self.weights * (state.pressure - state.carried))[:, None] * state.direction
+
+    def stiffness(self, state: ContactState) -> Array:
+        """Packed upper stiffness blocks, shape (n_points, m (m + 1) / 2)."""
+        rows, columns = _upper(state.direction.shape[1])
+        spring = self.weights * np.where(state.active, self.eps, 0.0)
+        blocks = spring[:, None] * state.direction[:, rows] * state.direction[:, columns]
+        if state.hessian.any():
+            dim = state.hessian.shape[1]
+            # with the regularization's share a gap left by the last iteration would bend the
+            # tangent, and Newton's method would take two iterations for one
+            curved = (self.weights * state.carried)[:, None, None] * state.hessian
+            a, i, b, j = rows // dim, rows % dim, columns // dim, columns % dim
+            blocks = blocks - self.shape[:, a] * self.shape[:, b] * curved[:, i, j]
+        return np.asarray(blocks)
+
+
+@functools.cache
+def _upper(m: int) -> tuple[Ints, Ints]:
+    """Rows and columns of a packed upper triangle."""
+    return np.triu_indices(m)
+
+
+@dataclass(frozen=True)
+class Meeting:
+    """Where contact points are, one row a point.
+
+    ``gap`` in mm, ``direction`` (n_points, dim * k) the derivative of the gap by the points'
+    unknowns, ``hessian`` (n_points, dim, dim) its second one by their places.
+    """
+
+    gap: Array
+    direction: Array
+    hessian: Array
+
+
+@dataclass(frozen=True)
+class ContactState:
+    """Contact at one configuration; arrays have one row a point.
+
+    ``wanted`` is the active set by the points' own decision, ``urge`` how strongly they
+    want it (a pressure).
+    """
+
+    gap: Array
+    active: Flags
+    pressure: Array
+    carried: Array
+    direction: Array
+    hessian: Array
+    wanted: Flags
+    urge: Array
+    led: Flags
+
+    def normal(self) -> Array:
+        """Return the surface's normals, shape (n_points, dim): shape functions sum to 1."""
+        parts = self.direction.reshape(len(self.gap), -1, self.hessian.shape[1])
+        return np.asarray(parts.sum(axis=1))
+
+    def new_multiplier(self, contact: ContactPoints, increment: Array) -> Array:
+        """Multiplier after a solve that moved the points' unknowns by ``increment``."""
+        predicted = self.gap + np.einsum("ck,ck->c", self.direction, increment)
+        taken = self.pressure + contact.eps * (self.gap - predicted)
+        return np.where(self.active, taken, 0.0)
+
+    def largest_pull(self) -> float:
+        """Largest tension over the largest pressure: what held points may need to be held."""
+        top = float(self.pressure.max(initial=0.0))
+        pull = max(0.0, -float(self.pressure[~self.led].min(initial=0.0)))
+        return pull / top if top > 0 else 0.0 if pull == 0 else np.inf
+
+    def settled(self) -> bool:
+        """Whether no open point wants to close."""
+        return not bool((self.wanted & ~self.active).any())
+
+    def largest_violation(self) -> float:
+        """Largest |gap| of the active points, mm."""
+        return float(np.abs(self.gap[self.active]).max()) if self.active.any() else 0.0
+
+
+# -------------------------------------------------------------------------------------------------
+# Sticking to a rigid indenter: a point that has touched it goes with it from then on.
+#
+# A bonded cone or sphere takes hold of more of the surface as it goes deeper, without slip and
+# without release (adhesive contact: Spence 1968, Proc. R. Soc. A 305, 55). New contact is
+# frictionless within its load step; when the step is done, its points are tied to the place of
+# the indenter that they touch. Ties are kept as contact is, by springs whose multipliers take up
+# the force. What slips before it is tied makes an error of first order in the load step, which is
+# why these steps are small: less than 0.1 % of the force of a cone is left.
+
+
+@dataclass(frozen=True)
+class Tie:
+    """Coordinate along one axis in a frame that moves with the indenter, as a surface to touch."""
+
+    axis: int
+    #: Axial motion of the indenter against the axis, per unit of displacement.
+    speed: float = 1.0
+
+    def gap(self, x: Array, displacement_mm: float) -> tuple[Array, Array, Array]:
+        """Coordinate, its direction and (zero) Hessian."""
+        n, dim = x.shape
+        normal = np.zeros((n, dim))
+        normal[:, self.axis] = 1.0
+        return in_its_frame(x, displacement_mm)[:, self.axis], normal, np.zeros((n, dim, dim))
+
+    def reference_gap(self, x: Array, u: Array, displacement_mm: float) -> tuple[Array, Array]:
+        """As :meth:`gap`: an axis looks the same from both states."""
+        return self.gap(x + u, displacement_mm)[:2]
+
+
+@dataclass(frozen=True)
+class TiedPoints(ContactPoints):
+    """Contact points along one axis of the indenter's frame, where they are held."""
+
+    surface: Tie
+
+    def evaluate(
+        self,
+        met: Meeting,
+        multiplier: Array,
+        closed: NDArray[np.bool_] | None = None,
+        glue: Glue | None = None,
+    ) -> ContactState:
+        """Distance from the place where each point is held, and the force that holds it."""
+        if glue is None:
+            raise ValueError("ties need to know which points are held")
+        free = super().evaluate(met, multiplier, glue.held)
+        gap = np.where(glue.held, free.gap - glue.anchor[:, self.surface.axis], 0.0)
+        pressure = np.where(glue.held, multiplier - self.eps * gap, 0.0)
+        calm = np.zeros_like(gap)
+        everywhere = np.ones(gap.shape, dtype=bool)
+        return replace(
+            free, gap=gap, pressure=pressure, wanted=glue.held, urge=calm, led=everywhere
+        )
+
+    def admissible(self, multiplier: Array) -> Array:
+        """Whatever there is: ties pull as well as they push."""
+        return multiplier
+
+
+def in_its_frame(x: Array, displacement_mm: float) -> Array:
+    """Positions as seen from the indenter, which moves against the last axis.
+
+    Shapes: x (n, dim), mm.
+    """
+    seen = x.copy()
+    seen[:, -1] += displacement_mm
+    return seen
+
+
+#: area over the square of the contact radius that every tie is at least as stiff as
+_TIED_AREA = 0.01
+
+
+def gripping(
+    points: ContactPoints, dim: int, *, is_bonded: bool, reach_mm: float
+) -> tuple[ContactPoints, ...]:
+    """Points that meet an indenter, with a set of ties for every axis where it is bonded.
+
+    The Gauss points of quadratic edges all miss one mode of the surface, in which corners and
+    mid-sides move against each other. Only symmetry forbids it, through the points next to the
+    axis, which stand for next to no area: they get the stiffness of more of it. With their own,
+    two fifths of a gap were left by every iteration.
+    """
+    if not is_bonded:
+        return (points,)
+    least = _TIED_AREA * reach_mm**2
+    eps = points.eps * np.maximum(1.0, least / points.weights)
+    ties = (
+        TiedPoints(
+            surface=Tie(axis), nodes=points.nodes, shape=points.shape, weights=points.weights,
+            eps=eps, c=points.c, small_strain=points.small_strain,
+        )
+        for axis in range(dim)
+    )  # fmt: skip
+    return (points, *ties)
+
+
+def nothing_held(points: ContactPoints, dim: int) -> Glue:
+    """Return the glue of an indenter that has not touched yet."""
+    return Glue(np.zeros(points.size, dtype=bool), np.zeros((points.size, dim)))
+
+
+def hold(
+    glue: Glue,
+    contact: tuple[ContactPoints, ...],
+    touching: list[ContactState],
+    nodes: Array,
+    u: Array,
+    displacement_mm: float,
+    rates: Mapping[str, Array],
+) -> tuple[Glue, tuple[Array, ...]]:
+    """Take hold of every point that is closed, in the same equilibrium.
+
+    Shapes: nodes, u (n_nodes, dim), mm; rates (n_nodes, dim).
+    """
+    points, pressure = contact[0], touching[0].pressure
+    new = touching[0].active
+    place = in_its_frame(points.interpolated(nodes + u), displacement_mm)
+    anchor = np.where(new[:, None], place, glue.anchor)
+    moved = {
+        name: np.where(new[:, None], points.interpolated(rate), glue.rate(name))
+        for name, rate in rates.items()
+    }
+    normal = touching[0].normal()
+    pushed = [
+        np.where(new, pressure * normal[:, axis], touch.pressure)
+        for axis, touch in enumerate(touching[1:])
+    ]
+    return Glue(glue.held | new, anchor, moved), (np.where(new, 0.0, pressure), *pushed)
+
+
+# -------------------------------------------------------------------------------------------------
+# What holds and what touches a specimen: prescribed unknowns and contact points of a test.
+
+
+@dataclass(frozen=True)
+class Constraints:
+    """Prescribed unknowns: ``x[dofs] = rate * displacement``.
+
+    ``pins`` are those that only keep the specimen in its place and should carry nothing.
+    """
+
+    dofs: Ints
+    rate: Array
+    pins: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+
+    @classmethod
+    def of(cls, rate: Mapping[int, float], pins: Sequence[int] | Ints = ()) -> Constraints:
+        """Prescribed unknowns with their rates, and the pins, which do not move."""
+        every = {**rate, **{int(d): 0.0 for d in pins}}
+        dofs = np.array(sorted(every), dtype=np.int64)
+        rates = np.array([every[int(d)] for d in dofs])
+        return cls(dofs, rates, np.array(pins, dtype=np.int64))
+
+
+def constraints(setup: Setup, space: Nodes, mesh: Mesh) -> Constraints:
+    """Held and driven unknowns of a test, the planes of symmetry (or the axis) included."""
+    rate = prescribed_rates(setup, space, mesh)
+    if setup.is_whole:  # what is left may move
+        return Constraints.of(rate, pins(space.nodes, len(mesh.points), rate))
+    tol = _SAME * mesh.height_mm
+    for i in range(space.dim - 1):
+        symmetric = np.flatnonzero(np.abs(space.nodes[:, i]) < tol)
+        rate |= {int(n) * space.dim + i: 0.0 for n in symmetric}
+    return Constraints.of(rate)
+
+
+def prescribed_rates(setup: Setup, space: Nodes, mesh: Mesh) -> dict[int, float]:
+    """Unknowns that the test's faces and the clamp of a surface prescribe.
+
+    A face that a surface does not have, as it is round there, is left to contact.
+    """
+    specimen, dim, rate = setup.specimen, space.dim, dict[int, float]()
+    for face in setup.faces:
+        rate |= _face_rates(face, space, mesh)
+    if not isinstance(specimen, Enclosed):
+        return rate
+    if not body(specimen).touches("top"):
+        rate = _without_top(rate, space, mesh)
+    if specimen.clamp_below_mm is None:
+        return rate
+    level = specimen.clamp_below_mm - body(specimen).lowest_mm
+    below = np.flatnonzero(space.nodes[:, -1] < level)
+    if setup.model.element_order == "linear":
+        # a bubble is no point of the body: held, it would carry a force that no one applied
+        below = below[below < len(mesh.points)]
+    return rate | {int(n) * dim + i: 0.0 for n in below for i in range(dim)}
+
+
+def _face_rates(face: FaceCondition, space: Nodes, mesh: Mesh) -> dict[int, float]:
+    """Unknowns of one face; in a half model the middle plane stands for the one below."""
+    dim, half, is_top = space.dim, mesh.half_height, face.face == "top"
+    level = mesh.height_mm if is_top else mesh.height_mm / 2 if half else 0.0
+    nodes = at_level(space, mesh, level)
+    if face.within_mm is not None:
+        rho = np.linalg.norm(space.nodes[nodes][:, : dim - 1], axis=1)
+        nodes = nodes[rho <= face.within_mm * (1 + _SAME)]
+    axial = 0.5 * face.axial if half else face.axial
+    rate = {int(n) * dim + dim - 1: axial for n in nodes}
+    is_plane_of_symmetry = half and not is_top
+    if not face.is_held or is_plane_of_symmetry:
+        return rate
+    moved = face_motions(space, nodes) @ _motion(face)
+    held = {int(n) * dim + i: float(moved[k, i]) for k, n in enumerate(nodes) for i in range(dim)}
+    return {dof: held[dof] + rate.get(dof, 0.0) for dof in held}
+
+
+#: motions of a face besides that along the axis: two shifts, three small rotations, spread
+BESIDES = 6
+
+
+def _motion(face: FaceCondition) -> Array:
+    """Components of the motion of a face per unit of displacement, shape (6,)."""
+    if face.besides is None:
+        return np.zeros(BESIDES)
+    return face.share_per_mm * face.besides.components()
+
+
+def face_motions(space: Nodes, nodes: Ints) -> Array:
+    """Displacements of nodes of a face for a unit of each motion besides that along the axis.
+
+    Shapes: nodes (n,); returns (n, dim, 6), mm, rad.
+    """
+    dim, places = space.dim, space.nodes[nodes]
+    motions = np.zeros((len(nodes), dim, BESIDES))
+    motions[:, : dim - 1, 5] = places[:, : dim - 1]
+    if dim == 3:
+        x, y = places[:, 0], places[:, 1]
+        motions[:, 0, 0] = motions[:, 1, 1] = 1.0
+        motions[:, 2, 2], motions[:, 2, 3] = y, -x
+        motions[:, 0, 4], motions[:, 1, 4] = -y, x
+    return motions
+
+
+def _without_top(rate: dict[int, float], space: Nodes, mesh: Mesh) -> dict[int, float]:
+    """Leave a round top to contact: it has no face that a plate could move as a whole."""
+    top = {int(n) for n in at_level(space, mesh, mesh.height_mm)}
+    return {dof: v for dof, v in rate.items() if dof // space.dim not in top}
+
+
+#: motion, over that of the largest, below which a rigid motion counts as held
+_HELD = 1e-6
+
+
+def rigid_motions(places: Array) -> Array:
+    """List translations and rotations about the middle of some points, shape (3 n, 6).
+
+    Shapes: places (n, 3), mm.
+    """
+    middle = (places.min(axis=0) + places.max(axis=0)) / 2
+    x, y, z = (places - middle).T / float(np.ptp(places, axis=0).max())
+    zero = np.zeros(len(places))
+    motions = np.zeros((len(places), 3, 6))
+    motions[:, :, :3] = np.eye(3)
+    motions[:, :, 3] = np.column_stack([zero, -z, y])
+    motions[:, :, 4] = np.column_stack([z, zero, -x])
+    motions[:, :, 5] = np.column_stack([-y, x, zero])
+    return motions.reshape(-1, 6)
+
+
+def pins(places: Array, n_free: int, held: Mapping[int, float]) -> Ints:
+    """Unknowns that have to be held besides those that are.
+
+    Shapes: places (n_nodes, 3).
+    """
+    motions = rigid_motions(places)
+    rows = motions[sorted(held)]
+    values, directions = np.linalg.eigh(rows.T @ rows) if held else (np.zeros(6), np.eye(6))
+    free = directions[:, values < _HELD**2 * max(float(values.max(initial=0.0)), 1.0)]
+    chosen: list[int] = []
+    while free.shape[1]:
+        left = motions[: 3 * n_free] @ free
+        # rounded, so that equal places do not change with the last digit
+        dof = int(np.round(np.linalg.norm(left, axis=1), 9).argmax())
+        chosen.append(dof)
+        # the motions left are those that do not move this unknown
+        free = free @ np.linalg.svd(left[dof : dof + 1])[2][1:].T
+    return np.array(sorted(chosen), dtype=np.int64)

@@ -1,0 +1,1 @@
+"""Elements: shape functions, the compiled point laws and their assembly."""

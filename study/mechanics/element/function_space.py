@@ -1,0 +1,521 @@
+"""Element pairs: shape-function arrays for the kernels, from scikit-fem's bases.
+
+================  ==========================  =========================
+order             simplex                     tensor
+================  ==========================  =========================
+quadratic, mixed  P2 / P1 (Taylor-Hood)       Q2 / discontinuous P1
+linear, mixed     P1 + bubble / P1 (MINI)     Q1 / P0 (not inf-sup stable)
+displacement      P2 or P1                    Q2 or Q1
+================  ==========================  =========================
+
+Taylor-Hood and MINI satisfy the inf-sup condition (Boffi, Brezzi, Fortin 2013, secs 8.4, 8.8).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from study.ground.arrays import Array, Elements, Ints, Unknowns
+from study.ground.compilation import kernel
+from study.mechanics.element.assembly import Shapes
+from study.mechanics.mesh.structured import Mesh
+from study.mechanics.setup.setup import Model
+
+#: coordinates closer than this fraction of the height are the same
+_SAME = 1e-9
+
+
+class Nodes(Protocol):
+    """Places that boundary conditions are laid on."""
+
+    @property
+    def nodes(self) -> Array:
+        """Reference positions, shape (n_nodes, dim)."""
+
+    @property
+    def dim(self) -> int:
+        """Number of displacement components."""
+
+
+def at_level(space: Nodes, mesh: Mesh, level: float) -> Ints:
+    """Nodes at an axial position.
+
+    Shapes: level mm; returns (n,).
+    """
+    return np.flatnonzero(np.abs(space.nodes[:, -1] - level) < _SAME * mesh.height_mm)
+
+
+def _top_facets(space: Discretization, mesh: Mesh) -> NDArray[np.bool_]:
+    axial = space.nodes[space.facets][:, :, -1]
+    return np.asarray((np.abs(axial - mesh.height_mm) < _SAME * mesh.height_mm).all(axis=1))
+
+
+def _side_facets(space: Discretization, mesh: Mesh) -> NDArray[np.bool_]:
+    """Boundary facets that lie neither on a plate, nor on a plane of symmetry."""
+    height = mesh.height_mm
+    planes = [(space.dim - 1, height), (space.dim - 1, height / 2 if mesh.half_height else 0.0)]
+    planes += [(i, 0.0) for i in range(space.dim - 1)]
+    side = np.ones(len(space.facets), dtype=bool)
+    for axis, value in planes:
+        level = space.nodes[space.facets][:, :, axis]
+        side &= ~(np.abs(level - value) < _SAME * height).all(axis=1)
+    return side
+
+
+#: scikit-fem's numbering of the corners of a hexahedron, seen from (bottom quad, top quad)
+_HEX_ORDER = [0, 4, 3, 1, 7, 5, 2, 6]
+
+#: order of the quadrature rule of (space, order, shape)
+_RULES = {
+    ("axisymmetric", "quadratic", "simplex"): 4,
+    ("axisymmetric", "linear", "simplex"): 4,
+    ("axisymmetric", "quadratic", "tensor"): 5,
+    ("axisymmetric", "linear", "tensor"): 3,
+    ("3d", "quadratic", "simplex"): 2,
+    ("3d", "linear", "simplex"): 2,
+    ("3d", "quadratic", "tensor"): 5,
+    ("3d", "linear", "tensor"): 3,
+}
+
+#: and under an indenter, where a quadratic tetrahedron is stretched five times: looked at in
+#: four points only, it collapses between them
+_STRETCHED_RULES = {("3d", "quadratic", "simplex"): 5}
+
+
+@dataclass(frozen=True)
+class Discretization:
+    """Everything that the element loops need, computed once per mesh."""
+
+    #: shape (n_nodes, dim); reference positions; a bubble sits at its element's centroid.
+    nodes: Array
+    #: shape (n_elements, n_local); nodes of each element.
+    element_nodes: Ints
+    #: shape (n_elements, m); unknowns of each element: displacements node by node, then pressures.
+    dofs: NDArray[np.int32]
+    #: Numbers of displacement unknowns and of all unknowns.
+    n_displacement: int
+    n: int
+    gradients: Array
+    hoop: Array
+    pressure_shape: Array
+    weights: Array
+    #: shape (n_facets, k); nodes of each boundary facet (edges or faces), midpoints included.
+    facets: Ints
+    #: shape (n_facets,); area of each boundary facet in mm^2 (2 pi r times length in axisymmetric
+    #: space).
+    facet_weights: Array
+
+    @property
+    def dim(self) -> int:
+        """Number of displacement components."""
+        return int(self.nodes.shape[1])
+
+    @property
+    def shapes(self) -> Shapes:
+        """What compiled loops take of it."""
+        return Shapes(self.gradients, self.hoop, self.pressure_shape, self.weights, self.dofs)
+
+    @property
+    def n_elements(self) -> int:
+        """Number of elements."""
+        return int(self.element_nodes.shape[0])
+
+
+def discretize(mesh: Mesh, model: Model, *, stretched: bool = False) -> Discretization:
+    """Shape-function arrays of a mesh for a model's element pair."""
+    from skfem import Basis
+
+    axisymmetric = model.space == "axisymmetric"
+    fem_mesh = _fem_mesh(mesh, axisymmetric, model.element_shape)
+    element = _displacement_element(model, axisymmetric)
+    rules = _RULES | _STRETCHED_RULES if stretched else _RULES
+    rule = rules[(model.space, model.element_order, model.element_shape)]
+    basis = Basis(fem_mesh, element, intorder=rule)
+    ne, nq = basis.dx.shape
+    gradients = np.stack(
+        [np.broadcast_to(b[0].grad, (mesh.points.shape[1], ne, nq)) for b in basis.basis]
+    )
+    values = np.stack([np.broadcast_to(np.asarray(b[0]), (ne, nq)) for b in basis.basis])
+    # one memory layout in both spaces: another would be compiled a second time
+    weights, hoop = np.array(basis.dx), np.zeros((ne, nq, 1))
+    if axisymmetric:
+        radius = np.asarray(basis.global_coordinates())[0]
+        weights = weights * 2 * np.pi * radius
+        hoop = np.ascontiguousarray((values / radius).transpose(1, 2, 0))
+    element_nodes = basis.element_dofs.T.astype(np.int64)
+    nodes = _node_positions(basis, mesh)
+    pressure_shape, pressure_dofs = _pressure(fem_mesh, basis, model)
+    dim = mesh.points.shape[1]
+    displacement = (dim * element_nodes[:, :, None] + np.arange(dim)).reshape(ne, -1)
+    n_u = int(dim * len(nodes))
+    n_p = int(pressure_dofs.max()) + 1 if pressure_dofs.size else 0
+    facets, areas = _facets(fem_mesh, basis, nodes, axisymmetric)
+    return Discretization(
+        nodes=nodes,
+        element_nodes=element_nodes,
+        dofs=np.hstack([displacement, n_u + pressure_dofs]).astype(np.int32),
+        n_displacement=n_u,
+        n=n_u + n_p,
+        gradients=np.ascontiguousarray(gradients.transpose(2, 3, 0, 1)),
+        hoop=hoop,
+        pressure_shape=pressure_shape,
+        weights=np.ascontiguousarray(weights),
+        facets=facets,
+        facet_weights=areas,
+    )
+
+
+def nodal_volumes(mesh: Mesh, model: Model) -> Array:
+    """Integral of every shape function of the displacements, shape (n_nodes,), mm^3."""
+    from skfem import Basis
+
+    axisymmetric = model.space == "axisymmetric"
+    fem_mesh = _fem_mesh(mesh, axisymmetric, model.element_shape)
+    # of higher degree than any product of a shape function, a radius and a Jacobian
+    basis = Basis(fem_mesh, _displacement_element(model, axisymmetric), intorder=6)
+    weights = np.array(basis.dx)
+    if axisymmetric:
+        weights = weights * 2 * np.pi * np.asarray(basis.global_coordinates())[0]
+    volumes = np.zeros(basis.N)
+    for own, (shape, *_) in zip(basis.element_dofs, basis.basis, strict=True):
+        np.add.at(volumes, own, (np.asarray(shape) * weights).sum(axis=1))
+    return volumes
+
+
+def interpolation(mesh: Mesh, model: Model, places: Array) -> Callable[[Array], Array]:
+    """Make the function that takes values at the nodes to places within the elements.
+
+    Shapes: places (m, dim), mm.
+    """
+    from skfem import Basis
+
+    axisymmetric = model.space == "axisymmetric"
+    fem_mesh = _fem_mesh(mesh, axisymmetric, model.element_shape)
+    basis = Basis(fem_mesh, _displacement_element(model, axisymmetric), intorder=1)
+    shapes = basis.probes(np.ascontiguousarray(places.T))
+    return lambda values: np.asarray(shapes @ values)
+
+
+def _node_positions(basis: Any, mesh: Mesh) -> Array:
+    nodes = np.array(basis.doflocs.T)
+    bubbles = np.asarray(basis.interior_dofs)
+    if np.isnan(nodes).any():  # scikit-fem gives bubbles no place
+        nodes[bubbles[-1]] = mesh.points[mesh.cells].mean(axis=1)
+    return nodes
+
+
+def _fem_mesh(mesh: Mesh, axisymmetric: bool, shape: str) -> Any:
+    import skfem
+
+    kinds = {
+        (True, "simplex"): skfem.MeshTri,
+        (True, "tensor"): skfem.MeshQuad,
+        (False, "simplex"): skfem.MeshTet,
+        (False, "tensor"): skfem.MeshHex,
+    }
+    cells = mesh.cells
+    if not axisymmetric and shape == "tensor":
+        cells = cells[:, _HEX_ORDER]
+    kind = kinds[(axisymmetric, shape)]
+    return kind(np.ascontiguousarray(mesh.points.T), np.ascontiguousarray(cells.T))
+
+
+def _displacement_element(model: Model, axisymmetric: bool) -> Any:
+    import skfem
+
+    names = {
+        ("quadratic", "simplex"): ("ElementTriP2", "ElementTetP2"),
+        ("quadratic", "tensor"): ("ElementQuad2", "ElementHex2"),
+        ("linear", "simplex"): ("ElementTriMini", "ElementTetMini"),
+        ("linear", "tensor"): ("ElementQuad1", "ElementHex1"),
+    }[(model.element_order, model.element_shape)]
+    if (model.formulation, model.element_order, model.element_shape) == (
+        "displacement",
+        "linear",
+        "simplex",
+    ):
+        names = ("ElementTriP1", "ElementTetP1")
+    return getattr(skfem, names[0 if axisymmetric else 1])()
+
+
+def _pressure(fem_mesh: Any, basis: Any, model: Model) -> tuple[Array, Ints]:
+    """Pressure shape functions and their element-wise numbers."""
+    import skfem
+
+    ne, nq = basis.dx.shape
+    if model.formulation == "displacement":
+        return np.zeros((1, nq, 0)), np.zeros((ne, 0), dtype=np.int64)
+    if model.element_shape == "simplex":
+        two = fem_mesh.dim() == 2
+        pair = basis.with_element(skfem.ElementTriP1() if two else skfem.ElementTetP1())
+        shape = np.stack([np.asarray(b[0])[0] for b in pair.basis], axis=-1)
+        return np.ascontiguousarray(shape[None]), pair.element_dofs.T.astype(np.int64)
+    if model.element_order == "linear":
+        return np.ones((1, nq, 1)), np.arange(ne)[:, None]
+    return _discontinuous_linear(fem_mesh, basis)
+
+
+def _discontinuous_linear(fem_mesh: Any, basis: Any) -> tuple[Array, Ints]:
+    """1 and the coordinates about the element's centroid, divided by its size."""
+    x = np.asarray(basis.global_coordinates())  # (dim, ne, nq)
+    corners = fem_mesh.p[:, fem_mesh.t]  # (dim, vertices, ne)
+    center = corners.mean(axis=1)[:, :, None]
+    size = np.ptp(corners, axis=1)[:, :, None]
+    shape = np.concatenate([np.ones((1, *x.shape[1:])), (x - center) / size])
+    ne, k = x.shape[1], shape.shape[0]
+    return np.ascontiguousarray(shape.transpose(1, 2, 0)), np.arange(k * ne).reshape(ne, k)
+
+
+def _facets(fem_mesh: Any, basis: Any, nodes: Array, axisymmetric: bool) -> tuple[Ints, Array]:
+    """Nodes and areas of the boundary facets."""
+    facets = fem_mesh.boundary_facets()
+    vertices = basis.nodal_dofs[0][fem_mesh.facets[:, facets]].T
+    parts = [vertices]
+    if basis.edge_dofs.size and fem_mesh.dim() == 3:
+        parts.append(basis.edge_dofs[0][fem_mesh.f2e[:, facets]].T)
+    if basis.facet_dofs.size:
+        parts.append(basis.facet_dofs[0][facets][:, None])
+    areas = _facet_areas(nodes[vertices], axisymmetric)
+    return np.hstack(parts).astype(np.int64), areas
+
+
+def _facet_areas(corners: Array, axisymmetric: bool) -> Array:
+    """Areas from the corner positions, shape (n_facets, corners, dim)."""
+    if corners.shape[2] == 2:
+        length = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
+        around = 2 * np.pi * corners[:, :, 0].mean(axis=1) if axisymmetric else 1.0
+        return np.asarray(length * around)
+    a = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(a, axis=1) / 2
+    if corners.shape[1] == 4:  # scikit-fem orders a quadrilateral facet around its rim
+        b = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 0])
+        area = area + np.linalg.norm(b, axis=1) / 2
+    return np.asarray(area)
+
+
+def deformation_gradient(space: Discretization, u: Array) -> Array:
+    """F at every quadrature point, shape (3, 3, n_elements, n_quadrature).
+
+    Shapes: u (n_nodes, dim), mm.
+    """
+    local, dim = u[space.element_nodes], space.dim
+    F = np.zeros((3, 3, *space.weights.shape))
+    F[0, 0] = F[1, 1] = F[2, 2] = 1.0
+    F[:dim, :dim] += np.einsum("eai,eqaj->ijeq", local, space.gradients)
+    if dim == 2:
+        F[2, 2] += np.einsum("ea,eqa->eq", local[:, :, 0], space.hoop)
+    return F
+
+
+# -------------------------------------------------------------------------------------------------
+# Fixed sparsity pattern of the free unknowns and the map that scatters element tangents into it.
+#
+# Built once per mesh in one compiled pass; every Newton iteration then only adds numbers.
+
+_Filled = tuple[Unknowns, Unknowns, Unknowns]
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """Upper triangle, in compressed rows, of the matrix of the free unknowns."""
+
+    #: shape (n_free,); unknowns that are solved for, ascending.
+    free: NDArray[np.int64]
+    #: shape (n,); row of each unknown among the free ones, -1 where constrained.
+    number: NDArray[np.int32]
+    #: Compressed rows with sorted columns and an entry on every diagonal.
+    indptr: NDArray[np.int32]
+    indices: NDArray[np.int32]
+    #: shape (n_elements, m (m + 1) / 2); where each packed element entry goes; -1 where a
+    #: constrained unknown takes part.
+    positions: NDArray[np.int32]
+
+    @classmethod
+    def build(cls, dofs: NDArray[np.int32], n: int, constrained: NDArray[np.int64]) -> Pattern:
+        """Pattern of the elements' unknowns ``dofs`` (n_elements, m) without the constrained."""
+        mask = np.ones(n, dtype=bool)
+        mask[constrained] = False
+        free = np.flatnonzero(mask)
+        number = np.full(n, -1, dtype=np.int32)
+        number[free] = np.arange(free.size, dtype=np.int32)
+        rows = number[dofs]
+        indptr, indices, positions = _fill(rows, *_elements_around(rows, free.size))
+        return cls(free, number, indptr, indices, positions)
+
+    def locate(self, dofs: NDArray[np.int64]) -> NDArray[np.int32]:
+        """Positions of the packed upper entries of small blocks, shape (n_blocks, m(m+1)/2).
+
+        Every pair must already share an element, as the nodes of a face do.
+        """
+        m = dofs.shape[1]
+        rows, columns = np.triu_indices(m)
+        a, b = self.number[dofs[:, rows]], self.number[dofs[:, columns]]
+        low, high = np.minimum(a, b).ravel(), np.maximum(a, b).ravel()
+        return np.asarray(_find(self.indptr, self.indices, low, high).reshape(a.shape))
+
+
+@kernel()
+def _elements_around(rows: Unknowns, n_rows: int) -> tuple[Unknowns, Unknowns, Unknowns]:
+    """Elements around each row, and which of the element's unknowns it is.
+
+    ``rows`` (n_elements, m) are negative for constrained unknowns.
+    """
+    ne, m = rows.shape
+    start = np.zeros(n_rows + 1, np.int32)
+    for e in range(ne):
+        for i in range(m):
+            if rows[e, i] >= 0:
+                start[rows[e, i] + 1] += 1
+    for i in range(n_rows):
+        start[i + 1] += start[i]
+    fill = start[:-1].copy()
+    element, local = np.empty(start[n_rows], np.int32), np.empty(start[n_rows], np.int32)
+    for e in range(ne):
+        for i in range(m):
+            r = rows[e, i]
+            if r >= 0:
+                element[fill[r]], local[fill[r]] = e, i
+                fill[r] += 1
+    return start, element, local
+
+
+@kernel()
+def _fill(rows: Unknowns, start: Unknowns, element: Unknowns, local: Unknowns) -> _Filled:
+    """Row pointers, columns and the positions of packed entries, row by row."""
+    ne, m = rows.shape
+    n_rows = start.size - 1
+    indptr, seen = np.zeros(n_rows + 1, np.int32), np.full(n_rows, -1, np.int32)
+    for r in range(n_rows):
+        count = 0
+        for s in range(start[r], start[r + 1]):
+            e = element[s]
+            for j in range(m):
+                c = rows[e, j]
+                if c >= r and seen[c] != r:
+                    seen[c] = r
+                    count += 1
+        indptr[r + 1] = indptr[r] + count
+    indices, where = np.empty(indptr[n_rows], np.int32), np.empty(n_rows, np.int32)
+    positions = np.full((ne, m * (m + 1) // 2), -1, np.int32)
+    seen[:] = -1
+    for r in range(n_rows):
+        k = indptr[r]
+        for s in range(start[r], start[r + 1]):
+            e = element[s]
+            for j in range(m):
+                c = rows[e, j]
+                if c >= r and seen[c] != r:
+                    seen[c] = r
+                    indices[k] = c
+                    k += 1
+        indices[indptr[r] : k].sort()
+        for k in range(indptr[r], indptr[r + 1]):
+            where[indices[k]] = k
+        for s in range(start[r], start[r + 1]):
+            e, i = element[s], local[s]
+            for j in range(m):
+                c = rows[e, j]
+                if c >= r:
+                    a, b = min(i, j), max(i, j)
+                    positions[e, a * m - a * (a + 1) // 2 + b] = where[c]
+    return indptr, indices, positions
+
+
+@kernel()
+def _find(indptr: Unknowns, indices: Unknowns, low: Unknowns, high: Unknowns) -> Unknowns:
+    out = np.full(low.size, -1, np.int32)
+    for i in range(low.size):
+        if low[i] >= 0:
+            a, b = indptr[low[i]], indptr[low[i] + 1]
+            k = a + np.searchsorted(indices[a:b], high[i])
+            if k < b and indices[k] == high[i]:
+                out[i] = k
+    return out
+
+
+@kernel()
+def symmetric_product(indptr: Unknowns, indices: Unknowns, data: Array, v: Array) -> Array:
+    """Multiply the symmetric matrix of an upper triangle in compressed rows by a vector.
+
+    Shapes: data (n_entries,); v (n,).
+    """
+    out = np.zeros(v.size)
+    for i in range(v.size):
+        k = indptr[i]
+        total = data[k] * v[i]  # rows begin with their diagonal
+        for k in range(indptr[i] + 1, indptr[i + 1]):
+            j = indices[k]
+            total += data[k] * v[j]
+            out[j] += data[k] * v[i]
+        out[i] += total
+    return out
+
+
+Slabs = tuple[Elements, ...]
+
+#: quadrature points of a slab that are worth a thread's while, and numbers of slabs: two, four or
+#: eight threads have the same work
+_WORTH = 5_000
+_COUNTS = (16, 8, 4)
+
+
+def slabs(space: Discretization) -> tuple[Slabs, ...]:
+    """Elements in phases, each of them slabs across the body that share no unknown.
+
+    Of the ways across the body that one is taken along which elements are numbered, as far as
+    they are: memory is then read in a row. Where a mesh is too coarse somewhere for slabs, two
+    halves come first and the elements between them afterwards.
+    """
+    places = space.nodes[space.element_nodes].mean(axis=1).T
+    for count in _COUNTS:
+        if space.weights.size >= count * _WORTH:
+            cuts = [_every_second(_cut(place, count)) for place in places]
+            found = [cut for cut in cuts if all(_apart(phase, space) for phase in cut)]
+            if found:
+                return min(found, key=_gaps)
+    if space.weights.size >= 2 * _WORTH:
+        halves = [_halves(_cut(place, 2), space) for place in places]
+        return min(halves, key=lambda phases: phases[1][0].size)
+    return ((np.arange(space.n_elements, dtype=np.uint32),),)
+
+
+def _cut(place: Array, count: int) -> Slabs:
+    """Slabs of as many elements along ``place``, shape (n_elements,)."""
+    slab = np.empty(place.size, dtype=np.int64)
+    slab[np.argsort(place, kind="stable")] = count * np.arange(place.size) // place.size
+    return tuple(np.flatnonzero(slab == i).astype(np.uint32) for i in range(count))
+
+
+def _every_second(cut: Slabs) -> tuple[Slabs, ...]:
+    return cut[::2], cut[1::2]
+
+
+def _halves(cut: Slabs, space: Discretization) -> tuple[Slabs, ...]:
+    """Two slabs, the second without what it shares unknowns with the first, which comes after."""
+    first, second = cut
+    met = np.zeros(space.n, dtype=bool)
+    met[space.dofs[first].ravel()] = True
+    between = met[space.dofs[second]].any(axis=1)
+    return (first, second[~between]), (second[between],)
+
+
+def _gaps(phases: tuple[Slabs, ...]) -> int:
+    """Where the elements of a slab are not numbered in a row."""
+    steps = (np.diff(slab.astype(np.int64)) for phase in phases for slab in phase)
+    return sum(int(np.count_nonzero(step != 1)) for step in steps)
+
+
+def _apart(phase: Slabs, space: Discretization) -> bool:
+    """Whether no two slabs share an unknown."""
+    met = np.zeros(space.n, dtype=bool)
+    for elements in phase:
+        dofs = space.dofs[elements].ravel()
+        if met[dofs].any():
+            return False
+        met[dofs] = True
+    return True

@@ -1,0 +1,1 @@
+"""Forward models that are built in: finite elements, closed forms, half-spaces."""

@@ -1,0 +1,361 @@
+"""Closed form of homogeneous tests, such as compression between frictionless plates, and starts.
+
+Force = area x nominal stress at the stretch 1 - d/H, or at that of the kind of test, positive in
+the sense of the displacement, with the lateral stretch of the nearly incompressible material
+where K is finite. The gradient with
+respect to the constants is analytic, so a fit costs microseconds.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from study.ground.arrays import Array
+from study.ground.curve import Curve
+from study.ground.errors import Fault, InputError
+from study.mechanics.contact.rigid_surface import Line, Profile, profile
+from study.mechanics.material.homogeneous import LOADINGS, loading_in
+from study.mechanics.material.material import Material
+from study.mechanics.setup.geometry import Cone, Enclosed, Flat, Indenter, Specimen
+from study.mechanics.setup.material_section import MaterialSection
+from study.mechanics.setup.setup import Problem, Setup, Tables
+from study.mechanics.setup.test_section import course_of
+
+if TYPE_CHECKING:
+    from study.mechanics.solver.solution import Solution
+
+
+# -------------------------------------------------------------------------------------------------
+# Indentation in closed form, for the size of a modulus: half-space, layer, whole specimen.
+#
+# Force and depth of a rigid body of revolution that is pressed without friction into an elastic
+# half-space (Sneddon 1965, Int. J. Engng Sci. 3, 47), times the correction for a layer of finite
+# height (Dimitriadis et al. 2002, Biophys. J. 82, 2798). Strains are small and the specimen is
+# linear and wide in all of it: good for a start value within a factor of about 2, not for an
+# answer.
+
+#: points of the quadrature over the contact, and contact radii that are tabulated
+_POINTS = 64
+_RADII = 400
+
+#: contact radius over height up to which the series of a thick layer holds
+_SERIES_ENDS = 1.0
+
+#: share of a round indenter's radius up to which contact spreads: at all of it the wall is steep
+_NEARLY = 0.999
+
+
+def indentation(
+    indenter: Indenter,
+    depth_mm: Array,
+    *,
+    height_mm: float,
+    poisson_ratio: float = 0.5,
+    bonded: bool = True,
+) -> Array:
+    """Force over Young's modulus of an indented layer, mm^2, shape (n,).
+
+    Examples
+    --------
+    A sphere on a high specimen follows Hertz, 16/9 sqrt(R) d^1.5:
+
+    >>> from study.mechanics.setup.geometry import Sphere
+    >>> force = indentation(Sphere(8.0), np.array([0.01]), height_mm=1e6)
+    >>> float(force[0] / (16 / 9 * 8**0.5 * 0.01**1.5))
+    1.000
+    """
+    radius, force = _half_space(indenter, depth_mm)
+    layer = _layer(radius / height_mm, poisson_ratio, bonded)
+    return np.asarray(force * layer / (1 - poisson_ratio**2))
+
+
+def _half_space(indenter: Indenter, depth: Array) -> tuple[Array, Array]:
+    """Contact radius and force over the plane-strain modulus, each of shape (n,).
+
+    d = a int f'(a sin t) dt and F = 2 E* a^2 int sin(t)^2 f'(a sin t) dt, t from 0 to pi/2, for
+    the profile f and the contact radius a.
+    """
+    deepest = float(depth.max(initial=0.0))
+    first, widest = _contact(indenter, deepest)
+    # closer where contact begins: the force is interpolated, and rises from there as a power
+    radii = first + (widest - first) * np.linspace(0.0, 1.0, _RADII) ** 2
+    angles = (np.arange(_POINTS) + 0.5) * (0.5 * np.pi / _POINTS)
+    pieces = profile(indenter, far_mm=10 * (deepest + widest))
+    slopes = _slope(pieces, radii[:, None] * np.sin(angles))
+    step = 0.5 * np.pi / _POINTS
+    depths = radii * slopes.sum(axis=1) * step
+    forces = 2 * radii**2 * (slopes @ np.sin(angles) ** 2) * step
+    # a contact that has reached the indenter's full width goes on as that of a flat punch
+    beyond = np.maximum(depth - depths[-1], 0.0)
+    force = np.interp(depth, depths, forces) + 2 * widest * beyond
+    return np.interp(depth, depths, radii), force
+
+
+def _contact(indenter: Indenter, deepest: float) -> tuple[float, float]:
+    """Radius at which contact begins, and the largest one that a depth can bring, mm."""
+    if isinstance(indenter, Flat):
+        return indenter.face_radius_mm, indenter.radius_mm
+    if isinstance(indenter, Cone):
+        run = deepest * math.tan(math.radians(indenter.half_angle_deg))
+        free = 2 * (run + indenter.tip_radius_mm)
+        return 0.0, free if indenter.shaft_radius_mm is None else indenter.shaft_radius_mm
+    return 0.0, _NEARLY * indenter.radius_mm
+
+
+def _slope(pieces: Profile, rho: Array) -> Array:
+    """Slope of a profile at radius ``rho``, of the same shape."""
+    slope = np.zeros(rho.shape)
+    for piece in pieces:
+        if isinstance(piece, Line):
+            slope = np.where(*_along(piece, rho), slope)
+        elif piece.radius > 0:  # a corner has no width
+            out = (rho - piece.center[0]) / piece.radius
+            inside = (out > np.sin(piece.start)) & (out < np.sin(piece.end))
+            slope = np.where(inside, out / np.sqrt(np.maximum(1 - out**2, 1e-12)), slope)
+    return slope
+
+
+def _along(line: Line, rho: Array) -> tuple[NDArray[np.bool_], float]:
+    """Where a straight piece lies, and its slope."""
+    (r0, z0), (r1, z1) = line.start, line.end
+    rise = (z1 - z0) / (r1 - r0) if r1 > r0 else 0.0
+    return (rho >= r0) & (rho <= r1) & (r1 > r0), rise
+
+
+def _layer(ratio: Array, poisson_ratio: float, bonded: bool) -> Array:
+    """Stiffening of a layer by the contact radius over its height, shape (n,).
+
+    Dimitriadis et al. 2002, to third order, made for a sphere; straight on where it ends. A flat
+    punch on a bonded layer stiffens by 14 % less at a ratio of 1 and by 10 % less at 2 (nu = 0.5,
+    punch: validation/layers.csv).
+    """
+    nu = poisson_ratio
+    if bonded:
+        alpha = -(1.2876 - 1.4678 * nu + 1.3442 * nu**2) / (1 - nu)
+        beta = (0.6387 - 1.0277 * nu + 1.5164 * nu**2) / (1 - nu)
+    else:
+        alpha = -0.347 * (3 - 2 * nu) / (1 - nu)
+        beta = 0.056 * (5 - 2 * nu) / (1 - nu)
+    third = alpha**3 + 4 * np.pi**2 / 15 * beta
+    series = np.polynomial.Polynomial([1.0, -2 * alpha, 4 * alpha**2, -8 * third])
+    x, end = ratio / np.pi, _SERIES_ENDS / np.pi
+    return np.asarray(series(np.minimum(x, end)) + series.deriv()(end) * np.maximum(x - end, 0.0))
+
+
+def height_and_area(specimen: Specimen) -> tuple[float, float]:
+    """Height in mm and cross-section in mm^2 of a specimen, the mean one of a surface."""
+    if not isinstance(specimen, Enclosed):
+        return specimen.height_mm, specimen.area_mm2
+    from study.mechanics.surface.closed_surface import body
+
+    found = body(specimen)
+    return found.height_mm, found.volume_mm3 / found.height_mm
+
+
+def homogeneous(
+    specimen: Specimen,
+    material: Material,
+    displacement_mm: Array,
+    mode: str = "uniaxial",
+    sense: float = -1.0,
+    prestretch: float | None = None,
+) -> Curve:
+    """Force of a specimen that deforms the same everywhere.
+
+    Shapes: displacement_mm (n,); returns MPa.
+    """
+    height, area = height_and_area(specimen)
+    d = np.asarray(displacement_mm, dtype=float)
+    _check_height(height, d, sense)
+    loading = loading_in(mode, prestretch)
+    state = loading.nominal(material, loading.measure(sense * d / height))
+    gradient = {name: sense * area * slope for name, slope in state.gradient.items()}
+    return Curve(d, sense * area * state.stress, force_gradient=gradient)
+
+
+def over_time(setup: Setup, material: Material, displacement_mm: Array, time_s: Array) -> Curve:
+    """Force of a specimen that deforms the same everywhere and relaxes.
+
+    Shapes: displacement_mm, time_s (n,); returns N, MPa.
+    """
+    # it loads compiled kernels
+    from study.mechanics.material.viscoelasticity import relaxing
+
+    height, area = height_and_area(setup.specimen)
+    d, kind = np.asarray(displacement_mm, dtype=float), setup.kind
+    _check_height(height, d, kind.sense)
+    measure = LOADINGS[kind.mode].measure(kind.sense * d / height)
+    state = relaxing(material, kind.mode, np.asarray(time_s, float), measure)
+    factor = kind.sense * area
+    gradient = {name: factor * slope for name, slope in state.gradient.items()}
+    return Curve(d, factor * state.stress, force_gradient=gradient, time_s=time_s)
+
+
+def at_rows(setup: Setup, material: Material, rows: Curve) -> Curve:
+    """Force at the rows of another curve: over their times, at the test's speed, or elastic."""
+    d = rows.displacement_mm
+    if not material.relaxation:
+        return replace(_elastic(setup, material, d), time_s=rows.time_s)
+    if rows.time_s is not None:
+        return over_time(setup, material, d, rows.time_s)
+    if setup.test.speed_mm_per_s is None:
+        raise InputError(_no_speed())
+    return _ramp(setup, material, d)
+
+
+#: distance, in shares of the whole test, over which a tangent is taken: it is then exact to 1e-9
+_TANGENT = 3e-5
+#: places of each interval at which the force is integrated (Gauss and Legendre): exact to rounding
+_PLACES = 8
+
+
+def between_rows(setup: Setup, material: Material, displacement_mm: Array) -> Curve:
+    """Force at increasing displacements, with what makes the curve right between them too.
+
+    A curve of forces alone is drawn as chords: ten of them are a fifth of a percent off.
+
+    Shapes: displacement_mm (n,).
+    """
+    d = np.asarray(displacement_mm, dtype=float)
+    h = _TANGENT * d.max(initial=0.0)
+    first, second = np.where(d > h, d - h, d + 2 * h), d + h
+    node, weight = np.polynomial.legendre.leggauss(_PLACES)
+    begin, width = np.append(0.0, d)[:-1], np.diff(d, prepend=0.0)
+    inside = begin[:, None] + width[:, None] * (1 + node) / 2
+    asked, place = np.unique(
+        np.concatenate([d, first, second, inside.ravel()]), return_inverse=True
+    )
+    every = at_rows(setup, material, Curve(asked, np.empty(0)))
+    force, one, two, along = np.split(every.force_N[place], d.size * np.arange(1, 4))
+    # at the unloaded end a parabola through two places ahead, else both neighbors
+    tangent = np.where(d > h, two - one, 4 * two - one - 3 * force) / (2 * h)
+    work = np.cumsum(along.reshape(inside.shape) @ weight * width / 2)
+    return replace(every.at_points(place[: d.size]), stiffness_N_per_mm=tangent, work_Nmm=work)
+
+
+def _elastic(setup: Setup, material: Material, d: Array) -> Curve:
+    """Curve of a homogeneous test in which time does not matter."""
+    kind, stretched = setup.kind, setup.test.prestretch
+    return homogeneous(setup.specimen, material, d, kind.mode, kind.sense, stretched)
+
+
+def _ramp(setup: Setup, material: Material, d: Array) -> Curve:
+    """Force of a test at its speed, at increasing displacements: a curve over these."""
+    speed = setup.test.speed_mm_per_s or 1.0
+    begins = d.size > 0 and d[0] > 0
+    rows = np.append(0.0, d) if begins else d
+    course = over_time(setup, material, rows, rows / speed)
+    kept = course.at_points(np.arange(int(begins), rows.size))
+    return replace(kept, time_s=None)
+
+
+def _no_speed() -> Fault:
+    rule = "is missing: a material that relaxes resists a fast test more than a slow one"
+    return Fault("test.speed", rule, 'write speed = "10 mm/min", or name a column of time')
+
+
+def _check_height(height: float, d: Array, sense: float) -> None:
+    if sense < 0 and d.max(initial=0.0) >= height:
+        rule = f"must stay below the height of the specimen ({height} mm), got {d.max():g} mm"
+        raise InputError(Fault("test.displacement", rule, "measure or press less deep"))
+
+
+def compression(specimen: Specimen, material: Material, displacement_mm: Array) -> Curve:
+    """Force of a cylinder or block compressed between frictionless plates.
+
+    Shapes: displacement_mm (n,); returns MPa.
+    """
+    return homogeneous(specimen, material, displacement_mm)
+
+
+def neo_hookean_start(config: Tables, displacement_mm: Array, force_N: Array) -> dict[str, float]:
+    """C10 (MPa) of the closed form that fits a measured curve best.
+
+    The force is linear in C10 where Poisson's ratio is given, so one linear least squares
+    step is the answer between frictionless plates; elsewhere it is close enough for a start.
+
+    Shapes: displacement_mm, force_N (n,).
+    """
+    model = _force_per_C10(config, np.asarray(displacement_mm, dtype=float))
+    c10 = float(model @ force_N / (model @ model))
+    if not np.isfinite(c10) or c10 <= 0:
+        raise InputError(
+            Fault(
+                "measurements",
+                "the measured force does not resist (wrong sign?)",
+                "check measurements.sign and the force column",
+            )
+        )
+    return {"C10": c10}
+
+
+def _force_per_C10(config: Tables, d: Array) -> Array:  # noqa: N802
+    """Force over C10 of a neo-Hookean specimen, mm^2, shape (n,): nearly, or exactly."""
+    # a neo-Hookean solid of nearly the same Poisson's ratio, for the size of the modulus
+    unit = Material("neo-hookean", {"C10": 1.0}, incompressible=True)
+    setup = Setup.of(config)
+    if LOADINGS[setup.kind.mode].is_volumetric:  # the volume is all that changes
+        volume = MaterialSection.of(config).compressibility
+        unit = Material("neo-hookean", {"C10": 1.0}, volume.bulk_modulus_MPa, volume.poisson_ratio)
+    pressed = setup.test.indenter
+    if pressed is None:
+        return _elastic(setup, unit, d).force_N
+    nu = MaterialSection.of(config).compressibility.poisson_ratio or 0.5
+    height = setup.height_mm
+    per_modulus = indentation(
+        pressed,
+        np.maximum(d, 0.0),
+        height_mm=np.inf if height is None else height,
+        poisson_ratio=nu,
+        bonded=setup.test.base == "bonded",
+    )
+    # E = 4 (1 + nu) C10
+    force = 4 * (1 + nu) * per_modulus
+    if height is None or d.max(initial=0.0) >= height:
+        return force
+    # an indenter as wide as the specimen is a plate, and none needs more force than that
+    return np.minimum(force, compression(setup.specimen, unit, d).force_N)
+
+
+def solution(problem: Problem) -> Solution:
+    """Answer of a gauge section: its curve at the steps of the test."""
+    # it loads compiled kernels
+    from study.mechanics.solver.solution import without_answer
+
+    began = time.perf_counter()
+    curve = _prescribed(problem)
+    d, reached = curve.displacement_mm, np.isfinite(curve.force_N)
+    if curve.stiffness_N_per_mm is not None:  # known a little further than the last row
+        reached &= np.isfinite(curve.stiffness_N_per_mm)
+    count = int(d.size if reached.all() else np.argmin(reached))
+    kept = curve.at_points(np.arange(count))
+    status, message = "converged", "closed form of a homogeneous deformation"
+    if count < d.size:
+        end = d[count - 1] if count else 0.0
+        status, message = "unstable", f"the material has no equilibrium state beyond {end:.4g} mm"
+    empty = without_answer(problem, status, message, time.perf_counter() - began)
+    reached_mm = float(kept.displacement_mm[-1]) if count else 0.0
+    return replace(empty, curve=kept, reached_mm=reached_mm, solver="closed form")
+
+
+def _prescribed(problem: Problem) -> Curve:
+    """Curve at the steps of a test, over the course that it prescribes where that matters."""
+    setup, material, test = problem.setup, problem.material, problem.test
+    course = course_of(test)
+    if material.relaxation and course is None:
+        raise InputError(_no_speed())
+    if course is None:
+        return between_rows(setup, material, np.linspace(0.0, test.depth_mm, test.steps + 1)[1:])
+    if test.hold_s is None and test.cycles is None:  # a curve over displacement
+        return between_rows(setup, material, course.displacement_mm)
+    begun = Curve(
+        np.append(0.0, course.displacement_mm), np.empty(0), time_s=np.append(0.0, course.time_s)
+    )
+    found = at_rows(setup, material, begun)
+    return found.at_points(np.arange(1, len(found)))

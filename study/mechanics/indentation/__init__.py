@@ -1,0 +1,1 @@
+"""Contact laws in closed form, and moduli that indentation curves give by them."""

@@ -1,0 +1,555 @@
+"""Median over the units of a test, with an interval that assumes no distribution."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from scipy.linalg import solve_banded
+from scipy.optimize import minimize_scalar
+from scipy.special import bdtr, stdtrit
+
+from study.ground.arrays import Array, Flags
+from study.ground.errors import Fault, InputError
+from study.mechanics.indentation.contact_law import (
+    ForceLaw,
+    Layer,
+    Limit,
+    caution,
+    force_law,
+    limits,
+)
+from study.mechanics.measurement.conditioning import Rules, condition
+from study.mechanics.measurement.measurement_section import MeasurementSpec
+from study.mechanics.measurement.recording import read_recordings
+from study.mechanics.setup.calibration_table import Theory
+from study.mechanics.setup.geometry import Indenter
+
+#: level of every interval
+LEVEL = 0.95
+
+#: units from which order statistics hold the median in 95 %: 1 - 2 / 2^6
+_MEDIAN_FROM = 6
+
+
+@dataclass(frozen=True)
+class MedianEstimate:
+    """Middle of the moduli of independent units."""
+
+    value_MPa: float
+    #: Interval of at least 95 %.
+    interval_MPa: tuple[float, float] | None
+    kind: str
+    units: int
+    #: First and third quartile: the scatter between units.
+    quartiles_MPa: tuple[float, float]
+
+
+def median_estimate(
+    moduli_MPa: Sequence[float], alone: tuple[float, float] | None = None
+) -> MedianEstimate:
+    """Median with its interval: by order statistics from six units on, Student's t below.
+
+    Examples
+    --------
+    The least and the largest of six hold the median in 1 - 2/64 = 96.9 %:
+
+    >>> median_estimate([3.0, 1.0, 2.0, 6.0, 4.0, 5.0]).interval_MPa
+    (1.0, 6.0)
+    """
+    values = np.sort(np.asarray(moduli_MPa, dtype=float))
+    n = values.size
+    low, middle, high = (float(v) for v in np.quantile(values, [0.25, 0.5, 0.75]))
+    interval: tuple[float, float] | None = alone
+    kind = "of the only curve: it knows nothing of the scatter between curves"
+    if n >= _MEDIAN_FROM:
+        # the k-th smallest lies above the median with the chance that fewer than k lie below
+        k = int(np.count_nonzero(bdtr(np.arange(n // 2), n, 0.5) <= (1 - LEVEL) / 2))
+        interval, kind = (float(values[k - 1]), float(values[n - k])), "of the median"
+    elif n > 1:
+        half = stdtrit(n - 1, (1 + LEVEL) / 2) * values.std(ddof=1) / np.sqrt(n)
+        mean = float(values.mean())
+        interval, kind = (mean - float(half), mean + float(half)), "of the mean, by Student's t"
+    return MedianEstimate(middle, interval, kind, n, (low, high))
+
+
+# -------------------------------------------------------------------------------------------------
+# Young's modulus of one indentation curve by least squares, with an interval.
+#
+# Force is E* times a known function of depth, so that E* is linear; a depth of contact, where it is
+# asked for, is searched by variable projection (Golub and Pereyra 1973). Neighboring residuals are
+# correlated: the variance is that of least squares under autoregressive errors of first order,
+# whose coefficient is estimated from the residuals and corrected for its bias.
+
+Status = Literal["fitted", "outside", "implausible", "unreadable"]
+
+#: rows in contact and within the limits that a fit needs
+MIN_ROWS = 5
+
+#: depths of contact that are tried before the best of them is refined
+_TRIED = 41
+
+#: share of the travel up to which contact may begin, and before its start that it may have begun
+_LATEST = 0.9
+_EARLIEST = -0.2
+
+#: rounds of fitting and of choosing the rows within the limits of the depth so found
+_ROUNDS = 8
+
+#: largest correlation of neighboring residuals that is told from a trend
+_MOST_CORRELATED = 0.99
+
+
+@dataclass(frozen=True)
+class CurveModulus:
+    """Modulus of one curve."""
+
+    #: {"fitted", "outside", "implausible", "unreadable"}: how the fit ended.
+    status: Status
+    #: Why there is no modulus; empty where there is one.
+    message: str = ""
+    #: Rows in contact, and how many of them lie beyond a limit.
+    rows: int = 0
+    rows_outside: int = 0
+    #: Young's modulus and its standard error.
+    modulus_MPa: float | None = None
+    error_MPa: float | None = None
+    interval_MPa: tuple[float, float] | None = None
+    #: Displacement at contact and its standard error, where it was fitted.
+    contact_mm: float | None = None
+    contact_error_mm: float | None = None
+    correlation: float | None = None
+    #: Root mean square of the residuals over that of the forces.
+    relative_rms: float | None = None
+
+
+def fit_modulus(
+    displacement_mm: Array,
+    force_N: Array,
+    law: ForceLaw,
+    *,
+    poisson_ratio: float,
+    deepest_mm: float,
+    find_contact: bool = False,
+) -> CurveModulus:
+    """Fit Young's modulus to the rows of one curve that lie within the limits.
+
+    Shapes: displacement_mm, force_N (n,).
+    """
+    contact = 0.0
+    used: Flags = np.zeros(displacement_mm.shape, dtype=bool)
+    for _ in range(_ROUNDS if find_contact else 1):
+        if find_contact:
+            chosen = used if used.any() else np.ones_like(used)
+            contact = _contact(displacement_mm[chosen], force_N[chosen], law)
+        before, used = used, displacement_mm - contact <= deepest_mm
+        if np.array_equal(before, used) or _touching(displacement_mm[used], contact) < MIN_ROWS:
+            break
+    rows = _touching(displacement_mm, contact)
+    outside = int(np.count_nonzero(~used))
+    if _touching(displacement_mm[used], contact) < MIN_ROWS:
+        rule = f"{rows - outside} of {rows} rows in contact are within the limits, {MIN_ROWS} must"
+        return CurveModulus("outside", rule, rows, outside)
+    d, f = displacement_mm[used], force_N[used]
+    return _judged(d - contact, f, law, poisson_ratio, (rows, outside), contact, find_contact)
+
+
+def _touching(displacement: Array, contact: float) -> int:
+    return int(np.count_nonzero(displacement > contact))
+
+
+def _contact(d: Array, force: Array, law: ForceLaw) -> float:
+    """Displacement at contact that leaves the least sum of squares."""
+    span = float(np.ptp(d))
+    tried = d[0] + span * np.linspace(_EARLIEST, _LATEST, _TRIED)
+    explained = _explained(law.force(d - tried[:, None]), force)
+    best = int(np.argmax(explained))
+    step = tried[1] - tried[0]
+
+    def loss(contact: float) -> float:
+        return -float(_explained(law.force(d - contact)[None, :], force)[0])
+
+    ends = (tried[best] - step, tried[best] + step)
+    return float(minimize_scalar(loss, bounds=ends, options={"xatol": 1e-6 * span}).x)
+
+
+def _explained(shapes: Array, force: Array) -> Array:
+    """Sum of squares that each of several curves in proportion explains, shape (m,)."""
+    size = np.maximum(np.einsum("ij,ij->i", shapes, shapes), 1e-300)
+    return np.asarray((shapes @ force) * np.abs(shapes @ force) / size)
+
+
+def _judged(
+    depth: Array,
+    force: Array,
+    law: ForceLaw,
+    poisson_ratio: float,
+    rows: tuple[int, int],
+    contact: float,
+    find_contact: bool,
+) -> CurveModulus:
+    """Modulus and interval at a known contact; its slope enters the covariance."""
+    shape = law.force(depth)
+    plane_strain = float(shape @ force / (shape @ shape))
+    if plane_strain <= 0:
+        rule = f"the modulus would be {1e3 * plane_strain:.4g} kPa: check sign and contact"
+        return CurveModulus("implausible", rule, *rows)
+    columns = [shape, -plane_strain * law.stiffness(depth)] if find_contact else [shape]
+    jacobian = np.column_stack(columns)
+    residual = force - plane_strain * shape
+    covariance, correlation, freedom = _covariance(jacobian, residual)
+    scale = 1 - poisson_ratio**2
+    value, error = scale * plane_strain, scale * float(np.sqrt(covariance[0, 0]))
+    half = float(stdtrit(freedom, 0.975)) * error
+    return CurveModulus(
+        "fitted",
+        "",
+        *rows,
+        modulus_MPa=value,
+        error_MPa=error,
+        interval_MPa=(value - half, value + half),
+        contact_mm=contact if find_contact else None,
+        contact_error_mm=float(np.sqrt(covariance[1, 1])) if find_contact else None,
+        correlation=correlation,
+        relative_rms=float(np.sqrt(residual @ residual / (force @ force))),
+    )
+
+
+def _covariance(jacobian: Array, residual: Array) -> tuple[Array, float, float]:
+    """Covariance under AR(1) errors, their coefficient, and degrees of freedom.
+
+    With R_ij = r^|i-j| and B = (J'J)^-1 J'RJ the expected residual sum of squares is
+    sigma^2 (n - tr B), and the covariance sigma^2 B (J'J)^-1.
+    """
+    n, p = jacobian.shape
+    size = float(residual @ residual)
+    lag = float(residual[1:] @ residual[:-1]) / size if size > 0 else 0.0
+    # low by about (p + (p + 2) r) / n after a fit of p constants (Kendall 1954 for a mean); half a
+    # standard error more, because an interval suffers more from too low an r than from too high
+    r = (n * lag + p) / max(n - p - 2, 1)
+    r += 0.5 * float(np.sqrt(max(1 - r**2, 0.0) / n))
+    r = float(np.clip(r, 0.0, _MOST_CORRELATED))
+    # sums over all rows before, r J_(i-1) + r^2 J_(i-2) + ..., from s_i - r s_(i-1) = r J_(i-1)
+    bands = np.vstack([np.ones(n), np.full(n, -r)])
+    before = solve_banded((1, 0), bands, r * np.vstack([np.zeros((1, p)), jacobian[:-1]]))
+    cross = jacobian.T @ before
+    inverse = np.linalg.pinv(jacobian.T @ jacobian)
+    spread = inverse @ (jacobian.T @ jacobian + cross + cross.T)
+    left = max(n - float(np.trace(spread)), 1.0)
+    freedom = max(n * (1 - r) / (1 + r) - p, 1.0)
+    return np.asarray(size / left * spread @ inverse), r, freedom
+
+
+# -------------------------------------------------------------------------------------------------
+# Measured indentations, each on its own rows: many curves share no grid.
+
+
+@dataclass(frozen=True)
+class RecordedCurve:
+    """One curve as it was measured."""
+
+    label: str
+    groups: Mapping[str, str]
+    #: shape (n,); rows, rising in displacement; empty where the curve is of no use.
+    displacement_mm: Array
+    force_N: Array
+    #: Why it is of no use.
+    fault: str = ""
+
+
+def read_curves(
+    spec: MeasurementSpec, root: Path, height_mm: float | None, displacement_mm: float | None
+) -> tuple[tuple[RecordedCurve, ...], tuple[str, ...]]:
+    """Read all curves of a specification, and notes of what was done to the files."""
+    columns = (spec.columns.kinematic, spec.columns.kinetic)
+    if columns != ("displacement", "force"):
+        rule = f"an indentation needs displacement and force, got {' and '.join(columns)}"
+        mend = 'columns = { displacement = "...", force = "..." }'
+        raise InputError(Fault("measurements.columns", rule, mend))
+    low, high = 0.0, np.inf if displacement_mm is None else displacement_mm
+    if spec.range is not None:
+        low, high = spec.range.in_mm(height_mm)
+    rules = Rules(
+        low, high, 0, spec.sign or "positive", spec.zero or "none", spec.toe, height_mm
+    )  # fmt: skip
+    recorded = read_recordings(spec, root)
+    found: list[RecordedCurve] = []
+    faults: list[Fault] = []
+    for one in recorded.tests:
+        try:
+            kept = condition(one.kinematic, one.kinetic, rules, one.where)
+        except InputError as error:
+            faults += error.faults
+            nothing = np.empty(0)
+            found.append(RecordedCurve(one.where, one.groups, nothing, nothing, str(error)))
+            continue
+        found.append(RecordedCurve(one.where, one.groups, kept.displacement_mm, kept.force_N))
+    if all(one.fault for one in found):
+        raise InputError(faults)
+    return tuple(found), recorded.notes
+
+
+# -------------------------------------------------------------------------------------------------
+# Moduli of the curves of a test, gathered by unit, and what is wrong with them.
+
+
+@dataclass(frozen=True)
+class FittedCurve:
+    """Modulus of one curve."""
+
+    label: str
+    groups: Mapping[str, str]
+    found: CurveModulus
+
+    def to_json(self) -> dict[str, object]:
+        """Plain values, moduli in kPa."""
+        found = asdict(self.found)
+        low_high = found.pop("interval_MPa")
+        return {
+            "label": self.label,
+            "groups": dict(self.groups),
+            "modulus_kPa": _kilo(found.pop("modulus_MPa")),
+            "standard_error_kPa": _kilo(found.pop("error_MPa")),
+            "ci95_kPa": None if low_high is None else [_kilo(v) for v in low_high],
+            **found,
+        }
+
+
+@dataclass(frozen=True)
+class IndentationModulus:
+    """Modulus of one test of a calibration file in closed form."""
+
+    test: int
+    file: str
+    #: What was pressed in, and how the support enters.
+    indenter: str
+    theory: str
+    poisson_ratio: float
+    height_mm: float
+    #: Depths at which assumptions end, the least first.
+    limits: tuple[Limit, ...]
+    curves: tuple[FittedCurve, ...]
+    #: Column of the units; every curve is one where it is None.
+    block: str | None
+    #: Median of the curves of every unit.
+    unit_moduli_MPa: Mapping[str, float]
+    #: Median over units; None where no curve could be fitted.
+    estimate: MedianEstimate | None
+    warnings: tuple[str, ...]
+
+    @property
+    def rows(self) -> int:
+        """Rows in contact."""
+        return sum(one.found.rows for one in self.curves)
+
+    @property
+    def rows_outside(self) -> int:
+        """Rows beyond a limit, which no fit uses."""
+        return sum(one.found.rows_outside for one in self.curves)
+
+    @property
+    def fitted(self) -> int:
+        """Curves that have a modulus."""
+        return sum(one.found.status == "fitted" for one in self.curves)
+
+    def to_json(self) -> dict[str, object]:
+        """Plain values, moduli in kPa."""
+        return {
+            "test": self.test,
+            "file": self.file,
+            "indenter": self.indenter,
+            "theory": self.theory,
+            "poisson_ratio": self.poisson_ratio,
+            "height_mm": self.height_mm,
+            "limits": [one.to_json() for one in self.limits],
+            "youngs_modulus": self._estimate(1.0),
+            "shear_modulus": self._estimate(1 / (2 * (1 + self.poisson_ratio))),
+            "block": self.block,
+            "units": {k: _kilo(v) for k, v in self.unit_moduli_MPa.items()},
+            "curves_read": len(self.curves),
+            "curves_fitted": self.fitted,
+            "rows": self.rows,
+            "rows_outside": self.rows_outside,
+            "curves": [one.to_json() for one in self.curves],
+            "warnings": list(self.warnings),
+        }
+
+    def _estimate(self, factor: float) -> dict[str, object] | None:
+        found = self.estimate
+        if found is None:
+            return None
+        interval = found.interval_MPa
+        return {
+            "median_kPa": _kilo(factor * found.value_MPa),
+            "ci95_kPa": None if interval is None else [_kilo(factor * v) for v in interval],
+            "interval": found.kind,
+            "units": found.units,
+            "quartiles_kPa": [_kilo(factor * v) for v in found.quartiles_MPa],
+        }
+
+
+@dataclass(frozen=True)
+class AnalyticCalibration:
+    """What ``study calibrate --method analytic`` found."""
+
+    name: str
+    tests: tuple[IndentationModulus, ...]
+    #: What was done to the files.
+    notes: tuple[str, ...]
+    #: Time that reading and fitting took.
+    seconds: float
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether every test has a modulus."""
+        return all(one.estimate is not None for one in self.tests)
+
+    def to_json(self) -> dict[str, object]:
+        """Document of ``study calibrate --method analytic --json``."""
+        return {
+            "name": self.name,
+            "method": "analytic",
+            "tests": [one.to_json() for one in self.tests],
+            "notes": list(self.notes),
+            "seconds": self.seconds,
+        }
+
+
+def _kilo(value_MPa: float | None) -> float | None:
+    return None if value_MPa is None else 1e3 * value_MPa
+
+
+# -------------------------------------------------------------------------------------------------
+# Closed-form modulus of the indentations of one test: curves, limits, median, warnings.
+
+#: share by which the chosen support changes the force before it is said
+_SAID = 0.01
+
+#: deepest data over which the law is tabulated: contact may have begun before the recording
+_DEEPER = 1.25
+
+
+@dataclass(frozen=True)
+class IndentationTest:
+    """What the closed form needs to know of a test."""
+
+    #: What is pressed in, without friction.
+    indenter: Indenter
+    layer: Layer
+    area_mm2: float
+    spec: MeasurementSpec
+    displacement_mm: float | None = None
+    #: {"integral-equation", "dimitriadis", "half-space"}: how the support enters.
+    theory: Theory = "integral-equation"
+    #: Whether a sphere is taken for a paraboloid, as Hertz did.
+    paraboloid: bool = False
+    #: Whether the displacement at contact is fitted.
+    find_contact: bool = False
+
+
+def indentation_modulus(
+    test: IndentationTest, root: Path, number: int = 0
+) -> tuple[IndentationModulus, tuple[str, ...]]:
+    """Young's modulus of every curve of a test and their median, and notes on the files."""
+    height = test.layer.height_mm
+    curves, notes = read_curves(test.spec, root, height, test.displacement_mm)
+    deepest = max(float(c.displacement_mm[-1]) for c in curves if not c.fault)
+    law = force_law(
+        test.indenter, test.layer, _DEEPER * deepest, theory=test.theory, paraboloid=test.paraboloid
+    )
+    series = test.theory == "dimitriadis"
+    found = limits(test.indenter, test.layer, law, area_mm2=test.area_mm2, is_series=series)
+    fitted = tuple(FittedCurve(c.label, c.groups, _fitted(test, c, law, found)) for c in curves)
+    units = _units(fitted, test.spec.block)
+    result = IndentationModulus(
+        test=number,
+        file=str(test.spec.file or test.spec.files),
+        indenter=test.indenter.shape,
+        theory=test.theory,
+        poisson_ratio=test.layer.poisson_ratio,
+        height_mm=height,
+        limits=found,
+        curves=fitted,
+        block=test.spec.block,
+        unit_moduli_MPa=units,
+        estimate=_estimate(fitted, units),
+        warnings=tuple(_warnings(test, fitted, found, law, deepest)),
+    )
+    return result, notes
+
+
+def _fitted(
+    test: IndentationTest, curve: RecordedCurve, law: ForceLaw, found: Sequence[Limit]
+) -> CurveModulus:
+    if curve.fault:
+        return CurveModulus("unreadable", curve.fault)
+    return fit_modulus(
+        curve.displacement_mm,
+        curve.force_N,
+        law,
+        poisson_ratio=test.layer.poisson_ratio,
+        deepest_mm=found[0].depth_mm,
+        find_contact=test.find_contact,
+    )
+
+
+def _units(fitted: Sequence[FittedCurve], block: str | None) -> Mapping[str, float]:
+    """Median modulus of every unit: curves of one specimen are repeats, not independent."""
+    moduli: dict[str, list[float]] = {}
+    for one in fitted:
+        if one.found.modulus_MPa is not None:
+            unit = one.label if block is None else one.groups[block]
+            moduli.setdefault(unit, []).append(one.found.modulus_MPa)
+    return {unit: float(np.median(values)) for unit, values in moduli.items()}
+
+
+def _estimate(fitted: Sequence[FittedCurve], units: Mapping[str, float]) -> MedianEstimate | None:
+    if not units:
+        return None
+    own = [one.found.interval_MPa for one in fitted if one.found.interval_MPa is not None]
+    return median_estimate(list(units.values()), own[0] if len(own) == 1 else None)
+
+
+def _warnings(
+    test: IndentationTest,
+    fitted: Sequence[FittedCurve],
+    found: Sequence[Limit],
+    law: ForceLaw,
+    deepest_mm: float,
+) -> list[str]:
+    said = []
+    rows = sum(one.found.rows for one in fitted)
+    outside = sum(one.found.rows_outside for one in fitted)
+    if outside:
+        said.append(
+            f"{100 * outside / rows:.3g} % of the rows in contact ({outside} of {rows}) lie deeper "
+            f"than {found[0].depth_mm:.4g} mm ({found[0].what}) and are not fitted"
+        )
+    for status, count in Counter(one.found.status for one in fitted).items():
+        if status != "fitted":
+            first = next(one for one in fitted if one.found.status == status)
+            said.append(f"{count} of {len(fitted)} curves are {status}: {first.label}: "
+                        f"{first.found.message}")  # fmt: skip
+    if words := caution(test.indenter):
+        said.append(words)
+    return [*said, *_support(test, law, min(found[0].depth_mm, deepest_mm))]
+
+
+def _support(test: IndentationTest, law: ForceLaw, depth_mm: float) -> list[str]:
+    """Say by how much another treatment of the support is off at the deepest row that counts."""
+    if test.theory == "integral-equation" or depth_mm <= 0:
+        return []
+    depth = np.array([depth_mm])
+    exact = force_law(test.indenter, test.layer, depth_mm, paraboloid=test.paraboloid)
+    off = float(exact.force(depth)[0] / law.force(depth)[0]) - 1
+    if abs(off) < _SAID:
+        return []
+    name = "the half-space" if test.theory == "half-space" else "Dimitriadis' series"
+    return [
+        f"at {depth_mm:.4g} mm the layer resists {100 * off:+.1f} % against {name}, and the "
+        "modulus is off by up to as much: write theory = 'integral-equation'"
+    ]

@@ -1,0 +1,1 @@
+"""Strain energies, their stresses in homogeneous deformations, relaxation and stability."""

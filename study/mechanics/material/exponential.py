@@ -1,0 +1,182 @@
+"""Energies that grow exponentially with the first invariant.
+
+``W = (p + q a) exp(k a) - p + d b`` with a = I1 - 3 and b = I2 - 3 holds these energies and their
+derivatives by their constants, so that one compiled law serves them all.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Collection
+from typing import NamedTuple
+
+import numpy as np
+
+from study.ground.arrays import Array
+from study.mechanics.material.energy import (
+    Compressibility,
+    Constant,
+    Constants,
+    Converted,
+    DeclaredConstants,
+    Law,
+    PointLaw,
+    febio_hyperelastic,
+)
+from study.mechanics.material.polynomial import Curvatures, InvariantEnergy, Slopes
+
+#: k a beyond which a state has no stress: e^500 is near the largest number there is
+LARGEST_EXPONENT = 500.0
+
+
+class Exponential(NamedTuple):
+    """Coefficients of an exponential energy, or of its derivative by a constant."""
+
+    #: Of the exponential function and of a times it, MPa.
+    p: float
+    q: float
+    k: float
+    #: Of the second invariant, MPa.
+    d: float = 0.0
+
+    def growth(self, a: Array) -> Array:
+        """exp(k a); NaN beyond :data:`LARGEST_EXPONENT`."""
+        exponent = self.k * np.asarray(a, float)
+        within = exponent < LARGEST_EXPONENT
+        return np.where(within, np.exp(np.where(within, exponent, 0.0)), np.nan)
+
+    def slopes(self, a: Array) -> Slopes:
+        """By I1 and I2."""
+        return Slopes((self.q + self.k * (self.p + self.q * a)) * self.growth(a), self.d)
+
+
+class ExponentialEnergy(InvariantEnergy):
+    """Energy of this form."""
+
+    #: Whether the second invariant enters.
+    has_second_invariant = False
+
+    @abstractmethod
+    def coefficients(self, constants: Constants) -> Exponential:
+        """Those of W; q is zero."""
+
+    @abstractmethod
+    def coefficient_rates(self, constants: Constants, name: str) -> Exponential:
+        """Those of the derivative of W by a constant."""
+
+    def value(self, constants: Constants, a: Array, b: Array) -> Array:
+        """Written with exp(k a) - 1, which keeps its digits at small strain."""
+        c = self.coefficients(constants)
+        return np.asarray(c.p * np.expm1(c.k * a) + c.d * b)
+
+    def slopes(self, constants: Constants, a: Array, b: Array) -> Slopes:
+        """Of W."""
+        return self.coefficients(constants).slopes(a)
+
+    def curvatures(self, constants: Constants, a: Array, b: Array) -> Curvatures:
+        """By the first invariant alone."""
+        c = self.coefficients(constants)
+        return Curvatures(c.k**2 * c.p * c.growth(a))
+
+    def slope_gradients(self, constants: Constants, a: Array, b: Array) -> dict[str, Slopes]:
+        """Of the derivatives."""
+        return {n: self.coefficient_rates(constants, n).slopes(a) for n in constants}
+
+    def law(self, constants: Constants, compressibility: Compressibility) -> Law:
+        """Hand over p, q, k, and d in a second column where it enters."""
+        return self._law(self.coefficients(constants))
+
+    def law_rate(self, constants: Constants, compressibility: Compressibility, name: str) -> Law:
+        """Hand over those of the derivative."""
+        return self._law(self.coefficient_rates(constants, name))
+
+    def _law(self, c: Exponential) -> Law:
+        table = np.array([[c.p, c.d], [c.q, 0.0], [c.k, 0.0]])
+        columns = 2 if self.has_second_invariant else 1
+        return Law(PointLaw.EXPONENTIAL, np.ascontiguousarray(table[:, :columns]))
+
+
+# -------------------------------------------------------------------------------------------------
+# Isotropic exponential energy of soft tissue: W = mu / (2 b) (exp(b (I1 - 3)) - 1).
+#
+# Fung's law (1967) in the isotropic form of Demiray (1972, J. Biomech. 5, 309-311), which Humphrey
+# and Yin (1987) write with c = mu / (2 b).
+
+#: stiffening that a fit starts from: W is nearly neo-Hookean at moderate strain
+FUNG_STARTING_STIFFENING = 0.1
+
+
+class Fung(DeclaredConstants, ExponentialEnergy):
+    """Initial shear modulus mu and stiffening b; neo-Hookean as b goes to zero."""
+
+    name = "fung"
+    shear_modulus_formula = "mu"
+    declared = (Constant("mu", 0.0, np.inf), Constant("b", 1e-6, 1e4, True))
+
+    def coefficients(self, constants: Constants) -> Exponential:
+        """Return mu / (2 b) of the exponential function."""
+        mu, b = constants["mu"], constants["b"]
+        return Exponential(0.5 * mu / b, 0.0, b)
+
+    def coefficient_rates(self, constants: Constants, name: str) -> Exponential:
+        """Differentiate mu / (2 b) exp(b a)."""
+        mu, b = constants["mu"], constants["b"]
+        if name == "mu":
+            return Exponential(0.5 / b, 0.0, b)
+        return Exponential(-0.5 * mu / b**2, 0.5 * mu / b, b)
+
+    def always_elliptic(self, constants: Constants) -> bool:
+        """Whether it is a convex function of the stretches."""
+        return constants["mu"] > 0 and constants["b"] > 0
+
+    def starting_values(self, names: Collection[str], shear_modulus: float) -> dict[str, float]:
+        """Little stiffening."""
+        return {"mu": shear_modulus, "b": FUNG_STARTING_STIFFENING}
+
+
+# -------------------------------------------------------------------------------------------------
+# Energy of skin: W = C1 (exp(C2 (I1 - 3)) - 1) - C1 C2 / 2 (I2 - 3).
+#
+# Veronda and Westmann (1970, J. Biomech. 3, 111-124), without their volumetric term; the form of
+# FEBio's material of that name (User Manual, 4.1.2).
+
+#: stiffening that a fit starts from
+VERONDA_WESTMANN_STARTING_STIFFENING = 0.1
+
+
+class VerondaWestmann(DeclaredConstants, ExponentialEnergy):
+    """Modulus C1 and stiffening C2; mu0 = C1 C2.
+
+    At small strain W falls with I2, so that it may be unstable in equibiaxial tension where C2
+    is small: stability says from where on.
+    """
+
+    name = "veronda-westmann"
+    shear_modulus_formula = "C1 C2"
+    has_second_invariant = True
+    declared = (Constant("C1", 0.0, np.inf), Constant("C2", 1e-6, 1e4, True))
+
+    def coefficients(self, constants: Constants) -> Exponential:
+        """C1 of the exponential function, -C1 C2 / 2 of the second invariant."""
+        c1, c2 = constants["C1"], constants["C2"]
+        return Exponential(c1, 0.0, c2, -0.5 * c1 * c2)
+
+    def coefficient_rates(self, constants: Constants, name: str) -> Exponential:
+        """Differentiate W by each."""
+        c1, c2 = constants["C1"], constants["C2"]
+        if name == "C1":
+            return Exponential(1.0, 0.0, c2, -0.5 * c2)
+        return Exponential(0.0, c1, c2, -0.5 * c1)
+
+    def starting_values(self, names: Collection[str], shear_modulus: float) -> dict[str, float]:
+        """Little stiffening."""
+        return {
+            "C1": shear_modulus / VERONDA_WESTMANN_STARTING_STIFFENING,
+            "C2": VERONDA_WESTMANN_STARTING_STIFFENING,
+        }
+
+    def febio(self, constants: Constants, compressibility: Compressibility) -> Converted:
+        """FEBio has the same form."""
+        bulk = compressibility.bulk(self.initial_shear_modulus(constants, compressibility))
+        values = {"c1": constants["C1"], "c2": constants["C2"]}
+        return febio_hyperelastic("Veronda-Westmann", values, bulk)

@@ -1,0 +1,541 @@
+"""Homogeneous tests in closed form: uniaxial, equibiaxial, planar, confined, simple shear.
+
+Incompressible materials follow the textbook formulas (Ogden 1984, ch. 7; Treloar 1975);
+where K is finite the free stretch is solved from zero lateral stress, so that the answer is
+the one a mixed finite element gives. Gradients are total derivatives: where Poisson's ratio
+is given, K follows the constants.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from study.ground.arrays import Array
+from study.ground.errors import Fault, InputError, nearest
+from study.mechanics.material.energy import CompressibleEnergy, poisson_from_bulk
+from study.mechanics.material.material import Material
+
+# -------------------------------------------------------------------------------------------------
+# Stress and tangent of a material at a deformation gradient.
+
+
+def strain_energy(material: Material, F: Array) -> Array:
+    """Strain energy per unit reference volume in MPa.
+
+    Shapes: F (3, 3, ...); returns (...).
+    """
+    if material.small_strain:
+        strain, trace = _small_strain(F)
+        mu, pressure = material.mu0, _finite(material.bulk)
+        dev = strain - trace / 3 * _identity(F)
+        return np.asarray(mu * (dev**2).sum((0, 1)) + pressure / 2 * trace**2)
+    stretch, _, J = _spectral(F)
+    if (foam := material.compressible) is not None:
+        found = foam.energy_density(material.constants, material.compressibility, stretch)
+        return _reached(material, found)
+    bar = stretch / np.cbrt(J)
+    energy = _reached(material, material.isochoric.energy_density(material.constants, bar))
+    return energy + _finite(material.bulk) / 2 * (J - 1) ** 2
+
+
+def first_piola(material: Material, F: Array) -> Array:
+    """First Piola-Kirchhoff (nominal) stress dW/dF in MPa, shape (3, 3, ...)."""
+    if material.small_strain:
+        return _linear_stress(F, material.mu0, _finite(material.bulk))
+    stretch, axes, J = _spectral(F)
+    if (foam := material.compressible) is not None:
+        tau = foam.kirchhoff(material.constants, material.compressibility, stretch)
+        return _assemble(F, stretch, axes, _reached(material, tau))
+    bar = stretch / np.cbrt(J)
+    stress = _reached(material, material.isochoric.principal_stress(material.constants, bar))
+    kirchhoff = deviator(stress)
+    return _assemble(F, stretch, axes, kirchhoff + _finite(material.bulk) * J * (J - 1))
+
+
+def first_piola_gradient(material: Material, F: Array) -> dict[str, Array]:
+    """Differentiate :func:`first_piola` by every constant, K(nu) included.
+
+    Shapes: returns (3, 3, ...), MPa.
+    """
+    dbulk = material.bulk_gradient()
+    if material.small_strain:
+        dmu = material.mu0_gradient()
+        return {n: _linear_stress(F, dmu[n], dbulk[n]) for n in material.names}
+    stretch, axes, J = _spectral(F)
+    if (foam := material.compressible) is not None:
+        slopes = foam.kirchhoff_gradient(material.constants, material.compressibility, stretch)
+        return {name: _assemble(F, stretch, axes, slope) for name, slope in slopes.items()}
+    partial = material.isochoric.principal_stress_gradient(material.constants, stretch / np.cbrt(J))
+    return {
+        name: _assemble(F, stretch, axes, deviator(value) + dbulk[name] * J * (J - 1))
+        for name, value in partial.items()
+    }
+
+
+def _reached(material: Material, values: Array) -> Array:
+    """Refuse states that an energy does not reach, where it answers NaN."""
+    if np.isnan(values).any():
+        rule = f"{material.model} has no stress at this state: it lies beyond the end of the chains"
+        mend = "deform less, or give constants whose limit lies further away"
+        raise InputError(Fault("material", rule, mend))
+    return values
+
+
+def deviator(values: Array) -> Array:
+    """Subtract the mean over the first axis.
+
+    Shapes: values (3, ...).
+    """
+    # what ``mean`` computes, at half its cost for a few points
+    return np.asarray(values - np.add.reduce(values) / len(values))
+
+
+def _assemble(F: Array, stretch: Array, axes: Array, kirchhoff: Array) -> Array:
+    """F S with S = sum tau_i / l_i^2 N_i x N_i."""
+    S = np.einsum("Ai...,Bi...,i...->AB...", axes, axes, kirchhoff / stretch**2)
+    return np.asarray(np.einsum("iA...,AB...->iB...", F, S))
+
+
+def _spectral(F: Array) -> tuple[Array, Array, Array]:
+    """Principal stretches (3, ...), their reference axes (3, 3, ...) and J (...)."""
+    moved = np.moveaxis(F, (0, 1), (-2, -1))
+    # singular values of F lose no digits, eigenvalues of F'F would lose half near singularity
+    _, stretch, axes = np.linalg.svd(moved)
+    return (
+        np.moveaxis(stretch, -1, 0),
+        np.moveaxis(axes, (-1, -2), (0, 1)),
+        np.asarray(np.linalg.det(moved)),
+    )
+
+
+def _linear_stress(F: Array, mu: float, bulk: float) -> Array:
+    strain, trace = _small_strain(F)
+    eye = _identity(F)
+    return np.asarray(2 * mu * (strain - trace / 3 * eye) + bulk * trace * eye)
+
+
+def _small_strain(F: Array) -> tuple[Array, Array]:
+    strain = 0.5 * (F + np.swapaxes(F, 0, 1)) - _identity(F)
+    return strain, np.asarray(np.trace(strain))
+
+
+def _identity(F: Array) -> Array:
+    return np.eye(3).reshape((3, 3) + (1,) * (F.ndim - 2))
+
+
+def _finite(bulk: float) -> float:
+    return 0.0 if math.isinf(bulk) else bulk
+
+
+@dataclass(frozen=True)
+class Mode:
+    """Which principal directions carry the given stretch and which are free of stress."""
+
+    name: str
+    loaded: tuple[int, int, int]
+    free: tuple[int, int, int]
+
+    @property
+    def free_axis(self) -> int:
+        """Index of one stress-free direction."""
+        return self.free.index(1)
+
+
+UNIAXIAL = Mode("uniaxial", (1, 0, 0), (0, 1, 1))
+EQUIBIAXIAL = Mode("equibiaxial", (1, 1, 0), (0, 0, 1))
+PLANAR = Mode("planar", (1, 0, 0), (0, 0, 1))
+CONFINED = Mode("confined", (1, 0, 0), (0, 0, 0))
+MODES: dict[str, Mode] = {m.name: m for m in (UNIAXIAL, EQUIBIAXIAL, PLANAR, CONFINED)}
+
+
+@dataclass(frozen=True)
+class Response:
+    """State of a homogeneous test at every stretch."""
+
+    #: shape (n,); nominal stress in the loaded direction, MPa; NaN where the material has no
+    #: equilibrium state (an unstable one can have none).
+    stress: Array
+    #: shape (n,); its derivative with respect to the stretch.
+    slope: Array
+    #: shape (n,); stretch of the free direction (1 if there is none).
+    free_stretch: Array
+    #: shape (n,); J.
+    volume_ratio: Array
+    #: shape (n,); total derivative of the stress with respect to every constant.
+    gradient: dict[str, Array]
+
+
+def uniaxial(material: Material, stretch: ArrayLike) -> Array:
+    """Nominal stress in MPa under uniaxial load, sides free (V01, V04)."""
+    return _shaped(response(material, UNIAXIAL, stretch).stress, stretch)
+
+
+def equibiaxial(material: Material, stretch: ArrayLike) -> Array:
+    """Nominal stress in MPa under two equal stretches (V02)."""
+    return _shaped(response(material, EQUIBIAXIAL, stretch).stress, stretch)
+
+
+def planar(material: Material, stretch: ArrayLike) -> Array:
+    """Nominal stress in MPa in planar tension (pure shear): l, 1, free (V03)."""
+    return _shaped(response(material, PLANAR, stretch).stress, stretch)
+
+
+def confined(material: Material, stretch: ArrayLike) -> Array:
+    """Nominal stress in MPa in confined compression: l, 1, 1 (V06)."""
+    return _shaped(response(material, CONFINED, stretch).stress, stretch)
+
+
+def uniaxial_gradient(material: Material, stretch: ArrayLike) -> dict[str, Array]:
+    """Total derivative of :func:`uniaxial` with respect to every constant, K(nu) included.
+
+    Units: returns MPa.
+    """
+    gradient = response(material, UNIAXIAL, stretch).gradient
+    return {name: _shaped(value, stretch) for name, value in gradient.items()}
+
+
+def simple_shear(material: Material, shear: ArrayLike) -> tuple[Array, Array, Array]:
+    """Cauchy stresses (s12, s11, s22) in MPa in simple shear with s33 = 0 (V05).
+
+    Shapes: shear (n,).
+    """
+    g = np.atleast_1d(np.asarray(shear, dtype=float))
+    F = np.zeros((3, 3, g.size))
+    F[[0, 1, 2], [0, 1, 2]], F[0, 1] = 1.0, g
+    sigma = np.einsum("iA...,jA...->ij...", first_piola(material, F), F)
+    parts = sigma[0, 1], sigma[0, 0] - sigma[2, 2], sigma[1, 1] - sigma[2, 2]
+    s12, s11, s22 = (_shaped(part, shear) for part in parts)
+    return s12, s11, s22
+
+
+def response(material: Material, mode: Mode | str, stretch: ArrayLike) -> Response:
+    """Stress, its slope, the free stretch and the gradient of one homogeneous test.
+
+    Shapes: stretch (n,).
+    """
+    if isinstance(mode, str):
+        if mode not in MODES:
+            raise InputError(f"no homogeneous test {mode!r}: {nearest(mode, MODES)}")
+        mode = MODES[mode]
+    stretches = np.atleast_1d(np.asarray(stretch, dtype=float)).ravel()
+    if not np.all(stretches > 0):
+        raise InputError(f"stretches must be positive, got {stretches.min():g}")
+    if mode is CONFINED and material.incompressible:
+        raise InputError("an incompressible material cannot be compressed in a rigid box")
+    if material.small_strain:
+        return _linear(material, mode, stretches)
+    # unstable constants may overflow or have no equilibrium: NaN says so
+    with np.errstate(all="ignore"):
+        if (foam := material.compressible) is not None:
+            return _compressible(material, foam, mode, stretches)
+        return _hyperelastic(material, mode, stretches)
+
+
+def _compressible(
+    material: Material, energy: CompressibleEnergy, mode: Mode, stretch: Array
+) -> Response:
+    """Test of an energy whose volume change belongs to all of it."""
+    x, t = np.log(stretch), 0 if mode is CONFINED else mode.free_axis
+    a, v = np.array(mode.loaded, float), np.array(mode.free, float)
+    known = material.constants, material.compressibility
+
+    def at(z: Array) -> Array:
+        log = np.tile(x, z.size // x.size)
+        return np.asarray(np.exp(a[:, None] * log + v[:, None] * z))
+
+    def lateral(z: Array) -> tuple[Array, Array]:
+        sides = at(z)
+        return energy.kirchhoff(*known, sides)[t], energy.kirchhoff_slope(*known, sides, v)[t]
+
+    nu = poisson_from_bulk(material.mu0, material.bulk)
+    loaded = a.sum()  # one or two directions: the strain of small ones begins the search
+    narrower = -nu * loaded / (1 - nu * (2 - v.sum()))
+    z = np.zeros_like(x) if mode is CONFINED else _safeguarded_newton(lateral, narrower * x)
+    sides = at(z)
+    tau, partial = energy.kirchhoff(*known, sides), energy.kirchhoff_gradient(*known, sides)
+    along_x = energy.kirchhoff_slope(*known, sides, a)
+    along_z = energy.kirchhoff_slope(*known, sides, v)
+    gives = np.zeros_like(x) if mode is CONFINED else along_z[0] / along_z[t]
+    gradient = {n: (g[0] - gives * g[t]) / stretch for n, g in partial.items()}
+    slope = (along_x[0] - gives * along_x[t] - tau[0]) / stretch**2
+    return Response(tau[0] / stretch, slope, np.exp(z), sides.prod(0), gradient)
+
+
+def _hyperelastic(material: Material, mode: Mode, stretch: Array) -> Response:
+    x = np.log(stretch)
+    a, v = np.array(mode.loaded, float), np.array(mode.free, float)
+    z = _free_log_stretch(material, mode, x)
+    log = a[:, None] * x + v[:, None] * z
+    bar, J = np.exp(deviator(log)), np.exp(log.sum(0))
+    energy, constants = material.isochoric, material.constants
+    directions = np.array([deviator(a), deviator(v)])
+    stress, slopes = energy.stress_and_slope(constants, bar, directions)
+    kirchhoff, along_x, along_z = deviator(stress), deviator(slopes[0]), deviator(slopes[1])
+    by_constant = energy.principal_stress_gradient(constants, bar)
+    partial = {n: deviator(g) for n, g in by_constant.items()}
+    if mode is CONFINED:
+        bulk, dbulk = material.bulk, material.bulk_gradient()
+        tau = kirchhoff[0] + bulk * J * (J - 1)
+        dtau = along_x[0] + bulk * (2 * J - 1) * J
+        gradient = {n: (g[0] + dbulk[n] * J * (J - 1)) / stretch for n, g in partial.items()}
+        return Response(tau / stretch, (dtau - tau) / stretch**2, np.exp(z), J, gradient)
+    # the free direction's total stress is zero, so K (J-1) J = -kirchhoff[t] without cancelling
+    t = mode.free_axis
+    tau, tau_x, tau_z = (q[0] - q[t] for q in (kirchhoff, along_x, along_z))
+    dz_dx, dz_dc = _free_rates(material, mode, J, along_x[t], along_z[t], partial)
+    gradient = {n: (g[0] - g[t] + tau_z * dz_dc[n]) / stretch for n, g in partial.items()}
+    slope = (tau_x + tau_z * dz_dx - tau) / stretch**2
+    return Response(tau / stretch, slope, np.exp(z), J, gradient)
+
+
+def _free_rates(
+    material: Material, mode: Mode, J: Array, by_x: Array, by_z: Array, partial: dict[str, Array]
+) -> tuple[Array, dict[str, Array]]:
+    """Differentiate the free logarithmic stretch by ln l and by every constant."""
+    loaded, free = sum(mode.loaded), sum(mode.free)
+    if material.incompressible:
+        zero = np.zeros_like(J)
+        return zero - loaded / free, dict.fromkeys(partial, zero)
+    t, volumetric = mode.free_axis, material.bulk * (2 * J - 1) * J
+    f_z = by_z + volumetric * free
+    dbulk = material.bulk_gradient()
+    dz = {n: -(g[t] + dbulk[n] * J * (J - 1)) / f_z for n, g in partial.items()}
+    return -(by_x + volumetric * loaded) / f_z, dz
+
+
+def _free_log_stretch(material: Material, mode: Mode, x: Array) -> Array:
+    """Logarithm of the free stretch: constant volume, or zero stress by safeguarded Newton."""
+    if mode is CONFINED:
+        return np.zeros_like(x)
+    a, v = np.array(mode.loaded, float), np.array(mode.free, float)
+    z0 = -x * a.sum() / v.sum()
+    if material.incompressible:
+        return np.asarray(z0)
+    t, bulk = mode.free_axis, material.bulk
+    energy, constants = material.isochoric, material.constants
+
+    loaded, turn, sides = a[:, None] * x, deviator(v), v.sum()
+
+    def lateral(z: Array) -> tuple[Array, Array]:
+        log = loaded if z.size == x.size else np.tile(loaded, z.size // x.size)
+        log = log + v[:, None] * z
+        volume = np.add.reduce(log)
+        bar, J = np.exp(log - volume / 3), np.exp(volume)
+        stress, along = energy.stress_and_slope(constants, bar, turn)
+        tau, slope = (q[t] - np.add.reduce(q) / 3 for q in (stress, along))
+        return tau + bulk * J * (J - 1), slope + bulk * (2 * J - 1) * J * sides
+
+    return _safeguarded_newton(lateral, z0)
+
+
+#: largest step of Newton's method after which the next one, about its square, is rounding
+_LAST_STEP = 1e-9
+
+
+def _safeguarded_newton(
+    function: Callable[[Array], tuple[Array, Array]], start: Array, width: float = 0.02
+) -> Array:
+    """Root of an elementwise function that rises through zero near ``start``; NaN if none.
+
+    Shapes: function (n,).
+    """
+    low, high = start - width, start + width
+    for _ in range(8):  # widen until the root is bracketed, to 0.02 * 2^8 = 5 in log stretch
+        ends = function(np.concatenate([low, high]))[0]
+        below, above = ends[: low.size] < 0, ends[low.size :] > 0
+        if np.all(below & above):
+            break
+        low = np.where(below, low, start - 2 * (start - low))
+        high = np.where(above, high, start + 2 * (high - start))
+    z, moved = np.array(start), np.inf
+    for _ in range(80):
+        value, slope = function(z)
+        low, high = np.where(value < 0, z, low), np.where(value > 0, z, high)
+        new = z - value / slope
+        inside = (new >= low) & (new <= high)
+        new = np.where(inside, new, 0.5 * (low + high))
+        new = np.where(value == 0, z, new)
+        step = np.abs(new - z)
+        last, moved = moved, float(np.max(step, initial=0.0))
+        z = new
+        if moved <= _LAST_STEP and (moved <= 4e-16 or inside.all()):
+            break
+        # rounding of the stress leaves the last digit of z moving to and fro
+        if last <= moved < 1e-13:
+            break
+    return np.where(below & above & (step <= _LAST_STEP), z, np.nan)
+
+
+def _linear(material: Material, mode: Mode, stretch: Array) -> Response:
+    """Small strain: nominal stress is a modulus times (l - 1)."""
+    mu, bulk = material.mu0, material.bulk
+    modulus = _modulus(mode, mu, bulk).real
+    h = 1e-30  # complex step: exact to rounding
+    by_mu = _modulus(mode, mu + 1j * h, bulk).imag / h
+    by_bulk = 0.0 if np.isinf(bulk) else _modulus(mode, mu, bulk + 1j * h).imag / h
+    dmu, dbulk = material.mu0_gradient(), material.bulk_gradient()
+    strain, nu = stretch - 1, poisson_from_bulk(mu, bulk)
+    lateral = {"uniaxial": -nu, "equibiaxial": -2 * nu / (1 - nu), "planar": -nu / (1 - nu)}
+    free = 1 + lateral.get(mode.name, 0.0) * strain
+    J = stretch ** sum(mode.loaded) * free ** sum(mode.free)
+    gradient = {n: (by_mu * dmu[n] + by_bulk * dbulk[n]) * strain for n in material.names}
+    return Response(modulus * strain, np.full_like(strain, modulus), free, J, gradient)
+
+
+def _modulus(mode: Mode, mu: complex, bulk: complex) -> complex:
+    """Stiffness of a homogeneous test from mu and K, finite for infinite K."""
+    r = mu / bulk
+    if mode is UNIAXIAL:
+        return complex(9 * mu / (3 + r))
+    if mode is EQUIBIAXIAL:
+        return complex(18 * mu / (3 + 4 * r))
+    if mode is PLANAR:
+        return complex(4 * mu * (3 + r) / (3 + 4 * r))
+    return complex(bulk + 4 * mu / 3)
+
+
+def _shaped(values: Array, like: ArrayLike) -> Array:
+    return np.asarray(values).reshape(np.shape(like))
+
+
+# -------------------------------------------------------------------------------------------------
+# Nominal stress of a homogeneous specimen in every loading that a measured test may have.
+#
+# A loading is a function of one measure: the stretch of the loaded direction, or the amount of
+# shear. Where K is finite the free stretch is solved (:mod:`study.mechanics.material.homogeneous`).
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """Nominal stress of one loading."""
+
+    #: shape (n,); over the reference area, MPa; tension is positive. NaN where there is none.
+    stress: Array
+    #: shape (n,); total derivative with respect to every constant.
+    gradient: Mapping[str, Array]
+
+
+@dataclass(frozen=True)
+class Loading:
+    """One way to deform a homogeneous specimen."""
+
+    #: Material and measure, shape (n,), to :class:`Loaded`.
+    nominal: Callable[[Material, Array], Loaded]
+    #: Whether the measure is the amount of shear, zero at rest, and not a stretch.
+    is_shear: bool = False
+    #: Principal mode, for stability; None where a principal mode does not describe it.
+    mode: Mode | None = None
+    #: Whether the specimen resists with its volume, so that an incompressible one is rigid.
+    is_volumetric: bool = False
+
+    def measure(self, share: Array) -> Array:
+        """Stretch or shear of an elongation (or offset) over the length of the specimen."""
+        return share if self.is_shear else 1.0 + share
+
+
+def _principal(mode: Mode, *, is_volumetric: bool = False) -> Loading:
+    def nominal(material: Material, stretch: Array) -> Loaded:
+        state = response(material, mode, stretch)
+        return Loaded(state.stress, state.gradient)
+
+    return Loading(nominal, mode=mode, is_volumetric=is_volumetric)
+
+
+def _simple_shear(material: Material, shear: Array, prestretch: float = 1.0) -> Loaded:
+    """Shear stress; the volume is kept, so that K does not enter.
+
+    A specimen may have been stretched along the normal of its sheared faces before: F is then
+    shear e1 e2 + prestretch e2 e2 + (e1 e1 + e3 e3) / sqrt(prestretch) (Budday and others 2017).
+    """
+    if material.compressible is not None and prestretch != 1:
+        rule = "has a free stretch of its own, and a sheared specimen keeps its volume here"
+        raise InputError(Fault("test.prestretch", rule, "leave it out, or take another energy"))
+    F = np.zeros((3, 3, shear.size))
+    F[[0, 2], [0, 2]], F[1, 1], F[0, 1] = 1 / math.sqrt(prestretch), prestretch, shear
+    with np.errstate(all="ignore"):  # constants of a fit may overflow: NaN says so
+        gradient = first_piola_gradient(material, F)
+    return Loaded(
+        _sheared(material, shear, prestretch),
+        {name: slope[0, 1] for name, slope in gradient.items()},
+    )
+
+
+def _sheared(material: Material, shear: Array, prestretch: float) -> Array:
+    """P_12 = shear (tau_1 - tau_3) / (l_1^2 - l_3^2), through the principal stretches.
+
+    Without a pre-stretch these are l and 1/l with l - 1/l = shear.
+    """
+    if material.small_strain:
+        return np.asarray(material.mu0 * shear)
+    longest, across, shortest = sheared_stretches(shear, prestretch)
+    bar = np.stack([longest, across, shortest])
+    constants, foam = material.constants, material.compressible
+    with np.errstate(all="ignore"):
+        if foam is None:
+            principal = material.isochoric.principal_stress(constants, bar)
+        else:
+            principal = foam.kirchhoff(constants, material.compressibility, bar)
+    if prestretch == 1:  # shear / (l^2 - 1/l^2) = 1 / (l + 1/l), at rest too
+        return np.asarray(np.sign(shear) * (principal[0] - principal[2]) / (longest + shortest))
+    return np.asarray(shear * (principal[0] - principal[2]) / (longest**2 - shortest**2))
+
+
+def sheared_stretches(shear: Array, prestretch: float = 1.0) -> tuple[Array, Array, Array]:
+    """Principal stretches of a simple shear, the longest and shortest in its plane.
+
+    Shapes: shear (n,); returns (n,).
+
+    Examples
+    --------
+    >>> [round(float(one[0]), 6) for one in sheared_stretches(np.array([1.5]))]
+    [2.0, 1.0, 0.5]
+    """
+    free = 1 / math.sqrt(prestretch)
+    # (l_1 +- l_3)^2 = tr b +- 2 l_1 l_3
+    both, apart = np.hypot(shear, prestretch + free), np.hypot(shear, prestretch - free)
+    longest = 0.5 * (both + apart)
+    return longest, np.full(shear.shape, free), prestretch * free / longest
+
+
+def _volumetric(material: Material, stretch: Array) -> Loaded:
+    """Equal stretches on all sides: P = K (J - 1) l^2, compression negative."""
+    if material.incompressible:
+        rule = "an incompressible material cannot change its volume"
+        raise InputError(Fault("material", rule, "give poisson_ratio or bulk_modulus"))
+    if (foam := material.compressible) is not None:
+        return _swollen(material, foam, stretch)
+    shape = (stretch**3 - 1) * stretch**2
+    slopes = material.bulk_gradient()
+    return Loaded(material.bulk * shape, {n: slopes[n] * shape for n in material.names})
+
+
+def _swollen(material: Material, foam: CompressibleEnergy, stretch: Array) -> Loaded:
+    """Equal stretches of an energy whose volume change belongs to all of it."""
+    all_sides, volume = np.stack([stretch] * 3), material.compressibility
+    tau = foam.kirchhoff(material.constants, volume, all_sides)[0]
+    slopes = foam.kirchhoff_gradient(material.constants, volume, all_sides)
+    return Loaded(tau / stretch, {name: slope[0] / stretch for name, slope in slopes.items()})
+
+
+def loading_in(mode: str, prestretch: float | None = None) -> Loading:
+    """Give the loading of a specimen that may be stretched before it is sheared."""
+    if prestretch is None:
+        return LOADINGS[mode]
+    return Loading(partial(_simple_shear, prestretch=prestretch), is_shear=True)
+
+
+#: every loading by its name
+LOADINGS: Mapping[str, Loading] = {
+    "uniaxial": _principal(UNIAXIAL),
+    "equibiaxial": _principal(EQUIBIAXIAL),
+    "planar": _principal(PLANAR),
+    "confined": _principal(CONFINED, is_volumetric=True),
+    "simple-shear": Loading(_simple_shear, is_shear=True),
+    "volumetric": Loading(_volumetric, is_volumetric=True),
+}

@@ -1,0 +1,312 @@
+"""A material with numbers: an energy, its constants and its compressibility."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from study.ground.arrays import Array
+from study.ground.errors import Fault, InputError, nearest
+from study.mechanics.material.energy import (
+    Compressibility,
+    CompressibleEnergy,
+    Converted,
+    Energy,
+    IsochoricEnergy,
+    Law,
+)
+from study.mechanics.material.exponential import Fung, VerondaWestmann
+from study.mechanics.material.limiting_chain import ArrudaBoyce, Gent, VanDerWaals
+from study.mechanics.material.linear_elastic import LinearElastic
+from study.mechanics.material.ogden import ExtendedTube, Ogden, OgdenHill
+from study.mechanics.material.polynomial import (
+    MooneyRivlin,
+    NeoHookean,
+    Polynomial,
+    ReducedPolynomial,
+    Yeoh,
+)
+from study.mechanics.material.relaxation import (
+    RelaxationTerm,
+    faults,
+    is_of_relaxation,
+    is_time,
+    long_term_share,
+)
+
+# -------------------------------------------------------------------------------------------------
+# Every energy by the name that a study file says.
+
+ENERGIES: dict[str, Energy] = {
+    energy.name: energy
+    for energy in (
+        LinearElastic(),
+        NeoHookean(),
+        MooneyRivlin(),
+        ReducedPolynomial(),
+        Polynomial(),
+        Ogden(),
+        Yeoh(),
+        ArrudaBoyce(),
+        Gent(),
+        ExtendedTube(),
+        VanDerWaals(),
+        VerondaWestmann(),
+        Fung(),
+        OgdenHill(),
+    )
+}
+
+#: Names of all energies.
+MODELS: tuple[str, ...] = tuple(ENERGIES)
+
+
+def energy_named(model: str) -> Energy:
+    """Find an energy by its name."""
+    if model not in ENERGIES:
+        raise InputError(Fault("material.model", f"no energy {model!r}", nearest(model, MODELS)))
+    return ENERGIES[model]
+
+
+def constant_names(model: str, order: int | None = None) -> tuple[str, ...]:
+    """Names of an energy's constants, in order.
+
+    Examples
+    --------
+    >>> constant_names("reduced-polynomial", 3)
+    ('C10', 'C20', 'C30')
+    >>> constant_names("polynomial", 2)
+    ('C10', 'C01', 'C20', 'C11', 'C02')
+    >>> constant_names("ogden", 2)
+    ('mu1', 'alpha1', 'mu2', 'alpha2')
+    """
+    energy = energy_named(model)
+    terms = 1 if order is None else order
+    if isinstance(terms, bool) or int(terms) != terms or not 1 <= terms <= 9:
+        raise InputError(
+            Fault("material.order", f"must be a whole number from 1 to 9, got {order!r}")
+        )
+    if not energy.has_order and order not in (None, 1):
+        raise InputError(Fault("material.order", f"{model} has no order, got {order!r}"))
+    return energy.constant_names(int(terms))
+
+
+def is_constant(name: str) -> bool:
+    """Whether any energy, or a relaxation, has a constant of this name."""
+    known = any(energy.has_constant(name) for energy in ENERGIES.values())
+    return known or is_of_relaxation(name)
+
+
+def is_constant_key(key: str) -> bool:
+    """Whether a study file may write this key for a constant of any energy.
+
+    Examples
+    --------
+    >>> is_constant_key("C20"), is_constant_key("mu"), is_constant_key("mu1")
+    (True, True, False)
+    """
+    return any(energy.has_key(key) for energy in ENERGIES.values())
+
+
+@functools.cache
+def is_dimensionless(name: str) -> bool:
+    """Whether a constant, or its key in a study file, is a plain number in an energy that has it.
+
+    A share or time of relaxation counts as one too: neither is a modulus.
+
+    Examples
+    --------
+    >>> is_dimensionless("alpha2"), is_dimensionless("mu2")
+    (True, False)
+    """
+    if is_of_relaxation(name):
+        return True
+    having = (e for e in ENERGIES.values() if e.has_constant(name) or e.has_key(name))
+    return any(energy.is_dimensionless(name) for energy in having)
+
+
+def unit_shown(name: str) -> str:
+    """Return the unit in which people are told a constant: kPa, s, or none of a plain number.
+
+    Examples
+    --------
+    >>> unit_shown("C10"), unit_shown("time1"), unit_shown("alpha1")
+    ('kPa', 's', '')
+    """
+    if is_time(name):
+        return "s"
+    return "" if is_dimensionless(name) else "kPa"
+
+
+@dataclass(frozen=True)
+class Material:
+    """One material; exactly one of the three ways to give its compressibility."""
+
+    #: Name of the energy (see :data:`study.mechanics.material.material.MODELS`).
+    model: str
+    #: Constants in MPa (exponents plain), put in the energy's own order.
+    constants: Mapping[str, float]
+    #: K in MPa, of U = K/2 (J - 1)^2.
+    bulk_modulus: float | None = None
+    #: Initial Poisson's ratio; K then follows mu0 whenever the constants change.
+    poisson_ratio: float | None = None
+    incompressible: bool = False
+    #: How the isochoric stress fades; the constants are then those of a load that comes at once.
+    relaxation: tuple[RelaxationTerm, ...] = ()
+
+    def __post_init__(self) -> None:
+        found = [*_constant_faults(self.energy, self.constants), *self.compressibility.faults()]
+        found += faults(self.relaxation)
+        energy = self.energy
+        if isinstance(energy, CompressibleEnergy) and self.poisson_ratio is None:
+            found.append(energy.without_poisson_ratio())
+        if found:
+            raise InputError(found)
+        names = self.energy.ordered(self.constants)
+        object.__setattr__(self, "constants", {n: float(self.constants[n]) for n in names})
+
+    @property
+    def energy(self) -> Energy:
+        """The energy, without numbers."""
+        return energy_named(self.model)
+
+    @property
+    def isochoric(self) -> IsochoricEnergy:
+        """The energy of a hyperelastic material."""
+        energy = self.energy
+        if not isinstance(energy, IsochoricEnergy):
+            raise TypeError(f"{self.model} has no energy of isochoric principal stretches")
+        return energy
+
+    @property
+    def compressible(self) -> CompressibleEnergy | None:
+        """The energy, if its volume change belongs to all of it."""
+        energy = self.energy
+        return energy if isinstance(energy, CompressibleEnergy) else None
+
+    @property
+    def small_strain(self) -> bool:
+        """Whether the stress is linear in the displacement gradient."""
+        return self.energy.small_strain
+
+    @property
+    def compressibility(self) -> Compressibility:
+        """How it resists a change of volume."""
+        return Compressibility(self.bulk_modulus, self.poisson_ratio, self.incompressible)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the constants, in order."""
+        return tuple(self.constants)
+
+    @property
+    def values(self) -> Array:
+        """Constants as an array, shape (p,), in the order of :attr:`names`."""
+        return np.array(list(self.constants.values()))
+
+    @property
+    def mu0(self) -> float:
+        """Initial shear modulus in MPa: 2 (C10 + C01), sum mu_i, or E / 2(1 + nu)."""
+        return self.energy.initial_shear_modulus(self.constants, self.compressibility)
+
+    @property
+    def long_term_mu(self) -> float:
+        """Shear modulus at small strain after all relaxation, MPa."""
+        return self.mu0 * long_term_share(self.relaxation)
+
+    def mu0_gradient(self) -> dict[str, float]:
+        """Differentiate mu0 with respect to every constant."""
+        return self.energy.initial_shear_modulus_gradient(self.constants, self.compressibility)
+
+    @property
+    def bulk(self) -> float:
+        """Bulk modulus K in MPa; infinite if incompressible."""
+        return self.compressibility.bulk(self.mu0)
+
+    def bulk_gradient(self) -> dict[str, float]:
+        """dK/dconstant: zero unless K follows mu0 at a given Poisson's ratio."""
+        if self.poisson_ratio is None:
+            return dict.fromkeys(self.constants, 0.0)
+        ratio = self.compressibility.bulk_over_shear
+        return {n: ratio * g for n, g in self.mu0_gradient().items()}
+
+    def law(self) -> Law:
+        """Return the compiled law of the isochoric stress."""
+        return self.energy.law(self.constants, self.compressibility)
+
+    def law_rate(self, name: str) -> Law:
+        """Return the law whose stress is the derivative of the isochoric stress by a constant."""
+        return self.energy.law_rate(self.constants, self.compressibility, name)
+
+    def with_constants(self, constants: Mapping[str, float] | ArrayLike) -> Material:
+        """Return the same material with other constants: a mapping, or values in order."""
+        if isinstance(constants, Mapping):
+            return replace(self, constants={**self.constants, **constants})
+        values = np.asarray(constants, dtype=float)
+        if values.shape != (len(self.names),):
+            raise InputError(f"{self.model} takes {len(self.names)} constants, got {values.size}")
+        return replace(self, constants=dict(zip(self.names, values.tolist(), strict=True)))
+
+
+def _constant_faults(energy: Energy, constants: Mapping[str, float]) -> list[Fault]:
+    faults = []
+    for name, value in constants.items():
+        if not energy.has_constant(name):
+            valid = nearest(name, energy.constant_names(2 if energy.has_order else 1))
+            faults.append(Fault(f"material.{name}", f"is no constant of {energy.name}", valid))
+        elif not math.isfinite(value):
+            faults.append(Fault(f"material.{name}", f"must be finite, got {value}"))
+    if faults:
+        return faults
+    if not energy.sparse:
+        # of the highest term present, and all below
+        needed = energy.constant_names(max(1, energy.order_of(constants)))
+        rule = f"{energy.name} needs it: got {', '.join(constants) or 'none'}"
+        faults = [Fault(f"material.{n}", rule) for n in needed if n not in constants]
+    if not faults and not constants:
+        faults.append(Fault("material", f"{energy.name} needs at least one constant"))
+    return faults
+
+
+# -------------------------------------------------------------------------------------------------
+# Constants in other codes' conventions, and back from the classical Ogden form.
+#
+# Ours are W = sum C_ij (I1-3)^i (I2-3)^j, W = sum 2 mu_i / alpha_i^2 (sum l^alpha_i - 3) and
+# U = K/2 (J-1)^2, which are Abaqus' forms with D1 = 2/K.
+
+CONVENTIONS = ("study", "abaqus", "febio", "ogden-classical")
+
+
+def convert(material: Material, convention: str) -> Converted:
+    """Express a material in another code's convention."""
+    if convention == "study":
+        return Converted("study", material.model, dict(material.constants))
+    if convention == "abaqus":
+        return material.energy.abaqus(material.constants, material.compressibility)
+    if convention == "febio":
+        return material.energy.febio(material.constants, material.compressibility)
+    if convention == "ogden-classical":
+        return material.energy.ogden_classical(material.constants)
+    raise InputError(Fault("convention", f"no {convention!r}", nearest(convention, CONVENTIONS)))
+
+
+def from_ogden_classical(moduli: Mapping[int, tuple[float, float]]) -> dict[str, float]:
+    """Ogden constants from the classical W = sum m_p / a_p (sum l^a_p - 3) (Ogden 1972).
+
+    Units: moduli MPa.
+
+    Examples
+    --------
+    >>> treloar = from_ogden_classical({1: (0.63, 1.3), 2: (0.0012, 5.0), 3: (-0.01, -2.0)})
+    >>> round(sum(v for k, v in treloar.items() if k.startswith("mu")), 12)
+    0.4225
+    """
+    constants: dict[str, float] = {}
+    for i, (m, a) in sorted(moduli.items()):
+        constants |= {f"mu{i}": 0.5 * m * a, f"alpha{i}": float(a)}
+    return constants

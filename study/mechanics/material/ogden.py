@@ -1,0 +1,431 @@
+"""Ogden's energy: W = sum 2 mu_i / alpha_i^2 (l1^alpha_i + l2^alpha_i + l3^alpha_i - 3)."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Collection
+
+import numpy as np
+
+from study.ground.arrays import Array
+from study.ground.errors import Fault, InputError
+from study.mechanics.material.energy import (
+    FREE,
+    Bounds,
+    Compressibility,
+    CompressibleEnergy,
+    Constant,
+    Constants,
+    Converted,
+    DeclaredConstants,
+    Energy,
+    IsochoricEnergy,
+    Law,
+    PointLaw,
+    abaqus_hyperelastic,
+    febio_hyperelastic,
+)
+from study.mechanics.material.limiting_chain import FiniteExtensibilityEnergy
+
+#: Bounds of an exponent: beyond, powers of a stretch of 0.5 only overfit.
+EXPONENT: Bounds = (-30.0, 30.0)
+
+#: Exponents a fit starts from. They alternate: equal ones would make the terms
+#: indistinguishable.
+STARTING_EXPONENTS = (2.0, -2.0, 4.0, -4.0, 6.0, -6.0)
+
+
+class OgdenSeries(Energy):
+    """Constants of an energy in terms, each with a modulus and an exponent."""
+
+    has_order = True
+    list_keys = ("mu", "alpha")
+    shear_modulus_formula = "sum of mu"
+
+    def constant_names(self, order: int = 1) -> tuple[str, ...]:
+        """mu1, alpha1, mu2, ..."""
+        return tuple(f"{kind}{i}" for i in range(1, order + 1) for kind in ("mu", "alpha"))
+
+    def has_constant(self, name: str) -> bool:
+        """Mu or alpha with the number of a term."""
+        return re.fullmatch(r"(mu|alpha)[1-9]\d*", name) is not None
+
+    def order_of(self, names: Collection[str]) -> int:
+        """Return the largest number of a term."""
+        return max((int(name.lstrip("mualph")) for name in names), default=0)
+
+    def bounds(self, constant: str) -> Bounds:
+        """Exponents within :data:`EXPONENT`, moduli of any sign."""
+        return EXPONENT if constant.startswith("alpha") else FREE
+
+    def is_dimensionless(self, constant: str) -> bool:
+        """Exponents are plain numbers."""
+        return constant.startswith("alpha")
+
+    def forbidden(self, constants: Constants) -> dict[str, str]:
+        """Exponents of zero, which are limits that other codes do not have."""
+        rule = "an Ogden exponent must not be zero"
+        return {n: rule for n, c in constants.items() if n.startswith("alpha") and c == 0}
+
+    def initial_shear_modulus_gradient(
+        self, constants: Constants, compressibility: Compressibility
+    ) -> dict[str, float]:
+        """Return 1 for each modulus, 0 for each exponent."""
+        return {n: 1.0 if n.startswith("mu") else 0.0 for n in constants}
+
+    def starting_values(self, names: Collection[str], shear_modulus: float) -> dict[str, float]:
+        """Equal moduli and alternating exponents."""
+        terms = self.order_of(names)
+        values = {f"mu{k}": shear_modulus / terms for k in range(1, terms + 1)}
+        exponents = STARTING_EXPONENTS
+        return values | {
+            f"alpha{k}": exponents[(k - 1) % len(exponents)] for k in range(1, terms + 1)
+        }
+
+    def scattered(self, start: Constants, rng: np.random.Generator) -> dict[str, float]:
+        """Draw exponents of either sign in turn, of 1 to 4 in the first pair and 4 to 10 in others.
+
+        Terms that begin alike merge, and the fit is then one of fewer terms.
+        """
+        drawn = dict(start)
+        for k in range(self.order_of(tuple(start))):
+            size = rng.uniform(1, 4) if k < 2 else rng.uniform(4, 10)
+            drawn[f"alpha{k + 1}"] = float(size if k % 2 == 0 else -size)
+        return drawn
+
+
+class Ogden(OgdenSeries, IsochoricEnergy):
+    """Ogden's energy of any number of terms, moduli with sum mu0."""
+
+    name = "ogden"
+
+    def law(self, constants: Constants, compressibility: Compressibility) -> Law:
+        """Rows (mu, alpha)."""
+        return Law(PointLaw.OGDEN, np.column_stack(ogden_terms(constants)))
+
+    def law_rate(self, constants: Constants, compressibility: Compressibility, name: str) -> Law:
+        """One term, of unit modulus or differentiated by its exponent."""
+        term = self.order_of([name])
+        mu, alpha = constants[f"mu{term}"], constants[f"alpha{term}"]
+        if name.startswith("mu"):
+            return Law(PointLaw.OGDEN, np.array([[1.0, alpha]]))
+        return Law(PointLaw.OGDEN_BY_EXPONENT, np.array([[mu, alpha]]))
+
+    def principal_stress(self, constants: Constants, bar: Array) -> Array:
+        """Sum of 2 mu / alpha (bar^alpha - 1), with its limit at alpha = 0."""
+        log = np.log(bar)
+        terms = zip(*ogden_terms(constants), strict=True)
+        return np.asarray(sum(2 * mu * log * _phi(alpha * log) for mu, alpha in terms))
+
+    def principal_stress_slope(self, constants: Constants, bar: Array, direction: Array) -> Array:
+        """Sum of 2 mu bar^alpha times the direction."""
+        v = direction[..., None]
+        terms = zip(*ogden_terms(constants), strict=True)
+        return np.asarray(sum(2 * mu * bar**alpha * v for mu, alpha in terms))
+
+    def principal_stress_gradient(self, constants: Constants, bar: Array) -> dict[str, Array]:
+        """Differentiate by each modulus and each exponent."""
+        log = np.log(bar)
+        gradient: dict[str, Array] = {}
+        for i, (mu, alpha) in enumerate(zip(*ogden_terms(constants), strict=True), start=1):
+            z = alpha * log
+            gradient[f"mu{i}"] = 2 * log * _phi(z)
+            gradient[f"alpha{i}"] = 2 * mu * log**2 * _phi_slope(z)
+        return gradient
+
+    def energy_density(self, constants: Constants, bar: Array) -> Array:
+        """Sum (l^a - 3) / a^2 with sum(ln l) = 0: quadratic in ln l, and finite at a = 0."""
+        log = np.log(bar)
+        terms = zip(*ogden_terms(constants), strict=True)
+        return np.asarray(sum(2 * mu * (log**2 * _phi2(alpha * log)).sum(0) for mu, alpha in terms))
+
+    def always_stable(self, constants: Constants) -> bool:
+        """Positive moduli: by logarithmic stretches the second derivatives are 2 mu l^alpha."""
+        mu, _ = ogden_terms(constants)
+        return bool((mu > 0).all())
+
+    def always_elliptic(self, constants: Constants) -> bool:
+        """Positive moduli and exponents of one and more, of either sign (Ball 1977)."""
+        mu, alpha = ogden_terms(constants)
+        return bool((mu > 0).all() and (np.abs(alpha) >= 1).all())
+
+    def abaqus(self, constants: Constants, compressibility: Compressibility) -> Converted:
+        """Abaqus has the same form."""
+        bulk = compressibility.bulk(self.initial_shear_modulus(constants, compressibility))
+        return abaqus_hyperelastic(f"ogden, n={len(constants) // 2}", constants, bulk)
+
+    def febio(self, constants: Constants, compressibility: Compressibility) -> Converted:
+        """W = sum c_i / m_i^2 (...), so c_i = 2 mu_i."""
+        mu, alpha = ogden_terms(constants)
+        terms = {f"c{i}": 2 * float(m) for i, m in enumerate(mu, 1)}
+        terms |= {f"m{i}": float(a) for i, a in enumerate(alpha, 1)}
+        bulk = compressibility.bulk(self.initial_shear_modulus(constants, compressibility))
+        return febio_hyperelastic("Ogden", terms, bulk)
+
+    def ogden_classical(self, constants: Constants) -> Converted:
+        """W = sum m_p / a_p (...), so m_p = 2 mu_p / alpha_p."""
+        mu, alpha = ogden_terms(constants)
+        if not alpha.all():
+            rule = "the classical form needs exponents that are not 0"
+            raise InputError(Fault("convention", rule))
+        values: dict[str, float] = {}
+        for i, (m, a) in enumerate(zip(mu, alpha, strict=True), 1):
+            values |= {f"m{i}": 2 * float(m / a), f"alpha{i}": float(a)}
+        return Converted("ogden-classical", "Ogden (1972)", values)
+
+
+def ogden_terms(constants: Constants) -> tuple[Array, Array]:
+    """Moduli mu_i (MPa) and exponents alpha_i, each shape (n,), of constants in order."""
+    values = np.array(list(constants.values()))
+    return values[0::2].copy(), values[1::2].copy()
+
+
+def _phi(z: Array) -> Array:
+    """(e^z - 1) / z, with its limit 1 at zero."""
+    return _series_or(z, lambda k: 1.0 / (k + 1), lambda w: np.expm1(w) / w)
+
+
+def _phi2(z: Array) -> Array:
+    """(e^z - 1 - z) / z^2, with its limit 1/2 at zero."""
+    return _series_or(z, lambda k: 1.0 / ((k + 1) * (k + 2)), lambda w: (np.expm1(w) - w) / w**2)
+
+
+def _phi_slope(z: Array) -> Array:
+    """Differentiate :func:`_phi`, with its limit 1/2 at zero."""
+    return _series_or(z, lambda k: 1.0 / (k + 2), lambda w: (np.exp(w) * (w - 1) + 1) / w**2)
+
+
+def _series_or(
+    z: Array, weight: Callable[[int], float], formula: Callable[[Array], Array]
+) -> Array:
+    """Power series sum weight(k) z^k / k! where |z| < 0.5, the formula elsewhere.
+
+    Below 0.5 the formulas lose digits to cancellation; 18 terms reach rounding there.
+    """
+    z = np.asarray(z, dtype=float)
+    small = np.abs(z) < 0.5
+    near, total, power = np.where(small, z, 0.0), np.zeros_like(z), np.ones_like(z)
+    for k in range(18):
+        total = total + weight(k) * power
+        power = power * near / (k + 1)
+    far = formula(np.where(small, 1.0, z))
+    return np.where(small, total, far)
+
+
+# -------------------------------------------------------------------------------------------------
+# Foam of Ogden and Hill, whose volume change is part of every term.
+#
+# ``W = sum 2 mu_i / alpha_i^2 (l1^a + l2^a + l3^a - 3 + (J^(-a b) - 1) / b)`` with a = alpha_i and
+# b = nu / (1 - 2 nu) (Ogden 1972, Proc. R. Soc. A 328, 567; Hill 1978, Adv. Appl. Mech. 18, 1;
+# Storakers 1986, J. Mech. Phys. Solids 34, 125). One Poisson's ratio for all terms: it is that of
+# logarithmic strains at every stretch in uniaxial stress, l2 = l1^(-nu).
+
+
+class OgdenHill(OgdenSeries, CompressibleEnergy):
+    """Any number of terms, moduli with sum mu0."""
+
+    name = "ogden-hill"
+
+    def initial_shear_modulus(
+        self, constants: Constants, compressibility: Compressibility
+    ) -> float:
+        """Sum of the moduli."""
+        return float(ogden_terms(constants)[0].sum())
+
+    def law(self, constants: Constants, compressibility: Compressibility) -> Law:
+        """Refuse: the mixed form needs an energy that splits."""
+        raise _no_elements()
+
+    def law_rate(self, constants: Constants, compressibility: Compressibility, name: str) -> Law:
+        """Refuse, as :meth:`law`."""
+        raise _no_elements()
+
+    def kirchhoff(
+        self, constants: Constants, compressibility: Compressibility, stretch: Array
+    ) -> Array:
+        """Sum of 2 mu / alpha (l^alpha - J^(-alpha b))."""
+        log, b = np.log(stretch), _volume_exponent(compressibility)
+        volume = log.sum(0)
+        return np.asarray(
+            sum(
+                2 * mu / alpha * (np.expm1(alpha * log) - np.expm1(-alpha * b * volume))
+                for mu, alpha in zip(*ogden_terms(constants), strict=True)
+            )
+        )
+
+    def kirchhoff_slope(
+        self,
+        constants: Constants,
+        compressibility: Compressibility,
+        stretch: Array,
+        direction: Array,
+    ) -> Array:
+        """Sum of 2 mu (l^alpha v + b J^(-alpha b) sum v)."""
+        log, b, v = np.log(stretch), _volume_exponent(compressibility), direction[:, None]
+        volume = log.sum(0)
+        return np.asarray(
+            sum(
+                2 * mu * (np.exp(alpha * log) * v + b * np.exp(-alpha * b * volume) * v.sum())
+                for mu, alpha in zip(*ogden_terms(constants), strict=True)
+            )
+        )
+
+    def kirchhoff_gradient(
+        self, constants: Constants, compressibility: Compressibility, stretch: Array
+    ) -> dict[str, Array]:
+        """Differentiate by each modulus and each exponent."""
+        log, b = np.log(stretch), _volume_exponent(compressibility)
+        volume, gradient = log.sum(0), {}
+        for k, (mu, alpha) in enumerate(zip(*ogden_terms(constants), strict=True), start=1):
+            power = np.expm1(alpha * log) - np.expm1(-alpha * b * volume)
+            by_exponent = np.exp(alpha * log) * log
+            by_exponent = by_exponent + b * volume * np.exp(-alpha * b * volume)
+            gradient[f"mu{k}"] = 2 / alpha * power
+            gradient[f"alpha{k}"] = 2 * mu / alpha * (by_exponent - power / alpha)
+        return gradient
+
+    def energy_density(
+        self, constants: Constants, compressibility: Compressibility, stretch: Array
+    ) -> Array:
+        """W, with ln J in place of its volume term where Poisson's ratio is zero."""
+        log, b = np.log(stretch), _volume_exponent(compressibility)
+        volume = log.sum(0)
+        total = np.zeros_like(volume)
+        for mu, alpha in zip(*ogden_terms(constants), strict=True):
+            swelling = -alpha * volume if b == 0 else np.expm1(-alpha * b * volume) / b
+            total = total + 2 * mu / alpha**2 * (np.expm1(alpha * log).sum(0) + swelling)
+        return np.asarray(total)
+
+    def abaqus(self, constants: Constants, compressibility: Compressibility) -> Converted:
+        """Abaqus has the same form, with a Poisson's ratio for every term."""
+        terms = len(constants) // 2
+        own = {f"nu{k}": _poisson_ratio(compressibility) for k in range(1, terms + 1)}
+        return Converted("abaqus", f"*Hyperfoam, n={terms}", {**constants, **own})
+
+
+def _poisson_ratio(compressibility: Compressibility) -> float:
+    if compressibility.poisson_ratio is None:
+        raise InputError(OgdenHill().without_poisson_ratio())
+    return compressibility.poisson_ratio
+
+
+def _volume_exponent(compressibility: Compressibility) -> float:
+    nu = _poisson_ratio(compressibility)
+    return nu / (1 - 2 * nu)
+
+
+def _no_elements() -> InputError:
+    rule = f"{OgdenHill.name} has no isochoric part that finite elements could take for itself"
+    mend = 'write specimen.shape = "homogeneous", or another energy'
+    return InputError(Fault("material.model", rule, mend))
+
+
+# -------------------------------------------------------------------------------------------------
+# Extended tube energy of Kaliske and Heinrich (1999, Rubber Chem. Technol. 72, 602-632).
+#
+#     W = Gc / 2 ((1 - delta^2) D / (1 - delta^2 D) + ln(1 - delta^2 D))
+#         + 2 Ge / beta^2 (l1^-beta + l2^-beta + l3^-beta - 3),    D = I1 - 3
+#
+# Crosslinks that end at I1 - 3 = 1 / delta^2, and entanglements, which are a term of Ogden's with
+# the exponent -beta. mu0 = Gc (1 - 2 delta^2) + Ge.
+
+_ENTANGLEMENT = Ogden()
+
+#: exponent and inextensibility that a fit starts from: 1 / delta^2 = 400
+STARTING_EXPONENT = 0.5
+STARTING_INEXTENSIBILITY = 0.05
+
+
+class ExtendedTube(DeclaredConstants, FiniteExtensibilityEnergy):
+    """Moduli Gc and Ge, exponent beta of entanglements, inextensibility delta of crosslinks."""
+
+    name = "extended-tube"
+    shear_modulus_formula = "Gc (1 - 2 delta^2) + Ge"
+    declared = (
+        Constant("Gc", 0.0, np.inf),
+        Constant("Ge", 0.0, np.inf),
+        Constant("beta", 1e-6, 10.0, True),
+        Constant("delta", 1e-4, 0.7, True),
+    )
+
+    def poles(self, constants: Constants) -> Array:
+        """dW/dI1 = Gc / 2 ((1 - e) s^2 - e s) with e = delta^2."""
+        half, e = constants["Gc"] / 2, constants["delta"] ** 2
+        return np.array([e, -half * e, half * (1 - e), 0.0])
+
+    def pole_rates(self, constants: Constants, name: str) -> Array:
+        """By delta with ds/de = (s^2 - s) / e."""
+        delta = constants["delta"]
+        e = delta**2
+        if name == "Gc":
+            return np.array([e, -e / 2, (1 - e) / 2, 0.0])
+        if name == "delta":
+            third = 2 * constants["Gc"] * (1 - e) / delta
+            return np.array([e, 0.0, -third - 2 * constants["Gc"] * delta, third])
+        return np.array([e, 0.0, 0.0, 0.0])
+
+    def principal_stress(self, constants: Constants, bar: Array) -> Array:
+        """Of crosslinks and entanglements."""
+        crosslinks = super().principal_stress(constants, bar)
+        return crosslinks + _ENTANGLEMENT.principal_stress(_term(constants), bar)
+
+    def principal_stress_slope(self, constants: Constants, bar: Array, direction: Array) -> Array:
+        """Of both."""
+        crosslinks = super().principal_stress_slope(constants, bar, direction)
+        tubes = _ENTANGLEMENT.principal_stress_slope(_term(constants), bar, direction)
+        return crosslinks + tubes
+
+    #: one after the other: only crosslinks go by the invariants
+    stress_and_slope = IsochoricEnergy.stress_and_slope
+
+    def principal_stress_gradient(self, constants: Constants, bar: Array) -> dict[str, Array]:
+        """Of both; the exponent is -beta."""
+        crosslinks = super().principal_stress_gradient(constants, bar)
+        tubes = _ENTANGLEMENT.principal_stress_gradient(_term(constants), bar)
+        return crosslinks | {"Ge": tubes["mu1"], "beta": -tubes["alpha1"]}
+
+    def energy_density(self, constants: Constants, bar: Array) -> Array:
+        """Of both."""
+        crosslinks = super().energy_density(constants, bar)
+        return crosslinks + _ENTANGLEMENT.energy_density(_term(constants), bar)
+
+    def initial_shear_modulus(
+        self, constants: Constants, compressibility: Compressibility
+    ) -> float:
+        """Gc (1 - 2 delta^2) + Ge."""
+        return super().initial_shear_modulus(constants, compressibility) + constants["Ge"]
+
+    def initial_shear_modulus_gradient(
+        self, constants: Constants, compressibility: Compressibility
+    ) -> dict[str, float]:
+        """1 for Ge; that of crosslinks for all others."""
+        crosslinks = super().initial_shear_modulus_gradient(constants, compressibility)
+        return crosslinks | {"Ge": 1.0}
+
+    def law(self, constants: Constants, compressibility: Compressibility) -> Law:
+        """One column: e, A1, A2, A3 of the crosslinks, then Ge and -beta."""
+        tubes = [constants["Ge"], -constants["beta"]]
+        column = np.append(self.poles(constants), tubes)[:, None]
+        return Law(PointLaw.EXTENDED_TUBE, np.ascontiguousarray(column))
+
+    def law_rate(self, constants: Constants, compressibility: Compressibility, name: str) -> Law:
+        """Of crosslinks or of entanglements: no constant belongs to both."""
+        ge, beta = constants["Ge"], constants["beta"]
+        if name == "Ge":
+            return Law(PointLaw.OGDEN, np.array([[1.0, -beta]]))
+        if name == "beta":
+            return Law(PointLaw.OGDEN_BY_EXPONENT, np.array([[-ge, -beta]]))
+        return super().law_rate(constants, compressibility, name)
+
+    def starting_values(self, names: Collection[str], shear_modulus: float) -> dict[str, float]:
+        """Half of the modulus from crosslinks, which are far from their end."""
+        delta = STARTING_INEXTENSIBILITY
+        crosslinks = 0.5 * shear_modulus / (1 - 2 * delta**2)
+        return {
+            "Gc": crosslinks, "Ge": 0.5 * shear_modulus, "beta": STARTING_EXPONENT, "delta": delta
+        }  # fmt: skip
+
+
+def _term(constants: Constants) -> dict[str, float]:
+    """Constants of Ogden's term."""
+    return {"mu1": constants["Ge"], "alpha1": -constants["beta"]}

@@ -1,0 +1,1 @@
+"""Measured force-displacement curves: read, conditioned and judged."""

@@ -1,0 +1,206 @@
+"""Texts that are nearly CSV: lines before the header, comments, and other delimiters."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from study.ground.arrays import Array
+from study.ground.bounded_file import decoded, read_bytes, unzipped
+from study.ground.errors import Fault, InputError
+from study.ground.tabular import CsvTable, parse_csv
+
+#: what may part the cells of a file, by its name in a study file; found out where it is not said
+DELIMITERS: Mapping[str, str | None] = {
+    "comma": ",",
+    "semicolon": ";",
+    "tab": "\t",
+    "space": None,
+}
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How a text differs from a plain CSV file."""
+
+    skip_lines: int = 0
+    #: Beginning of lines that hold no row; none if empty.
+    comment: str = ""
+    #: One of :data:`DELIMITERS`; empty where the file shows it.
+    delimiter: str = ""
+    #: Whether a line names the columns; without one their names are 1, 2 and so on.
+    header: bool = True
+
+    def plain(self, text: str, decimal: str) -> str:
+        r"""Text with a header line and delimiters that a CSV file has.
+
+        Examples
+        --------
+        >>> Layout(1, "#", "space").plain("of 1944\nl  P\n# first row\n1.02   0.0255", ".")
+        'l,P\n1.02,0.0255'
+        >>> Layout(header=False).plain("1.02, 0.0255\n1.1, 0.12", ".")
+        '1,2\n1.02,0.0255\n1.1,0.12'
+        """
+        if self == Layout():
+            return text
+        lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")[self.skip_lines :]
+        if self.comment:
+            lines = [line for line in lines if not line.lstrip().startswith(self.comment)]
+        mark, own = ";" if decimal == "," else ",", self.delimiter
+        if not self.header:
+            own = own or _shown_by(next((line for line in lines if line.strip()), ""), mark)
+        if own:
+            rows = [_cells(line, own) for line in lines]
+            if not self.header:
+                widest = max(map(len, rows), default=0)
+                rows.insert(0, [str(k + 1) for k in range(widest)])
+            lines = [mark.join(row) for row in rows]
+        return "\n".join(lines)
+
+
+def _cells(line: str, delimiter: str) -> list[str]:
+    cells = line.strip(" ").split(DELIMITERS[delimiter])
+    return [cell.strip(" ") for cell in cells]
+
+
+def _shown_by(line: str, mark: str) -> str:
+    """Name of the delimiter that a line of numbers shows; spaces where it shows no other."""
+    names = [name for name, sign in DELIMITERS.items() if sign in (mark, ";", "\t")]
+    return next((name for name in names if (DELIMITERS[name] or "") in line), "space")
+
+
+def read_table(
+    path: Path, layout: Layout, required: Sequence[str], decimal: str, source: str
+) -> CsvTable:
+    """Read a measured file; see :func:`study.ground.tabular.read_csv`."""
+    raw = read_bytes(path, source)
+    text = layout.plain(decoded(unzipped(raw, source), source), decimal)
+    table = parse_csv(text, required=required, decimal=decimal, source=source)
+    added = 0 if layout.header else 1  # a line that the file does not have
+    lines = tuple(line - added for line in table.lines)
+    return replace(table, lines=lines, sha256=hashlib.sha256(raw).hexdigest())
+
+
+# -------------------------------------------------------------------------------------------------
+# Columns of a measured test: displacement and force, or measures of strain and stress.
+#
+# A curve is force over displacement. What was recorded as stretch, strain or stress becomes that
+# of a
+# gauge section of known length and area: displacement is the elongation (or offset) in the sense
+# of the test, force is nominal stress times the reference area. True stress becomes nominal at
+# constant volume, sigma / l, as rubber and soft tissue are evaluated (Treloar 1975, ch. 5).
+
+#: columns that say how far the specimen was deformed, and their dimension
+KINEMATIC: Mapping[str, str] = {
+    "displacement": "length",
+    "stretch": "ratio",
+    "strain": "ratio",
+    "true_strain": "ratio",
+    "volume_ratio": "ratio",
+}
+
+#: columns that say how it resisted
+KINETIC: Mapping[str, str] = {
+    "force": "force",
+    "stress": "pressure",
+    "true_stress": "pressure",
+    "pressure": "pressure",
+}
+
+#: modes of loading in which a column has a meaning; all where it is not listed
+_MODES: Mapping[str, tuple[str, ...]] = {
+    "stretch": ("uniaxial", "equibiaxial", "planar", "confined", "volumetric"),
+    "true_strain": ("uniaxial", "equibiaxial", "planar", "confined", "volumetric"),
+    "volume_ratio": ("confined", "volumetric"),
+    "true_stress": ("uniaxial", "equibiaxial", "planar", "confined", "simple-shear"),
+    "pressure": ("volumetric",),
+}
+
+_TO_STRETCH: Mapping[str, Callable[[Array], Array]] = {
+    "stretch": lambda value: value,
+    "strain": lambda value: 1 + value,
+    "true_strain": np.exp,
+}
+
+
+@dataclass(frozen=True)
+class Gauge:
+    """What turns stretch and stress into displacement and force."""
+
+    #: Of the specimen before the test.
+    area_mm2: float
+    length_mm: float
+    mode: str
+    #: Elongation per displacement: -1 where the test shortens.
+    sense: float
+    #: Whether the specimen deforms the same everywhere, so that it has one stretch.
+    is_homogeneous: bool
+
+
+def displacement_and_force(
+    kinematic: str,
+    deformed: Array,
+    kinetic: str,
+    resisted: Array,
+    gauge: Gauge | None,
+    where: str,
+    *,
+    in_order: bool = False,
+) -> tuple[Array, Array]:
+    """Curve of a test as it was recorded.
+
+    Shapes: deformed, resisted (rows,), mm, MPa; returns (rows,).
+    """
+    if kinematic == "displacement" and kinetic == "force":
+        return deformed, resisted
+    known = _checked(kinematic, kinetic, gauge, where)
+    if known.mode == "simple-shear":
+        shear = deformed / known.length_mm if kinematic == "displacement" else deformed
+        force = resisted if kinetic == "force" else known.area_mm2 * resisted
+        turned = np.where(shear < 0, -1.0, 1.0)
+        if in_order or (turned > 0).all():
+            return shear * known.length_mm, force
+        order = np.argsort(np.abs(shear), kind="stable")
+        return np.abs(shear)[order] * known.length_mm, (turned * force)[order]
+    stretch = _stretch(kinematic, deformed, known)
+    if not (stretch > 0).all():
+        rule = f"{kinematic} of {deformed[np.argmin(stretch)]:g} leaves nothing of the specimen"
+        raise InputError(Fault(where, rule, "check the column and measurements.units"))
+    elongation = known.sense * (stretch - 1) * known.length_mm
+    displacement = deformed if kinematic == "displacement" else elongation
+    return displacement, _force(kinetic, resisted, stretch, known)
+
+
+def _checked(kinematic: str, kinetic: str, gauge: Gauge | None, where: str) -> Gauge:
+    if gauge is None or not gauge.is_homogeneous:
+        rule = f"{kinematic} and {kinetic} are those of a specimen that deforms the same everywhere"
+        mend = "give displacement and force, or a test without bonded faces"
+        raise InputError(Fault(where, rule, mend))
+    for column in (kinematic, kinetic):
+        modes = _MODES.get(column, (gauge.mode,))
+        if gauge.mode not in modes:
+            rule = f"a column {column} has no meaning in {gauge.mode} loading"
+            raise InputError(Fault(where, rule, f"it belongs to {', '.join(modes)}"))
+    return gauge
+
+
+def _stretch(kinematic: str, values: Array, gauge: Gauge) -> Array:
+    if kinematic == "displacement":
+        return np.asarray(1 + gauge.sense * values / gauge.length_mm)
+    if kinematic == "volume_ratio":
+        return np.asarray(values if gauge.mode == "confined" else np.cbrt(values))
+    return np.asarray(_TO_STRETCH[kinematic](values))
+
+
+def _force(kinetic: str, values: Array, stretch: Array, gauge: Gauge) -> Array:
+    if kinetic == "force":
+        return values
+    if kinetic == "pressure":  # on faces whose area shrinks with l^2
+        return np.asarray(gauge.area_mm2 * values * stretch**2)
+    if kinetic == "true_stress" and gauge.mode != "confined":
+        return np.asarray(gauge.area_mm2 * values / stretch)
+    return np.asarray(gauge.area_mm2 * values)

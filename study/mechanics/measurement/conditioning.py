@@ -1,0 +1,475 @@
+"""From the rows of one measured test to a curve on an even grid, by stated rules.
+
+The rules are applied in this order, and every row they drop or change is counted:
+
+1. branch: of a test that was loaded and unloaded, once or in cycles, the first loading is kept;
+2. sign: force, and displacement where it runs the other way, made positive into the specimen;
+   a force that falls with displacement is refused;
+3. ``zero``: the load cell's reading without load is subtracted (``first``: the first row;
+   ``fit``: the start of a straight line through the first tenth of the travel);
+4. sorting by displacement; equal displacements averaged; a non-monotone force is kept;
+5. ``toe``: displacement counts from where the force passes this load for good;
+6. resampling by linear interpolation at ``points`` displacements even over the range; or, for
+   ``raw``, the rows within the range as they are.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from study.ground.arrays import Array
+from study.ground.curve import Curve
+from study.ground.errors import Fault, InputError
+from study.mechanics.material.homogeneous import LOADINGS
+from study.mechanics.measurement.measured_test import Measurements
+from study.mechanics.setup.geometry import Cone, Enclosed, Flat, Indenter, Sphere
+from study.mechanics.setup.setup import Setup
+
+# -------------------------------------------------------------------------------------------------
+# The first loading of a test that was also unloaded, once or in cycles.
+#
+# A soft material gives less force on the way back (hysteresis), and less again in a second cycle
+# (Mullins 1969, Rubber Chem. Technol. 42, 339). Rows of several branches, sorted by displacement,
+# would be a curve that nobody measured.
+
+#: share of the travel by which a machine must go back to have turned; less is jitter
+TURN = 0.1
+#: rows that a branch has at least: fewer are rows out of order, not a way that a machine went
+BRANCH_ROWS = 3
+
+
+def last_of_loading(displacement_mm: Array) -> int:
+    """Row at which the first loading ends: the last one of a test that was only loaded.
+
+    Rows that stand in no order, or begin far from where the test begins, have no loading branch
+    and are all kept.
+
+    Shapes: displacement_mm (rows,).
+
+    Examples
+    --------
+    >>> last_of_loading(np.array([0.0, 1, 2, 3, 4, 3, 2, 1, 0]))
+    4
+    >>> last_of_loading(np.array([0.0, 3, 1, 4, 2]))
+    4
+    """
+    d = np.abs(displacement_mm)
+    everything = d.size - 1
+    turns = _turns(d, TURN * float(np.ptp(d)))
+    ends = [0, *turns, everything]
+    if not turns or min(np.diff(ends)) < BRANCH_ROWS:
+        return everything
+    begins_low = d[0] <= d.min() + TURN * float(np.ptp(d))
+    return turns[0] if begins_low else everything
+
+
+def _turns(d: Array, least: float) -> list[int]:
+    """Rows at which the displacement turns, by at least so much."""
+    turns: list[int] = []
+    start, sense = 0, 1.0
+    while True:
+        way = sense * d[start:]
+        furthest = np.maximum.accumulate(way)
+        back = np.flatnonzero(furthest - way > least)
+        if not back.size:
+            return turns
+        row = int(back[0])
+        turns.append(start + int(np.flatnonzero(way[:row] == furthest[row])[-1]))
+        start, sense = start + row, -sense
+
+
+# -------------------------------------------------------------------------------------------------
+# Measured forces that no soft material gives: a unit or a size may be wrong.
+#
+# The modulus behind a curve is estimated from one point in the middle of it: nominal stress over
+# nominal strain where plates load a specimen, and the half-spaces of Boussinesq (flat), Hertz
+# (sphere) and Love (cone) where an indenter does (Sneddon 1965, Int. J. Eng. Sci. 3, 47, with
+# Poisson's ratio 1/2). A specimen that is bonded or thin is some times stiffer than that; a window
+# of five decades does not mind.
+
+#: Young's moduli of tissue, gels, silicone and rubber, MPa: 0.1 kPa to 30 MPa
+SOFT_MPA = (1e-4, 30.0)
+#: 1 - nu^2 of what keeps its volume
+_PLANE = 0.75
+_THOUSAND = 1000.0
+
+#: how a note of this module can be told from others
+IMPLAUSIBLE = "no soft material"
+
+
+def apparent_modulus(setup: Setup, displacement_mm: float, force_N: float) -> float | None:  # noqa: N803
+    """Young's modulus in MPa that one point of a curve speaks for.
+
+    Examples
+    --------
+    A cylinder of 10 mm radius and 20 mm height, pressed 2 mm by 3.1416 N: 10 kPa over 10 %.
+
+    >>> from study.mechanics.setup.setup import Setup
+    >>> cylinder = {"shape": "cylinder", "radius_mm": 10.0, "height_mm": 20.0}
+    >>> setup = Setup.of({"specimen": cylinder, "test": {"kind": "compression"}})
+    >>> round(apparent_modulus(setup, 2.0, 3.1416), 4)
+    0.1
+    """
+    indenter = setup.test.indenter
+    if indenter is not None:
+        return force_N * _PLANE / _half_space(indenter, displacement_mm)
+    if setup.height_mm is None or isinstance(setup.specimen, Enclosed):
+        return None
+    if LOADINGS[setup.kind.mode].is_volumetric:
+        return None  # a bulk modulus, which soft materials have in gigapascals
+    strain = displacement_mm / setup.height_mm
+    return force_N / setup.specimen.area_mm2 / strain
+
+
+def _half_space(indenter: Indenter, depth_mm: float) -> float:
+    """Force over plane-strain modulus at a depth, mm^2."""
+    if isinstance(indenter, Flat):
+        return 2 * indenter.radius_mm * depth_mm
+    if isinstance(indenter, Sphere):
+        return 4 / 3 * math.sqrt(indenter.radius_mm * depth_mm**3)
+    if isinstance(indenter, Cone):
+        return 2 / math.pi * math.tan(math.radians(indenter.half_angle_deg)) * depth_mm**2
+    raise TypeError(f"no half-space is known for {type(indenter).__name__}")
+
+
+def checked(found: Measurements, setup: Setup) -> Measurements:
+    """Copy measurements with a note on every test whose modulus no soft material has."""
+    middle = len(found.displacement_mm) // 2
+    place = float(found.displacement_mm[middle])
+    low, high = SOFT_MPA
+    odd: list[tuple[float, float]] = []
+    for test in found.tests:
+        force = float(test.force_N[middle])
+        modulus = apparent_modulus(setup, place, force) if place > 0 and force > 0 else None
+        if modulus is not None and not low <= modulus <= high:
+            odd.append((force, modulus))
+    if not odd:
+        return found
+    return replace(found, notes=(*found.notes, _sentence(odd, len(found.tests), place, found)))
+
+
+def _sentence(odd: list[tuple[float, float]], total: int, place: float, found: Measurements) -> str:
+    """Say which forces are meant, and what would make them plausible."""
+    force, modulus = odd[0]
+    low, high = SOFT_MPA
+    factor = _THOUSAND if modulus < low else 1 / _THOUSAND
+    likely = low <= modulus * factor <= high
+    size = "1000 times larger" if factor > 1 else "1000 times smaller"
+    hint = f"; a force {size} would be one of a soft material" if likely else ""
+    return (
+        f"{', '.join(sorted(found.files)[:2])}: {force:.4g} N at {place:.4g} mm means a Young's "
+        f"modulus of about {_in_words(modulus)}, that of {IMPLAUSIBLE} ({_in_words(low)} to "
+        f"{_in_words(high)}; in {len(odd)} of {total} tests){hint}: check measurements.units "
+        "and the size of the specimen"
+    )
+
+
+def _in_words(modulus_MPa: float) -> str:  # noqa: N803
+    if modulus_MPa >= 1:
+        return f"{modulus_MPa:.3g} MPa"
+    return f"{modulus_MPa * 1e3:.3g} kPa" if modulus_MPa >= 1e-4 else f"{modulus_MPa * 1e6:.3g} Pa"
+
+
+ZERO_RULES = ("none", "first", "fit")
+SIGNS = ("positive", "negative")
+ZERO_FIT_SHARE = 0.1
+MIN_ROWS = 3
+EQUAL_MM = 1e-9
+#: force of the unloaded specimen over the largest one, from which a zero is asked for
+OFFSET_SHARE = 0.02
+#: times that a test may go further than its range and still be a test for it
+_SAME_SIZE = 5.0
+
+#: a rule that a user is warned of: it may mean that the file holds something else
+SORTED = "rows out of order sorted by displacement"
+#: the other one: a test that was also unloaded has two forces at every displacement
+UNLOADED = "rows after the first loading left out: the loading branch is used"
+#: and one that asks for a rule
+OFFSET = "a load-cell offset?"
+_CAUTIONS = (SORTED, UNLOADED, OFFSET, IMPLAUSIBLE)
+
+
+@dataclass(frozen=True)
+class Rules:
+    """How the rows of every test of a study become a curve."""
+
+    #: Range of displacement that is kept.
+    low_mm: float
+    high_mm: float
+    #: Number of displacements, even over the range; 0 for the rows as they are.
+    points: int = 200
+    #: {"positive", "negative"}: declared sign of the force where the specimen resists.
+    sign: str = "positive"
+    #: {"none", "first", "fit"}: rule of the load cell's zero.
+    zero: str = "none"
+    #: Force at which contact counts as made.
+    toe_N: float | None = None
+    #: Height of the specimen, for messages in percent.
+    height_mm: float | None = None
+
+    @property
+    def is_raw(self) -> bool:
+        """Whether rows stay as they were measured."""
+        return self.points == 0
+
+    def grid(self) -> Array:
+        """Displacements in mm at which the force is taken, shape (points,)."""
+        return np.linspace(self.low_mm, self.high_mm, self.points)
+
+
+@dataclass(frozen=True)
+class Conditioned:
+    """Curve of one test on the grid of its rules, shape (points,), and what was done.
+
+    ``recorded`` holds the rows in the range that it was interpolated from. ``offset`` is the force
+    of the unloaded specimen over the largest one, where that is no zero and no rule asks for it.
+    """
+
+    displacement_mm: Array
+    force_N: Array
+    counts: Counter[str]
+    zero_N: float
+    toe_mm: float
+    rows: int
+    recorded: Curve
+    offset: float | None = None
+
+
+def condition(displacement_mm: Array, force_N: Array, rules: Rules, where: str) -> Conditioned:
+    """Apply the rules of this module to one test.
+
+    Shapes: displacement_mm, force_N (rows,).
+    """
+    counts: Counter[str] = Counter()
+    if displacement_mm.size < MIN_ROWS:
+        raise InputError(
+            Fault(where, f"has {displacement_mm.size} rows, a curve needs at least {MIN_ROWS}")
+        )
+    last = last_of_loading(displacement_mm)
+    if last + 1 < displacement_mm.size:
+        counts[UNLOADED] += displacement_mm.size - last - 1
+    d, f = _apply_sign(displacement_mm[: last + 1], force_N[: last + 1], rules, where, counts)
+    zero, offset = _zero(d, f, rules.zero), _offset(d, f, rules)
+    d, f = _sorted_unique(d, f - zero, counts)
+    d, f, toe = _toe(d, f, rules, where, counts)
+    within = (d >= rules.low_mm - _slack(rules)) & (d <= rules.high_mm + _slack(rules))
+    inside = int(np.count_nonzero((d >= rules.low_mm) & (d <= rules.high_mm)))
+    recorded = Curve(d[within], f[within])
+    if rules.is_raw:
+        if inside < MIN_ROWS:
+            raise InputError(_too_few(inside, rules, where))
+        return Conditioned(d[within], f[within], counts, zero, toe, inside, recorded, offset)
+    force = _resample(d, f, rules, where, counts)
+    return Conditioned(rules.grid(), force, counts, zero, toe, inside, recorded, offset)
+
+
+def condition_course(
+    displacement_mm: Array, force_N: Array, time_s: Array, rules: Rules, where: str
+) -> Conditioned:
+    """Apply the rules that a course in time leaves: sign, and the load cell's first reading.
+
+    Shapes: displacement_mm, force_N, time_s (rows,).
+    """
+    if displacement_mm.size < MIN_ROWS:
+        rule = f"has {displacement_mm.size} rows, a course needs at least {MIN_ROWS}"
+        raise InputError(Fault(where, rule))
+    turn = -1.0 if rules.sign == "negative" else 1.0
+    # a shortened specimen is recorded with both signs turned, or with that of the force alone
+    backwards = turn < 0 and displacement_mm.min() < -displacement_mm.max()
+    d = -displacement_mm if backwards else displacement_mm
+    f = turn * force_N
+    zero = float(f[0]) if rules.zero == "first" else 0.0
+    f = f - zero
+    if float(d @ f) <= 0:
+        other = "negative" if rules.sign == "positive" else "positive"
+        rule = f"the force does not resist with the declared sign ({rules.sign})"
+        raise InputError(Fault(where, rule, f'write sign = "{other}", or check the columns'))
+    course = Curve(d, f, time_s=time_s)
+    return Conditioned(d, f, Counter(), zero, 0.0, d.size, course)
+
+
+def _slack(rules: Rules) -> float:
+    """Return the rounding of the ends of a range, mm."""
+    return 1e-9 * (rules.high_mm if np.isfinite(rules.high_mm) else 1.0)
+
+
+def _too_few(inside: int, rules: Rules, where: str, reached_mm: float | None = None) -> Fault:
+    rule = (
+        f"has {inside} rows between {_place(rules.low_mm, rules)} and "
+        f"{_place(rules.high_mm, rules)}, a curve needs at least {MIN_ROWS}"
+    )
+    far = "" if reached_mm is None else _other_unit(reached_mm, rules.high_mm)
+    return Fault(where, rule, "widen the range or record more points" + far)
+
+
+def _other_unit(reached_mm: float, high_mm: float) -> str:
+    """Say where a travel is of the right size but for a factor of 1000."""
+    for factor, size in ((1000.0, "small"), (0.001, "large")):
+        if high_mm <= reached_mm * factor <= _SAME_SIZE * high_mm:
+            return (
+                f"; the displacements are 1000 times too {size} for this range: check "
+                "measurements.units"
+            )
+    return ""
+
+
+def _apply_sign(
+    d: Array, f: Array, rules: Rules, where: str, counts: Counter[str]
+) -> tuple[Array, Array]:
+    span = float(np.ptp(f))
+    if span <= 1e-12 * max(float(np.abs(f).max()), 1e-300) or np.ptp(d) == 0:
+        what = "displacement" if np.ptp(d) == 0 else "force"
+        value = d[0] if what == "displacement" else f[0]
+        raise InputError(
+            Fault(
+                where,
+                f"the {what} is constant ({value:.6g}): nothing to fit",
+                "check the columns and the recording",
+            )
+        )
+    backwards = abs(float(d.min())) > abs(float(d.max()))
+    if rules.sign == "negative":
+        f = -f
+        if backwards:
+            d = -d
+            counts["displacement reversed (declared sign negative)"] += d.size
+    elif backwards:
+        raise InputError(
+            Fault(
+                where,
+                f"displacement runs from {d.max():.4g} to {d.min():.4g} mm where the "
+                "declared sign is positive into the specimen",
+                'write sign = "negative" if compression is recorded as negative',
+            )
+        )
+    if _covariance(d, f) < 0:
+        other = "negative" if rules.sign == "positive" else "positive"
+        raise InputError(
+            Fault(
+                where,
+                "force falls as displacement grows: the declared sign "
+                f"({rules.sign}) does not fit the data",
+                f'write sign = "{other}", or check the columns',
+            )
+        )
+    return d, f
+
+
+def _covariance(d: Array, f: Array) -> float:
+    """Covariance over squares of the largest values, so that it cannot overflow."""
+    d, f = d / np.abs(d).max(), f / np.abs(f).max()
+    return float(np.mean((d - d.mean()) * (f - f.mean())))
+
+
+def _zero(d: Array, f: Array, rule: str) -> float:
+    """Read the load cell without load, in N (d, f in the order of the recording)."""
+    if rule == "first":
+        return float(f[0])
+    if rule == "fit":
+        order = np.argsort(d, kind="stable")
+        d, f = d[order], f[order]
+        count = int(np.count_nonzero(d <= d[0] + ZERO_FIT_SHARE * np.ptp(d)))
+        count = min(max(count, MIN_ROWS), d.size)
+        x = d[:count] - d[:count].mean()
+        y = f[:count]
+        slope = float(x @ y / (x @ x)) if np.any(x) else 0.0
+        return float(y.mean() + slope * x[0])
+    return 0.0
+
+
+def _offset(d: Array, f: Array, rules: Rules) -> float | None:
+    """Share of the largest force that is there before the specimen is loaded; None if it is small.
+
+    Both the first reading and the straight line through the first tenth of the travel must say so:
+    the one alone may be noise, the other the curvature of a sound test.
+    """
+    first = int(np.argmin(d))
+    if rules.zero != "none" or rules.toe_N is not None:
+        return None
+    if abs(float(d[first])) > OFFSET_SHARE * float(np.abs(d).max()):
+        return None
+    largest = float(np.abs(f).max())
+    shares = sorted((float(f[first]) / largest, _zero(d, f, "fit") / largest), key=abs)
+    same = shares[0] * shares[1] > 0
+    return shares[0] if same and abs(shares[0]) > OFFSET_SHARE else None
+
+
+def _sorted_unique(d: Array, f: Array, counts: Counter[str]) -> tuple[Array, Array]:
+    out_of_order = int(np.count_nonzero(np.diff(d) < 0))
+    if out_of_order:
+        counts[SORTED] += out_of_order
+        order = np.argsort(d, kind="stable")
+        d, f = d[order], f[order]
+    places, inverse, repeats = np.unique(
+        np.round(d / EQUAL_MM), return_inverse=True, return_counts=True
+    )
+    if places.size < d.size:
+        counts["rows of equal displacement averaged"] += int(repeats[repeats > 1].sum())
+        d = np.bincount(inverse, weights=d) / repeats
+        f = np.bincount(inverse, weights=f) / repeats
+    return d, f
+
+
+def _toe(
+    d: Array, f: Array, rules: Rules, where: str, counts: Counter[str]
+) -> tuple[Array, Array, float]:
+    """Shift displacement to where the force passes the toe for the last time from below."""
+    if rules.toe_N is None:
+        return d, f, 0.0
+    below = np.flatnonzero(f <= rules.toe_N)
+    start = int(below[-1]) + 1 if below.size else 0
+    if start >= d.size:
+        raise InputError(
+            Fault(where, f"the force never stays above the toe of {rules.toe_N:.4g} N", "lower toe")
+        )
+    contact = float(d[start])
+    if start:
+        share = (rules.toe_N - f[start - 1]) / (f[start] - f[start - 1])
+        contact = float(d[start - 1] + share * (d[start] - d[start - 1]))
+        counts["rows before contact dropped (toe)"] += start
+        d, f = np.r_[contact, d[start:]], np.r_[rules.toe_N, f[start:]]
+    return d - contact, f, contact
+
+
+def _resample(d: Array, f: Array, rules: Rules, where: str, counts: Counter[str]) -> Array:
+    low, high = rules.low_mm, rules.high_mm
+    spacing = (high - low) / max(rules.points - 1, 1)
+    slack = 1e-9 * high
+    if d[-1] < high - slack:
+        raise InputError(
+            Fault(
+                where,
+                f"ends at {_place(d[-1], rules)}, the range asks for {_place(high, rules)}",
+                "shorten the range or leave this test out" + _other_unit(float(d[-1]), high),
+            )
+        )
+    if d[0] > low + slack:
+        if d[0] > low + spacing or low < 0:
+            raise InputError(
+                Fault(
+                    where,
+                    f"begins at {_place(d[0], rules)}, the range asks for {_place(low, rules)}",
+                    "raise the lower end of the range",
+                )
+            )
+        # the unloaded origin is part of every curve; it bridges less than one grid step here
+        counts["tests whose start was joined to the unloaded origin"] += 1
+        d, f = np.r_[0.0, d], np.r_[0.0, f]
+    inside = int(np.count_nonzero((d >= low - slack) & (d <= high + slack)))
+    if inside < MIN_ROWS:
+        raise InputError(_too_few(inside, rules, where, float(d[-1])))
+    return np.asarray(np.interp(rules.grid(), d, f), dtype=float)
+
+
+def _place(value_mm: float, rules: Rules) -> str:
+    percent = f" ({100 * value_mm / rules.height_mm:.4g} %)" if rules.height_mm else ""
+    return f"{value_mm:.4g} mm{percent}"
+
+
+def is_caution(note: str) -> bool:
+    """Whether a note on measurements says that they may not be what they seem."""
+    return any(mark in note for mark in _CAUTIONS)

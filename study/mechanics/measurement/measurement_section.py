@@ -1,0 +1,430 @@
+"""The table ``[measurements]``: where measured curves are and how rows become curves."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from study.ground import units
+from study.ground.errors import Fault, InputError, UnitError
+from study.mechanics.measurement.column_text import DELIMITERS, KINEMATIC, KINETIC, Layout
+from study.mechanics.setup.declaration import (
+    Bad,
+    Force,
+    Read,
+    Reads,
+    choice,
+    flag,
+    integer,
+    keys_of,
+    name,
+    names,
+    relative_path,
+    section,
+    shown,
+    text,
+    unit_of_length,
+    word,
+)
+
+MAX_POINTS = 100_000
+MAX_SKIPPED = 1000
+_FIELD = re.compile(r"\{([^{}]*)\}")
+
+#: ends of the names of measured files: texts are read as CSV
+ENDINGS = (".csv", ".csv.gz", ".txt", ".tsv", ".dat")
+
+#: label of a row, or several
+Labels = str | tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Range:
+    """Range of displacement: percent of the specimen's height, or mm."""
+
+    #: What ``low`` and ``high`` count.
+    kind: Literal["percent", "mm"]
+    #: Ends of the range, 0 <= low < high.
+    low: float
+    #: Ends of the range, 0 <= low < high.
+    high: float
+
+    def in_mm(self, height_mm: float | None = None) -> tuple[float, float]:
+        """Both ends in mm.
+
+        Examples
+        --------
+        >>> Range("percent", 1.0, 20.0).in_mm(30.0)
+        (0.3, 6.0)
+        """
+        if self.kind == "mm":
+            return self.low, self.high
+        if height_mm is None:
+            rule = "in percent needs a specimen with a height"
+            raise InputError(Fault("measurements.range", rule, 'give it in mm: ["0.3 mm", "6 mm"]'))
+        return self.low * height_mm / 100, self.high * height_mm / 100
+
+
+def csv_path(value: object) -> str:
+    """Read the path of a table."""
+    path = relative_path(value)
+    if not path.lower().endswith(ENDINGS):
+        raise Bad(f"must end in .csv or .csv.gz, got {shown(value)}")
+    if "{" in path or "}" in path:
+        raise Bad(f"is one file, got a pattern {shown(value)}", "write files = ...")
+    return path
+
+
+def csv_pattern(value: object) -> str:
+    """Read a pattern such as ``"indentation-{specimen}.csv"``."""
+    pattern = relative_path(value)
+    if not pattern.lower().endswith(ENDINGS):
+        raise Bad(f"must end in .csv or .csv.gz, got {shown(value)}")
+    groups = _FIELD.findall(pattern)
+    odd = "{" in _FIELD.sub("", pattern) or "}" in _FIELD.sub("", pattern)
+    if odd or not groups or any(not re.fullmatch(r"[A-Za-z]\w{0,79}", g, re.A) for g in groups):
+        raise Bad(f"needs groups such as {{specimen}}, got {shown(value)}", "or write file = ...")
+    if len(set(groups)) < len(groups):
+        raise Bad(f"names a group twice, got {shown(value)}")
+    return pattern
+
+
+def read_range(value: object) -> Range:
+    """Read ``["1 %", "20 %"]`` or ``["0.3 mm", "6 mm"]``."""
+    mend = 'write, for example, ["1 %", "20 %"] or ["0.3 mm", "6 mm"]'
+    if not isinstance(value, list) or len(value) != 2:
+        raise Bad(f"must be two values, got {shown(value)}", mend)
+    ends = [v for v in value if isinstance(v, str)]
+    if len(ends) < len(value):
+        raise Bad(f"needs units, got {shown(value)}", mend)
+    percent = [v.rstrip().endswith("%") for v in ends]
+    if percent[0] != percent[1]:
+        raise Bad(f"mixes percent and length, got {shown(value)}", mend)
+    try:
+        low, high = (
+            units.parse_percent(v) if percent[0] else units.parse(v, "length") for v in ends
+        )
+    except UnitError as error:
+        raise Bad(error.faults[0].rule, mend) from error
+    if not 0 <= low < high:
+        raise Bad(f"must rise from 0 or more, got {shown(value)}", mend)
+    if percent[0] and high >= 100:
+        raise Bad(f"must stay below 100 % of the height, got {shown(value)}", mend)
+    return Range("percent" if percent[0] else "mm", low, high)
+
+
+def rows(value: object) -> dict[str, Labels]:
+    """Read a choice of rows: column -> label, or labels."""
+    if not isinstance(value, Mapping) or not value:
+        raise Bad(f"must be a table, got {shown(value)}", 'for example { specimen = "A" }')
+    return {name(column): _labels(wanted) for column, wanted in value.items()}
+
+
+def _labels(value: object) -> Labels:
+    if isinstance(value, list):
+        if not value:
+            raise Bad("chooses no label at all")
+        return tuple(_label(v) for v in value)
+    return _label(value)
+
+
+def _label(value: object) -> str:
+    if isinstance(value, float) and value.is_integer():
+        value = int(value)
+    if isinstance(value, bool) or not isinstance(value, (str, int, float)):
+        raise Bad(f"must be a label, got {shown(value)}")
+    return text(str(value))
+
+
+def _unit(dimension: str) -> Read:
+    def read(value: object) -> str:
+        unit = text(value)
+        units.unit_factor(unit, dimension)
+        return unit
+
+    return read
+
+
+def groups_of(pattern: str) -> list[str]:
+    """Names of the groups in a pattern such as ``"indentation-{specimen}.csv"``."""
+    return _FIELD.findall(pattern)
+
+
+Column = Annotated[str | None, Reads(name)]
+
+
+@section
+class Columns:
+    """Columns of a measured file: one that says how far, one that says how hard.
+
+    The pair is displacement and force, or measures of strain and stress
+    (:mod:`study.mechanics.measurement.column_text`). A third one may say when.
+    """
+
+    displacement: Column = None
+    force: Column = None
+    stretch: Column = None
+    strain: Column = None
+    true_strain: Column = None
+    volume_ratio: Column = None
+    stress: Column = None
+    true_stress: Column = None
+    pressure: Column = None
+    time: Column = None
+
+    def named(self, quantities: Iterable[str]) -> list[str]:
+        """Those of some quantities that have a column."""
+        return [one for one in quantities if getattr(self, one) is not None]
+
+    @property
+    def kinematic(self) -> str:
+        """Quantity that says how far the specimen was deformed."""
+        return next(iter(self.named(KINEMATIC)), "displacement")
+
+    @property
+    def kinetic(self) -> str:
+        """Quantity that says how it resisted."""
+        return next(iter(self.named(KINETIC)), "force")
+
+    def column(self, quantity: str) -> str:
+        """Name of the column of a quantity that has one."""
+        return str(getattr(self, quantity))
+
+
+_RATIO = Annotated[str | None, Reads(_unit("ratio"))]
+_STRESS = Annotated[str | None, Reads(_unit("pressure"))]
+
+
+@section
+class Units:
+    """Units of the columns of a measured file; "1" or "%" for ratios."""
+
+    displacement: Annotated[str | None, Reads(_unit("length"))] = None
+    force: Annotated[str | None, Reads(_unit("force"))] = None
+    stretch: _RATIO = None
+    strain: _RATIO = None
+    true_strain: _RATIO = None
+    volume_ratio: _RATIO = None
+    stress: _STRESS = None
+    true_stress: _STRESS = None
+    pressure: _STRESS = None
+    time: Annotated[str | None, Reads(_unit("time"))] = None
+
+    def unit(self, quantity: str) -> str:
+        """Return the unit of the column of a quantity that has one."""
+        return str(getattr(self, quantity))
+
+
+def _points(value: object) -> int | Literal["raw"]:
+    if value == "raw":
+        return "raw"
+    return integer(2, MAX_POINTS)(value)
+
+
+def _mark(value: object) -> str:
+    mark = text(value)
+    if len(mark) > 3 or mark.strip() != mark:
+        raise Bad(f"must be 1 to 3 characters, got {shown(value)}", 'for example comment = "#"')
+    return mark
+
+
+#: keys that say how a file is written
+_LAYOUT = ("skip_lines", "comment", "delimiter")
+
+
+@section
+class MeasurementSpec:
+    """Where measured curves are and how their rows become curves."""
+
+    #: Column and unit of displacement and force.
+    columns: Columns = Field(
+        description='for example columns = { displacement = "displacement_mm", force = "force_N" }'
+    )
+    #: Column and unit of displacement and force.
+    units: Units = Field(description='for example units = { displacement = "mm", force = "N" }')
+    #: One long table, or a pattern such as ``"indentation-{specimen}.csv"``; exactly one.
+    file: Annotated[str | None, Reads(csv_path)] = None
+    #: One long table, or a pattern such as ``"indentation-{specimen}.csv"``; exactly one.
+    files: Annotated[str | None, Reads(csv_pattern)] = None
+    #: Column of the unit that was replicated.
+    block: Annotated[str | None, Reads(name)] = None
+    #: Columns whose rows are repeats, nested in a specimen.
+    average: Annotated[tuple[str, ...], Reads(names)] = ()
+    #: Displacements that are used.
+    range: Annotated[Range | None, Reads(read_range)] = None
+    #: Number of displacements, even over the range; raw: the rows as they were measured.
+    points: Annotated[int | Literal["raw"], Reads(_points)] = 200
+    #: Which rows give constants, which give responses.
+    fit: Annotated[dict[str, Labels] | None, Reads(rows)] = None
+    #: Which rows give constants, which give responses.
+    score: Annotated[dict[str, Labels] | None, Reads(rows)] = None
+    #: Whether fit and score also change places.
+    swap: Annotated[bool, Reads(flag)] = False
+    #: Rule of the load cell's zero, sign of a resisting force, decimal mark of the file.
+    zero: Annotated[str, Reads(choice("none", "first", "fit"))] = "none"
+    #: Force in N at which contact counts as made.
+    toe: Force | None = None
+    #: Rule of the load cell's zero, sign of a resisting force, decimal mark of the file.
+    sign: Annotated[str, Reads(choice("positive", "negative"))] = "positive"
+    #: Rule of the load cell's zero, sign of a resisting force, decimal mark of the file.
+    decimal: Annotated[str, Reads(choice(".", ","))] = "."
+    #: Printed in the report.
+    citation: Annotated[str, Reads(text)] = ""
+    #: Lines before the header, mark of lines that are none, and what parts the cells of a file that
+    #: is no plain CSV.
+    skip_lines: Annotated[int, Reads(integer(0, MAX_SKIPPED))] = 0
+    #: Lines before the header, mark of lines that are none, and what parts the cells of a file that
+    #: is no plain CSV.
+    comment: Annotated[str, Reads(_mark)] = ""
+    #: Lines before the header, mark of lines that are none, and what parts the cells of a file that
+    #: is no plain CSV.
+    delimiter: Annotated[str, Reads(choice("", *DELIMITERS))] = ""
+    #: Whether a line names the columns; without one columns are named by their number.
+    header: Annotated[bool, Reads(flag)] = True
+
+    @property
+    def layout(self) -> Layout:
+        """How its files differ from CSV."""
+        return Layout(self.skip_lines, self.comment, self.delimiter, self.header)
+
+    def as_dict(self) -> dict[str, object]:
+        """Plain values, for JSON; what a file of displacement and force does not say stays out."""
+        found = asdict(self)
+        for key in ("columns", "units"):
+            found[key] = {k: v for k, v in found[key].items() if v is not None}
+        if self.header:
+            del found["header"]
+        return {k: v for k, v in found.items() if k not in _LAYOUT or v}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> MeasurementSpec:
+        """Inverse of :meth:`as_dict`, also after a way through JSON."""
+        names = {key.name for key in keys_of(cls)}
+        values = {k: v for k, v in data.items() if k in names}
+        values["average"] = tuple(values.get("average") or ())
+        if values.get("range") is not None:
+            values["range"] = Range(**values["range"])
+        for key in ("fit", "score"):
+            if values.get(key) is not None:
+                values[key] = {
+                    k: tuple(v) if isinstance(v, list) else v for k, v in values[key].items()
+                }
+        return cls(**values)
+
+
+# -------------------------------------------------------------------------------------------------
+# The table ``[markers]``: marked points inside a specimen, at rest and in the states of a test.
+
+#: what a plate is taken to do: as it was said to move, any rigid motion, and slip besides
+PLATES = ("nominal", "rigid", "slipping")
+
+Axes = tuple[str, str, str]
+
+_STATE = 'for example "5 %" = { columns = ["x1", "y1", "z1"], displacement = "4 mm" }'
+
+
+@dataclass(frozen=True)
+class MarkedState:
+    """Where markers were in one state of the test."""
+
+    label: str
+    #: With the coordinates x, y and z.
+    columns: Axes
+    displacement_mm: float
+
+
+def _axes(value: object) -> Axes:
+    found = names(value)
+    if not isinstance(value, list) or len(found) != 3:
+        mend = 'for example ["x0", "y0", "z0"]'
+        raise Bad(f"must be the columns of x, y and z, got {shown(value)}", mend)
+    return (found[0], found[1], found[2])
+
+
+def _states(value: object) -> tuple[MarkedState, ...]:
+    """Read every state of the test, by its label."""
+    if not isinstance(value, Mapping) or not value:
+        raise Bad(f"must be a table of states, got {shown(value)}", _STATE)
+    return tuple(_state(name(label), table) for label, table in value.items())
+
+
+def _state(label: str, table: object) -> MarkedState:
+    if not isinstance(table, Mapping) or set(table) != {"columns", "displacement"}:
+        raise Bad(f"state {label!r} must have columns and displacement, got {shown(table)}", _STATE)
+    try:
+        moved = units.parse(table["displacement"], "length")
+    except UnitError as error:
+        raise Bad(f"state {label!r}: {error.faults[0].rule}", error.faults[0].mend) from error
+    if not moved > 0:
+        raise Bad(f"state {label!r}: its displacement must be above 0", _STATE)
+    return MarkedState(label, _axes(table["columns"]), moved)
+
+
+def _layers(value: object) -> tuple[str, ...]:
+    """Read labels of layers, which may be numbers."""
+    items = value if isinstance(value, list) else [value]
+    if any(isinstance(one, bool) or not isinstance(one, str | int) for one in items) or not items:
+        raise Bad(f"must be labels of layers, got {shown(value)}", "for example fit = [1, 7]")
+    return tuple(dict.fromkeys(str(one).strip() for one in items))
+
+
+@section
+class MarkerSpec:
+    """Markers inside a specimen: where their places are, and how a plate is fitted to them."""
+
+    #: Table with one row a marker.
+    file: Annotated[str, Reads(csv_path, mend='for example file = "markers.csv"')]
+    #: Columns of x, y and z in the unloaded specimen.
+    rest: Annotated[Axes, Reads(_axes, mend='for example rest = ["x0", "y0", "z0"]')]
+    #: Every state of the test: the same markers, measured again.
+    states: Annotated[tuple[MarkedState, ...], Reads(_states, mend=_STATE)]
+    unit: Annotated[str, Reads(unit_of_length)] = "mm"
+    #: Axis of the file that points up, from the base to the plate that moves.
+    axis: Annotated[str, word("z", "-z", "x", "-x", "y", "-y")] = "z"
+    layer: Annotated[str | None, Reads(name)] = None
+    #: Layers that alone tell how the plate moved, where the others are to be predicted.
+    fit: Annotated[tuple[str, ...], Reads(_layers)] = ()
+    #: What the responses take the plate to do.
+    plate: Annotated[Literal["nominal", "rigid", "slipping"], word(*PLATES)] = "slipping"
+    skip_lines: Annotated[int, Reads(integer(0, MAX_SKIPPED))] = 0
+    decimal: Annotated[str, Reads(choice(".", ","))] = "."
+    citation: Annotated[str, Reads(text)] = ""
+
+    @property
+    def layout(self) -> Layout:
+        """How the file differs from plain CSV."""
+        return Layout(self.skip_lines)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Labels of the states."""
+        return tuple(state.label for state in self.states)
+
+    @property
+    def deepest_mm(self) -> float:
+        """Largest motion of the plate that was said."""
+        return max(state.displacement_mm for state in self.states)
+
+    def state(self, label: str) -> MarkedState:
+        """State of a label, which must be one of :attr:`labels`."""
+        return self.states[self.labels.index(label)]
+
+    def as_dict(self) -> dict[str, object]:
+        """Plain values, for JSON and for the names of cases."""
+        return {**asdict(self), "states": [asdict(state) for state in self.states]}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> MarkerSpec:
+        """Inverse of :meth:`as_dict`, also after a way through JSON; it may hold more."""
+        known = {key.name for key in keys_of(cls)}
+        values = {k: v for k, v in data.items() if k in known}
+        values["rest"], values["fit"] = tuple(values["rest"]), tuple(values.get("fit") or ())
+        values["states"] = tuple(
+            MarkedState(s["label"], tuple(s["columns"]), s["displacement_mm"])
+            for s in values["states"]
+        )
+        return cls(**values)

@@ -1,0 +1,251 @@
+"""Read measured force-displacement tests: find, parse, check and condition them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from study.ground.arrays import Array
+from study.ground.curve import Curve
+from study.ground.errors import Fault, InputError, nearest
+from study.mechanics.measurement.column_text import Gauge, displacement_and_force
+from study.mechanics.measurement.conditioning import (
+    OFFSET,
+    SIGNS,
+    ZERO_RULES,
+    Conditioned,
+    Rules,
+    condition,
+    condition_course,
+)
+from study.mechanics.measurement.measured_test import Measurements, SingleTest
+from study.mechanics.measurement.recording import Recording, Recordings, capped, read_recordings
+
+if TYPE_CHECKING:
+    from study.mechanics.measurement.measurement_section import MeasurementSpec
+
+
+def read_measurements(
+    spec: MeasurementSpec,
+    root: Path,
+    height_mm: float | None = None,
+    displacement_mm: float | None = None,
+    gauge: Gauge | None = None,
+    recordings: Recordings | None = None,
+) -> Measurements:
+    """Read, check and condition all tests that a specification names."""
+    rules = usual = _rules(spec, height_mm, displacement_mm)
+    recorded = recordings or read_recordings(spec, Path(root))
+    notes = [*recorded.notes]
+    if spec.range is None and not rules.is_raw:
+        rules = _begun(rules, spec, recorded, gauge)
+    tests: list[SingleTest] = []
+    faults: list[Fault] = []
+    done: list[Conditioned] = []
+    for one in recorded.tests:
+        try:
+            d, f = _rows(one, spec, gauge)
+            if one.time_s is None:
+                result = condition(d, f, rules, one.where)
+            else:
+                result = condition_course(d, f, one.time_s, rules, one.where)
+        except InputError as error:
+            faults.extend(error.faults)
+            continue
+        done.append(result)
+        own = tuple(f"{one.where}: {n} {what}" for what, n in result.counts.items())
+        tests.append(SingleTest(dict(one.groups), result.force_N, own, result.recorded))
+    _check_distinct(tests, faults)
+    if faults:
+        raise InputError(capped(faults))
+    notes += _summary(done, rules)
+    if rules != usual:
+        notes.append(f"the range begins at {rules.low_mm:.4g} mm, where the last test begins")
+    displacement, time = _common_grid(done, rules)
+    found = Measurements(
+        tuple(tests),
+        displacement,
+        getattr(spec, "block", None),
+        tuple(spec.average or ()),
+        spec.fit,
+        spec.score,
+        bool(spec.swap),
+        tuple(notes),
+        dict(recorded.files),
+        time,
+    )
+    _check_selections(found)
+    return found
+
+
+def _rows(one: Recording, spec: MeasurementSpec, gauge: Gauge | None) -> tuple[Array, Array]:
+    """Displacements and forces of a recording."""
+    return displacement_and_force(
+        spec.columns.kinematic, one.kinematic, spec.columns.kinetic, one.kinetic,
+        gauge, one.where, in_order=one.time_s is not None,
+    )  # fmt: skip
+
+
+def _begun(rules: Rules, spec: MeasurementSpec, recorded: Recordings, gauge: Gauge | None) -> Rules:
+    """Begin a range that nobody asked for where the last of the tests begins.
+
+    The unloaded origin bridges one step of the grid, no more.
+    """
+    begins = [rules.low_mm]
+    for one in recorded.tests:
+        with suppress(InputError):  # said where its rows become a curve
+            begins.append(float(np.abs(_rows(one, spec, gauge)[0]).min()))
+    spacing = (rules.high_mm - rules.low_mm) / max(rules.points - 1, 1)
+    late = max(begins) > rules.low_mm + spacing and rules.toe_N is None
+    return replace(rules, low_mm=max(begins)) if late and max(begins) < rules.high_mm else rules
+
+
+def _common_grid(done: Sequence[Conditioned], rules: Rules) -> tuple[Array, Array | None]:
+    """Displacements and times of all tests: rows as measured must be the same ones in each."""
+    if not rules.is_raw:
+        return rules.grid(), None
+    first = done[0].recorded
+    for one in done[1:]:
+        own = one.recorded
+        same = own.displacement_mm.shape == first.displacement_mm.shape
+        if not same or not np.allclose(own.places, first.places):
+            what = "displacements" if first.time_s is None else "times"
+            rule = f"raw rows lie at other {what} in every test of these measurements"
+            mend = "write a number of points, or a [[tests]] table for each test"
+            raise InputError(Fault("measurements.points", rule, mend))
+        if not np.allclose(own.displacement_mm, first.displacement_mm, atol=_same_mm(first)):
+            rule = "the displacements at these times are others in every test of a block"
+            mend = "write a [[tests]] table for each test: every course has an answer of its own"
+            raise InputError(Fault("measurements.average", rule, mend))
+    return done[0].displacement_mm, first.time_s
+
+
+def _same_mm(course: Curve) -> float:
+    """Return how far displacements may be apart and still be the same."""
+    return 1e-6 * float(np.abs(course.displacement_mm).max())
+
+
+def _rules(spec: MeasurementSpec, height_mm: float | None, displacement_mm: float | None) -> Rules:
+    sign, zero = spec.sign or "positive", spec.zero or "none"
+    points = 0 if spec.points == "raw" else int(spec.points or 200)
+    faults = []
+    if sign not in SIGNS:
+        faults.append(Fault("measurements.sign", f"unknown value {sign!r}", nearest(sign, SIGNS)))
+    if zero not in ZERO_RULES:
+        faults.append(
+            Fault("measurements.zero", f"unknown rule {zero!r}", nearest(zero, ZERO_RULES))
+        )
+    if points < 2 and spec.points != "raw":
+        faults.append(Fault("measurements.points", f"must be at least 2, got {points}"))
+    low, high = _range(spec, height_mm, displacement_mm, points)
+    if not 0 <= low < high:
+        faults.append(
+            Fault("measurements.range", f"must rise from 0 or more, got {low:.4g} to {high:.4g} mm")
+        )
+    if faults:
+        raise InputError(faults)
+    return Rules(low, high, points, sign, zero, spec.toe, height_mm)
+
+
+def _range(
+    spec: MeasurementSpec, height_mm: float | None, displacement_mm: float | None, points: int
+) -> tuple[float, float]:
+    if spec.range is None and spec.points == "raw":
+        return 0.0, np.inf if displacement_mm is None else displacement_mm
+    if spec.range is None:
+        if displacement_mm is None:
+            raise InputError(
+                Fault(
+                    "measurements.range",
+                    "is missing, and no test.displacement stands for it",
+                    'for example range = ["1 %", "20 %"]',
+                )
+            )
+        return displacement_mm / max(points, 2), displacement_mm
+    if spec.range.kind == "percent" and height_mm is None:
+        raise InputError(
+            Fault(
+                "measurements.range",
+                "in percent needs the height of the specimen",
+                "give specimen.height, or the range in mm",
+            )
+        )
+    low, high = spec.range.in_mm(height_mm)
+    return float(low), float(high)
+
+
+def _check_distinct(tests: Sequence[SingleTest], faults: list[Fault]) -> None:
+    seen = Counter(tuple(test.groups.items()) for test in tests)
+    faults.extend(
+        Fault(
+            "measurements",
+            f"{n} files hold the same test: {dict(key)}",
+            "give each its own name in braces in `files`, or name what differs",
+        )
+        for key, n in seen.items()
+        if n > 1
+    )
+
+
+def _check_selections(found: Measurements) -> None:
+    """Find a block without its fit or score tests now, not in the middle of a run."""
+    faults: list[Fault] = []
+    for block in found.blocks or (None,):
+        for where in (found.fit, found.score):
+            if where is None:
+                continue
+            try:
+                found.curve(block, **where)
+            except InputError as error:
+                faults.extend(error.faults)
+    if faults:
+        raise InputError(capped(list(dict.fromkeys(faults))))
+
+
+def _summary(done: Sequence[Conditioned], rules: Rules) -> list[str]:
+    """Report what the rules did over all tests, counted."""
+    total: Counter[str] = Counter()
+    tests: Counter[str] = Counter()
+    for result in done:
+        total.update(result.counts)
+        tests.update(result.counts.keys())
+    notes = [f"{total[w]} {w} (in {tests[w]} of {len(done)} tests)" for w in total]
+    if rules.zero != "none":
+        zero = [result.zero_N for result in done]
+        notes.append(
+            f"load cell zero ({rules.zero}) subtracted: {min(zero):.4g} to {max(zero):.4g} N"
+        )
+    offsets = [result.offset for result in done if result.offset is not None]
+    if offsets:
+        worst = max(offsets, key=abs)
+        notes.append(
+            f"{OFFSET} {len(offsets)} of {len(done)} tests begin with up to {100 * worst:.2g} % of "
+            'their largest force: write zero = "first" or "fit" to subtract it, or toe'
+        )
+    if rules.toe_N is not None:
+        toe = [result.toe_mm for result in done]
+        notes.append(
+            f"contact at {rules.toe_N:.4g} N: displacement shifted by {min(toe):.4g} to "
+            f"{max(toe):.4g} mm"
+        )
+    rows = sorted({result.rows for result in done})
+    several = f"{rows[0]} to {rows[-1]}" if len(rows) > 1 else str(rows[0])
+    notes.append(
+        f"{len(done)} {'test' if len(done) == 1 else 'tests'} of {several} rows"
+        + _within(rules)
+        + ", "
+        + ("as they were measured" if rules.is_raw else f"resampled at {rules.points} points")
+    )
+    return notes
+
+
+def _within(rules: Rules) -> str:
+    if np.isinf(rules.high_mm):
+        return ""
+    return f" in the range {rules.low_mm:.4g} to {rules.high_mm:.4g} mm"

@@ -1,0 +1,364 @@
+"""Recorded rows of measured tests: found, parsed and told apart, before any rule touches them."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath, PureWindowsPath
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from study.ground.arrays import Array
+from study.ground.errors import Fault, InputError, MissingDataError
+from study.ground.tabular import MAX_FAULTS, MAX_ROWS, CsvTable, label_fault
+from study.ground.units import parse
+from study.mechanics.measurement.column_text import KINEMATIC, KINETIC, read_table
+
+if TYPE_CHECKING:
+    from study.mechanics.measurement.measurement_section import Columns, MeasurementSpec
+
+
+# -------------------------------------------------------------------------------------------------
+# Find measurement files below the data root, and never outside it.
+
+MAX_FILES = 10_000
+_FIELD = re.compile(r"\{([^{}]*)\}")
+
+
+def check_relative(name: str, where: str = "measurements.file") -> None:
+    """Refuse a path that is absolute, climbs with ``..`` or holds a NUL."""
+    parts = PurePosixPath(name.replace("\\", "/")).parts
+    rule = ""
+    if not name.strip():
+        rule = "is empty"
+    elif "\0" in name:
+        rule = "holds a NUL character"
+    elif name.startswith(("/", "\\", "~")) or PureWindowsPath(name).drive:
+        rule = f"must be relative to the data root, got {name!r}"
+    elif ".." in parts:
+        rule = f"must stay below the data root, got {name!r}"
+    if rule:
+        raise InputError(Fault(where, rule, "write it relative to the folder that --data names"))
+
+
+def locate(name: str, root: Path, *, citation: str = "", where: str = "measurements.file") -> Path:
+    """Absolute path of one file below the data root."""
+    check_relative(name, where)
+    path = root / name
+    try:
+        resolved = path.resolve()
+        inside = resolved.is_relative_to(root.resolve())
+        found = inside and resolved.is_file()
+    except (OSError, RuntimeError, ValueError) as error:
+        raise InputError(Fault(where, f"{name!r} cannot be used: {error}")) from error
+    if not inside:
+        raise InputError(
+            Fault(
+                where,
+                f"{name!r} leads outside the data root {str(root)!r} through a link",
+                "copy the file there, or name its folder with --data DIR",
+            )
+        )
+    if not found:
+        raise MissingDataError(_missing(f"no file {name!r}", root, citation, where))
+    return resolved
+
+
+def locate_pattern(
+    pattern: str, root: Path, *, citation: str = "", where: str = "measurements.files"
+) -> list[tuple[str, dict[str, str]]]:
+    """Files below the data root that match a pattern such as ``"compression-{specimen}.csv"``."""
+    check_relative(pattern, where)
+    names = _FIELD.findall(pattern)
+    bad = [n for n in names if not n.isidentifier()]
+    stray = "{" in _FIELD.sub("", pattern) or "}" in _FIELD.sub("", pattern)
+    if not names or bad or stray or len(set(names)) < len(names):
+        raise InputError(
+            Fault(
+                where,
+                f"must hold distinct names in braces, got {pattern!r}",
+                'for example "compression-{specimen}.csv"; one table is named by `file`',
+            )
+        )
+    matches = sorted(_walk(root, "", list(PurePosixPath(pattern).parts), {}))
+    if not matches:
+        raise MissingDataError(_missing(f"no file matches {pattern!r}", root, citation, where))
+    if len(matches) > MAX_FILES:
+        raise InputError(Fault(where, f"{len(matches)} files match, at most {MAX_FILES} are read"))
+    return [(name, dict(groups)) for name, groups in matches]
+
+
+def _walk(
+    folder: Path, prefix: str, parts: list[str], groups: dict[str, str]
+) -> Iterator[tuple[str, tuple[tuple[str, str], ...]]]:
+    regex, last = _part_regex(parts[0]), len(parts) == 1
+    try:
+        entries = sorted(os.scandir(folder), key=lambda e: e.name)
+    except OSError:
+        return
+    for entry in entries:
+        match = regex.fullmatch(entry.name)
+        if match is None or (entry.is_dir() == last):
+            continue
+        found = {**groups, **match.groupdict()}
+        if last:
+            yield prefix + entry.name, tuple(found.items())
+        else:
+            yield from _walk(folder / entry.name, f"{prefix}{entry.name}/", parts[1:], found)
+
+
+def _part_regex(part: str) -> re.Pattern[str]:
+    """One path component as a regular expression; each name takes as little as it can."""
+    pieces = _FIELD.split(part)
+    out = [f"(?P<{p}>.+?)" if k % 2 else re.escape(p) for k, p in enumerate(pieces)]
+    return re.compile("".join(out), re.DOTALL)
+
+
+def _missing(what: str, root: Path, citation: str, where: str) -> Fault:
+    mend = "point to the folder that holds it with --data DIR"
+    if citation:
+        mend += f"; the data come from: {citation}"
+    elif where.startswith("measurements"):
+        mend += ", or let 'study virtual measurements --help' make curves of virtual specimens"
+    state = "" if root.is_dir() else " (there is no such folder)"
+    return Fault(where, f"{what} below {str(root)!r}{state}", mend)
+
+
+MAX_TRAVEL_MM = 1e5
+MAX_FORCE_N = 1e8
+MAX_TIME_S = 1e10
+_UNIT_SUFFIX = re.compile(r".*?[_ \[(/]+([A-Za-z\u00b5\u03bc]{1,6})[\])]?$")
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Rows of one test as they were recorded."""
+
+    where: str
+    groups: Mapping[str, str]
+    #: shape (n,); how far and how hard: mm, N or MPa, or plain.
+    kinematic: Array
+    kinetic: Array
+    #: shape (n,); when, increasing; None where the file does not say.
+    time_s: Array | None = None
+
+
+@dataclass(frozen=True)
+class Recordings:
+    """All tests of some files."""
+
+    #: In the order of the files.
+    tests: tuple[Recording, ...]
+    #: What the reader changed or skipped, counted.
+    notes: tuple[str, ...]
+    #: Name of each file and its sha256.
+    files: Mapping[str, str]
+
+
+def read_recordings(spec: MeasurementSpec, root: Path) -> Recordings:
+    """Read the files of a specification; range, points, zero and sign are not applied."""
+    tables = _tables(spec, root)
+    groups = _group_names(spec, tuple(tables[0][1]))
+    return Recordings(
+        tuple(one for table, labels in tables for one in _split(table, labels, groups, spec)),
+        tuple(note for table, _ in tables for note in table.notes),
+        {table.source: table.sha256 for table, _ in tables},
+    )
+
+
+def _tables(spec: MeasurementSpec, root: Path) -> list[tuple[CsvTable, dict[str, str]]]:
+    """Parse the files; each comes with the group labels that its name carries."""
+    citation = spec.citation or ""
+    if spec.file:
+        found: list[tuple[str, dict[str, str]]] = [(spec.file, {})]
+    else:
+        found = locate_pattern(spec.files or "", root, citation=citation)
+    columns, layout = spec.columns, spec.layout
+    required = [columns.column(one) for one in _recorded(columns)]
+    if spec.file:
+        required += [n for n in _declared(spec) if n not in required]
+    tables: list[tuple[CsvTable, dict[str, str]]] = []
+    faults: list[Fault] = []
+    rows = 0
+    for name, labels in found:
+        try:
+            path = locate(name, root, citation=citation)
+            table = read_table(path, layout, required, spec.decimal or ".", name)
+        except MissingDataError:
+            raise
+        except InputError as error:
+            faults.extend(error.faults)
+            continue
+        rows += len(table.lines)
+        if rows > MAX_ROWS:
+            raise InputError(Fault("measurements.files", f"hold more than {MAX_ROWS} rows in all"))
+        tables.append((table, labels))
+    if faults:
+        raise InputError(capped(faults))
+    return tables
+
+
+def _recorded(columns: Columns) -> list[str]:
+    """Quantities that have a column."""
+    return [columns.kinematic, columns.kinetic, *columns.named(["time"])]
+
+
+def _declared(spec: MeasurementSpec) -> list[str]:
+    """Name the grouping columns of the specification, each once."""
+    names = [spec.block] if spec.block else []
+    names += [*(spec.average or ()), *(spec.fit or {}), *(spec.score or {})]
+    return list(dict.fromkeys(names))
+
+
+def _group_names(spec: MeasurementSpec, named: Sequence[str]) -> list[str]:
+    return list(dict.fromkeys([*_declared(spec), *named]))
+
+
+def _split(
+    table: CsvTable, labels: Mapping[str, str], groups: Sequence[str], spec: MeasurementSpec
+) -> Iterable[Recording]:
+    """Rows of each test of a table."""
+    d = _quantity(table, spec, spec.columns.kinematic, MAX_TRAVEL_MM)
+    f = _quantity(table, spec, spec.columns.kinetic, MAX_FORCE_N)
+    has_time = spec.columns.time is not None
+    time = _quantity(table, spec, "time", MAX_TIME_S) if has_time else None
+    inside = [name for name in groups if name not in labels]
+    for name, label in labels.items():
+        if rule := label_fault(label):
+            raise InputError(Fault(f"{table.source}: name of the file", f"{name}: {rule}"))
+    clash = [name for name in labels if name in table.columns]
+    if clash:
+        raise InputError(
+            Fault(
+                table.source,
+                f"{clash[0]!r} is both a column and part of the file's name",
+                "rename one of them in the pattern of `files`",
+            )
+        )
+    keys = list(zip(*(table.text(name) for name in inside), strict=True)) or [()] * d.size
+    _check_labels(table, inside, keys)
+    rows: dict[tuple[str, ...], list[int]] = {}
+    for k, key in enumerate(keys):
+        rows.setdefault(key, []).append(k)
+    for key, members in rows.items():
+        found = {**dict(zip(inside, key, strict=True)), **labels}
+        ordered = {name: found[name] for name in groups}
+        words = ", ".join(f"{n} = {v}" for n, v in ordered.items())
+        where = f"{table.source}: {words}" if words else table.source
+        if time is None:
+            _check_one_test(table, members, d, where, groups, spec.columns)
+        else:
+            _check_time(table, members, time, where)
+        when = None if time is None else time[members]
+        yield Recording(where, ordered, d[members], f[members], when)
+
+
+def _check_time(table: CsvTable, members: Sequence[int], time: Array, where: str) -> None:
+    """Refuse times that do not increase: several tests in one, or rows out of order."""
+    back = np.flatnonzero(np.diff(time[list(members)]) <= 0)
+    if back.size:
+        line = table.lines[members[int(back[0]) + 1]]
+        raise InputError(
+            Fault(
+                f"{table.source}:{line}",
+                f"time does not increase from row to row ({where})",
+                "name the column that tells the tests apart in `average` or `block`, or keep one "
+                "of the rows of equal time",
+            )
+        )
+
+
+def _check_labels(table: CsvTable, names: Sequence[str], keys: Sequence[tuple[str, ...]]) -> None:
+    for key in dict.fromkeys(keys):
+        for name, label in zip(names, key, strict=True):
+            rule = label_fault(label)
+            if rule:
+                line = table.lines[keys.index(key)]
+                raise InputError(
+                    Fault(
+                        f"{table.source}:{line}: column {name!r}",
+                        rule,
+                        "every row needs the label of its test, in plain characters",
+                    )
+                )
+
+
+def _check_one_test(
+    table: CsvTable,
+    members: Sequence[int],
+    d: Array,
+    where: str,
+    groups: Sequence[str],
+    columns: Columns,
+) -> None:
+    """Refuse rows in which the travel starts again: they are several tests, not one."""
+    own = d[list(members)]
+    jumps = np.flatnonzero(np.abs(np.diff(own)) > 0.5 * np.ptp(own))
+    back = [int(j) for j in jumps if abs(own[j + 1]) < abs(own[j])]
+    if not back or own.size < 5:
+        return
+    k, after = members[back[0]], members[back[0] + 1]
+    used = {*groups, *(columns.column(one) for one in _recorded(columns))}
+    changing = [n for n, c in table.columns.items() if n not in used and c[k] != c[after]]
+    steady = [n for n in changing if len({table.columns[n][m] for m in members}) <= len(back) + 1]
+    hint = f"; column {steady[0]!r} changes there" if steady else ""
+    raise InputError(
+        Fault(
+            f"{table.source}:{table.lines[after]}",
+            f"the displacement starts again: several tests in one ({where}){hint}",
+            "name the column that tells them apart in `average` (repeats on one specimen) or "
+            "in `block`, `fit` and `score`",
+        )
+    )
+
+
+def _quantity(table: CsvTable, spec: MeasurementSpec, what: str, limit: float) -> Array:
+    """Column in mm, N or MPa, or plain, refused where it is beyond any test."""
+    factor, column = _factor(table, spec, what), spec.columns.column(what)
+    values = table.numbers(column)
+    beyond = np.flatnonzero(np.abs(values) > limit / factor)
+    if beyond.size:
+        k = int(beyond[0])
+        raise InputError(
+            Fault(
+                f"{table.source}:{table.lines[k]}: column {column!r}",
+                f"{values[k]:.6g} {spec.units.unit(what)} is beyond any test of a specimen",
+                "check the cell and measurements.units",
+            )
+        )
+    return values * factor
+
+
+def _factor(table: CsvTable, spec: MeasurementSpec, what: str) -> float:
+    """Factor from the declared unit of a column to mm, N or MPa."""
+    column, unit = spec.columns.column(what), spec.units.unit(what)
+    dimension = "time" if what == "time" else {**KINEMATIC, **KINETIC}[what]
+    factor = parse(f"1 {unit}", dimension)
+    suffix = _UNIT_SUFFIX.fullmatch(column)
+    if suffix:
+        try:
+            named = parse(f"1 {suffix[1]}", dimension)
+        except InputError:
+            return factor  # the last word of the name is no unit of this dimension
+        if not np.isclose(named, factor, rtol=1e-9):
+            raise InputError(
+                Fault(
+                    f"{table.source}: column {column!r}",
+                    f"its name says {suffix[1]}, but {unit} is declared in measurements.units",
+                    "declare the unit that the file is in",
+                )
+            )
+    return factor
+
+
+def capped(faults: Sequence[Fault]) -> list[Fault]:
+    """Shorten a long list of faults, and say by how many."""
+    if len(faults) <= MAX_FAULTS:
+        return list(faults)
+    return [
+        *faults[:MAX_FAULTS],
+        Fault("measurements", f"{len(faults) - MAX_FAULTS} more faults like these"),
+    ]

@@ -1,0 +1,1 @@
+"""Meshes of specimens: structured, graded to the contact, and tetrahedra in solids."""

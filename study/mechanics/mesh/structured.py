@@ -1,0 +1,337 @@
+"""Structured meshes: graded lines, rings and layers, and the cells between them.
+
+Bonded corners get smaller elements; cross-sections keep their exact area.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from study.ground.arrays import Array, Ints
+from study.ground.errors import Fault, InputError
+from study.mechanics.setup.geometry import Block, Cylinder, Enclosed, Specimen
+
+#: largest side of the square in a disc of quadrilaterals, over the radius: from 1 / sqrt(2) on
+#: the cells at the square's corner fold over
+LARGEST_SQUARE = 0.7
+
+#: size at a bonded corner over the size inside, and how fast sizes grow away from it
+CORNER_FRACTION = 0.2
+GROWTH = 0.35
+
+
+def graded_line(length: float, h: float, *, towards_end: bool) -> Array:
+    """Points from 0 to ``length``, ``h`` apart, closer towards the end where asked.
+
+    Units: length, h mm.
+    """
+    if not towards_end:
+        return np.linspace(0, length, max(1, round(length / h)) + 1)
+    distance = np.linspace(0, length, 4001)
+    spacing = points_by_density(distance, lambda s: np.minimum(CORNER_FRACTION * h + GROWTH * s, h))
+    return np.asarray((length - spacing)[::-1])
+
+
+def points_by_density(s: Array, size: Callable[[Array], Array]) -> Array:
+    """Points along ``s`` whose spacing follows ``size(s)``: equal steps of its integral.
+
+    Shapes: s (n,), mm; size mm.
+    """
+    density = 1 / size(s)
+    count = np.concatenate([[0], np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(s))])
+    n = max(2, int(np.ceil(count[-1] - 1e-9)))
+    points = np.interp(np.linspace(0, count[-1], n + 1), count, s)
+    points[0], points[-1] = s[0], s[-1]
+    return np.asarray(points)
+
+
+def line_by_size(length: float, size: Callable[[Array], Array], through: float = 0.0) -> Array:
+    """Points from 0 to ``length`` spaced by ``size(s)``, one of them at ``through``.
+
+    Units: through mm.
+    """
+    if not 0.0 < through < length:
+        return points_by_density(np.linspace(0, length, 4001), size)
+    inner = points_by_density(np.linspace(0, through, 4001), size)
+    outer = points_by_density(np.linspace(through, length, 4001), size)
+    return np.concatenate([inner, outer[1:]])
+
+
+def line_from(length: float, size: Callable[[Array], Array]) -> Array:
+    """Points from 0 to ``length`` with a spacing of ``size(0)`` at 0, however many fit in.
+
+    A whole number of steps is off by up to half a step; that is laid where the steps are
+    many, with the square of their number, so that a series of sizes is alike at the start.
+    """
+    s, count = counted(length, size)
+    return spread(s, count, max(2, round(float(count[-1]))))
+
+
+def counted(
+    length: float, size: Callable[[Array], Array], places: int = 8001
+) -> tuple[Array, Array]:
+    """Places from 0 to ``length``, and how many steps of ``size`` lead to each of them.
+
+    Units: length mm; size mm.
+    """
+    s = length * np.linspace(0.0, 1.0, places) ** 2  # sizes may jump next to the start
+    density = 1 / size(s)
+    return s, np.concatenate([[0], np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(s))])
+
+
+def spread(s: Array, count: Array, n: int) -> Array:
+    """Points of ``n`` steps, the first of which are as large as those that were counted.
+
+    What there is to gain or to lose grows with the square of the steps, unless it is too much.
+
+    Shapes: s, count (places,).
+    """
+    k, rest = np.arange(n + 1), count[-1] - n
+    steps = k + rest * (k / n) ** 2 if -n / 4 <= rest <= n / 2 else k * count[-1] / n
+    points = np.interp(steps, count, s)
+    points[0], points[-1] = s[0], s[-1]
+    return np.asarray(points)
+
+
+def line_about(length: float, size: Callable[[Array], Array], place: float) -> Array:
+    """Points from 0 to ``length``, one at ``place``, where their spacing is ``size(place)``.
+
+    Units: place mm.
+    """
+    inner = line_from(place, lambda s: size(place - s))
+    outer = line_from(length - place, lambda s: size(place + s))
+    return np.concatenate([place - inner[::-1], place + outer[1:]])
+
+
+def half_hexagon(side: float, halvings: int) -> tuple[Array, Ints, Ints]:
+    """Triangles of a half hexagon around the middle of its upper side, smaller towards it.
+
+    Shapes: returns (n_points, 2); returns (12 + 12 halvings, 3); returns (7,).
+    """
+    corner = np.array([[1, 0], [0.5, -np.sqrt(0.75)], [-0.5, -np.sqrt(0.75)], [-1, 0]])
+    double = np.vstack([corner[:1], *((a + b, b * 2) for a, b in pairwise(corner))])
+    double[0] *= 2
+    core = np.vstack([np.zeros((1, 2)), corner])
+    sizes = side * 0.5 ** np.arange(halvings, -1.0, -1.0)
+    points = np.vstack([core * sizes[0], *(size * double for size in sizes)])
+    cells = [(0, k, k + 1) for k in (1, 2, 3)]
+    for k in (1, 2, 3):  # from the inner hexagon, one edge a side, to two edges a side
+        out = 5 + 2 * (k - 1)
+        cells += [(k, out, out + 1), (k, out + 1, k + 1), (k + 1, out + 1, out + 2)]
+    for first in 5 + 7 * np.arange(halvings):
+        for k in range(first, first + 6):
+            cells += [(k, k + 7, k + 8), (k, k + 8, k + 1)]
+    rim = np.arange(7) + 5 + 7 * halvings
+    return points, np.array(cells, dtype=np.int64), rim
+
+
+def layers(height: float, h: float, *, half: bool, top: bool, base: bool) -> Array:
+    """Heights of the layers, closer at bonded plates; of the upper half only where asked.
+
+    Units: height, h mm.
+    """
+    if half:
+        return height / 2 + graded_line(height / 2, h, towards_end=top)
+    upper = height / 2 + graded_line(height / 2, h, towards_end=top)
+    lower = height / 2 - graded_line(height / 2, h, towards_end=base)[::-1]
+    return np.concatenate([lower, upper[1:]])
+
+
+def equivalent_radius(specimen: Specimen) -> float:
+    """Radius of the circle with the specimen's cross-section area.
+
+    Units: specimen mm.
+    """
+    if isinstance(specimen, Enclosed):
+        raise InputError("a surface has no one radius: take a cylinder or a block")
+    return float(np.sqrt(specimen.volume_mm3 / specimen.height_mm / np.pi))
+
+
+def rectangle(r: Array, z: Array, shape: str) -> tuple[Array, Ints]:
+    """Grid of (r, z), each cell cut from its outer upper corner (the bonded one) inwards.
+
+    Shapes: r, z (nr,), mm.
+    """
+    nr, nz = r.size, z.size
+    points = np.column_stack([np.tile(r, nz), np.repeat(z, nr)])
+    corner = (np.arange(nz - 1)[:, None] * nr + np.arange(nr - 1)).ravel()
+    quads = np.column_stack([corner, corner + 1, corner + nr + 1, corner + nr])
+    if shape == "tensor":
+        return points, quads
+    return points, np.vstack([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+
+
+def cross_section(
+    specimen: Specimen, h: float, graded: bool, shape: str, *, whole: bool = False
+) -> tuple[Array, Ints]:
+    """Triangles or quadrilaterals of the quarter cross-section (or the whole), closer at its rim.
+
+    Units: h, graded mm.
+    """
+    if isinstance(specimen, Block):
+        x = graded_line(specimen.width_mm / 2, h, towards_end=graded)
+        y = graded_line(specimen.depth_mm / 2, h, towards_end=graded)
+        return rectangle(_both_sides(x), _both_sides(y), shape) if whole else rectangle(x, y, shape)
+    if whole:
+        raise InputError(Fault("specimen.shape", "only a block is meshed whole", "write block"))
+    if not isinstance(specimen, Cylinder):
+        raise InputError("compression takes a cylinder or a block")
+    rings = graded_line(specimen.radius_mm, h, towards_end=graded)
+    return quarter_disc_of_quadrilaterals(rings) if shape == "tensor" else quarter_disc(rings, h)
+
+
+def _both_sides(line: Array) -> Array:
+    """Points of a line from 0 and their mirror images."""
+    return np.concatenate([-line[:0:-1], line])
+
+
+def quarter_disc(rings: Array, h: float) -> tuple[Array, Ints]:
+    """Triangles of a quarter disc: every ring carries segments about as long as ``h``.
+
+    All radii are scaled so that the polygon has the exact area of the disc: straight
+    sides would otherwise lose a factor sin(t)/t and look like an effect of the space.
+
+    Shapes: rings (n,), mm; h mm.
+    """
+    radius = rings[-1]
+    last = max(4, int(np.ceil(np.pi / 2 * radius / h)))
+    segments = np.maximum(1, np.ceil(last * rings[1:] / radius)).astype(int)
+    angle = np.pi / 2 / last
+    scale = np.sqrt(angle / np.sin(angle))
+    points = [np.zeros((1, 2))]
+    cells: list[tuple[int, int, int]] = []
+    inner = np.array([0])
+    for r, n in zip(rings[1:], segments, strict=True):
+        theta = np.linspace(0, np.pi / 2, n + 1)
+        ring = scale * r * np.column_stack([np.cos(theta), np.sin(theta)])
+        ring[0, 1] = ring[-1, 0] = 0.0
+        outer = np.arange(n + 1) + sum(len(p) for p in points)
+        points.append(ring)
+        cells += _stitch(inner, outer)
+        inner = outer
+    return np.vstack(points), np.array(cells)
+
+
+def quarter_disc_of_quadrilaterals(line: Array, square: float = 0.5) -> tuple[Array, Ints]:
+    """Quadrilaterals of a quarter disc: a square at the center, two blocks out to the rim.
+
+    Shapes: line (n,).
+
+    Notes
+    -----
+    The rim is a polygon of the exact area of the quarter disc. A line of one step, or one whose
+    square would reach the rim, has its square made as large as was asked for.
+    """
+    radius = line[-1]
+    if line.size < 3:
+        line = radius * np.array([0.0, square, 1.0])
+    m = int(np.clip(np.searchsorted(line, square * radius), 1, line.size - 2))
+    inner, outer = line[: m + 1], line[m + 1 :]
+    fraction = (outer - inner[-1]) / (radius - inner[-1])
+    if inner[-1] > LARGEST_SQUARE * radius:
+        inner = inner * (square * radius / inner[-1])
+    side = inner[-1]
+    angle = np.pi / 4 * inner / side
+    angles = np.concatenate([angle, np.pi / 2 - angle[-2::-1]])
+    rim = radius * np.sqrt(np.pi / 2 / np.sin(np.diff(angles)).sum())
+    border = np.concatenate(
+        [
+            np.column_stack([np.full(m + 1, side), inner]),
+            np.column_stack([inner[-2::-1], np.full(m, side)]),
+        ]
+    )
+    circle = rim * np.column_stack([np.cos(angles), np.sin(angles)])
+    circle[0, 1] = circle[-1, 0] = 0.0
+    rings = border + fraction[:, None, None] * (circle - border)
+    core, quads = rectangle(inner, inner, "tensor")
+    on_border = np.concatenate(
+        [np.arange(m + 1) * (m + 1) + m, m * (m + 1) + np.arange(m - 1, -1, -1)]
+    )
+    number = np.vstack(
+        [on_border, len(core) + np.arange(fraction.size * (2 * m + 1)).reshape(-1, 2 * m + 1)]
+    )
+    around = np.stack([number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]], -1)
+    points = np.vstack([core, rings.reshape(-1, 2)])
+    return points, np.vstack([quads, around.reshape(-1, 4)])
+
+
+def _stitch(inner: Ints, outer: Ints) -> list[tuple[int, int, int]]:
+    """Triangles between two rings with any numbers of points, advancing by angle."""
+    i = j = 0
+    ni, nj = max(inner.size - 1, 1), outer.size - 1
+    cells = []
+    while i < inner.size - 1 or j < nj:
+        advance_outer = i == inner.size - 1 or (j < nj and (j + 1) * ni <= (i + 1) * nj)
+        if advance_outer:
+            cells.append((int(inner[i]), int(outer[j]), int(outer[j + 1])))
+            j += 1
+        else:
+            cells.append((int(inner[i]), int(outer[j]), int(inner[i + 1])))
+            i += 1
+    return cells
+
+
+def extrude(plane: Array, faces: Ints, z: Array) -> tuple[Array, Ints]:
+    """Prisms (cut into three tetrahedra each) or hexahedra over a plane mesh.
+
+    Shapes: plane (n, 2), mm; faces (m, 3); z (k,), mm.
+    """
+    n = len(plane)
+    points = np.column_stack([np.tile(plane, (z.size, 1)), np.repeat(z, n)])
+    shift = n * np.arange(z.size - 1)[:, None, None]
+    if faces.shape[1] == 4:
+        prisms = np.concatenate([faces + shift, faces + shift + n], axis=2)
+        return points, prisms.reshape(-1, 8)
+    a, b, c = np.sort(faces, axis=1).T
+    # diagonals run from the lower-numbered foot to the higher-numbered head, so that
+    # neighbouring prisms cut their common side alike
+    tetrahedra = np.stack(
+        [
+            np.stack([a, b, c, c + n], axis=-1),
+            np.stack([a, b, b + n, c + n], axis=-1),
+            np.stack([a, a + n, b + n, c + n], axis=-1),
+        ]
+    ).reshape(-1, 4)
+    return points, (tetrahedra[None] + shift).reshape(-1, 4)
+
+
+# -------------------------------------------------------------------------------------------------
+# The mesh as a value: nodes, cells and the element they carry.
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Points and cells of the modelled part of a specimen."""
+
+    #: shape (n_points, dim); coordinates in mm.
+    points: Array
+    #: shape (n_cells, vertices); triangles or quadrilaterals (axisymmetric), tetrahedra or
+    #: hexahedra (3D).
+    cells: Ints
+    #: Whether only the half above the middle plane is meshed.
+    half_height: bool
+    #: Element size inside, or under the indenter.
+    size_mm: float
+    #: Size at the sharpest feature of an indenter, where that is finer.
+    finest_mm: float | None = None
+
+    @property
+    def contact_size_mm(self) -> float:
+        """Size of the smallest elements in contact."""
+        return self.finest_mm or self.size_mm
+
+    @property
+    def height_mm(self) -> float:
+        """Height of the loaded surface; of the whole specimen where it stands on z = 0."""
+        return float(self.points[:, -1].max())
+
+    def digest(self) -> str:
+        """Hash that tells whether two meshes are the same."""
+        h = hashlib.sha256(np.round(self.points, 9).tobytes())
+        h.update(self.cells.tobytes())
+        return h.hexdigest()[:16]

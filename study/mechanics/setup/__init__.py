@@ -1,0 +1,1 @@
+"""What is tested and how: specimen, indenter, test, material and forward model as declared."""

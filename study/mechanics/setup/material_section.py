@@ -1,0 +1,162 @@
+"""Section ``[material]``: an energy, its constants as far as given, compressibility, relaxation."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Annotated, cast
+
+from pydantic import Field
+
+from study.ground.errors import Fault, InputError
+from study.mechanics.material.energy import FREE, Bounds, DeclaredConstants
+from study.mechanics.material.material import Material, constant_names, energy_named
+from study.mechanics.material.relaxation import RelaxationTerm, share_name, time_name
+from study.mechanics.setup.declaration import (
+    Bad,
+    Pressure,
+    Reads,
+    flag,
+    number,
+    section,
+    section_of,
+    table_of,
+)
+
+
+def _poisson_ratio(value: object) -> float:
+    if value == 0.5 and not isinstance(value, bool):
+        raise Bad("must be below 0.5, got 0.5", "write incompressible = true")
+    return number(-1.0, 0.5)(value)
+
+
+@section
+class Compressibility:
+    """How a material resists a change of volume; one of the three."""
+
+    poisson_ratio: Annotated[float, Reads(_poisson_ratio, "number")] | None = None
+    bulk_modulus_MPa: Pressure | None = Field(default=None, validation_alias="bulk_modulus")
+    incompressible: Annotated[bool, Reads(flag)] = False
+
+
+#: of the stress that may fade, as a fit starts; the rest stays
+_FADING = 0.5
+
+#: all of the stress may fade, none may grow
+_SHARES: Bounds = (0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class RelaxationKey:
+    """One term of a relaxation as a file gives it."""
+
+    #: Of the instantaneous stress; None where a calibration finds it.
+    share: float | None
+    #: After which it has faded to 1/e, s; where a fit of it starts.
+    time_s: float
+    #: Within which a calibration finds the time; None where it is as given.
+    range_s: tuple[float, float] | None = None
+
+    def document(self) -> dict[str, object]:
+        """Plain values."""
+        fitted = {} if self.range_s is None else {"range_s": list(self.range_s)}
+        return {"share": self.share, "time_s": self.time_s, **fitted}
+
+    @classmethod
+    def of(cls, document: Mapping[str, object]) -> RelaxationKey:
+        """Inverse of :meth:`document`."""
+        share, ends = document["share"], cast("list[float] | None", document.get("range_s"))
+        return cls(
+            None if share is None else cast(float, share),
+            cast(float, document["time_s"]),
+            None if ends is None else (ends[0], ends[1]),
+        )
+
+
+@dataclass(frozen=True)
+class MaterialSection:
+    """A material whose constants may have to be calibrated."""
+
+    #: Name of the energy.
+    model: str
+    #: Number of terms; None for an energy that has no choice.
+    order: int | None
+    #: In MPa, exponents plain; empty where a calibration finds them.
+    constants: Mapping[str, float]
+    #: Of the material.
+    compressibility: Compressibility
+    #: How its stress fades; empty where it does not.
+    relaxation: tuple[RelaxationKey, ...] = ()
+
+    @classmethod
+    def of(cls, resolved: Mapping[str, object]) -> MaterialSection:
+        """Material of resolved tables, in MPa and s."""
+        table = table_of(resolved, "material")
+        resistance = section_of("material", Compressibility, table)
+        order = cast("int | None", table.get("order"))
+        constants = cast("Mapping[str, float]", table.get("constants") or {})
+        terms = cast("list[Mapping[str, object]]", table.get("relaxation") or [])
+        fading = tuple(RelaxationKey.of(term) for term in terms)
+        return cls(str(table["model"]), order, constants, resistance, fading)
+
+    @property
+    def calibrated_names(self) -> tuple[str, ...]:
+        """Names of the constants that a calibration of this material finds."""
+        own = tuple(self.constants or constant_names(self.model, self.order))
+        return (*own, *self.starts_of_relaxation())
+
+    def starts_of_relaxation(self) -> dict[str, float]:
+        """Shares, and times that are to be found, where a fit of them starts."""
+        found = {}
+        for k, term in enumerate(self.relaxation, 1):
+            usual = _FADING / len(self.relaxation)
+            found[share_name(k)] = usual if term.share is None else term.share
+            if term.range_s is not None:
+                found[time_name(k)] = term.time_s
+        return found
+
+    def bounds(self, name: str) -> Bounds:
+        """Range in which a constant is looked for where the file gives none."""
+        for k, term in enumerate(self.relaxation, 1):
+            if name == share_name(k):
+                return _SHARES
+            if name == time_name(k) and term.range_s is not None:
+                return term.range_s
+        energy = energy_named(self.model)
+        return energy.bounds(name) if isinstance(energy, DeclaredConstants) else FREE
+
+    def material(self, constants: Mapping[str, float] | None = None) -> Material:
+        """Material with numbers.
+
+        Units: constants MPa, s.
+        """
+        given = self.constants if constants is None else constants
+        values = {n: v for n, v in given.items() if n not in self._names_of_relaxation}
+        if not values:
+            mend = "give them or calibrate"
+            raise InputError(Fault("material", "the constants are not known yet", mend))
+        volume = self.compressibility
+        return Material(
+            model=self.model,
+            constants=values,
+            bulk_modulus=volume.bulk_modulus_MPa,
+            poisson_ratio=volume.poisson_ratio,
+            incompressible=volume.incompressible,
+            relaxation=tuple(self._terms(given)),
+        )
+
+    @property
+    def _names_of_relaxation(self) -> set[str]:
+        numbers = range(1, len(self.relaxation) + 1)
+        return {name for k in numbers for name in (share_name(k), time_name(k))}
+
+    def _terms(self, given: Mapping[str, float]) -> Iterator[RelaxationTerm]:
+        for k, term in enumerate(self.relaxation, 1):
+            share = given.get(share_name(k), term.share)
+            if share is None:
+                rule = f"the share of term {k} is not known yet"
+                raise InputError(Fault("material.relaxation", rule, "give it or calibrate"))
+            if term.range_s is not None and time_name(k) not in given:
+                rule = f"the time of term {k} is a range, of which a calibration finds one"
+                raise InputError(Fault("material.relaxation", rule, "give one time or calibrate"))
+            yield RelaxationTerm(float(share), float(given.get(time_name(k), term.time_s)))

@@ -1,0 +1,353 @@
+"""A setup: specimen, test and discretization, and the problem that they make with a material."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from study.ground.errors import Fault
+from study.mechanics.material.material import Material
+from study.mechanics.setup.declaration import (
+    DERIVED,
+    Bad,
+    Duration,
+    Length,
+    Reads,
+    finite,
+    relative_path,
+    section,
+    section_of,
+    shown,
+    table_of,
+    text,
+    word,
+)
+from study.mechanics.setup.geometry import (
+    INDENTERS,
+    SPECIMENS,
+    Enclosed,
+    FaceMotion,
+    Gravity,
+    Indenter,
+    Specimen,
+)
+from study.mechanics.setup.material_section import MaterialSection
+from study.mechanics.setup.test_kind import (
+    Contact,
+    FaceCondition,
+    MeshGrading,
+    StepRule,
+    StepSettings,
+    Test,
+    TestKind,
+)
+from study.mechanics.setup.test_section import TEST_KINDS, TestSection
+
+Space = Literal["axisymmetric", "3d"]
+Order = Literal["linear", "quadratic"]
+Shape = Literal["simplex", "tensor"]
+Formulation = Literal["mixed", "displacement"]
+MeshName = Literal["coarse", "medium", "fine"]
+
+#: Document of a problem: its tables by their names, in mm, N, MPa, deg and s.
+Tables = Mapping[str, object]
+
+#: coarse : medium : fine are these multiples of the reference size (ratio 1.5 by default)
+MESH_LEVELS: tuple[MeshName, ...] = ("coarse", "medium", "fine")
+#: shapes that deform the same everywhere where nothing holds their ends
+HOMOGENEOUS_SHAPES = ("cylinder", "block", "homogeneous")
+
+_ELEMENTS: Mapping[str, Shape] = {
+    "triangle": "simplex",
+    "tetrahedron": "simplex",
+    "quadrilateral": "tensor",
+    "hexahedron": "tensor",
+}
+
+
+@section
+class Model:
+    """Discretization. Exactly one of ``mesh_size_mm`` and ``mesh`` is used (size wins)."""
+
+    #: Axisymmetric for a cylinder unless the file says 3d, and 3d for all
+    #: others.
+    space: Annotated[Space, word("axisymmetric", "3d")] = "axisymmetric"
+    #: Of the elements.
+    element_order: Annotated[Order, word("linear", "quadratic")] = "quadratic"
+    #: Of the elements.
+    element_shape: Annotated[Shape, word("simplex", "tensor", synonyms=_ELEMENTS)] = "simplex"
+    #: Of the elements.
+    formulation: Annotated[Formulation, word("mixed", "displacement")] = "mixed"
+    #: Size relative to a reference size of the problem.
+    mesh: Annotated[MeshName, word(*MESH_LEVELS)] = "medium"
+    #: Size of a named mesh over that of the next finer one; ``converge.ratio`` of the file.
+    mesh_ratio: Annotated[float, DERIVED] = 1.5
+    #: Element size.
+    mesh_size_mm: Length | None = Field(default=None, validation_alias="mesh_size")
+    #: Moves the nodes of the mesh at random (see :mod:`study.mechanics.mesh.perturbation`).
+    mesh_seed: Annotated[int | None, DERIVED] = None
+
+    @property
+    def level(self) -> int:
+        """Number of meshes with a name that are finer: 0 on the fine one."""
+        return len(MESH_LEVELS) - 1 - MESH_LEVELS.index(self.mesh)
+
+    def coarser(self, ratio: float) -> Model | None:
+        """Discretization on the next coarser mesh; None on the coarsest with a name."""
+        if self.mesh_size_mm is not None:
+            return replace(self, mesh_size_mm=ratio * self.mesh_size_mm)
+        at = MESH_LEVELS.index(self.mesh)
+        return replace(self, mesh=MESH_LEVELS[at - 1]) if at else None
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What is tested and how it is discretized; the material is not part of it."""
+
+    #: Sections of the study file.
+    specimen: Specimen
+    #: Sections of the study file.
+    test: Test
+    #: Sections of the study file.
+    model: Model
+    #: Of the specimen; None for a surface whose file has not been looked for.
+    height_mm: float | None = None
+
+    @classmethod
+    def of(cls, resolved: Tables) -> Setup:
+        """Make the setup of resolved tables ``specimen``, ``test`` and ``model``, in mm and N."""
+        return cls(
+            specimen_of(table_of(resolved, "specimen")),
+            loading_of(table_of(resolved, "test")),
+            model_of(table_of(resolved, "model")),
+            known_height_mm(table_of(resolved, "specimen")),
+        )
+
+    @property
+    def kind(self) -> TestKind:
+        """Rules of the kind of its test."""
+        return TEST_KINDS[self.test.kind]
+
+    @cached_property
+    def faces(self) -> tuple[FaceCondition, ...]:
+        """Motions that the test prescribes."""
+        return self.kind.faces(self.test)
+
+    @cached_property
+    def contacts(self) -> tuple[Contact, ...]:
+        """Rigid bodies that the surface may meet."""
+        return self.kind.contacts(self.test)
+
+    @cached_property
+    def grading(self) -> MeshGrading:
+        """Where elements are small."""
+        return self.kind.grading(self.test)
+
+    @property
+    def has_middle_plane(self) -> bool:
+        """Whether the lower half is the mirror image of the upper one."""
+        return self.kind.has_middle_plane(self.test) and not self.test.weight_N_mm3
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether the whole specimen is meshed in 3D: no plane through its axis mirrors it."""
+        skew = any(face.besides is not None for face in self.faces)
+        return isinstance(self.specimen, Enclosed) or skew
+
+    @property
+    def is_homogeneous(self) -> bool:
+        """Whether the deformation is the same everywhere; see :func:`is_homogeneous`."""
+        return is_homogeneous(self.test, self.specimen.shape)
+
+    @property
+    def has_no_elements(self) -> bool:
+        """Whether it is a gauge section, of which the closed form is the only model."""
+        return self.specimen.shape == "homogeneous"
+
+    @property
+    def has_close_equilibria(self) -> bool:
+        """Whether the discretized contact is known to have several equilibria close together.
+
+        Measured on a needle in linear tetrahedra, 4 mm deep: started from the load steps of
+        another specimen, four of five solutions of one cell ended on a neighbouring equilibrium,
+        0.2 to 0.8 % away in force. The one that a load path from zero reaches is the answer.
+        """
+        linear_solid = self.model.space == "3d" and self.model.element_order == "linear"
+        return linear_solid and self.kind.strains_locally
+
+    def step_rule(self, settings: StepSettings, height_mm: float) -> StepRule:
+        """Load steps of the test on a specimen of some height."""
+        return self.kind.steps(self.test, height_mm, settings)
+
+    def problem(self, material: Material, displacement_mm: float | None = None) -> Problem:
+        """Problem of this setup."""
+        return Problem(self.specimen, self.test.to_depth(displacement_mm), material, self.model)
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One forward simulation: a setup and a material."""
+
+    specimen: Specimen
+    test: Test
+    material: Material
+    model: Model
+
+    @cached_property
+    def setup(self) -> Setup:
+        """All but the material: what a mesh and its constraints depend on."""
+        return Setup(self.specimen, self.test, self.model)
+
+
+def is_homogeneous(test: Test, shape: str) -> bool:
+    """Whether a deformation is the same everywhere, as between frictionless plates.
+
+    The closed form is then exact, and space, mesh, order and element shape cannot matter.
+    """
+    weightless = not test.weight_N_mm3
+    return weightless and shape in HOMOGENEOUS_SHAPES and TEST_KINDS[test.kind].is_homogeneous(test)
+
+
+def problem_of(
+    resolved: Tables,
+    constants: Mapping[str, float] | None = None,
+    displacement_mm: float | None = None,
+) -> Problem:
+    """Problem of resolved tables.
+
+    Units: constants MPa.
+    """
+    material = MaterialSection.of(resolved).material(constants)
+    return Setup.of(resolved).problem(material, displacement_mm)
+
+
+def mesh_level(model: Model) -> float:
+    """Size of a named mesh over the reference size: 1 on the fine one."""
+    return float(model.mesh_ratio**model.level)
+
+
+def specimen_of(resolved: Mapping[str, object]) -> Specimen:
+    """Specimen of its resolved table; a surface found on this machine is read from there."""
+    if resolved.get("path"):
+        resolved = {**resolved, "file": resolved["path"]}
+    return section_of("specimen", SPECIMENS[str(resolved["shape"])], resolved)
+
+
+def model_of(resolved: Mapping[str, object]) -> Model:
+    """Discretization of its resolved table."""
+    return section_of("model", Model, resolved)
+
+
+def loading_of(resolved: Mapping[str, object]) -> Test:
+    """Test of its resolved table; its displacement may still be open."""
+    pressed = resolved.get("indenter")
+    made = indenter_of(pressed) if isinstance(pressed, Mapping) and pressed else None
+    moved = resolved.get("motion")
+    besides = section_of("test.motion", FaceMotion, moved) if isinstance(moved, Mapping) else None
+    heavy = resolved.get("gravity")
+    gravity = section_of("test.gravity", Gravity, heavy) if isinstance(heavy, Mapping) else None
+    table = {**resolved, "indenter": made, "motion": besides, "gravity": gravity}
+    return section_of("test", TestSection, table).loading()
+
+
+def indenter_of(resolved: Mapping[str, object]) -> Indenter:
+    """Indenter of its resolved table."""
+    return section_of("test.indenter", INDENTERS[str(resolved["shape"])], resolved)
+
+
+def known_height_mm(resolved: Mapping[str, object]) -> float | None:
+    """Height in mm of a specimen's resolved table; None for a surface that nobody looked for."""
+    height = resolved.get("height_mm")
+    return None if height is None else finite(height)
+
+
+# -------------------------------------------------------------------------------------------------
+# The table ``[forward]``: which program predicts the curves of a cell.
+
+Kind = Literal["fem", "closed-form", "command", "python"]
+
+#: what a table may hold: a chain of programs is short, and adapters are small
+MAX_STEPS = 20
+MAX_WORDS = 200
+MAX_FILES = 50
+
+#: seconds of one solution by a program that does not say them
+USUAL_SECONDS = 1.0
+
+
+def _argv(value: object) -> tuple[tuple[str, ...], ...]:
+    """Read one command, or several that run one after the other; each is a list of words."""
+    mend = 'for example argv = [["ccx", "-i", "model"]]'
+    if not isinstance(value, list) or not value:
+        raise Bad(f"must be a list of words, or of such lists, got {shown(value)}", mend)
+    steps = [value] if all(isinstance(one, str) for one in value) else value
+    if len(steps) > MAX_STEPS:
+        raise Bad(f"has {len(steps)} commands, the limit is {MAX_STEPS}")
+    return tuple(_words(step, mend) for step in steps)
+
+
+def _words(value: object, mend: str) -> tuple[str, ...]:
+    if not isinstance(value, list) or not value or not all(isinstance(one, str) for one in value):
+        raise Bad(f"a command must be a list of words, got {shown(value)}", mend)
+    if len(value) > MAX_WORDS:
+        raise Bad(f"a command has {len(value)} words, the limit is {MAX_WORDS}")
+    words = tuple(text(one) for one in value)
+    if not words[0]:
+        raise Bad("a command has no program", mend)
+    return words
+
+
+def _version(value: object) -> tuple[str, ...]:
+    return _words(value, 'for example version = ["ccx", "-v"]')
+
+
+def _files(value: object) -> tuple[str, ...]:
+    items = value if isinstance(value, list) else [value]
+    if len(items) > MAX_FILES:
+        raise Bad(f"lists {len(items)} files, the limit is {MAX_FILES}")
+    found = tuple(dict.fromkeys(relative_path(item) for item in items))
+    names = [path.replace("\\", "/").rpartition("/")[2] for path in found]
+    if len(set(names)) < len(names):
+        raise Bad("names two files alike, which would lie on one another", "rename one of them")
+    return found
+
+
+@section
+class ForwardModel:
+    """What predicts a curve."""
+
+    #: The built-in finite elements, the closed form of
+    #: a homogeneous test, programs, or a function given to :func:`study.run`.
+    model: Annotated[Kind, word("fem", "closed-form", "command", "python")] = "fem"
+    #: Commands, run one after the other in a folder of the case; never by a shell.
+    argv: Annotated[tuple[tuple[str, ...], ...], Reads(_argv)] = ()
+    #: Files beside the design that are copied into that folder.
+    files: Annotated[tuple[str, ...], Reads(_files)] = ()
+    #: Command whose first line of output is kept in every record.
+    version: Annotated[tuple[str, ...], Reads(_version)] = ()
+    #: Text that the output of one command must hold, and text that none may hold.
+    success: Annotated[str, Reads(text)] = ""
+    #: Text that the output of one command must hold, and text that none may hold.
+    failure: Annotated[str, Reads(text)] = ""
+    #: What installs the program, for the message where it is missing.
+    install: Annotated[str, Reads(text)] = ""
+    #: Wall-clock limit of one solution.
+    timeout_s: Duration | None = Field(default=None, validation_alias="timeout")
+    #: What one solution takes, for the plan.
+    seconds_s: Duration = Field(default=USUAL_SECONDS, validation_alias="seconds")
+
+    @property
+    def is_external(self) -> bool:
+        """Whether something else than this package predicts."""
+        return self.model in ("command", "python")
+
+    def fault(self, where: str) -> Fault | None:
+        """Say what is missing for its kind."""
+        if self.model == "command" and not self.argv:
+            mend = 'write argv = [["PROGRAM", "ARGUMENT"]]'
+            return Fault(f"{where}.argv", "is missing: model = 'command' runs a program", mend)
+        return None

@@ -1,0 +1,363 @@
+"""Tests as data: what moves, what touches, where elements are small, which corners are singular.
+
+A test (:class:`Test`) says what one specimen goes through. Its kind (:class:`TestKind`) turns that
+into conditions, contacts and sizes, and is all that the finite-element model knows of it. A kind
+is added as a module beside :mod:`study.mechanics.setup.test_kinds` and an entry of
+:data:`study.mechanics.setup.test_section.TEST_KINDS`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Literal, Protocol
+
+from study.ground.arrays import Array
+from study.ground.errors import Fault, InputError
+from study.mechanics.setup.geometry import FaceMotion, Gravity, Indenter
+
+# -------------------------------------------------------------------------------------------------
+# The load steps of a test, and the settings of the iteration that go with its size.
+
+
+@dataclass(frozen=True)
+class StepSettings:
+    """Load steps as fractions of a length of the test.
+
+    A step grows after few Newton iterations, shrinks after many and is halved on failure;
+    the run ends as ``not-converged`` when a step falls below ``smallest``.
+    """
+
+    #: Largest step between plates over the specimen's height.
+    largest: float = 0.06
+    #: First and largest step of an indentation over the indenter's own length.
+    first_touch: float = 0.15
+    #: First and largest step of an indentation over the indenter's own length.
+    largest_touch: float = 0.25
+    #: Largest step of an indenter that holds what it touches: where a point is held depends on the
+    #: step in which it was met. Forces of cones were 0.2 to 0.9 % low at 0.125, in proportion to
+    #: the step.
+    sticking: float = 0.015
+    #: The same of a flat indenter, which holds its face from the start.
+    held_face: float = 0.125
+    #: Largest step over the depth reached, where that is more: a cone looks the same at every
+    #: depth.
+    deeper: float = 0.08
+    #: Smallest step over the largest one.
+    smallest: float = 0.03
+    growth: float = 1.6
+    easy: int = 4
+    hard: int = 14
+
+
+@dataclass(frozen=True)
+class StepRule:
+    """Step settings with the lengths of one test (mm)."""
+
+    #: As fractions.
+    settings: StepSettings
+    #: First step, and the largest one at no depth.
+    first_mm: float
+    #: First step, and the largest one at no depth.
+    base_mm: float
+    #: Largest step over the depth reached, where that is more.
+    deeper: float = 0.0
+
+    def largest_mm(self, depth_mm: float) -> float:
+        """Largest step at a depth."""
+        return max(self.base_mm, self.deeper * depth_mm)
+
+    def smallest_mm(self) -> float:
+        """Step below which the run gives up."""
+        return self.settings.smallest * self.base_mm
+
+    def next_mm(self, step_mm: float, last_mm: float, iterations: int, depth_mm: float) -> float:
+        """Step after one of ``last_mm`` that took ``iterations``."""
+        rule = self.settings
+        if iterations <= rule.easy:
+            return min(self.largest_mm(depth_mm), max(step_mm, last_mm * rule.growth))
+        return 0.7 * last_mm if iterations > rule.hard else step_mm
+
+
+Interface = Literal["frictionless", "bonded"]
+Face = Literal["top", "base"]
+
+
+@dataclass(frozen=True)
+class Test:
+    """How a specimen is loaded.
+
+    Parameters
+    ----------
+    kind : str
+        One of :data:`study.mechanics.setup.test_section.TEST_KINDS`.
+    displacement_mm : float or None
+        Final displacement, positive; None where the measurements have yet to say it.
+    interface, base : {"frictionless", "bonded"}
+        What holds the specimen where it is loaded, and below.
+    steps : int
+        Displacements at which the force is asked for.
+    indenter : Flat, Cone or Sphere, optional
+        Of a kind that takes one.
+    speed_mm_per_s : float, optional
+        Of the displacement; None where time does not matter.
+    hold_s : float, optional
+        How long the final displacement is held.
+    cycles : int, optional
+        How often it is reached and left again.
+    motion : FaceMotion, optional
+        Motion of the loaded plate besides that along the axis, of a kind that has one.
+    gravity : Gravity, optional
+        Weight of the specimen, which acts before the test begins.
+    prestretch : float, optional
+        Stretch along the normal of the faces before they are sheared.
+    """
+
+    __test__ = False  # not a pytest class
+
+    kind: str
+    displacement_mm: float | None
+    interface: Interface = "frictionless"
+    base: Interface = "frictionless"
+    steps: int = 10
+    indenter: Indenter | None = None
+    speed_mm_per_s: float | None = None
+    hold_s: float | None = None
+    cycles: int | None = None
+    motion: FaceMotion | None = None
+    gravity: Gravity | None = None
+    prestretch: float | None = None
+
+    @property
+    def weight_N_mm3(self) -> float:  # noqa: N802
+        """Upward force on a unit of the specimen's volume; 0 without gravity."""
+        return 0.0 if self.gravity is None else self.gravity.upward_N_mm3
+
+    @property
+    def depth_mm(self) -> float:
+        """Final displacement.
+
+        Raises
+        ------
+        InputError
+            If it is not known.
+        """
+        if self.displacement_mm is None:
+            mend = "give it, or a measurements.range that ends where the test should"
+            raise InputError(Fault("test.displacement", "the test needs a displacement", mend))
+        return float(self.displacement_mm)
+
+    def to_depth(self, displacement_mm: float | None = None) -> Test:
+        """Return the test with its displacement.
+
+        Parameters
+        ----------
+        displacement_mm : float, optional
+            Where the test has none.
+
+        Raises
+        ------
+        InputError
+            If neither gives one.
+        """
+        depth = displacement_mm if self.displacement_mm is None else self.displacement_mm
+        known = replace(self, displacement_mm=depth)
+        return replace(known, displacement_mm=known.depth_mm)
+
+
+@dataclass(frozen=True)
+class FaceCondition:
+    """Motion that a test prescribes for the nodes of a face.
+
+    Parameters
+    ----------
+    face : {"top", "base"}
+        Highest or lowest plane of the specimen.
+    axial : float
+        Motion along the axis, upwards, per unit of the test's displacement.
+    is_held : bool
+        Whether nodes keep their place across the axis; they slide otherwise.
+    within_mm : float, optional
+        Only nodes within this radius of the axis.
+    besides : FaceMotion, optional
+        Final motion, besides that along the axis, of nodes that are held. A face that has one, be
+        it zero, follows no symmetry: the whole specimen is meshed.
+    share_per_mm : float
+        Part of that motion per unit of the test's displacement.
+    """
+
+    face: Face
+    axial: float
+    is_held: bool
+    within_mm: float | None = None
+    besides: FaceMotion | None = None
+    share_per_mm: float = 0.0
+
+
+@dataclass(frozen=True)
+class PlateContact:
+    """Free surface that may fold onto, or come to lie in, the plane of a plate.
+
+    Parameters
+    ----------
+    face : {"top", "base"}
+        Where the plate is.
+    is_bonded : bool
+        Whether the plate holds the face that lies in it from the start.
+    """
+
+    face: Face
+    is_bonded: bool
+
+
+@dataclass(frozen=True)
+class IndenterContact:
+    """Loaded surface that a rigid body of revolution may meet.
+
+    Parameters
+    ----------
+    indenter : Flat, Cone or Sphere
+        Comes down along the axis by the test's displacement.
+    is_bonded : bool
+        Whether it keeps hold of every point that it has touched.
+    """
+
+    indenter: Indenter
+    is_bonded: bool
+
+
+Contact = PlateContact | IndenterContact
+
+
+@dataclass(frozen=True)
+class TowardsPlates:
+    """Elements of one size, smaller towards the rims of bonded faces.
+
+    Parameters
+    ----------
+    top, base : bool
+        Whether the face is bonded.
+    """
+
+    top: bool
+    base: bool
+
+
+@dataclass(frozen=True)
+class AroundContact:
+    """Elements that grow from the contact with an indenter outwards.
+
+    Parameters
+    ----------
+    indenter : Flat, Cone or Sphere
+        At whose contact elements are smallest.
+    depth_mm : float
+        Depth that the sizes are made for.
+    """
+
+    indenter: Indenter
+    depth_mm: float
+
+
+MeshGrading = TowardsPlates | AroundContact
+
+
+@dataclass(frozen=True)
+class ClampedCorner:
+    """Right angle between a bonded and a free face."""
+
+
+@dataclass(frozen=True)
+class SharpEdge:
+    """Edge of a rigid face, where the pressure goes as the inverse root of the distance.
+
+    Parameters
+    ----------
+    name : str
+        As a sentence calls it.
+    """
+
+    name: str
+
+
+@dataclass(frozen=True)
+class RoundedEdge:
+    """Edge of a rigid face that looks sharp to elements as large as its radius.
+
+    Parameters
+    ----------
+    radius_mm : float
+        Of the rounding.
+    """
+
+    radius_mm: float
+
+
+@dataclass(frozen=True)
+class ContactRim:
+    """Rim of a smooth contact, which a mesh places to within an element."""
+
+
+Singularity = ClampedCorner | SharpEdge | RoundedEdge | ContactRim
+
+
+class TestKind(Protocol):
+    """A kind of test: everything that sets it apart from others, as data."""
+
+    @property
+    def takes_indenter(self) -> bool:
+        """Whether a test of this kind needs an indenter."""
+
+    @property
+    def compresses(self) -> bool:
+        """Whether two plates shorten the specimen along its axis, and do nothing else."""
+
+    @property
+    def shears(self) -> bool:
+        """Whether it is a simple shear, which may be preceded by a stretch."""
+
+    @property
+    def strains_locally(self) -> bool:
+        """Whether single places are stretched several times: elements are stabilized there."""
+
+    @property
+    def mode(self) -> str:
+        """Deformation of a homogeneous specimen, one of ``LOADINGS``."""
+
+    @property
+    def needs_homogeneous(self) -> bool:
+        """Whether the test is one of a gauge section, which no finite elements simulate."""
+
+    @property
+    def sense(self) -> float:
+        """Elongation of a homogeneous specimen per displacement: -1 shortens, 1 lengthens."""
+
+    def usual_base(self, interface: Interface) -> Interface:
+        """Condition of the base where a file leaves it out."""
+
+    def faces(self, test: Test) -> tuple[FaceCondition, ...]:
+        """Prescribed motions."""
+
+    def contacts(self, test: Test) -> tuple[Contact, ...]:
+        """Rigid bodies that the surface may meet."""
+
+    def has_middle_plane(self, test: Test) -> bool:
+        """Whether the lower half is the mirror image of the upper one."""
+
+    def grading(self, test: Test) -> MeshGrading:
+        """Where elements are small."""
+
+    def steps(self, test: Test, height_mm: float, settings: StepSettings) -> StepRule:
+        """Load steps of a specimen of some height."""
+
+    def is_homogeneous(self, test: Test) -> bool:
+        """Whether a cylinder or block deforms the same everywhere, in uniaxial stress."""
+
+    def stretches(self, test: Test, height_mm: float) -> Array:
+        """Axial stretches in which the material must be stable, shape (n,)."""
+
+    def singularities(self, test: Test) -> tuple[Singularity, ...]:
+        """Corners and edges that limit the order of the force."""
+
+    def faults(self, test: Test, height_mm: float, half_width_mm: float) -> Iterator[Fault]:
+        """Say why a specimen of this height and half-width cannot go through the test."""

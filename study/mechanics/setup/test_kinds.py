@@ -1,0 +1,356 @@
+"""Compression between two rigid plates."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from study.ground.arrays import Array
+from study.ground.errors import Fault, InputError
+from study.mechanics.material.homogeneous import sheared_stretches
+from study.mechanics.setup.geometry import FaceMotion, Indenter
+from study.mechanics.setup.test_kind import (
+    AroundContact,
+    ClampedCorner,
+    Contact,
+    ContactRim,
+    FaceCondition,
+    IndenterContact,
+    Interface,
+    PlateContact,
+    RoundedEdge,
+    SharpEdge,
+    Singularity,
+    StepRule,
+    StepSettings,
+    Test,
+    TowardsPlates,
+)
+
+#: points of a range of stretches at which stability is looked at
+COMPRESSION_STRETCHES = 41
+
+
+@dataclass(frozen=True)
+class Compression:
+    """Plates approach each other by the displacement; each may be bonded."""
+
+    takes_indenter: bool = False
+    compresses: bool = True
+    shears: bool = False
+    strains_locally: bool = False
+    sense: float = -1.0
+    mode: str = "uniaxial"
+    needs_homogeneous: bool = False
+
+    def usual_base(self, interface: Interface) -> Interface:
+        """Both plates are alike."""
+        return interface
+
+    def faces(self, test: Test) -> tuple[FaceCondition, ...]:
+        """Let the plate above move and the one below stand."""
+        return (
+            FaceCondition("top", self.sense, test.interface == "bonded"),
+            FaceCondition("base", 0.0, test.base == "bonded"),
+        )
+
+    def contacts(self, test: Test) -> tuple[PlateContact, ...]:
+        """Bulging sides may fold onto a plate, a round end comes to lie in it."""
+        return (
+            PlateContact("top", test.interface == "bonded"),
+            PlateContact("base", test.base == "bonded"),
+        )
+
+    def has_middle_plane(self, test: Test) -> bool:
+        """Between plates of one kind."""
+        return test.interface == test.base
+
+    def grading(self, test: Test) -> TowardsPlates:
+        """Small at the rims of bonded faces."""
+        return TowardsPlates(test.interface == "bonded", test.base == "bonded")
+
+    def steps(self, test: Test, height_mm: float, settings: StepSettings) -> StepRule:
+        """Shares of the height."""
+        largest = settings.largest * height_mm
+        return StepRule(settings, largest, largest)
+
+    def is_homogeneous(self, test: Test) -> bool:
+        """Between frictionless plates."""
+        return test.interface == test.base == "frictionless"
+
+    def stretches(self, test: Test, height_mm: float) -> Array:
+        """From the end of the test to none."""
+        return np.linspace(1 - test.depth_mm / height_mm, 1.0, COMPRESSION_STRETCHES)
+
+    def singularities(self, test: Test) -> tuple[ClampedCorner, ...]:
+        """Rim of a bonded face."""
+        return (ClampedCorner(),) if "bonded" in (test.interface, test.base) else ()
+
+    def faults(self, test: Test, height_mm: float, half_width_mm: float) -> Iterator[Fault]:
+        """Plates cannot meet."""
+        return beyond_height(test, height_mm)
+
+
+def beyond_height(test: Test, height_mm: float) -> Iterator[Fault]:
+    """Refuse a displacement into a specimen that reaches its height."""
+    depth = test.depth_mm
+    if depth >= height_mm:
+        rule = f"{depth:g} mm is not smaller than the specimen's height, {height_mm:g} mm"
+        yield Fault("test.displacement", rule, "press less deep")
+
+
+COMPRESSION = Compression()
+
+
+# -------------------------------------------------------------------------------------------------
+# Indentation of a specimen on a rigid support by a rigid body of revolution.
+
+#: stretches around an indenter in which a material must at least be stable
+LOWEST_STRETCH = 0.8
+HIGHEST_STRETCH = 1.2
+INDENTATION_STRETCHES = 41
+
+
+@dataclass(frozen=True)
+class Indentation:
+    """An indenter comes down by the displacement; it may keep hold of what it touches."""
+
+    takes_indenter: bool = True
+    compresses: bool = False
+    shears: bool = False
+    strains_locally: bool = True
+    sense: float = -1.0
+    mode: str = "uniaxial"
+    needs_homogeneous: bool = False
+
+    def usual_base(self, interface: Interface) -> Interface:
+        """Specimens are fixed to what they lie on."""
+        return "bonded"
+
+    def faces(self, test: Test) -> tuple[FaceCondition, ...]:
+        """Support, and the disc that a bonded flat face moves."""
+        support = FaceCondition("base", 0.0, test.base == "bonded")
+        if not holds_face(test):
+            return (support,)
+        radius = indenter_of_test(test).face_radius_mm
+        return (support, FaceCondition("top", self.sense, True, within_mm=radius))
+
+    def contacts(self, test: Test) -> tuple[IndenterContact, ...]:
+        """Indenter, unless it holds from the start all that it will ever hold."""
+        if test.indenter is None or holds_face(test):
+            return ()
+        return (IndenterContact(test.indenter, test.interface == "bonded"),)
+
+    def has_middle_plane(self, test: Test) -> bool:
+        """Tell that it is loaded from above alone."""
+        return False
+
+    def grading(self, test: Test) -> AroundContact:
+        """Small under the indenter."""
+        return AroundContact(indenter_of_test(test), test.depth_mm)
+
+    def steps(self, test: Test, height_mm: float, settings: StepSettings) -> StepRule:
+        """Shares of the indenter's own length; those of what sticks are small and even."""
+        length = test.depth_mm if test.indenter is None else _length(test)
+        if test.interface == "bonded":
+            share = settings.held_face if holds_face(test) else settings.sticking
+            largest = min(settings.largest * height_mm, share * length)
+            return StepRule(settings, largest, largest)
+        first, largest = settings.first_touch * length, settings.largest_touch * length
+        return StepRule(settings, first, largest, settings.deeper)
+
+    def is_homogeneous(self, test: Test) -> bool:
+        """Never."""
+        return False
+
+    def stretches(self, test: Test, height_mm: float) -> Array:
+        """About none: larger ones are reached at single places only."""
+        return np.linspace(LOWEST_STRETCH, HIGHEST_STRETCH, INDENTATION_STRETCHES)
+
+    def singularities(self, test: Test) -> tuple[Singularity, ...]:
+        """Edge of a flat face, or the rim of a smooth contact."""
+        pressed = indenter_of_test(test)
+        if pressed.is_sharp_edged:
+            return (SharpEdge("sharp edge"),)
+        if holds_face(test):
+            return (SharpEdge("rim of the bonded face"),)
+        return (RoundedEdge(pressed.rounding_mm) if pressed.has_face else ContactRim(),)
+
+    def faults(self, test: Test, height_mm: float, half_width_mm: float) -> Iterator[Fault]:
+        """Depth, shape of the indenter, and what it could touch."""
+        yield from beyond_height(test, height_mm)
+        pressed = test.indenter
+        if pressed is None:
+            mend = "give shape and radius"
+            yield Fault("test.indenter", "an indentation needs an indenter", mend)
+            return
+        yield from pressed.faults()
+        reach = pressed.reach_mm(test.depth_mm)
+        if reach > half_width_mm:
+            rule = f"the indenter touches up to {reach:g} mm from the axis, beyond"
+            mend = "use a smaller indenter or a wider specimen"
+            yield Fault("test.indenter", f"{rule} {half_width_mm:g} mm", mend)
+
+
+def _length(test: Test) -> float:
+    return indenter_of_test(test).step_length_mm(test.depth_mm)
+
+
+def holds_face(test: Test) -> bool:
+    """Whether a flat indenter sticks: it has hold of all that it will hold at once."""
+    return test.interface == "bonded" and test.indenter is not None and test.indenter.has_face
+
+
+def indenter_of_test(test: Test) -> Indenter:
+    """Indenter of a test."""
+    if test.indenter is None:
+        mend = "give shape and radius"
+        raise InputError(Fault("test.indenter", "an indentation needs an indenter", mend))
+    return test.indenter
+
+
+INDENTATION = Indentation()
+
+
+# -------------------------------------------------------------------------------------------------
+# Tests of material on a gauge section that deforms the same everywhere.
+#
+# Tension, equibiaxial and planar tension (pure shear), simple shear, volumetric and confined
+# compression. They have a closed form for every energy and need no elements.
+
+#: points of a range of stretches at which stability is looked at
+GAUGE_SECTION_STRETCHES = 41
+
+
+@dataclass(frozen=True)
+class GaugeSection:
+    """A test of material."""
+
+    #: Deformation, one of :data:`study.mechanics.material.homogeneous.LOADINGS`.
+    mode: str
+    #: Elongation per displacement: -1 shortens, 1 lengthens or shears.
+    sense: float = 1.0
+    takes_indenter: bool = False
+    compresses: bool = False
+    strains_locally: bool = False
+    needs_homogeneous: bool = True
+
+    @property
+    def shears(self) -> bool:
+        """Whether it is a simple shear."""
+        return self.mode == "simple-shear"
+
+    def usual_base(self, interface: Interface) -> Interface:
+        """Without meaning: nothing holds a gauge section but its own material."""
+        return interface
+
+    def faces(self, test: Test) -> tuple[FaceCondition, ...]:
+        """Return none: no elements."""
+        return ()
+
+    def contacts(self, test: Test) -> tuple[Contact, ...]:
+        """Return none."""
+        return ()
+
+    def has_middle_plane(self, test: Test) -> bool:
+        """Every plane is one."""
+        return True
+
+    def grading(self, test: Test) -> TowardsPlates:
+        """Even."""
+        return TowardsPlates(False, False)
+
+    def steps(self, test: Test, height_mm: float, settings: StepSettings) -> StepRule:
+        """Shares of the length."""
+        largest = settings.largest * height_mm
+        return StepRule(settings, largest, largest)
+
+    def is_homogeneous(self, test: Test) -> bool:
+        """By definition."""
+        return True
+
+    def stretches(self, test: Test, height_mm: float) -> Array:
+        """Stretches of the loaded direction, for a shear those of its longest line."""
+        share = self.sense * test.depth_mm / height_mm
+        if self.shears:
+            longest = sheared_stretches(np.array([share]), test.prestretch or 1.0)[0]
+            return np.linspace(1.0, longest[0], GAUGE_SECTION_STRETCHES)
+        return np.linspace(1.0, 1.0 + share, GAUGE_SECTION_STRETCHES)
+
+    def singularities(self, test: Test) -> tuple[Singularity, ...]:
+        """Return none."""
+        return ()
+
+    def faults(self, test: Test, height_mm: float, half_width_mm: float) -> Iterator[Fault]:
+        """Elements were asked for."""
+        rule = "is a test of a gauge section and has a closed form, which finite elements are not"
+        yield Fault("test.kind", rule, 'write specimen.shape = "homogeneous"')
+
+
+#: every test of material by its name in a file
+GAUGE_SECTIONS = {
+    "tension": GaugeSection("uniaxial"),
+    "equibiaxial": GaugeSection("equibiaxial"),
+    "planar": GaugeSection("planar"),
+    "simple-shear": GaugeSection("simple-shear"),
+    "volumetric": GaugeSection("volumetric", -1.0),
+    "confined-compression": GaugeSection("confined", -1.0),
+}
+
+
+# -------------------------------------------------------------------------------------------------
+# Compression by a plate that also shifts and turns, and on which the face may spread.
+#
+# A press is rarely true: its plate shifts across the axis and tilts, and a face that is not glued
+# slips outwards. All of it is prescribed here, as a rigid motion with small rotations and one
+# in-plane stretch of the loaded face, so that markers inside a specimen can tell how the plate
+# really moved.
+
+
+@dataclass(frozen=True)
+class PlateMotion(Compression):
+    """The plate above has all six rigid motions, in proportion to the axial displacement.
+
+    The force is the one that does the work of the whole motion, per unit of the displacement:
+    sideways forces and moments stand in it with their share of the motion.
+    """
+
+    compresses: bool = False
+
+    def usual_base(self, interface: Interface) -> Interface:
+        """Specimens are fixed to what they stand on."""
+        return "bonded"
+
+    def faces(self, test: Test) -> tuple[FaceCondition, ...]:
+        """Prescribe every component above; the face below is held, or slides."""
+        share = 1.0 / test.displacement_mm if test.displacement_mm else 0.0  # open for now
+        besides = test.motion or FaceMotion()
+        return (
+            FaceCondition("top", self.sense, True, besides=besides, share_per_mm=share),
+            FaceCondition("base", 0.0, test.base == "bonded"),
+        )
+
+    def contacts(self, test: Test) -> tuple[PlateContact, ...]:
+        """Bulging sides may fold onto a plate; the loaded face is held in either case."""
+        return (PlateContact("top", True), PlateContact("base", test.base == "bonded"))
+
+    def has_middle_plane(self, test: Test) -> bool:
+        """Tell that only the plate above moves sideways."""
+        return False
+
+    def grading(self, test: Test) -> TowardsPlates:
+        """Small at the rims of faces that are held."""
+        return TowardsPlates(True, test.base == "bonded")
+
+    def is_homogeneous(self, test: Test) -> bool:
+        """Never."""
+        return False
+
+    def singularities(self, test: Test) -> tuple[ClampedCorner, ...]:
+        """Rim of the loaded face."""
+        return (ClampedCorner(),)
+
+
+PLATE_MOTION = PlateMotion()

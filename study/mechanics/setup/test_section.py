@@ -1,0 +1,145 @@
+"""Section ``[test]`` of a study file, and the kinds of test that it may name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from study.ground.arrays import Array
+from study.mechanics.setup.declaration import (
+    Duration,
+    Length,
+    Reads,
+    as_written,
+    integer,
+    measured,
+    number,
+    section,
+    word,
+)
+from study.mechanics.setup.geometry import FaceMotion, Gravity, Indenter
+from study.mechanics.setup.test_kind import Interface, Test, TestKind
+from study.mechanics.setup.test_kinds import COMPRESSION, GAUGE_SECTIONS, INDENTATION, PLATE_MOTION
+
+#: every kind of test by its name in a file
+TEST_KINDS: Mapping[str, TestKind] = {
+    "compression": COMPRESSION,
+    "indentation": INDENTATION,
+    "plate-motion": PLATE_MOTION,
+    **GAUGE_SECTIONS,
+}
+
+_CONDITIONS = "frictionless", "bonded"
+_SYNONYMS = {"lubricated": "frictionless"}
+
+
+@section
+class TestSection:
+    """How a specimen is loaded, as far as the file says it."""
+
+    __test__ = False  # not a pytest class
+
+    #: One of :data:`TEST_KINDS`.
+    kind: Annotated[str, word(*TEST_KINDS, mend="compression, ...")]
+    #: What holds the specimen where it is loaded.
+    interface: Annotated[
+        Interface, word(*_CONDITIONS, synonyms=_SYNONYMS, mend="frictionless or bonded")
+    ] = "frictionless"
+    #: What holds it below: as above in compression, bonded in
+    #: indentation, unless given.
+    base: Annotated[Interface, word(*_CONDITIONS, synonyms=_SYNONYMS)] | None = None
+    #: Final displacement; the end of the measured range may give it.
+    displacement_mm: Length | None = Field(default=None, validation_alias="displacement")
+    #: Displacements at which the force is asked for.
+    steps: Annotated[int, Reads(integer(1, 10_000))] = 10
+    #: Of an indentation.
+    indenter: Annotated[Indenter | None, as_written()] = None
+    #: Of the displacement; a material that relaxes resists a fast test more.
+    speed_mm_per_s: Annotated[float, measured("speed")] | None = Field(
+        default=None, validation_alias="speed"
+    )
+    #: How long the final displacement is held.
+    hold_s: Duration | None = Field(default=None, validation_alias="hold")
+    #: How often it is reached and left again, at the same speed.
+    cycles: Annotated[int | None, Reads(integer(1, 1000))] = None
+    #: Final motion of the plate above besides the displacement, of a plate motion.
+    motion: FaceMotion | None = None
+    #: Weight of the specimen.
+    gravity: Gravity | None = None
+    #: Of a simple shear: stretch along the normal of the sheared faces before the test.
+    prestretch: Annotated[float, Reads(number(0.2, 5.0))] | None = None
+
+    @property
+    def held_below(self) -> Interface:
+        """Condition of the base, also where the file leaves it to the kind of the test."""
+        if self.base is not None:
+            return self.base
+        kind = TEST_KINDS.get(self.kind)  # a faulty file may leave it out
+        return self.interface if kind is None else kind.usual_base(self.interface)
+
+    def loading(self) -> Test:
+        """Test that the section describes; its displacement may still be open."""
+        pressed = self.indenter if TEST_KINDS[self.kind].takes_indenter else None
+        depth = self.displacement_mm
+        return Test(
+            self.kind,
+            depth,
+            self.interface,
+            self.held_below,
+            self.steps,
+            pressed,
+            self.speed_mm_per_s,
+            self.hold_s,
+            self.cycles,
+            self.motion,
+            self.gravity,
+            self.prestretch,
+        )
+
+
+# -------------------------------------------------------------------------------------------------
+# Course of a test in time: a ramp at one speed, and what follows it, a hold or cycles.
+
+#: first row of a hold over its duration: rows are even on a logarithmic scale, as relaxation is
+_FIRST_OF_HOLD = 1e-3
+
+
+@dataclass(frozen=True)
+class Course:
+    """Displacements at the times of rows; linear in between, at rest before."""
+
+    #: shape (n,); the unloaded begin at 0 s is left out.
+    displacement_mm: Array
+    #: shape (n,); the unloaded begin at 0 s is left out.
+    time_s: Array
+
+
+def course_of(test: Test) -> Course | None:
+    """Course that a test prescribes; None without a speed.
+
+    Examples
+    --------
+    >>> ramp = Test("tension", 4.0, steps=2, speed_mm_per_s=0.5, cycles=1)
+    >>> found = course_of(ramp)
+    >>> found.displacement_mm, found.time_s
+    (array([2., 4., 2., 0.]), array([ 4.,  8., 12., 16.]))
+    """
+    speed = test.speed_mm_per_s
+    if speed is None:
+        return None
+    share = np.arange(1, test.steps + 1) / test.steps
+    ramp = test.depth_mm / speed
+    if test.cycles is not None:
+        once = np.concatenate([share, 1 - share])
+        time = (np.arange(2 * test.cycles)[:, None] + share).ravel() * ramp
+        return Course(test.depth_mm * np.tile(once, test.cycles), time)
+    displacement, time = test.depth_mm * share, ramp * share
+    if test.hold_s is not None:
+        held = test.hold_s * np.geomspace(_FIRST_OF_HOLD, 1.0, test.steps)
+        displacement = np.append(displacement, np.full(test.steps, test.depth_mm))
+        time = np.append(time, ramp + held)
+    return Course(displacement, time)

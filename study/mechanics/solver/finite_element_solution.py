@@ -1,0 +1,292 @@
+"""One forward simulation: adaptive load steps to a force-displacement curve with gradients."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from study.ground.arrays import Array, Ints
+from study.ground.compilation import vectors_alone
+from study.ground.errors import Fault, InputError, MeshError
+from study.mechanics.element.function_space import Discretization, deformation_gradient
+from study.mechanics.material.homogeneous import UNIAXIAL, first_piola
+from study.mechanics.material.stability import stability, stable_in
+from study.mechanics.mesh.graded import turned
+from study.mechanics.mesh.mesher import build_mesh
+from study.mechanics.mesh.solid import surface_faults
+from study.mechanics.mesh.structured import Mesh
+from study.mechanics.setup.geometry import Enclosed, Surface
+from study.mechanics.setup.setup import Problem, Setup
+from study.mechanics.solver.load_path import LoadPath
+from study.mechanics.solver.newton import Options
+from study.mechanics.solver.solution import Solution, without_answer
+from study.mechanics.solver.solution_cost import size_faults
+from study.mechanics.solver.system import State, System
+from study.mechanics.surface.closed_surface import PLAUSIBLE_MM, body, height_of
+
+# -------------------------------------------------------------------------------------------------
+# What a problem must satisfy before it is meshed.
+
+#: no specimen of a testing machine is larger
+LARGEST_MM = 1e4
+
+
+def check(problem: Problem) -> None:
+    """Refuse a problem that has no answer.
+
+    Units: problem mm, MPa.
+    """
+    faults = surface_faults(problem.setup)
+    if faults:
+        raise InputError(faults)
+    faults = [*_material(problem), *_loading(problem.setup)] or [*size_faults(problem.setup)]
+    doubts = [*_unit(problem.setup, doubted=bool(faults))]
+    if faults or doubts:
+        raise InputError([*doubts, *faults])
+
+
+def _unit(setup: Setup, *, doubted: bool) -> Iterator[Fault]:
+    """Say that a surface is in another unit: where it is absurdly large, or does not fit its test.
+
+    A small one may be a spheroid of cells, and is believed while its test fits.
+    """
+    specimen = setup.specimen
+    if not isinstance(specimen, Surface):
+        return
+    found = body(specimen)
+    extent = float(np.ptp(found.points, axis=0).max())
+    if extent > LARGEST_MM or (doubted and not PLAUSIBLE_MM[0] <= extent <= PLAUSIBLE_MM[1]):
+        size, meant = f"{extent:.3g} mm large", "m" if extent < PLAUSIBLE_MM[0] else "mm"
+        rule = f"the surface is {size} if its file is in {specimen.unit}"
+        yield Fault("specimen.unit", rule, f'is the file in {meant}? Then write unit = "{meant}"')
+
+
+def _material(problem: Problem) -> Iterator[Fault]:
+    if problem.material.incompressible and problem.model.formulation == "displacement":
+        mend = "use formulation = mixed, or a finite bulk_modulus or poisson_ratio"
+        yield Fault("model.formulation", "needs a finite bulk modulus", mend)
+    if problem.material.relaxation:
+        rule = "is of a test in closed form: finite elements know no time"
+        yield Fault("material.relaxation", rule, 'write specimen.shape = "homogeneous"')
+
+
+def _loading(setup: Setup) -> Iterator[Fault]:
+    """Say why the specimen cannot go through the test."""
+    specimen = setup.specimen
+    solid = body(specimen) if isinstance(specimen, Enclosed) else specimen
+    return setup.kind.faults(setup.test, solid.height_mm, solid.half_width_mm)
+
+
+def instability(problem: Problem) -> str:
+    """Sentence about constants that are unstable within the test; empty where they are not.
+
+    Only failure in uniaxial loading counts: the other modes are reached locally at most.
+    """
+    material, setup = problem.material, problem.setup
+    if material.small_strain:
+        return ""
+    stretches = setup.kind.stretches(setup.test, height_of(setup.specimen))
+    if stable_in(UNIAXIAL, material, stretches):
+        return ""
+    return stability(material, stretches).sentence
+
+
+__all__ = ["Options", "solve"]
+
+
+def solve(
+    problem: Problem,
+    *,
+    gradients: bool = True,
+    warm: Solution | None = None,
+    progress: Callable[[float], None] | None = None,
+    options: Options | None = None,
+    mesh: Mesh | None = None,
+) -> Solution:
+    """Simulate one test."""
+    began = time.perf_counter()
+    options = options or Options()
+    check(problem)
+    unstable = instability(problem)
+    if unstable:
+        return without_answer(problem, "unstable", unstable, time.perf_counter() - began)
+    try:
+        with vectors_alone():
+            system = _system(problem, warm, options, mesh)
+            start_from = partial(LoadPath, system, problem, options, gradients, progress)
+            run = start_from(warm).to_the_end()
+            if warm is not None and run.may_do_better():
+                system.kept.forget()
+                run = start_from(None).to_the_end()
+            return run.solution(time.perf_counter() - began)
+    except MemoryError as error:
+        message = f"{error}: use a larger mesh_size, or axisymmetric space"
+        return without_answer(problem, "out-of-memory", message, time.perf_counter() - began)
+    except MeshError as error:
+        return without_answer(problem, "mesh-failed", str(error), time.perf_counter() - began)
+
+
+def _system(problem: Problem, warm: Solution | None, options: Options, mesh: Mesh | None) -> System:
+    if warm is not None and warm.warm is not None:
+        system = warm.warm.system.with_material(problem.material)
+        system.kept.forget()
+        return system
+    return System.build(
+        problem,
+        build_mesh(problem.setup) if mesh is None else mesh,
+        solver=options.linear_solver,
+        folding=options.side_contact,
+    )
+
+
+# -------------------------------------------------------------------------------------------------
+# Fields of a solution for ParaView: the mesh with its mid-side nodes, displacement and stress.
+
+#: VTK's cell types by (dimension, corners, nodes that are drawn)
+_TYPES = {
+    (2, 3, 3): "triangle", (2, 3, 6): "triangle6", (2, 4, 4): "quad", (2, 4, 9): "quad9",
+    (3, 4, 4): "tetra", (3, 4, 10): "tetra10", (3, 8, 8): "hexahedron", (3, 8, 27): "hexahedron27",
+}  # fmt: skip
+
+#: corners whose middle each further node of a VTK cell is, in VTK's order
+_TRIANGLE = [(0, 1), (1, 2), (2, 0)]
+_QUAD = [(0, 1), (1, 2), (2, 3), (3, 0)]
+_HEX_EDGES = [
+    *_QUAD, (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7),
+]  # fmt: skip
+_HEX_FACES = [
+    (0, 3, 4, 7), (1, 2, 5, 6), (0, 1, 4, 5), (2, 3, 6, 7), (0, 1, 2, 3), (4, 5, 6, 7),
+]  # fmt: skip
+_MIDDLES: dict[str, list[tuple[int, ...]]] = {
+    "triangle6": [*_TRIANGLE],
+    "quad9": [*_QUAD, (0, 1, 2, 3)],
+    "tetra10": [*_TRIANGLE, (0, 3), (1, 3), (2, 3)],
+    "hexahedron27": [*_HEX_EDGES, *_HEX_FACES, tuple(range(8))],
+}
+
+
+@dataclass(frozen=True)
+class Fields:
+    """Fields of one step on the modelled part of the specimen.
+
+    Axisymmetric coordinates are (r, z, 0), so that the axes of a tensor are r, z and hoop.
+    """
+
+    displacement_mm: float
+    #: shape (n_nodes, 3); nodes before the deformation and their displacements, mm.
+    points: Array
+    displacement: Array
+    #: Type of the cells as meshio names it.
+    kind: str
+    cells: Ints
+    #: shape (n_cells, 3, 3); cauchy stress, the mean of each cell, MPa.
+    stress: Array
+    #: shape (n_cells,); J, volume after over volume before.
+    volume_ratio: Array
+
+
+def fields(solution: Solution) -> Fields:
+    """Fields of the last requested step that converged."""
+    if solution.warm is None or not solution.warm.steps:
+        raise InputError(Fault("fields", f"no step converged: {solution.message}"))
+    system, state = solution.warm.system, solution.warm.steps[-1].state
+    space = system.space
+    kind, cells = _cells(space, _upright(system.mesh.points, system.mesh.cells))
+    used = np.unique(cells)  # bubbles belong to no corner and no side
+    F = deformation_gradient(space, system.displacements(state.x))
+    means = space.weights / space.weights.sum(axis=1, keepdims=True)
+    # the volume that a linear body sees
+    J = np.trace(F) - 2 if system.small_strain else np.linalg.det(np.moveaxis(F, (0, 1), (-2, -1)))
+    return Fields(
+        displacement_mm=state.displacement_mm,
+        points=_in_space(space.nodes[used]),
+        displacement=_in_space(system.displacements(state.x)[used]),
+        kind=kind,
+        cells=np.searchsorted(used, cells),
+        stress=np.einsum("ijeq,eq->eij", cauchy_stress(system, state, F, J), means),
+        volume_ratio=np.einsum("eq,eq->e", J, means),
+    )
+
+
+def write_vtu(solution: Solution, path: str | Path) -> None:
+    """Write the fields of a solution into a VTU file for ParaView.
+
+    Points are those before the deformation; *Warp By Vector* with ``displacement_mm`` deforms
+    them. Cells carry ``J``, ``mean_stress_MPa`` (negative in compression), ``cauchy_stress_MPa``
+    and ``von_mises_MPa``.
+    """
+    import meshio
+
+    found = fields(solution)
+    mean = np.trace(found.stress, axis1=1, axis2=2) / 3
+    deviator = found.stress - mean[:, None, None] * np.eye(3)
+    cell_data = {
+        "J": found.volume_ratio,
+        "mean_stress_MPa": mean,
+        "von_mises_MPa": np.sqrt(1.5 * (deviator**2).sum(axis=(1, 2))),
+        "cauchy_stress_MPa": found.stress.reshape(-1, 9),
+    }
+    mesh = meshio.Mesh(
+        found.points,
+        [(found.kind, found.cells)],
+        point_data={"displacement_mm": found.displacement},
+        cell_data={name: [values] for name, values in cell_data.items()},
+    )
+    mesh.write(path, file_format="vtu")
+
+
+def cauchy_stress(system: System, state: State, F: Array, J: Array) -> Array:
+    """Cauchy stress at every quadrature point, the pressure as it was solved for, MPa.
+
+    Shapes: F (3, 3, n_elements, n_quadrature); J (n_elements, n_quadrature); returns (3, 3,
+    n_elements, n_quadrature).
+    """
+    nominal = first_piola(system.material, F)
+    small = system.small_strain
+    stress = nominal if small else np.einsum("ij...,kj...->ik...", nominal, F) / J
+    eye = np.eye(3)[:, :, None, None]
+    stress = stress - np.trace(stress) / 3 * eye
+    return np.asarray(stress + _pressure(system, state, J) * eye)
+
+
+def _pressure(system: System, state: State, J: Array) -> Array:
+    """Mean stress at every quadrature point."""
+    space = system.space
+    pointwise = system.internal.pointwise_bulk(system.material)
+    own = space.dofs[:, space.dim * space.element_nodes.shape[1] :]
+    shape = np.broadcast_to(space.pressure_shape, (*space.weights.shape, own.shape[1]))
+    held = np.einsum("eqk,ek->eq", shape, state.x[own])
+    return np.asarray(held + pointwise * (J - 1))
+
+
+def _upright(points: Array, cells: Ints) -> Ints:
+    """Simplices with positive volume, as VTK expects them; grids have it already."""
+    return turned(points, cells.copy()) if cells.shape[1] == points.shape[1] + 1 else cells
+
+
+def _cells(space: Discretization, corners: Ints) -> tuple[str, Ints]:
+    """Type and nodes of the cells, the further nodes found by where they lie."""
+    dim, n = space.dim, corners.shape[1]
+    local = int(space.element_nodes.shape[1])
+    kind = _TYPES.get((dim, n, local), _TYPES[(dim, n, n)])  # bubbles are not drawn
+    if kind not in _MIDDLES:
+        return kind, corners
+    own = space.element_nodes
+    rest = own[~(own[:, :, None] == corners[:, None, :]).any(axis=2)].reshape(len(own), -1)
+    places = space.nodes[rest]
+    found = [corners]
+    for middle in _MIDDLES[kind]:
+        target = space.nodes[corners[:, list(middle)]].mean(axis=1)
+        nearest = np.linalg.norm(places - target[:, None], axis=2).argmin(axis=1)
+        found.append(np.take_along_axis(rest, nearest[:, None], axis=1))
+    return kind, np.hstack(found)
+
+
+def _in_space(plane: Array) -> Array:
+    """Give vectors a third component where they have two."""
+    return np.pad(plane, ((0, 0), (0, 3 - plane.shape[1])))

@@ -1,0 +1,346 @@
+"""Internal forces of the elements: residual, tangent and what they owe to each constant.
+
+The only place that knows which compiled loop a material needs; the system of equations
+sees vectors of unknowns and the sum of the tangents.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from study.ground.arrays import Array, Elements, Ints, Unknowns
+from study.ground.compilation import smallest
+from study.mechanics.element import assembly
+from study.mechanics.element.assembly import ElementEnergy, Sums, stored_energy
+from study.mechanics.element.function_space import (
+    Discretization,
+    Pattern,
+    Slabs,
+    slabs,
+    symmetric_product,
+)
+from study.mechanics.material.energy import Law, PointLaw
+from study.mechanics.material.material import Material
+
+#: bound of the local bulk modulus over the shear modulus. A coarse cone 2 mm deep is 0.5 % too
+#: stiff with none, 0.9 % with this one, 1.1 % with 10; neo-Hookean under a flat end goes on to its
+#: radius with 5 and 10, not (in 420 s, kappa 1000 mu0) with 3
+LOCAL_BULK = 5.0
+
+#: kappa over the shear modulus, of linear simplices, whose bubbles collapse without it
+EVENNESS = 20.0
+
+#: kappa over the shear modulus, of quadratic tetrahedra: a softening energy under a cone stops at
+#: 3.2 to 3.4 mm of 4 with 100 (local bulk bounds of 0 to 3 mu0) and gets there with 500 and 1000;
+#: with any of them a neo-Hookean one has the same force at 2 mm within 0.01 %
+EVENNESS_OF_SOLIDS = 500.0
+
+#: stands for a volume measure that is not positive, where that means nothing
+_SMALLEST = 1e-6
+
+#: where no tangent is asked for
+_NOWHERE = Sums(np.zeros((0, 0), np.int32), np.zeros(0), np.zeros(0, np.int32), np.zeros((0, 0)))
+
+
+class StoredEnergy(NamedTuple):
+    """Energy of the elements, N mm."""
+
+    material: float
+    #: Of the resistance to uneven volume, which is none of the material's.
+    stabilization: float
+    #: Potential energy of the weight, less what the specimen had of all kinds when it had sagged
+    #: and was not yet touched: the work of the test begins there.
+    raised: float = 0.0
+
+    @property
+    def total(self) -> float:
+        """What the work of the test goes into."""
+        return self.material + self.stabilization + self.raised
+
+
+def without_shear(material: Material) -> Law:
+    """Law whose isochoric stress vanishes; its constants have the shape of the material's.
+
+    A function of the invariants becomes the polynomial without terms: at constants of zero some
+    of them divide by a limit of their stretches.
+    """
+    kind, constants = material.law()
+    is_of_invariants = kind >= PointLaw.POLYNOMIAL
+    return Law(PointLaw.POLYNOMIAL if is_of_invariants else kind, np.zeros_like(constants))
+
+
+class BulkSplit(NamedTuple):
+    """Parts of a bulk modulus: the local one in MPa, and the pressures' 1 / K in 1/MPa."""
+
+    local: float
+    compliance: float
+
+
+def split_bulk(bulk: float, bound: float) -> BulkSplit:
+    """Local bulk modulus K_l = K B / (K + B) at each point, K - K_l through the pressures.
+
+    The energy of volume is K_l / 2 (J - 1)^2 + p (J - 1) - p^2 / (2 (K - K_l)): in the
+    continuum K / 2 (J - 1)^2 whatever K_l is. K_l is below K, and below the bound B however
+    large K becomes: a local modulus that grows with K asks every quadrature point to keep its
+    volume, which is more than a quadratic element can do, and locks it. For K infinite it is
+    the penalty of an augmented Lagrangian, which vanishes where J = 1.
+
+    Units: bulk, bound MPa.
+    """
+    if not np.isfinite(bulk):
+        return BulkSplit(bound, 0.0)
+    return BulkSplit(bulk * bound / (bulk + bound), (1 + bound / bulk) / bulk)
+
+
+def split_bulk_rate(bulk: float, bound: float, bulk_rate: float, bound_rate: float) -> BulkSplit:
+    """Rates of :func:`split_bulk` where K and B have rates.
+
+    Units: bulk_rate, bound_rate MPa.
+    """
+    if not np.isfinite(bulk):
+        return BulkSplit(bound_rate, 0.0)
+    ratio = bound / bulk
+    local = (bound_rate + ratio**2 * bulk_rate) / (1 + ratio) ** 2
+    return BulkSplit(local, (bound_rate - (1 + 2 * ratio) * bulk_rate) / bulk**2)
+
+
+def _element_energy(law: Law, bulk: BulkSplit, evenness: float) -> ElementEnergy:
+    # a plain number: the kernels would be compiled once more for an enumeration
+    return ElementEnergy(int(law.kind), law.constants, bulk.local, bulk.compliance, evenness)
+
+
+@dataclass
+class Internal:
+    """Element residuals on one discretization, overwritten by each evaluation."""
+
+    space: Discretization
+    #: Elements that may be worked on at once, see :mod:`study.mechanics.element.function_space`.
+    phases: tuple[Slabs, ...]
+    #: shape (n_elements, m); of the last evaluation.
+    residuals: Array
+    #: Largest local bulk modulus over the shear modulus, see :func:`split_bulk`; 0 for none.
+    local_bulk: float = 0.0
+    #: Resistance to uneven volume within an element over the shear modulus, see
+    #: :mod:`study.mechanics.element.assembly`.
+    evenness: float = 0.0
+
+    @classmethod
+    def on(cls, space: Discretization, local_bulk: float = 0.0, evenness: float = 0.0) -> Internal:
+        """Take the memory for a discretization."""
+        return cls(space, slabs(space), np.full(space.dofs.shape, 0.0), local_bulk, evenness)
+
+    def evaluate(self, material: Material, x: Array, into: Tangent | None = None) -> float:
+        """Residuals at unknowns ``x``, shape (n,), and tangents where asked; return the smallest J.
+
+        Where it is not positive nothing else is valid. For small strain it is the smallest
+        1 + tr(eps), kept above zero: a linear body cannot be inverted.
+        """
+        energy = self._energy(material)
+        if into is not None:
+            into.data[:] = 0.0
+        min_j = self._elements(x, energy, into)
+        return max(min_j, _SMALLEST) if material.small_strain else min_j
+
+    def stored(self, material: Material, x: Array) -> StoredEnergy:
+        """Energy that all elements store at unknowns ``x``, shape (n,)."""
+        shapes, energy = self.space.shapes, self._energy(material)
+        out = np.zeros((self.space.n_elements, 2))
+        smallest(self.phases, lambda e: float(stored_energy(e, shapes, energy, x, out)))
+        return StoredEnergy(*(float(part) for part in out.sum(axis=0)))
+
+    def _energy(self, material: Material) -> ElementEnergy:
+        """Return what the compiled loops are told of a material."""
+        uneven = self._unevenness(material, material.mu0)
+        return _element_energy(material.law(), self._split(material), uneven)
+
+    def _split(self, material: Material) -> BulkSplit:
+        """Bulk modulus at every quadrature point, and compliance of the pressures."""
+        K = material.bulk
+        if not self._mixed:
+            return BulkSplit(K if np.isfinite(K) else 0.0, 0.0)
+        return split_bulk(K, self.local_bulk * material.mu0)
+
+    @property
+    def _mixed(self) -> bool:
+        """Whether there are pressure unknowns."""
+        return bool(self.space.pressure_shape.shape[2] > 0)
+
+    def pointwise_bulk(self, material: Material) -> float:
+        """Bulk modulus that acts on J at every quadrature point, MPa."""
+        return self._split(material).local
+
+    def gathered(self) -> Array:
+        """Sum of the element residuals, shape (n,)."""
+        out = np.empty(self.space.n)
+        assembly.gathered(self.space.dofs, self.residuals, out)
+        return out
+
+    def volume_ratios(self, material: Material, x: Array) -> Array:
+        """J at every quadrature point, shape (n_elements, n_quadrature); 1 for small strain.
+
+        What it is compared with is whether elements are about to be inverted, of which a
+        linear body knows nothing.
+        """
+        J = np.ones(self.space.weights.shape)
+        if not material.small_strain:
+            shapes = self.space.shapes
+            smallest(self.phases, lambda e: float(assembly.volume_ratios(e, shapes, x, J)))
+        return J
+
+    def constant_derivative(self, material: Material, x: Array, name: str) -> Array:
+        """dR/dconstant at fixed unknowns, shape (n,), K(nu) included; tangents are kept."""
+        without_pressure = x.copy()
+        without_pressure[self.space.n_displacement :] = 0.0
+        uneven = self._unevenness(material, material.mu0_gradient()[name])
+        self._elements(
+            without_pressure, _element_energy(material.law_rate(name), BulkSplit(0.0, 0.0), uneven)
+        )
+        out = self.gathered()
+        out[self.space.n_displacement :] = 0.0
+        return out + self._volume_derivative(material, x, name)
+
+    def _unevenness(self, material: Material, mu: float) -> float:
+        """Resistance to uneven volume where ``mu`` is the shear modulus, or its rate.
+
+        None at small strain, which has no limit points.
+        """
+        return 0.0 if material.small_strain else self.evenness * mu
+
+    def _split_rate(self, material: Material, name: str) -> BulkSplit:
+        """Rate of :meth:`_split` with a constant."""
+        bulk_rate, c = material.bulk_gradient()[name], self.local_bulk
+        if not self._mixed:
+            return BulkSplit(bulk_rate, 0.0)
+        shear_rate = c * material.mu0_gradient()[name]
+        return split_bulk_rate(material.bulk, c * material.mu0, bulk_rate, shear_rate)
+
+    def _volume_derivative(self, material: Material, x: Array, name: str) -> Array:
+        """Part of dR/dconstant that stems from the bulk modulus and its split, shape (n,).
+
+        Residuals are linear in the local bulk modulus and in the compliance.
+        """
+        rate, zero = self._split_rate(material, name), without_shear(material)
+        out = np.zeros(self.space.n)
+        if not any(rate):
+            return out
+
+        def residual(local: float, compliance: float) -> Array:
+            self._elements(x, _element_energy(zero, BulkSplit(local, compliance), 0.0))
+            return self.gathered()
+
+        plain = residual(0.0, 0.0)
+        if rate.local:
+            out += rate.local * (residual(1.0, 0.0) - plain)
+        if rate.compliance:
+            out += rate.compliance * (residual(0.0, 1.0) - plain)
+        return out
+
+    def _elements(self, x: Array, energy: ElementEnergy, into: Tangent | None = None) -> float:
+        shapes, sums = self.space.shapes, _NOWHERE if into is None else into.sums
+
+        def loop(elements: Elements) -> float:
+            found = assembly.assemble(
+                elements, shapes, energy, x, self.residuals, into is not None, sums
+            )
+            return float(found)
+
+        return smallest(self.phases, loop)
+
+
+@dataclass
+class Tangent:
+    """Tangent of a discretization, overwritten by each assembly."""
+
+    #: Free unknowns, and where packed entries go.
+    pattern: Pattern
+    #: shape (n_elements, m); unknowns of each element.
+    dofs: Unknowns
+    #: shape (n_kept,); elements with constrained unknowns.
+    edge: Unknowns
+    #: Entries of the pattern, and what is kept of those elements.
+    sums: Sums
+
+    @classmethod
+    def of(cls, pattern: Pattern, dofs: Unknowns) -> Tangent:
+        """Take the memory for the elements' unknowns ``dofs``."""
+        # filled, since zeros alone are memory that is only promised until it is written to
+        data = np.full(pattern.indices.size, 0.0)
+        edge = np.flatnonzero((pattern.number[dofs] < 0).any(axis=1)).astype(np.int32)
+        slots = np.full(len(dofs), -1, dtype=np.int32)
+        slots[edge] = np.arange(edge.size, dtype=np.int32)
+        kept = np.full((edge.size, pattern.positions.shape[1]), 0.0)
+        return cls(pattern, dofs, edge, Sums(pattern.positions, data, slots, kept))
+
+    @property
+    def data(self) -> Array:
+        """Entries of the pattern, shape (n_entries,); contact adds its own to them."""
+        return self.sums.data
+
+    def product(self, v: Array) -> Array:
+        """Tangent times ``v``, shape (n,), constrained rows and columns included."""
+        out = self.beside(v)
+        free, pattern = self.pattern.free, self.pattern
+        out[free] += symmetric_product(pattern.indptr, pattern.indices, self.data, v[free])
+        return out
+
+    def beside(self, v: Array) -> Array:
+        """Product with the entries of constrained rows and columns alone, shape (n,)."""
+        out = np.zeros(v.size)
+        assembly.constrained_product(
+            self.edge, self.dofs, self.pattern.positions, self.sums.kept, v, out
+        )
+        return out
+
+
+@dataclass
+class ContactBlocks:
+    """Tangents of contact points: small blocks among the entries of the elements."""
+
+    #: shape (n_points, m); unknowns of each point.
+    dofs: Unknowns
+    #: shape (n_points, m (m + 1) / 2); entry of the pattern of each packed one; negative where a
+    #: constrained unknown takes part.
+    positions: Unknowns
+    #: shape (n_points, m (m + 1) / 2); upper triangles.
+    packed: Array
+    _inside: NDArray[np.bool_]
+    _entries: Unknowns
+    _edge: Unknowns
+    _before: Array = field(default_factory=lambda: np.zeros(0))
+
+    @classmethod
+    def at(cls, dofs: Ints, positions: Unknowns) -> ContactBlocks:
+        """Take the memory for contact points."""
+        inside = positions >= 0
+        entries = np.unique(positions[inside])
+        edge = np.flatnonzero(~inside.all(axis=1)).astype(np.int32)
+        return cls(
+            dofs.astype(np.int32), positions, np.zeros(positions.shape), inside, entries, edge
+        )
+
+    def fill(self, packed: Array, data: Array) -> None:
+        """Add blocks to the entries of a pattern."""
+        self.packed[:] = packed
+        self._before = data[self._entries]
+        np.add.at(data, self.positions[self._inside], packed[self._inside])
+
+    @contextmanager
+    def taken_out(self, data: Array) -> Iterator[None]:
+        """Context in which the entries are what they were: subtracting would cost digits."""
+        filled = data[self._entries]
+        data[self._entries] = self._before
+        try:
+            yield
+        finally:
+            data[self._entries] = filled
+
+    def add_beside(self, v: Array, out: Array) -> None:
+        """Add the product with the entries of constrained rows and columns alone."""
+        kept = self.packed[self._edge]
+        assembly.constrained_product(self._edge, self.dofs, self.positions, kept, v, out)

@@ -1,0 +1,330 @@
+"""Newton's method at one displacement: full steps, a filter on J, the active set of the contact."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from study.ground.arrays import Array, Flags
+from study.mechanics.setup.test_kind import StepSettings
+from study.mechanics.solver.linear_solver import SingularMatrixError
+from study.mechanics.solver.system import Assembly, State, System
+
+#: iterations after which a residual that was never below the next figure is given up
+_HOPELESS = 9
+_FAR = 0.1
+
+#: relative residual below which contact may be decided point by point, and below which the
+#: tangent changes little from one iteration to the next
+_CALM = 0.01
+_STEADY = 0.1
+
+#: linear solves by an older factorization end at a share of what the Newton iteration itself
+#: leaves, its residual squared, or at a share of the tolerance; and below the last in any case
+_LINEAR = 0.03
+_AT_LAST = 0.1
+_LOOSEST = 0.01
+
+#: the same where the tangent is no near one of the next state's
+_ROUGH = 1e-3
+
+
+@dataclass(frozen=True)
+class NewtonSettings:
+    """When Newton stops."""
+
+    #: On the residual of the free unknowns over the reaction.
+    tolerance: float = 1e-8
+    #: Largest |gap| of an active contact point, in multiples of the specimen's height.
+    gap: float = 2e-9
+    #: Largest tension of a held contact point over the largest contact pressure.
+    pull: float = 0.05
+    #: After as many the step has failed; the second counts while contact still changes.
+    max_iterations: int = 25
+    max_switching: int = 40
+    #: A step is halved until no J falls below this fraction of its last value.
+    j_filter: float = 0.5
+    #: Instead of ``tolerance`` and ``gap`` between the displacements that are asked for.
+    passing_tolerance: float = 1e-3
+    passing_gap: float = 2e-5
+
+    def passing(self) -> NewtonSettings:
+        """For a state that nobody asked for: it only leads to the next."""
+        return replace(
+            self,
+            tolerance=max(self.tolerance, self.passing_tolerance),
+            gap=max(self.gap, self.passing_gap),
+        )
+
+
+@dataclass(frozen=True)
+class NewtonResult:
+    """A converged state, or the reason why there is none.
+
+    ``J`` is that of the quadrature points, shape (n_elements, n_quadrature).
+    """
+
+    state: State
+    converged: bool
+    iterations: int
+    reason: str
+    residuals: tuple[float, ...]
+    assembly: Assembly | None = None
+    J: Array = field(default_factory=lambda: np.ones(0))
+
+    def equilibrium(self) -> Assembly:
+        """Return what was assembled at the converged state."""
+        if self.assembly is None:
+            raise RuntimeError(f"there is no equilibrium: {self.reason}")
+        return self.assembly
+
+
+def solve_step(
+    system: System, guess: State, settings: NewtonSettings, *, lifted_from: State | None = None
+) -> NewtonResult:
+    """Equilibrium at ``guess.displacement_mm`` by full steps."""
+    state, lift = _start(system, guess, lifted_from)
+    residuals: list[float] = []
+    J = system.volume_ratios(state.x)
+    switches, free = Switches(system), system.pattern.free
+    for iteration in itertools.count():
+        state = switches.decided(state, calm=not residuals or residuals[-1] < _CALM)
+        assembly = system.assemble(state)
+        if not assembly.min_j > 0:
+            return NewtonResult(state, False, iteration, _invalid(J), ())
+        right = -assembly.residual[free]
+        if lift.size:
+            right -= system.lift_product(lift)
+        else:
+            residuals.append(_relative(system, state, assembly))
+            if _done(system, residuals[-1], assembly, settings):
+                return NewtonResult(state, True, iteration, "converged", (*residuals,), assembly, J)
+        if _hopeless(iteration, residuals, switches.changing, settings):
+            break
+        try:
+            solution = _solved(system, residuals, right, (state, assembly), settings)
+        except SingularMatrixError as error:
+            return NewtonResult(state, False, iteration, f"singular tangent: {error}", ())
+        increment = np.zeros(system.space.n)
+        increment[free] = solution
+        if not np.isfinite(increment).all():
+            return NewtonResult(state, False, iteration, "singular tangent", ())
+        if lift.size:
+            increment[system.constraints.dofs] = lift
+            state = replace(state, displacement_mm=guess.displacement_mm)
+        fraction, J = _filtered(system, state.x, J, increment, settings)
+        if fraction == 0 or (lift.size and fraction < 1):  # the plate would stay on its way
+            return NewtonResult(state, False, iteration, "an element would be inverted", ())
+        multipliers = _multipliers(system, state, assembly, increment, fraction)
+        state = replace(state, x=state.x + fraction * increment, multipliers=multipliers)
+        lift = np.zeros(0)
+    reason = f"no equilibrium after {iteration} iterations"
+    return NewtonResult(state, False, iteration, reason, tuple(residuals))
+
+
+def _hopeless(
+    iteration: int, residuals: list[float], changing: bool, settings: NewtonSettings
+) -> bool:
+    """Whether to give up; ``changing`` says that contact still does."""
+    if len(residuals) > _HOPELESS and min(residuals[-_HOPELESS:]) > _FAR:
+        return True
+    return iteration >= (settings.max_switching if changing else settings.max_iterations)
+
+
+def _solved(
+    system: System,
+    residuals: list[float],
+    right: Array,
+    at: tuple[State, Assembly],
+    settings: NewtonSettings,
+) -> Array:
+    """Solve with the tangent of a state; a steady one differs little from one factorized before.
+
+    A linear solve may leave what the iteration itself leaves (Eisenstat and Walker 1996).
+    """
+    if residuals and residuals[-1] < _STEADY:
+        scale = _scale(system, *at)
+        left = max(_LINEAR * residuals[-1] ** 2, _AT_LAST * settings.tolerance)
+        size = float(np.linalg.norm(scale * right))  # gaps included
+        return system.solve(right, scale, min(_LOOSEST, left / size), residuals[-1])
+    system.factorize()
+    # of a linear body the first solve is the last
+    rough = _AT_LAST * settings.tolerance if system.small_strain else _ROUGH
+    return system.solve_afresh(right, rough)
+
+
+def _invalid(J: Array) -> str:
+    """Why a state has no stress: its volume ratios tell an inverted element."""
+    if (J > 0).all():
+        return "a point is stretched beyond what the energy reaches, such as the end of its chains"
+    return "an element is inverted"
+
+
+def _start(system: System, guess: State, before: State | None) -> tuple[State, Array]:
+    """State to begin with, and the prescribed increment that the first solve has to spread."""
+    if before is None:
+        return guess, np.zeros(0)
+    after = system.prescribed(guess.displacement_mm)
+    return before, after - system.prescribed(before.displacement_mm)
+
+
+def _filtered(
+    system: System, x: Array, before: Array, increment: Array, settings: NewtonSettings
+) -> tuple[float, Array]:
+    """Longest halving of a step that keeps every J, and what J is there; 0 where 1/1024 fails."""
+    fraction = 1.0
+    while fraction > 1e-3:
+        J = system.volume_ratios(x + fraction * increment)
+        if (settings.j_filter * before < J).all():
+            return fraction, J
+        fraction /= 2
+    return 0.0, before
+
+
+def _multipliers(
+    system: System, state: State, assembly: Assembly, increment: Array, fraction: float
+) -> tuple[Array, ...]:
+    updated = []
+    for points, old, touch in zip(system.contact, state.multipliers, assembly.contact, strict=True):
+        new = touch.new_multiplier(points, increment[points.dofs(system.space.dim)])
+        updated.append(old + fraction * (new - old))
+    return tuple(updated)
+
+
+def _relative(system: System, state: State, assembly: Assembly) -> float:
+    """Force residual over the reaction, or volume residual over the volume: the larger one."""
+    n_u = system.space.n_displacement
+    out_of_balance = assembly.residual.copy()
+    for points, touch in zip(system.contact, assembly.contact, strict=True):
+        dofs = points.dofs(system.space.dim).ravel()
+        np.subtract.at(out_of_balance, dofs, points.regularization(touch).ravel())
+    out_of_balance[system.constraints.dofs] = 0.0
+    reaction, volume = _measures(system, state, assembly)
+    force = float(np.linalg.norm(out_of_balance[:n_u])) / reaction
+    return max(force, float(np.linalg.norm(out_of_balance[n_u:])) / volume)
+
+
+def _measures(system: System, state: State, assembly: Assembly) -> tuple[float, float]:
+    """Force and volume that residuals are compared with."""
+    reaction = float(np.linalg.norm(assembly.internal[system.constraints.dofs]))
+    floor = system.force_floor(state.displacement_mm)
+    return max(reaction, floor), float(system.space.weights.sum())
+
+
+def _scale(system: System, state: State, assembly: Assembly) -> Array:
+    """Weights of the equations, so that forces and volumes can be added up, shape (n_free,)."""
+    reaction, volume = _measures(system, state, assembly)
+    free = system.pattern.free
+    return np.where(free < system.space.n_displacement, 1.0 / reaction, 1.0 / volume)
+
+
+def _done(system: System, residual: float, assembly: Assembly, settings: NewtonSettings) -> bool:
+    """Whether a state is an equilibrium with its contact settled."""
+    if not residual < settings.tolerance:
+        return False
+    gap = settings.gap * system.height_mm
+    return all(
+        touch.settled() and touch.largest_violation() < gap and touch.largest_pull() < settings.pull
+        for touch in assembly.contact
+    )
+
+
+#: iterations in which all points may change sides at once
+_TOGETHER = 10
+
+#: changes of side within one step after which a point is held closed
+_RESTLESS = 4
+
+
+class Switches:
+    """Active sets of one Newton solve, kept from going round in circles.
+
+    A primal-dual active set lets every point decide at once (Hueeber and Wohlmuth 2005).
+    The stiffness of quadratic elements has entries of both signs between neighbors, so
+    that the decisions may undo each other for ever; then only the point that wants it most
+    changes sides, as in the classical active-set method for quadratic programs. A point
+    that never settles is held closed; a step counts only if such points hardly pull.
+    """
+
+    def __init__(self, system: System) -> None:
+        self._system = system
+        self._last: list[Flags] = []
+        self._count = [np.zeros(points.size, dtype=int) for points in system.contact]
+        self._iteration = 0
+        #: whether the last decision moved a point to the other side
+        self.changing = False
+
+    def decided(self, state: State, *, calm: bool) -> State:
+        """Return a state with the active sets of the next iteration.
+
+        ``calm`` says that the last residual was small enough for a decision to mean much.
+        """
+        if not self._system.contact:
+            return state
+        chosen, self.changing = [], False
+        for number, touch in enumerate(self._system.touching(state)):
+            side = touch.wanted.copy()
+            if self._last:
+                before, changed = self._last[number], touch.wanted != self._last[number]
+                if self._iteration >= _TOGETHER and changed.any():
+                    side = before.copy()
+                    if calm:
+                        most = int(np.argmax(np.where(changed, np.abs(touch.urge), -1.0)))
+                        side[most] = not before[most]
+                self._count[number] += side != before
+                side |= self._count[number] >= _RESTLESS
+                self.changing |= bool((side != before).any())
+            chosen.append(side)
+        self._last, self._iteration = chosen, self._iteration + 1
+        return replace(state, closed=tuple(chosen))
+
+
+# -------------------------------------------------------------------------------------------------
+# What shapes a forward run besides its problem.
+
+
+@dataclass(frozen=True)
+class Options:
+    """Everything that shapes a run besides the problem; part of what makes a result.
+
+    ``side_contact = False`` lets the free side pass through the plates: wrong physics, kept
+    for comparisons with codes and tables that do so. ``snaps = False`` ends a run at the first
+    limit point instead of looking for an equilibrium beyond it. ``curve_error`` asks for steps
+    between the requested ones where the curve bends, until the estimated error of its
+    interpolation is below this share of the force (root mean square over the displacement).
+    """
+
+    newton: NewtonSettings = field(default_factory=NewtonSettings)
+    steps: StepSettings = field(default_factory=StepSettings)
+    linear_solver: str = "auto"
+    side_contact: bool = True
+    snaps: bool = True
+    curve_error: float | None = None
+
+
+# -------------------------------------------------------------------------------------------------
+# A specimen under its own weight, before it is touched: gravity comes on in shares.
+
+#: smallest share of the weight that is tried at a time
+_SMALLEST = 1 / 64
+
+#: why there is no test
+FALLS = "the specimen finds no equilibrium under its own weight: check test.gravity.density"
+
+
+def sagged_state(system: System, settings: NewtonSettings) -> State | None:
+    """Equilibrium under the weight alone, at no displacement of the test."""
+    state, carried, share = system.start(), 0.0, 1.0
+    while carried < 1.0:
+        wanted = min(carried + share, 1.0)
+        loose = settings if wanted == 1.0 else settings.passing()
+        found = solve_step(system.weighing(wanted), state, loose)
+        if found.converged:
+            state, carried, share = found.state, wanted, 2 * share
+            continue
+        share /= 2
+        if share < _SMALLEST:
+            return None
+    return state

@@ -1,0 +1,294 @@
+"""How a converged state moves with the loading and with every constant: one linear solve.
+
+Rates ``v`` of the unknowns and ``c`` of the contact pressures satisfy ``K v - N' W c = right``
+at the free unknowns and ``N v = target`` at the closed contact points, where K holds none of
+the springs by which Newton's method regularizes contact.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from study.ground.arrays import Array
+from study.mechanics.contact.contact import TiedPoints
+from study.mechanics.solver.system import Assembly, State, System
+
+#: how many corrections are tried
+_CORRECTIONS = 12
+
+#: and how many before single precision is held to be too dull
+_DULL = 7
+
+
+@dataclass(frozen=True)
+class Loads:
+    """What moves a state, a column for each cause."""
+
+    #: shape (n, k); minus the derivative of the residual at fixed unknowns.
+    right: Array
+    #: shape (n, k); rates of the constrained unknowns; zero elsewhere.
+    start: Array
+    #: shape (n_points, k); rates of n . x at the points of each contact while they stay closed.
+    targets: tuple[Array, ...]
+
+
+@dataclass(frozen=True)
+class ClosedPoints:
+    """Closed points of one contact: what they are to do, and the pressures that see to it."""
+
+    #: shape (m,); which of the contact's points they are.
+    among: NDArray[np.int64]
+    #: shape (m, d); unknowns of each point, and N.
+    dofs: NDArray[np.int64]
+    normals: Array
+    #: shape (m,); areas and stiffness of the springs.
+    weights: Array
+    eps: Array
+    #: shape (m, k); rates of n . x, and those of the pressures, overwritten as they are found.
+    target: Array
+    pressure: Array
+
+    def missed(self, x: Array) -> Array:
+        """Rates that n . x lacks where the unknowns move with ``x``, shape (m, k)."""
+        return np.asarray(self.target - np.einsum("cd,cdk->ck", self.normals, x[self.dofs]))
+
+    def take_over(self, x: Array) -> None:
+        """Let the pressures carry what the springs do."""
+        self.pressure[:] = self.carried(x)
+
+    def carried(self, x: Array) -> Array:
+        """Rates of the pressures, those that the springs carry included, shape (m, k)."""
+        return np.asarray(self.pressure + self.eps * self.missed(x))
+
+    def push(self, left: Array, pressure: Array) -> None:
+        """Add N' W pressure to ``left``, shape (n, k)."""
+        forces = (self.weights[:, None] * pressure)[:, None, :] * self.normals[:, :, None]
+        np.add.at(left, self.dofs.ravel(), forces.reshape(self.dofs.size, left.shape[1]))
+
+    def force(self, pressure: Array) -> Array:
+        """Norm of the forces that rates of the pressures make, one a column, shape (k,)."""
+        lengths = np.linalg.norm(self.normals, axis=1) * self.weights
+        return np.asarray(np.linalg.norm(lengths[:, None] * pressure, axis=0))
+
+
+@dataclass(frozen=True)
+class Rates:
+    """Rates, and what they leave of their equations."""
+
+    #: shape (n, k); of the unknowns.
+    x: Array
+    #: shape (n, k); ``right - K x + N' W c`` at the free unknowns, zero elsewhere.
+    left: Array
+    #: With the rates ``c`` of their pressures.
+    contact: tuple[ClosedPoints, ...]
+
+
+def linear_rates(system: System, assembly: Assembly, loads: Loads, tolerance: float) -> Rates:
+    """Solve for all rates together.
+
+    The factorization is that of a late Newton iterate; corrections with the tangent of the
+    converged state remove the difference, and an augmented-Lagrange update that of the
+    contact springs. The tangent itself is factorized only where contact has changed since, or
+    where corrections cost more.
+    """
+    free, x = system.pattern.free, loads.start.copy()
+    closed = _closed_points(system, assembly, loads.targets)
+    older, springs = system.factors_serve(), any(each.among.size for each in closed)
+    if not older:
+        system.factorize()
+    loaded, sizes = np.zeros(x.shape[1]), list[Array]()
+    for corrections in range(_CORRECTIONS + 1):
+        left = loads.right - np.column_stack([system.tangent_product(column) for column in x.T])
+        if corrections == 0:
+            loaded = np.linalg.norm(left[free], axis=0)
+        for each in closed:
+            each.push(left, each.eps * each.target + each.pressure)
+        size = np.linalg.norm(left[free], axis=0)
+        wanted = tolerance * _scale(loaded, closed, x)
+        if corrections == _CORRECTIONS or (size <= wanted).all():
+            break
+        sizes.append(size)
+        if older and _cost_ahead(sizes, wanted, springs) > system.solver.worth():
+            system.factorize()
+            older = False
+        elif corrections >= _DULL and not system.solver.exact:
+            left_to_try = (_CORRECTIONS - corrections) * x.shape[1]
+            if _cost_ahead(sizes, wanted, springs) > left_to_try:
+                system.factorize(exact=True)
+                older = False
+        x[free] += system.back_substitute(left[free])
+        for each in closed:
+            each.take_over(x)
+    for each in closed:
+        each.push(left, -each.eps * each.missed(x))  # the springs hold nothing any more
+    left[system.constraints.dofs] = 0.0
+    return Rates(x, left, closed)
+
+
+def _closed_points(
+    system: System, assembly: Assembly, targets: tuple[Array, ...]
+) -> tuple[ClosedPoints, ...]:
+    found = []
+    for points, touch, target in zip(system.contact, assembly.contact, targets, strict=True):
+        at = np.flatnonzero(touch.active)
+        dofs, normals = points.dofs(system.space.dim)[at], touch.direction[at]
+        wanted, pressure = target[at], np.zeros((at.size, target.shape[1]))
+        found.append(
+            ClosedPoints(
+                at, dofs, normals, points.weights[at], points.eps[at, None], wanted, pressure
+            )
+        )
+    return tuple(found)
+
+
+def _scale(loaded: Array, closed: tuple[ClosedPoints, ...], x: Array) -> Array:
+    """Find the forces that the residual of each column is compared with, shape (k,)."""
+    contact = [each.force(each.carried(x)) for each in closed]
+    return np.asarray(np.max([loaded, *contact], axis=0))
+
+
+def _cost_ahead(sizes: list[Array], wanted: Array, springs: bool) -> float:
+    """Back-substitutions that the corrections still cost at their speed so far.
+
+    ``sizes`` are residuals, ``wanted`` what they are to fall to, one a column.
+
+    With springs two corrections make one: the first loads them, the second hands their load
+    over to the pressures. Of the very first one only the loading's column tells anything, as
+    its motion is in the springs from the start.
+    """
+    if len(sizes) < 2:
+        return 0.0
+    each, columns = (2, slice(0, 1)) if springs else (1, slice(None))
+    before, left, to = sizes[0][columns], sizes[1][columns], wanted[columns]
+    if len(sizes) > 2:
+        each, before, left, to = 2, sizes[-3], sizes[-1], wanted
+    left = np.maximum(left, 1e-300)
+    rate = np.minimum(left / np.maximum(before, 1e-300), 1.0 - 1e-9)
+    share = np.clip(to / left, 1e-300, 1.0)
+    many = each * np.log(share) / np.log(rate)
+    return float(sizes[0].size * many.max())
+
+
+#: Relative residual of the rates, of which dF/dd and dF/dtheta keep the square. It is the same
+#: whatever is asked for: a curve has one slope.
+RATE_TOLERANCE = 1e-4
+
+#: The same where a bonded indenter holds points: their places inherit the error itself.
+INHERITED_RATE_TOLERANCE = 1e-8
+
+
+@dataclass(frozen=True)
+class Rate:
+    """Derivative of a converged state: unknowns and contact pressures."""
+
+    x: Array
+    multipliers: tuple[Array, ...]
+
+
+@dataclass(frozen=True)
+class StepGradients:
+    """Force of one converged step and its derivatives (whole specimen, N and mm)."""
+
+    force_N: float
+    stiffness_N_per_mm: float
+    force_gradient: dict[str, float]
+    constants: dict[str, Rate]
+
+
+def step_gradients(
+    system: System, state: State, assembly: Assembly, *, wanted: tuple[str, ...]
+) -> StepGradients:
+    """Force, tangent stiffness and derivatives at a converged state just assembled."""
+    loads = _loads(system, state, assembly, wanted)
+    tolerance = INHERITED_RATE_TOLERANCE if system.sticks else RATE_TOLERANCE
+    rates = linear_rates(system, assembly, loads, tolerance)
+    scale = system.force_scale
+    return StepGradients(
+        scale * _force(assembly, rates),
+        scale * _stiffness(system, assembly, rates),
+        {n: scale * _slope(rates, loads, j) for j, n in enumerate(wanted, start=1)},
+        {n: _rate(system, rates, j) for j, n in enumerate(wanted, start=1)},
+    )
+
+
+def _loads(system: System, state: State, assembly: Assembly, wanted: tuple[str, ...]) -> Loads:
+    """Put the loading in column 0, then the constants."""
+    n, k = system.space.n, 1 + len(wanted)
+    start, right = np.zeros((n, k)), np.zeros((n, k))
+    start[system.constraints.dofs, 0] = system.constraints.rate
+    # dR/dtheta reuses the element arrays for residuals only: the tangent stays valid
+    for column, name in enumerate(wanted, start=1):
+        right[:, column] = -system.constant_derivative(state, name)
+    right[:, 0] = _rotations(system, assembly)
+    return Loads(right, start, _targets(system, state, assembly, wanted))
+
+
+def _force(assembly: Assembly, rates: Rates) -> float:
+    """Work of the internal forces along the loading, with the closed points where they belong."""
+    force = float(assembly.internal @ rates.x[:, 0])
+    for each, touch in zip(rates.contact, assembly.contact, strict=True):
+        pressure = touch.pressure[each.among]
+        force += float((each.weights * pressure) @ each.missed(rates.x)[:, 0])
+    return force
+
+
+def _stiffness(system: System, assembly: Assembly, rates: Rates) -> float:
+    """dF/dd as a value of the Lagrangian of the rates, which is stationary in them."""
+    along = rates.x[:, 0]
+    curvature = float(along @ system.tangent_product(along, contact=False))
+    for points, touch, each in zip(system.contact, assembly.contact, rates.contact, strict=True):
+        curvature += points.rotation_stiffness(touch, along[points.dofs(system.space.dim)])
+        missed = each.missed(rates.x)[:, 0]
+        curvature += 2.0 * float((each.weights * each.pressure[:, 0]) @ missed)
+    return curvature
+
+
+def _slope(rates: Rates, loads: Loads, j: int) -> float:
+    """dF/dtheta of the constant in column ``j``, less the first-order error of the rates."""
+    slope = -float(loads.right[:, j] @ rates.x[:, 0]) - float(rates.x[:, j] @ rates.left[:, 0])
+    for each in rates.contact:
+        # what a constant owes to the places where ties hold, and what the loading missed
+        owed = each.pressure[:, 0] * each.target[:, j]
+        owed += each.pressure[:, j] * each.missed(rates.x)[:, 0]
+        slope += float(each.weights @ owed)
+    return slope
+
+
+def _rate(system: System, rates: Rates, j: int) -> Rate:
+    """Rates by one constant, those of the pressures at all contact points."""
+    pressures = []
+    for points, each in zip(system.contact, rates.contact, strict=True):
+        everywhere = np.zeros(points.size)
+        everywhere[each.among] = each.pressure[:, j]
+        pressures.append(everywhere)
+    return Rate(rates.x[:, j].copy(), tuple(pressures))
+
+
+def _rotations(system: System, assembly: Assembly) -> Array:
+    """-dR/dd at fixed unknowns: contact normals turn while a curved surface moves past."""
+    out = np.zeros(system.space.n)
+    for points, touch in zip(system.contact, assembly.contact, strict=True):
+        dofs = points.dofs(system.space.dim)
+        np.add.at(out, dofs.ravel(), -points.rotation_forces(touch).ravel())
+    return out
+
+
+def _targets(
+    system: System, state: State, assembly: Assembly, wanted: tuple[str, ...]
+) -> tuple[Array, ...]:
+    """Rate of n . x that keeps active contact closed.
+
+    The loading moves the surface; constants move the places where ties hold their points.
+    """
+    targets = []
+    for points, touch in zip(system.contact, assembly.contact, strict=True):
+        target = np.zeros((points.size, 1 + len(wanted)))
+        target[:, 0] = -touch.normal()[:, -1] * points.surface.speed
+        if state.glue is not None and isinstance(points, TiedPoints):
+            for column, name in enumerate(wanted, start=1):
+                target[:, column] = state.glue.rate(name)[:, points.surface.axis]
+        targets.append(target)
+    return tuple(targets)

@@ -1,0 +1,433 @@
+"""What a forward simulation gives back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from study.ground.arrays import Array
+from study.ground.curve import Curve, hermite_work
+from study.mechanics.setup.geometry import Enclosed
+from study.mechanics.setup.setup import Problem
+from study.mechanics.solver.internal_force import StoredEnergy
+from study.mechanics.solver.sensitivity import Rate, StepGradients
+from study.mechanics.solver.system import Assembly, State, System
+from study.mechanics.surface.closed_surface import body
+
+# -------------------------------------------------------------------------------------------------
+# Work of the test against the energy that the specimen stores: what Newton's method cannot see.
+#
+# An equilibrium is found wherever the residual vanishes, also on the other side of a limit
+# point, where the surface has jumped to another shape. The test then did work that the
+# specimen does not hold (or holds energy that nobody put in), and the sum shows it. On a path
+# without a jump the two differ by what the interpolation between two displacements is off.
+
+#: Share of the stored energy that may be missing, or too much, between two displacements
+#: before the specimen is said to have jumped. Interpolation over a tenth of a cone's depth
+#: is off by up to 0.2 % of it, jumps begin at about 0.5 %.
+JUMP_SHARE = 0.005
+
+#: The same under an indenter that sticks. Its steps are a part of the answer and cannot be taken
+#: again in halves, so that what interpolation is off must not look like a jump.
+STICKING_JUMP_SHARE = 0.02
+
+#: Energy that is counted at least, over force times the whole displacement: at first touch
+#: a few contact points close one after the other, and next to nothing is stored.
+LEAST_ENERGY = 0.1
+
+
+@dataclass(frozen=True)
+class LoadedState:
+    """A converged state as the energy balance sees it (whole specimen)."""
+
+    displacement_mm: float
+    force_N: float
+    stiffness_N_per_mm: float
+    #: N mm.
+    stored: StoredEnergy
+
+
+def unexplained_work(before: LoadedState, after: LoadedState) -> float:
+    """Work between two states, interpolated, less the energy stored meanwhile, N mm."""
+    work = hermite_work(
+        np.array([before.displacement_mm, after.displacement_mm]),
+        np.array([before.force_N, after.force_N]),
+        np.array([before.stiffness_N_per_mm, after.stiffness_N_per_mm]),
+    )
+    return float(work[0]) - (after.stored.total - before.stored.total)
+
+
+def jumped(
+    before: LoadedState, after: LoadedState, whole_mm: float, share: float = JUMP_SHARE
+) -> bool:
+    """Whether energy was lost or won between two states."""
+    least = LEAST_ENERGY * abs(after.force_N) * whole_mm
+    held = max(after.stored.total, least)
+    return abs(unexplained_work(before, after)) > share * held
+
+
+@dataclass(frozen=True)
+class EnergyBalance:
+    """Energies of the requested displacements (whole specimen)."""
+
+    #: shape (n,); energy of the material, and of the resistance to uneven volume.
+    stored_Nmm: Array
+    stabilization_Nmm: Array
+    #: shape (n,); work so far, interpolated between the displacements, less the energy stored so
+    #: far, over the largest energy stored. The work of the first interval, in which contact begins,
+    #: is taken to be the energy stored there.
+    mismatch: Array
+    #: Displacements at which the specimen jumped to another equilibrium.
+    jumps_mm: tuple[float, ...] = ()
+
+    def at_points(self, kept: NDArray[np.int64]) -> EnergyBalance:
+        """Return the balance at some of the displacements, given by their places."""
+        return EnergyBalance(
+            self.stored_Nmm[kept], self.stabilization_Nmm[kept], self.mismatch[kept], self.jumps_mm
+        )
+
+    @property
+    def largest_mismatch(self) -> float:
+        """Largest share of the stored energy by which the work is off; 0 of an empty run."""
+        return float(np.abs(self.mismatch).max(initial=0.0))
+
+    @property
+    def stabilization_share(self) -> float:
+        """Largest share of the stored energy that the stabilization holds."""
+        total = self.stored_Nmm + self.stabilization_Nmm
+        held = np.divide(self.stabilization_Nmm, total, out=np.zeros_like(total), where=total > 0)
+        return float(held.max(initial=0.0))
+
+
+def balanced(
+    states: list[LoadedState],
+    jumps_mm: tuple[float, ...],
+    whole_mm: float,
+    share: float = JUMP_SHARE,
+) -> tuple[EnergyBalance, Array]:
+    """Energy balance of a run, and the work done up to each state, shape (n,), N mm.
+
+    The work is what the specimen stores, but where it jumped: there it is interpolated. A jump
+    that is known counts however little energy was lost in it: as a missing work it would bend
+    the curve of a short interval by more than the whole change of force.
+    """
+    if not states:
+        return EnergyBalance(np.zeros(0), np.zeros(0), np.zeros(0)), np.zeros(0)
+    total = np.array([state.stored.total for state in states])
+    pairs = list(zip(states[:-1], states[1:], strict=True))
+    missing = np.array([unexplained_work(*pair) for pair in pairs])
+    lost = np.array(
+        [
+            m if _holds(jumps_mm, *pair) or jumped(*pair, whole_mm, share) else 0.0
+            for m, pair in zip(missing, pairs, strict=True)
+        ]
+    )
+    largest = float(total.max())
+    mismatch = np.r_[0.0, np.cumsum(missing)] / (largest if largest > 0 else np.inf)
+    balance = EnergyBalance(
+        np.array([state.stored.material for state in states]),
+        np.array([state.stored.stabilization for state in states]),
+        mismatch,
+        jumps_mm,
+    )
+    return balance, total + np.r_[0.0, np.cumsum(lost)]
+
+
+def _holds(jumps_mm: tuple[float, ...], before: LoadedState, after: LoadedState) -> bool:
+    """Whether one of the jumps lies between two states."""
+    return any(before.displacement_mm <= d < after.displacement_mm for d in jumps_mm)
+
+
+@dataclass(frozen=True)
+class WarmStep:
+    """A converged step of an earlier solve and how it moves with the constants."""
+
+    state: State
+    constants: dict[str, Rate]
+
+
+@dataclass(frozen=True)
+class Warm:
+    """What a later solve of the same problem with other constants can start from."""
+
+    system: System
+    values: dict[str, float]
+    steps: tuple[WarmStep, ...]
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Result of one forward simulation."""
+
+    #: ``converged``, ``not-converged``, ``mesh-failed``, ``unstable`` or ``out-of-memory``.
+    status: str
+    #: One sentence that says why it ended.
+    message: str
+    #: Requested steps up to the last converged one, with stiffness, gradients and work; and, if
+    #: ``Options`` ask for it, steps added where the curve bends.
+    curve: Curve
+    #: Displacement of the last converged step, sub-steps of a cut-back included.
+    reached_mm: float
+    #: Smallest J of the last converged step.
+    min_j: float
+    #: shape (n_steps,); reaction of the base, to be compared with the force.
+    base_reaction_N: Array
+    #: Stored energy and the work of the test, point by point of the curve.
+    energy: EnergyBalance
+    #: Iterations of each point of the curve (its sub-steps added up).
+    newton_iterations: tuple[int, ...]
+    dofs: int
+    elements: int
+    mesh_hash: str
+    mesh_size_mm: float
+    solver: str
+    seconds: dict[str, float]
+    #: shape (n_points, dim); vertices of the mesh in mm and their displacements at the last
+    #: converged step.
+    points: Array
+    cells: NDArray[np.int64]
+    displacement: Array
+    warm: Warm | None = None
+
+    @property
+    def converged(self) -> bool:
+        """Whether every requested step was reached."""
+        return self.status == "converged"
+
+
+def without_answer(problem: Problem, status: str, message: str, seconds: float) -> Solution:
+    """Solution of a problem that never came to its first step."""
+    empty, none = np.zeros(0), np.zeros((0, 3))
+    return Solution(
+        status=status,
+        message=message,
+        curve=Curve(empty, empty, empty),
+        reached_mm=0.0,
+        min_j=1.0,
+        base_reaction_N=empty,
+        energy=EnergyBalance(empty, empty, empty),
+        newton_iterations=(),
+        dofs=0,
+        elements=0,
+        mesh_hash="",
+        mesh_size_mm=problem.model.mesh_size_mm or 0.0,
+        solver="none",
+        seconds={"total": seconds},
+        points=none,
+        cells=np.zeros((0, 4), dtype=np.int64),
+        displacement=none,
+    )
+
+
+#: what a user can do about an energy that is stretched too far
+_OUT_OF_REACH = "no finer mesh goes further; press less deep, or use another energy"
+
+#: force of a pin over that of the test above which a specimen is not balanced
+_UNBALANCED = 1e-3
+
+
+@dataclass
+class Logbook:
+    """The requested steps of one run, as far as it came."""
+
+    system: System
+    problem: Problem
+    #: Constants by which the force is differentiated.
+    wanted: tuple[str, ...]
+    #: Whether the solution holds the steps that were added, too.
+    every_step: bool = False
+    #: How many of the steps so far were asked for; others were added where energy was missing or
+    #: the curve bends.
+    requested: int = 0
+    rows: list[StepGradients] = field(default_factory=list)
+    #: Force and stored energy of every step.
+    states: list[LoadedState] = field(default_factory=list)
+    reached: list[float] = field(default_factory=list)
+    reactions: list[float] = field(default_factory=list)
+    iterations: list[int] = field(default_factory=list)
+    warm_steps: list[WarmStep] = field(default_factory=list)
+    #: Displacements at which the surface snapped to another equilibrium, mm.
+    snaps: list[float] = field(default_factory=list)
+    pinned: float = 0.0
+
+    @property
+    def complete(self) -> bool:
+        """Whether every requested step is there."""
+        return self.requested == self.problem.test.steps
+
+    def loaded(self, state: State, row: StepGradients) -> LoadedState:
+        """Force and stored energy of a converged state."""
+        stored, scale = self.system.stored_energy(state), self.system.force_scale
+        energy = StoredEnergy(*(scale * part for part in stored))
+        return LoadedState(state.displacement_mm, row.force_N, row.stiffness_N_per_mm, energy)
+
+    def jumped_to(self, loaded: LoadedState) -> bool:
+        """Whether energy is missing, or too much, since the last step written down.
+
+        Within the first requested step nothing is looked at: contact begins point by point there,
+        and the slope at first touch is not known.
+        """
+        first_mm = self._whole_mm / self.problem.test.steps
+        if not self.states or self.states[-1].displacement_mm < (1 - 1e-9) * first_mm:
+            return False
+        return jumped(self.states[-1], loaded, self._whole_mm, self._share)
+
+    def add(
+        self, state: State, assembly: Assembly, row: StepGradients, loaded: LoadedState, spent: int
+    ) -> None:
+        """Write down a step that converged, in the order of displacements."""
+        at = int(np.searchsorted(self.reached, state.displacement_mm))
+        self.rows.insert(at, row)
+        self.states.insert(at, loaded)
+        self.reached.insert(at, state.displacement_mm)
+        sense = self.problem.setup.kind.sense
+        self.reactions.insert(at, _base_reaction(self.system, assembly, sense))
+        self.iterations.insert(at, spent)
+        self.pinned = max(self.pinned, _pinned(self.system, assembly, row.force_N))
+        self.warm_steps.insert(at, WarmStep(state, row.constants))
+
+    def forget_jumps(self) -> None:
+        """Drop the jumps past the last step written down: the way that led there is given up."""
+        last_mm = self.reached[-1] if self.reached else 0.0
+        self.snaps = [place for place in self.snaps if place < last_mm]
+
+    def around(self, displacement_mm: float) -> tuple[State | None, State]:
+        """States next to a displacement; before the first step there is none."""
+        at = int(np.searchsorted(self.reached, displacement_mm))
+        return self.warm_steps[at - 1].state if at else None, self.warm_steps[at].state
+
+    def lies_apart(self, before: LoadedState, after: LoadedState) -> bool:
+        """Whether energy is missing, or too much, between two states."""
+        return jumped(before, after, self._whole_mm, self._share)
+
+    def lies_between(self, loaded: LoadedState) -> bool:
+        """Whether a state is on the way between its neighbors.
+
+        Of another branch energy is missing on the way there, and too much on the way back. Before
+        the first state nothing is known that it could be held against.
+        """
+        at, whole = int(np.searchsorted(self.reached, loaded.displacement_mm)), self._whole_mm
+        there = at > 0 and jumped(self.states[at - 1], loaded, whole)
+        return not (there and jumped(loaded, self.states[at], whole))
+
+    def coarse_intervals(self, error: float) -> list[float]:
+        """Middles of the intervals that make interpolation worse than ``error``.
+
+        ``error`` is a share of the force, root mean square over the displacement.
+        """
+        if not self.complete:
+            return []
+        _, work = balanced(self.states, tuple(self.snaps), self._whole_mm)
+        return self.curve(work).coarse_intervals(error)
+
+    @property
+    def _share(self) -> float:
+        """Share of the stored energy above which something has jumped."""
+        return STICKING_JUMP_SHARE if self.system.sticks else JUMP_SHARE
+
+    @property
+    def _whole_mm(self) -> float:
+        return self.problem.test.depth_mm
+
+    def curve(self, work_Nmm: Array) -> Curve:
+        """Force-displacement curve with its gradients."""
+        return Curve(
+            np.array(self.reached),
+            np.array([row.force_N for row in self.rows]),
+            np.array([row.stiffness_N_per_mm for row in self.rows]),
+            {n: np.array([row.force_gradient[n] for row in self.rows]) for n in self.wanted},
+            work_Nmm,
+        )
+
+    def solution(
+        self, state: State, min_j: float, lost: str, reason: str, seconds: float
+    ) -> Solution:
+        """Solution of a run that ended at ``state``.
+
+        ``lost`` says where the energy has lost its ellipticity there, ``reason`` why the run
+        went no further.
+        """
+        system, kept = self.system, self._kept()
+        vertices = system.mesh.points.shape[0]
+        balance, work = balanced(self.states, tuple(self.snaps), self._whole_mm, self._share)
+        return Solution(
+            status="converged" if self.complete else "unstable" if lost else "not-converged",
+            message=self._message(state, lost, reason),
+            curve=self.curve(work).at_points(kept),
+            energy=balance.at_points(kept),
+            reached_mm=state.displacement_mm,
+            min_j=min_j,
+            base_reaction_N=np.array(self.reactions)[kept],
+            newton_iterations=self._iterations(kept),
+            dofs=system.dofs,
+            elements=system.space.n_elements,
+            mesh_hash=system.mesh.digest(),
+            mesh_size_mm=system.mesh.size_mm,
+            solver=system.solver.name,
+            seconds={**system.seconds, "total": seconds},
+            points=system.mesh.points,
+            cells=system.mesh.cells,
+            displacement=system.displacements(state.x)[:vertices],
+            warm=Warm(
+                system,
+                dict(self.problem.material.constants),
+                tuple(self.warm_steps[k] for k in kept),
+            ),
+        )
+
+    def _kept(self) -> NDArray[np.int64]:
+        """Places of the steps that the solution holds: those that were requested, or all."""
+        reached = np.array(self.reached)
+        steps = reached * self.problem.test.steps / self._whole_mm
+        asked = np.abs(steps - np.round(steps)) < 1e-6
+        return np.flatnonzero(asked | self.every_step)
+
+    def _iterations(self, kept: NDArray[np.int64]) -> tuple[int, ...]:
+        """Add to the iterations of kept steps those of steps before them that are not kept."""
+        total = np.cumsum(np.r_[0, self.iterations])[np.r_[0, kept + 1]]
+        return tuple(int(n) for n in np.diff(total))
+
+    def _message(self, state: State, lost: str, reason: str) -> str:
+        """Say how the run ended, and what was mended or is not as it should be."""
+        said = ["every step converged"]
+        if self.snaps:
+            places = ", ".join(f"{d:.3g}" for d in sorted(self.snaps))
+            said.append(f"past {places} mm the surface snapped to another equilibrium")
+        if self.pinned > _UNBALANCED:
+            said.append(
+                "what only keeps the specimen from sliding or turning carries up to "
+                f"{100 * self.pinned:.2g} % of the force: it is not balanced as it stands"
+            )
+        if not self.complete:
+            reached, asked = state.displacement_mm, self.problem.test.depth_mm
+            said = [f"stopped at {reached:.4g} mm of {asked:.4g} mm: {lost or reason}"]
+            if lost:
+                said.append(_OUT_OF_REACH)
+        elif lost:
+            said.append(f"{lost}: there the answer depends on the mesh")
+        if isinstance(self.problem.specimen, Enclosed):
+            said += body(self.problem.specimen).notes
+        return "; ".join(said)
+
+
+def _base_reaction(system: System, assembly: Assembly, sense: float) -> float:
+    """Axial reaction below, against the loading: equal to the force at equilibrium."""
+    sector = system.force_scale / (2.0 if system.mesh.half_height else 1.0)
+    held, dim = system.constraints, system.space.dim
+    still = held.dofs[(held.rate == 0) & (held.dofs % dim == dim - 1)]
+    carried = float(assembly.residual[np.setdiff1d(still, held.pins)].sum())
+    for points, touch in zip(system.contact, assembly.contact, strict=True):
+        if points.surface.speed == 0:  # the plate that stands still
+            axial = points.forces(touch).reshape(points.size, -1, dim)[:, :, -1]
+            carried -= float(axial.sum())
+    return -sense * sector * carried
+
+
+def _pinned(system: System, assembly: Assembly, force: float) -> float:
+    """Largest force of a pin over that of the test: zero where the loads balance."""
+    pins = system.constraints.pins
+    if not pins.size or not force:
+        return 0.0
+    return float(np.abs(assembly.residual[pins]).max()) / abs(force)

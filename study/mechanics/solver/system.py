@@ -1,0 +1,448 @@
+"""The discrete equations of one problem: unknowns, boundary conditions, residual and tangent."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from study.ground.arrays import Array, Flags
+from study.mechanics.contact.collocation import contact_points, touch_radius
+from study.mechanics.contact.contact import (
+    Constraints,
+    ContactPoints,
+    ContactState,
+    Glue,
+    Meeting,
+    TiedPoints,
+    constraints,
+    hold,
+    nothing_held,
+)
+from study.mechanics.element.function_space import (
+    Discretization,
+    Pattern,
+    discretize,
+    nodal_volumes,
+)
+from study.mechanics.material.material import Material
+from study.mechanics.mesh.structured import Mesh
+from study.mechanics.setup.setup import Problem, Setup
+from study.mechanics.solver.internal_force import (
+    EVENNESS,
+    EVENNESS_OF_SOLIDS,
+    LOCAL_BULK,
+    ContactBlocks,
+    Internal,
+    StoredEnergy,
+    Tangent,
+)
+from study.mechanics.solver.linear_solver import KeptFactors, LinearSolver, make_solver
+
+# -------------------------------------------------------------------------------------------------
+# Values of the unknowns, and what is assembled and looked at there.
+
+
+@dataclass(frozen=True)
+class State:
+    """Unknowns at one displacement."""
+
+    displacement_mm: float
+    #: shape (n,); displacements node by node, then pressures.
+    x: Array
+    #: Contact pressures, one array for each set of contact points.
+    multipliers: tuple[Array, ...] = ()
+    #: Imposed active sets; empty where every contact point decides for itself.
+    closed: tuple[Flags, ...] = ()
+    #: What a bonded indenter has taken hold of.
+    glue: Glue | None = None
+
+
+@dataclass(frozen=True)
+class Drag:
+    """Resistance to leaving a place: ``weights`` (n,) times the motion from ``place`` (n,)."""
+
+    weights: Array
+    place: Array
+
+
+@dataclass(frozen=True)
+class Weight:
+    """Gravity, a force that neither turns nor changes with the deformation."""
+
+    #: shape (n,); on every unknown, N.
+    forces: Array
+    #: Energy of all kinds where the specimen has sagged and nothing touches it, N mm.
+    energy_at_rest: float = 0.0
+
+    @classmethod
+    def of(cls, problem: Problem, mesh: Mesh, space: Discretization) -> Weight | None:
+        """Weight of the modelled part of a specimen; None without gravity."""
+        if not problem.test.weight_N_mm3:
+            return None
+        forces, dim = np.zeros(space.n), space.dim
+        axial = np.arange(len(space.nodes)) * dim + dim - 1
+        forces[axial] = problem.test.weight_N_mm3 * nodal_volumes(mesh, problem.model)
+        return cls(forces)
+
+    def scaled(self, share: float) -> Weight:
+        """Return a share of the weight."""
+        return Weight(share * self.forces)
+
+
+@dataclass
+class Assembly:
+    """Residual, tangent entries and contact at one state (arrays are the system's own)."""
+
+    min_j: float
+    internal: Array
+    residual: Array
+    contact: list[ContactState]
+
+
+@dataclass
+class Latest:
+    """What was found at the last state, so that it is found once."""
+
+    #: Unknowns and displacement, and where each set of contact points is there.
+    meetings: tuple[Array, float, list[Meeting]] | None = None
+    ratios: tuple[Array, Array] | None = None
+    #: Closed contact points of the last assembly, one set after the other.
+    touching: Flags = field(default_factory=lambda: np.zeros(0, bool))
+
+
+def _local_bulk(setup: Setup) -> float:
+    """Largest local bulk modulus over the shear modulus, see :class:`Internal`."""
+    model = setup.model
+    solid = model.space == "3d" and model.element_order == "quadratic"
+    return LOCAL_BULK if solid and setup.kind.strains_locally else 0.0
+
+
+def _evenness(setup: Setup) -> float:
+    """Resistance to uneven volume in simplices under an indenter, see :class:`Internal`."""
+    model = setup.model
+    mixed = model.element_shape == "simplex" and model.formulation != "displacement"
+    if not mixed or not setup.kind.strains_locally:
+        return 0.0
+    if model.element_order == "linear":
+        return EVENNESS
+    return EVENNESS_OF_SOLIDS if model.space == "3d" else 0.0
+
+
+@dataclass(frozen=True)
+class WholeSpecimen:
+    """Sizes of the whole specimen, a part of which is modelled."""
+
+    #: Force of the whole over that of the part: 4 of a quarter, 8 of one that is halved.
+    parts: float
+    area_mm2: float
+    height_mm: float
+    #: Length whose square carries the first contact; 0 where nothing begins to touch.
+    touch_mm: float
+
+    @classmethod
+    def of(cls, setup: Setup, mesh: Mesh, volume_mm3: float) -> WholeSpecimen:
+        """Sizes by the mesh of a part and its volume (2 pi r included in axisymmetric space)."""
+        whole = setup.model.space == "axisymmetric" or setup.is_whole
+        sector, half, height = 1.0 if whole else 4.0, mesh.half_height, mesh.height_mm
+        area = volume_mm3 * sector / (height - (height / 2 if half else 0.0))
+        return cls(sector * (2.0 if half else 1.0), area, height, touch_radius(setup))
+
+
+@dataclass(frozen=True)
+class ContactTerms:
+    """Contact points and their places in the tangent, set by set."""
+
+    points: tuple[ContactPoints, ...]
+    blocks: tuple[ContactBlocks, ...]
+
+    @classmethod
+    def at(cls, points: tuple[ContactPoints, ...], dim: int, pattern: Pattern) -> ContactTerms:
+        """Take the memory for contact points."""
+        dofs = [each.dofs(dim) for each in points]
+        return cls(points, tuple(ContactBlocks.at(d, pattern.locate(d)) for d in dofs))
+
+
+@dataclass
+class System:
+    """One problem on one mesh, ready to be solved for any constants of its material."""
+
+    mesh: Mesh
+    space: Discretization
+    whole: WholeSpecimen
+    material: Material
+    internal: Internal
+    constraints: Constraints
+    contact_terms: ContactTerms
+    tangent: Tangent
+    kept: KeptFactors
+    seconds: dict[str, float] = field(default_factory=dict)
+    drag: Drag | None = None
+    weight: Weight | None = None
+    latest: Latest = field(default_factory=Latest)
+
+    @classmethod
+    def build(
+        cls, problem: Problem, mesh: Mesh, *, solver: str = "auto", folding: bool = True
+    ) -> System:
+        """Discretize, constrain and analyze a problem on a mesh."""
+        start, setup = time.perf_counter(), problem.setup
+        space = discretize(mesh, setup.model, stretched=setup.kind.strains_locally)
+        held = constraints(setup, space, mesh)
+        pattern = Pattern.build(space.dofs, space.n, held.dofs)
+        direct = make_solver(pattern, solver, plane=space.dim == 2, corrected=True)
+        points = contact_points(problem, space, mesh, folding=folding)
+        system = cls(
+            mesh=mesh,
+            space=space,
+            whole=WholeSpecimen.of(setup, mesh, float(space.weights.sum())),
+            material=problem.material,
+            internal=Internal.on(space, _local_bulk(setup), _evenness(setup)),
+            constraints=held,
+            contact_terms=ContactTerms.at(points, space.dim, pattern),
+            tangent=Tangent.of(pattern, space.dofs),
+            kept=KeptFactors(direct, pattern),
+            weight=Weight.of(problem, mesh, space),
+        )
+        system.seconds["setup"] = time.perf_counter() - start
+        return system
+
+    def with_material(self, material: Material) -> System:
+        """Return the same discretization for other constants; solver and arrays are shared."""
+        return replace(self, material=material, latest=replace(self.latest))
+
+    def weighing(self, share: float) -> System:
+        """Return the same equations with a share of the weight; solver and arrays are shared."""
+        weight = None if self.weight is None else self.weight.scaled(share)
+        return replace(self, weight=weight, latest=replace(self.latest))
+
+    def sagged(self, state: State) -> System:
+        """Return the same equations, the work of the test counted from a state."""
+        if self.weight is None:
+            return self
+        start = self.internal.stored(self.material, state.x)
+        rest = start.total - float(self.weight.forces @ state.x)
+        return replace(self, weight=replace(self.weight, energy_at_rest=rest))
+
+    def dragged(self, weights: Array, place: Array) -> System:
+        """Return the same equations with a drag; solver and arrays are shared."""
+        return replace(self, drag=Drag(weights, place), latest=replace(self.latest))
+
+    @property
+    def contact(self) -> tuple[ContactPoints, ...]:
+        """Every set of points that may meet a rigid surface."""
+        return self.contact_terms.points
+
+    @property
+    def force_scale(self) -> float:
+        """Force of the whole specimen over that of the model."""
+        return self.whole.parts
+
+    @property
+    def height_mm(self) -> float:
+        """Height of the specimen."""
+        return self.whole.height_mm
+
+    @property
+    def small_strain(self) -> bool:
+        """Whether the material is linear: contact then belongs to the reference state."""
+        return self.material.small_strain
+
+    @property
+    def pattern(self) -> Pattern:
+        """Free unknowns and the entries of the tangent."""
+        return self.tangent.pattern
+
+    @property
+    def data(self) -> Array:
+        """Entries of the last assembled tangent, contact and drag included."""
+        return self.tangent.data
+
+    @property
+    def solver(self) -> LinearSolver:
+        """Direct solver of the tangents."""
+        return self.kept.solver
+
+    @property
+    def dofs(self) -> int:
+        """Number of free unknowns."""
+        return int(self.pattern.free.size)
+
+    @property
+    def sticks(self) -> bool:
+        """Whether points that touch are tied to what they touch."""
+        return any(isinstance(points, TiedPoints) for points in self.contact)
+
+    def force_floor(self, displacement_mm: float) -> float:
+        """Force that residuals are compared with where there is none yet (first touch), N."""
+        strain = max(abs(displacement_mm) / self.height_mm, 1e-12)
+        floor = 1e-6 * self.material.mu0 * self.whole.area_mm2 * strain
+        return max(floor, 0.5 * self.material.mu0 * self.whole.touch_mm**2)
+
+    def start(self) -> State:
+        """Return the unloaded state."""
+        zeros = tuple(np.zeros(c.size) for c in self.contact)
+        glue = nothing_held(self.contact[0], self.space.dim) if self.sticks else None
+        return State(0.0, np.zeros(self.space.n), zeros, glue=glue)
+
+    def prescribed(self, displacement_mm: float) -> Array:
+        """Values of the constrained unknowns."""
+        return self.constraints.rate * displacement_mm
+
+    def volume_ratios(self, x: Array) -> Array:
+        """J at every quadrature point, shape (n_elements, n_quadrature)."""
+        found = self.latest.ratios
+        if found is None or found[0] is not x:
+            self.latest.ratios = found = x, self.internal.volume_ratios(self.material, x)
+        return found[1]
+
+    def assemble(self, state: State, *, tangent: bool = True) -> Assembly:
+        """Residual at a state; the tangent stays in the system's own arrays.
+
+        Where an element is inverted ``min_j`` is not positive and nothing else is valid.
+        """
+        began = time.perf_counter()
+        into = self.tangent if tangent else None
+        min_j = self.internal.evaluate(self.material, state.x, into)
+        internal = self.internal.gathered()
+        if self.weight is not None:
+            internal -= self.weight.forces
+        residual, contacts = internal.copy(), self._touching_as(state, state.closed)
+        blocks_of = self.contact_terms.blocks
+        for points, touch, blocks in zip(self.contact, contacts, blocks_of, strict=True):
+            np.add.at(residual, blocks.dofs.ravel(), points.forces(touch).ravel())
+            if tangent:
+                blocks.fill(points.stiffness(touch), self.data)
+        if self.drag is not None:
+            residual += self.drag.weights * (state.x - self.drag.place)
+            if tangent:  # rows begin with their diagonal
+                self.data[self.pattern.indptr[:-1]] += self.drag.weights[self.pattern.free]
+        touching = [t.active for t in contacts]
+        self.latest.touching = np.concatenate([np.zeros(0, bool), *touching])
+        self._count("assembly", began)
+        return Assembly(min_j, internal, residual, contacts)
+
+    def touching(self, state: State) -> list[ContactState]:
+        """Contact at a state as every point itself decides it."""
+        return self._touching_as(state, ())
+
+    def _touching_as(
+        self, state: State, sides: tuple[NDArray[np.bool_], ...]
+    ) -> list[ContactState]:
+        each = zip(
+            self.contact,
+            self._meetings(state),
+            state.multipliers,
+            sides or (None,) * len(self.contact),
+            strict=True,
+        )
+        return [p.evaluate(met, m, closed, state.glue) for p, met, m, closed in each]
+
+    def _meetings(self, state: State) -> list[Meeting]:
+        """Where the contact points are, found once for the decision and for the forces."""
+        met = self.latest.meetings
+        if met is None or met[0] is not state.x or met[1] != state.displacement_mm:
+            u = self.displacements(state.x)
+            found = [p.meet(self.space.nodes, u, state.displacement_mm) for p in self.contact]
+            self.latest.meetings = met = state.x, state.displacement_mm, found
+        return met[2]
+
+    def held(self, state: State, assembly: Assembly, rates: Mapping[str, Array]) -> State:
+        """Return a converged state with all that touches held by the indenter.
+
+        ``rates`` are the derivatives of the unknowns by every constant.
+        """
+        if state.glue is None:
+            return state
+        glue, multipliers = hold(
+            state.glue,
+            self.contact,
+            assembly.contact,
+            self.space.nodes,
+            self.displacements(state.x),
+            state.displacement_mm,
+            {name: self.displacements(rate) for name, rate in rates.items()},
+        )
+        return replace(state, glue=glue, multipliers=multipliers)
+
+    def factorize(self, *, exact: bool = False) -> None:
+        """Factorize the last assembled tangent; ``exact`` asks for double precision."""
+        began = time.perf_counter()
+        if exact:
+            self.solver.sharpen()
+        self.solver.factorize(self.data)
+        self.kept.renewed(self.latest.touching)
+        self._count("factorization", began)
+
+    def solve(self, right: Array, scale: Array, tolerance: float, change: float) -> Array:
+        """Solve with the last assembled tangent, by an older factorization where that pays.
+
+        ``change`` is the residual that the iteration has come down to.
+        """
+        began = time.perf_counter()
+        found = self.kept.solve(self.data, right, scale, tolerance, self.latest.touching, change)
+        self._count("solve", began)
+        if found is not None:
+            return found
+        self.factorize()
+        return self.solve_afresh(right, tolerance, scale)
+
+    def solve_afresh(self, right: Array, tolerance: float, scale: Array | None = None) -> Array:
+        """Solve with the last assembled tangent, which was just factorized."""
+        began = time.perf_counter()
+        weights = np.ones(right.shape) if scale is None else scale
+        found = self.kept.solve_afresh(self.data, right, weights, tolerance)
+        self._count("solve", began)
+        return found
+
+    def factors_serve(self) -> bool:
+        """Whether the last factorization is of a tangent near the last assembled one."""
+        return self.kept.serves(self.latest.touching)
+
+    def lift_product(self, lift: Array) -> Array:
+        """Force of prescribed increments on the free unknowns, contact left out."""
+        jump = np.zeros(self.space.n)
+        jump[self.constraints.dofs] = lift
+        return self.tangent.beside(jump)[self.pattern.free]
+
+    def back_substitute(self, right: Array) -> Array:
+        """Solve with the last factorization for the free unknowns, as exactly as that goes."""
+        began = time.perf_counter()
+        solution = self.solver.solve(right)
+        self._count("solve", began)
+        return solution
+
+    def tangent_product(self, v: Array, *, contact: bool = True) -> Array:
+        """K v of the last assembled tangent, constrained rows and columns included."""
+        if contact:
+            out = self.tangent.product(v)
+            for blocks in self.contact_terms.blocks:
+                blocks.add_beside(v, out)
+            return out
+        with ExitStack() as without:
+            # last in, first out: each remembers the entries as those before it left them
+            for blocks in reversed(self.contact_terms.blocks):
+                without.enter_context(blocks.taken_out(self.data))
+            return self.tangent.product(v)
+
+    def constant_derivative(self, state: State, name: str) -> Array:
+        """dR/dconstant at fixed unknowns, shape (n,), K(nu) included."""
+        return self.internal.constant_derivative(self.material, state.x, name)
+
+    def stored_energy(self, state: State) -> StoredEnergy:
+        """Energy of the elements of the model, N mm: of a quarter, say, not of the whole."""
+        stored, weight = self.internal.stored(self.material, state.x), self.weight
+        if weight is None:
+            return stored
+        return stored._replace(raised=-float(weight.forces @ state.x) - weight.energy_at_rest)
+
+    def displacements(self, x: Array) -> Array:
+        """Nodal displacements, shape (n_nodes, dim)."""
+        return x[: self.space.n_displacement].reshape(-1, self.space.dim)
+
+    def _count(self, what: str, began: float) -> None:
+        self.seconds[what] = self.seconds.get(what, 0.0) + time.perf_counter() - began

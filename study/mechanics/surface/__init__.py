@@ -1,0 +1,1 @@
+"""Closed triangulated surfaces: read, checked and made."""

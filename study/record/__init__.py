@@ -1,1 +1,0 @@
-"""Records of finished cases, the crash-safe store and the tidy table."""

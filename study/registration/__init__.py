@@ -1,1 +1,0 @@
-"""Rigid registration, fitted spheres, distances to a surface, agreement of two methods."""

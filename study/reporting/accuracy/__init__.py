@@ -1,1 +1,0 @@
-"""Pages of accuracy: a tracker against its references, a surface against a scan."""

@@ -1,0 +1,575 @@
+"""Tables of the page of one analysis, in the order and with the heads that Minitab gives them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING
+
+from study.ground.canonical import plain
+from study.reporting.content import sentences, surface_content, tables, verdicts
+from study.reporting.content.content_table import Table, bound
+from study.reporting.content.numbers import (
+    MISSING,
+    f_value,
+    interval,
+    level,
+    p_phrase,
+    p_value,
+    percent,
+    significant,
+)
+from study.reporting.content.report_facts import Facts
+from study.reporting.content.text import clean, count, listing, plural_of, term_name
+from study.reporting.results.study_result import Check, ReportData
+from study.statistics.analysis.anova_table import Effect, Row
+from study.statistics.analysis.simple_effects import NOT_RESOLVED
+from study.statistics.surfaces.emulator import GIVEN, RANKED
+from study.statistics.surfaces.surface_profile import FittedSurface
+
+if TYPE_CHECKING:
+    from study.statistics.analysis.analysis_result import AnalysisResult
+    from study.statistics.analysis.comparisons import Comparisons
+    from study.statistics.analysis.post_hoc import (
+        CoefficientTable,
+        PairwiseDifference,
+        UnusualObservations,
+    )
+
+
+#: Rows that a page lists of a long table; the CSV beside it has all.
+MOST_ROWS = 40
+#: Digits of sums of squares and statistics, as Minitab prints them.
+DIGITS = 5
+
+
+def analysis_of_variance(found: AnalysisResult) -> Table:
+    """Source, DF, SS, MS, F, P for every term, the error and the total."""
+    rows = found.anova.rows
+    corrected = any(row.p_gg is not None for row in rows)
+    strata = len({row.error for row in rows if row.error}) > 1
+    how = "Seq" if found.anova.type == "I" else "Adj"
+    columns = ["source", "DF", f"{how} SS", f"{how} MS", "F", "p"]
+    columns += ["GG epsilon", "p corrected"] if corrected else []
+    columns += ["tested against"] if strata else []
+    shown = [_anova_row(row, corrected, strata) for row in rows]
+    if found.anova.ss_total is not None:
+        total = ("total", f"{found.anova.df_total}", significant(found.anova.ss_total, DIGITS))
+        shown.append((*total, *[""] * (len(columns) - 3)))
+    raw = tuple(plain(row) for row in rows)
+    return Table("anova", tuple(columns), tuple(shown), 1, int(strata), raw=raw)
+
+
+def _anova_row(row: Row, corrected: bool, strata: bool) -> tuple[str, ...]:
+    name = "error" if row.term == "residual" else row.term.replace(":", " \N{MULTIPLICATION SIGN} ")
+    sums = significant(row.ss, DIGITS), significant(row.ms, DIGITS) if row.ms is not None else ""
+    tested = row.f is not None
+    cells = [clean(name), f"{row.df:g}", *sums]
+    cells += [f_value(row.f) if tested else "", p_value(row.p) if row.p is not None else ""]
+    if corrected:
+        cells += [
+            "" if row.epsilon_gg is None else f"{row.epsilon_gg:.3f}",
+            "" if row.p_gg is None else p_value(row.p_gg),
+        ]
+    if strata:
+        cells.append(clean((row.error or "").replace(":", " \N{MULTIPLICATION SIGN} ")))
+    return tuple(cells)
+
+
+def model_summary(found: AnalysisResult) -> Table | None:
+    """S, R-sq, adjusted and predicted; None where nothing was left over."""
+    summary = found.variation.summary
+    if summary is None:
+        return None
+    shares = (summary.r_sq, summary.r_sq_adj, summary.r_sq_pred)
+    row = (significant(summary.s, DIGITS), *(percent(x, 4) for x in shares))
+    columns = ("S", "R-sq", "R-sq (adjusted)", "R-sq (predicted)")
+    note = (
+        "R-sq (predicted) is 1 \N{MINUS SIGN} PRESS / total: each row is predicted from all others."
+    )
+    return Table("model summary", columns, (row,), 1, 0, note, (plain(summary),))
+
+
+def coefficients(table: CoefficientTable, facts: Facts) -> Table | None:
+    """Coefficient, standard error, t, p and variance inflation factor of every column."""
+    if not table.coefficients:
+        return None
+    inflated = any(c.vif is not None for c in table.coefficients)
+    rows = tuple(
+        (
+            clean(c.term),
+            significant(c.estimate, 4),
+            significant(c.standard_error),
+            significant(c.t),
+            p_value(c.p),
+            *([significant(c.vif) if c.vif is not None else ""] if inflated else []),
+        )
+        for c in table.coefficients
+    )
+    columns = ("term", "coefficient", "standard error", "t", "p", *(["VIF"] if inflated else []))
+    scale = " of the log" if facts.ratio else ""
+    note = (
+        f"Sum-to-zero coding: a coefficient{scale} is the distance of a level from the mean of "
+        "all; the last level of a factor is minus the sum of the others."
+    )
+    raw = tuple(plain(c) for c in table.coefficients)
+    return Table("coefficients", columns, rows[:MOST_ROWS], 1, 0, note + _cut(len(rows)), raw)
+
+
+def means(facts: Facts, data: ReportData) -> Table:
+    """Mean of every level of every factor and combination, with interval and letters."""
+    rows: list[tuple[str, ...]] = []
+    raw: list[dict[str, object]] = []
+    for effect in facts.terms:
+        for i, (name, mean) in enumerate(zip(effect.levels, effect.mean, strict=True)):
+            low, high = (None, None) if effect.mean_ci95 is None else effect.mean_ci95[i]
+            letters = effect.letters[i] if effect.letters else ""
+            values = significant(mean, 4), interval(low, high, digits=4)
+            rows.append((term_name(effect.term, data.labels), clean(name, 60), *values, letters))
+            raw.append({"term": effect.term, "level": name, "mean": mean, "low": low, "high": high,
+                        "letters": letters})  # fmt: skip
+    columns = ("term", "level", "mean", f"{level(data.alpha)} interval", "grouping")
+    note = "Levels of a factor that share a letter are not told apart." + _cut(len(rows))
+    return Table(
+        "means", columns, tuple(rows[:MOST_ROWS]), 2, 1, note, tuple(raw), grouped=True
+    )  # fmt: skip
+
+
+def simple_effects(facts: Facts, data: ReportData) -> Table | None:
+    """Differences of two levels at each setting of the other factors; None without interaction."""
+    listed = [(e, one) for e in facts.effects for one in e.simple_effects if one.at]
+    if not listed:
+        return None
+    sign = "/" if facts.ratio else "\N{MINUS SIGN}"
+    rows = tuple(
+        (
+            term_name(effect.term, data.labels),
+            f"{clean(one.first, 30)} {sign} {clean(one.second, 30)}",
+            ", ".join(f"{term_name(name, data.labels)} {clean(lev, 30)}" for name, lev in one.at),
+            significant(one.difference),
+            interval(*(one.ci or (None, None))),
+            interval(*(one.ci_simultaneous or (None, None))),
+            one.verdict,
+        )
+        for effect, one in listed
+    )
+    what = "ratio" if facts.ratio else "difference"
+    ends = ("its own interval", "simultaneous interval")
+    columns = ("factor", "levels", "at", what, *ends, "verdict")
+    note = (
+        "A factor makes no practical difference where every own interval lies inside what matters; "
+        "it matters where one simultaneous interval lies beyond." + _cut(len(rows))
+    )
+    raw = tuple(
+        {"factor": e.term, **{k: v for k, v in asdict(one).items() if not isinstance(v, tuple)},
+         "at": "; ".join(f"{name}={lev}" for name, lev in one.at),
+         "low": None if one.ci is None else one.ci[0],
+         "high": None if one.ci is None else one.ci[1],
+         "low_simultaneous": None if one.ci_simultaneous is None else one.ci_simultaneous[0],
+         "high_simultaneous": None if one.ci_simultaneous is None else one.ci_simultaneous[1]}
+        for e, one in listed
+    )  # fmt: skip
+    return Table("simple effects", columns, rows[:MOST_ROWS], 3, 1, note, raw)
+
+
+def contrasts(facts: Facts) -> Table | None:
+    """Differences of two settings that were asked for by name; None without any."""
+    result = facts.response.result
+    if result is None or not result.contrasts:
+        return None
+    return contrast_table(result, facts.name, facts.unit)
+
+
+def contrast_table(result: AnalysisResult, name: str, unit: str = "") -> Table:
+    """Differences of two settings that were asked for by name."""
+    what = "ratio" if result.request.scale.is_log else "difference"
+    level = f"{100 * (1 - result.request.alpha):.4g} %"
+    several = len(result.contrasts) > 1
+    columns = ("asked for", what, f"{level} interval, all together", "U", "p",
+               *(("Holm's p",) if several else ()), "verdict")  # fmt: skip
+    rows = tuple(
+        (
+            clean(one.name, 200),
+            significant(one.difference),
+            interval(*(one.ci_simultaneous or (None, None))),
+            significant(one.u, 2),
+            p_value(one.p),
+            *((p_value(one.p_holm),) if several else ()),
+            f"{one.verdict}: {one.why}" if one.why else one.verdict,
+        )
+        for one in result.contrasts
+    )
+    adjusted = ", and Holm's p is adjusted for all of them" if several else ""
+    note = (
+        "Each row is the mean over all cells of the first setting less (or over) that of the "
+        "second; a factor that a setting leaves out is averaged over. The intervals hold for all "
+        f"rows together{adjusted}. U, the bound of the numerical error, is in "
+        f"{unit or 'the response'}."
+    )
+    raw = tuple(
+        {"contrast": one.name, "difference": one.difference, "U": one.u, "p": one.p,
+         "p_holm": one.p_holm,
+         "low": None if one.ci_simultaneous is None else one.ci_simultaneous[0],
+         "high": None if one.ci_simultaneous is None else one.ci_simultaneous[1],
+         "verdict": one.verdict}
+        for one in result.contrasts
+    )  # fmt: skip
+    return Table(f"contrasts {name}", columns, rows, 1, 0, note, raw)
+
+
+def pairwise(pairs: tuple[PairwiseDifference, ...], facts: Facts, data: ReportData) -> Table | None:
+    """All pairs of levels with simultaneous interval and adjusted p."""
+    if not pairs:
+        return None
+    sign = "/" if facts.ratio else "\N{MINUS SIGN}"
+    rows = tuple(
+        (
+            term_name(pair.factor, data.labels),
+            f"{clean(pair.first, 30)} {sign} {clean(pair.second, 30)}",
+            significant(pair.difference),
+            interval(pair.lower, pair.upper),
+            p_value(pair.p),
+            pair.method,
+        )
+        for pair in pairs
+    )
+    what = "ratio" if facts.ratio else "difference"
+    ends = f"simultaneous {level(data.alpha)} interval"
+    columns = ("factor", "levels", what, ends, "adjusted p", "method")
+    note = "Interval and p hold for all pairs of a factor together." + _cut(len(rows))
+    raw = tuple(plain(pair) for pair in pairs)
+    return Table("pairwise comparisons", columns, rows[:MOST_ROWS], 2, 1, note, raw, grouped=True)
+
+
+def against_reference(factor: str, found: Comparisons, data: ReportData) -> Table:
+    """Every level against a reference (Dunnett)."""
+    reference = found.pairs[0].second
+    rows = tuple(
+        (clean(pair.first), significant(pair.difference), interval(pair.lower, pair.upper),
+         p_value(pair.p))
+        for pair in found.pairs
+    )  # fmt: skip
+    name = f"{term_name(factor, data.labels)} against {clean(reference)}"
+    ends = f"simultaneous {level(found.alpha)} interval"
+    columns = ("level", found.effect, ends, "adjusted p")
+    raw = tuple(plain(pair) for pair in found.pairs)
+    return Table(name, columns, rows, 1, 0, f"{found.method}.", raw)
+
+
+def checks(found: AnalysisResult) -> Table | None:
+    """Statistic and p of every test of an assumption that applies."""
+    tests, rows = found.assumptions, []
+    rj = tests.normality
+    if rj is not None and rj.applicable:
+        tabled = str(rj.p_minitab).replace("0.", ".")
+        rows.append(
+            ("normality", "Ryan-Joiner", significant(rj.rj, 4), tabled, p_value(rj.p_exact))
+        )
+    for test in (tests.anderson_darling, tests.shapiro_wilk):
+        if test is not None and test.p is not None:
+            rows.append(("", test.name, significant(test.statistic, 4), p_value(test.p), ""))
+    for name, spread in tests.spread.items():
+        if spread.applicable:
+            title = f"{name.capitalize()} (median)" if name == "levene" else name.capitalize()
+            numbers = significant(spread.statistic, 4), p_value(spread.p)
+            rows.append(("equal spread", title, *numbers, p_value(spread.p_monte_carlo)))
+    tukey = tests.non_additivity
+    if tukey is not None and tukey.p is not None:
+        rows.append(("additivity", "Tukey, one df", significant(tukey.f, 4), p_value(tukey.p), ""))
+    for term, sphere in tests.sphericity.items():
+        if sphere.p is not None:
+            rows.append(("sphericity", f"Mauchly, {clean(term)}", significant(sphere.w, 4),
+                         p_value(sphere.p), ""))  # fmt: skip
+    if not rows:
+        return None
+    columns = ("assumption", "test", "statistic", "p", "p simulated")
+    raw = tuple(dict(zip(columns, row, strict=True)) for row in rows)
+    return Table("tests of assumptions", columns, tuple(rows), 2, 0, "", raw)
+
+
+def unusual(found: UnusualObservations | None) -> Table | None:
+    """Rows with a large residual, a high leverage or a large Cook's distance."""
+    if found is None or found.rows.empty:
+        return None
+    columns = (
+        "row",
+        "response",
+        "fit",
+        "residual",
+        "standardized",
+        "leverage",
+        "Cook",
+        "PRESS residual",
+        "why",
+    )  # noqa: E501
+    numbers = ("response", "fitted", "residual", "standardized", "leverage", "cook", "press")
+    raw = tuple({str(k): v for k, v in row.items()} for row in found.rows.to_dict("records"))
+    rows = tuple(
+        (f"{row['row']}", *(significant(float(str(row[key]))) for key in numbers), str(row["why"]))
+        for row in raw[:MOST_ROWS]
+    )
+    return Table("unusual observations", columns, rows, 0, 1, _cut(len(raw)).strip(), raw)
+
+
+def robustness(found: AnalysisResult, data: ReportData) -> Table | None:
+    """Give p of every term in each defensible analysis."""
+    table = found.assumptions.robustness
+    if table is None or not table.p:
+        return None
+    methods = list(next(iter(table.p.values())))
+    rows = tuple(
+        (term_name(term, data.labels), *(p_value(p[m]) if p[m] is not None else MISSING
+         for m in methods), table.agreement[term].split(" in ", 1)[-1])
+        for term, p in table.p.items()
+    )  # fmt: skip
+    columns = ("term", *methods, f"below {found.request.alpha:g} in")
+    raw = tuple({"term": term, **p} for term, p in table.p.items())
+    return Table("p in the defensible analyses", columns, rows, 1, 1, raw=raw)
+
+
+def _cut(n: int) -> str:
+    return f" The first {MOST_ROWS} of {n:,} are shown; the CSV has all." if n > MOST_ROWS else ""
+
+
+# -------------------------------------------------------------------------------------------------
+# Checks that follow from the analysis: outcome, finding, and what it means for the reader.
+
+_ORDER = {"fail": 0, "caution": 1, "not applicable": 2, "pass": 3}
+
+
+@dataclass(frozen=True)
+class CheckGroup:
+    """One check for all responses; its outcome is the worst of them."""
+
+    name: str
+    items: tuple[Check, ...]
+
+    @property
+    def outcome(self) -> str:
+        """Worst outcome."""
+        return min((check.outcome for check in self.items), key=_ORDER.__getitem__)
+
+    @property
+    def consequence(self) -> str:
+        """What follows, where it is the same for two responses or more; else empty."""
+        said = [check.consequence for check in self.items if check.consequence]
+        return said[0] if len(said) > 1 and len(set(said)) == 1 else ""
+
+    @property
+    def agreed(self) -> bool:
+        """Whether every response has the same outcome."""
+        return len({check.outcome for check in self.items}) == 1
+
+
+def grouped(made: Sequence[Check]) -> tuple[CheckGroup, ...]:
+    """Gather checks of the same name into one, the worst first."""
+    by_name: dict[str, list[Check]] = {}
+    for check in made:
+        by_name.setdefault(check.name, []).append(check)
+    found = [CheckGroup(name, tuple(items)) for name, items in by_name.items()]
+    return tuple(sorted(found, key=lambda group: _ORDER[group.outcome]))
+
+
+def all_checks(data: ReportData, found: Sequence[Facts]) -> tuple[Check, ...]:
+    """Gather the checks of the run, then the controls, then those of each analysis, worst first."""
+    # controls that pass stand under numerical credibility alone
+    bad = [check for check in data.controls if check.outcome in ("fail", "caution")]
+    made = [*data.checks, *bad, *_of_cases(data)]
+    for facts in found:
+        if facts.terms:
+            made += [
+                _normality(facts, data.alpha),
+                _spread(facts, data.alpha),
+                *_sphericity(facts, data),
+                *_additivity(facts, data),
+                _resolution(facts, data),
+                *_fragile(facts, data),
+            ]
+        elif not data.surfaces:
+            made.append(_not_analyzed(facts))
+    made += [_surface(one, data) for one in data.surfaces]
+    return tuple(sorted(made, key=lambda check: _ORDER[check.outcome]))
+
+
+def _of_cases(data: ReportData) -> list[Check]:
+    found = []
+    if data.failures:
+        finding = sentences.failures(data.failures, len(data.table))
+        found.append(Check("Failed cases", "caution", finding, "See the failure map."))
+    if data.retried:
+        finding = tables.retried_sentence(data.retried)
+        told = "They are listed among the failures."
+        found.append(Check("Cases with other settings", "caution", finding, told))
+    return found
+
+
+def _surface(one: FittedSurface, data: ReportData) -> Check:
+    """Whether a surface predicts runs that it has not seen."""
+    name, of = "Surface predicts runs left out", surface_content.title(one, data)
+    if one.found is None:
+        return Check(name, "fail", clean(one.refused), "No verdict for this response.", of)
+    found = surface_content.quality(one.found)
+    if found >= GIVEN:
+        return Check(name, "pass", surface_content.accuracy(one), of=of)
+    outcome = "caution" if found >= RANKED else "fail"
+    return Check(name, outcome, surface_content.accuracy(one), "Add runs.", of)
+
+
+def _not_analyzed(facts: Facts) -> Check:
+    why = facts.warnings[0] if facts.warnings else "no reason was recorded"
+    return Check("Analysis", "fail", why, "No verdict for this response.", facts.title)
+
+
+def _normality(facts: Facts, alpha: float) -> Check:
+    found, name = facts.assumptions.normality, "Residuals as from a normal distribution"
+    if found is None or found.rj is None:
+        finding = verdicts.normality(facts, alpha)
+        return Check(name, "not applicable", finding, of=facts.title)
+    rejected = verdicts.rejects_normality(facts, alpha)
+    finding = f"{'rejected' if rejected else 'not rejected'} by Ryan-Joiner"
+    if found.p_exact is not None:
+        finding += f" ({p_phrase(found.p_exact)})"
+    if not rejected:
+        return Check(name, "pass", finding, of=facts.title)
+    return Check(
+        name,
+        "caution",
+        finding,
+        "Small p-values are approximate; the verdicts rest on the size of the effect "
+        "against what matters."
+        + ("" if facts.ratio else " The log of a positive response often helps."),
+        facts.title,
+    )
+
+
+def _untested(tests: Mapping[str, verdicts.SpreadTest], alpha: float) -> str:
+    """Why neither test of the spread applies, said once where both have one reason."""
+    reasons = {test.reason for test in tests.values()}
+    if len(tests) == 2 and len(reasons) == 1:
+        return f"neither Bartlett's nor Levene's test applies: {reasons.pop()}"
+    return " ".join(verdicts.spread(k, tests.get(k), alpha) for k in ("bartlett", "levene"))
+
+
+def _spread(facts: Facts, alpha: float) -> Check:
+    name = "Equal spread of the cells"
+    tests = facts.assumptions.spread
+    applicable = {k: t for k, t in tests.items() if t.statistic is not None}
+    if not applicable:
+        return Check(name, "not applicable", _untested(tests, alpha), of=facts.title)
+    against = [k.capitalize() for k, t in applicable.items() if verdicts.rejects(t, alpha)]
+    said = listing(
+        [f"{k.capitalize()} {p_phrase(verdicts.p_of(t))}" for k, t in applicable.items()]
+    )
+    if not against:
+        return Check(name, "pass", f"not rejected ({said})", of=facts.title)
+    return Check(
+        name,
+        "caution",
+        f"rejected by {listing(against)} ({said})",
+        "Intervals are too short for the cells that scatter most and too long for the others.",
+        facts.title,
+    )
+
+
+def _sphericity(facts: Facts, data: ReportData) -> list[Check]:
+    least = verdicts.least_sphericity(facts)
+    if least is None:
+        return []
+    term, epsilon = least
+    name = "Sphericity"
+    finding = f"smallest epsilon {epsilon:.2f}, of {term_name(term, data.labels)}"
+    changed = [
+        term_name(row.term, data.labels)
+        for row in facts.rows
+        if row.p is not None and row.p_gg is not None and row.p < data.alpha <= row.p_gg
+    ]
+    if changed:
+        return [
+            Check(
+                name,
+                "caution",
+                finding,
+                f"The correction decides for {listing(changed)}: read the corrected p.",
+                facts.title,
+            )
+        ]
+    return [Check(name, "pass", f"{finding}; the correction changes no decision", of=facts.title)]
+
+
+def _additivity(facts: Facts, data: ReportData) -> list[Check]:
+    found = facts.assumptions.non_additivity
+    if found is None or found.p is None or not math.isfinite(found.p):
+        return []
+    p = found.p
+    name = f"Cells and {clean(data.block) or 'blocks'} add up"
+    if p >= data.alpha:
+        finding = f"not rejected by Tukey's one-degree test ({p_phrase(p)})"
+        return [Check(name, "pass", finding, of=facts.title)]
+    return [
+        Check(
+            name,
+            "caution",
+            f"rejected by Tukey's one-degree test ({p_phrase(p)})",
+            f"Effects grow or shrink with the level of the {clean(data.block) or 'block'}: "
+            "consider the log.",
+            facts.title,
+        )
+    ]
+
+
+def _resolution(facts: Facts, data: ReportData) -> Check:
+    name = "Effects resolved by the mesh"
+    known = [effect for effect in facts.effects if effect.u_num is not None]
+    if not known:
+        return Check(
+            name,
+            "not applicable",
+            "No numerical uncertainty is known.",
+            "Every claim holds at this mesh: the discretization was not examined.",
+            facts.title,
+        )
+    open_ones = [effect for effect in facts.effects if effect.verdict == NOT_RESOLVED]
+    if not open_ones:
+        finding = f"U, added to the interval, leaves {_every(known, 'verdict')} as it is"
+        return Check(name, "pass", finding, of=facts.title)
+    needed = [
+        f"below {bound(effect.u_needed, effect, facts)} for {term_name(effect.term, data.labels)}"
+        for effect in open_ones
+        if effect.u_needed is not None
+    ]
+    named = listing([term_name(effect.term, data.labels) for effect in open_ones])
+    finding = f"U leaves {named} open, which the interval alone would decide"
+    mend = f"Refine: U would have to be {listing(needed)}." if needed else "Refine the mesh."
+    return Check(name, "caution", finding, mend, facts.title)
+
+
+def _every(items: Sequence[Effect], noun: str) -> str:
+    return f"the {noun}" if len(items) == 1 else f"each of {count(len(items), noun)}"
+
+
+def _fragile(facts: Facts, data: ReportData) -> list[Check]:
+    """Say which claims fall with one block."""
+    known = [effect for effect in facts.effects if effect.lost_without is not None]
+    if not known:
+        return []
+    block = clean(data.block) or "block"
+    name = f"Claims hold with any one {block} left out"
+    lost = [
+        f"{term_name(effect.term, data.labels)} (not without {_some(effect.lost_without)})"
+        for effect in known
+        if effect.lost_without
+    ]
+    if not lost:
+        many = {1: "the claim does", 2: "both claims do"}
+        said = many.get(len(known), f"all {len(known)} claims do")
+        return [Check(name, "pass", said, of=facts.title)]
+    more = (
+        f"Measure more {plural_of(block)} before relying on {'it' if len(lost) == 1 else 'them'}."
+    )
+    return [Check(name, "caution", f"fragile: {listing(lost)}", more, facts.title)]
+
+
+def _some(blocks: Sequence[str] | None) -> str:
+    named = [clean(name) for name in blocks or ()]
+    return listing(named, "or") if len(named) < 4 else f"any one of {len(named)}"

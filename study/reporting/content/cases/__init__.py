@@ -1,1 +1,0 @@
-"""Words and tables about single cases: those that failed, their fits, their markers."""

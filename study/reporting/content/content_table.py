@@ -1,0 +1,288 @@
+"""A table of a report, before it is drawn in any format."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import product
+
+from study.reporting.content.numbers import (
+    MINUS,
+    MISSING,
+    THIN,
+    TIMES,
+    decimals_that_count,
+    inside,
+    percent,
+    quantity,
+    ratio_digits,
+    rounded,
+    span,
+)
+from study.reporting.content.report_facts import Facts
+from study.reporting.content.text import clean, listing, name_of, sentence, term_name
+from study.reporting.results.study_result import ReportData
+from study.statistics.analysis.anova_table import Effect, SimpleEffect
+from study.statistics.analysis.simple_effects import (
+    CANNOT_TELL,
+    MATTERS,
+    NO_DIFFERENCE,
+    NOT_RESOLVED,
+)
+
+
+@dataclass(frozen=True)
+class Table:
+    """Plain text in rows.
+
+    ``left`` and ``tail`` count the leading and the last columns that hold words, not numbers;
+    ``raw`` has the unrounded values for the CSV; with ``grouped`` the first column names
+    groups of rows. ``anchors`` name rows of the page; ``follow`` is the start of the names that
+    the first number of each row leads to, counted from 1.
+    """
+
+    name: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    left: int = 1
+    tail: int = 0
+    note: str = ""
+    raw: tuple[Mapping[str, object], ...] = field(default=(), repr=False)
+    grouped: bool = False
+    anchors: tuple[str, ...] = ()
+    follow: str = ""
+
+
+# -------------------------------------------------------------------------------------------------
+# Sizes of effects as text: differences and ratios, intervals, what matters, numerical bounds.
+#
+# A difference is rounded to what the declared threshold makes meaningful: a thousandth of
+# 0.5 pp is 0.0005 pp, so nothing is printed finer than 0.001 pp.
+
+#: ratios effect / u_num beyond this are only said to be so
+_FAR = 100.0
+
+
+def decimals(effect: Effect) -> int | None:
+    """Decimals at which an effect is worth printing."""
+    if effect.practical is None:
+        return None
+    return decimals_that_count(abs(effect.practical - 1) if effect.is_ratio else effect.practical)
+
+
+def size(effect: Effect, facts: Facts) -> str:
+    """Largest difference of an effect with its unit, or as a ratio."""
+    number = shown_size(effect)
+    if number == MISSING:
+        return number
+    if effect.is_ratio:
+        return f"{TIMES}{THIN}{number}"
+    return f"{number}{THIN}{facts.difference_unit}" if facts.difference_unit else number
+
+
+def shown_size(effect: Effect) -> str:
+    """Largest difference or ratio of an effect, without its unit."""
+    digits, places = ratio_digits(effect.range) if effect.is_ratio else 3, decimals(effect)
+    shown = rounded(effect.range, places, digits)
+    if shown == MISSING or "<" in shown:
+        return shown
+    ends = span(effect.low, effect.high, places, digits)
+    return inside(effect.range, effect.low, effect.high, shown, ends)
+
+
+def size_interval(effect: Effect, facts: Facts) -> str:
+    """Simultaneous interval of the largest difference."""
+    digits = ratio_digits(effect.range) if effect.is_ratio else 3
+    places = decimals(effect)
+    ends = span(effect.low, effect.high, places, digits)
+    low, _, high = ends.partition(" to ")
+    if low == high:
+        # blocks that answer alike to the last digit leave no width to print
+        ends = f"narrower than {10.0**-places:.{places}f}" if places is not None else low
+    if ends == MISSING or effect.is_ratio or not facts.difference_unit:
+        return ends
+    return f"{ends}{THIN}{facts.difference_unit}"
+
+
+def practical(effect: Effect, facts: Facts) -> str:
+    """Return the smallest difference that matters, as it was declared."""
+    if effect.practical is None:
+        return MISSING
+    text = f"{float(f'{effect.practical:.3g}'):g}".replace("-", MINUS)
+    return f"{TIMES}{THIN}{text}" if effect.is_ratio else with_unit(text, facts.difference_unit)
+
+
+def numerical(effect: Effect, facts: Facts) -> str:
+    """Numerical uncertainty on the scale of the effect: a ratio for a log response."""
+    if effect.u_num is not None and (not effect.is_ratio or effect.u_unit != 1.0):
+        return bound(effect.u_num, effect, facts)
+    if effect.effect_over_u_num is None or not effect.effect_over_u_num or not effect.range:
+        return quantity(effect.u_num, facts.unit, 2)
+    u = math.exp(abs(math.log(effect.range)) / abs(effect.effect_over_u_num))
+    return f"{TIMES}{THIN}{rounded(u, decimals(effect), max(ratio_digits(u) - 1, 3))}"
+
+
+def with_unit(number: str, unit: str) -> str:
+    """Return a number as text with its unit, where it has one."""
+    return number if number == MISSING or not unit else f"{number}{THIN}{unit}"
+
+
+def over_numerical(effect: Effect) -> str:
+    """Effect over its numerical uncertainty; below 3 it may be the mesh."""
+    times = effect.effect_over_u_num
+    if times is None or not math.isfinite(times):
+        return MISSING
+    if times >= _FAR:
+        return f"> {_FAR:.0f}"
+    return f"{times:.2g}" if times >= 0.1 else "< 0.1"
+
+
+def shown_difference(difference: float, effect: Effect, facts: Facts) -> str:
+    """Difference (or ratio) of two levels with its unit, rounded to what counts."""
+    digits = ratio_digits(difference) if effect.is_ratio else 3
+    number = rounded(difference, decimals(effect), digits)
+    if effect.is_ratio:
+        return f"{TIMES}{THIN}{number}"
+    return f"{number}{THIN}{facts.difference_unit}" if facts.difference_unit else number
+
+
+def bound(u: float, effect: Effect, facts: Facts) -> str:
+    """Bound of a numerical error in response units, on the scale of the effect."""
+    if not effect.is_ratio:
+        return with_unit(rounded(u, decimals(effect), 2), facts.difference_unit)
+    ratio = math.exp(u * effect.u_unit)
+    return f"{TIMES}{THIN}{rounded(ratio, decimals(effect), max(ratio_digits(ratio) - 1, 3))}"
+
+
+def change(effect: Effect, facts: Facts) -> str:
+    """Size of a change in words: ``37.3 %`` for a ratio of 1.373."""
+    if effect.is_ratio and effect.range is not None:
+        return f"{percent(effect.range - 1)} (ratio {shown_size(effect)})"
+    return size(effect, facts)
+
+
+# -------------------------------------------------------------------------------------------------
+# Answers by the role of a factor: recommended among choices, given at each condition.
+#
+# A *choice* is the analyst's, a *condition* belongs to the question, an *unknown* is a fact that
+# nobody measured (``[analysis] roles`` of a study file).
+
+CHOICE = "choice"
+CONDITION = "condition"
+UNKNOWN = "unknown"
+_SAID = {
+    MATTERS: "it matters",
+    NO_DIFFERENCE: "no practical difference",
+    NOT_RESOLVED: "the meshes are too coarse to tell",
+    CANNOT_TELL: "these data cannot tell",
+}
+
+
+def role(data: ReportData, factor: str) -> str:
+    """Role of a factor; a choice where none was declared."""
+    return data.roles.get(factor, CHOICE)
+
+
+def factors_of(data: ReportData, *roles: str) -> list[str]:
+    """Factors with one of some roles, in the order of the design."""
+    return [name for name in data.factors if role(data, name) in roles]
+
+
+def settings(data: ReportData) -> list[dict[str, str]]:
+    """Every combination of the levels of the conditions; one empty one where there are none."""
+    names = [n for n in factors_of(data, CONDITION) if len(data.factors[n]) > 1]
+    combined = product(*(data.factors[name] for name in names))
+    return [dict(zip(names, levels, strict=True)) for levels in combined]
+
+
+def at(data: ReportData, setting: Mapping[str, str]) -> ReportData:
+    """Copy of a study with the rows of one setting of its conditions alone."""
+    table = data.table
+    for name, level in setting.items():
+        table = table[table[name].astype(str) == level]
+    return replace(data, table=table)
+
+
+def named(setting: Mapping[str, str], data: ReportData) -> str:
+    """Name a setting: ``range 40 %``."""
+    return ", ".join(f"{name_of(n, data.labels)} {clean(v)}" for n, v in setting.items())
+
+
+def by_condition(data: ReportData, found: Sequence[Facts]) -> list[str]:
+    """Say at which levels of a condition each choice matters."""
+    return [
+        line
+        for condition in factors_of(data, CONDITION)
+        for facts in found
+        for effect in facts.effects
+        if role(data, effect.term) == CHOICE
+        and (line := _one_condition(condition, effect, facts, data))
+    ]
+
+
+def _one_condition(condition: str, effect: Effect, facts: Facts, data: ReportData) -> str:
+    found: dict[str, list[str]] = {}
+    for level in data.factors[condition]:
+        here = [e for e in effect.simple_effects if dict(e.at).get(condition) == level]
+        if not here:
+            return ""
+        verdict = together([e.verdict for e in here])
+        largest = _largest([e for e in here if e.verdict == verdict] or here, effect)
+        size = shown_difference(apart(largest.difference, effect), effect, facts)
+        found.setdefault(verdict, []).append(f"{clean(level)} ({size})")
+    parts = [f"{_SAID[verdict]} at {listing(levels)}" for verdict, levels in found.items()]
+    name, by = term_name(effect.term, data.labels), name_of(condition, data.labels)
+    return sentence(f"{name} by {by}, for the {facts.title}: {'; '.join(parts)}")
+
+
+def apart(difference: float, effect: Effect) -> float:
+    """How far two levels are apart, whichever is higher."""
+    if effect.is_ratio:
+        return max(difference, 1 / difference) if difference > 0 else difference
+    return abs(difference)
+
+
+def _largest(effects: Sequence[SimpleEffect], effect: Effect) -> SimpleEffect:
+    return max(effects, key=effect.distance)
+
+
+def together(verdicts: Sequence[str]) -> str:
+    """Verdict of several simple effects: any that matters decides, else all must agree.
+
+    Examples
+    --------
+    >>> together(["no practical difference", "matters"])
+    'matters'
+    >>> together(["no practical difference", "cannot tell"])
+    'cannot tell'
+    """
+    if MATTERS in verdicts:
+        return MATTERS
+    if set(verdicts) == {NO_DIFFERENCE}:
+        return NO_DIFFERENCE
+    return CANNOT_TELL if CANNOT_TELL in verdicts else NOT_RESOLVED
+
+
+def unknowns(data: ReportData, found: Sequence[Facts]) -> list[str]:
+    """Say of every fact that nobody measured what it would change, and whether to measure it."""
+    lines = []
+    for name in factors_of(data, UNKNOWN):
+        effects = [(f, e) for f in found for e in f.effects if e.term == name]
+        if effects:
+            lines.append(_one_unknown(name_of(name, data.labels), effects))
+    return lines
+
+
+def _one_unknown(name: str, effects: Sequence[tuple[Facts, Effect]]) -> str:
+    large = [
+        f"the {facts.title} by {shown_difference(effect.range, effect, facts)}"
+        for facts, effect in effects
+        if effect.verdict == MATTERS and effect.range is not None
+    ]
+    start = f"nobody measured {name}"
+    if large:
+        return sentence(f"{start}: it changes {listing(large)}, so measuring it pays")
+    if all(effect.verdict == NO_DIFFERENCE for _, effect in effects):
+        return sentence(f"{start}: it makes no practical difference, so measuring it does not pay")
+    return sentence(f"{start}, and this study cannot show whether measuring it pays")

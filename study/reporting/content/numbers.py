@@ -1,0 +1,227 @@
+"""Numbers and names as a reader wants them: three digits, units, p without a leading zero."""
+
+from __future__ import annotations
+
+import math
+
+MINUS = "\N{MINUS SIGN}"
+TIMES = "\N{MULTIPLICATION SIGN}"
+MISSING = "\N{EN DASH}"
+THIN = "\N{NO-BREAK SPACE}"
+
+
+def significant(value: float | None, digits: int = 3) -> str:
+    """Three significant digits, never an exponent for the sizes met in a laboratory.
+
+    Examples
+    --------
+    >>> significant(0.0123456), significant(12345.6), significant(2.0), significant(None)
+    ('0.0123', '12,300', '2.00', '\N{EN DASH}')
+    """
+    if value is None or not math.isfinite(value):
+        return MISSING
+    if value == 0:
+        return "0"
+    rounded = float(f"{value:.{digits - 1}e}")
+    exponent = math.floor(math.log10(abs(rounded)))
+    if exponent < -4 or exponent > 6:
+        mantissa = f"{rounded / 10.0**exponent:.{digits - 1}f}"
+        return f"{mantissa}e{exponent}".replace("-", MINUS)
+    return f"{rounded:,.{max(digits - 1 - exponent, 0)}f}".replace("-", MINUS)
+
+
+def p_value(p: float | None) -> str:
+    """Write a p-value: three decimals, no leading zero, bounds at the ends.
+
+    Examples
+    --------
+    >>> p_value(0.0321), p_value(0.0004), p_value(0.9999), p_value(None)
+    ('.032', '< .001', '> .999', '\N{EN DASH}')
+    """
+    if p is None or not math.isfinite(p):
+        return MISSING
+    if p < 0.0005:
+        return "< .001"
+    if p >= 0.9995:
+        return "> .999"
+    return f"{p:.3f}"[1:]
+
+
+def p_phrase(p: float | None) -> str:
+    """``p = .032`` or ``p < .001`` for a sentence."""
+    text = p_value(p)
+    if text == MISSING:
+        return "no p"
+    return f"p {text}" if text[0] in "<>" else f"p = {text}"
+
+
+def quantity(value: float | None, unit: str = "", digits: int = 3) -> str:
+    """Write a number with its unit, kept together by a space that does not break."""
+    number = significant(value, digits)
+    if number == MISSING or unit in ("", "1"):
+        return number
+    return f"{number}{THIN}{unit}"
+
+
+def percent(fraction: float | None, digits: int = 3) -> str:
+    """Write a fraction as a percentage; below a tenth of a percent only said to be so."""
+    if fraction is not None and 0 < abs(fraction) < 0.0005:
+        return f"< 0.1{THIN}%" if fraction > 0 else f"{MINUS}< 0.1{THIN}%"
+    if fraction is not None and abs(fraction) >= 0.9995:
+        return quantity(100 * fraction, "%", max(digits, 3))
+    return quantity(None if fraction is None else 100 * fraction, "%", digits)
+
+
+def level(alpha: float) -> str:
+    """Write the level of an interval.
+
+    Examples
+    --------
+    >>> level(0.05).replace(THIN, " "), level(0.2).replace(THIN, " ")
+    ('95 %', '80 %')
+    """
+    return f"{100 * (1 - alpha):.4g}{THIN}%"
+
+
+def interval(low: float | None, high: float | None, unit: str = "", digits: int = 3) -> str:
+    """Write a confidence interval, both ends with the decimals of the larger one."""
+    if low is None or high is None or not (math.isfinite(low) and math.isfinite(high)):
+        return MISSING
+    largest = max(abs(low), abs(high))
+    if largest == 0 or not 1e-3 <= largest < 1e5:
+        return f"{significant(low, digits)} to {quantity(high, unit, digits)}"
+    ends = [_fixed(end, _decimals(largest, digits)) for end in (low, high)]
+    return f"{ends[0]} to {ends[1]}" + (f"{THIN}{unit}" if unit else "")
+
+
+def _fixed(value: float, decimals: int) -> str:
+    text = f"{value:,.{decimals}f}"
+    if float(text.replace(",", "")) == 0:
+        text = text.lstrip("-")
+    return text.replace("-", MINUS)
+
+
+def decimals_that_count(step: float | None) -> int | None:
+    """Decimals that a thousandth of what matters can be read at; None where that is unknown.
+
+    Examples
+    --------
+    >>> decimals_that_count(0.5), decimals_that_count(5), decimals_that_count(None)
+    (3, 2, None)
+    """
+    if step is None or not math.isfinite(step) or step <= 0:
+        return None
+    return max(math.floor(-math.log10(step / 1000) + 1e-9), 0)
+
+
+def rounded(value: float | None, decimals: int | None, digits: int = 3) -> str:
+    """Three significant digits, but no finer than ``decimals``; ``< 0.001`` below them.
+
+    Examples
+    --------
+    >>> rounded(0.0912, 3), rounded(0.000267, 3), rounded(0.155, 3), rounded(0.0, 3)
+    ('0.091', '< 0.001', '0.155', '0')
+    """
+    if value is None or decimals is None or value == 0 or not math.isfinite(value):
+        return significant(value, digits)
+    least = 10.0**-decimals
+    if abs(value) < least / 2:
+        return f"{'' if value > 0 else MINUS}< {least:.{decimals}f}"
+    return _fixed(value, min(_decimals(abs(value), digits), decimals))
+
+
+def span(low: float | None, high: float | None, decimals: int | None, digits: int = 3) -> str:
+    """Write both ends with the same decimals: as few as tell them apart, at most ``decimals``.
+
+    Examples
+    --------
+    >>> span(1.4336, 1.4341, 4), span(0.0249, 0.2854, 3), span(-3.9e-5, 5.7e-4, 3)
+    ('1.4336 to 1.4341', '0.025 to 0.285', '0.000 to 0.001')
+    """
+    if low is None or high is None or not (math.isfinite(low) and math.isfinite(high)):
+        return MISSING
+    if decimals is None:
+        return interval(low, high, "", digits)
+    largest = max(abs(low), abs(high))
+    places = min(_decimals(largest, digits), decimals) if largest else 0
+    while places < decimals and round(low, places) == round(high, places):
+        places += 1
+    return f"{_fixed(low, places)} to {_fixed(high, places)}"
+
+
+def inside(
+    value: float | None, low: float | None, high: float | None, shown: str, ends: str
+) -> str:
+    """Write an estimate as finely as its interval where it would else stand outside of it.
+
+    Examples
+    --------
+    >>> inside(1.42716, 1.4271, 1.4272, "1.43", "1.4271 to 1.4272")
+    '1.4272'
+    >>> inside(0.156, 0.026, 0.286, "0.156", "0.026 to 0.286")
+    '0.156'
+    """
+    places = [len(text.partition(".")[2]) for text in (shown, ends.partition(" to ")[0])]
+    if value is None or low is None or high is None or places[1] <= places[0]:
+        return shown
+    if round(low, places[1]) <= round(value, places[0]) <= round(high, places[1]):
+        return shown
+    return _fixed(value, places[1])
+
+
+def _decimals(value: float, digits: int) -> int:
+    # log10 of the value as it will be printed: 9.999 is 10.0
+    exponent = math.floor(math.log10(float(f"{value:.{digits - 1}e}")))
+    return max(digits - 1 - exponent, 0)
+
+
+def f_value(value: float | None, most: float = 1e4) -> str:
+    """F of a table; beyond ``most`` only said to be so, for its digits mean nothing.
+
+    Examples
+    --------
+    >>> f_value(17.9), f_value(7.61e9), f_value(None)
+    ('17.9', '> 10,000', '\N{EN DASH}')
+    """
+    if value is not None and math.isfinite(value) and value > most:
+        return f"> {most:,.0f}"
+    return significant(value)
+
+
+def share(fraction: float | None) -> str:
+    """Write a share of a total in percent with one decimal."""
+    if fraction is None or not math.isfinite(fraction):
+        return MISSING
+    if 0 < fraction < 0.0005:
+        return f"< 0.1{THIN}%"
+    return f"{100 * fraction:.1f}{THIN}%"
+
+
+def ratio_digits(value: float | None) -> int:
+    """Digits that a ratio needs: more near 1, so that a small change is not hidden."""
+    if value is None or not math.isfinite(value):
+        return 3
+    away = abs(value - 1)
+    return 3 if away >= 0.05 else 4 if away >= 0.005 else 5
+
+
+def ratio(value: float | None) -> str:
+    """Write a ratio with a multiplication sign; ``1.0004`` keeps the digits that differ from 1."""
+    text = significant(value, ratio_digits(value))
+    return text if text == MISSING else f"{TIMES}{THIN}{text}"
+
+
+def duration(seconds: float | None) -> str:
+    """Seconds in the unit a person would use.
+
+    Examples
+    --------
+    >>> [duration(s).replace(THIN, " ") for s in (0.02, 5.1, 90, 5400)]
+    ['20 ms', '5.1 s', '1.5 min', '1.5 h']
+    """
+    if seconds is None or not math.isfinite(seconds):
+        return MISSING
+    for limit, size, unit in ((1, 1e-3, "ms"), (60, 1, "s"), (3600, 60, "min")):
+        if seconds < limit:
+            return f"{float(f'{seconds / size:.2g}'):g}{THIN}{unit}"
+    return f"{seconds / 3600:.3g}{THIN}h"

@@ -1,0 +1,301 @@
+"""One analysis as the report shows it, and the cells of a study gathered and named.
+
+A log response is analyzed on logarithms; its effects arrive as ratios and its means as
+geometric means, so everything downstream is in the response's own unit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from study.harness.record.record import answered_often, cell_names
+from study.reporting.content.text import clean, count, listing, name_of
+from study.reporting.results.study_result import ReportData, ResponseAnalysis
+from study.statistics.analysis.analysis_result import AnalysisResult
+from study.statistics.analysis.anova_table import Effect, ErrorTerm, Row, SimpleEffect
+from study.statistics.analysis.assumptions import Assumptions
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from study.statistics.analysis.unreplicated import LenthResult
+
+
+_Value = TypeVar("_Value", Effect, SimpleEffect, Row)
+
+
+def practical_of(facts: Facts, frame: pd.DataFrame) -> float:
+    """Smallest difference that matters in the response's unit; 0 where none was declared."""
+    value = facts.response.practical or 0.0
+    return value * abs(float(frame["mean"].mean())) if facts.response.relative else value
+
+
+@dataclass(frozen=True)
+class Facts:
+    """One response as a report shows it: its analysis, in the order of the design."""
+
+    response: ResponseAnalysis
+    title: str
+    unit: str
+    #: Effects with the levels in the order of the design; what is not finite is None.
+    terms: tuple[Effect, ...] = ()
+    #: Notes of the analysis, or why there is none.
+    warnings: tuple[str, ...] = ()
+    #: What the blocks are: phantom, batch.
+    block: str = "block"
+
+    @property
+    def result(self) -> AnalysisResult | None:
+        """The analysis; None where the response could not be analyzed."""
+        return self.response.result
+
+    @property
+    def assumptions(self) -> Assumptions:
+        """Tests of the assumptions; none where there is no analysis."""
+        return Assumptions() if self.result is None else self.result.assumptions
+
+    @property
+    def rows(self) -> tuple[Row, ...]:
+        """Rows of the ANOVA table; what is not finite is None."""
+        return () if self.result is None else tuple(map(_finite, self.result.anova.rows))
+
+    @property
+    def error_term(self) -> ErrorTerm | None:
+        """What effects are compared with."""
+        return None if self.result is None else self.result.error_term
+
+    @property
+    def lenth(self) -> LenthResult | None:
+        """Lenth's analysis of an unreplicated design."""
+        return None if self.result is None else self.result.variation.lenth
+
+    @property
+    def residuals(self) -> pd.DataFrame | None:
+        """One row a run; see :class:`study.statistics.analysis.analysis_result.DataSummary`."""
+        return None if self.result is None else self.result.data.residuals
+
+    @property
+    def distinct(self) -> int | None:
+        """Number of distinct computations."""
+        return None if self.result is None else self.result.data.distinct
+
+    @property
+    def copies(self) -> tuple[tuple[str, ...], ...]:
+        """Cells that agree in every block."""
+        return () if self.result is None else self.result.data.copies
+
+    @property
+    def u_num_by_term(self) -> bool:
+        """Whether each effect has its own numerical uncertainty."""
+        return self.result is not None and self.result.detection.u_num_by_term
+
+    @property
+    def alpha(self) -> float:
+        """One minus the level of the intervals."""
+        return 0.05 if self.result is None else self.result.request.alpha
+
+    @property
+    def name(self) -> str:
+        """Column of the response."""
+        return self.response.name
+
+    @property
+    def ratio(self) -> bool:
+        """Whether effects are ratios."""
+        return self.response.transform == "log"
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """The main effects."""
+        return tuple(effect for effect in self.terms if effect.is_main)
+
+    @property
+    def interactions(self) -> tuple[Effect, ...]:
+        """The effects of more than one factor."""
+        return tuple(effect for effect in self.terms if not effect.is_main)
+
+    @property
+    def difference_unit(self) -> str:
+        """Unit of a difference: percentage points for a response in percent."""
+        return "pp" if self.unit == "%" else self.unit
+
+    def row(self, term: str) -> Row | None:
+        """Row of the ANOVA table of a term."""
+        return next((row for row in self.rows if row.term == term), None)
+
+
+def facts(data: ReportData) -> tuple[Facts, ...]:
+    """Read every analysis of a report."""
+    return tuple(_read(data, response) for response in data.responses)
+
+
+def _read(data: ReportData, response: ResponseAnalysis) -> Facts:
+    title = clean(response.title or name_of(response.name, data.labels))
+    found = response.result
+    if found is None:
+        warned = (response.refused,) if response.refused else ()
+        return Facts(response, title, clean(response.unit), warnings=warned)
+    terms = tuple(_as_designed(effect, data.factors) for effect in found.effects)
+    block = clean(data.block) or "block"
+    return Facts(response, title, clean(response.unit), terms, found.notes, block)
+
+
+def _finite(value: _Value) -> _Value:
+    """Copy of a value with None for every number that is not finite: a dash is printed for it."""
+    lost: dict[str, Any] = {
+        item.name: None
+        for item in fields(value)
+        if isinstance(number := getattr(value, item.name), float) and not math.isfinite(number)
+    }
+    return replace(value, **lost) if lost else value
+
+
+def _as_designed(effect: Effect, factors: Mapping[str, Sequence[str]]) -> Effect:
+    """Effect with the levels of a factor, their means and intervals in the order of its design."""
+    effect = replace(
+        _finite(effect), simple_effects=tuple(_finite(one) for one in effect.simple_effects)
+    )
+    wanted = [effect.levels.index(v) for v in factors.get(effect.term, ()) if v in effect.levels]
+    if len(wanted) != len(effect.levels):
+        return effect
+    ends, letters = effect.mean_ci95, effect.letters
+    return replace(
+        effect,
+        levels=tuple(effect.levels[i] for i in wanted),
+        mean=tuple(effect.mean[i] for i in wanted),
+        mean_ci95=None if ends is None else tuple(ends[i] for i in wanted),
+        letters=tuple(letters[i] for i in wanted) if letters else (),
+    )
+
+
+def is_effect(row: Row, factors: Sequence[str]) -> bool:
+    """Whether a row of the table is an effect, not the blocks or an error stratum."""
+    return set(row.term.split(":")) <= set(factors)
+
+
+def comparable(data: ReportData, response: str) -> pd.DataFrame:
+    """Rows with the response, of the blocks that every computed cell shares.
+
+    Cells answered in half of the blocks or fewer are left out, as in the analysis. All rows
+    where there are no blocks, or none that all cells share.
+    """
+    known = data.table.dropna(subset=[response])
+    if not data.blocks or "block" not in known or known.empty:
+        return known
+    factors = list(data.factors)
+    known = known[answered_often(known, factors, "block", known["block"].nunique())]
+    cell = cell_names(known, factors)
+    per_block = cell.groupby(known["block"].astype(str)).nunique()
+    whole = per_block.index[per_block == cell.nunique()]
+    if len(whole) in (0, len(per_block)):
+        return known
+    return known[known["block"].astype(str).isin(whole)]
+
+
+def cells(data: ReportData, response: str, factors: Sequence[str] | None = None) -> pd.DataFrame:
+    """Mean response of every cell, or by the levels of some factors; best (lowest) first."""
+    import numpy as np
+
+    factors = list(data.factors if factors is None else factors)
+    known = comparable(data, response)
+    log = any(r.name == response and r.transform == "log" for r in data.responses)
+    values = known[response].astype(float)
+    known = known[factors].astype(str).assign(y=np.log(values) if log else values)
+    grouped = known.groupby(factors, sort=False)["y"].agg(["mean", "count"]).reset_index()
+    if log:
+        grouped["mean"] = np.exp(grouped["mean"])
+    # where every case failed there is no row to join the levels of
+    grouped["cell"] = cell_names(grouped, factors) if len(grouped) else ""
+    renamed = grouped.rename(columns={"count": "n"})
+    return renamed.sort_values("mean", kind="stable").reset_index(drop=True)
+
+
+@dataclass(frozen=True)
+class Group:
+    """Cells that agree in every block, with the mean of the first; ``members`` are their rows."""
+
+    mean: float
+    members: tuple[Mapping[str, str], ...]
+
+    def __len__(self) -> int:
+        return len(self.members)
+
+
+def groups(data: ReportData, facts: Facts) -> tuple[Group, ...]:
+    """Distinct computations of a response, lowest mean first."""
+    frame = cells(data, facts.name)
+    place = _places(data, facts, frame)
+    found: dict[int, list[int]] = {}
+    for row, key in enumerate(place):
+        found.setdefault(key, []).append(row)
+    levels = frame[list(data.factors)].astype(str).to_dict("records")
+    means = frame["mean"].tolist()
+    return tuple(
+        Group(float(means[rows[0]]), tuple({str(k): v for k, v in levels[i].items()} for i in rows))
+        for rows in found.values()
+    )
+
+
+def _places(data: ReportData, facts: Facts, frame: pd.DataFrame) -> list[int]:
+    """Index of the group of every cell; a cell that no group names stands alone."""
+    analyzed = [name for name, levels in data.factors.items() if len(levels) > 1]
+    names = frame[analyzed].astype(str).agg(" ".join, axis=1).tolist() if analyzed else []
+    known = {name: i for i, group in enumerate(facts.copies) for name in group}
+    alone = len(facts.copies)
+    return [known.get(name, alone + i) for i, name in enumerate(names or [""] * len(frame))]
+
+
+def describe(group: Group, data: ReportData) -> str:
+    """Name a group by its levels: ``reduced-polynomial-2, frictionless, any space``.
+
+    Levels that a group shares with all others of their factor are only said to be any; a
+    group that is no full crossing is named by its first cell.
+    """
+    chosen = {name: _levels(group, name, data) for name in data.factors}
+    total = 1
+    for levels in chosen.values():
+        total *= len(levels)
+    if total != len(group):
+        first = ", ".join(clean(level) for level in group.members[0].values())
+        block = clean(data.block) or "block"
+        others = len(group) - 1
+        agree = f"{count(others, 'cell')} that agree{'s' * (others == 1)} with it in every {block}"
+        return f"{first} (and {agree})"
+    return ", ".join(_words(name, levels, data) for name, levels in chosen.items())
+
+
+def _levels(group: Group, name: str, data: ReportData) -> Sequence[str]:
+    present = {member[name] for member in group.members}
+    return [level for level in data.factors[name] if level in present]
+
+
+def _words(name: str, levels: Sequence[str], data: ReportData) -> str:
+    if len(levels) == len(data.factors[name]) > 1:
+        return f"any {name_of(name, data.labels)}"
+    return listing([clean(level) for level in levels], "or")
+
+
+def grouped_inputs(inputs: Mapping[str, str]) -> dict[str, str]:
+    """Join inputs with dotted keys into one line for each first part, in the order given.
+
+    Examples
+    --------
+    >>> grouped_inputs({"specimen.shape": "cylinder", "specimen.radius": "25 mm", "mesh": "fine"})
+    {'specimen': 'cylinder, radius 25 mm', 'mesh': 'fine'}
+    """
+    lines: dict[str, list[str]] = {}
+    for key, value in inputs.items():
+        part, _, rest = clean(key).partition(".")
+        lines.setdefault(part, []).append(_phrase(rest, clean(value)))
+    return {part: ", ".join(items) for part, items in lines.items()}
+
+
+def _phrase(key: str, value: str) -> str:
+    # a shape, a kind or a model is its own name
+    if not key or key in ("shape", "kind", "model"):
+        return value
+    name = " ".join(name_of(part) for part in key.split("."))
+    return f"{name} {value}"

@@ -1,1 +1,0 @@
-"""Words about surfaces over ranges, and about uncertain inputs carried through them."""

@@ -1,1 +1,0 @@
-"""Figures of curves: predictions on measurements in small multiples, and fits."""

@@ -1,1 +1,0 @@
-"""Figures of effects: their sizes, the means of levels and of cells, and interactions."""

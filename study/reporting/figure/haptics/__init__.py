@@ -1,1 +1,0 @@
-"""Figures of force laws and of what the sensors of a test must be."""

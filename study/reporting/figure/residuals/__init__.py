@@ -1,1 +1,0 @@
-"""Figures of residuals: four in one, against factors, influence."""

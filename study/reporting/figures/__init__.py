@@ -1,0 +1,1 @@
+"""Figures: each computes a frame and draws it."""

@@ -1,0 +1,319 @@
+"""Names, ticks and words on the axes of a figure."""
+
+from __future__ import annotations
+
+import io
+import math
+import re
+import textwrap
+import warnings
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, TypeAlias
+from xml.etree import ElementTree
+
+from study.reporting.content.text import clean
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure as Canvas
+
+
+if TYPE_CHECKING:
+    #: what a figure is to those who only hand it on
+    Drawing: TypeAlias = Canvas
+
+
+#: labels of a logarithmic axis beyond which some are left out
+_MOST_TICKS = 9
+
+
+def wrap(label: object, width: int = 14, longest: int = 60) -> str:
+    """Label of user text over several lines, broken at spaces and hyphens."""
+    text = clean(label, longest)
+    # a word a little too long is better read whole than cut
+    widest = max(map(len, text.replace("-", "- ").split()), default=0)
+    lines = textwrap.wrap(text, width, break_long_words=widest > 1.7 * width)
+    return "\n".join(lines) or text
+
+
+def name_rows(
+    ax: Axes, places: Iterable[float], names: Sequence[str], fontsize: float = 7.5
+) -> None:
+    """Write names left of the axis, every line of them flush right.
+
+    Matplotlib places the lines of one text by its own measure of their widths, and the font of
+    a browser has another: each line is therefore a text of its own that ends at the axis.
+    """
+    at = list(places)
+    ax.set_yticks(at, [""] * len(at))
+    ax.tick_params(axis="y", length=0)  # a tick would touch the name that ends at the axis
+    for place, name in zip(at, names, strict=True):
+        lines = name.split("\n")
+        for number, line in enumerate(lines):
+            higher = 1.2 * fontsize * ((len(lines) - 1) / 2 - number)
+            ax.annotate(
+                line,
+                (0, place),
+                xycoords=ax.get_yaxis_transform(),
+                xytext=(-3.5, higher),
+                textcoords="offset points",
+                ha="right",
+                va="center_baseline",
+                fontsize=fontsize,
+                annotation_clip=False,
+            )
+
+
+def plain_ticks(ax: Axes, axis: str) -> None:
+    """Few ticks, the same decimals on each, no offset and no exponent."""
+    from matplotlib.ticker import MaxNLocator, ScalarFormatter
+
+    target = ax.xaxis if axis == "x" else ax.yaxis
+    formatter = ScalarFormatter(useOffset=False, useMathText=False)
+    formatter.set_scientific(False)
+    target.set_major_locator(MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]))
+    target.set_major_formatter(formatter)
+
+
+def log_places(low: float, high: float) -> list[float]:
+    """Places of the ticks of a logarithmic axis: at least two, as round as that allows.
+
+    Examples
+    --------
+    >>> log_places(0.02, 300.0)
+    [0.1, 1.0, 10.0, 100.0]
+    >>> log_places(1.5, 6.0)
+    [2.0, 5.0]
+    >>> log_places(2.1, 2.4)
+    [2.1, 2.2, 2.3, 2.4]
+    """
+    from matplotlib.ticker import MaxNLocator
+
+    exponents = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    for digits in ((1,), (1, 2, 5), range(1, 10)):
+        places = [float(f"{digit}e{exponent}") for exponent in exponents for digit in digits]
+        inside = [place for place in places if low <= place <= high]
+        if len(inside) >= 2:
+            return inside[:: -(-len(inside) // _MOST_TICKS)]
+    steps = MaxNLocator(4).tick_values(low, high)
+    rounded = [float(f"{place:.6g}") for place in steps]
+    return [place for place in rounded if low * (1 - 1e-9) <= place <= high * (1 + 1e-9)]
+
+
+def log_ticks(ax: Axes, axis: str, label: Callable[[float], str] = "{:g}".format) -> None:
+    """Label a logarithmic axis, whose limits are final, at two places at least."""
+    from matplotlib.ticker import NullFormatter
+
+    low, high = sorted(ax.get_xlim() if axis == "x" else ax.get_ylim())
+    places = log_places(low, high)
+    if axis == "x":
+        ax.set_xticks(places, [label(place) for place in places])
+    else:
+        ax.set_yticks(places, [label(place) for place in places])
+    (ax.xaxis if axis == "x" else ax.yaxis).set_minor_formatter(NullFormatter())
+
+
+def at_right(ax: Axes, words: str, height: float, color: str | None = None) -> None:
+    """Write outside the right edge of axes."""
+    ax.annotate(
+        words,
+        (1.0, height),
+        xytext=(4, 0),
+        xycoords=ax.get_yaxis_transform(),
+        textcoords="offset points",
+        va="center",
+        fontsize=7.5,
+        annotation_clip=False,
+        color=color,
+    )
+
+
+def clean_left(ax: Axes) -> None:
+    """Take the line and the ticks from the left of some ``ax``, where names stand."""
+    ax.spines["left"].set_visible(False)
+    ax.tick_params(axis="y", length=0)
+
+
+# -------------------------------------------------------------------------------------------------
+# How figures look: one palette, one set of type sizes, deterministic SVG.
+
+
+INK = "#1b1f24"
+MUTED = "#6a737d"
+RULE = "#d5d9de"
+BAND = "#eef1f4"
+
+# Okabe & Ito 2008, without the yellow, which cannot be seen on white.
+PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+
+# the same hues dark enough for words: a contrast of 4.5 on white and more (WCAG 2.1, AA)
+WORDS = ("#005f96", "#a84300", "#00694d", "#8f3f6c", "#7a5200", "#1b6a96", "#000000")
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+DASHES: tuple[Any, ...] = ("-", (0, (5, 1.6)), (0, (1.2, 1.2)), (0, (6, 1.5, 1.2, 1.5)))
+WIDTH_IN = 9.6
+_RC: dict[str, Any] = {
+    "svg.fonttype": "none",
+    "text.parse_math": False,
+    "text.usetex": False,
+    "axes.formatter.use_mathtext": False,
+    "axes.unicode_minus": True,
+    "font.family": "DejaVu Sans",
+    "font.size": 8.5,
+    "axes.titlesize": 8.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.labelsize": 8.5,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": MUTED,
+    "axes.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "text.color": INK,
+    "xtick.color": MUTED,
+    "ytick.color": MUTED,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "xtick.labelsize": 8,
+    "ytick.labelsize": 8,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.major.size": 3,
+    "ytick.major.size": 3,
+    "legend.frameon": False,
+    "legend.fontsize": 8,
+    "lines.linewidth": 1.4,
+    "figure.facecolor": "none",
+    "axes.facecolor": "none",
+    "savefig.facecolor": "none",
+}
+_DECIMALS = re.compile(r"-?\d+\.\d+")
+_SVG = "http://www.w3.org/2000/svg"
+_XLINK = "http://www.w3.org/1999/xlink"
+
+
+def color_of(index: int) -> str:
+    """Color of the level or series with this index."""
+    return PALETTE[index % len(PALETTE)]
+
+
+def word_color_of(index: int) -> str:
+    """Color of a word that names the level or series with this index."""
+    return WORDS[index % len(WORDS)]
+
+
+def canvas(width_in: float, height_in: float, *, arranged: bool = True) -> Canvas:
+    """Return an empty figure that belongs to no global state."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width_in, height_in), layout="constrained" if arranged else None)
+
+
+def _look(more: Mapping[str, str]) -> Any:
+    """Hand settings of a figure to a function whose type knows every key by name."""
+    return {**_RC, **more}
+
+
+def load_libraries() -> None:
+    """Import what draws most figures, which takes a second."""
+    import matplotlib.backends.backend_svg
+    import matplotlib.figure  # noqa: F401
+
+
+def render(draw: Callable[[], Canvas], name: str, title: str) -> str:
+    """Draw and return an inline ``<svg>`` element, the same bytes for the same data."""
+    import matplotlib as mpl
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+    look = _look({"svg.hashsalt": name})
+    nothing: Any = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+    with mpl.rc_context(look), warnings.catch_warnings():
+        # the reader's browser draws the text and has the glyphs; only widths are estimated
+        warnings.filterwarnings("ignore", message="Glyph .* missing from font")
+        figure = draw()
+        buffer = io.StringIO()
+        sheet: Any = FigureCanvasSVG(figure)
+        sheet.print_svg(buffer, metadata=nothing)
+    _forget_artists()
+    return _inline(buffer.getvalue(), name, title)
+
+
+def _forget_artists() -> None:
+    """Let go of drawings that are done: matplotlib's cache of the setters of artists holds them.
+
+    Without that every report left 2 to 7 MB behind in its process.
+    """
+    from matplotlib.artist import ArtistInspector
+
+    getattr(ArtistInspector.is_alias, "cache_clear", lambda: None)()
+
+
+def shown(draw: Callable[[], Canvas], name: str, title: str) -> Canvas:
+    """Draw a figure that a notebook shows without any of its own settings for figures."""
+    import matplotlib as mpl
+
+    with mpl.rc_context(_look({})):
+        figure = draw()
+    # a notebook asks whatever it shows for this; a figure of no backend has none
+    vars(figure)["_repr_svg_"] = lambda: render(lambda: figure, name, title)
+    return figure
+
+
+def _inline(text: str, name: str, title: str) -> str:
+    """Strip the prologue, prefix ids, let the page choose the font, name the drawing."""
+    ElementTree.register_namespace("", _SVG)
+    ElementTree.register_namespace("xlink", _XLINK)
+    root = ElementTree.fromstring(text[text.index("<svg") :])
+    for metadata in root.findall(f"{{{_SVG}}}metadata"):
+        root.remove(metadata)
+    for definitions in root.iter(f"{{{_SVG}}}defs"):
+        # its `*` selector would style the whole page; style.css says the same for svg alone
+        for rule in definitions.findall(f"{{{_SVG}}}style"):
+            definitions.remove(rule)
+    for element in root.iter():
+        _prefix_ids(element, name)
+    for dimension in ("width", "height"):
+        root.attrib.pop(dimension, None)
+    root.attrib.update({"role": "img", "aria-label": title})
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def _shorter(number: re.Match[str]) -> str:
+    """Hundredths of a point are finer than any screen or printer."""
+    return f"{float(number.group()):.2f}".rstrip("0").rstrip(".")
+
+
+def _prefix_ids(element: ElementTree.Element, name: str) -> None:
+    for key, value in list(element.attrib.items()):
+        if key == "id":
+            # ids that nothing refers to only make the page longer
+            if element.tag.endswith("}g"):
+                del element.attrib[key]
+            else:
+                element.attrib[key] = f"{name}-{value}"
+        elif key == f"{{{_XLINK}}}href":
+            del element.attrib[key]
+            element.attrib["href"] = f"#{name}-{value.removeprefix('#')}"
+        elif "url(#" in value:
+            element.attrib[key] = value.replace("url(#", f"url(#{name}-")
+        elif key in ("d", "x", "y"):
+            element.attrib[key] = _DECIMALS.sub(_shorter, value)
+        elif key == "transform" and value.startswith("rotate(-0 "):
+            del element.attrib[key]
+        elif key == "style" and element.tag.endswith("}text"):
+            element.attrib[key] = _plain_font(value)
+
+
+def _plain_font(style: str) -> str:
+    """Drop the font family, so that the page's own is inherited; keep size and weight."""
+    kept = []
+    for part in style.split(";"):
+        key, _, value = part.strip().partition(":")
+        if key == "font":
+            size = re.search(r"([\d.]+)px", value)
+            weight = re.match(r"\s*(bold|\d00)\b", value)
+            kept += [f"font-size: {size.group(1)}px"] if size else []
+            kept += [f"font-weight: {weight.group(1)}"] if weight else []
+        elif key and key != "font-family":
+            kept.append(f"{key}: {value.strip()}")
+    return "; ".join(kept)

@@ -1,0 +1,383 @@
+"""Figures of mesh convergence: value and fit, error and slope, error and seconds, meshes.
+
+Everything comes as plain values: a series is the document that ``study converge`` gives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from study.ground.arrays import Array
+from study.reporting.content.content_table import Table
+from study.reporting.content.numbers import MISSING, percent, significant
+from study.reporting.content.text import clean, count, name_of
+from study.reporting.figures.axes import (
+    BAND,
+    INK,
+    MARKERS,
+    MUTED,
+    RULE,
+    WIDTH_IN,
+    canvas,
+    color_of,
+    log_ticks,
+    plain_ticks,
+    wrap,
+)
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure as Canvas
+
+
+Document = Mapping[str, Any]
+
+#: more panels than these are no picture any more; the table has them all
+MOST_CONVERGENCE_PANELS = 12
+CONVERGENCE_COLUMNS = 4
+
+
+def label_of(cell: Document) -> str:
+    """Name of a cell: its levels, or the quantity."""
+    return " / ".join(str(v) for v in (cell.get("levels") or {}).values()) or str(cell["qoi"])
+
+
+def value_points(cells: Sequence[Document]) -> pd.DataFrame:
+    """One row a mesh: size, value, and what the series says of it.
+
+    Units: cells mm; returns mm.
+    """
+    import pandas as pd
+
+    rows = [
+        {
+            "cell": label_of(cell), "panel": title, "quantity": cell["qoi"], "unit": cell["unit"],
+            "mesh_size": h, "value": v, "behaviour": cell["behaviour"],
+            "observed_order": cell["observed_order"], "formal_order": cell["formal_order"],
+            "order_used": cell.get("order_used"), "extrapolated": cell["extrapolated"],
+            "u_num": cell["u_num"] if k == 0 else None,
+        }
+        for cell, title in zip(cells, _titles(cells), strict=True)
+        for k, (h, v) in enumerate(zip(cell["mesh_size"], cell["value"], strict=True))
+    ]  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def _titles(cells: Sequence[Document]) -> list[str]:
+    """Name cells by the levels in which they differ; the quantity stands at the axis."""
+    levels = [{k: str(v) for k, v in (cell.get("levels") or {}).items()} for cell in cells]
+    differ = [
+        key
+        for key in dict.fromkeys(key for own in levels for key in own)
+        if key != "response" and len({own.get(key) for own in levels}) > 1
+    ]
+    return [" / ".join(own[key] for key in differ if key in own) for own in levels]
+
+
+def draw_values(frame: pd.DataFrame) -> Canvas:
+    """Draw value against mesh size, a panel a cell: fit, limit at zero, interval at the finest."""
+    groups = list(frame.groupby("cell", sort=False))[:MOST_CONVERGENCE_PANELS]
+    columns = min(CONVERGENCE_COLUMNS, len(groups))
+    rows = -(-len(groups) // columns)
+    figure = canvas(WIDTH_IN, 0.5 + 2.1 * rows)
+    axes = np.atleast_1d(figure.subplots(rows, columns, squeeze=False)).ravel()
+    several = len(set(frame["quantity"])) > 1
+    for ax, (_, part) in zip(axes, groups, strict=False):
+        _value_panel(ax, part)
+        ax.set_title(wrap(part["panel"].iloc[0], 30, 90), fontsize=7.5)
+        if several:
+            ax.set_ylabel(wrap(_axis(part), 24), fontsize=7.5)
+    for ax in axes[len(groups) :]:
+        ax.set_visible(False)
+    figure.supxlabel("mesh size (mm)", fontsize=8.5)
+    if not several:
+        figure.supylabel(_axis(frame), fontsize=8.5)
+    return figure
+
+
+def _axis(frame: pd.DataFrame) -> str:
+    """Name of the quantity with its unit."""
+    quantity = name_of(str(frame["quantity"].iloc[0]))
+    unit = clean(str(frame["unit"].iloc[0]))
+    return f"{quantity} ({unit})" if unit else quantity
+
+
+def _value_panel(ax: Axes, part: pd.DataFrame) -> None:
+    h, v = part["mesh_size"].to_numpy(float), part["value"].to_numpy(float)
+    limit, order = part["extrapolated"].iloc[0], part["order_used"].iloc[0]
+    if limit is not None and np.isfinite(limit) and order is not None and np.isfinite(order):
+        x = np.linspace(0, h.max(), 100)
+        ax.plot(x, limit + (v[0] - limit) * (x / h[0]) ** order, color=MUTED, linewidth=1.0)
+        ax.plot([0], [limit], marker="D", color=MUTED, markersize=4, clip_on=False)
+    u = part["u_num"].iloc[0]
+    if u is not None and np.isfinite(u):
+        ax.errorbar(h[:1], v[:1], yerr=[u], color=INK, linewidth=1.0, capsize=3)
+    ax.plot(h, v, marker="o", linestyle="none", color=color_of(0), markersize=4.5)
+    order_seen = part["observed_order"].iloc[0]
+    known = order_seen is not None and np.isfinite(order_seen)
+    text = f"order {order_seen:.2f}" if known else str(part["behaviour"].iloc[0])
+    ax.text(
+        0.97, _free(h, v), text, transform=ax.transAxes, ha="right", va="center", fontsize=7.5,
+        color=MUTED,
+    )  # fmt: skip
+    ax.set_xlim(left=0)
+    ax.margins(y=0.15)
+    plain_ticks(ax, "y")
+
+
+def _free(h: Array, v: Array) -> float:
+    """Height at the right of a panel, top or bottom, that is farther from all its points."""
+    across, up = h / h.max(), (v - v.min()) / (float(np.ptp(v)) or 1.0)
+    room = [float(np.min(np.hypot(across - 0.85, up - place))) for place in (0.0, 1.0)]
+    return 0.07 if room[0] >= room[1] else 0.93
+
+
+def error_points(cells: Sequence[Document]) -> pd.DataFrame:
+    """Relative distance of every mesh to the limit of its own series, where there is one."""
+    frame = value_points(cells)
+    limit = frame["extrapolated"].astype(float)
+    frame["error"] = (frame["value"] - limit).abs() / limit.abs()
+    kept: pd.DataFrame = frame[np.isfinite(frame["error"]) & (frame["error"] > 0)]
+    return kept.reset_index(drop=True)
+
+
+def draw_errors(frame: pd.DataFrame) -> Canvas:
+    """Draw the error against the mesh size in logarithms, with the formal slope beside."""
+    figure = canvas(WIDTH_IN, 3.8)
+    ax = figure.subplots()
+    for k, (cell, part) in enumerate(frame.groupby("cell", sort=False)):
+        ax.plot(
+            part["mesh_size"], part["error"], marker=MARKERS[k % 7], color=color_of(k),
+            markersize=4.5, label=clean(cell, 60),
+        )  # fmt: skip
+    _slopes(ax, frame)
+    _logarithmic(ax, "mesh size (mm)", "distance to the limit, part of it")
+    sizes = np.geomspace(frame["mesh_size"].min(), frame["mesh_size"].max(), 5)
+    ax.set_xticks(sizes, [f"{size:.2g}" for size in sizes])
+    _legend(ax)
+    return figure
+
+
+def _slopes(ax: Axes, frame: pd.DataFrame) -> None:
+    """Draw a line of each formal order below the points."""
+    h = np.array([frame["mesh_size"].min(), frame["mesh_size"].max()])
+    start = float(frame["error"].min()) / 2
+    for k, order in enumerate(sorted({round(float(p), 2) for p in frame["formal_order"].dropna()})):
+        y = start * 0.7**k * (h / h[0]) ** order
+        ax.plot(h, y, color=RULE, linewidth=1.2, linestyle="--", zorder=0)
+        ax.text(h[1], y[1], f" formal {order:g}", fontsize=7.5, color=MUTED, va="center")
+
+
+def front_points(front: Document) -> pd.DataFrame:
+    """Error and cost of every mesh of every cell.
+
+    Units: returns mm.
+    """
+    import pandas as pd
+
+    return pd.DataFrame(front["points"])
+
+
+def draw_front(frame: pd.DataFrame, accuracy: float) -> Canvas:
+    """Draw the error against seconds, a line a cell, and the accuracy that is wanted."""
+    figure = canvas(WIDTH_IN, 3.8)
+    ax = figure.subplots()
+    ax.axhspan(float(frame["error"].clip(lower=1e-12).min()) / 3, accuracy, color=BAND, zorder=0)
+    ax.axhline(accuracy, color=MUTED, linewidth=0.8)
+    for k, (cell, part) in enumerate(frame.groupby("cell", sort=False)):
+        ax.plot(
+            part["seconds"], part["error"].clip(lower=1e-12), marker=MARKERS[k % 7],
+            color=color_of(k), markersize=4.5, label=clean(cell, 60),
+        )  # fmt: skip
+    _logarithmic(ax, "seconds of one solution", "error, part of the limit")
+    ax.text(
+        0.01, accuracy, f"{100 * accuracy:g} % ", transform=ax.get_yaxis_transform(),
+        va="bottom", fontsize=7.5, color=MUTED,
+    )  # fmt: skip
+    _legend(ax)
+    return figure
+
+
+def draw_meshes(meshes: Sequence[tuple[str, Array, NDArray[np.int64]]], window: Array) -> Canvas:
+    """Draw plane meshes side by side, all in the same window.
+
+    Shapes: meshes (n, 2), mm; window (2, 2), mm.
+    """
+    from matplotlib.collections import PolyCollection
+
+    columns = min(CONVERGENCE_COLUMNS, len(meshes))
+    rows = -(-len(meshes) // columns)
+    figure = canvas(WIDTH_IN, 0.4 + 2.3 * rows)
+    axes = np.atleast_1d(figure.subplots(rows, columns, squeeze=False)).ravel()
+    for ax, (label, points, cells) in zip(axes, meshes, strict=False):
+        near = cells[_seen(points[cells], window)]
+        shapes = PolyCollection(
+            list(points[near]), facecolors="none", edgecolors=INK, linewidths=0.35
+        )
+        ax.add_collection(shapes)
+        ax.set_xlim(window[0, 0], window[1, 0])
+        ax.set_ylim(window[0, 1], window[1, 1])
+        ax.set_aspect("equal")
+        ax.set_title(wrap(label, 34), fontsize=7.5)
+    for ax in axes[len(meshes) :]:
+        ax.set_visible(False)
+    figure.supxlabel("distance from the axis (mm)", fontsize=8.5)
+    return figure
+
+
+def _seen(corners: Array, window: Array) -> NDArray[np.bool_]:
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    return np.asarray(((high > window[0]) & (low < window[1])).all(axis=1))
+
+
+def _logarithmic(ax: Axes, x: str, y: str) -> None:
+    ax.set_xscale("log")
+    ax.set_yscale("log")
+    ax.grid(visible=True, color=RULE, linewidth=0.4)
+    ax.set_xlabel(x)
+    ax.set_ylabel(y)
+    ax.margins(x=0.12)
+    log_ticks(ax, "x")
+    log_ticks(ax, "y")
+
+
+def _legend(ax: Axes) -> None:
+    ax.legend(loc="center left", bbox_to_anchor=(1.02, 0.5))
+
+
+def value_caption(cells: Sequence[Document]) -> str:
+    """State how many cells converge, and what the marks are."""
+    good = [c for c in cells if c["u_num"] is not None]
+    shares = [c["u_num"] / abs(c["value"][0]) for c in good if c["value"][0]]
+    text = f"{len(good)} of {len(cells)} series have an interval"
+    if shares:
+        text += f"; the widest is {percent(max(shares), 2)} of its value"
+    left = len(cells) - MOST_CONVERGENCE_PANELS
+    more = f" {left} more series stand in the table." if left > 0 else ""
+    return (
+        f"{text}. Points: meshes; line and diamond: power law and its limit; bar: interval of the "
+        f"finest mesh.{more}"
+    )
+
+
+def error_caption(cells: Sequence[Document]) -> str:
+    """State observed beside formal orders, and why the formal order is what it is."""
+    orders = [c["observed_order"] for c in cells if c["observed_order"] is not None]
+    if not orders:
+        return "No series has an order."
+    why = "; ".join(dict.fromkeys(str(c["formal_reason"]) for c in cells if c.get("formal_reason")))
+    text = f"Observed orders {min(orders):.2f} to {max(orders):.2f}."
+    return f"{text} Dashed: the formal order, limited by {why}." if why else text
+
+
+# -------------------------------------------------------------------------------------------------
+# Comparison of simulation and measurement: E and u_val along the curve (ASME V&V 20).
+
+Row = Mapping[str, Any]
+MOST_VALIDATION_PANELS = 12
+VALIDATION_COLUMNS = 4
+
+
+def validation_label(row: Row) -> str:
+    """Name of a cell: its levels."""
+    return " / ".join(str(v) for v in row["levels"].values()) or "all"
+
+
+def first_block(rows: Sequence[Row]) -> list[Row]:
+    """Rows of the first block, which stand for the others in the figure."""
+    return [row for row in rows if row["block"] == rows[0]["block"]]
+
+
+def validation_error_points(rows: Sequence[Row]) -> pd.DataFrame:
+    """One row a place of a curve: E and each part of its uncertainty."""
+    import pandas as pd
+
+    names = ("displacement_mm", "simulated_N", "measured_N", "error_N", "u_num_N", "u_input_N",
+             "u_data_N", "u_val_N")  # fmt: skip
+    frames = [
+        pd.DataFrame({name: row[name] for name in names}).assign(
+            cell=validation_label(row), block=row["block"] or ""
+        )
+        for row in rows
+    ]
+    return pd.concat(frames, ignore_index=True)
+
+
+def draw_validation_errors(frame: pd.DataFrame) -> Canvas:
+    """Draw E along the curve on the band of u_val, a panel a cell, on shared axes."""
+    groups = list(frame.groupby("cell", sort=False))[:MOST_VALIDATION_PANELS]
+    columns = min(VALIDATION_COLUMNS, len(groups))
+    count = -(-len(groups) // columns)
+    figure = canvas(WIDTH_IN, 0.5 + 1.9 * count)
+    panels = figure.subplots(count, columns, squeeze=False, sharex=True, sharey=True)
+    axes = np.atleast_1d(panels).ravel()
+    for ax, (cell, part) in zip(axes, groups, strict=False):
+        _panel(ax, part)
+        ax.set_title(wrap(cell, 30), fontsize=7.5)
+    for ax in axes[len(groups) :]:
+        ax.set_visible(False)
+    figure.supxlabel("displacement (mm)", fontsize=8.5)
+    figure.supylabel("simulated minus measured force (N)", fontsize=8.5)
+    return figure
+
+
+def _panel(ax: Axes, part: pd.DataFrame) -> None:
+    d, u = part["displacement_mm"], part["u_val_N"]
+    ax.fill_between(d, -u, u, color=BAND, linewidth=0)
+    ax.axhline(0.0, color=MUTED, linewidth=0.6)
+    ax.plot(d, part["error_N"], color=color_of(0))
+    plain_ticks(ax, "y")
+
+
+def caption(rows: Sequence[Row]) -> str:
+    """State in how many cells the model's error shows, and what is not known."""
+    judged = [row for row in rows if row["u_val_N"][-1] > 0]
+    beyond = sum(abs(row["error_N"][-1]) > row["u_val_N"][-1] for row in judged)
+    unknown = sorted({name for row in rows for name in row.get("unknown") or ()})
+    lacking = f" Not known, and so left out: {', '.join(unknown)}." if unknown else ""
+    block = f" (block {clean(rows[0]['block'], 30)})" if rows[0]["block"] else ""
+    return (
+        f"At the end of the curve E exceeds its uncertainty in {beyond} of {len(judged)} "
+        f"cells{block}{_unjudged(len(rows) - len(judged))}. Band: u_val, from mesh, uncertain "
+        f"inputs and scatter of the data.{lacking}"
+    )
+
+
+def _unjudged(cells: int) -> str:
+    """Say of how many cells no uncertainty is known."""
+    return f"; {count(cells, 'cell')} without a known one" if cells else ""
+
+
+def table(rows: Sequence[Row], block: str) -> Table:
+    """Compare every case at the end of its curve."""
+    shown = tuple(
+        (
+            clean(validation_label(row)),
+            clean(row["block"] or MISSING),
+            *(significant(row[name][-1]) for name in _SHOWN),
+            f"{100 * row['outside']:.0f} %",
+            clean(row["verdict"], 200),
+        )
+        for row in rows
+    )
+    raw = tuple(
+        {
+            **dict(row["levels"]),
+            "block": row["block"],
+            **{name: row[name][-1] for name in _SHOWN},
+            "outside": row["outside"],
+            "verdict": row["verdict"],
+        }
+        for row in rows
+    )
+    columns = ("cell", block or "block", "E (N)", "u_num", "u_input", "u_data", "u_val",
+               "curve outside", "verdict")  # fmt: skip
+    return Table("validation", columns, shown, 2, 1, raw=raw)
+
+
+_SHOWN = ("error_N", "u_num_N", "u_input_N", "u_data_N", "u_val_N")

@@ -1,0 +1,673 @@
+"""Figure of a calibration: every measured curve with its fit or prediction."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from study.ground.arrays import Array
+from study.ground.curve import Curve
+from study.reporting.content.numbers import THIN, quantity
+from study.reporting.content.text import clean
+from study.reporting.figures.axes import (
+    DASHES,
+    INK,
+    MUTED,
+    RULE,
+    WIDTH_IN,
+    canvas,
+    color_of,
+    plain_ticks,
+    render,
+    word_color_of,
+    wrap,
+)
+from study.reporting.results.study_result import CurvePair, MarkedCase, ReportData
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure as Canvas
+
+
+_COLUMNS = 3
+_MOST = 12
+
+
+@dataclass(frozen=True)
+class FitPanel:
+    """One measured curve of a calibration."""
+
+    title: str
+    #: False for a curve that was only predicted.
+    fitted: bool
+    #: shape (n,); the curve: force over displacement in mm, or over time in s.
+    places: Array
+    measured_N: Array
+    #: Prediction and standard deviation of the repeats, where there are any.
+    predicted_N: Array | None
+    scatter_N: Array | None
+    #: Whether it is a course in time.
+    over_time: bool = False
+
+
+def fit_figure(panels: Sequence[FitPanel], title: str) -> str:
+    """Return the figure as SVG, the same bytes for the same data."""
+    return render(lambda: draw_fit(panels, title), "calibration", title)
+
+
+def draw_fit(panels: Sequence[FitPanel], title: str) -> Canvas:
+    """Draw the first curves with their fits, and residuals below each."""
+    return _draw(panels[:_MOST], title, len(panels))
+
+
+def _draw(panels: Sequence[FitPanel], title: str, total: int) -> Canvas:
+    columns = min(_COLUMNS, len(panels))
+    rows = -(-len(panels) // columns)
+    figure = canvas(WIDTH_IN if columns > 1 else 0.6 * WIDTH_IN, 0.5 + 3.0 * rows)
+    axes = figure.subplots(2 * rows, columns, squeeze=False, height_ratios=[2.4, 1.0] * rows)
+    for place in range(rows * columns):
+        r, c = divmod(place, columns)
+        force, residual = axes[2 * r][c], axes[2 * r + 1][c]
+        if place >= len(panels):
+            force.set_axis_off()
+            residual.set_axis_off()
+            continue
+        _fit_panel(force, residual, panels[place])
+        if c == 0:
+            force.set_ylabel("force (N)")
+            residual.set_ylabel("fit - meas. (N)")
+    figure.supxlabel(_axis(panels), fontsize=8.5)
+    more = f" (the first {len(panels)} of {total} curves)" if total > len(panels) else ""
+    figure.suptitle(clean(title, 120) + more, fontsize=9)
+    return figure
+
+
+def _axis(panels: Sequence[FitPanel]) -> str:
+    """Label of the common axis."""
+    kinds = {panel.over_time for panel in panels}
+    if len(kinds) > 1:
+        return "displacement (mm), or time (s) of a course"
+    return "time (s)" if kinds == {True} else "displacement (mm)"
+
+
+def _fit_panel(force: Axes, residual: Axes, panel: FitPanel) -> None:
+    d, thin = panel.places, slice(None, None, max(1, panel.places.size // 60))
+    if panel.scatter_N is not None:
+        s = panel.scatter_N
+        low, high = panel.measured_N - s, panel.measured_N + s
+        force.fill_between(d, low, high, color="#c4cad1", linewidth=0)
+        residual.fill_between(d, -s, s, color="#e3e7eb", linewidth=0, label="sd of repeats")
+    force.plot(d[thin], panel.measured_N[thin], "o", color=INK, markersize=1.9, label="measured")
+    residual.axhline(0, color=INK, linewidth=0.6)
+    if panel.predicted_N is not None:
+        color = color_of(0 if panel.fitted else 1)
+        label = "fit" if panel.fitted else "prediction (held out)"
+        force.plot(d, panel.predicted_N, label=label, color=color, linewidth=1.1)
+        residual.plot(d, panel.predicted_N - panel.measured_N, color=color, linewidth=1.1)
+    force.set_title(clean(panel.title, 44), fontsize=7.5)
+    force.tick_params(labelbottom=False)
+    force.legend(loc="upper left", fontsize=7)
+    for ax in (force, residual):
+        ax.grid(axis="y", color=RULE, linewidth=0.4)
+
+
+# -------------------------------------------------------------------------------------------------
+# Errors of markers inside a specimen, layer by layer and state by state.
+
+
+def layer_points(data: ReportData) -> pd.DataFrame:
+    """RMS error of every layer of every case, all markers fitted with the freest plate."""
+    import pandas as pd
+
+    rows = [
+        {
+            "state": one.state,
+            "group": next(iter(one.levels.values()), "all"),
+            "cell": " / ".join(one.levels.values()),
+            "place": place,
+            "layer": layer,
+            "error_mm": error,
+            "floor_mm": one.floor_mm,
+        }
+        for one in data.markers
+        for place, (layer, error) in enumerate(_freest(one).items())
+    ]
+    if not rows:
+        raise ValueError("no marker has a layer")
+    return pd.DataFrame(rows)
+
+
+def _freest(one: MarkedCase) -> dict[str, float]:
+    """Errors by layer under the last of the fits to all markers."""
+    every = [fit for fit in one.fits if fit["fitted"] == "all"]
+    known = every[-1]["error_by_layer_mm"] if every else {}
+    return {layer: math.nan if error is None else error for layer, error in known.items()}
+
+
+def draw_layers(frame: pd.DataFrame) -> Canvas:
+    """Draw a panel a state: a line for each cell, colored by the first factor."""
+    states = list(dict.fromkeys(frame["state"]))
+    figure = canvas(WIDTH_IN, 2.6)
+    panels = figure.subplots(1, len(states), squeeze=False, sharey=True)[0]
+    for ax, state in zip(panels, states, strict=True):
+        _marker_layers_panel(
+            ax, frame[frame["state"] == state], list(dict.fromkeys(frame["group"]))
+        )
+        ax.set_title(clean(state, 30), fontsize=8)
+    panels[0].set_ylabel("RMS error of markers (mm)", fontsize=8.5)
+    panels[0].legend(fontsize=6.5, frameon=False, loc="upper left")
+    panels[0].set_ylim(bottom=0.0)
+    figure.supxlabel("layer of markers, from the base up", fontsize=8.5)
+    return figure
+
+
+def _marker_layers_panel(ax: Axes, part: pd.DataFrame, groups: list[str]) -> None:
+    for number, group in enumerate(groups):
+        own = part[part["group"] == group]
+        for k, (_, line) in enumerate(own.groupby("cell", sort=False)):
+            label = clean(group, 30) if k == 0 else None
+            ax.plot(line["place"], line["error_mm"], color=color_of(number), lw=0.9, label=label)
+    floor = part["floor_mm"].dropna()
+    if len(floor):
+        ax.axhline(float(floor.iloc[0]), color=MUTED, linewidth=0.8, linestyle="--", label="floor")
+    ticks = part[["place", "layer"]].drop_duplicates()
+    ax.set_xticks(ticks["place"], [clean(v, 8) for v in ticks["layer"]])
+
+
+def caption(frame: pd.DataFrame) -> str:
+    """Say which level of the first factor leaves the smallest error in the last state."""
+    last = frame[frame["state"] == frame["state"].iloc[-1]]
+    mean = last.groupby("group", sort=False)["error_mm"].mean()
+    best, error = str(mean.idxmin()), float(mean.min())
+    return (
+        f"In state {clean(last['state'].iloc[0], 30)} the mean error over layers is smallest with "
+        f"{clean(best, 40)} ({error:.3g} mm). Each line is a cell, with any rigid motion of the "
+        "plate and slip fitted to all markers; dashed: distance of the markers from a smooth field."
+    )
+
+
+# -------------------------------------------------------------------------------------------------
+# Which curves are drawn in which panel, sampled, each beside its own measurement.
+
+#: Displacements at which every curve is sampled, from the first measured one to the last.
+POINTS = 31
+#: Panels that fit on one page.
+MOST_PANELS = 24
+#: Levels of a factor that fit beside each other.
+MOST_COLUMNS = 4
+#: Forces in N are drawn on one axis if the largest ones of all panels differ by less than this
+#: factor. Otherwise each panel shows shares of its own largest measured force: on an axis that
+#: reaches 10 times higher, residuals of some percent could not be seen.
+COMPARABLE = 3.0
+#: Displacements are drawn on one axis if the panels end within this factor of each other.
+SAME_LENGTH = 1.5
+#: Two measurements are one if their forces differ by less than this share of the largest force.
+#: Both are interpolated from the same points, so that only round-off is left between them.
+SAME_FORCE = 1e-6
+
+COLUMNS = (
+    "block",
+    "panel",
+    "line",
+    "displacement_mm",
+    "measured_N",
+    "predicted_N",
+    "scatter_N",
+)
+
+
+@dataclass(frozen=True)
+class CurvePanels:
+    """Which curves go where."""
+
+    line: str
+    #: Factor that splits each block into panels; empty for none.
+    panel: str
+    #: Level at which every other factor is held.
+    fixed: Mapping[str, str]
+    #: Block and level of ``panel``, in reading order.
+    panels: tuple[tuple[str, str], ...]
+    left_out: int
+    #: One row a sampled point: ``COLUMNS``. ``predicted_N`` is missing beyond the end of a
+    #: prediction that stopped early, ``scatter_N`` where there are no repeats.
+    frame: pd.DataFrame
+
+    def rows(self, panel: tuple[str, str]) -> pd.DataFrame:
+        """Return the points of one panel."""
+        block, level = panel
+        return self.frame[(self.frame["block"] == block) & (self.frame["panel"] == level)]
+
+    @property
+    def is_relative(self) -> bool:
+        """Whether forces are shown as shares of the largest measured one of their panel."""
+        top = self.frame.groupby(["block", "panel"])["measured_N"].max()
+        return bool(top.max() > COMPARABLE * top.min())
+
+    @property
+    def has_one_length(self) -> bool:
+        """Whether the curves of all panels end at about the same displacement."""
+        end = self.frame.groupby(["block", "panel"])["displacement_mm"].max()
+        return bool(end.max() < SAME_LENGTH * end.min())
+
+
+def curve_panels(data: ReportData) -> CurvePanels:
+    """Choose the panels and sample every curve over the range of its own measurement.
+
+    A factor that changes the measurement itself (its range) is drawn in panels, so that every
+    panel shows one measurement. Of the others, lines are the factor whose levels differ most
+    among the predictions, panels the next; the first scored curve of a block stands for it.
+    """
+    import pandas as pd
+
+    pairs = _first_of_each_block(data)
+    line, panel = _roles(data, pairs)
+    fixed = {name: data.factors[name][0] for name in data.factors if name not in (line, panel)}
+    chosen = [p for p in pairs if all(p.levels.get(k) == v for k, v in fixed.items())]
+    levels = data.factors[panel] if panel else ("",)
+    present = dict.fromkeys(pair.block for pair in pairs)
+    blocks = [block for block in data.blocks if block in present] or list(present)
+    room = max(MOST_PANELS // len(levels), 1)
+    kept = [blocks[i] for i in np.unique(np.linspace(0, len(blocks) - 1, room).astype(int))]
+    panels = tuple((block, level) for block in kept for level in levels)
+    rows = [row for pair in chosen if pair.block in kept for row in _samples(pair, line, panel)]
+    frame = pd.DataFrame(rows, columns=list(COLUMNS))
+    return CurvePanels(line, panel, fixed, panels, len(blocks) - len(kept), frame)
+
+
+def _first_of_each_block(data: ReportData) -> list[CurvePair]:
+    pairs = [pair for pair in data.curves if pair.role == "score"] or list(data.curves)
+    if not pairs:
+        raise ValueError("no curves were kept")
+    first: dict[str, str] = {}
+    for pair in pairs:
+        first.setdefault(pair.block, pair.label)
+    return [pair for pair in pairs if pair.label == first[pair.block]]
+
+
+def _roles(data: ReportData, pairs: Sequence[CurvePair]) -> tuple[str, str]:
+    """Return the factor drawn as lines and the one drawn in panels."""
+    order = sorted(data.factors, key=lambda name: -_spread(pairs, name))
+    measuring = [name for name in order if _changes_measurement(pairs, name)]
+    others = [name for name in order if name not in measuring]
+    few = [name for name in measuring if len(data.factors[name]) <= MOST_COLUMNS]
+    if few and others:
+        return others[0], few[0]
+    panel = order[1] if len(order) > 1 and len(data.factors[order[1]]) <= MOST_COLUMNS else ""
+    return order[0], panel
+
+
+def _changes_measurement(pairs: Sequence[CurvePair], factor: str) -> bool:
+    """Whether levels of a factor, all others held, meet measurements that end elsewhere."""
+    ends: dict[tuple[str, ...], set[float]] = {}
+    for pair in pairs:
+        others = (level for name, level in pair.levels.items() if name != factor)
+        end = round(float(pair.measured.displacement_mm[-1]), 9)
+        ends.setdefault((pair.block, *others), set()).add(end)
+    return any(len(found) > 1 for found in ends.values())
+
+
+def _spread(pairs: Sequence[CurvePair], factor: str) -> float:
+    """Variance between levels of the residual averaged at each tenth of the range."""
+    groups: dict[str, list[Array]] = {}
+    for pair in pairs:
+        end = min(pair.measured.displacement_mm[-1], pair.predicted.displacement_mm[-1])
+        d = np.linspace(0.1, 1, 10) * float(end)
+        gap = pair.predicted.force_at(d) - pair.measured.force_at(d)
+        groups.setdefault(pair.levels.get(factor, ""), []).append(gap / pair.measured.force_N.max())
+    means = [np.mean(group, axis=0) for group in groups.values()]
+    return float(np.var(means, axis=0).sum())
+
+
+def _samples(pair: CurvePair, line: str, panel: str) -> list[tuple[str | float, ...]]:
+    """Points of one pair over its whole measurement."""
+    measured_mm = pair.measured.displacement_mm
+    d = np.linspace(max(float(measured_mm[0]), 0.0), float(measured_mm[-1]), POINTS)
+    end = float(pair.predicted.displacement_mm[-1])
+    # a curve that was asked for to the last measured point may end an ulp before it
+    reached = d <= end * (1 + 1e-9)
+    predicted = np.full(d.size, np.nan)
+    predicted[reached] = pair.predicted.force_at(np.minimum(d[reached], end))
+    scatter = np.full(d.size, np.nan)
+    if pair.scatter_N is not None:
+        scatter = np.interp(d, measured_mm, pair.scatter_N)
+    key = (pair.block, pair.levels.get(panel, ""), pair.levels.get(line, ""))
+    columns = zip(d, pair.measured.force_at(d), predicted, scatter, strict=True)
+    return [(*key, *map(float, values)) for values in columns]
+
+
+def measurements(rows: pd.DataFrame) -> tuple[pd.DataFrame, ...]:
+    """Return the distinct measurements of one panel, longest first.
+
+    Lines share a measurement as a rule. One that only repeats the beginning of a longer one is
+    not returned: its points would cover those of the longer one.
+    """
+    lines = [one for _, one in rows.groupby("line", sort=False)]
+    lines.sort(key=lambda one: -float(one["displacement_mm"].max()))
+    found: list[pd.DataFrame] = []
+    for one in lines:
+        if not any(_repeats(one, longer) for longer in found):
+            found.append(one)
+    return tuple(found)
+
+
+def _repeats(one: pd.DataFrame, longer: pd.DataFrame) -> bool:
+    """Whether a measurement agrees with the beginning of a longer one, up to its sampling."""
+    d, force = longer["displacement_mm"].to_numpy(), longer["measured_N"].to_numpy()
+    if np.array_equal(one["displacement_mm"].to_numpy(), d):
+        return bool(np.allclose(one["measured_N"], force, rtol=0, atol=SAME_FORCE * force.max()))
+    between = np.interp(one["displacement_mm"], d, force)
+    # a longer curve is sampled more coarsely: a chord leaves a curve by its second difference / 8
+    bend = float(np.abs(np.diff(force, 2)).max(initial=0.0))
+    scatter = max(bend, SAME_FORCE * float(force.max()))
+    return bool(np.all(np.abs(one["measured_N"] - between) <= scatter))
+
+
+# -------------------------------------------------------------------------------------------------
+# Small multiples of curves: force above, residual below, on axes that can be compared.
+
+#: Longest title of a panel in characters; titles that are alike when cut are numbered.
+LONGEST_TITLE = 72
+#: Width of one character of a title in inches: 7.5 pt, 0.6 em wide.
+CHARACTER_IN = 0.6 * 7.5 / 72
+#: Room to the right of the last column for the names of the lines, in inches.
+NAMES_IN = 1.35
+#: Distance of two names in points: 7 pt text.
+NAME_PT = 8.5
+#: Inches that a pair of axes is high, without its title.
+PAIR_IN = 1.85
+TITLE_LINE_IN = 0.125
+#: Height of a force axis over that of its residual axis.
+FORCE_SHARE = 1.7
+
+
+@dataclass(frozen=True)
+class PanelScale:
+    """Units and limits of one panel."""
+
+    #: Force of one unit of the vertical axis, in N.
+    unit_N: float
+    #: End of the horizontal axis, in mm.
+    end_mm: float
+    #: Ends of the force axis and, to both sides, of the residual axis, in that unit.
+    top: float
+    gap: float
+
+
+def draw_curves(found: CurvePanels, data: ReportData) -> Canvas:
+    """Draw every panel: measured points, predictions on them, residuals below."""
+    columns = _columns(found, data)
+    rows = -(-len(found.panels) // columns)
+    titles = panel_titles(found, (WIDTH_IN - NAMES_IN) / columns)
+    lines = max(title.count("\n") + 1 for title in titles)
+    high = PAIR_IN + 0.28 + TITLE_LINE_IN * lines
+    figure = canvas(WIDTH_IN, 0.72 + high * rows, arranged=False)
+    scales = panel_scales(found, columns)
+    axes = _grid(figure, rows, columns, (0.28 + TITLE_LINE_IN * lines) / high)
+    for place, (force, residual) in enumerate(axes):
+        if place >= len(found.panels):
+            force.set_axis_off()
+            residual.set_axis_off()
+            continue
+        _plot_panel(force, residual, found.rows(found.panels[place]), scales[place], found, data)
+        force.set_title(titles[place], fontsize=7.5, y=1.0, va="bottom", linespacing=1.15)
+        _ticks(force, residual, place, columns, found)
+        if place % columns == columns - 1 or place == len(found.panels) - 1:
+            _name_lines(force, residual, found, place, scales[place], data)
+    x_label = "displacement (mm)"
+    figure.text(0.45, 0.08 / figure.get_figheight(), x_label, ha="center", fontsize=8.5)
+    _legend(figure, found)
+    return figure
+
+
+def _columns(found: CurvePanels, data: ReportData) -> int:
+    """Panels beside each other: the levels of one block, or of several blocks."""
+    levels = len(data.factors[found.panel]) if found.panel else 1
+    return min(max(levels, (4 // levels) * levels), len(found.panels))
+
+
+def panel_titles(found: CurvePanels, width_in: float) -> tuple[str, ...]:
+    """Title of every panel, wrapped to its width; no two are the same words."""
+    width = max(int(width_in / CHARACTER_IN) - 4, 8)
+    parts = [[clean(part, LONGEST_TITLE) for part in panel if part] for panel in found.panels]
+    joined = [" \N{MIDDLE DOT} ".join(words) for words in parts]
+    if len(set(joined)) < len(joined):
+        joined = [f"{number}: {words}" for number, words in enumerate(joined, 1)]
+    if found.is_relative:
+        tops = [_largest(found.rows(panel)["measured_N"]) for panel in found.panels]
+        joined = [
+            f"{words} ({THIN.join(('100', '%', '=', quantity(top, 'N')))})"
+            for words, top in zip(joined, tops, strict=True)
+        ]
+    return tuple(wrap(words, width, longest=3 * LONGEST_TITLE) for words in joined)
+
+
+def panel_scales(found: CurvePanels, columns: int) -> tuple[PanelScale, ...]:
+    """Units and limits of every panel: the same forces for all, the same lengths where alike."""
+    units, ends, tops, gaps = [], [], [], []
+    for panel in found.panels:
+        rows = found.rows(panel)
+        unit = _largest(rows["measured_N"]) / 100 if found.is_relative else 1.0
+        unit = unit or 1.0  # a cell that was never computed leaves its panel empty
+        residual = (rows["predicted_N"] - rows["measured_N"]).abs()
+        units.append(unit)
+        ends.append(_largest(rows["displacement_mm"]))
+        tops.append(max(_largest(rows["measured_N"]), _largest(rows["predicted_N"])) / unit)
+        gaps.append(max(_largest(residual), _largest(rows["scatter_N"])) / unit)
+    top, gap = 1.06 * max(tops) or 1.0, 1.1 * max(gaps) or 1.0
+    together = [
+        max(ends if found.has_one_length else ends[place % columns :: columns])
+        for place in range(len(ends))
+    ]
+    return tuple(PanelScale(unit, end, top, gap) for unit, end in zip(units, together, strict=True))
+
+
+def _largest(values: pd.Series[float]) -> float:
+    """Return the largest of the known values, 0 if there are none."""
+    known = values.dropna()
+    return float(known.max()) if len(known) else 0.0
+
+
+def _grid(figure: Canvas, rows: int, columns: int, titles: float) -> list[tuple[Axes, Axes]]:
+    """Pairs of axes in reading order, placed in inches: no layout engine has to measure text."""
+    height = figure.get_figheight()
+    outer = figure.add_gridspec(
+        rows,
+        columns,
+        left=0.62 / WIDTH_IN,
+        right=1 - NAMES_IN / WIDTH_IN,
+        top=1 - 0.62 / height,
+        bottom=0.48 / height,
+        wspace=0.1,
+        hspace=titles / (1 - titles),
+    )
+    pairs: list[tuple[Axes, Axes]] = []
+    for place in range(rows * columns):
+        inner = outer[place // columns, place % columns].subgridspec(
+            2, 1, height_ratios=(FORCE_SHARE, 1.0), hspace=0.12
+        )
+        force = figure.add_subplot(inner[0])
+        pairs.append((force, figure.add_subplot(inner[1], sharex=force)))
+    return pairs
+
+
+def _plot_panel(
+    force: Axes,
+    residual: Axes,
+    rows: pd.DataFrame,
+    scale: PanelScale,
+    found: CurvePanels,
+    data: ReportData,
+) -> None:
+    residual.set_title("", y=1.0)
+    residual.axhline(0, color=INK, linewidth=0.6)
+    for number, one in enumerate(measurements(rows)):
+        _measured(force, residual, one, scale.unit_N, filled=number == 0)
+    for index, name in enumerate(data.factors[found.line]):
+        one = rows[rows["line"] == name]
+        if one.empty:
+            continue
+        look = {"color": color_of(index), "linestyle": DASHES[index % 4], "linewidth": 1.1}
+        predicted = one["predicted_N"] / scale.unit_N
+        gap = predicted - one["measured_N"] / scale.unit_N
+        force.plot(one["displacement_mm"], predicted, **look)
+        residual.plot(one["displacement_mm"], gap, **look)
+    force.set_xlim(0, 1.02 * scale.end_mm)
+    force.set_ylim(0, scale.top)
+    residual.set_ylim(-scale.gap, scale.gap)
+
+
+def _measured(
+    force: Axes, residual: Axes, one: pd.DataFrame, unit_N: float, *, filled: bool
+) -> None:
+    """Points of a measurement, with a band of the standard deviation of its repeats."""
+    d, measured = one["displacement_mm"], one["measured_N"] / unit_N
+    if one["scatter_N"].notna().all():
+        s = one["scatter_N"] / unit_N
+        force.fill_between(d, measured - s, measured + s, color="#c4cad1", linewidth=0)
+        residual.fill_between(d, -s, s, color="#dde2e7", linewidth=0)
+    ground = INK if filled else "#ffffff"
+    force.plot(
+        d.iloc[::2],
+        measured.iloc[::2],
+        "o",
+        color=INK,
+        markersize=1.9,
+        markerfacecolor=ground,
+        markeredgewidth=0.5,
+    )
+
+
+def _ticks(force: Axes, residual: Axes, place: int, columns: int, found: CurvePanels) -> None:
+    """Write numbers at the outer axes only, which hold for all panels of a row or a column."""
+    first, last = place % columns == 0, place + columns >= len(found.panels)
+    for ax in (force, residual):
+        plain_ticks(ax, "y")
+        plain_ticks(ax, "x")
+        ax.locator_params(axis="y", nbins=4 if ax is force else 3)
+        ax.locator_params(axis="x", nbins=4)
+        ax.grid(axis="y", color=RULE, linewidth=0.4)
+        ax.tick_params(labelleft=first)
+    force.tick_params(labelbottom=False)
+    residual.tick_params(labelbottom=last)
+    if first:
+        unit = "% of largest" if found.is_relative else "N"
+        force.set_ylabel(f"force ({unit})")
+        residual.set_ylabel("resid. (%)" if found.is_relative else "resid. (N)")
+
+
+def _name_lines(
+    force: Axes,
+    residual: Axes,
+    found: CurvePanels,
+    place: int,
+    scale: PanelScale,
+    data: ReportData,
+) -> None:
+    """Write the level of every line to the right of a row, joined to the end of its residual."""
+    rows = found.rows(found.panels[place])
+    ends: list[tuple[float, float, int, str]] = []
+    for index, name in enumerate(data.factors[found.line]):
+        one = rows[rows["line"] == name].dropna(subset=["predicted_N"])
+        if not one.empty:
+            last = one.iloc[-1]
+            gap = (last["predicted_N"] - last["measured_N"]) / scale.unit_N
+            ends.append((float(gap), float(last["displacement_mm"]), index, name))
+    ends.sort()
+    # two axes and between them 0.12 of their mean height
+    height_pt = 72 * PAIR_IN / (FORCE_SHARE + 1.0 + 0.06 * (FORCE_SHARE + 1.0))
+    wanted = [height_pt * (gap / scale.gap + 1) / 2 for gap, *_ in ends]
+    for (gap, d, index, name), at in zip(ends, spread(wanted, NAME_PT), strict=True):
+        residual.annotate(
+            clean(name, 24),
+            xy=(d, gap),
+            xytext=(1.09, at / height_pt),
+            textcoords="axes fraction",
+            fontsize=7,
+            va="center",
+            color=word_color_of(index),
+            annotation_clip=False,
+            arrowprops={
+                "arrowstyle": "-",
+                "color": MUTED,
+                "linewidth": 0.4,
+                "shrinkA": 0,
+                "shrinkB": 0,
+            },
+        )
+
+
+def spread(wanted: Sequence[float], distance: float) -> tuple[float, ...]:
+    """Places in rising order, at least a distance apart, as near to the wanted ones as they can.
+
+    Examples
+    --------
+    >>> spread([0.0, 1.0, 9.0], 4.0)
+    (-1.5, 2.5, 9.0)
+    """
+    # neighbors that are too near each other become a block around the mean of what they wanted
+    blocks: list[list[float]] = []
+    for place in wanted:
+        blocks.append([place])
+        while len(blocks) > 1 and _low(blocks[-1], distance) - _high(blocks[-2], distance) < (
+            distance
+        ):
+            blocks[-2:] = [blocks[-2] + blocks[-1]]
+    return tuple(
+        _low(block, distance) + number * distance
+        for block in blocks
+        for number in range(len(block))
+    )
+
+
+def _low(block: Sequence[float], distance: float) -> float:
+    return float(np.mean(block)) - distance * (len(block) - 1) / 2
+
+
+def _high(block: Sequence[float], distance: float) -> float:
+    return float(np.mean(block)) + distance * (len(block) - 1) / 2
+
+
+def _legend(figure: Canvas, found: CurvePanels) -> None:
+    """Say what points and bands are; lines are named where they end."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    points = Line2D([], [], color=INK, marker="o", markersize=3, linestyle="none", label="measured")
+    handles: list[Line2D | Patch] = [points]
+    if found.frame["scatter_N"].notna().any():
+        handles.append(Patch(color="#c4cad1", label="standard deviation of the repeats"))
+    figure.legend(
+        handles=handles,
+        loc="upper left",
+        bbox_to_anchor=(0.5 / WIDTH_IN, 1.0),
+        ncols=len(handles),
+        handlelength=1.6,
+        columnspacing=1.4,
+        borderaxespad=0.2,
+    )
+
+
+# -------------------------------------------------------------------------------------------------
+# One curve by itself.
+
+
+def draw_curve(curve: Curve) -> Canvas:
+    """Draw force against displacement from the unloaded origin, load steps as points."""
+    import numpy as np
+
+    figure = canvas(0.6 * WIDTH_IN, 3.2)
+    ax = figure.subplots()
+    places = np.linspace(0.0, curve.displacement_mm[-1], 200)
+    ax.plot(places, curve.force_at(places), color=color_of(0))
+    ax.plot(curve.displacement_mm, curve.force_N, "o", color=color_of(0), markersize=3)
+    ax.grid(axis="y", color=RULE, linewidth=0.4)
+    ax.set_xlabel("displacement (mm)")
+    ax.set_ylabel("force (N)")
+    plain_ticks(ax, "x")
+    plain_ticks(ax, "y")
+    return figure

@@ -1,0 +1,515 @@
+"""Means of cells: every combination of levels, its rows and its mean."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from study.reporting.content.content_table import size, size_interval
+from study.reporting.content.numbers import level, quantity, significant
+from study.reporting.content.report_facts import Facts, cells, comparable, describe, groups
+from study.reporting.content.text import clean, name_of, term_name
+from study.reporting.figures.axes import (
+    BAND,
+    DASHES,
+    INK,
+    MARKERS,
+    MUTED,
+    RULE,
+    WIDTH_IN,
+    at_right,
+    canvas,
+    clean_left,
+    color_of,
+    name_rows,
+    plain_ticks,
+    shown,
+    word_color_of,
+    wrap,
+)
+from study.reporting.results.study_result import ReportData
+from study.statistics.analysis.simple_effects import MATTERS, NO_DIFFERENCE
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure as Canvas
+
+
+# -------------------------------------------------------------------------------------------------
+# Means of levels of every factor, beside the grand mean.
+
+
+def level_means(facts: Facts) -> pd.DataFrame:
+    """Mean of every level of every factor."""
+    import pandas as pd
+
+    return pd.DataFrame(
+        [
+            {"factor": effect.term, "level": level, "mean": mean}
+            for effect in facts.effects
+            for level, mean in zip(effect.levels, effect.mean, strict=False)
+        ],
+        columns=["factor", "level", "mean"],
+    ).astype({"mean": float})
+
+
+def grand_mean(data: ReportData, facts: Facts) -> float:
+    """Mean over the cells, geometric for a log response."""
+    means = cells(data, facts.name)["mean"].to_numpy(float)
+    return float(np.exp(np.log(means).mean()) if facts.ratio else means.mean())
+
+
+def draw_level_means(
+    frame: pd.DataFrame, facts: Facts, center: float, practical: float | None, data: ReportData
+) -> Canvas:
+    """Draw the main effects on one shared axis, grand mean and practical band behind."""
+    figure = canvas(WIDTH_IN, 3.5)
+    ax = figure.subplots()
+    if practical is not None:
+        low, high = center - practical / 2, center + practical / 2
+        if facts.ratio:
+            low, high = center / practical**0.5, center * practical**0.5
+        ax.axhspan(low, high, color=BAND, zorder=0)
+    ax.axhline(center, color=MUTED, linewidth=0.8, linestyle=(0, (4, 3)))
+    at_right(ax, f"grand mean {quantity(center, facts.unit)}", center, color=MUTED)
+    placed = _connect_levels(ax, frame)
+    for index, (factor, group) in enumerate(placed.groupby("factor", sort=False)):
+        _number_points(ax, group["place"].tolist(), group["mean"].tolist())
+        ax.text(
+            float(group["place"].mean()),
+            1.02,
+            clean(name_of(str(factor), data.labels), 30),
+            transform=ax.get_xaxis_transform(),
+            ha="center",
+            fontweight="bold",
+            color=word_color_of(index),
+        )
+    names = [wrap(level, 12, 40) for level in frame["level"]]
+    many = len(names) > 13
+    ax.set_xticks(
+        placed["place"],
+        names,
+        rotation=45 if many else 0,
+        ha="right" if many else "center",
+        fontsize=7.5 if len(names) < 9 else 7,
+    )
+    ax.set_xlim(-0.7, float(placed["place"].iloc[-1]) + 0.7)
+    ax.margins(y=0.2)
+    plain_ticks(ax, "y")
+    ax.set(xlabel="", ylabel=axis_label(facts))
+    ax.tick_params(axis="x", length=0)
+    return figure
+
+
+def _connect_levels(ax: Axes, frame: pd.DataFrame) -> pd.DataFrame:
+    """Draw a line a factor through its level means; return them with their places."""
+    import seaborn as sns
+
+    factors = frame.groupby("factor", sort=False)
+    # levels are 1 apart, and half a step more parts the factors
+    placed = frame.assign(place=np.arange(len(frame)) + 0.5 * factors.ngroup())
+    sns.pointplot(
+        placed,
+        x="place",
+        y="mean",
+        hue="factor",
+        palette=[color_of(index) for index in range(factors.ngroups)],
+        native_scale=True,
+        errorbar=None,
+        legend=False,
+        linewidth=1.4,
+        markersize=5.5,
+        markeredgewidth=1,
+        ax=ax,
+    )
+    return placed
+
+
+def _number_points(ax: Axes, places: Sequence[float], means: Sequence[float]) -> None:
+    """Write its number at the mean of every level of one factor."""
+    for place, mean, side in zip(places, means, _sides(means), strict=True):
+        ax.annotate(
+            significant(mean),
+            (place, mean),
+            xytext=(0, 6 * side),
+            textcoords="offset points",
+            ha="center",
+            fontsize=7.5,
+            va="bottom" if side > 0 else "top",
+        )
+
+
+def _sides(means: Sequence[float]) -> list[int]:
+    """Side of each point on which its number meets no line: 1 above, -1 below."""
+    values = np.asarray(means, dtype=float)
+    left = np.r_[values[1:2], values[:-1]]
+    right = np.r_[values[1:], values[-2:-1]]
+    return [1 if v >= (a + b) / 2 else -1 for v, a, b in zip(values, left, right, strict=True)]
+
+
+def axis_label(facts: Facts) -> str:
+    """Name and unit of a response for an axis."""
+    return f"{facts.title} ({facts.unit})" if facts.unit else facts.title
+
+
+def cell_points(data: ReportData, facts: Facts, most: int = 48) -> pd.DataFrame:
+    """Every observation of each distinct computation with its rank, best first."""
+    import pandas as pd
+
+    ranked = groups(data, facts)
+    if facts.response.better == "higher":
+        ranked = ranked[::-1]
+    factors = list(data.factors)
+    known = comparable(data, facts.name)
+    levels = known[factors].astype(str).agg(tuple, axis=1)
+    columns = [*factors, *(["block"] if "block" in known else [])]
+    parts = []
+    for rank, group in enumerate(ranked[:most]):
+        first = group.members[0]
+        rows = known[levels == tuple(first[name] for name in factors)]
+        parts.append(
+            rows[columns].assign(
+                label=describe(group, data),
+                copies=len(group),
+                value=rows[facts.name],
+                cell_mean=group.mean,
+                rank=rank,
+            )
+        )
+    return pd.concat(parts, ignore_index=True)
+
+
+def draw_cells(frame: pd.DataFrame, facts: Facts, practical: float) -> Canvas:
+    """Draw computations as rows: individual points, mean on top, thin lines pairing the blocks."""
+    count = int(frame["rank"].max()) + 1
+    figure = canvas(WIDTH_IN, 0.8 + 0.24 * count)
+    ax = figure.subplots()
+    best = float(frame["cell_mean"].iloc[0])
+    if facts.response.better and practical > 0:
+        sign = -1 if facts.response.better == "higher" else 1
+        ax.axvspan(best, best + sign * practical, color=BAND, zorder=0)
+        ax.text(
+            best + sign * practical / 2,
+            1.0,
+            "as good as the best",
+            transform=ax.get_xaxis_transform(),
+            ha="center",
+            va="bottom",
+            fontsize=7.5,
+            color=MUTED,
+        )
+    means = frame.drop_duplicates("rank")
+    _mark_cells(ax, frame, means)
+    for mean, place in zip(means["cell_mean"], means["rank"], strict=True):
+        at_right(ax, significant(float(mean)), float(place))
+    name_rows(ax, means["rank"], [wrap(label, 56, 130) for label in means["label"]])
+    ax.set_ylim(count - 0.4, -0.8)
+    plain_ticks(ax, "x")
+    ax.set(xlabel=axis_label(facts), ylabel="")
+    ax.grid(axis="y", color=RULE, linewidth=0.4)
+    clean_left(ax)
+    return figure
+
+
+def _mark_cells(ax: Axes, frame: pd.DataFrame, means: pd.DataFrame) -> None:
+    """Draw a row of points a computation, its mean on top and the lines of the blocks behind."""
+    import seaborn as sns
+
+    if "block" in frame and frame["block"].nunique() <= 40:
+        sns.lineplot(
+            frame,
+            x="value",
+            y="rank",
+            units="block",
+            estimator=None,
+            sort=False,
+            color=MUTED,
+            alpha=0.28,
+            linewidth=0.5,
+            ax=ax,
+        )
+    sns.stripplot(
+        frame,
+        x="value",
+        y="rank",
+        orient="y",
+        native_scale=True,
+        jitter=False,
+        color="#56B4E9",
+        size=3,
+        clip_on=False,
+        alpha=0.8,
+        zorder=2.5,
+        ax=ax,
+    )
+    sns.scatterplot(
+        means,
+        x="cell_mean",
+        y="rank",
+        marker="D",
+        color=INK,
+        s=26,
+        linewidth=0,
+        zorder=3,
+        legend=False,
+        ax=ax,
+    )
+
+
+# -------------------------------------------------------------------------------------------------
+# The interaction matrix: lines above the diagonal, cell means below.
+
+
+def pair_means(data: ReportData, facts: Facts) -> pd.DataFrame:
+    """Mean of every combination of two levels, for every pair of factors."""
+    import pandas as pd
+
+    frame = cells(data, facts.name)
+    log = facts.ratio
+    rows = []
+    names = list(data.factors)
+    for i, first in enumerate(names):
+        for second in names[i + 1 :]:
+            values = frame.assign(y=np.log(frame["mean"]) if log else frame["mean"])
+            means = values.groupby([first, second], sort=False)["y"].mean()
+            for key, mean in zip(means.index.tolist(), means.to_numpy(float), strict=True):
+                rows.append((first, key[0], second, key[1], float(np.exp(mean) if log else mean)))
+    return pd.DataFrame(rows, columns=["factor", "level", "other", "other_level", "mean"])
+
+
+def draw_interactions(
+    frame: pd.DataFrame, facts: Facts, factors: Mapping[str, Sequence[str]], data: ReportData
+) -> Canvas:
+    """Draw a matrix: lines above the diagonal, the same means as numbers below it."""
+    k = len(factors)
+    figure = canvas(WIDTH_IN, 0.7 + 1.45 * k)
+    axes = figure.subplots(k, k, squeeze=False)
+    low, high = float(frame["mean"].min()), float(frame["mean"].max())
+    pad = 0.08 * (high - low or abs(high) or 1.0)
+    names = list(factors)
+    for i, first in enumerate(names):
+        _diagonal(axes[i][i], name_of(first, data.labels), factors[first])
+        for j in range(i + 1, k):
+            second = names[j]
+            pair = frame[(frame["factor"] == first) & (frame["other"] == second)]
+            # a combination that has no mean is NaN: no point, no number
+            table = pair.pivot_table(index="level", columns="other_level", values="mean").reindex(
+                index=list(factors[first]), columns=list(factors[second])
+            )
+            upper, lower = axes[i][j], axes[j][i]
+            _lines(upper, table)
+            upper.set_ylim(low - pad, high + pad)
+            _upper_ticks(upper, i, j, k, factors[second])
+            _numbers(lower, table.T, low, high)
+            _lower_ticks(lower, factors[first], j == k - 1)
+    figure.suptitle(axis_label(facts), x=0.01, ha="left", fontsize=8.5)
+    return figure
+
+
+def _diagonal(ax: Axes, name: str, levels: Sequence[str]) -> None:
+    ax.set_axis_off()
+    ax.set_xlim(0, 1)
+    ax.set_ylim(0, 1)
+    shown = list(levels)[:7]
+    step = min(0.15, 0.7 / len(shown))
+    top = 0.5 + step * (len(shown) + 0.4) / 2
+    ax.text(0.02, top, clean(name, 22), fontweight="bold", va="center")
+    for index, shown_level in enumerate(shown):
+        y = top - step * (index + 1.2)
+        ax.plot(
+            [0.03, 0.17],
+            [y, y],
+            color=color_of(index),
+            linestyle=_dash(index),
+            marker=MARKERS[index % 7],
+            markersize=3.5,
+        )
+        ax.text(0.22, y, clean(shown_level, 24), va="center", fontsize=7.5)
+
+
+def _dash(index: int) -> Any:
+    return DASHES[index % len(DASHES)]
+
+
+def _lines(ax: Axes, table: pd.DataFrame) -> None:
+    """Draw a line for every row of a table of means, a point for every column."""
+    import seaborn as sns
+
+    rows, columns = table.shape
+    sns.pointplot(
+        x=np.tile(np.arange(columns), rows),
+        y=table.to_numpy(float).ravel(),
+        hue=np.repeat(np.asarray(table.index, dtype=object), columns),
+        hue_order=list(table.index),
+        palette=[color_of(index) for index in range(rows)],
+        markers=[MARKERS[index % 7] for index in range(rows)],
+        linestyles=[_dash(index) for index in range(rows)],
+        native_scale=True,
+        errorbar=None,
+        legend=False,
+        linewidth=1.4,
+        markersize=4,
+        markeredgewidth=1,
+        ax=ax,
+    )
+    ax.set_xlim(-0.35, columns - 0.65)
+    ax.grid(axis="y", color=RULE, linewidth=0.4)
+
+
+def _upper_ticks(ax: Axes, i: int, j: int, k: int, levels: Sequence[str]) -> None:
+    ax.xaxis.tick_top()
+    ax.spines["top"].set_visible(True)
+    ax.spines["bottom"].set_visible(False)
+    narrow = max(int(26 / len(levels)), 6)
+    ax.set_xticks(range(len(levels)), [wrap(v, narrow, 24) for v in levels] if i == 0 else [])
+    ax.tick_params(axis="x", labelsize=7, length=0)
+    ax.yaxis.tick_right()
+    ax.spines["left"].set_visible(False)
+    ax.spines["right"].set_visible(j == k - 1)
+    plain_ticks(ax, "y")
+    if j < k - 1:
+        ax.tick_params(axis="y", length=0, labelright=False)
+
+
+def _numbers(ax: Axes, table: pd.DataFrame, low: float, high: float) -> None:
+    """Write a table of means, the larger the darker."""
+    import seaborn as sns
+    from matplotlib.colors import LinearSegmentedColormap, to_rgba
+
+    shades = [to_rgba("#0072B2", 0.04), to_rgba("#0072B2", 0.34)]
+    sns.heatmap(
+        table.to_numpy(float),
+        vmin=low,
+        vmax=high,
+        cmap=LinearSegmentedColormap.from_list("means", shades),
+        annot=table.map(significant).to_numpy(),
+        fmt="",
+        annot_kws={"color": INK, "fontsize": 7.5 if table.shape[1] < 5 else 6.5},
+        linewidths=2,
+        linecolor="white",
+        cbar=False,
+        xticklabels=False,
+        yticklabels=False,
+        ax=ax,
+    )
+    names = [wrap(level, 12, 24) for level in table.index]
+    name_rows(ax, 0.5 + np.arange(len(table)), names, 7)
+    ax.tick_params(length=0, pad=2)
+
+
+def _lower_ticks(ax: Axes, levels: Sequence[str], last: bool) -> None:
+    narrow = max(27 // len(levels), 6)
+    names = [wrap(v, narrow, 24) if len(levels) < 4 else clean(v, 24) for v in levels]
+    places = 0.5 + np.arange(len(levels))
+    ax.set_xticks(places, names if last else [])
+    if last and len(levels) > 3:
+        ax.set_xticks(places, names, rotation=35, ha="right", rotation_mode="anchor")
+    ax.tick_params(axis="x", labelsize=7)
+
+
+# -------------------------------------------------------------------------------------------------
+# Figures of effects: sizes against what matters, level means, interactions, cells.
+#
+# Compute, then draw: each ``draw_*`` takes the frame of its function, which is the figure's CSV.
+
+_VERDICT_COLOR = {MATTERS: "#D55E00", NO_DIFFERENCE: "#009E73"}
+
+
+def effect_sizes(facts: Facts, labels: Mapping[str, str]) -> pd.DataFrame:
+    """Largest difference of every term with its interval; factors first, then interactions."""
+    import pandas as pd
+
+    strong = [effect for effect in facts.interactions if effect.strength != NO_DIFFERENCE]
+    listed = [e for e in (*facts.effects, *strong[:6]) if e.range is not None]
+    return pd.DataFrame(
+        {
+            "term": [effect.term for effect in listed],
+            "name": [term_name(effect.term, labels) for effect in listed],
+            "difference": [effect.range for effect in listed],
+            "low": [effect.low for effect in listed],
+            "high": [effect.high for effect in listed],
+            "practical": [effect.practical for effect in listed],
+            "verdict": [effect.strength for effect in listed],
+        }
+    ).astype({"difference": float, "low": float, "high": float, "practical": float})
+
+
+def shown_effect_sizes(facts: Facts, labels: Mapping[str, str]) -> Canvas:
+    """Draw the largest difference of every term as a notebook shows it."""
+    frame = effect_sizes(facts, labels)
+    if frame.empty:
+        raise ValueError("there is nothing to draw: no effect could be estimated")
+    title = f"largest difference of every term: {facts.title}"
+    return shown(lambda: draw_effect_sizes(frame, facts), "effects", title)
+
+
+def draw_effect_sizes(frame: pd.DataFrame, facts: Facts) -> Canvas:
+    """Draw one row a term: its largest difference and interval against the band."""
+    figure = canvas(WIDTH_IN, 0.85 + 0.34 * len(frame))
+    ax = figure.subplots()
+    zero = 1.0 if facts.ratio else 0.0
+    limits = frame["practical"].dropna()
+    if not limits.empty:
+        limit = float(limits.iloc[0])
+        below = 1 / limit if facts.ratio else -limit
+        ax.axvspan(below, limit, color=BAND, zorder=0)
+        ax.text(
+            zero,
+            1.0,
+            "no practical difference",
+            transform=ax.get_xaxis_transform(),
+            ha="center",
+            va="bottom",
+            color=MUTED,
+            fontsize=7.5,
+        )
+    ax.axvline(zero, color=MUTED, linewidth=0.7)
+    _mark_effects(ax, frame)
+    shown = {effect.term: effect for effect in facts.terms}
+    for place, term in enumerate(frame["term"]):
+        effect = shown[term]
+        ax.annotate(
+            size(effect, facts)
+            + (f"   [{size_interval(effect, facts)}]" if effect.low is not None else ""),
+            (1.0, place),
+            xycoords=ax.get_yaxis_transform(),
+            xytext=(6, 0),
+            textcoords="offset points",
+            va="center",
+            fontsize=8,
+            annotation_clip=False,
+        )
+    name_rows(ax, range(len(frame)), [wrap(name, 34) for name in frame["name"]], 8)
+    ax.set_ylim(len(frame) - 0.5, -0.6)
+    plain_ticks(ax, "x")
+    unit = f" ({facts.difference_unit})" if facts.difference_unit else ""
+    what = "ratio" if facts.ratio else f"difference{unit}"
+    ends = ""
+    if frame["low"].notna().any():
+        ends = f", with {level(facts.alpha)} simultaneous interval"
+    ax.set_xlabel(f"largest {what} between levels, {facts.title}{ends}")
+    clean_left(ax)
+    return figure
+
+
+def _mark_effects(ax: Axes, frame: pd.DataFrame) -> None:
+    """Draw each difference on its interval, in the color of its verdict."""
+    import seaborn as sns
+
+    places = np.arange(len(frame))
+    colors = [_VERDICT_COLOR.get(verdict, MUTED) for verdict in frame["verdict"]]
+    ax.hlines(places, frame["low"], frame["high"], colors=colors, linewidth=2.2)
+    sns.scatterplot(
+        x=frame["difference"].to_numpy(),
+        y=places,
+        hue=colors,
+        palette={color: color for color in colors},
+        s=49,
+        linewidth=0,
+        zorder=3,
+        legend=False,
+        ax=ax,
+    )

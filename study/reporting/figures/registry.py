@@ -1,0 +1,497 @@
+"""The figures of a report: each drawn with its data, its caption and its failure.
+
+A figure that cannot be drawn never stops the report: the page says which one is missing.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from study.reporting.content import sentences
+from study.reporting.content.content_table import practical, size, size_interval
+from study.reporting.content.numbers import THIN, duration, p_phrase, quantity, share, significant
+from study.reporting.content.numbers import level as numbers_level
+from study.reporting.content.recommendation import cost_front
+from study.reporting.content.report_facts import Facts, practical_of
+from study.reporting.content.report_facts import cells as report_cells
+from study.reporting.content.text import (
+    clean,
+    count,
+    listing,
+    name_of,
+    plural_of,
+    sentence,
+    term_name,
+)
+from study.reporting.figures import (
+    axes,
+    convergence_figures,
+    curve_figures,
+    effect_figures,
+    residual_figures,
+    study_figures,
+)
+from study.reporting.results.study_result import ReportData
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure as Canvas
+
+    from study.reporting.figures.curve_figures import CurvePanels
+
+
+# -------------------------------------------------------------------------------------------------
+# Captions: each states what its figure shows, with numbers.
+
+
+def effects(facts: Facts, data: ReportData) -> str:
+    """Name the largest effect, and what the band is."""
+    known = [effect for effect in facts.effects if effect.range is not None]
+    if not known:
+        return ""
+    first = max(known, key=lambda e: abs((e.range or 0) - (1 if e.is_ratio else 0)))
+    limit = practical(first, facts)
+    text = f"{term_name(first.term, data.labels)} has the largest effect, {size(first, facts)}"
+    if first.low is not None:
+        text += f" ({numbers_level(facts.alpha)} interval {size_interval(first, facts)})"
+    if first.practical is not None:
+        text += f". Shaded: up to {limit}, which does not matter in practice"
+    if first.practical is not None and first.low is not None:
+        text += "; an interval wholly outside matters, one wholly inside does not"
+    return sentence(text)
+
+
+def means(facts: Facts, data: ReportData) -> str:
+    """Say which share of the variation between cells each factor has."""
+    shares = [
+        (row.share, term_name(row.term, data.labels))
+        for row in facts.rows
+        if row.term in data.factors and row.share is not None
+    ]
+    text = listing([f"{name} {share(part)}" for part, name in sorted(shares, reverse=True)])
+    band = "two means inside the shaded band differ by less than what matters"
+    shown = f"share of the total variation: {text}; " if shares else ""
+    return sentence(f"level means on one shared axis; {shown}{band}")
+
+
+def interactions(facts: Facts, data: ReportData) -> str:
+    """Say which interaction is the largest."""
+    known = [e for e in facts.interactions if e.term.count(":") == 1 and e.range is not None]
+    key = "lines that are parallel mean that the factors act independently"
+    if not known:
+        return sentence(key)
+    first = max(known, key=lambda e: abs((e.range or 0) - (1 if e.is_ratio else 0)))
+    row = facts.row(first.term)
+    decided = None if row is None else row.p_deciding
+    p = "" if decided is None else f", {p_phrase(decided)}"
+    return sentence(
+        f"the largest two-factor interaction is {term_name(first.term, data.labels)}, "
+        f"{size(first, facts)}{p}; {key}"
+    )
+
+
+def cells(facts: Facts, data: ReportData, frame: pd.DataFrame) -> str:
+    """Say what the points are, and how far the cells and the blocks differ."""
+    shown = frame.drop_duplicates("rank")
+    means_of = shown["cell_mean"]
+    unit = clean(data.block) or "run"
+    low, high = significant(float(means_of.min())), quantity(float(means_of.max()), facts.unit)
+    kind = "geometric cell means" if facts.ratio else "cell means"
+    text = f"{kind} (diamonds) run from {low} to {high}; each dot is one {unit}"
+    if "block" in frame:
+        spread = frame.groupby("block")["value"].mean()
+        text += (
+            f", joined across cells by a thin line; {unit} means run from "
+            f"{significant(float(spread.min()))} to {quantity(float(spread.max()), facts.unit)}"
+        )
+    copies = int(shown["copies"].sum())
+    if copies > len(shown):
+        text += (
+            f"; {count(len(shown), 'row')} for {copies} cells, since cells that agree in every "
+            f"{unit} are one computation"
+        )
+    return sentence(text)
+
+
+def residuals(facts: Facts, data: ReportData, n: int) -> str:
+    """Summarize the four panels and the test."""
+    found = facts.assumptions.normality
+    verdict = "the test of normality does not apply"
+    if found is not None and found.rj is not None:
+        exact = found.p_exact
+        rejected = exact is not None and exact < data.alpha
+        verdict = f"normality is {'rejected' if rejected else 'not rejected'}"
+        verdict += f" ({p_phrase(exact)}, simulated)" if exact is not None else ""
+    return sentence(
+        f"{count(n, 'residual')} of block and cell, one cell for each distinct computation; "
+        f"{verdict}. Run order means nothing for deterministic runs, so residuals stand against "
+        "the factors instead"
+    )
+
+
+def spread(frame: pd.DataFrame) -> str:
+    """Say how far the largest and the smallest standard deviation are apart."""
+    low, high = float(frame["sd"].min()), float(frame["sd"].max())
+    apart = float(frame["low"].max()) > float(frame["high"].min())
+    ratio = f"{significant(high / low)} times" if low > 0 else "far above"
+    return sentence(
+        f"the largest standard deviation is {ratio} the smallest, and the intervals "
+        f"{'do not all overlap' if apart else 'all overlap'}"
+    )
+
+
+def front(frame: pd.DataFrame, facts: Facts, limit: float) -> str:
+    """Say how cheap a cell within the practical difference is."""
+    near = frame[frame["within"]]
+    dear = float(frame["seconds"].max())
+    cheap = float(near["seconds"].min())
+    lie = "lies" if len(near) == 1 else "lie"
+    return sentence(
+        f"{count(len(near), 'cell')} of {len(frame)} {lie} within {limit:.3g}{THIN}"
+        f"{facts.difference_unit} of the best; the cheapest of them takes {duration(cheap)} a "
+        f"case, the dearest cell of all {duration(dear)}"
+    )
+
+
+def curves(found: CurvePanels, data: ReportData) -> str:
+    """Say what is drawn, what is held fixed, and how large the residuals are."""
+    gap = (found.frame["predicted_N"] - found.frame["measured_N"]).abs()
+    worst = found.frame.iloc[int(np.nanargmax(gap.to_numpy()))]
+    held = listing([f"{name_of(k, data.labels)} = {clean(v)}" for k, v in found.fixed.items()])
+    text = (
+        f"force above, predicted minus measured below, over the whole of each measurement; the "
+        f"largest residual is {quantity(float(gap.max()), 'N')} ({clean(worst['line'])}, "
+        f"{clean(worst['block'])})"
+    )
+    if found.is_relative:
+        text += (
+            ". Forces differ too much for one axis in N: each panel is in percent of its largest "
+            "measured force, so that residuals can be compared"
+        )
+    if found.frame["predicted_N"].isna().any():
+        text += ". A line that ends early belongs to a simulation that stopped there"
+    if held:
+        text += f". Shown with {held}"
+    if found.left_out:
+        text += f"; {count(found.left_out, 'more block')} not shown"
+    return sentence(text)
+
+
+def contrasts(frame: pd.DataFrame, facts: Facts) -> str:
+    """Say which contrasts stand out, and what the limits are."""
+    beyond = frame[frame["active"]]
+    m = count(len(frame), "contrast")
+    if beyond.empty:
+        said = f"none of the {m} exceeds the margin of error"
+    else:
+        named = [
+            f"{name} ({p_phrase(p)})" for name, p in zip(beyond["name"], beyond["p"], strict=True)
+        ]
+        shown = named if len(named) <= 5 else [*named[:5], f"{len(named) - 5} more"]
+        said = f"beyond the margin of error, of {m}: {listing(shown)}"
+    unit = "log ratio" if facts.ratio else facts.difference_unit
+    one = quantity(float(frame["margin"].iloc[0]), unit)
+    every = quantity(float(frame["simultaneous"].iloc[0]), unit)
+    return sentence(
+        f"{said}. Dashed: limit of one contrast, {one}; dotted: of all together, {every} (Lenth, "
+        "simulated); contrasts that follow the shaded envelope look like no effect at all"
+    )
+
+
+def constants(frame: pd.DataFrame, data: ReportData) -> str:
+    """Compare the scatter between fits with the uncertainty of one fit."""
+    sure = frame[frame["identifiable"]]
+    vague = len(frame) - len(sure)
+    unit = clean(data.block) or "run"
+    text = f"each mark is one fit with its 95{THIN}% interval"
+    grouped = sure.groupby(["constant", "place"])["value"]
+    apart = (grouped.std() / grouped.mean().abs()).median()
+    own = (sure["standard_error"] / sure["value"].abs()).median()
+    if apart == apart and own == own:  # both are numbers
+        text = (
+            f"a constant differs between {plural_of(unit)} by {_by(float(apart))} (median "
+            f"standard deviation), one fit alone is uncertain by {_by(float(own))}; {text}"
+        )
+    if vague:
+        text += f"; hollow: {vague} of {len(frame)} that the data do not determine"
+    return sentence(text)
+
+
+def _by(fraction: float) -> str:
+    return share(fraction).replace("< ", "less than ")
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A finished figure: ``svg`` is markup, all else plain text; ``missing`` says why not."""
+
+    name: str
+    title: str
+    caption: str = ""
+    svg: str = ""
+    data: pd.DataFrame | None = None
+    missing: str = ""
+
+
+Drawn = tuple["pd.DataFrame", "Callable[[], Canvas]", str]
+
+
+def make(name: str, title: str, compute: Callable[[], Drawn]) -> Figure:
+    """Compute and draw one figure; any failure becomes its ``missing``.
+
+    Parameters
+    ----------
+    name : str
+        Prefix of the ids in the drawing, and part of the names of its files.
+    title : str
+        Heading, and accessible name of the drawing.
+    compute : callable
+        Returns the data, a function that draws them, and the caption.
+    """
+    frame: pd.DataFrame | None = None
+    try:
+        frame, draw, caption = compute()
+        svg = axes.render(draw, name, title)
+    except Exception as error:  # the numbers must reach the reader whatever the drawing does
+        why = f"{type(error).__name__}: {error}"
+        return Figure(name, title, data=frame, missing=why[:300])
+    return Figure(name, title, caption, svg, frame)
+
+
+def of_response(data: ReportData, facts: Facts, without: Collection[str] = ()) -> dict[str, Figure]:
+    """Figures of one response by kind, but those ``without``; none where it was not analyzed.
+
+    Parameters
+    ----------
+    data : ReportData
+        Its factors, rows and depths.
+    facts : Facts
+        The response; its title and unit are shortened in the figures.
+    without : collection of str
+        Kinds that are not drawn, for example ``"cells"``.
+
+    Returns
+    -------
+    dict of str to Figure
+        ``effects``, ``means``, ``interactions``, ``cells``, ``residuals``, ``spread``,
+        ``contrasts``, ``depth``, ``front``: those that the response has data for.
+    """
+    if not facts.terms:
+        return {}
+    facts = replace(facts, title=clean(facts.title, 60), unit=clean(facts.unit, 16))
+    stem = slug(facts.name)
+    makers: dict[str, tuple[str, Callable[[], Drawn]]] = {
+        "effects": ("Effects against what matters", lambda: _effects(data, facts)),
+        "means": ("Main effects", lambda: _means(data, facts)),
+        "interactions": ("Interactions", lambda: _interactions(data, facts)),
+        "cells": ("Cells", lambda: _cells(data, facts)),
+        "residuals": ("Residuals", lambda: _residuals(data, facts)),
+        "spread": ("Spread of the cells", lambda: _spread(data, facts)),
+    }
+    if not any(effect.range is not None for effect in facts.terms):
+        # the sentences say that nothing could be estimated
+        del makers["effects"], makers["means"]
+    if facts.residuals is None or "residual" not in facts.residuals:
+        # nothing is left over by a saturated model
+        del makers["residuals"], makers["spread"]
+    if facts.lenth:
+        title = "Contrasts without replicates"
+        makers["contrasts"] = (title, lambda: _contrasts(data, facts))
+    if len(data.factors) < 2:
+        del makers["interactions"]
+    if any(row.response == facts.name for row in data.depths):
+        makers["depth"] = ("Effects against depth", lambda: _depth(data, facts))
+    if facts.response.better and "seconds" in data.table:
+        makers["front"] = ("Cost against accuracy", lambda: _front(data, facts))
+    return {
+        kind: make(f"{stem}-{kind}", f"{title}: {facts.title}", maker)
+        for kind, (title, maker) in makers.items()
+        if kind not in without
+    }
+
+
+def of_study(data: ReportData) -> dict[str, Figure]:
+    """Figures that belong to no single response.
+
+    Parameters
+    ----------
+    data : ReportData
+        Its curves, fits, markers, series of meshes, comparisons and failures are drawn.
+
+    Returns
+    -------
+    dict of str to Figure
+        ``curves``, ``constants``, ``markers``, ``convergence``, ``validation``, ``failures``: those
+        that the study has data for.
+    """
+    found: dict[str, Figure] = {}
+    if data.curves:
+        found["curves"] = make("curves", "Measured and predicted force", lambda: _curves(data))
+    if any(fit.value is not None for fit in data.fits):
+        found["constants"] = make("constants", "Fitted constants", lambda: _constants(data))
+    if any(fit["error_by_layer_mm"] for one in data.markers for fit in one.fits):
+        found["markers"] = make("markers", "Errors by layer", lambda: _markers(data))
+    if data.convergence:
+        found["convergence"] = make(
+            "convergence", "Value against mesh size", lambda: _convergence(data)
+        )
+    if data.validation:
+        found["validation"] = make(
+            "validation", "Comparison error along the curve", lambda: _validation(data)
+        )
+    if data.failures:
+        found["failures"] = make("failures", "Failure map", lambda: _failures(data))
+    return found
+
+
+def _convergence(data: ReportData) -> Drawn:
+    frame = convergence_figures.value_points(data.convergence)
+    caption = convergence_figures.value_caption(data.convergence)
+    return frame, lambda: convergence_figures.draw_values(frame), caption
+
+
+def _markers(data: ReportData) -> Drawn:
+    frame = curve_figures.layer_points(data)
+    return frame, lambda: curve_figures.draw_layers(frame), curve_figures.caption(frame)
+
+
+def _validation(data: ReportData) -> Drawn:
+    rows = convergence_figures.first_block(data.validation)
+    frame = convergence_figures.validation_error_points(rows)
+    return (
+        frame,
+        lambda: convergence_figures.draw_validation_errors(frame),
+        convergence_figures.caption(rows),
+    )
+
+
+def slug(text: str) -> str:
+    """File and id name made of letters, digits and hyphens alone.
+
+    Parameters
+    ----------
+    text : str
+        Name as a user wrote it.
+
+    Returns
+    -------
+    str
+        Of 48 characters at most; ``response`` where none is left.
+    """
+    return re.sub(r"[^a-z0-9]+", "-", text.lower())[:48].strip("-") or "response"
+
+
+def _effects(data: ReportData, facts: Facts) -> Drawn:
+    frame = effect_figures.effect_sizes(facts, data.labels)
+    if frame.empty:
+        raise ValueError("no effect could be estimated")
+    return frame, lambda: effect_figures.draw_effect_sizes(frame, facts), effects(facts, data)
+
+
+def _depth(data: ReportData, facts: Facts) -> Drawn:
+    frame = study_figures.points(data.depths, facts.name, data)
+    return frame, lambda: study_figures.draw(frame, facts), study_figures.caption(frame, facts)
+
+
+def _contrasts(data: ReportData, facts: Facts) -> Drawn:
+    frame = residual_figures.contrasts(facts, data)
+    return (
+        frame,
+        lambda: residual_figures.draw_contrasts(frame, facts),
+        contrasts(frame, facts),
+    )
+
+
+def _constants(data: ReportData) -> Drawn:
+    frame = study_figures.constant_points(data)
+    return frame, lambda: study_figures.draw_constants(frame), constants(frame, data)
+
+
+def _means(data: ReportData, facts: Facts) -> Drawn:
+    frame, center = effect_figures.level_means(facts), effect_figures.grand_mean(data, facts)
+    limit = next((e.practical for e in facts.effects if e.practical is not None), None)
+    return (
+        frame,
+        lambda: effect_figures.draw_level_means(frame, facts, center, limit, data),
+        means(facts, data),
+    )
+
+
+def _interactions(data: ReportData, facts: Facts) -> Drawn:
+    frame = effect_figures.pair_means(data, facts)
+    return (
+        frame,
+        lambda: effect_figures.draw_interactions(frame, facts, data.factors, data),
+        interactions(facts, data),
+    )
+
+
+def _cells(data: ReportData, facts: Facts) -> Drawn:
+    frame = effect_figures.cell_points(data, facts)
+    limit = practical_of(facts, report_cells(data, facts.name))
+    return (
+        frame,
+        lambda: effect_figures.draw_cells(frame, facts, limit),
+        cells(facts, data, frame),
+    )
+
+
+def _residuals(data: ReportData, facts: Facts) -> Drawn:
+    frame = residual_figures.diagnostic_residual_points(facts)
+    return (
+        frame,
+        lambda: residual_figures.draw_residuals(frame, facts, data),
+        residuals(facts, data, len(frame)),
+    )
+
+
+def _spread(data: ReportData, facts: Facts) -> Drawn:
+    frame = residual_figures.spread_of_cells(facts, data.alpha)
+    return frame, lambda: residual_figures.draw_spread(frame, facts), spread(frame)
+
+
+def _front(data: ReportData, facts: Facts) -> Drawn:
+    frame = cost_front(data, facts)
+    if frame.empty:
+        raise ValueError("no computing times are known")
+    limit = practical_of(facts, frame)
+    return (
+        frame,
+        lambda: study_figures.draw_front(frame, facts, data, limit),
+        front(frame, facts, limit),
+    )
+
+
+def _curves(data: ReportData) -> Drawn:
+    found = curve_figures.curve_panels(data)
+    return found.frame, lambda: curve_figures.draw_curves(found, data), curves(found, data)
+
+
+def _failures(data: ReportData) -> Drawn:
+    factors = list(data.factors)
+    frame = data.table[[*factors, "status"]].astype(str)
+    block = data.table["block"].astype(str) if "block" in data.table else "all"
+    frame = frame.assign(block=block, cell=frame[factors].agg(" \N{MIDDLE DOT} ".join, axis=1))
+    orders = {**{name: list(levels) for name, levels in data.factors.items()}}
+    orders["block"] = list(data.blocks)
+    frame = frame.sort_values(
+        [*factors, "block"], key=lambda column: column.map(_place_in(orders[str(column.name)]))
+    )
+    statuses = ["converged", *sorted(set(frame["status"]) - {"converged"})]
+    named = ", ".join(name_of(name, data.labels) for name in factors)
+    return (
+        frame,
+        lambda: study_figures.draw_failures(frame, statuses),
+        f"{sentences.failures(data.failures, len(data.table)).split('. ')[0]}: large marks; rows "
+        f"are cells ({named}), columns are blocks.",
+    )
+
+
+def _place_in(order: list[str]) -> Callable[[str], int]:
+    """Index of a label in its order; a label that is not listed comes last."""
+    return lambda label: order.index(label) if label in order else len(order)

@@ -1,0 +1,558 @@
+"""Contrasts of an unreplicated two-level design: Pareto chart and half-normal plot."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from study.reporting.content.numbers import p_phrase, p_value
+from study.reporting.content.report_facts import Facts
+from study.reporting.content.text import clean, count, name_of, sentence, term_name
+from study.reporting.figures.axes import (
+    BAND,
+    INK,
+    MUTED,
+    RULE,
+    WIDTH_IN,
+    canvas,
+    clean_left,
+    color_of,
+    name_rows,
+    plain_ticks,
+    word_color_of,
+    wrap,
+)
+from study.reporting.results.study_result import ReportData
+from study.statistics.analysis.unreplicated import pseudo_standard_error
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure as Canvas
+
+
+_ACTIVE = "#D55E00"
+
+_PASSIVE = "#0072B2"
+
+_MOST_BARS = 31
+
+_HALF_NORMAL_SIMULATIONS = 2000
+
+
+def contrasts(facts: Facts, data: ReportData) -> pd.DataFrame:
+    """Every contrast with its half-normal score and limits, the largest first."""
+    import pandas as pd
+
+    found = facts.lenth
+    if found is None:
+        raise ValueError("there are no single contrasts: the design is replicated")
+    frame = pd.DataFrame(
+        {
+            "contrast": list(found.names),
+            "name": [_name(name, data) for name in found.names],
+            "size": np.abs(np.asarray(found.values, dtype=float)),
+            "score": np.asarray(found.half_normal, dtype=float),
+            "p": np.asarray(found.p, dtype=float),
+            "margin": found.me,
+            "simultaneous": found.sme,
+        }
+    ).sort_values("size", ascending=False, kind="stable", ignore_index=True)
+    low, high = _envelope(len(frame), found.pse, data.seed)
+    return frame.assign(active=frame["size"] > frame["margin"], low=low, high=high)
+
+
+def _name(contrast: str, data: ReportData) -> str:
+    """Readable name of a contrast; ``material[2]`` is the second one of the material."""
+    term = re.sub(r"\[\d+\]", "", contrast)
+    numbers = re.findall(r"\[(\d+)\]", contrast)
+    return term_name(term, data.labels) + (f" [{', '.join(numbers)}]" if numbers else "")
+
+
+def _envelope(m: int, pse: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Pointwise 95 % envelope of ``m`` sorted null contrasts, the largest first."""
+    z = np.abs(np.random.default_rng(seed).standard_normal((_HALF_NORMAL_SIMULATIONS, m)))
+    z *= pse / pseudo_standard_error(z)[:, None]
+    z = np.sort(z, axis=1)[:, ::-1]
+    low, high = np.quantile(z, [0.025, 0.975], axis=0)
+    return low, high
+
+
+def draw_contrasts(frame: pd.DataFrame, facts: Facts) -> Canvas:
+    """Draw the Pareto plot on the left, the half-normal plot on the right."""
+    shown = frame.head(_MOST_BARS)
+    figure = canvas(WIDTH_IN, max(3.4, 1.0 + 0.2 * len(shown)))
+    pareto, half = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
+    unit = "log ratio" if facts.ratio else facts.difference_unit
+    label = f"absolute contrast ({unit})" if unit else "absolute contrast"
+    _pareto(pareto, shown, label)
+    _half_normal(half, frame, label)
+    return figure
+
+
+def _pareto(ax: Axes, frame: pd.DataFrame, label: str) -> None:
+    import seaborn as sns
+
+    places = np.arange(len(frame))
+    sns.barplot(
+        x=frame["size"],
+        y=places,
+        hue=frame["active"],
+        orient="y",
+        native_scale=True,
+        dodge=False,
+        palette={True: _ACTIVE, False: _PASSIVE},
+        saturation=1,
+        width=0.66,
+        errorbar=None,
+        legend=False,
+        ax=ax,
+    )
+    for column, style, name in (("margin", "--", "one"), ("simultaneous", ":", "all")):
+        limit = float(frame[column].iloc[0])
+        ax.axvline(limit, color=INK, linewidth=0.8, linestyle=style)
+        ax.text(
+            limit,
+            1.0,
+            name,
+            transform=ax.get_xaxis_transform(),
+            ha="center",
+            va="bottom",
+            fontsize=7.5,
+            color=MUTED,
+        )
+    name_rows(ax, places, [wrap(name, 30) for name in frame["name"]])
+    ax.set_ylim(len(frame) - 0.4, -0.6)
+    clean_left(ax)
+    ax.set_xlabel(f"{label}; limits for one, for all")
+    plain_ticks(ax, "x")
+
+
+def _half_normal(ax: Axes, frame: pd.DataFrame, label: str) -> None:
+    import seaborn as sns
+
+    ordered = frame.sort_values("score")
+    ax.fill_between(
+        ordered["score"], np.sort(frame["low"]), np.sort(frame["high"]), color=BAND, linewidth=0
+    )
+    sns.scatterplot(
+        frame,
+        x="score",
+        y="size",
+        hue="active",
+        style="active",
+        palette={True: _ACTIVE, False: _PASSIVE},
+        markers={True: "D", False: "o"},
+        s=30,
+        linewidth=0,
+        legend=False,
+        ax=ax,
+    )
+    for name, score, size in zip(*(frame[c] for c in ("name", "score", "size")), strict=True):
+        if size > float(frame["margin"].iloc[0]):
+            ax.annotate(
+                name,
+                (score, size),
+                xytext=(-6, 0),
+                textcoords="offset points",
+                ha="right",
+                va="center",
+                fontsize=7.5,
+            )
+    ax.set_ylim(bottom=0)
+    ax.set_xlim(left=0)
+    ax.set_xlabel("half-normal score, with the 95 % envelope of no effect")
+    ax.set_ylabel(label)
+    plain_ticks(ax, "y")
+
+
+# -------------------------------------------------------------------------------------------------
+# Figures of assumptions: four views of the residuals, and the spread of the cells.
+
+_SIMULATIONS = 1000
+
+
+def diagnostic_residual_points(facts: Facts) -> pd.DataFrame:
+    """Residuals of one representative of each computation, with their normal scores."""
+    if facts.residuals is None or facts.residuals.empty:
+        raise ValueError("there are no residuals")
+    frame = facts.residuals
+    if "representative" in frame:
+        frame = frame[frame["representative"].astype(bool)]
+    frame = frame.sort_values("residual", kind="stable").reset_index(drop=True)
+    return frame.assign(score=_scores(len(frame)))
+
+
+def _scores(n: int) -> np.ndarray:
+    from scipy.special import ndtri
+
+    return np.asarray(ndtri((np.arange(1, n + 1) - 0.375) / (n + 0.25)))
+
+
+def envelope(n: int, spread: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Pointwise 95 % envelope of ``n`` sorted independent normal values.
+
+    Shapes: returns (n,).
+    """
+    draws = np.random.default_rng(seed).standard_normal((_SIMULATIONS, n))
+    draws.sort(axis=1)
+    draws = (draws - draws.mean(1, keepdims=True)) / draws.std(1, ddof=1, keepdims=True)
+    low, high = np.quantile(draws, [0.025, 0.975], axis=0)
+    return low * spread, high * spread
+
+
+def draw_residuals(frame: pd.DataFrame, facts: Facts, data: ReportData) -> Canvas:
+    """Draw the four-in-one: normal plot, against fitted, histogram, against the factors."""
+    import seaborn as sns
+
+    figure = canvas(WIDTH_IN, 5.6)
+    (normal, fitted), (histogram, factors) = figure.subplots(2, 2)
+    unit = "log ratio" if facts.ratio else facts.difference_unit
+    label = f"residual ({unit})" if unit else "residual"
+    _normal_plot(normal, frame, facts, data.seed, label)
+    fitted.axhline(0, color=MUTED, linewidth=0.7)
+    sns.scatterplot(
+        frame,
+        x="fitted",
+        y="residual",
+        s=10,
+        alpha=0.7,
+        color=color_of(0),
+        linewidth=0,
+        zorder=2,
+        # clipped, each point of a scatter becomes a group of its own: 27 % more SVG
+        clip_on=False,
+        ax=fitted,
+    )
+    where = f"log of {facts.unit}" if facts.ratio else facts.unit
+    fitted.set(title="against fitted", xlabel=f"fitted ({where})", ylabel=label)
+    sns.histplot(
+        frame,
+        x="residual",
+        bins="fd" if len(frame) > 12 else 6,
+        color=color_of(5),
+        alpha=1,
+        edgecolor="white",
+        linewidth=0.6,
+        ax=histogram,
+    )
+    histogram.set(title="histogram", xlabel=label, ylabel="count")
+    _against_factors(factors, frame, data, label)
+    for ax in (normal, fitted, histogram):
+        plain_ticks(ax, "x")
+    for ax in (normal, fitted, histogram, factors):
+        plain_ticks(ax, "y")
+    return figure
+
+
+def _normal_plot(ax: Axes, frame: pd.DataFrame, facts: Facts, seed: int, label: str) -> None:
+    values = frame["residual"].to_numpy(float)
+    spread = float(values.std(ddof=1))
+    low, high = envelope(values.size, spread, seed)
+    ax.fill_between(frame["score"], low, high, color=BAND, linewidth=0)
+    ends = np.array([frame["score"].min(), frame["score"].max()])
+    ax.plot(ends, ends * spread, color=MUTED, linewidth=0.8)
+    ax.plot(
+        frame["score"], values, "o", markersize=3.2, alpha=0.8, color=color_of(0), markeredgewidth=0
+    )
+    found = facts.assumptions.normality
+    if found is not None and found.rj is not None:
+        text = f"RJ = {found.rj:.4f}"
+        if found.p_exact is not None:
+            text += f", simulated p {_with_sign(p_value(found.p_exact))}"
+        ax.text(0.03, 0.96, text, transform=ax.transAxes, va="top", fontsize=8)
+    ax.set(title="normal plot, with 95 % envelope", xlabel="normal score", ylabel=label)
+
+
+def _with_sign(p: str) -> str:
+    return p if p[0] in "<>" else f"= {p}"
+
+
+def _against_factors(ax: Axes, frame: pd.DataFrame, data: ReportData, label: str) -> None:
+    """Draw the residuals of every level of every factor, side by side."""
+    import seaborn as sns
+
+    ax.axhline(0, color=MUTED, linewidth=0.7)
+    levels = _level_places(frame, data)
+    if levels.empty:
+        return
+    sns.scatterplot(
+        _jittered(frame, levels, data.seed),
+        x="place",
+        y="residual",
+        hue="number",
+        palette={number: color_of(number) for number in levels["number"]},
+        s=7,
+        alpha=0.7,
+        linewidth=0,
+        zorder=2,
+        clip_on=False,
+        legend=False,
+        ax=ax,
+    )
+    for number, factor in levels.groupby("number"):
+        ax.text(
+            float(factor["place"].mean()),
+            1.0,
+            wrap(name_of(factor["factor"].iloc[0], data.labels), 16, 24),
+            transform=ax.get_xaxis_transform(),
+            ha="center",
+            va="bottom",
+            fontsize=7.5,
+            color=word_color_of(int(str(number))),
+            fontweight="bold",
+        )
+    names = [clean(level, 20) for level in levels["level"]]
+    ax.set_xticks(
+        levels["place"], names, rotation=40, ha="right", rotation_mode="anchor", fontsize=7
+    )
+    ax.set(xlabel="", ylabel=label)
+
+
+def _level_places(frame: pd.DataFrame, data: ReportData) -> pd.DataFrame:
+    """Place of every level on the shared axis; 0.7 of a step more parts the factors."""
+    import pandas as pd
+
+    rows: list[tuple[int, str, str, float]] = []
+    start = 0.0
+    for number, (factor, levels) in enumerate(data.factors.items()):
+        if factor in frame:
+            rows += [(number, factor, level, start + i) for i, level in enumerate(levels)]
+            start += len(levels) + 0.7
+    return pd.DataFrame(rows, columns=["number", "factor", "level", "place"])
+
+
+def _jittered(frame: pd.DataFrame, levels: pd.DataFrame, seed: int) -> pd.DataFrame:
+    """Residuals spread about the place of their level; seaborn's jitter differs at every run."""
+    import pandas as pd
+
+    rng = np.random.default_rng(seed)
+    parts = []
+    for number, factor, level, place in levels.itertuples(index=False):
+        values = frame.loc[frame[factor].astype(str) == level, "residual"]
+        spread = place + rng.uniform(-0.18, 0.18, len(values))
+        parts.append(pd.DataFrame({"place": spread, "residual": values, "number": number}))
+    return pd.concat(parts, ignore_index=True)
+
+
+def spread_of_cells(facts: Facts, alpha: float) -> pd.DataFrame:
+    """Return the standard deviation of the residuals of each cell, with Bonferroni intervals.
+
+    Intervals are those of the chi-squared distribution with n - 1 degrees of freedom:
+    approximate where the residuals come from a fit with blocks.
+    """
+    import pandas as pd
+    from scipy.special import chdtri
+
+    frame = diagnostic_residual_points(facts)
+    grouped = frame.groupby("cell", sort=False)["residual"].agg(["std", "count"])
+    grouped = grouped[grouped["count"] > 1].sort_values("std", ascending=False)
+    if grouped.empty:
+        raise ValueError("no cell holds two residuals")
+    tail = alpha / (2 * len(grouped))
+    df = grouped["count"].to_numpy(float) - 1
+    sd = grouped["std"].to_numpy(float)
+    return pd.DataFrame(
+        {
+            "cell": grouped.index.astype(str),
+            "n": grouped["count"].to_numpy(),
+            "sd": sd,
+            # chdtri takes the upper tail
+            "low": sd * np.sqrt(df / chdtri(df, tail)),
+            "high": sd * np.sqrt(df / chdtri(df, 1 - tail)),
+        }
+    )
+
+
+def draw_spread(frame: pd.DataFrame, facts: Facts) -> Canvas:
+    """Draw one row a cell: its standard deviation and interval."""
+    import seaborn as sns
+
+    figure = canvas(WIDTH_IN, 0.9 + 0.22 * len(frame))
+    ax = figure.subplots()
+    places = np.arange(len(frame))
+    ax.hlines(places, frame["low"], frame["high"], color=color_of(0), linewidth=1.6)
+    sns.scatterplot(x=frame["sd"], y=places, color=color_of(0), s=36, linewidth=0, zorder=3, ax=ax)
+    name_rows(ax, places, [wrap(cell, 70, 70) for cell in frame["cell"]])
+    ax.set_ylim(len(frame) - 0.4, -0.6)
+    ax.set_xlim(left=0)
+    ax.grid(axis="y", color=RULE, linewidth=0.4)
+    clean_left(ax)
+    unit = "log ratio" if facts.ratio else facts.difference_unit
+    shown = f" ({unit})" if unit else ""
+    ax.set_xlabel(f"standard deviation of residuals{shown}, 95 % Bonferroni intervals")
+    plain_ticks(ax, "x")
+    return figure
+
+
+# -------------------------------------------------------------------------------------------------
+# Residual plots of a table of measurements: four in one, against the factors, influence.
+#
+# At most :data:`MOST_POINTS` rows are drawn, the largest residuals among them: a drawing of 100,000
+# marks would make a page of 20 MB and show no more.
+
+#: Rows drawn at most; 100 of them are the largest residuals, the others a random sample.
+MOST_POINTS = 2000
+LARGEST_KEPT = 100
+#: Rows beyond which single points are no longer joined in run order.
+MOST_JOINED = 300
+#: Rows that are named in the plot of influence.
+NAMED = 5
+
+
+def residual_points(rows: pd.DataFrame) -> pd.DataFrame:
+    """Every row with the normal score of its residual (Blom 1958)."""
+    from scipy.special import ndtri
+
+    n = len(rows)
+    order = rows["residual"].rank(method="first").to_numpy(float)
+    return rows.assign(score=ndtri((order - 0.375) / (n + 0.25)))
+
+
+def thinned(points: pd.DataFrame, seed: int) -> pd.DataFrame:
+    """At most ``MOST_POINTS`` rows in their order: the largest residuals and a random sample."""
+    if len(points) <= MOST_POINTS:
+        return points
+    size = points["residual"].abs().to_numpy()
+    largest = np.argpartition(size, -LARGEST_KEPT)[-LARGEST_KEPT:]
+    others = np.setdiff1d(np.arange(len(points)), largest)
+    rng = np.random.default_rng(seed)
+    sample = rng.choice(others, MOST_POINTS - LARGEST_KEPT, replace=False)
+    return points.iloc[np.sort(np.concatenate([largest, sample]))]
+
+
+def drawn_words(points: pd.DataFrame) -> str:
+    """Say how many of the rows are drawn, where not all are."""
+    if len(points) <= MOST_POINTS:
+        return ""
+    return (
+        f"; {MOST_POINTS:,} of {len(points):,} rows are drawn: the {LARGEST_KEPT} largest "
+        "residuals and a random sample"
+    )
+
+
+def four_in_one_caption(points: pd.DataFrame, facts: Facts, alpha: float) -> str:
+    """Name the panels, and say whether normality is rejected."""
+    found = facts.assumptions.normality
+    verdict = "the test of normality does not apply"
+    if found is not None and found.rj is not None:
+        p = found.p_exact
+        said = f" ({p_phrase(p)}, simulated)" if p is not None else ""
+        rejected = p is not None and p < alpha
+        verdict = f"normality is {'rejected' if rejected else 'not rejected'} by Ryan-Joiner{said}"
+    return sentence(
+        f"{count(len(points), 'residual')}; {verdict}. The order is that of the rows in the file: "
+        f"the run order only if they were written down as they were run{drawn_words(points)}"
+    )
+
+
+def draw_four_in_one(points: pd.DataFrame, facts: Facts, data: ReportData) -> Canvas:
+    """Draw probability plot, residuals against fits, histogram, residuals in the order of rows."""
+    figure = canvas(WIDTH_IN, 5.8)
+    (normal, fits), (histogram, order) = figure.subplots(2, 2)
+    shown, label = thinned(points, data.seed), _label(facts)
+    _probability(normal, shown, points, facts, data.seed, label)
+    _against(fits, shown["fitted"], shown["residual"])
+    where = f"log of {facts.unit}" if facts.ratio and facts.unit else facts.unit
+    fits.set(title="versus fits", xlabel=f"fit ({where})" if where else "fit", ylabel=label)
+    _histogram(histogram, points["residual"].to_numpy(float), label)
+    joined = len(shown) <= MOST_JOINED
+    order.axhline(0, color=MUTED, linewidth=0.7)
+    order.plot(shown["row"], shown["residual"], "o-" if joined else "o", markersize=3.2,
+               linewidth=0.7, color=color_of(0), markeredgewidth=0)  # fmt: skip
+    order.set(title="versus order", xlabel="row of the file (without the header)", ylabel=label)
+    for ax in (normal, fits, histogram, order):
+        plain_ticks(ax, "x")
+        plain_ticks(ax, "y")
+    return figure
+
+
+def _label(facts: Facts) -> str:
+    unit = "log ratio" if facts.ratio else facts.difference_unit
+    return f"residual ({unit})" if unit else "residual"
+
+
+def _probability(
+    ax: Axes, shown: pd.DataFrame, points: pd.DataFrame, facts: Facts, seed: int, label: str
+) -> None:
+    """Draw residuals against normal scores, with the envelope of normal data where n is small."""
+    spread = float(points["residual"].std(ddof=1))
+    if len(points) <= MOST_POINTS:
+        low, high = envelope(len(points), spread, seed)
+        ax.fill_between(np.sort(points["score"]), low, high, color=BAND, linewidth=0)
+    ends = np.array([points["score"].min(), points["score"].max()])
+    ax.plot(ends, ends * spread, color=MUTED, linewidth=0.8)
+    ax.plot(shown["score"], shown["residual"], "o", markersize=3.2, alpha=0.8, color=color_of(0),
+            markeredgewidth=0)  # fmt: skip
+    found = facts.assumptions.normality
+    if found is not None and found.rj is not None:
+        p = p_value(found.p_exact)
+        tail = "" if found.p_exact is None else f", p {p if p[0] in '<>' else f'= {p}'}"
+        text = f"RJ = {found.rj:.4f}{tail}"
+        ax.text(0.03, 0.97, text, transform=ax.transAxes, va="top", fontsize=8)
+    ax.set(title="normal probability plot", xlabel="normal score", ylabel=label)
+
+
+def _against(ax: Axes, x: pd.Series, residual: pd.Series) -> None:
+    ax.axhline(0, color=MUTED, linewidth=0.7)
+    ax.plot(x, residual, "o", markersize=3.2, alpha=0.7, color=color_of(0), markeredgewidth=0)
+
+
+def _histogram(ax: Axes, values: np.ndarray, label: str) -> None:
+    import seaborn as sns
+
+    bins = int(np.clip(np.ceil(1 + np.log2(values.size)), 4, 40))  # Sturges 1926
+    sns.histplot(x=values, bins=bins, color=color_of(5), alpha=1, edgecolor="white", linewidth=0.6,
+                 ax=ax)  # fmt: skip
+    ax.set(title="histogram", xlabel=label, ylabel="rows")
+
+
+def draw_against_factors(points: pd.DataFrame, facts: Facts, data: ReportData) -> Canvas:
+    """Draw the residuals at every level of every factor, side by side."""
+    figure = canvas(WIDTH_IN, 3.2)
+    ax = figure.subplots()
+    _against_factors(ax, thinned(points, data.seed), data, _label(facts))
+    plain_ticks(ax, "y")
+    return figure
+
+
+def influence_caption(points: pd.DataFrame, limit: float | None) -> str:
+    """Say how many rows move the fit."""
+    moving = 0 if limit is None else int((points["cook"] > limit).sum())
+    said = f"{count(moving, 'row')} beyond it" if moving else "no row is beyond it"
+    line = "" if limit is None else f"; beyond {limit:.2g} a row moves the fit, and {said}"
+    return sentence(
+        "left, Cook's distance of every row; right, standardized residual against leverage, with "
+        f"lines at \N{MINUS SIGN}2 and 2{line}{drawn_words(points)}"
+    )
+
+
+def draw_influence(points: pd.DataFrame, data: ReportData, limit: float | None) -> Canvas:
+    """Draw Cook's distance by row, and standardized residual against leverage."""
+    figure = canvas(WIDTH_IN, 3.2)
+    cook, leverage = figure.subplots(1, 2)
+    # a row that is fitted exactly has leverage one, and no Cook's distance
+    drawn = thinned(points, data.seed)
+    shown = drawn[np.isfinite(drawn["cook"].to_numpy(float))]
+    cook.vlines(shown["row"], 0, shown["cook"], color=color_of(0), linewidth=1.0)
+    largest = float(np.nanmax(shown["cook"].to_numpy(float), initial=0.0))
+    if limit is not None and limit <= 3 * largest:
+        cook.axhline(limit, color=INK, linewidth=0.8, linestyle="--")
+    for row in shown.nlargest(NAMED, "cook").itertuples():
+        at = float(str(row.row)), float(str(row.cook))
+        cook.annotate(f"{row.row}", at, xytext=(0, 2), textcoords="offset points",
+                      ha="center", va="bottom", fontsize=7.5)  # fmt: skip
+    cook.set_ylim(bottom=0, top=1.12 * largest if largest > 0 else 1.0)
+    cook.set(title="Cook's distance", xlabel="row of the file", ylabel="")
+    for height in (-2, 2):
+        leverage.axhline(height, color=MUTED, linewidth=0.7, linestyle="--")
+    _against(leverage, shown["leverage"], shown["standardized"])
+    leverage.set(
+        title="residual against leverage", xlabel="leverage", ylabel="standardized residual"
+    )
+    for ax in (cook, leverage):
+        plain_ticks(ax, "x")
+        plain_ticks(ax, "y")
+    return figure

@@ -1,0 +1,395 @@
+"""Fitted constants with their intervals, one panel a constant."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from study.reporting.content.numbers import duration, quantity
+from study.reporting.content.report_facts import Facts
+from study.reporting.content.tables import fit_name, fit_rank
+from study.reporting.content.text import clean, listing, name_of, term_name
+from study.reporting.figures.axes import (
+    BAND,
+    INK,
+    MARKERS,
+    MUTED,
+    RULE,
+    WIDTH_IN,
+    canvas,
+    clean_left,
+    color_of,
+    log_ticks,
+    name_rows,
+    plain_ticks,
+    wrap,
+)
+from study.reporting.figures.effect_figures import axis_label
+from study.reporting.results.study_result import DepthEffect, ReportData
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure as Canvas
+
+
+_MOST_ROWS = 40
+_MOST_PANELS = 4
+
+
+def constant_points(data: ReportData) -> pd.DataFrame:
+    """Every fitted constant with its interval, in the order of the design."""
+    import pandas as pd
+
+    fits = [fit for fit in data.fits if fit.value is not None]
+    if not fits:
+        raise ValueError("no constant was fitted")
+    every = dict.fromkeys(tuple(fit.levels.items()) for fit in fits)
+    ranked = sorted(every, key=lambda levels: fit_rank(dict(levels), data))
+    place = {levels: i for i, levels in enumerate(ranked)}
+    frame = pd.DataFrame(
+        {
+            "row": [fit_name(fit, data) for fit in fits],
+            "place": [place[tuple(fit.levels.items())] for fit in fits],
+            "constant": [fit.constant for fit in fits],
+            "block": [fit.block for fit in fits],
+            "specimen": [fit.specimen for fit in fits],
+            "value": [fit.value for fit in fits],
+            "low": [fit.low for fit in fits],
+            "high": [fit.high for fit in fits],
+            "standard_error": [fit.standard_error for fit in fits],
+            "unit": [fit.unit for fit in fits],
+            "identifiable": [fit.identifiable for fit in fits],
+        }
+    )
+    numbers = dict.fromkeys(("value", "low", "high", "standard_error"), float)
+    frame = frame.astype(numbers)
+    return frame[frame["place"] < _MOST_ROWS].sort_values(["constant", "place"], kind="stable")
+
+
+def draw_constants(frame: pd.DataFrame) -> Canvas:
+    """Draw rows of fits; a hollow mark is a constant that the data do not determine."""
+    # the constant of most fits first: it is the one that all models share
+    names = frame["constant"].value_counts().index.tolist()[:_MOST_PANELS]
+    rows = frame.drop_duplicates("place").sort_values("place")
+    figure = canvas(WIDTH_IN, 1.0 + 0.3 * len(rows))
+    axes = figure.subplots(1, len(names), squeeze=False, sharey=True)[0]
+    for index, (ax, name) in enumerate(zip(axes, names, strict=True)):
+        some = frame[frame["constant"] == name]
+        _panel(ax, some, color_of(index))
+        unit = str(some["unit"].iloc[0])
+        ax.set_xlabel(f"{clean(name, 16)} ({unit})" if unit else clean(name, 16))
+    name_rows(axes[0], rows["place"], [wrap(row, 46, 90) for row in rows["row"]])
+    axes[0].set_ylim(len(rows) - 0.4, -0.6)
+    return figure
+
+
+def _panel(ax: Axes, frame: pd.DataFrame, color: str) -> None:
+    for place, group in frame.groupby("place"):
+        # fits of one row stand below each other, so that their intervals can be read
+        y = float(str(place)) + np.linspace(-0.3, 0.3, len(group) + 2)[1:-1]
+        ax.hlines(y, group["low"], group["high"], color=color, linewidth=0.8)
+        sure = group["identifiable"].to_numpy(bool)
+        ax.plot(group["value"][sure], y[sure], "o", color=color, markersize=2.8)
+        ax.plot(
+            group["value"][~sure],
+            y[~sure],
+            "o",
+            color=color,
+            markersize=2.8,
+            markerfacecolor="white",
+            markeredgewidth=0.8,
+        )
+    ax.grid(axis="y", color=RULE, linewidth=0.4)
+    clean_left(ax)
+    plain_ticks(ax, "x")
+    ax.locator_params(axis="x", nbins=4)
+
+
+# -------------------------------------------------------------------------------------------------
+# Figures of cost and of failure: the front of cells worth their seconds, the failure map.
+
+#: a row of a legend in small type, a letter in it, what its mark and gaps take, inches; and the
+#: share of the figure's width beside the labels of the vertical axis
+_LEGEND_ROW_IN = 0.16
+_LEGEND_LETTER_IN = 0.062
+_LEGEND_MARK_IN = 0.5
+_LEGEND_SHARE = 0.9
+
+
+def draw_front(frame: pd.DataFrame, facts: Facts, data: ReportData, practical: float) -> Canvas:
+    """Draw the mean response of each cell against its seconds, front stepped and labeled."""
+    color_by, shape_by = _styling(frame, data)
+    columns, rows = _legend_shape(color_by[0], shape_by[0], data)
+    figure = canvas(WIDTH_IN, 3.7 + _LEGEND_ROW_IN * (rows - 1))
+    ax = figure.subplots()
+    for row in frame.to_dict("records"):
+        ax.plot(
+            row["seconds"],
+            row["mean"],
+            marker=MARKERS[shape_by[1].get(row["cell"], 0) % 7],
+            color=color_of(color_by[1].get(row["cell"], 0)),
+            markersize=6.5,
+            alpha=0.85,
+            markeredgecolor="white",
+            markeredgewidth=0.5,
+            linestyle="none",
+        )
+    ax.set_xscale("log")
+    front = frame[frame["front"]]
+    ax.step(front["seconds"], front["mean"], where="post", color=MUTED, linewidth=0.9)
+    sign = -1.0 if facts.response.better == "higher" else 1.0
+    best = float(sign * (sign * frame["mean"]).min())
+    if practical > 0:
+        ax.axhspan(best, best + sign * practical, color="#eef1f4", zorder=0)
+        ax.text(
+            1.0,
+            best + sign * practical,
+            "as good as the best ",
+            ha="right",
+            va="bottom",
+            transform=ax.get_yaxis_transform(),
+            fontsize=7.5,
+            color=MUTED,
+        )
+    ax.margins(x=0.06, y=0.16)
+    _front_labels(ax, front, list(data.factors))
+    _front_legend(ax, color_by[0], shape_by[0], data, columns)
+    _time_ticks(ax, frame)
+    plain_ticks(ax, "y")
+    ax.set_xlabel("mean computing time of a case")
+    ax.set_ylabel(axis_label(facts))
+    return figure
+
+
+def _styling(
+    frame: pd.DataFrame, data: ReportData
+) -> tuple[tuple[str, dict[str, int]], tuple[str, dict[str, int]]]:
+    """Color and shape by the two factors that change the cost most."""
+    cost = np.log(frame["seconds"].clip(lower=1e-9))
+    moved = {
+        name: float(cost.groupby(frame[name]).mean().var() or 0.0)
+        for name in data.factors
+        if len(data.factors[name]) > 1
+    }
+    order = sorted(moved, key=lambda name: -moved[name]) or list(data.factors)[:1]
+    chosen = (order[0], order[1] if len(order) > 1 else order[0])
+
+    def index(name: str) -> dict[str, int]:
+        places = {level: i for i, level in enumerate(data.factors[name])}
+        return {
+            str(cell): places.get(str(level), 0)
+            for cell, level in zip(frame["cell"], frame[name], strict=True)
+        }
+
+    return (chosen[0], index(chosen[0])), (chosen[1], index(chosen[1]))
+
+
+def _front_labels(ax: Axes, front: pd.DataFrame, factors: Sequence[str]) -> None:
+    """Name the front's cells; one whose name would run into another's is left out."""
+    low, high = np.log(ax.get_xlim())
+    bottom, top = ax.get_ylim()
+    taken: list[tuple[float, float]] = []
+    for row in reversed(front.to_dict("records")):
+        x = float((np.log(row["seconds"]) - low) / (high - low))
+        y = float((row["mean"] - bottom) / (top - bottom))
+        if any(abs(x - a) < 0.36 and abs(y - b) < 0.07 for a, b in taken):
+            continue
+        taken.append((x, y))
+        text = " \N{MIDDLE DOT} ".join(clean(row[name], 22) for name in factors)
+        ax.annotate(
+            text,
+            (row["seconds"], row["mean"]),
+            fontsize=7.5,
+            va="top",
+            ha="right" if x > 0.6 else "left",
+            xytext=(-7 if x > 0.6 else 7, -6),
+            textcoords="offset points",
+        )
+
+
+def _legend_shape(color_by: str, shape_by: str, data: ReportData) -> tuple[int, int]:
+    """Columns and rows of the legend: no more columns than the width of the figure holds."""
+    shown = [clean(level, 22) for name in dict.fromkeys((color_by, shape_by))
+             for level in data.factors[name]]  # fmt: skip
+    wide = _LEGEND_MARK_IN + _LEGEND_LETTER_IN * max(map(len, shown))
+    columns = max(1, min(len(shown), int(_LEGEND_SHARE * WIDTH_IN / wide)))
+    return columns, -(-len(shown) // columns)
+
+
+def _front_legend(ax: Axes, color_by: str, shape_by: str, data: ReportData, columns: int) -> None:
+    from matplotlib.lines import Line2D
+
+    handles = [
+        Line2D(
+            [],
+            [],
+            color=color_of(i),
+            marker="o",
+            linestyle="none",
+            markersize=5,
+            label=clean(level, 22),
+        )
+        for i, level in enumerate(data.factors[color_by])
+    ]
+    if shape_by != color_by:
+        handles += [
+            Line2D(
+                [],
+                [],
+                color=MUTED,
+                marker=MARKERS[i % 7],
+                linestyle="none",
+                markersize=5,
+                label=clean(level, 22),
+            )
+            for i, level in enumerate(data.factors[shape_by])
+        ]
+    title = clean(name_of(color_by, data.labels), 30)
+    if shape_by != color_by:
+        title += f" (color), {clean(name_of(shape_by, data.labels), 30)} (shape)"
+    ax.legend(
+        handles=handles,
+        title=title,
+        title_fontsize=7.5,
+        fontsize=7.5,
+        ncols=columns,
+        loc="lower left",
+        bbox_to_anchor=(0, 1.0),
+        alignment="left",
+        borderpad=0,
+    )
+
+
+def _time_ticks(ax: Axes, frame: pd.DataFrame) -> None:
+    low, high = float(frame["seconds"].min()), float(frame["seconds"].max())
+    ticks = [1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0, 60.0, 600.0, 3600.0, 36000.0]
+    inside = [t for t in ticks if low / 2 <= t <= high * 2]
+    seen = [t for t in inside if ax.get_xlim()[0] <= t <= ax.get_xlim()[1]]
+    if len(seen) < 2:
+        log_ticks(ax, "x", duration)
+    else:
+        ax.set_xticks(inside, [duration(t) for t in inside])
+    ax.set_xticks([], minor=True)
+
+
+def draw_failures(frame: pd.DataFrame, statuses: Sequence[str]) -> Canvas:
+    """Draw cells against blocks, a mark where a case failed."""
+    rows = list(dict.fromkeys(frame["cell"]))
+    columns = list(dict.fromkeys(frame["block"]))
+    figure = canvas(WIDTH_IN, 0.9 + 0.2 * len(rows))
+    ax = figure.subplots()
+    for index, status in enumerate(statuses):
+        some = frame[frame["status"] == status]
+        good = status == "converged"
+        ax.plot(
+            [columns.index(b) for b in some["block"]],
+            [rows.index(c) for c in some["cell"]],
+            linestyle="none",
+            marker="." if good else MARKERS[(index + 1) % 7],
+            color="#c4cad1" if good else color_of(index),
+            markersize=4 if good else 7,
+            label=clean(status, 24),
+        )
+    ax.set_xticks(range(len(columns)), [wrap(c, 10, 20) for c in columns], fontsize=7.5)
+    name_rows(ax, range(len(rows)), [wrap(r, 80, 70) for r in rows])
+    ax.set_ylim(len(rows) - 0.5, -0.5)
+    ax.set_xlim(-0.5, len(columns) - 0.5)
+    ax.tick_params(length=0)
+    figure.legend(loc="outside upper left", ncols=6)
+    return figure
+
+
+# -------------------------------------------------------------------------------------------------
+# Effect of each factor against the depth that the test is scored to.
+
+#: sideways distance of the intervals of two factors, over the distance of two depths
+_BESIDE = 0.05
+
+
+def points(rows: Sequence[DepthEffect], response: str, data: ReportData) -> pd.DataFrame:
+    """Rows of one response with the names of their factors."""
+    import pandas as pd
+
+    frame = pd.DataFrame([asdict(row) for row in rows if row.response == response])
+    names = [term_name(str(term), data.labels) for term in frame["term"]]
+    numbers = {"difference": float, "low": float, "high": float, "practical": float}
+    return frame.assign(name=names).astype(numbers)
+
+
+def draw(frame: pd.DataFrame, facts: Facts) -> Canvas:
+    """Draw the largest difference of every factor with its interval against depth.
+
+    Units: frame mm.
+    """
+    figure = canvas(WIDTH_IN, 3.6)
+    ax = figure.subplots()
+    _band(ax, frame, facts)
+    depths = sorted(frame["depth_mm"].unique())
+    apart = _BESIDE * (depths[-1] - depths[0]) / max(len(depths) - 1, 1)
+    terms = list(dict.fromkeys(frame["name"]))
+    for k, name in enumerate(terms):
+        part = frame[frame["name"] == name]
+        x = part["depth_mm"] + apart * (k - (len(terms) - 1) / 2)
+        marker, color = MARKERS[k % len(MARKERS)], color_of(k)
+        ax.plot(x, part["difference"], marker=marker, color=color, label=name, markersize=5)
+        ax.vlines(x, part["low"], part["high"], color=color, linewidth=1.2, alpha=0.7)
+    ax.set_xticks(depths, [f"{depth:g}" for depth in depths])
+    ax.set_xlabel("scored to a displacement of (mm)")
+    what = "ratio" if facts.ratio else f"difference ({facts.difference_unit})"
+    ax.set_ylabel(f"largest {what} between levels")
+    ax.legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1.01, 1.0))
+    for side in ("top", "right"):
+        ax.spines[side].set_visible(False)
+    return figure
+
+
+def _band(ax: Axes, frame: pd.DataFrame, facts: Facts) -> None:
+    """Shade what does not matter; a share of the mean grows with the depth."""
+    zero = 1.0 if facts.ratio else 0.0
+    ax.axhline(zero, color=MUTED, linewidth=0.7)
+    limits = frame.dropna(subset=["practical"]).drop_duplicates("depth_mm")
+    if limits.empty:
+        return
+    limits = limits.sort_values("depth_mm")
+    below = 1 / limits["practical"] if facts.ratio else -limits["practical"]
+    ax.fill_between(limits["depth_mm"], below, limits["practical"], color=BAND, zorder=0)
+    ax.annotate(
+        "no practical difference",
+        (limits["depth_mm"].iloc[-1], below.iloc[-1]),
+        xytext=(0, 3),
+        textcoords="offset points",
+        ha="right",
+        color=INK,
+        fontsize=7.5,
+        alpha=0.7,
+    )
+
+
+def caption(frame: pd.DataFrame, facts: Facts) -> str:
+    """Say what changes between the shallowest and the deepest look."""
+    depths = sorted(frame["depth_mm"].unique())
+    shallow, deep = (
+        frame[frame["depth_mm"] == d].set_index("name") for d in (depths[0], depths[-1])
+    )
+    changed = [
+        f"{name} ({shallow.loc[name, 'verdict']} at {depths[0]:g} mm, "
+        f"{deep.loc[name, 'verdict']} at {depths[-1]:g} mm)"
+        for name in deep.index
+        if name in shallow.index and shallow.loc[name, "verdict"] != deep.loc[name, "verdict"]
+    ]
+    verdicts = (
+        f"The verdict depends on it for {listing(changed)}."
+        if changed
+        else "No verdict depends on it."
+    )
+    strongest = deep["difference"].idxmax()
+    sizes = [quantity(part.loc[strongest, "difference"], "") for part in (shallow, deep)]
+    return (
+        f"The same cases scored over the first part of the test only; constants are those of "
+        f"the whole study. {verdicts} The strongest factor at full depth, {strongest}, goes from "
+        f"{sizes[0]} to {sizes[1]}{' ' + facts.difference_unit if not facts.ratio else ''}."
+    )

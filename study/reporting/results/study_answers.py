@@ -1,0 +1,418 @@
+"""Two studies beside each other, as plain values that whoever holds both fills in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from collections.abc import Mapping
+from collections.abc import Sequence
+from study.statistics.analysis.failures import CaseFate
+from study.statistics.analysis.failures import cause
+from study.harness.design.factors import settings_of
+from study.harness.design.spec import Design
+from study.harness.design.spec import Factor
+from study.harness.record.record import Record
+import numpy as np
+from study.statistics.surfaces.surface_optimum import Goal
+from study.statistics.surfaces.surface_optimum import Spread
+
+
+def document(beside: Beside) -> dict[str, object]:
+    """Comparison as plain JSON."""
+    from dataclasses import asdict
+
+    rows = []
+    for row in beside.conclusions:
+        found = [asdict(f) for f in row.found]
+        for one in found:
+            ends = (one.pop("low"), one.pop("high"))
+            one["ci95"] = None if None in ends else list(ends)
+            one["effect_over_u_num"] = one.pop("over_u_num")
+        rows.append(
+            {
+                "response": row.response, "factor": row.term, "unit": row.unit,
+                "scale": "ratio" if row.ratio else "difference",
+                "conclusion": row.conclusion, "holds": row.holds,
+                "end": row.end or None, "same_best": row.same_best, "found": found,
+            }
+        )  # fmt: skip
+    changed = [{"kind": c.kind, "key": c.key, "values": list(c.values)} for c in beside.changes]
+    only = [
+        {"what": o.what, "name": o.name, "study": beside.names[o.study], "why": o.why}
+        for o in beside.only
+    ]
+    said = [text.replace("\N{NO-BREAK SPACE}", " ") for text in beside.summary]
+    return {"summary": said, "changes": changed, "conclusions": rows, "only_in_one": only}
+
+
+MATTERS = "holds in both: matters"
+NO_DIFFERENCE = "holds in both: no practical difference"
+DIFFERS = "differs"
+ONE_CANNOT_TELL = "cannot tell in one"
+NONE_CAN_TELL = "cannot tell in both"
+
+
+@dataclass(frozen=True)
+class Found:
+    """What one of the two studies says of one term."""
+
+    #: As in the verdict table of that study.
+    verdict: str
+    #: Largest difference and its 95 % interval: in the unit of the response, or ratios.
+    effect: float | None = None
+    low: float | None = None
+    high: float | None = None
+    #: Smallest difference that matters there, on the same scale.
+    practical: float | None = None
+    #: The deciding p, numerical uncertainty, and the effect over it.
+    p: float | None = None
+    u_num: float | None = None
+    over_u_num: float | None = None
+    #: Level that leads (see ``Conclusion.end``), among the levels that both studies have.
+    best: str = ""
+    why: str = ""
+
+
+@dataclass(frozen=True)
+class Conclusion:
+    """One term of one response under both studies."""
+
+    response: str
+    term: str
+    unit: str
+    #: One of the constants of this module; ``DIFFERS`` is followed by a colon and how.
+    conclusion: str
+    #: Whether the conclusion is the same in both; None where one of them cannot tell.
+    holds: bool | None
+    found: tuple[Found, Found]
+    ratio: bool = False
+    #: {"lowest", "highest", ""}: end of the response that ``best`` names: the better one, or the
+    #: highest where no end is better; empty for interactions.
+    end: str = ""
+    #: Whether that end is declared better.
+    best_is_better: bool = False
+    #: Whether some level leads in both, or lies within what matters of the leading one.
+    same_best: bool | None = None
+
+    @property
+    def is_main(self) -> bool:
+        """Whether this is the effect of one factor alone."""
+        return ":" not in self.term
+
+
+@dataclass(frozen=True)
+class Change:
+    """An input that the studies do not share; None where one of them does not set it.
+
+    ``kind`` is ``"design"``, ``"measurements"``, ``"truth"``, ``"extent"``, ``"code"`` or
+    ``"library"``.
+    """
+
+    kind: str
+    key: str
+    values: tuple[str | None, str | None]
+
+    @property
+    def sentence(self) -> str:
+        """Say from what to what it changed.
+
+        Examples
+        --------
+        >>> Change("design", "specimen.radius", ("25 mm", "26 mm")).sentence
+        'specimen.radius: from 25 mm to 26 mm'
+        >>> Change("design", "test.steps", (None, "20")).sentence
+        'test.steps: 20, not set before'
+        """
+        then, now = self.values
+        if then is None:
+            return f"{self.key}: {now}, not set before"
+        if now is None:
+            return f"{self.key}: {then} before, not set now"
+        return f"{self.key}: from {then} to {now}"
+
+
+@dataclass(frozen=True)
+class OnlyInOne:
+    """A response, term or level that only the study ``study`` (0 or 1) has."""
+
+    what: str
+    name: str
+    study: int
+    why: str = ""
+
+
+@dataclass(frozen=True)
+class Beside:
+    """Everything that two studies say beside each other."""
+
+    names: tuple[str, str]
+    #: What differs in their designs, what both conclude, and what one of them has alone.
+    changes: tuple[Change, ...]
+    conclusions: tuple[Conclusion, ...]
+    only: tuple[OnlyInOne, ...] = ()
+    warnings: tuple[str, ...] = ()
+    summary: tuple[str, ...] = ()
+    #: One minus the level of the intervals of each study.
+    alphas: tuple[float, float] = (0.05, 0.05)
+
+
+# -------------------------------------------------------------------------------------------------
+# The cases of a study as their failures are looked at: by level, or by part of a range.
+
+#: equal parts of a range in whose stead its settings stand, where these are as good as all
+#: different: no setting of a Latin hypercube stands twice, so that none could be blamed
+PARTS = 4
+#: most settings of a range that are levels of their own
+GRID = 5
+
+
+def fates(design: Design, records: Sequence[Record]) -> list[CaseFate]:
+    """Collect the settings of every case that ended, and whether it failed."""
+    parts = {
+        factor.name: parts_of(factor)
+        for factor in design.factors
+        if factor.span is not None and len(factor.levels) > GRID
+    }
+    return [
+        CaseFate(
+            {name: parts.get(name, {}).get(level, level) for name, level in one.levels.items()},
+            one.block or "",
+            not one.converged,
+            "" if one.converged else cause(one.status, one.message),
+        )
+        for one in records
+    ]
+
+
+def parts_of(factor: Factor) -> Mapping[str, str]:
+    """Part of a range that the setting of every label lies in, by its ends in words."""
+    span = factor.span
+    if span is None:
+        return {}
+    ends = [span.at(k / PARTS) for k in range(PARTS + 1)]
+    unit = f" {span.unit}" if span.unit else ""
+    words = [f"{low:.4g} to {high:.4g}{unit}" for low, high in zip(ends, ends[1:], strict=False)]
+    return {
+        label: words[sum(value >= end for end in ends[1:-1])]
+        for label, value in settings_of(factor).items()
+    }
+
+
+# -------------------------------------------------------------------------------------------------
+# The best setting among the choices of a study, as it is told.
+
+@dataclass(frozen=True)
+class Bound:
+    """A limit of another response, as it was asked for."""
+
+    response: str
+    unit: str
+    #: {1, -1}: 1 for at least, -1 for at most.
+    sign: int
+    value: float
+
+    @property
+    def words(self) -> str:
+        """The limit as it is written."""
+        sign = ">=" if self.sign > 0 else "<="
+        return f"{self.response} {sign} {self.value:.4g} {self.unit}".strip()
+
+
+@dataclass(frozen=True)
+class Confirmed:
+    """What the true model says at a recommended setting."""
+
+    settings: Mapping[str, str]
+    #: Responses in their units, means over the blocks; NaN where the run has no answer.
+    values: Mapping[str, float]
+    #: Whether the response lies in the interval that was predicted.
+    predicted: bool
+    #: Whether the limits hold for the run.
+    kept: bool
+
+
+@dataclass(frozen=True)
+class Recommendation:
+    """The best setting among choices."""
+
+    #: {"minimize", "maximize"}: what is best.
+    goal: Goal
+    response: str
+    unit: str
+    #: Recommended settings of the choices: in the units of ``units``, or a label.
+    settings: Mapping[str, float | str]
+    #: Settings that nobody recommends: of conditions, of unknowns, and those that were given.
+    held: Mapping[str, float | str]
+    #: Units of the factors that are numbers.
+    units: Mapping[str, str]
+    #: Prediction and its 95 % interval, in the response's unit.
+    value: float
+    low: float
+    high: float
+    bounds: tuple[Bound, ...] = ()
+    #: Prediction, and ends of its interval, of each of them.
+    limited: tuple[tuple[float, float, float], ...] = ()
+    #: {"", "surely", "predicted"}: whether the limits hold with the unfavourable ends of the
+    #: intervals, or for the prediction alone.
+    assurance: str = ""
+    #: Choices that stand at an end of what was run: a better setting may lie beyond.
+    at_end: tuple[str, ...] = ()
+    #: What the factors that nobody chooses do there, over what was run of them.
+    spread: Spread | None = None
+    #: Other levels of the choices that are no numbers, and their best values, the best first.
+    rivals: tuple[tuple[Mapping[str, str], float], ...] = ()
+    #: The true model's run there; None where none was made.
+    confirmed: Confirmed | None = None
+    notes: tuple[str, ...] = ()
+
+    def to_json(self) -> dict[str, object]:
+        """Plain values."""
+        limits = [
+            {"limit": one.words, "response": one.response, "unit": one.unit, "value": value,
+             "low": low, "high": high}
+            for one, (value, low, high) in zip(self.bounds, self.limited, strict=True)
+        ]  # fmt: skip
+        run = self.confirmed
+        told: dict[str, object] | None = None
+        if run is not None:
+            values = {n: v if np.isfinite(v) else None for n, v in run.values.items()}
+            told = {"settings": dict(run.settings), "values": values,
+                    "inside_interval": run.predicted, "keeps_limits": run.kept}  # fmt: skip
+        return {
+            "goal": self.goal,
+            "response": self.response,
+            "unit": self.unit,
+            "settings": dict(self.settings),
+            "held": dict(self.held),
+            "units": dict(self.units),
+            "value": self.value,
+            "low": self.low,
+            "high": self.high,
+            "limits": limits,
+            "limits_hold": self.assurance or None,
+            "at_end_of_range": list(self.at_end),
+            "over_what_is_not_chosen": None if self.spread is None else vars(self.spread),
+            "rivals": [{"settings": dict(at), "value": value} for at, value in self.rivals],
+            "confirmed": told,
+            "notes": list(self.notes),
+        }
+
+
+# -------------------------------------------------------------------------------------------------
+# All inputs of a study that agree with a measured curve, as they are told.
+
+@dataclass(frozen=True)
+class InputSet:
+    """What a measured curve says of one input."""
+
+    name: str
+    unit: str
+    #: Setting of the best curve, and the ends of those that agree, in that unit.
+    best: float
+    low: float
+    high: float
+    #: Whether the settings that agree go on to the end of what was run, and maybe beyond.
+    open_low: bool
+    open_high: bool
+
+    @property
+    def verdict(self) -> str:
+        """What is known of the input by itself."""
+        if self.open_low and self.open_high:
+            return "not determined"
+        if self.open_low:
+            return "has an upper end only"
+        return "has a lower end only" if self.open_high else "determined"
+
+
+@dataclass(frozen=True)
+class Determined:
+    """A product of powers that the curve determines, where inputs by themselves are not."""
+
+    exponents: Mapping[str, float]
+    #: Of the product, in the inputs' units.
+    value: float
+    #: Factor by which it may be larger or smaller.
+    ratio: float
+
+    @property
+    def words(self) -> str:
+        """The product as it is written; powers that are next to nothing are left out."""
+        parts = [name if abs(e - 1.0) < 0.005 else f"{name}^{e:.3g}"
+                 for name, e in self.exponents.items() if abs(e) >= 0.01]  # fmt: skip
+        return " * ".join(parts)
+
+
+@dataclass(frozen=True)
+class Checked:
+    """A run of the true model at a setting of the set."""
+
+    settings: Mapping[str, str]
+    #: What its curve misses of the measured one, root mean square in N; NaN without an answer.
+    rms: float
+    #: Whether it is no more than the limit.
+    agrees: bool
+
+
+@dataclass(frozen=True)
+class Inverted:
+    """All inputs whose curve agrees with a measured one."""
+
+    #: One for every input that is asked for.
+    inputs: tuple[InputSet, ...]
+    #: What is determined where inputs by themselves are not.
+    combinations: tuple[Determined, ...]
+    #: Known inputs, in the units of ``units``.
+    held: Mapping[str, float | str]
+    #: Units of the inputs that are numbers.
+    units: Mapping[str, str]
+    #: What the best curve misses and what an agreeing one may miss, root mean square in N.
+    rms: float
+    limit: float
+    #: ``rms`` over the root mean square of the measured force.
+    relative: float
+    #: Rows of the measured curve that were used.
+    rows: int
+    #: Of the emulator of the curves.
+    q2: float
+    #: Settings that agree, in their units.
+    members: tuple[Mapping[str, float], ...]
+    #: The true model at the best setting; None where it was not asked.
+    best_run: Checked | None
+    #: The true model where the least determined input is smallest and largest.
+    end_runs: tuple[Checked, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def sentence(self) -> str:
+        """What the curve determines, in a sentence."""
+        loose = [one.name for one in self.inputs if one.open_low or one.open_high]
+        if not loose:
+            return "the curve determines every input that was asked for"
+        if self.combinations:
+            told = " and ".join(one.words for one in self.combinations)
+            return f"the curve does not determine {', '.join(loose)} alone; it determines {told}"
+        return f"the curve does not determine {', '.join(loose)} inside of what was run"
+
+    def to_json(self) -> dict[str, object]:
+        """Plain values."""
+        return {
+            "inputs": [vars(one) | {"verdict": one.verdict} for one in self.inputs],
+            "combinations": [vars(one) | {"words": one.words} for one in self.combinations],
+            "sentence": self.sentence,
+            "held": dict(self.held),
+            "units": dict(self.units),
+            "rms_N": self.rms,
+            "limit_N": self.limit,
+            "relative_rms": self.relative,
+            "rows": self.rows,
+            "q2": self.q2,
+            "members": [dict(one) for one in self.members],
+            "best_run": None if self.best_run is None else _run_json(self.best_run),
+            "end_runs": [_run_json(one) for one in self.end_runs],
+            "notes": list(self.notes),
+        }
+
+
+def _run_json(run: Checked) -> dict[str, object]:
+    rms = run.rms if np.isfinite(run.rms) else None
+    return {"settings": dict(run.settings), "rms_N": rms, "agrees": run.agrees}

@@ -1,0 +1,384 @@
+"""A study opened: design, records, analyses and what stands beside them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from dataclasses import field
+from typing import TYPE_CHECKING
+from typing import Any
+import numpy as np
+from numpy.typing import NDArray
+from study.ground.curve import Curve
+from functools import cached_property
+from pathlib import Path
+from study.statistics.analysis.failures import FailurePattern
+from study.statistics.analysis.failures import failure_pattern
+from study.ground.canonical import plain
+from study.harness.design.spec import Design
+from study.harness.record.record import Record
+from study.harness.record.record import is_repeat
+from study.harness.record.record import table
+from study.reporting.results.study_answers import document
+from study.reporting.results.study_answers import fates
+from study.statistics.surfaces.surface_profile import FittedSurface
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from study.statistics.convergence.grid_convergence import NumericalUncertainty
+    from study.statistics.analysis.analysis_result import AnalysisResult
+    from study.harness.design.spec import Expected
+    from study.harness.record.document import PlateFitDocument
+    from study.reporting.results.study_answers import Beside
+
+
+# -------------------------------------------------------------------------------------------------
+# What a report is made of: plain values that whoever holds the records fills in.
+#
+# The report formats and draws; it computes nothing that belongs to the analysis. Every
+# field is a string, a number, a mapping, a data frame, a :class:`~study.ground.curve.Curve` or the
+# result of ``analyze``, so that a report can be built in a test,
+# in a notebook or from stored records without running anything.
+
+#: level of a factor that a fit does not depend on
+ANY = "any"
+#: what a score was taken on
+FITTED_CURVE = "the curve fitted"
+OTHER_TEST = "same specimen, other test"
+OTHER_SPECIMEN = "other specimen"
+OUTCOMES = ("pass", "caution", "fail", "not applicable")
+
+
+@dataclass(frozen=True)
+class ResponseAnalysis:
+    """One response and its analysis."""
+
+    #: Column of ``ReportData.table``, for example ``"relative_rms_force_error"``.
+    name: str
+    #: Unit of that column, for example ``"%"`` or ``"kPa"``.
+    unit: str
+    #: None where the response could not be analyzed.
+    result: AnalysisResult | None = None
+    #: Smallest difference that matters: in ``unit``, or, with ``relative``, a fraction of the grand
+    #: mean (0.1 is ten percent).
+    practical: float | None = None
+    #: Whether ``practical`` is a fraction of the mean.
+    relative: bool = False
+    #: ``"none"`` or ``"log"``; with ``"log"`` every effect is a ratio.
+    transform: str = "none"
+    #: Largest numerical standard uncertainty of an effect, in ``unit``.
+    u_num: float | None = None
+    #: ``"lower"`` (an error), ``"higher"`` or ``""`` (an identified constant: no best cell).
+    better: str = ""
+    #: Name in sentences; made from ``name`` when empty.
+    title: str = ""
+    refused: str = ""
+    #: ``"the curve fitted"``, ``"same specimen, other test"``, ``"other specimen"``; empty for what
+    #: is no score of a calibrated model.
+    scored_on: str = ""
+    cross_validated: bool = False
+
+
+@dataclass(frozen=True)
+class CurvePair:
+    """A measured curve and the prediction of one cell for it."""
+
+    levels: Mapping[str, str]
+    #: Block of the measurement (empty without blocks).
+    block: str
+    #: In mm and N.
+    measured: Curve
+    predicted: Curve
+    #: Which of the block's curves, for example the specimen ``"B"``.
+    label: str = ""
+    #: ``"score"`` (a prediction) or ``"fit"`` (the constants come from this curve).
+    role: str = "score"
+    #: shape (n,); standard deviation of the averaged repeats at each measured point.
+    scatter_N: NDArray[np.float64] | None = None
+    #: Case of the table that the pair belongs to.
+    case_id: str = ""
+
+
+@dataclass(frozen=True)
+class FittedConstant:
+    """One fitted constant of one fit."""
+
+    #: Levels of the factors that enter the fit; ``ANY`` where one fit serves all of them.
+    levels: Mapping[str, str]
+    block: str
+    constant: str
+    #: Estimate, standard error and 95 % interval in ``unit``; None where not available.
+    value: float | None
+    #: Usually ``"kPa"``.
+    unit: str = "kPa"
+    standard_error: float | None = None
+    low: float | None = None
+    high: float | None = None
+    identifiable: bool = True
+    #: Why not, or with what else it is correlated.
+    reason: str = ""
+    specimen: str = ""
+    #: Correlation with the other constants of the same fit.
+    correlated: Mapping[str, float] = field(default_factory=dict)
+    #: RMS of the residual that the fit left, in N.
+    residual_N: float | None = None  # noqa: N815
+    #: Coefficient of determination of the fit.
+    r_squared: float | None = None
+
+
+@dataclass(frozen=True)
+class MarkedCase:
+    """Markers inside the specimen of one case, by what its plate was taken to do."""
+
+    levels: Mapping[str, str]
+    #: Of the test: the block of the case.
+    state: str
+    #: Distance of the markers from any smooth field (RMS): no model comes below.
+    floor_mm: float | None
+    #: Errors, and the motion of the plate that leaves them.
+    fits: tuple[PlateFitDocument, ...]
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A case that gave no response: which, how, and what the solver said."""
+
+    case_id: str
+    levels: Mapping[str, str]
+    block: str
+    status: str
+    message: str = ""
+
+
+@dataclass(frozen=True)
+class Retried:
+    """A case that was computed with other settings than the design's, having failed with these."""
+
+    #: Which, and what became of it in the end.
+    case_id: str
+    levels: Mapping[str, str]
+    block: str
+    status: str
+    #: Of every attempt the ``cause``, its ``message``, and ``what`` was changed for it.
+    notes: tuple[Mapping[str, str], ...]
+
+
+@dataclass(frozen=True)
+class Check:
+    """One check: ``outcome`` is one of ``OUTCOMES``; the consequence says what follows.
+
+    ``of`` names the response where the same check is made for several of them.
+    """
+
+    name: str
+    outcome: str
+    finding: str
+    consequence: str = ""
+    of: str = ""
+
+    def __post_init__(self) -> None:
+        if self.outcome not in OUTCOMES:
+            raise ValueError(f"outcome must be one of {', '.join(OUTCOMES)}, got {self.outcome!r}")
+
+
+@dataclass(frozen=True)
+class DepthEffect:
+    """Largest difference of a factor with the test scored to a part of its depth."""
+
+    response: str
+    term: str
+    #: Displacement in mm to which the curves are scored.
+    depth_mm: float
+    #: With its simultaneous interval, in the unit of the response or as ratios.
+    difference: float
+    low: float | None
+    high: float | None
+    #: Smallest difference that matters, on the same scale.
+    practical: float | None
+    #: Of the factor at this depth.
+    verdict: str
+    highest: str
+
+
+@dataclass(frozen=True)
+class ReportData:
+    """Everything a report shows."""
+
+    name: str
+    question: str
+    #: Factor name (a dotted key or a preset set) to its level labels, in order.
+    factors: Mapping[str, tuple[str, ...]]
+    #: One row per case: ``case_id``, ``block``, the factor columns (labels), ``status``, one column
+    #: per response, and ``seconds``, ``dofs`` where known. Failed rows stay, with missing
+    #: responses.
+    table: pd.DataFrame
+    #: One analysis each, in the order of the design.
+    responses: tuple[ResponseAnalysis, ...] = ()
+    #: What the block is (``"phantom"``); empty without blocks.
+    block: str = ""
+    blocks: tuple[str, ...] = ()
+    #: Fixed inputs, as text with units, in the order to be shown.
+    inputs: Mapping[str, str] = field(default_factory=dict)
+    #: Inputs nobody measured, key to value; labelled so.
+    assumed: Mapping[str, str] = field(default_factory=dict)
+    citation: str = ""
+    exclusions: tuple[tuple[str, str], ...] = ()
+    curves: tuple[CurvePair, ...] = ()
+    fits: tuple[FittedConstant, ...] = ()
+    markers: tuple[MarkedCase, ...] = ()
+    failures: tuple[Failure, ...] = ()
+    failure_pattern: FailurePattern | None = None
+    #: Cases whose settings are not those of the design.
+    retried: tuple[Retried, ...] = ()
+    #: Checks that the runner made (store, stability, ...); those of the analysis are added by the
+    #: report.
+    checks: tuple[Check, ...] = ()
+    numerical: tuple[NumericalUncertainty, ...] = ()
+    #: Series of three meshes or more, as ``study converge --json`` gives them.
+    convergence: tuple[Mapping[str, Any], ...] = ()
+    #: Main effects with the test scored to less of its depth.
+    depths: tuple[DepthEffect, ...] = ()
+    #: E and u_val of every case along its curve, where inputs are uncertain.
+    validation: tuple[Mapping[str, Any], ...] = ()
+    #: Controls and identities, such as 3D against axisymmetric.
+    controls: tuple[Check, ...] = ()
+    #: Measurements were generated, so p describes the scatter of the generator.
+    virtual: bool = False
+    seed: int = 2011
+    alpha: float = 0.05
+    #: Seconds of each part of the run.
+    timings: Mapping[str, float] = field(default_factory=dict)
+    #: Versions, hashes, thread counts, machine; shown as given.
+    provenance: Mapping[str, str] = field(default_factory=dict)
+    commands: tuple[str, ...] = ()
+    #: What was done to the measurements (rows dropped, sorted, averaged).
+    data_notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    design_text: str = ""
+    #: What part of the full factorial was run; empty for all of it.
+    scheme: str = ""
+    cells: int | None = None
+    #: Better names for factors or responses; made from the key when absent.
+    labels: Mapping[str, str] = field(default_factory=dict)
+    #: ``"choice"``, ``"condition"`` or ``"unknown"`` by factor; a choice where it is absent.
+    roles: Mapping[str, str] = field(default_factory=dict)
+    #: What was expected before the study ran.
+    expected: tuple[Expected, ...] = ()
+    #: What another study says of the same conclusions.
+    beside: Beside | None = None
+    #: What responses do over the factors that are ranges.
+    surfaces: tuple[FittedSurface, ...] = ()
+    #: Ends of those factors with their unit, in place of a list of levels.
+    ranges: Mapping[str, str] = field(default_factory=dict)
+    #: Whether the rows are those of a table: nothing was simulated.
+    is_table: bool = False
+    is_measured: bool = True
+
+    @property
+    def planned(self) -> int:
+        """Number of cells of the design, without the excluded ones."""
+        if self.cells is not None:
+            return self.cells
+        return math.prod(len(levels) for levels in self.factors.values()) - len(self.exclusions)
+
+
+@dataclass(frozen=True)
+class StudyResult:
+    """A study with everything that its records tell."""
+
+    design: Design
+    folder: Path
+    #: One a case, in the order of the design; cases not computed yet are absent.
+    records: tuple[Record, ...]
+    #: Number of cases of the design.
+    total: int
+    #: One for every response of the design.
+    analyses: tuple[ResponseAnalysis, ...]
+    #: Numerical uncertainty of every response for every discretization.
+    numerical: tuple[NumericalUncertainty, ...]
+    #: What else is stored of the run: blocks, notes, timings, versions.
+    manifest: Mapping[str, Any]
+    warnings: tuple[str, ...] = ()
+    report: Path | None = None
+    predicted_seconds: float = 0.0
+    #: E and u_val of every case along its curve, where inputs are uncertain.
+    validation: tuple[Mapping[str, Any], ...] = ()
+    #: How far 3D and axisymmetric space differ on a cylinder.
+    spaces: tuple[Mapping[str, Any], ...] = ()
+    #: Which of its conclusions hold in another study too.
+    beside: Beside | None = None
+    #: What responses do over the factors that are ranges; empty where there are none.
+    surfaces: tuple[FittedSurface, ...] = ()
+    #: What was known with so many cells, where cells were added while it ran.
+    adaptive: tuple[Mapping[str, Any], ...] = ()
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """One tidy row a case, failed ones included."""
+        return table(list(self.records))
+
+    @property
+    def plain(self) -> tuple[Record, ...]:
+        """Records without replicates: one mesh a cell, the curve as measured."""
+        return tuple(record for record in self.records if not is_repeat(record.extra))
+
+    @property
+    def failed(self) -> int:
+        """Number of cases without an answer."""
+        return sum(not record.converged for record in self.records)
+
+    @cached_property
+    def failure_pattern(self) -> FailurePattern:
+        """What the failed cases share."""
+        spec = self.design.measurements
+        block = spec.block if spec is not None and spec.block else "block"
+        return failure_pattern(fates(self.design, self.records), block, self.design.seed)
+
+    @property
+    def cases(self) -> dict[str, int]:
+        """Number of cases: in all, done, failed and missing."""
+        return {
+            "total": self.total,
+            "done": len(self.records) - self.failed,
+            "failed": self.failed,
+            "missing": self.total - len(self.records),
+        }
+
+    @property
+    def verdicts(self) -> list[dict[str, object]]:
+        """One verdict for every response and term."""
+        return [
+            row | {"scored_on": analysis.scored_on or None}
+            for analysis in self.analyses
+            if analysis.result is not None
+            for row in analysis.result.verdicts()
+        ] + [row for one in self.surfaces for row in one.verdicts]
+
+    def to_json(self) -> dict[str, object]:
+        """Document of ``study run --json``."""
+        found: dict[str, object] = {
+            "study": self.design.name,
+            "cases": self.cases,
+            "predicted_seconds": self.predicted_seconds,
+            "report": None if self.report is None else str(self.report),
+            "verdicts": self.verdicts,
+            "warnings": list(self.warnings),
+        }
+        asked = [
+            {"response": one.name, **plain(contrast)}
+            for one in self.analyses
+            if one.result is not None
+            for contrast in one.result.contrasts
+        ]
+        if asked:
+            found["contrasts"] = asked
+        if self.failed:
+            found["failures"] = self.failure_pattern.to_json()
+        if self.surfaces:
+            found["surfaces"] = [one.to_json() for one in self.surfaces]
+        if self.adaptive:
+            found["adaptive"] = [dict(step) for step in self.adaptive]
+        if self.beside is not None:
+            found["beside"] = document(self.beside)
+        return found

@@ -1,1 +1,0 @@
-"""Responses over numeric factors: quadratic surfaces and Gaussian-process emulators."""

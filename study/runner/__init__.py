@@ -1,1 +1,0 @@
-"""From a design to records: build problems, fit constants, execute cases, many at a time."""

@@ -1,1 +1,0 @@
-"""Constants from measured tests: the verb `calibrate`."""

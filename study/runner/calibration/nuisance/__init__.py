@@ -1,1 +1,0 @@
-"""Nuisance parameters of a calibration: declared, predicted with, fitted or propagated."""

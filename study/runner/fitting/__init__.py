@@ -1,1 +1,0 @@
-"""One fit of a study: starts, stages, summary."""

@@ -1,1 +1,0 @@
-"""Numerical uncertainty of a study: refinement, inputs, spaces."""

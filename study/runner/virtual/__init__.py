@@ -1,1 +1,0 @@
-"""Virtual specimens: measurements with a known truth."""

@@ -1,1 +1,0 @@
-"""What is tested: specimen, test and discretization."""

@@ -1,1 +1,0 @@
-"""A simulated surface against a scan of the real one."""

@@ -1,0 +1,1 @@
+"""A table, an analysis, a response surface, a convergence series: no simulation in sight."""

@@ -1,0 +1,1 @@
+"""Analysis of a table: linear model, error strata, effects, assumptions, verdicts."""

@@ -1,0 +1,402 @@
+"""What is asked of an analysis: response, factors, blocks, model, error and scale, checked once."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+from typing import Protocol, TypedDict
+
+import numpy as np
+
+from study.ground.arrays import Array, Ints
+from study.ground.errors import Fault, InputError, nearest
+from study.statistics.analysis.anova_table import (
+    Anova,
+    BoxCoxResult,
+    Effect,
+    ErrorTerm,
+    ModelSummary,
+    Sensitivity,
+)
+from study.statistics.analysis.data import Crossed, Data, Structure
+from study.statistics.analysis.effects import MOST_LEVELS, Scale
+from study.statistics.analysis.linear_model import Factorization, Model, Term, term_name
+from study.statistics.analysis.sums_of_squares import Factored, SphericityResult, TwoWayFit
+from study.statistics.analysis.unreplicated import CopyGroups, LenthResult
+from study.statistics.convergence.contrast_bound import NumericalBound, SeriesBounds, bound_of
+
+
+class PracticalDifference(Protocol):
+    """Smallest difference that matters, as a study file declares it."""
+
+    @property
+    def value(self) -> float:
+        """In ``unit``."""
+        ...
+
+    @property
+    def unit(self) -> str:
+        """Unit of the value; it holds ``%`` for a share of the mean in percent."""
+        ...
+
+    @property
+    def relative(self) -> bool:
+        """Whether the value is a share of the mean."""
+        ...
+
+
+_TEXT = re.compile(r"^\s*(?P<value>\d+(\.\d*)?([eE][+-]?\d+)?|\.\d+)\s*(?P<unit>[^\d\s].*?)?\s*$")
+
+
+@dataclass(frozen=True)
+class Threshold:
+    """A practical difference: absolute in the response's unit, or a fraction of the mean."""
+
+    value: float
+    relative: bool = False
+
+    def on_scale(self, mean: float, transform: str) -> float:
+        """Half-width of the practical band on the working scale.
+
+        Examples
+        --------
+        >>> round(math.exp(Threshold(0.10, relative=True).on_scale(25.0, "log")), 10)
+        1.1
+        """
+        if transform == "log":
+            return math.log1p(self.value if self.relative else self.value / abs(mean))
+        return self.value * abs(mean) if self.relative else self.value
+
+
+def threshold(practical: Practical) -> Threshold | None:
+    """Read a practical difference: a number, text, or as a study file declares it.
+
+    Examples
+    --------
+    >>> threshold("10 % of mean")
+    Threshold(value=0.1, relative=True)
+    >>> threshold("0.5 pp")
+    Threshold(value=0.5, relative=False)
+    """
+    if practical is None or isinstance(practical, Threshold):
+        return practical
+    if isinstance(practical, str):
+        found = _parse(practical)
+    elif isinstance(practical, int | float):
+        found = Threshold(float(practical))
+    else:
+        relative, value = bool(practical.relative), float(practical.value)
+        percent = relative and "%" in practical.unit
+        found = Threshold(value / 100 if percent else value, relative)
+    if not (math.isfinite(found.value) and found.value > 0):
+        raise InputError(Fault("practical", f"must be a positive difference, got {practical!r}"))
+    return found
+
+
+def _parse(text: str) -> Threshold:
+    match = _TEXT.match(text)
+    if match is None:
+        raise InputError(
+            Fault("practical", f"cannot read {text!r}", "write '0.5 pp', '0.05 N' or '5 % of mean'")
+        )
+    value, unit = float(match["value"]), " ".join((match["unit"] or "").split())
+    if unit.replace(" ", "") == "%ofmean":
+        return Threshold(value / 100, relative=True)
+    if unit == "%":
+        raise InputError(
+            Fault("practical", f"{text!r} can mean two things", "write 'pp' or '% of mean'")
+        )
+    return Threshold(value)
+
+
+#: Smallest difference that matters, as it may be given; a number is in the unit of the response.
+Practical = Threshold | PracticalDifference | str | float | None
+#: Numerical uncertainty as it may be given: of all differences, of single terms, of any contrast.
+NumericalUncertainty = float | Mapping[str, float | None] | NumericalBound | None
+
+
+class AnovaOptions(TypedDict, total=False):
+    """Keywords of :func:`study.statistics.analysis.anova.anova`, where they are described."""
+
+    block: str | Sequence[str] | None
+    unit: str | None
+    whole_plot: str | Sequence[str]
+    replicates: str
+    copies: str
+    type: str
+    model: Model
+    error: str
+    records: bool
+    tolerance: float | None
+    practical: Practical
+    transform: str
+    u_num: NumericalUncertainty
+    specimens: int | None
+    alpha: float
+    seed: int
+    exact: bool
+
+
+@dataclass(frozen=True)
+class Blocking:
+    """What the rows are repeats of."""
+
+    #: Columns of the replicated unit; several cross (a Latin square).
+    block: tuple[str, ...] = ()
+    #: Column of the unit on which rows are repeated and whose rows are averaged.
+    unit: str | None = None
+    #: Factors set once per whole plot of a block.
+    whole_plot: tuple[str, ...] = ()
+    #: {"auto", "runs", "mesh-seeds", "noise"}: what the rows of one cell are.
+    replicates: str = "auto"
+    #: {"refuse", "independent"}: what rows are that repeat others in every digit.
+    copies: str = "refuse"
+
+    def faults(self) -> list[Fault]:
+        """List every breach of the rules."""
+        found = _not_one_of("replicates", self.replicates, ("auto", "runs", "mesh-seeds", "noise"))
+        found += _not_one_of("copies", self.copies, ("refuse", "independent"))
+        if self.whole_plot and len(self.block) != 1:
+            rule = "needs the block in which the plots lie, one column"
+            found.append(Fault("whole plot", rule))
+        return found
+
+
+@dataclass(frozen=True)
+class ResponseScale:
+    """Scale on which the response is analyzed, and what counts as a difference on it."""
+
+    #: {"none", "log"}: ``log`` reports effects as ratios.
+    transform: str = "none"
+    practical: Threshold | None = None
+    #: Bound of the numerical error of a difference, in the unit of the response.
+    u_num: NumericalUncertainty = None
+    #: Solver tolerance in the unit of the response; None for the default.
+    tolerance: float | None = None
+
+    @property
+    def is_log(self) -> bool:
+        """Whether the logarithm of the response is analyzed."""
+        return self.transform == "log"
+
+    def faults(self) -> list[Fault]:
+        """List every breach of the rules."""
+        found = _not_one_of("transform", self.transform, ("none", "log"))
+        if isinstance(self.u_num, Mapping):
+            found += [f for name, u in self.u_num.items() for f in _unusable(f"u_num {name}", u)]
+        elif isinstance(self.u_num, int | float):
+            found += _unusable("u_num", self.u_num)
+        return found
+
+    def bound(self, terms: Iterable[str], unit: float) -> NumericalBound | None:
+        """Numerical uncertainty of every difference, on the working scale."""
+        if not isinstance(self.u_num, Mapping):
+            return bound_of(self.u_num, unit)
+        known = list(terms)
+        strange = [name for name in self.u_num if name not in known]
+        if strange:
+            raise InputError(
+                [Fault("u_num", f"{n!r} is no term", nearest(n, known)) for n in strange]
+            )
+        return bound_of({n: float(u) for n, u in self.u_num.items() if u is not None}, unit)
+
+
+#: smallest error probability: quantiles of studentized ranges are integrals, which do not end
+#: far below
+SMALLEST_ALPHA = 1e-9
+
+
+def alpha_faults(alpha: float) -> list[Fault]:
+    """List what is wrong with an error probability: nothing where it is one."""
+    if SMALLEST_ALPHA <= alpha < 1:
+        return []
+    rule = f"must be between {SMALLEST_ALPHA:g} and 1, got {alpha!r}"
+    return [Fault("alpha", rule, "usual are 0.05 and 0.01")]
+
+
+@dataclass(frozen=True)
+class AnalysisRequest:
+    """One question to a table; :func:`study.statistics.analysis.anova.analyze` answers it."""
+
+    response: str
+    factors: tuple[str, ...]
+    layout: Blocking = field(default_factory=Blocking)
+    model: Model = "full"
+    #: {"auto", "I", "II", "III"}: type of the sums of squares; ``auto`` is II when balanced and III
+    #: when not.
+    sums: str = "auto"
+    #: {"auto", "pooled", "own"}: how the error is found; see ``error_ledger``.
+    error: str = "auto"
+    scale: ResponseScale = field(default_factory=ResponseScale)
+    #: Whether the rows are records of a deterministic study.
+    records: bool = False
+    #: Specimens that were measured; None to count the blocks.
+    specimens: int | None = None
+    alpha: float = 0.05
+    seed: int = 2011
+    #: Whether to simulate the exact p of Ryan-Joiner, Bartlett and Levene.
+    exact: bool = True
+    #: Whether simultaneous intervals of simple effects are simulated; else they are Bonferroni's,
+    #: which are made at once and never narrower.
+    simulated: bool = True
+
+    @property
+    def interval_seed(self) -> int | None:
+        """Seed of simultaneous intervals; None where they are not simulated."""
+        return self.seed if self.simulated else None
+
+    def __post_init__(self) -> None:
+        faults = [
+            *_not_one_of("type", self.sums, ("auto", "I", "II", "III")),
+            *_not_one_of("error", self.error, ("auto", "pooled", "own")),
+            *self.layout.faults(),
+            *self.scale.faults(),
+        ]
+        faults += alpha_faults(self.alpha)
+        if self.error == "own" and not self.layout.block:
+            mend = "name the replicated unit with --block"
+            rule = "'own' tests against interactions with the blocks, but no block is named"
+            faults.append(Fault("error", rule, mend))
+        if self.error == "own" and len(self.layout.block) > 1:
+            faults.append(Fault("error", "'own' needs one block; several that cross are pooled"))
+        if faults:
+            raise InputError(faults)
+
+
+def _not_one_of(name: str, value: str, choices: Sequence[str]) -> list[Fault]:
+    if value in choices:
+        return []
+    listed = f"{', '.join(choices[:-1])} or {choices[-1]}"
+    return [Fault(name, f"must be {listed}, got {value!r}")]
+
+
+def _unusable(where: str, u: float | None) -> list[Fault]:
+    if u is None or (math.isfinite(u) and u >= 0):
+        return []
+    mend = "leave it out where it is not known; 0 means that there is none"
+    return [Fault(where, f"must be zero or a positive number, got {u!r}", mend)]
+
+
+# -------------------------------------------------------------------------------------------------
+# What an analysis has found so far, and how it becomes the frozen result.
+
+_NO_ERROR = ErrorTerm("E7", "no p: nothing varies", 0.0, "constant response")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Inputs and findings of one analysis; grows by ``replace``.
+
+    ``u_raw`` is the largest numerical uncertainty of an effect, ``u_cells`` that within which
+    two cells are one computation, both in the unit of the response.
+    """
+
+    request: AnalysisRequest
+    data: Data
+    terms: tuple[Term, ...]
+    tolerance: float
+    u_raw: float | None = None
+    u_cells: float | None = None
+    y: Array = field(default_factory=lambda: np.zeros(0))
+    scale: Scale = field(default_factory=lambda: Scale("none", None, None, False))
+    warnings: tuple[str, ...] = ()
+    copies: CopyGroups = field(default_factory=lambda: CopyGroups(()))
+    error: ErrorTerm = _NO_ERROR
+    anova: Anova = field(default_factory=lambda: Anova("II", ()))
+    effects: tuple[Effect, ...] = ()
+    sphericity: dict[str, SphericityResult] = field(default_factory=dict)
+    fit: Factored | TwoWayFit | None = None
+    lenth: LenthResult | None = None
+    crossed: Crossed | None = None
+    cell_model: Factorization | None = None
+    plots: Ints | None = None
+    replicates: str = "runs"
+    structure: Structure = field(default_factory=Structure)
+    summary: ModelSummary | None = None
+    robustness: Sensitivity | None = None
+    box_cox: BoxCoxResult | None = None
+
+    def warn(self, *messages: str) -> Outcome:
+        """Copy with more warnings."""
+        return replace(self, warnings=(*self.warnings, *messages))
+
+    def working_tolerance(self) -> float:
+        """Ten solver tolerances on the working scale."""
+        if self.request.scale.is_log:
+            return 10 * self.tolerance / float(np.abs(self.data.y).min())
+        return 10 * self.tolerance
+
+    def constant(self) -> Outcome:
+        """Outcome of a response that does not vary."""
+        message = (
+            f"{self.request.response} is constant ({self.data.y[0]:.6g} in all "
+            f"{self.data.y.size} rows, to rounding or solver tolerance): no ANOVA"
+        )
+        cells = tuple(int(c) for c in np.unique(self.data.cell))
+        return replace(
+            self,
+            y=self.data.y,
+            copies=CopyGroups((cells,)),
+            warnings=(*self.data.warnings, message),
+        )
+
+
+def kind_of(out: Outcome, even: bool, why: str = "unbalanced") -> tuple[str, Outcome]:
+    """Type of the sums; unbalanced data take Type III with sum contrasts, and say so."""
+    kind = out.request.sums
+    if even:
+        return ("II" if kind == "auto" else kind), out
+    if kind == "auto" and out.structure.empty_cells:
+        n = out.structure.empty_cells
+        cells = "1 cell is empty" if n == 1 else f"{n} cells are empty"
+        return "I", out.warn(f"{cells}: Type I, each term given those before it")
+    if kind == "auto" or (out.request.records and kind == "II"):
+        return "III", out.warn(f"{why}: Type III with sum-to-zero contrasts")
+    return kind, out.warn(f"{why}: Type {kind} as asked")
+
+
+def scale_of(out: Outcome, y: Array) -> Scale:
+    """Scale of a response: its practical difference and numerical bound as was asked.
+
+    Shapes: y (n,).
+    """
+    asked = out.request.scale
+    mean = float(np.exp(y.mean())) if asked.is_log else float(y.mean())
+    limit = asked.practical
+    practical = None if limit is None else limit.on_scale(mean, asked.transform)
+    unit = 1 / mean if asked.is_log else 1.0
+    bound = asked.bound(map(term_name, out.terms), unit)
+    specimens = out.request.specimens
+    measured = out.replicates not in ("mesh-seeds", "noise")
+    if specimens is None and out.data.block is not None and measured:
+        specimens = len(out.data.layout.levels[out.data.block])
+    return Scale(
+        asked.transform,
+        practical,
+        bound,
+        out.request.records and out.data.block is None,
+        unit,
+        specimens,
+        bound.only if isinstance(bound, SeriesBounds) else {},
+    )
+
+
+def range_of_bounds(out: Outcome, scale: Scale) -> tuple[float | None, float | None]:
+    """Smallest and largest bound of a difference of two levels, in the unit of the response.
+
+    A difference without a numerical error, such as one between meshes, does not count.
+    """
+    if scale.bound is None:
+        return None, None
+    pairs = (
+        ({name: first}, {name: second})
+        for (name,) in (term for term in out.terms if len(term) == 1)
+        for first, second in combinations(out.data.layout.levels[name][:MOST_LEVELS], 2)
+    )
+    known = [u for pair in pairs if (u := scale.bound.of(*pair))]
+    if not known:
+        return None, None
+    return min(known) / scale.unit, max(known) / scale.unit

@@ -1,0 +1,170 @@
+"""The result of an analysis: typed groups of values, and their JSON."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from study.ground.canonical import plain
+from study.statistics.analysis.anova_table import (
+    Anova,
+    Effect,
+    ErrorTerm,
+    FailureBound,
+    ModelSummary,
+)
+from study.statistics.analysis.assumptions import Assumptions
+from study.statistics.analysis.power import PowerRow
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from study.ground.arrays import Array
+    from study.statistics.analysis.analysis_request import AnalysisRequest
+    from study.statistics.analysis.anova_table import NestedUnits
+    from study.statistics.analysis.linear_contrast import Contrast
+    from study.statistics.analysis.unreplicated import LenthResult
+
+
+@dataclass(frozen=True)
+class Variation:
+    """How the variation of the response divides."""
+
+    #: Functional-ANOVA share of every term, where every cell exists.
+    shares: dict[str, float]
+    #: Lenth's analysis of an unreplicated design.
+    lenth: LenthResult | None
+    #: Residual standard deviation and coefficients of determination.
+    summary: ModelSummary | None
+
+
+@dataclass(frozen=True)
+class Detection:
+    """What differences are held against, and which could be found."""
+
+    #: Smallest difference that matters, in the unit of the response or as a ratio.
+    practical: float | None
+    #: Largest numerical uncertainty of an effect, in the unit of the response.
+    u_num: float | None
+    #: Whether each effect has its own.
+    u_num_by_term: bool
+    #: Detectable difference of each factor with other numbers of blocks or replicates.
+    power: dict[str, tuple[PowerRow, ...]]
+
+
+@dataclass(frozen=True)
+class DataSummary:
+    """The rows that were analyzed."""
+
+    n: int
+    block: str | None
+    #: Mean of the response, the geometric one of a log response.
+    grand_mean: float
+    #: One row a cell: levels, ``n``, ``mean``, ``sd``, ``representative``.
+    cell_means: pd.DataFrame
+    #: One row a run: levels, ``response``, ``fitted``, ``residual``, ``leverage``, ``cook``.
+    residuals: pd.DataFrame
+    #: One cell of each distinct computation.
+    representatives: tuple[str, ...]
+    distinct: int
+    #: Cells that agree in every block.
+    copies: tuple[tuple[str, ...], ...]
+    #: shape (n, p); columns of the fit.
+    model_matrix: Array | None = None
+    #: What missing responses could do to the conclusion.
+    bounds: tuple[FailureBound, ...] = ()
+    #: What taking rows on one unit as independent would have claimed.
+    nested: NestedUnits | None = None
+
+
+@dataclass(frozen=True)
+class AnalysisResult:
+    """Everything that one response of a factorial can tell."""
+
+    request: AnalysisRequest
+    #: What effects are compared with, and which question p answers.
+    error_term: ErrorTerm
+    #: Table of the sums of squares.
+    anova: Anova
+    #: Shares, Lenth's analysis, coefficients of determination.
+    variation: Variation
+    #: Size of every term with its interval and verdict.
+    effects: tuple[Effect, ...]
+    #: Practical difference, numerical uncertainty, detectable differences.
+    detection: Detection
+    #: Tests of what the analysis assumes.
+    assumptions: Assumptions
+    data: DataSummary
+    #: What to beware of, in sentences.
+    notes: tuple[str, ...]
+    #: Differences of two settings that were asked for by name.
+    contrasts: tuple[Contrast, ...] = ()
+
+    def noted(self, *notes: str) -> AnalysisResult:
+        """Copy with more notes."""
+        return replace(self, notes=(*self.notes, *notes))
+
+    def effect(self, term: str) -> Effect:
+        """Effect of a term."""
+        return next(item for item in self.effects if item.term == term)
+
+    def effects_frame(self) -> pd.DataFrame:
+        """Effects as a frame, one row a level or combination: mean, interval, letters."""
+        import pandas as pd
+
+        rows = []
+        for effect in self.effects:
+            for i, (level, mean) in enumerate(zip(effect.levels, effect.mean, strict=True)):
+                low, high = (None, None) if effect.mean_ci95 is None else effect.mean_ci95[i]
+                letters = effect.letters[i] if effect.letters else None
+                values = (effect.term, level, mean, low, high, letters, effect.verdict)
+                rows.append(values)
+        columns = ["term", "level", "mean", "low", "high", "letters", "verdict"]
+        return pd.DataFrame(rows, columns=columns)
+
+    def to_json(self) -> dict[str, object]:
+        """Document of ``study analyze --json``: JSON types only, never a bare NaN."""
+        lenth = self.variation.lenth
+        return {
+            "response": self.request.response,
+            "transform": self.request.scale.transform,
+            "error_term": plain(self.error_term),
+            "anova": plain(self.anova),
+            **self.assumptions.to_json(),
+            "effects": [plain(effect) for effect in self.effects],
+            "shares": plain(self.variation.shares),
+            "distinct_computations": self.data.distinct,
+            "copies": plain(self.data.copies),
+            "lenth": None if lenth is None else lenth.to_json(),
+            "summary": plain(self.variation.summary),
+            "failure_bounds": plain(self.data.bounds),
+            "nested": plain(self.data.nested),
+            "power": plain(self.detection.power),
+            "contrasts": plain(self.contrasts),
+            "warnings": list(self.notes),
+        }
+
+    def verdicts(self) -> list[dict[str, object]]:
+        """One line a factor or interaction, as ``study run --json`` lists them."""
+        return [
+            {
+                "response": self.request.response,
+                "factor": effect.term,
+                "verdict": effect.verdict,
+                "effect": plain(effect.range),
+                "ci95": plain(effect.ci95),
+                "practical": plain(effect.practical),
+                "u_num": plain(effect.u_num),
+                "p": plain(effect.p),
+                "effect_over_u_num": plain(effect.effect_over_u_num),
+                "resolved": effect.resolved,
+                "why": effect.why,
+                "U": plain(effect.u_num),
+                "U_needed": plain(effect.u_needed),
+                "p_holm": plain(effect.p_holm),
+                "lost_without": plain(effect.lost_without),
+                "of_components": effect.of_components or None,
+                "simple_effects": plain(effect.simple_effects),
+            }
+            for effect in self.effects
+        ]

@@ -1,0 +1,706 @@
+"""Factorial analysis of one response: the error term first, then everything else."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from study.ground.arrays import Array
+from study.ground.errors import Fault, InputError, RefusedError
+from study.ground.tabular import names_of
+from study.statistics.analysis import error_ledger, failures, strata
+from study.statistics.analysis.analysis_request import (
+    _NO_ERROR,
+    AnalysisRequest,
+    Blocking,
+    NumericalUncertainty,
+    Outcome,
+    Practical,
+    ResponseScale,
+    range_of_bounds,
+    scale_of,
+    threshold,
+)
+from study.statistics.analysis.analysis_result import (
+    AnalysisResult,
+    DataSummary,
+    Detection,
+    Variation,
+)
+from study.statistics.analysis.anova_table import Effect
+from study.statistics.analysis.assumptions import (
+    add_robustness,
+    assumptions_of,
+    diagnose,
+    is_representative,
+)
+from study.statistics.analysis.data import (
+    Data,
+    Structure,
+    prepare,
+    refuse_copied_rows,
+    structure_of,
+)
+from study.statistics.analysis.effects import holm
+from study.statistics.analysis.error_ledger import pooled
+from study.statistics.analysis.incomplete_blocks import incomplete_blocks
+from study.statistics.analysis.linear_model import (
+    Model,
+    Term,
+    factorize,
+    model_matrix,
+    nested_in,
+    number_within,
+    term_name,
+    terms_of,
+)
+from study.statistics.analysis.power import PowerRow, planned
+from study.statistics.analysis.simple_effects import without_each
+from study.statistics.analysis.split_plot import Plots, split_plot, whole_plots
+from study.statistics.analysis.strata import own, own_groups
+from study.statistics.analysis.sums_of_squares import influence, one_thread
+from study.statistics.analysis.unreplicated import (
+    copies_of,
+    functional_shares,
+    refuse_fake_replicates,
+    ulp_floor,
+)
+from study.statistics.convergence.contrast_bound import OneBound
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+# -------------------------------------------------------------------------------------------------
+# What an analysis found becomes its result, with every check beside it.
+
+
+def assemble(out: Outcome) -> AnalysisResult:
+    """Check assumptions and freeze the result."""
+    found = diagnose(out)
+    out = out.warn(*found.warnings, *_inestimable(out.effects))
+    fit = out.fit if out.fit is not None and out.fit.df_residual > 0 else None
+    groups_of = out.copies.groups
+    if len(groups_of) < sum(len(g) for g in groups_of) and out.error is not _NO_ERROR:
+        out = out.warn(_copies_sentence(out))
+    return AnalysisResult(
+        out.request,
+        out.error,
+        out.anova,
+        _variation(out),
+        holm(out.effects),
+        Detection(
+            _back(out, out.scale.practical),
+            out.u_raw,
+            out.scale.bound is not None and not isinstance(out.scale.bound, OneBound),
+            _power(out),
+        ),
+        assumptions_of(out, found),
+        _summary_of_data(out, None if fit is None else fit.columns),
+        tuple(dict.fromkeys(out.warnings)),
+    )
+
+
+def _variation(out: Outcome) -> Variation:
+    return Variation(_shares(out), out.lenth, out.summary)
+
+
+def _summary_of_data(out: Outcome, model_matrix: Array | None) -> DataSummary:
+    names = out.data.cell_names()
+    return DataSummary(
+        int(out.data.y.size),
+        out.data.block,
+        _grand_mean(out),
+        _cell_means(out),
+        _residual_frame(out),
+        tuple(names[c] for c in out.copies.representatives),
+        len(out.copies.groups),
+        tuple(tuple(names[c] for c in g) for g in out.copies.groups if len(g) > 1),
+        model_matrix,
+    )
+
+
+def _inestimable(effects: Sequence[Effect]) -> list[str]:
+    """One sentence for every term some of whose means cannot be estimated."""
+    found = []
+    for effect in effects:
+        lost = [
+            level for level, mean in zip(effect.levels, effect.mean, strict=True) if mean is None
+        ]
+        if lost:
+            more = f" and {len(lost) - 5} more" if len(lost) > 5 else ""
+            found.append(f"{effect.term}: the mean is not estimable at {', '.join(lost[:5])}{more}")
+    return found
+
+
+def _power(out: Outcome) -> dict[str, tuple[PowerRow, ...]]:
+    """Tell what other numbers of blocks or replicates would find, by factor."""
+    counts = np.bincount(out.data.cell)
+    cells = counts[counts > 0]
+    if out.replicates == "noise":
+        return {}  # more resamples show no smaller effect: the noise of the curve is what it is
+    blocks = None if out.crossed is None else len(out.crossed.blocks)
+    replicated = out.error.source in ("E0", "E3") and bool(cells.min() >= 2)
+    if blocks is None and not replicated:
+        return {}
+    n = round(float(cells.mean())) if blocks is None else blocks
+    names = [f for f in out.data.factors if (f,) in out.terms]
+    terms = {f: (out.anova.row(f), len(out.data.layout.levels[f])) for f in names}
+    asked, blocked = out.request, blocks is not None
+    ratio = asked.scale.is_log
+    return planned(terms, n, cells.size, blocked=blocked, alpha=asked.alpha, ratio=ratio)
+
+
+def _copies_sentence(out: Outcome) -> str:
+    total = sum(len(group) for group in out.copies.groups)
+    return (
+        f"{total} cells hold {len(out.copies.groups)} distinct computations (the others agree "
+        "in every block); checks of the residuals use one of each"
+    )
+
+
+def _back(out: Outcome, value: float | None) -> float | None:
+    if value is None or not out.request.scale.is_log:
+        return value
+    return float(np.exp(value))
+
+
+def _grand_mean(out: Outcome) -> float:
+    mean = out.y[0] + float(np.mean(out.y - out.y[0]))
+    return float(np.exp(mean)) if out.request.scale.is_log else float(mean)
+
+
+def _shares(out: Outcome) -> dict[str, float]:
+    """Functional-ANOVA shares of the cell means, where every cell exists."""
+    data = out.data
+    if out.error is _NO_ERROR:
+        return {}
+    size = int(np.prod([len(data.layout.levels[f]) for f in data.factors]))
+    counts = np.bincount(data.cell, minlength=size)
+    if counts.min() == 0:
+        return {}
+    shift = out.y[0]
+    means = np.bincount(data.cell, weights=out.y - shift, minlength=size) / counts + shift
+    return functional_shares(data.layout, data.factors, means, terms_of(data.factors))
+
+
+def _cell_means(out: Outcome) -> pd.DataFrame:
+    """One row a cell: levels, n, mean and sd of the response."""
+    import pandas as pd
+
+    data = out.data
+    rows = []
+    groups = {c: g for g in out.copies.groups for c in g}
+    order = np.argsort(data.cell, kind="stable")
+    cells, start = np.unique(data.cell[order], return_index=True)
+    for cell, here in zip(cells, np.split(order, start[1:]), strict=True):
+        values = data.y[here]
+        levels = {f: data.layout.levels[f][data.layout.codes[f][here[0]]] for f in data.factors}
+        mean = values[0] + float(np.mean(values - values[0]))
+        if out.request.scale.is_log:
+            mean = float(np.exp(np.mean(np.log(values))))
+        sd = float(np.std(values - values[0], ddof=1)) if values.size > 1 else None
+        same = groups.get(int(cell), (int(cell),))
+        rows.append(
+            {
+                **levels,
+                "n": values.size,
+                "mean": mean,
+                "sd": sd,
+                "representative": same[0] == int(cell),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def _residual_frame(out: Outcome) -> pd.DataFrame:
+    """One row a run: fitted, residual, cell, block, and whether it represents its copies."""
+    import pandas as pd
+
+    data = out.data
+    names = data.cell_names()
+    frame = {
+        "row": data.rows,
+        "cell": [names[c] for c in data.cell],
+        "representative": is_representative(out),
+        "response": data.y,
+    }
+    if data.block is not None:
+        labels = data.layout.levels[data.block]
+        frame["block"] = [labels[c] for c in data.layout.codes[data.block]]
+    if out.fit is not None:
+        frame["fitted"], frame["residual"] = out.fit.fitted, out.fit.residual
+        found = influence(out.fit)
+        frame["leverage"], frame["cook"] = found.leverage, found.cook
+    for f in data.factors:
+        if f not in frame:
+            frame[f] = [data.layout.levels[f][c] for c in data.layout.codes[f]]
+    return pd.DataFrame(frame)
+
+
+_DEFAULT_TOLERANCE = 1e-8
+
+# columns of a study's table that say what the repeats of a cell are
+_SEED_COLUMNS = {"mesh_seed": "mesh-seeds", "noise_seed": "noise"}
+
+
+@one_thread
+def analyze(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisResult:
+    """Answer one question to a table: error term, table, effects with verdicts, assumptions."""
+    table, request, alone = _of_one_block(table, request)
+    request, note = _of_units(table, request)
+    note = alone or note
+    inner = _nested_factor(table, request)
+    if inner is not None:
+        return _with_nested(table, request, *inner)
+    if request.layout.unit is not None:
+        found = _with_units(table, request, request.layout.unit)
+    else:
+        found = _complete(table, request)
+    return found.noted(note) if note else found
+
+
+@one_thread
+def effects(table: pd.DataFrame, request: AnalysisRequest) -> tuple[Effect, ...]:
+    """Effects with their verdicts alone, as :func:`analyze` has them; p are not adjusted.
+
+    No assumption is checked and no block is left out in turn, which takes most of the time.
+    """
+    table, request, _ = _of_one_block(table, request)
+    request, _ = _of_units(table, request)
+    if request.layout.unit is not None:
+        table = strata.average_units(table, request, request.layout.unit, request.layout.block)
+    return _found(table, request).effects
+
+
+def _of_one_block(
+    table: pd.DataFrame, request: AnalysisRequest
+) -> tuple[pd.DataFrame, AnalysisRequest, str]:
+    """Means of the cells where there is one block alone, which no analysis can claim from.
+
+    The text says so; it is empty where there are several blocks or none.
+    """
+    layout = request.layout
+    if len(layout.block) != 1 or layout.unit or not {*layout.block, request.response} <= set(table):
+        return table, request, ""
+    name = layout.block[0]
+    labels = table.loc[table[request.response].notna(), name].dropna().unique()
+    if len(labels) != 1 or name in request.factors:
+        return table, request, ""
+    request = replace(request, specimens=1, error="auto", layout=replace(layout, block=()))
+    means = strata.average_units(table[table[name].notna()], request, name)
+    note = (
+        f"one {name} ({labels[0]}): differences are those of this {name}, and how another one "
+        "would differ cannot be told; measure two or more"
+    )
+    return means, request, note
+
+
+def _of_units(table: pd.DataFrame, request: AnalysisRequest) -> tuple[AnalysisRequest, str]:
+    """Take a block that lies in one cell for a replicate of it, and a unit in several for a block.
+
+    The text says so of a unit; it is empty otherwise.
+    """
+    unit = request.layout.unit
+    if unit is not None and not request.layout.block and strata.crosses(table, request, unit):
+        layout = replace(request.layout, block=(unit,), unit=None)
+        note = f"every {unit} is measured in several cells: it is a block (--block {unit})"
+        return replace(request, layout=layout), note
+    if unit is not None or not _one_cell_a_block(table, request):
+        return request, ""
+    layout = replace(
+        request.layout, block=(), unit=request.layout.block[0], whole_plot=(), replicates="runs"
+    )
+    return replace(request, layout=layout, error="auto"), ""
+
+
+def anova(  # noqa: PLR0913  # the public face: one keyword for each thing that may be asked
+    table: pd.DataFrame,
+    response: str,
+    factors: Sequence[str],
+    *,
+    block: str | Sequence[str] | None = None,
+    unit: str | None = None,
+    whole_plot: str | Sequence[str] = (),
+    replicates: str = "auto",
+    copies: str = "refuse",
+    type: str = "auto",  # noqa: A002
+    model: Model = "full",
+    error: str = "auto",
+    records: bool = False,
+    tolerance: float | None = None,
+    practical: Practical = None,
+    transform: str = "none",
+    u_num: NumericalUncertainty = None,
+    specimens: int | None = None,
+    alpha: float = 0.05,
+    seed: int = 2011,
+    exact: bool = True,
+) -> AnalysisResult:
+    """Analyze one response of a factorial.
+
+    Parameters
+    ----------
+    table : DataFrame
+        One row a run.
+    response : str
+        Column of the response; missing values are counted and left out, and what they could
+        do to the conclusion is bounded.
+    factors : sequence of str
+        Columns of the factors.
+    block : str or sequence of str, optional
+        Column of the replicated unit (specimen, mix, ...); several that cross make a Latin
+        square. Where a factor is constant within every block, the blocks are its whole plots.
+    unit : str, optional
+        Column of the unit on which rows are repeated: its rows are averaged first, and the
+        result says how far the analysis of single rows would have misled.
+    whole_plot : str or sequence of str
+        Factors set once per whole plot of a block: they are tested against whole plots.
+    replicates : {"auto", "runs", "mesh-seeds", "noise"}
+        What the rows of one cell are: runs set up anew (E0), new meshes (E3), refits to
+        resampled measurement noise (E2). ``auto`` looks for the columns ``mesh_seed`` and
+        ``noise_seed``.
+    copies : {"refuse", "independent"}
+        What rows are that repeat others in every digit: copies, or measured each.
+    type : {"auto", "I", "II", "III"}
+        Type of the sums of squares; ``auto`` is II when balanced and III when not.
+    model : "full", int or list
+        Terms; see :func:`study.statistics.analysis.linear_model.terms_of`.
+    error : {"auto", "pooled", "own"}
+        How the error is found; see :mod:`study.statistics.analysis.error_ledger`.
+    records : bool
+        Whether the rows are records of a deterministic study.
+    tolerance : float, optional
+        Solver tolerance in the unit of the response; default 1e-8 of its largest value for
+        records, 0 otherwise.
+    practical : optional
+        Smallest difference that matters; see ``threshold``.
+    transform : {"none", "log"}
+        ``log`` reports effects as ratios.
+    u_num : float, mapping to float or NumericalBound, optional
+        Bound of the numerical error of a difference: one for all effects, or one a term
+        (``"A"``, ``"A:B"``; a term that is absent has none) in the unit of the response, or what
+        bounds any difference on the scale of the analysis. Cells are one computation where
+        they agree within the smallest of them in every block.
+    specimens : int, optional
+        Specimens that were measured, where the response is a score of theirs: one makes no
+        claim, and a claim from two says so. By default the blocks are counted.
+    alpha : float
+        Size of the tests; intervals have the level 1 - alpha.
+    seed : int
+        Seed of every simulation.
+    exact : bool
+        Whether to simulate the exact p of Ryan-Joiner, Bartlett and Levene.
+
+    Returns
+    -------
+    AnalysisResult
+        Error term, table, effects with intervals and verdicts, assumptions.
+
+    Raises
+    ------
+    InputError
+        For columns, levels or values that cannot be analyzed.
+    RefusedError
+        For copies that pose as replicates.
+    """
+    request = AnalysisRequest(
+        response,
+        tuple(str(name) for name in factors),
+        Blocking(names_of(block), unit, names_of(whole_plot), replicates, copies),
+        model,
+        type,
+        error,
+        ResponseScale(transform, threshold(practical), u_num, tolerance),
+        records,
+        specimens,
+        alpha,
+        seed,
+        exact,
+    )
+    return analyze(table, request)
+
+
+def _one_cell_a_block(table: pd.DataFrame, request: AnalysisRequest) -> bool:
+    layout = request.layout
+    if len(layout.block) != 1 or layout.whole_plot:
+        return False
+    data = prepare(table, request.response, request.factors, layout.block)
+    plots = whole_plots(data, ())
+    return plots is not None and set(plots.between) == set(data.factors)
+
+
+def _complete(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisResult:
+    """Analysis of the rows there are, and what the missing ones could do to it."""
+
+    def refound(rows: pd.DataFrame) -> tuple[Effect, ...]:
+        return _found(rows, request).effects
+
+    out = _found(table, request)
+    if len(request.layout.block) == 1 and out.error.source == "E1":
+        quick = replace(request, simulated=False)
+        again = (lambda rows: _found(rows, quick).effects, refound)
+        out = replace(out, effects=without_each(table, *request.layout.block, out.effects, again))
+    result = assemble(add_robustness(out))
+    if not out.data.missing:
+        return result
+
+    found = failures.bounds(table, request, out.effects, refound)
+    notes = failures.sentences(found, out.data.missing)
+    return replace(result, data=replace(result.data, bounds=found)).noted(*notes)
+
+
+def _nested_factor(table: pd.DataFrame, request: AnalysisRequest) -> tuple[str, str] | None:
+    """Find the one factor that lies within another, with levels of its own names, and that one."""
+    layout = request.layout
+    if layout.block or layout.unit or layout.whole_plot or request.model != "full":
+        return None
+    if request.records or len(request.factors) < 2:
+        return None
+    data = prepare(table, request.response, request.factors)
+    pairs = structure_of(data).nested
+    if len(pairs) <= 1:
+        return pairs[0] if pairs else None
+    depth = {name: sum(inner == name for inner, _ in pairs) for name in request.factors}
+    chain = sorted(request.factors, key=lambda name: depth[name])
+    terms = ",".join(":".join(chain[: k + 1]) for k in range(len(chain)))
+    said = ", ".join(f"{inner} lies within {outer}" for inner, outer in pairs)
+    raise RefusedError(
+        f"{said}: name the strata. --model {terms} tests each against the rows within; "
+        f"--factors {chain[0]} --unit {chain[1]} tests {chain[0]} against {chain[1]}"
+    )
+
+
+def _with_nested(
+    table: pd.DataFrame, request: AnalysisRequest, inner: str, outer: str
+) -> AnalysisResult:
+    """Analysis of the other factors against the nested one, and of that one against the rows."""
+    factors = tuple(f for f in request.factors if f != inner)
+    upper = replace(request, factors=factors, layout=replace(request.layout, unit=inner))
+    terms = tuple(t for t in terms_of(request.factors) if inner not in t or outer in t)
+    within = replace(request, model=[list(t) for t in terms], sums="auto")
+    rows = _found(table, within)
+    found = _with_units(table, upper, inner)
+    tested = {row.term: row for row in found.anova.rows}
+    error = f"{outer}:{inner}"
+    listed = []
+    for row in rows.anova.rows:
+        above = tested.get(row.term)
+        if above is None or row.term == "residual":
+            listed.append(row)
+        else:
+            listed.append(
+                replace(row, f=above.f, p=above.p, error=error, df_error=above.df_error,
+                        omega_sq=None, partial_eta_sq=above.partial_eta_sq,
+                        partial_eta_sq_ci95=above.partial_eta_sq_ci95)
+            )  # fmt: skip
+    note = (
+        f"{inner} lies within {outer} (levels with names of their own): {outer} is tested against "
+        f"{inner}, and {inner} against the rows within, as --model {outer},{error}"
+    )
+    return replace(found, anova=replace(rows.anova, rows=tuple(listed))).noted(note)
+
+
+def _with_units(table: pd.DataFrame, request: AnalysisRequest, unit: str) -> AnalysisResult:
+    """Analysis of the means of the units, set beside that of all rows."""
+    means = strata.average_units(table, request, unit, request.layout.block)
+    result = _complete(means, request)
+    if result.error_term.source == "E0":
+        asked = replace(
+            result.error_term,
+            question=f"would the effect show with other levels of {unit}? (scatter between them "
+            "within a cell)",
+            reason=f"cells hold several levels of {unit}; the rows of each are averaged",
+        )
+        result = replace(result, error_term=asked)
+    rows = _found(table, request)
+    if rows.data.missing:
+        lost = tuple(w for w in rows.data.warnings if w not in result.notes)
+        result = replace(result, notes=(*lost, *result.notes))
+    found = strata.compare_naive(table, request, unit, result.anova, rows.anova)
+    if found is None:
+        return result
+    notes = strata.sentences(found, request.alpha)
+    return replace(result, data=replace(result.data, nested=found)).noted(*notes)
+
+
+def _found(table: pd.DataFrame, request: AnalysisRequest) -> Outcome:
+    """Table and effects of one analysis, before the checks of its assumptions."""
+    out = _start(table, request)
+    _require_positive(out.data, request)
+    if float(np.ptp(out.data.y)) <= max(10 * out.tolerance, 4 * ulp_floor(out.data.y)):
+        return out.constant()
+    notes = refuse_fake_replicates(
+        out.data, table, records=request.records, tolerance=out.tolerance
+    )
+    if not request.records and request.layout.copies == "refuse":
+        refuse_copied_rows(out.data)
+    _refuse_undeclared(out)
+    if _repeats_in_blocks(out.data):
+        out = _averaged(out, table)
+        notes.append("repeats of a cell within a block are averaged: they are nested in it")
+    plots = whole_plots(out.data, request.layout.whole_plot)
+    data = out.data
+    y = _transformed(data, request)
+    scale = scale_of(out, y)
+    low, high = range_of_bounds(out, scale)
+    out = replace(out, y=y, scale=scale, u_cells=low, u_raw=high)
+    out = replace(out, warnings=(*data.warnings, *notes))
+    within = max(10 * out.tolerance, low or 0.0)
+    computed = request.records or out.tolerance > 0
+    out = replace(out, copies=copies_of(data, within, computed=computed))
+    declared = data.also or (request.layout.whole_plot and request.error == "auto")
+    how = error_ledger.method(request.error, None if declared else data.block)
+    if how == error_ledger.OWN:
+        mixed = incomplete_blocks(out) if plots is None else None
+        if mixed is not None:
+            return mixed
+        tested = own(out) if plots is None or not plots.nested else own_groups(out, plots)
+        if tested is not None:
+            return tested
+        lacking = _lacking(data, plots)
+        if lacking:
+            return pooled(out, untested=lacking)
+    if plots is not None:
+        return split_plot(out, plots)
+    return pooled(out)
+
+
+def _start(table: pd.DataFrame, request: AnalysisRequest) -> Outcome:
+    """Check the data and gather terms and tolerances."""
+    data = prepare(table, request.response, request.factors, request.layout.block)
+    terms = terms_of(data.factors, request.model)
+    nested_factors = nested_in(terms)
+    if nested_factors:
+        data = replace(
+            data,
+            layout=number_within(data.layout, nested_factors),
+            warnings=(*data.warnings, *_nested_notes(nested_factors)),
+        )
+    structure = structure_of(data)
+    if structure.empty_cells:
+        structure, terms = _with_empty_cells(data, request, structure, terms)
+        if structure.undecided:
+            data = replace(data, warnings=(*data.warnings, structure.undecided))
+    tol = request.scale.tolerance
+    if tol is None:
+        tol = _DEFAULT_TOLERANCE * float(np.abs(data.y).max()) if request.records else 0.0
+    return Outcome(
+        request,
+        data,
+        terms,
+        tol,
+        replicates=_replicates(table, data, request),
+        structure=structure,
+    )
+
+
+def _with_empty_cells(
+    data: Data, request: AnalysisRequest, structure: Structure, terms: tuple[Term, ...]
+) -> tuple[Structure, tuple[Term, ...]]:
+    """Structure without the cells that the model does not need, and the terms that are told apart.
+
+    Terms that add nothing to those before them are left out, and named. A regular fraction keeps
+    all of its terms: each is aliased with others, and it is for the analyst to name those wanted.
+    """
+    cells = np.unique(data.cell, return_index=True)[1]
+    model = factorize(model_matrix(data.layout.take(cells), terms))
+    if model.is_full or nested_in(terms):
+        return replace(structure, empty_cells=0), terms
+    kept = tuple(
+        t for i, t in enumerate(model.matrix.terms) if t and model.space(i, "I").basis.shape[1]
+    )
+    reduced = factorize(model_matrix(data.layout.take(cells), kept))
+    if len(kept) < len(terms) and reduced.is_full and reduced.is_orthogonal():
+        return replace(structure, empty_cells=0), terms
+    ordered = request.model == "full" or isinstance(request.model, int)
+    if len(kept) == len(terms) or not ordered or request.sums != "auto":
+        return structure, terms
+    lost = [term_name(t) for t in terms if t not in kept]
+    listed = ", ".join(lost[:8]) + (f" and {len(lost) - 8} more" if len(lost) > 8 else "")
+    said = (
+        f"{listed}: left out, for these runs cannot tell them from the terms before them; declare "
+        "which are negligible to have the others judged (--model 2, or the terms)"
+    )
+    return replace(structure, undecided=said, asked=terms), kept
+
+
+def _nested_notes(found: Mapping[str, tuple[str, ...]]) -> list[str]:
+    return [
+        f"{name} is nested in {' and '.join(parents)}, which is tested against the rows within: "
+        f"to ask whether other levels of {name} would show it, use --unit {name}"
+        for name, parents in found.items()
+    ]
+
+
+def _replicates(table: pd.DataFrame, data: Data, request: AnalysisRequest) -> str:
+    """Tell what the rows of one cell are, from what was said or from the columns."""
+    if request.layout.replicates != "auto":
+        return request.layout.replicates
+    for column, kind in _SEED_COLUMNS.items():
+        if column in table.columns and column not in (*data.factors, *data.blocks):
+            return kind
+    return "auto" if request.records else "runs"
+
+
+def _lacking(data: Data, plots: Plots | None) -> str:
+    """Why effects have no error where blocks lack cells; empty where no block does."""
+    within = [
+        f for f in data.factors if plots is None or not plots.nested or f not in plots.between
+    ]
+    cell = np.unique(data.layout.cell(within), return_inverse=True)[1]
+    block = data.layout.codes[str(data.block)]
+    cells = np.bincount(np.unique(np.column_stack([block, cell]), axis=0)[:, 0])
+    lacking = int((cells < cell.max() + 1).sum())
+    if not lacking:
+        return ""
+    return (
+        f"{lacking} of {cells.size} levels of {data.block} lack a cell, and too few have all of "
+        "them to test effects against their own interaction with the blocks: --error reml fits a "
+        "mixed model to all rows; --error pooled takes all these interactions to be of one size"
+    )
+
+
+def _repeats_in_blocks(data: Data) -> bool:
+    """Whether a cell has several rows in one block, which are no independent trials."""
+    if data.block is None:
+        return False
+    _, counts = np.unique(data.layout.cell([*data.factors, *data.blocks]), return_counts=True)
+    return bool(counts.max() > 1)
+
+
+def _averaged(out: Outcome, table: pd.DataFrame) -> Outcome:
+    """Outcome of the means of the cells in each block; missing rows stay counted."""
+    first, *others = out.data.blocks
+    means = strata.average_units(table, out.request, first, others)
+    start = _start(means, out.request)
+    data = replace(start.data, missing=out.data.missing, warnings=out.data.warnings)
+    return replace(start, data=data, tolerance=out.tolerance, structure=out.structure)
+
+
+def _refuse_undeclared(out: Outcome) -> None:
+    """Refuse several records of a cell that nobody declared to be replicates."""
+    data = out.data
+    counts = np.bincount(data.cell)
+    if out.replicates != "auto" or data.block is not None or counts.max() == 1:
+        return
+    names = data.cell_names()
+    double = [names[c] for c in np.flatnonzero(counts > 1)]
+    raise RefusedError(
+        f"{len(double)} cells hold several runs ({'; '.join(double[:3])}, ...) that differ in "
+        "something not named: a deterministic study has no replicates. Name all factors, or "
+        "--block, or say what the repeats are (--replicates mesh-seeds or noise)"
+    )
+
+
+def _require_positive(data: Data, request: AnalysisRequest) -> None:
+    if request.scale.is_log and data.y.min() <= 0:
+        rule = f"the log needs positive values, got {data.y.min():g}"
+        raise InputError(Fault(f"response {request.response!r}", rule))
+
+
+def _transformed(data: Data, request: AnalysisRequest) -> Array:
+    return np.asarray(np.log(data.y)) if request.scale.is_log else data.y

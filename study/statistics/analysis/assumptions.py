@@ -1,0 +1,592 @@
+"""Every test of what an analysis assumes: its field, what fills it, and its key in JSON."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from study.ground.arrays import Array, Flags
+from study.ground.canonical import plain
+from study.ground.errors import Fault, InputError
+from study.statistics.analysis import error_ledger
+from study.statistics.analysis.analysis_request import Outcome
+from study.statistics.analysis.anova_table import BoxCoxResult, Sensitivity, WaldTest
+from study.statistics.analysis.data import Crossed, Data, prepare
+from study.statistics.analysis.equal_variance import (
+    BartlettResult,
+    LeveneResult,
+    ResidualDesign,
+    bartlett,
+    levene,
+)
+from study.statistics.analysis.linear_model import (
+    Factorization,
+    Model,
+    Term,
+    factorize,
+    model_matrix,
+    span,
+    term_name,
+    terms_of,
+)
+from study.statistics.analysis.normality import (
+    RowTest,
+    RyanJoinerResult,
+    anderson_darling,
+    block_share,
+    helmert_contrasts,
+    row_normality,
+    ryan_joiner,
+    shapiro_wilk,
+)
+from study.statistics.analysis.strata import OwnTerm, own_terms
+from study.statistics.analysis.sums_of_squares import (
+    Factored,
+    TermSum,
+    TwoWayFit,
+    factor,
+    fitted,
+    influential,
+    least_squares,
+    term_sums,
+)
+from study.statistics.analysis.unreplicated import non_additivity, ulp_floor
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from statsmodels.regression.linear_model import OLSResults
+
+    from study.statistics.analysis.anova_table import Influential
+    from study.statistics.analysis.normality import NormalityResult
+    from study.statistics.analysis.sums_of_squares import SphericityResult
+    from study.statistics.analysis.unreplicated import NonAdditivityResult
+
+
+@dataclass(frozen=True)
+class Assumptions:
+    """Tests of what the analysis assumes; what does not apply is None."""
+
+    normality: RyanJoinerResult | None = None
+    normality_rows: tuple[RowTest, ...] = ()
+    bartlett: BartlettResult | None = None
+    levene: LeveneResult | None = None
+    sphericity: dict[str, SphericityResult] = field(default_factory=dict)
+    non_additivity: NonAdditivityResult | None = None
+    anderson_darling: NormalityResult | None = None
+    shapiro_wilk: NormalityResult | None = None
+    #: Rows that the fit leans on.
+    influence: Influential | None = None
+    robustness: Sensitivity | None = None
+    box_cox: BoxCoxResult | None = None
+
+    @property
+    def spread(self) -> dict[str, BartlettResult | LeveneResult]:
+        """Tests of equal spread that were run, by name."""
+        tests = {"bartlett": self.bartlett, "levene": self.levene}
+        return {name: test for name, test in tests.items() if test is not None}
+
+    def to_json(self) -> dict[str, object]:
+        """Return the tests by their keys in ``study analyze --json``."""
+        return {
+            "normality": None if self.normality is None else self.normality.to_json(),
+            "normality_rows": plain(self.normality_rows),
+            "variance": {
+                "bartlett": None if self.bartlett is None else self.bartlett.to_json(),
+                "levene": None if self.levene is None else self.levene.to_json(),
+            },
+            "sphericity": plain(self.sphericity),
+            "non_additivity": plain(self.non_additivity),
+            "influence": plain(self.influence),
+            "robustness": plain(self.robustness),
+            "box_cox": plain(self.box_cox),
+        }
+
+
+def assumptions_of(out: Outcome, found: Diagnostics) -> Assumptions:
+    """Gather what the analysis assumes and how it was tested."""
+    fit = out.fit if out.fit is not None and out.fit.df_residual > 0 else None
+    residual = None if fit is None else fit.residual
+    return Assumptions(
+        normality=found.normality,
+        normality_rows=found.rows,
+        bartlett=found.bartlett,
+        levene=found.levene,
+        sphericity=out.sphericity,
+        non_additivity=None if fit is None else non_additivity(fit),
+        anderson_darling=None if residual is None else anderson_darling(residual),
+        shapiro_wilk=None if residual is None else shapiro_wilk(residual),
+        influence=None if fit is None else influential(fit),
+        robustness=out.robustness,
+        box_cox=out.box_cox,
+    )
+
+
+# -------------------------------------------------------------------------------------------------
+# Checks of normality and equal spread: on the residuals, or contrast by contrast over blocks.
+#
+# Where every effect is tested against its own interaction with the blocks, no residual is pooled
+# and none may be tested as if it were: the contrasts differ in spread, which looks like heavy
+# tails. Each contrast is then a sample of its own over the blocks.
+
+_MONTE_CARLO = 10_000
+#: Residuals that normality is tested on at most: beyond, a random sample of as many.
+MOST_TESTED = 5000
+#: Numbers simulated at most for a spread test of many rows; 10,000 designs of 1,000 rows.
+_MOST_NUMBERS = 1e7
+#: A block that carries more than this share of the interaction, with this p, is named.
+SHARE_P = 0.05
+_OWN = "each effect is tested against its own interaction with the blocks, whose spreads may differ"
+
+
+@dataclass(frozen=True)
+class Diagnostics:
+    """Tests of the assumptions; ``rows`` holds those of single contrasts over blocks."""
+
+    normality: RyanJoinerResult | None
+    bartlett: BartlettResult | None
+    levene: LeveneResult | None
+    warnings: tuple[str, ...]
+    rows: tuple[RowTest, ...] = ()
+
+
+def diagnose(out: Outcome) -> Diagnostics:
+    """Check the assumptions that the tests of an analysis rest on."""
+    if out.crossed is not None and out.replicates != "noise":
+        return _by_contrast(out, out.crossed)
+    out, normality, groups = _of_residuals(out)
+    equal, spread = _spread_tests(out, groups)
+    warnings = (*out.warnings, *_inapplicable(bartlett=equal, levene=spread))
+    return Diagnostics(normality, equal, spread, warnings)
+
+
+def _by_contrast(out: Outcome, table: Crossed) -> Diagnostics:
+    """Test each contrast over the blocks, and find the block that carries most of them."""
+    unequal = (
+        BartlettResult(None, None, None, False, _OWN),
+        LeveneResult(None, None, None, False, _OWN),
+    )
+    warnings = _inapplicable(bartlett=unequal[0], levene=unequal[1])
+    try:
+        contrasts = helmert_contrasts(table.layout, out.terms, table.y)
+    except InputError:
+        why = "normality: not applicable: a combination of levels is missing"
+        return Diagnostics(None, *unequal, (*warnings, why))
+    tolerance = out.working_tolerance() / 10
+    found = row_normality(
+        contrasts, tolerance=tolerance, alpha=out.request.alpha, seed=out.request.seed
+    )
+    if found.p is None:
+        return Diagnostics(
+            None, *unequal, (*warnings, f"normality: not applicable: {found.warning}")
+        )
+    if found.warning:
+        warnings.append(f"Ryan-Joiner over blocks: {found.warning}")
+    warnings += _heavy_block(contrasts, tolerance, table.blocks, out)
+    worst = min(found.rows, key=lambda row: row.p)
+    values = contrasts[worst.term][worst.contrast]
+    one = ryan_joiner(values, seed=out.request.seed, exact=False, alpha=out.request.alpha)
+    decision = f"{'rejected' if found.rejected else 'not rejected'} at {out.request.alpha:g}"
+    summary = replace(
+        one,
+        p_exact=found.p,
+        decision=f"normality {decision}: the smallest of {len(found.rows)} "
+        f"contrasts over {found.blocks} blocks, {worst.term}, p times their number {found.p:.3g}",
+    )
+    return Diagnostics(summary, *unequal, tuple(warnings), found.rows)
+
+
+def _heavy_block(
+    contrasts: dict[str, Array], tolerance: float, blocks: tuple[str, ...], out: Outcome
+) -> list[str]:
+    share = block_share(contrasts, tolerance=tolerance, seed=out.request.seed)
+    if share is None or share.p >= SHARE_P:
+        return []
+    return [
+        f"{out.data.block} {blocks[share.block]} carries {100 * share.share:.0f} % of the "
+        "interactions with the blocks: see what is special about it"
+    ]
+
+
+def is_representative(out: Outcome) -> Flags:
+    """Whether each row belongs to the cell that stands for its copies.
+
+    Shapes: returns (n,).
+    """
+    return np.isin(out.data.cell, out.copies.representatives)
+
+
+def _inapplicable(**tests: BartlettResult | LeveneResult | None) -> list[str]:
+    return [
+        f"{name}: not applicable: {test.reason}"
+        for name, test in tests.items()
+        if test is not None and test.reason
+    ]
+
+
+def _spread_tests(
+    out: Outcome, groups: error_ledger.CellGroups | None
+) -> tuple[BartlettResult | None, LeveneResult | None]:
+    if groups is None:
+        return None, None
+    # residuals of a blocked fit are correlated: their own design is simulated
+    n = groups.index.size
+    # of more rows than are tested, the residuals are as good as independent
+    near = groups.basis is None or n > MOST_TESTED
+    design = None if near or groups.basis is None else ResidualDesign(groups.basis, groups.index)
+    count = int(min(_MONTE_CARLO, _MOST_NUMBERS / n)) if out.request.exact else 0
+    rough, seed = groups.approximate, out.request.seed
+    return (
+        bartlett(groups.groups, approximate=rough, simulations=count, seed=seed, design=design),
+        levene(
+            groups.groups,
+            center="auto" if out.request.exact or design else "median",
+            approximate=rough,
+            simulations=count if design else 0,
+            seed=seed,
+            design=design,
+        ),
+    )
+
+
+def _ryan_joiner(out: Outcome, fit: Factored | TwoWayFit) -> tuple[Outcome, RyanJoinerResult]:
+    """Ryan-Joiner of the residuals; of many a random sample, which is said."""
+    asked, n = out.request, fit.residual.size
+    if n <= MOST_TESTED:
+        return out, ryan_joiner(
+            fit.residual,
+            model_matrix=fit.columns,
+            seed=asked.seed,
+            exact=asked.exact,
+            alpha=asked.alpha,
+        )
+    # among so many rows a few residuals are as independent as a plain sample
+    chosen = np.random.default_rng(asked.seed).choice(n, MOST_TESTED, replace=False)
+    sample = fit.residual[np.sort(chosen)]
+    result = ryan_joiner(sample, seed=asked.seed, exact=asked.exact, alpha=asked.alpha)
+    note = (
+        f"Ryan-Joiner tests a random {MOST_TESTED:,} of the {n:,} residuals: with more, departures "
+        "from normality that change no conclusion are found as well"
+    )
+    return out.warn(note), result
+
+
+def _of_residuals(
+    out: Outcome,
+) -> tuple[Outcome, RyanJoinerResult | None, error_ledger.CellGroups | None]:
+    """Ryan-Joiner on one representative of each computation, and the groups for Bartlett."""
+    rows = np.flatnonzero(is_representative(out))
+    if out.fit is None or out.fit.df_residual == 0:
+        reason = "there are no residuals"
+        return (
+            out.warn(f"normality: not applicable: {reason}", f"variance: not applicable: {reason}"),
+            None,
+            None,
+        )
+    if out.data.block is not None:
+        # of more rows than are tested, nobody asks for the columns of the model
+        fit_of = error_ledger.within_fit if rows.size > MOST_TESTED else error_ledger.additive_fit
+        fit: Factored | TwoWayFit = fit_of(out.data, out.y, rows, plots=out.plots)
+    elif rows.size == out.y.size:
+        fit = out.fit
+    else:
+        fit = error_ledger.reduced_fit(out.data, out.y, out.terms, rows)
+    out, result = _ryan_joiner(out, fit)
+    if not result.applicable:
+        out = out.warn(f"normality: not applicable: {result.reason}")
+    if result.warning:
+        out = out.warn(result.warning)
+    values = out.y[rows] if out.data.block is None else fit.residual
+    cells, names = out.data.cell[rows], out.data.cell_names()
+    present, index = np.unique(cells, return_inverse=True)
+    groups = {names[c]: values[index == i] for i, c in enumerate(present)}
+    blocked = out.data.block is not None
+    basis = fit.q if blocked and isinstance(fit, Factored) else None
+    return out, result, error_ledger.CellGroups(groups, blocked, basis, index)
+
+
+# -------------------------------------------------------------------------------------------------
+# When spreads differ or residuals are skewed: Box-Cox, HC3, Welch-James, side by side.
+
+
+def hc3(fit: Factored) -> dict[str, WaldTest]:
+    """Wald tests with the HC3 covariance (MacKinnon and White 1985), sum-to-zero contrasts."""
+    if fit.df_residual < 1 or float(fit.leverage.max()) > 1 - 1e-10:
+        return {
+            term_name(t): WaldTest(term_name(t), None, None, None, "a row has leverage one")
+            for t in fit.matrix.terms[1:]
+        }
+    robust = least_squares(fit, "HC3")
+    return {term_name(s.term): _wald(robust, s, fit.df_residual) for s in term_sums(fit, "III")}
+
+
+def _wald(robust: OLSResults, term: TermSum, df_residual: int) -> WaldTest:
+    """F test that the coefficients of the fit are zero along the directions of one term."""
+    from statsmodels.tools.sm_exceptions import ValueWarning
+
+    name = term_name(term.term)
+    if term.df < term.nominal_df:
+        return WaldTest(name, None, None, None, "not estimable")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ValueWarning)
+        test = robust.f_test(term.basis.T)
+    if test.df_num < term.df:
+        # statsmodels would go on with fewer constraints, which is the test of another hypothesis
+        return WaldTest(name, None, None, None, "cells without spread: a singular covariance")
+    df = (float(term.df), float(df_residual))
+    return WaldTest(name, float(test.fvalue), df, float(test.pvalue))
+
+
+def welch_james(cells: Sequence[Array], contrast: Array, name: str = "") -> WaldTest:
+    """Welch-James test of a contrast of cell means (Johansen 1980, Biometrika 67, 85-92).
+
+    Shapes: contrast (d, cells).
+    """
+    return _johansen(_Moments.of(cells), contrast, name)
+
+
+# Condition number beyond which the inverse of a covariance has no digit left (1 / 1e-16, less 2).
+_WORST_CONDITION = 1e14
+
+
+@dataclass(frozen=True)
+class _Moments:
+    """Size, mean (shifted) and variance of every cell."""
+
+    n: Array
+    mean: Array
+    variance: Array
+
+    @staticmethod
+    def of(cells: Sequence[Array]) -> _Moments:
+        shift = cells[0][0]
+        return _Moments(
+            np.array([c.size for c in cells], dtype=float),
+            np.array([np.mean(c - shift) for c in cells]),
+            np.array([np.var(c - c[0], ddof=1) if c.size > 1 else 0.0 for c in cells]),
+        )
+
+
+def _johansen(cells: _Moments, contrast: Array, name: str) -> WaldTest:
+    from scipy.special import fdtrc
+
+    n = cells.n
+    if n.min() < 2 or cells.variance.min() <= 0:
+        return WaldTest(name, None, None, None, "a cell has one value or zero variance")
+    s = cells.variance / n
+    covariance = (contrast * s) @ contrast.T
+    if np.linalg.cond(covariance) > _WORST_CONDITION:
+        return WaldTest(name, None, None, None, "the variances of the cells differ too much")
+    inner = np.linalg.inv(covariance)
+    effect = contrast @ cells.mean
+    t = float(effect @ inner @ effect)
+    weight = np.einsum("jk,jk->k", contrast, inner @ contrast) * s
+    # tr(Q_j^2) = tr(Q_j)^2 because each cell enters with one variance
+    a = float(np.sum(2 * weight**2 / (n - 1))) / 2
+    d = contrast.shape[0]
+    scale = d + 2 * a - 6 * a / (d + 2)
+    df = (float(d), d * (d + 2) / (3 * a))
+    f = t / scale
+    return WaldTest(name, f, df, float(fdtrc(*df, f)))
+
+
+def welch_factorial(
+    table: pd.DataFrame, response: str, factors: Sequence[str], model: Model = "full"
+) -> dict[str, WaldTest]:
+    """Welch-James test of every term of a factorial with unequal cell variances."""
+    data = prepare(table, response, factors)
+    return _welch(data, terms_of(data.factors, model))
+
+
+def _welch(data: Data, terms: Sequence[Term]) -> dict[str, WaldTest]:
+    present, index = np.unique(data.cell, return_inverse=True)
+    moments = _Moments.of([data.y[index == i] for i in range(present.size)])
+    first = np.array([int(np.flatnonzero(index == i)[0]) for i in range(present.size)])
+    layout = data.layout.take(first)
+    matrix = model_matrix(layout, terms)
+    fit = factor(matrix, np.arange(float(present.size)))
+    out = {}
+    for s in term_sums(fit, "III"):
+        name = term_name(s.term)
+        if s.df < s.nominal_df:
+            out[name] = WaldTest(name, None, None, None, "not estimable")
+        else:
+            out[name] = _johansen(moments, (fit.q @ s.basis).T, name)
+    return out
+
+
+def box_cox(y: Array, matrix: Array) -> BoxCoxResult:
+    """Profile likelihood of the Box-Cox exponent in a linear model (Box and Cox 1964).
+
+    Shapes: y (n,); matrix (n, p).
+    """
+    from scipy.optimize import brentq, minimize_scalar
+
+    if y.min() <= 0:
+        raise InputError(Fault("Box-Cox", f"needs a positive response, got {y.min():g}"))
+    length = np.linalg.norm(matrix, axis=0)
+    basis = span(matrix[:, length > 0] / length[length > 0])  # a cell may be empty
+    if basis.shape[1] >= y.size:
+        raise InputError(Fault("Box-Cox", "the model leaves no residual degrees of freedom"))
+    logs = np.log(y)
+    logs = logs - logs.mean()
+
+    def deviance(exponent: float) -> float:
+        # with the response over its geometric mean the Jacobian of the power is one
+        z = logs if abs(exponent) < 1e-9 else np.expm1(exponent * logs) / exponent
+        rest = z - basis @ (basis.T @ z)
+        return float(y.size * np.log(rest @ rest))
+
+    # beyond this a power of the response would overflow
+    widest = min(200.0, 300.0 / max(float(np.abs(logs).max()), 1e-300))
+    best = minimize_scalar(
+        deviance, bounds=(-widest, widest), method="bounded", options={"xatol": 1e-9}
+    )
+    center, limit = float(best.x), float(best.fun) + 3.841458820694124
+
+    def bound(step: float) -> float:
+        edge = min(max(center + step, -widest), widest)
+        while deviance(edge) < limit and abs(edge + step) < widest:
+            edge += step
+        if deviance(edge) < limit:
+            return edge
+        root: float = brentq(lambda e: deviance(e) - limit, center, edge)
+        return root
+
+    return BoxCoxResult(center, (bound(-0.5), bound(0.5)))
+
+
+def sensitivity(
+    table: pd.DataFrame,
+    response: str,
+    factors: Sequence[str],
+    *,
+    model: Model = "full",
+    alpha: float = 0.05,
+) -> Sensitivity:
+    """P of every term in the defensible analyses of a replicated factorial.
+
+    Ordinary F (Type III), HC3 Wald, Welch-James, and the F of the log response where it is
+    positive.
+    """
+    data = prepare(table, response, factors)
+    terms = terms_of(data.factors, model)
+    return sensitivity_of(data, terms, factor(model_matrix(data.layout, terms), data.y), alpha)
+
+
+def sensitivity_of(data: Data, terms: Sequence[Term], fit: Factored, alpha: float) -> Sensitivity:
+    """As :func:`sensitivity`, of checked data without blocks and the fit of their response."""
+    found: dict[str, Mapping[str, float | None]] = {
+        "ordinary F": _ordinary(fit),
+        "HC3 Wald": {k: w.p for k, w in hc3(fit).items()},
+        "Welch-James": {k: w.p for k, w in _welch(data, terms).items()},
+    }
+    if data.y.min() > 0:
+        found["F of the log"] = _ordinary(fitted(fit.model, np.log(data.y)))
+    return side_by_side([term_name(t) for t in terms], found, alpha)
+
+
+def side_by_side(
+    terms: Sequence[str], found: Mapping[str, Mapping[str, float | None]], alpha: float
+) -> Sensitivity:
+    """Table of p, terms against analyses, and in how many each is below alpha."""
+    p = {term: {method: ps.get(term) for method, ps in found.items()} for term in terms}
+    return Sensitivity(p, {term: _agreement(row, alpha) for term, row in p.items()})
+
+
+def _ordinary(fit: Factored) -> dict[str, float | None]:
+    from scipy.special import fdtrc
+
+    df = fit.df_residual
+    out: dict[str, float | None] = {}
+    for s in term_sums(fit, "III"):
+        usable = df > 0 and s.df == s.nominal_df and fit.rss > 0
+        f = s.ss / s.df / (fit.rss / df) if usable else 0.0
+        out[term_name(s.term)] = float(fdtrc(s.df, df, f)) if usable else None
+    return out
+
+
+def _agreement(found: Mapping[str, float | None], alpha: float) -> str:
+    known = [p for p in found.values() if p is not None]
+    return f"p < {alpha:g} in {sum(p < alpha for p in known)} of {len(known)} analyses"
+
+
+# Welch-James inverts matrices of the number of cells; beyond this it is no small table
+_MOST_CELLS = 600
+
+
+def add_robustness(out: Outcome) -> Outcome:
+    """Outcome with Box-Cox and the table of defensible analyses, where there is an error."""
+    if out.fit is None or out.plots is not None or out.data.also:
+        return out
+    if out.crossed is not None:
+        return replace(out, robustness=_blocked(out, out.crossed))
+    if out.data.block is not None or out.replicates != "runs" or out.error.source != "E0":
+        return out
+    if np.unique(out.data.cell).size > _MOST_CELLS or out.fit.rss <= 0:
+        return out
+    if not isinstance(out.fit, Factored):
+        return out
+    fit = out.fit if not out.request.scale.is_log else fitted(out.fit.model, out.data.y)
+    table = sensitivity_of(out.data, out.terms, fit, out.request.alpha)
+    if out.data.y.min() <= 0:
+        return replace(out, robustness=table)
+    return replace(out, robustness=table, box_cox=box_cox(out.data.y, out.fit.matrix.columns))
+
+
+def _blocked(out: Outcome, table: Crossed) -> Sensitivity:
+    """Own interactions (three corrections), interactions pooled, and the log of the response."""
+    kind = out.anova.type
+    model = out.cell_model or factorize(model_matrix(table.layout, out.terms))
+    tests = _tests(out, model, table, kind)
+    found: dict[str, Mapping[str, float | None]] = {
+        "own interaction, Greenhouse-Geisser": _p(tests, "gg"),
+        "own interaction, Huynh-Feldt": _p(tests, "hf"),
+        "interactions pooled": _additive(model, table.y, kind),
+    }
+    if not out.request.scale.is_log and table.y.min() > 0:
+        logged = _tests(out, model, replace(table, y=np.log(table.y)), kind)
+        found["own interaction of the log"] = _p(logged, "gg")
+    return side_by_side([term_name(t) for t in out.terms], found, out.request.alpha)
+
+
+def _tests(out: Outcome, model: Factorization, table: Crossed, kind: str) -> list[OwnTerm]:
+    y = table.y
+    floor = max(out.working_tolerance(), ulp_floor(y))
+    total = float(np.sum((y - y[0, 0] - (y - y[0, 0]).mean()) ** 2))
+    fit = fitted(model, y.mean(axis=1))
+    return own_terms(table, fit, kind, str(out.data.block), floor, total)
+
+
+def _p(tests: Sequence[OwnTerm], how: str) -> dict[str, float | None]:
+    from scipy.special import fdtrc
+
+    found: dict[str, float | None] = {}
+    for test in tests:
+        row = test.row
+        found[row.term] = row.p_gg
+        if how == "hf" and row.f is not None and row.df_error is not None:
+            epsilon = max(test.sphericity.epsilon_hf, test.sphericity.epsilon_gg)
+            found[row.term] = float(fdtrc(row.df * epsilon, row.df_error * epsilon, row.f))
+    return found
+
+
+def _additive(model: Factorization, y: Array, kind: str) -> dict[str, float | None]:
+    """P of every term against all interactions with the blocks pooled."""
+    from scipy.special import fdtrc
+
+    cells, blocks = y.shape
+    y = y - y[0, 0]
+    fit = fitted(model, y.mean(axis=1))
+    centered = y - y.mean(axis=1, keepdims=True) - y.mean(axis=0) + y.mean()
+    df = (cells - 1) * (blocks - 1)
+    mse = float(np.sum(centered**2)) / df
+    found: dict[str, float | None] = {}
+    for s in term_sums(fit, kind):
+        usable = s.df > 0 and mse > 0
+        f = blocks * s.ss / s.df / mse if usable else 0.0
+        found[term_name(s.term)] = float(fdtrc(s.df, df, f)) if usable else None
+    return found

@@ -1,0 +1,416 @@
+"""Rows of a table as one analysis takes them: response, coded levels, blocks, what is missing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations, permutations
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from study.ground.arrays import Array, Flags, Ints
+from study.ground.errors import Fault, InputError, RefusedError
+from study.ground.tabular import _NUMBER, _check_names, names_of
+from study.statistics.analysis.linear_model import Layout, Term
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+#: labels of levels, one a row
+Texts = NDArray[np.object_]
+
+
+@dataclass(frozen=True)
+class Data:
+    """One checked response: rows without a response are counted, never lost silently."""
+
+    y: Array
+    layout: Layout
+    factors: tuple[str, ...]
+    block: str | None
+    rows: Ints
+    missing: int
+    warnings: tuple[str, ...]
+    also: tuple[str, ...] = ()
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        """Columns of all blocks: the first, and those that cross it (a Latin square)."""
+        return (*((self.block,) if self.block else ()), *self.also)
+
+    @property
+    def cell(self) -> Ints:
+        """Index of the cell of each row in the full grid of the factors."""
+        return self.layout.cell(self.factors)
+
+    def cell_names(self) -> list[str]:
+        """Names of all cells of the full grid, in the order of their index."""
+        from itertools import product
+
+        return [" ".join(c) for c in product(*(self.layout.levels[f] for f in self.factors))]
+
+
+def prepare(
+    table: pd.DataFrame,
+    response: str,
+    factors: Sequence[str],
+    block: str | Sequence[str] | None = None,
+) -> Data:
+    """Check a table and code its factors."""
+    factors, blocks = [str(name) for name in factors], names_of(block)
+    _check_names("table", [str(c) for c in table.columns], response, factors, blocks)
+    raw = _response(table, response)
+    labels = {n: _labels(table[n], n) for n in [*factors, *blocks]}
+    keep = np.isfinite(raw)
+    warnings = _missing_warning(keep, response)
+    if keep.sum() < 2:
+        rule = f"has {int(keep.sum())} values"
+        mend = "an analysis needs two rows with a response, and better more"
+        raise InputError(Fault(f"response {response!r}", rule, mend))
+    faults, levels, codes = [], {}, {}
+    for name, text in labels.items():
+        order = _level_order(table[name], text)
+        warnings += _alike(order, name)
+        present = set(text[keep])
+        lost = [level for level in order if level not in present]
+        if lost:
+            warnings.append(f"{name}: no response at level {', '.join(lost)}")
+        order = [level for level in order if level in present]
+        if len(order) < 2:
+            kind = "block" if name in blocks else "factor"
+            mend = f"leave the {kind} out, or add rows with another level"
+            faults.append(
+                Fault(f"{kind} {name!r}", f"needs at least two levels, got {order}", mend)
+            )
+        index = {level: i for i, level in enumerate(order)}
+        levels[name] = tuple(order)
+        codes[name] = np.array([index[t] for t in text[keep]], dtype=np.int64)
+    if faults:
+        raise InputError(faults)
+    return Data(
+        raw[keep],
+        Layout(levels, codes),
+        tuple(factors),
+        blocks[0] if blocks else None,
+        np.flatnonzero(keep),
+        int((~keep).sum()),
+        tuple(warnings),
+        blocks[1:],
+    )
+
+
+def _response(table: pd.DataFrame, response: str) -> Array:
+    import pandas as pd
+
+    column = table[response]
+    if not (pd.api.types.is_numeric_dtype(column) or column.isna().all()):
+        bad = pd.to_numeric(column, errors="coerce").isna() & column.notna()
+        if bad.any():
+            row = column.index[bad.to_numpy()][0]
+            raise InputError(
+                Fault(f"row {row}, column {response!r}", f"{column[row]!r} is not a number")
+            )
+        column = pd.to_numeric(column)
+    values = np.asarray(column.to_numpy(dtype=float, na_value=math.nan), dtype=float)
+    _check_range(values, response)
+    return values
+
+
+#: Largest size and smallest spread of a response. Sphericity takes fourth powers of differences,
+#: which leave the range of doubles (1e-308 to 1e308) beyond 1e77 and below 1e-77.
+LARGEST = 1e60
+SMALLEST = 1e-60
+
+
+def _check_range(values: Array, response: str) -> None:
+    """Refuse numbers whose powers overflow or vanish."""
+    known = values[np.isfinite(values)]
+    if known.size == 0:
+        return
+    size = float(np.abs(known).max())
+    if size > LARGEST:
+        row = int(np.flatnonzero(np.abs(values) == size)[0]) + 1
+        rule = f"{size:.3g} is too large: the squares of such numbers overflow"
+        mend = f"write {response!r} in a larger unit, or correct the value"
+        raise InputError(Fault(f"row {row}, column {response!r}", rule, mend))
+    spread = float(np.ptp(known))
+    if 0 < spread < SMALLEST:
+        rule = f"the values differ by {spread:.3g} at most, and the squares of that vanish"
+        mend = f"write {response!r} in a smaller unit"
+        raise InputError(Fault(f"column {response!r}", rule, mend))
+
+
+def _missing_warning(keep: Flags, response: str) -> list[str]:
+    lost = np.flatnonzero(~keep)
+    if not lost.size:
+        return []
+    listed = ", ".join(str(i + 1) for i in lost[:10]) + (", ..." if lost.size > 10 else "")
+    return [f"{response} is missing in {lost.size} of {keep.size} rows (rows {listed})"]
+
+
+def _alike(levels: Sequence[str], name: str) -> list[str]:
+    """Say which levels differ in capitals alone: they may be one level, written in two ways."""
+    by_letters: dict[str, list[str]] = {}
+    for level in levels:
+        by_letters.setdefault(level.casefold(), []).append(level)
+    return [
+        f"{name}: the levels {' and '.join(map(repr, same))} differ in capitals alone and are "
+        "taken for two: write them the same way if they are one"
+        for same in by_letters.values()
+        if len(same) > 1
+    ]
+
+
+def _labels(column: pd.Series, name: str) -> Texts:
+    if column.isna().any():
+        row = int(np.flatnonzero(column.isna().to_numpy())[0]) + 1
+        raise InputError(Fault(f"row {row}, column {name!r}", "the level is empty"))
+    # 1, 1.0 and True are equal keys, so the type goes along
+    keys = [(type(value), value) for value in column.tolist()]
+    label = {key: _label(key[1]) for key in dict.fromkeys(keys)}
+    seen: dict[str, object] = {}
+    for (_, value), text in label.items():
+        first = seen.setdefault(text.strip(), value)
+        if isinstance(first, str) != isinstance(value, str) or _label(first) != text:
+            raise InputError(
+                Fault(
+                    f"column {name!r}",
+                    f"the levels {first!r} and {value!r} look the same",
+                    "write both the same way",
+                )
+            )
+    return np.array([label[key] for key in keys], dtype=object)
+
+
+def _label(value: object) -> str:
+    if isinstance(value, float | np.floating) and float(value).is_integer():
+        return str(int(value))
+    return str(value)
+
+
+def _level_order(column: pd.Series, labels: Texts) -> list[str]:
+    """Order of the levels: of the categories, numeric where all are numbers, else as met."""
+    if hasattr(column, "cat"):
+        found = set(labels)
+        return [_label(c) for c in column.cat.categories if _label(c) in found]
+    unique = list(dict.fromkeys(labels))
+    if all(_NUMBER.fullmatch(label) for label in unique):
+        return sorted(unique, key=float)
+    return unique
+
+
+@dataclass(frozen=True)
+class Crossed:
+    """A complete table of cells against blocks."""
+
+    #: shape (cells, blocks); response, repeats of one cell in one block averaged.
+    y: Array
+    #: shape (cells,); index of each cell in the full grid.
+    cells: Ints
+    layout: Layout
+    blocks: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+def crossed(data: Data, y: Array) -> Crossed:
+    """Cells against blocks; incomplete cells and blocks are left out, and said.
+
+    Shapes: y (n,).
+    """
+    block = data.block or ""
+    names = data.layout.levels[block]
+    cells, start, index = np.unique(data.cell, return_index=True, return_inverse=True)
+    shape = (cells.size, len(names))
+    total, count = np.zeros(shape), np.zeros(shape)
+    at = (index, data.layout.codes[block])
+    shift = float(y[0])
+    np.add.at(total, at, y - shift)
+    np.add.at(count, at, 1.0)
+    warnings = []
+    if count.max() > 1:
+        warnings.append("repeats of a cell within a block are averaged: they are nested in it")
+    mean = np.where(count > 0, total / np.maximum(count, 1), np.nan) + shift
+    keep_cells = (count > 0).mean(axis=1) > 0.5
+    keep_blocks = (count[keep_cells] > 0).all(axis=0)
+    if not keep_cells.all():
+        labels = data.cell_names()
+        lost = [labels[c] for c in cells[~keep_cells]]
+        warnings.append(f"cells missing in half of the blocks are left out: {', '.join(lost)}")
+    if not keep_blocks.all():
+        gone = [n for n, kept in zip(names, keep_blocks, strict=True) if not kept]
+        warnings.append(f"incomplete blocks are left out: {', '.join(gone)}")
+    first = start[keep_cells]
+    layout = data.layout.take(first) if first.size else data.layout
+    # a level without a cell left would make its siblings impossible to compare
+    present = {f: np.unique(layout.codes[f], return_inverse=True) for f in data.factors}
+    only = Layout(
+        {f: tuple(layout.levels[f][i] for i in present[f][0]) for f in data.factors},
+        {f: present[f][1].astype(np.int64) for f in data.factors},
+    )
+    return Crossed(
+        mean[np.ix_(keep_cells, keep_blocks)],
+        cells[keep_cells],
+        only,
+        tuple(n for n, kept in zip(names, keep_blocks, strict=True) if kept),
+        tuple(warnings),
+    )
+
+
+# -------------------------------------------------------------------------------------------------
+# What a table is, before anything is fitted: copies, resolution, nesting, empty cells.
+
+#: decimals beyond which a response is a computed number, not a reading
+_MOST_DECIMALS = 9
+#: chance of the ties that are seen below which rows are taken for copies
+_CHANCE = 1e-4
+#: share of repeated rows from which they are taken for copies
+_LEAST_SHARE = 0.2
+#: distinct rows from which equal numbers of copies of each are no chance
+_DISTINCT_ROWS = 8
+#: pairs of blocks that are compared value by value
+_MOST_BLOCKS = 200
+
+
+@dataclass(frozen=True)
+class Structure:
+    """What a table is, before a model is fitted."""
+
+    #: Step of the readings in the unit of the response; 0 where none shows.
+    resolution: float = 0.0
+    #: Factors whose levels each lie in one level of another factor: (inner, outer).
+    nested: tuple[tuple[str, str], ...] = ()
+    #: Combinations of levels without a row.
+    empty_cells: int = 0
+    #: Which terms were left out because the runs cannot tell them from others; empty if none.
+    undecided: str = ""
+    #: Terms of the model with those; empty where none was left out.
+    asked: tuple[Term, ...] = ()
+
+
+def structure_of(data: Data) -> Structure:
+    """Look at checked rows."""
+    size = math.prod(len(data.layout.levels[f]) for f in data.factors)
+    empty = size - np.unique(data.cell).size
+    return Structure(resolution(data.y), _nested(data) if empty else (), empty)
+
+
+def resolution(y: Array) -> float:
+    """Largest step of which all values are multiples; 0 for values with ten decimals or more.
+
+    Examples
+    --------
+    >>> resolution(np.array([1.25, 2.0, 7.75])), resolution(np.array([math.pi, 1.0]))
+    (0.25, 0.0)
+    """
+    scale = float(np.abs(y).max(initial=0.0))
+    for decimals in range(_MOST_DECIMALS + 1):
+        units = y * 10.0**decimals
+        if scale * 10.0**decimals > 1e15:
+            return 0.0
+        whole = np.round(units)
+        if np.abs(units - whole).max(initial=0.0) <= 1e-6 + 4e-16 * scale * 10.0**decimals:
+            step = int(np.gcd.reduce(whole.astype(np.int64)))
+            return step * 10.0**-decimals
+    return 0.0
+
+
+def _nested(data: Data) -> tuple[tuple[str, str], ...]:
+    """Pairs of factors of which the first is nested in the second, with names of its own."""
+    found = []
+    for inner, outer in permutations(data.factors, 2):
+        code, parent = data.layout.codes[inner], data.layout.codes[outer]
+        levels, parents = len(data.layout.levels[inner]), len(data.layout.levels[outer])
+        pairs = np.unique(code * parents + parent).size
+        if pairs == levels > parents:
+            found.append((inner, outer))
+    return tuple(found)
+
+
+def refuse_copied_rows(data: Data) -> None:
+    """Refuse rows that repeat others in every digit, more often than their resolution explains."""
+    mend = "; where every one of them was measured, say --copies independent"
+    if data.block is None:
+        said = _copied_rows(data)
+        if said:
+            raise RefusedError(
+                f"copied rows: {said}. Copies tell nothing new: leave them out{mend}"
+            )
+    elif not data.also:
+        twins = _copied_blocks(data, data.layout.codes[data.block])
+        if twins:
+            names = data.layout.levels[data.block]
+            listed = ", ".join(f"{names[j]} repeats {names[i]}" for i, j in twins[:5])
+            raise RefusedError(
+                f"copied rows: in every digit {data.block} {listed}. Copies tell nothing new: "
+                f"leave them out{mend}"
+            )
+
+
+def _copied_rows(data: Data) -> str:
+    """Describe the copies; empty where ties are no more than the resolution makes."""
+    pairs = np.column_stack([data.cell.astype(float), data.y])
+    keys, counts = np.unique(pairs, axis=0, return_counts=True)
+    index = np.unique(keys[:, 0], return_inverse=True)[1]
+    varies = np.bincount(index)[index] > 1  # a cell without spread is told as such
+    index, counts, values = index[varies], counts[varies], keys[varies, 1]
+    n, distinct = int(counts.sum()), counts.size
+    if n - distinct < _LEAST_SHARE * n or n == distinct:
+        return ""
+    times = int(np.gcd.reduce(counts))
+    every = f"each row stands {times} times ({distinct} distinct rows of {n})"
+    if times > 1 and distinct >= _DISTINCT_ROWS:
+        return every
+    index = np.unique(index, return_inverse=True)[1]
+    members, rows = np.bincount(index), np.bincount(index, counts)
+    free = distinct - members.size
+    mean = np.bincount(index, values) / members
+    sd = math.sqrt(float(np.sum((values - mean[index]) ** 2)) / free)
+    within = float(np.sum(rows * (rows - 1)) / 2)
+    between = n * (n - 1) / 2 - within
+    everywhere = np.unique(values, return_inverse=True)[1]
+    total = np.bincount(everywhere, counts)
+    ties = int(np.sum(counts * (counts - 1)) // 2)
+    # readings that were coarse before they were computed with tie between cells as well
+    elsewhere = float(np.sum(total * (total - 1)) / 2) - ties
+    chance = max(_tie(data.y, sd), 2 * elsewhere / between if between else 0.0)
+    if not _too_many(ties, within * chance):
+        return ""
+    return every if times > 1 else f"{n - distinct} of {n} rows repeat another of their cell"
+
+
+def _tie(y: Array, sd: float) -> float:
+    """Chance that two normal readings agree: step times the integral of the squared density."""
+    step = resolution(y) or 16 * float(np.spacing(np.abs(y).max()))
+    return min(1.0, step / (2 * math.sqrt(math.pi) * sd)) if sd > 0 else 1.0
+
+
+def _too_many(ties: int, expected: float) -> bool:
+    """Whether so many ties are no chance, where readings cluster threefold."""
+    from scipy.special import pdtrc
+
+    return ties > 0 and float(pdtrc(ties - 1, 3 * expected)) < _CHANCE
+
+
+def _copied_blocks(data: Data, block: Ints) -> list[tuple[int, int]]:
+    """Pairs of blocks whose values agree in every cell that both have."""
+    cells, index = np.unique(data.cell, return_inverse=True)
+    blocks = int(block.max()) + 1
+    if not 2 <= blocks <= _MOST_BLOCKS or cells.size < 2:
+        return []
+    table = np.full((blocks, cells.size), np.nan)
+    table[block, index] = data.y
+    with np.errstate(invalid="ignore"):
+        centred = table - np.nanmean(table, axis=0)
+    sd = float(np.sqrt(np.nanmean(centred**2)))
+    chance = blocks * (blocks - 1) / 2
+    found = []
+    for i, j in combinations(range(blocks), 2):
+        both = np.isfinite(table[i]) & np.isfinite(table[j])
+        rare = chance * (3 * _tie(data.y, sd)) ** int(both.sum()) < _CHANCE
+        if rare and both.sum() >= 2 and np.array_equal(table[i][both], table[j][both]):
+            found.append((i, j))
+    return found

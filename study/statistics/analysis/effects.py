@@ -1,0 +1,660 @@
+"""Estimates of the terms of a model: components, level means and their standard errors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations, product
+from typing import overload
+
+import numpy as np
+
+from study.ground.arrays import Array, Ints
+from study.statistics.analysis.anova_table import Effect, PairDifference, SimpleEffect
+from study.statistics.analysis.comparisons import (
+    block_multiplier,
+    bonferroni,
+    letters,
+    pooled_multiplier,
+    studentized_range_quantile,
+)
+from study.statistics.analysis.comparisons import holm as adjusted_p
+from study.statistics.analysis.linear_model import Layout, Term, grid, model_matrix, term_name
+from study.statistics.analysis.simple_effects import (
+    CANNOT_TELL,
+    MATTERS,
+    NO_DIFFERENCE,
+    NOT_RESOLVED,
+    ONE_SPECIMEN,
+    SEE_SIMPLE,
+    Differences,
+    Estimates,
+    Judgement,
+    Sample,
+    SimpleEffects,
+    columns_at,
+    judge_all,
+    partners,
+    resolution,
+)
+from study.statistics.analysis.sums_of_squares import Factored
+from study.statistics.analysis.unreplicated import pseudo_standard_error
+from study.statistics.convergence.contrast_bound import NumericalBound
+
+
+@dataclass(frozen=True)
+class TermEstimate:
+    """Estimates of one term on the working scale."""
+
+    term: Term
+    levels: tuple[str, ...]
+    #: shape (k,); pure effect of each level (or combination); differences of level means for a
+    #: factor.
+    component: Array
+    #: shape (k,); marginal means, NaN where not estimable.
+    mean: Array
+    #: shape (k, k); covariance of ``component``; None where there is no error.
+    covariance: Array | None
+    #: shape (k, k); simultaneous multiplier of the standard error of a difference.
+    critical: float | Array | None
+    #: shape (k,); half-width of the interval of each mean.
+    mean_half: Array | None
+    p: float | None
+    #: Level of each factor of the term in every combination.
+    settings: tuple[tuple[str, ...], ...] = ()
+
+
+def term_rows(layout: Layout, fit: Factored, term: Term) -> tuple[tuple[str, ...], Array, Array]:
+    """Linear combinations of the coefficients that give a term's components and means.
+
+    Shapes: returns (k, p).
+    """
+    matrix = fit.matrix
+    cells = grid(layout, term)
+    inner = [t for t in matrix.terms[1:] if set(t) <= set(term)]
+    # the full list of terms decides how each factor is coded, so it is coded as in the fit
+    local = model_matrix(_padded(cells, layout), matrix.terms[1:])
+    component = np.zeros((cells.n, matrix.columns.shape[1]))
+    mean = np.zeros_like(component)
+    mean[:, 0] = 1.0
+    for t in inner:
+        at = matrix.of(t)
+        mean[:, at] = local.columns[:, local.of(t)]
+    component[:, matrix.of(term)] = local.columns[:, local.of(term)]
+    labels = tuple(
+        " ".join(layout.levels[name][cells.codes[name][i]] for name in term) for i in range(cells.n)
+    )
+    return labels, component, mean
+
+
+def over_complete_settings(layout: Layout, fit: Factored, term: Term, rows: Array) -> Array:
+    """Rows of a main effect; where cells are empty, over the settings that have all its levels.
+
+    Shapes: rows (k, p); returns (k, p).
+    """
+    if len(term) != 1 or fit.estimable(rows).all():
+        return rows
+    k, names = len(layout.levels[term[0]]), partners(term[0], fit.matrix.terms)
+    settings = list(product(*(range(len(layout.levels[name])) for name in names)))
+    cells = columns_at(term[0], layout, fit.matrix, names, settings).reshape(len(settings), k, -1)
+    centred = cells - cells.mean(axis=1, keepdims=True)
+    complete = fit.estimable(centred.reshape(-1, rows.shape[1])).reshape(-1, k).all(axis=1)
+    return np.asarray(centred[complete].mean(axis=0)) if complete.any() else rows
+
+
+def _padded(cells: Layout, layout: Layout) -> Layout:
+    """Cells of some factors with the other factors held at their first level."""
+    codes = {
+        name: cells.codes.get(name, np.zeros(cells.n, dtype=np.int64)) for name in layout.levels
+    }
+    return Layout(layout.levels, codes)
+
+
+def pooled_estimate(
+    layout: Layout,
+    fit: Factored,
+    term: Term,
+    df: float,
+    p: float | None,
+    alpha: float,
+    rss: float,
+) -> TermEstimate:
+    """Estimate of a term with the error variance ``rss / df`` (none where df is 0)."""
+    levels, component_rows, mean_rows = term_rows(layout, fit, term)
+    component_rows = over_complete_settings(layout, fit, term, component_rows)
+    settings = settings_of(layout, term)
+    beta = fit.coefficients()
+    mean = fit.shift + mean_rows @ beta
+    mean[np.logical_not(fit.estimable(mean_rows))] = np.nan
+    component = component_rows @ beta
+    if not fit.estimable(component_rows).all():
+        component = np.full_like(component, np.nan)
+    if df <= 0 or rss <= 0:
+        return TermEstimate(term, levels, component, mean, None, None, None, p, settings)
+    covariance = fit.unscaled_covariance() * rss / df
+    spread = np.einsum("ij,ij->i", mean_rows @ covariance, mean_rows)
+    return TermEstimate(
+        term,
+        levels,
+        component,
+        mean,
+        component_rows @ covariance @ component_rows.T,
+        pooled_critical(len(levels), _df_of(layout, term), df, len(term) == 1, alpha),
+        t_quantile(alpha / 2, df) * np.sqrt(np.maximum(spread, 0)),
+        p,
+        settings,
+    )
+
+
+def settings_of(layout: Layout, term: Term) -> tuple[tuple[str, ...], ...]:
+    """Levels of the factors of a term in every combination, in the order of its components."""
+    return tuple(product(*(layout.levels[name] for name in term)))
+
+
+def _df_of(layout: Layout, term: Term) -> int:
+    return int(np.prod([len(layout.levels[name]) - 1 for name in term]))
+
+
+@overload
+def t_quantile(upper: float, df: float) -> float: ...
+@overload
+def t_quantile(upper: float, df: Array) -> Array: ...
+def t_quantile(upper: float, df: float | Array) -> float | Array:
+    """Upper quantile of Student's t."""
+    from scipy.special import stdtrit
+
+    found = stdtrit(df, 1 - upper)
+    return np.asarray(found) if np.ndim(found) else float(found)
+
+
+def pooled_critical(k: int, df_term: int, df: float, main: bool, alpha: float) -> float:
+    """Smallest valid simultaneous multiplier: Tukey-Kramer, Bonferroni or Scheffe."""
+    from scipy.special import fdtri
+
+    if k == 2:
+        return t_quantile(alpha / 2, df)
+    options = [
+        t_quantile(alpha / (k * (k - 1)), df),
+        math.sqrt(df_term * float(fdtri(df_term, df, 1 - alpha))),
+    ]
+    if main:
+        options.append(studentized_range_quantile(1 - alpha, k, df) / math.sqrt(2))
+    return min(options)
+
+
+def own_critical(k: int, df_term: int, blocks: int, alpha: float) -> float:
+    """Multiplier where each difference has its own variance over blocks.
+
+    Bonferroni, or Hotelling's T^2 (all contrasts of the term at once) where that is smaller:
+    neither needs sphericity.
+    """
+    from scipy.special import fdtri
+
+    if k == 2 or df_term == 1:
+        return t_quantile(alpha / 2, blocks - 1)
+    options = [t_quantile(alpha / (k * (k - 1)), blocks - 1)]
+    rest = blocks - df_term
+    if rest > 0:
+        f = float(fdtri(df_term, rest, 1 - alpha))
+        options.append(math.sqrt(df_term * (blocks - 1) / rest * f))
+    return min(options)
+
+
+# -------------------------------------------------------------------------------------------------
+# What is known of combinations of coefficients: over blocks, with a pooled error, or exactly.
+
+
+def over_blocks(
+    fit: Factored, coefficients: Array, alpha: float, seed: int | None, reading: float = 0.0
+) -> Sample:
+    """Estimate combinations by their own variance over the blocks.
+
+    Shapes: coefficients (p, b).
+    """
+
+    def estimate(asked: Differences) -> Estimates:
+        rows = asked.rows
+        value = np.where(fit.estimable(rows)[:, None], rows @ coefficients, np.nan)
+        known = value[np.isfinite(value).all(axis=1)]
+        b = value.shape[1]
+        spread = value.std(axis=1, ddof=1)
+        if reading:
+            spread = np.maximum(spread, reading * np.linalg.norm(rows @ fit.model.inverse, axis=1))
+        return Estimates(
+            value.mean(axis=1),
+            spread / np.sqrt(b),
+            t_quantile(alpha / 2, b - 1),
+            block_multiplier(known, alpha, seed) if len(known) else 0.0,
+        )
+
+    return estimate
+
+
+def over_groups(
+    fit: Factored,
+    added: Array,
+    groups: Sequence[Ints],
+    alpha: float,
+    seed: int | None,
+    reading: float = 0.0,
+) -> Sample:
+    """Estimate combinations by their own variance in each group of blocks (Welch 1938).
+
+    Shapes: added (p, b).
+    """
+
+    def estimate(asked: Differences) -> Estimates:
+        rows = asked.rows
+        value = np.where(fit.estimable(rows)[:, None], rows @ added, np.nan)
+        error, df = group_errors(value, groups)
+        if reading:
+            error = np.maximum(error, reading * np.linalg.norm(rows @ fit.model.inverse, axis=1))
+        known = np.isfinite(value).all(axis=1)
+        wide = np.zeros(len(value))
+        if known.any():
+            wide[known] = block_multiplier(value[known], alpha, seed, groups, df[known])
+        return Estimates(value.sum(axis=1), error, t_quantile(alpha / 2, df), wide)
+
+    return estimate
+
+
+def group_errors(value: Array, groups: Sequence[Ints]) -> tuple[Array, Array]:
+    """Find the standard errors of sums over blocks and their degrees of freedom, shape (m,).
+
+    Shapes: value (m, b).
+    """
+    n = np.array([len(group) for group in groups])
+    parts = n[:, None] * np.array([value[:, group].var(axis=1, ddof=1) for group in groups])
+    total = parts.sum(axis=0)
+    below = np.sum(parts**2 / (n - 1)[:, None], axis=0)
+    all_of_them = np.full(len(value), float((n - 1).sum()))
+    df = np.divide(total**2, below, out=all_of_them, where=below > 0)
+    return np.sqrt(total), df
+
+
+def with_pooled_error(
+    fit: Factored, rss: float, df: float, alpha: float, seed: int | None
+) -> Sample:
+    """Estimate combinations with one error variance, ``rss / df``; none where ``df`` is 0."""
+    coefficients = fit.coefficients()
+    inverse = fit.model.inverse
+
+    def estimate(asked: Differences) -> Estimates:
+        rows = asked.rows
+        value = np.where(fit.estimable(rows), rows @ coefficients, np.nan)
+        if df <= 0 or rss <= 0:
+            return Estimates(value, None)
+        known = np.isfinite(value)
+        roots = asked.settings @ inverse
+        square = asked.of(roots)
+        length = np.sqrt(np.einsum("ij,ij->i", square, square))
+        kept = Differences(roots, asked.first[known], asked.second[known])
+        wide = pooled_multiplier(kept, length[known], df, alpha, seed) if known.any() else 0.0
+        error = length * math.sqrt(rss / df)
+        return Estimates(value, error, t_quantile(alpha / 2, df), wide)
+
+    return estimate
+
+
+def cell_welch(fit: Factored, y: Array, cell: Ints, alpha: float, reading: float) -> Sample:
+    """Estimate combinations with a variance of its own in each cell (Welch, Satterthwaite).
+
+    Of one factor the simultaneous intervals are those of Games and Howell (1976); a contrast that
+    needs a cell with one row has no interval.
+
+    Shapes: y (n,); cell (n,).
+    """
+    count = np.bincount(cell)
+    first = np.unique(cell, return_index=True)[1]
+    mean = np.bincount(cell, y - y[0]) / count
+    ss = np.bincount(cell, (y - y[0] - mean[cell]) ** 2)
+    variance = np.maximum(ss / np.maximum(count - 1, 1), reading**2)
+    variance[count < 2] = np.inf
+    coefficients = fit.coefficients()
+
+    def estimate(asked: Differences) -> Estimates:
+        rows = asked.rows
+        value = np.where(fit.estimable(rows), rows @ coefficients, np.nan)
+        weight = (rows @ fit.model.inverse) @ fit.q[first].T
+        weight[np.abs(weight) < 1e-12 * np.abs(weight).max(initial=0.0)] = 0.0
+        with np.errstate(invalid="ignore"):
+            part = np.where(weight == 0, 0.0, weight**2 * count * variance)
+            square = part.sum(axis=1)
+            df = square**2 / np.sum(part**2 / np.maximum(count - 1, 1), axis=1)
+        known = np.isfinite(square) & np.isfinite(df)
+        error = np.where(known, np.sqrt(square), np.inf)
+        df = np.where(known, df, 1.0)
+        every = games_howell_multiplier(asked, df, alpha)
+        return Estimates(value, error, t_quantile(alpha / 2, df), every)
+
+    return estimate
+
+
+def games_howell_multiplier(asked: Differences, df: Array, alpha: float) -> Array:
+    """Multiplier of each standard error: Games and Howell's at each setting, or Bonferroni's.
+
+    Shapes: df (m,).
+    """
+    m = len(df)
+    safe = np.asarray(bonferroni(max(m, 1), df, alpha))
+    levels = len(asked.settings)
+    if m > MOST_RANGES or m != levels * (levels - 1) // 2:
+        return safe
+    ranges = [studentized_range_quantile(1 - alpha, levels, d) / math.sqrt(2) for d in df.tolist()]
+    return np.minimum(safe, ranges)
+
+
+#: Differences whose studentized ranges are integrated one by one, at 2 ms each.
+MOST_RANGES = 66
+#: Draws of null contrasts behind the limits of a pseudo standard error.
+PSEUDO_DRAWS = 4000
+
+
+def with_pseudo_error(
+    fit: Factored, contrasts: Array, alpha: float, seed: int | None, y: Array
+) -> Sample:
+    """Estimate combinations of an unreplicated design with Lenth's pseudo standard error.
+
+    Limits are quantiles of the same combinations of simulated null contrasts over their own
+    pseudo standard error, as those of :func:`study.statistics.analysis.unreplicated.lenth`.
+
+    Shapes: contrasts (n, m); y (n,).
+    """
+    values = contrasts.T @ (y - y[0])
+    pse = float(pseudo_standard_error(values))
+
+    def estimate(asked: Differences) -> Estimates:
+        weight = (asked.rows @ fit.model.inverse) @ (fit.q.T @ contrasts)
+        length = np.linalg.norm(weight, axis=1)
+        known = fit.estimable(asked.rows) & (length > 0)
+        single, largest = np.full(len(weight), np.inf), np.zeros(PSEUDO_DRAWS)
+        z = np.random.default_rng(seed or 0).standard_normal((PSEUDO_DRAWS, len(values)))
+        null = pseudo_standard_error(z)
+        for i in np.flatnonzero(known):
+            t = np.abs(z @ weight[i]) / length[i] / null
+            largest = np.maximum(largest, t)
+            single[i] = np.quantile(t, 1 - alpha)
+        value = np.where(known, weight @ values, np.nan)
+        every = float(np.quantile(largest, 1 - alpha))
+        return Estimates(value, pse * length, single, every)
+
+    return estimate
+
+
+#: p of a preliminary test below which the assumption that it tests is not relied on. The usual
+#: .05 leaves errors that it has little power to see (Bancroft 1964, Biometrics 20, 427-442).
+DOUBT = 0.25
+#: the same for cells of two rows, whose variances of one degree of freedom vary so much that Welch
+#: would leave a third of the right claims of normal rows
+DOUBT_OF_PAIRS = 0.10
+#: rows of a cell from which its own variance is known well enough to be asked always
+ENOUGH_ROWS = 5
+UNEQUAL = (
+    "cells scatter unequally or too few rows tell their scatter: with variances of their own "
+    "(Welch) the interval does not allow the claim"
+)
+
+
+def needs_welch(y: Array, cell: Ints) -> bool:
+    """Whether a claim from a pooled variance must be made with a variance for each cell as well.
+
+    Shapes: y (n,); cell (n,).
+    """
+    counts = np.bincount(cell)
+    limit = DOUBT if counts.max() > 2 else DOUBT_OF_PAIRS
+    return bool(counts.max() >= ENOUGH_ROWS) or _bartlett_p(y, cell, counts) < limit
+
+
+def _bartlett_p(y: Array, index: Ints, counts: Ints) -> float:
+    """P of Bartlett's test of the cells that hold several rows; 1 where fewer than two do."""
+    from scipy.special import chdtrc
+
+    mean = np.bincount(index, y - y[0]) / counts
+    ss = np.bincount(index, (y - y[0] - mean[index]) ** 2)
+    many = counts > 1
+    df, s2 = counts[many] - 1.0, ss[many] / np.maximum(counts[many] - 1, 1)
+    if df.size < 2:
+        return 1.0
+    if s2.min() <= 0:
+        return 0.0
+    total = df.sum()
+    pooled = float(df @ s2) / total
+    ratio = total * math.log(pooled) - float(df @ np.log(s2))
+    ratio /= 1 + (float((1 / df).sum()) - 1 / total) / (3 * (df.size - 1))
+    return float(chdtrc(df.size - 1, max(ratio, 0.0)))
+
+
+# -------------------------------------------------------------------------------------------------
+# The working scale of a response: what matters on it, and what bounds its numerical error.
+
+
+def _exp(value: float) -> float:
+    """Exponential; infinite where a double is too small for it."""
+    try:
+        return math.exp(value)
+    except OverflowError:
+        return math.inf
+
+
+@dataclass(frozen=True)
+class Scale:
+    """What turns an estimate into a verdict, on the working scale."""
+
+    #: {"none", "log"}: of the response.
+    transform: str
+    practical: float | None
+    #: Of the numerical error; None where none is known.
+    bound: NumericalBound | None
+    #: Whether the differences are known without scatter.
+    deterministic: bool
+    #: Unit of the response on the working scale.
+    unit: float = 1.0
+    #: Blocks that were measured; None where the rows are no scores of specimens.
+    specimens: int | None = None
+    #: Level of a factor that alone counts for the simple effects of the others.
+    only: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def back(self) -> Callable[[float], float]:
+        """From the working scale to that of the report."""
+        return _exp if self.transform == "log" else float
+
+    def between(self, estimate: TermEstimate, first: int, second: int) -> float | None:
+        """Bound of the difference of two levels (or combinations) of a term, by their index."""
+        if self.bound is None:
+            return None
+        sides = [
+            dict(zip(estimate.term, estimate.settings[i], strict=True)) for i in (first, second)
+        ]
+        known = self.bound.of if len(estimate.term) == 1 else self.bound.of_component
+        return known(*sides)
+
+
+# -------------------------------------------------------------------------------------------------
+# Sizes of effects: level means, interval of the largest difference, simple effects, verdict.
+#
+# The verdict rests on the intervals against the practical band, widened by the bound of the
+# numerical error; p never decides alone. That of a factor is the verdict of its simple effects:
+# an average that does not matter may hide settings at which it does.
+
+#: Levels beyond which nobody reads all pairs.
+MOST_LEVELS = 20
+#: Simple effects that are listed: the largest ones.
+LISTED = 400
+
+
+def size(
+    estimate: TermEstimate, scale: Scale, simple: Mapping[str, SimpleEffects] | None = None
+) -> Effect:
+    """Turn an estimate into the reported effect with its verdict."""
+    own = (simple or {}).get(term_name(estimate.term))
+    back = scale.back
+    mean = tuple(None if math.isnan(m) else back(float(m)) for m in estimate.mean)
+    effect = Effect(
+        term_name(estimate.term),
+        estimate.levels,
+        mean,
+        None,
+        None,
+        CANNOT_TELL,
+        "ratio" if scale.transform == "log" else "difference",
+        practical=None if scale.practical is None else back(scale.practical),
+        p=estimate.p,
+    )
+    if np.isnan(estimate.component).any():
+        return replace(effect, why="not estimable")
+    top, bottom = int(np.argmax(estimate.component)), int(np.argmin(estimate.component))
+    largest = float(estimate.component[top] - estimate.component[bottom])
+    half = _half_widths(estimate)
+    interval = None
+    if half is not None:
+        interval = (largest - half[top, bottom], largest + half[top, bottom])
+    u = scale.between(estimate, top, bottom)
+    found = _judged(estimate, half, scale, own)
+    main = len(estimate.term) == 1
+    pairs, tags = _pairs(estimate, half, back)
+    return replace(
+        effect,
+        ci95=None if interval is None else (back(interval[0]), back(interval[1])),
+        range=back(largest),
+        verdict=found.verdict if main else SEE_SIMPLE,
+        of_components="" if main else found.verdict,
+        largest=(estimate.levels[top], estimate.levels[bottom]),
+        mean_ci95=_mean_intervals(estimate, back),
+        u_num=None if u is None else u / scale.unit,
+        effect_over_u_num=largest / u if u else None,
+        resolved=_resolved(largest / u) if u else None,
+        why=found.why if main else "an interaction is read from the simple effects of its factors",
+        pairs=pairs,
+        letters=tags,
+        u_needed=None if found.u_needed is None else found.u_needed / scale.unit,
+        u_unit=scale.unit,
+        simple_effects=() if own is None else _listed(own, scale),
+        always=() if own is None else own.always,
+    )
+
+
+def _judged(
+    estimate: TermEstimate, half: Array | None, scale: Scale, simple: SimpleEffects | None
+) -> Judgement:
+    """Verdict of a term: that of its simple effects where it has some."""
+    if scale.practical is None:
+        return Judgement(CANNOT_TELL, "no practical threshold was given")
+    if scale.specimens == 1:
+        return Judgement(CANNOT_TELL, ONE_SPECIMEN)
+    if half is None and not scale.deterministic:
+        return Judgement(CANNOT_TELL, "there is no error to judge the effect against")
+    if simple is not None:
+        found = _of_settings(simple, scale)
+    else:
+        found = _of_components(estimate, half, scale)
+    if found.verdict not in (MATTERS, NO_DIFFERENCE):
+        return found
+    beside = [] if half is not None else ["no p"]
+    if scale.specimens == 2:
+        beside.append("2 specimens")
+    return replace(found, why=f"{found.why} ({', '.join(beside)})") if beside else found
+
+
+def _of_settings(simple: SimpleEffects, scale: Scale) -> Judgement:
+    """Verdict of a factor over all settings; what an open one needs, in response units."""
+    why = simple.why
+    open_ones = [e for e in simple.effects if e.verdict == NOT_RESOLVED]
+    if simple.u_needed is not None and open_ones:
+        worst = max(open_ones, key=lambda e: abs(e.difference))
+        at = ", ".join(f"{name} {level}" for name, level in worst.at)
+        why = resolution(simple.u_needed / scale.unit) + (f" at {at}" if at else "")
+    return Judgement(simple.verdict, why, simple.u_needed)
+
+
+def _of_components(estimate: TermEstimate, half: Array | None, scale: Scale) -> Judgement:
+    """Verdict of the pure components of a term, over all pairs of levels."""
+    k = len(estimate.levels)
+    wide = np.zeros((k, k)) if half is None else half
+    first, second = np.triu_indices(k, 1)
+    d = estimate.component[first] - estimate.component[second]
+    u = np.zeros(d.size)
+    if scale.bound is not None:
+        # all pairs of many levels would take longer than the study: the largest bound serves
+        pairs = list(zip(first.tolist(), second.tolist(), strict=True))
+        if k > MOST_LEVELS:
+            pairs = [(int(np.argmax(estimate.component)), int(np.argmin(estimate.component)))]
+        known = [scale.between(estimate, i, j) for i, j in pairs]
+        # nothing bounds the numerical error of a quantity that diverges
+        u = np.array([math.inf if v is None else v for v in known])
+        u = u if u.size == d.size else np.full(d.size, u.max(initial=0.0))
+    w = wide[first, second]
+    return judge_all(d - w, d + w, scale.practical or 0.0, u)
+
+
+def _listed(simple: SimpleEffects, scale: Scale) -> tuple[SimpleEffect, ...]:
+    """List simple effects on the scale of the report, the largest ones where there are many."""
+    kept = simple.effects
+    if len(kept) > LISTED:
+        kept = tuple(sorted(kept, key=lambda e: -abs(e.difference))[:LISTED])
+    return tuple(
+        replace(
+            e,
+            difference=scale.back(e.difference),
+            ci=_ends(e.ci, scale.back),
+            ci_simultaneous=_ends(e.ci_simultaneous, scale.back),
+            u=None if e.u is None else e.u / scale.unit,
+        )
+        for e in kept
+    )
+
+
+def _ends(
+    interval: tuple[float, float] | None, back: Callable[[float], float]
+) -> tuple[float, float] | None:
+    return None if interval is None else (back(interval[0]), back(interval[1]))
+
+
+def holm(effects: Sequence[Effect]) -> tuple[Effect, ...]:
+    """Adjust the p of all terms of one table together (Holm 1979, Scand. J. Statist. 6, 65)."""
+    adjusted = iter(adjusted_p([effect.p for effect in effects if effect.p is not None]).tolist())
+    return tuple(
+        effect if effect.p is None else replace(effect, p_holm=next(adjusted)) for effect in effects
+    )
+
+
+def _mean_intervals(
+    estimate: TermEstimate, back: Callable[[float], float]
+) -> tuple[tuple[float, float], ...] | None:
+    if estimate.mean_half is None or np.isnan(estimate.mean).any():
+        return None
+    pairs = zip(estimate.mean, estimate.mean_half, strict=True)
+    return tuple((back(float(m - h)), back(float(m + h))) for m, h in pairs)
+
+
+def _half_widths(estimate: TermEstimate) -> Array | None:
+    if estimate.covariance is None or estimate.critical is None:
+        return None
+    v = estimate.covariance
+    d = np.diag(v)
+    return np.asarray(estimate.critical * np.sqrt(np.maximum(d[:, None] + d - 2 * v, 0.0)))
+
+
+def _resolved(ratio: float) -> str:
+    if ratio >= 3:
+        return "resolved"
+    return "marginal" if ratio >= 1 else "not resolved"
+
+
+def _pairs(
+    estimate: TermEstimate, half: Array | None, back: Callable[[float], float]
+) -> tuple[tuple[PairDifference, ...], tuple[str, ...]]:
+    """Differences of all pairs of levels of a factor, and the letters of the levels."""
+    k = len(estimate.levels)
+    if half is None or len(estimate.term) != 1 or k > MOST_LEVELS:
+        return (), ()
+    found = []
+    for i, j in combinations(range(k), 2):
+        d, h = float(estimate.component[i] - estimate.component[j]), float(half[i, j])
+        names = estimate.levels[i], estimate.levels[j]
+        found.append(PairDifference(*names, back(d), back(d - h), back(d + h), abs(d) > h))
+    apart = {frozenset((pair.first, pair.second)) for pair in found if pair.different}
+    order = np.argsort(-estimate.component, kind="stable")
+    by_level = letters([estimate.levels[i] for i in order], apart)
+    return tuple(found), tuple(by_level[level] for level in estimate.levels)

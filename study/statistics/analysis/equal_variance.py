@@ -1,0 +1,269 @@
+"""Equality of variances: Bartlett and Levene with guards and Monte-Carlo p."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from study.ground.arrays import Array, Ints
+
+Groups = Mapping[str, ArrayLike] | Sequence[ArrayLike]
+
+
+#: Simulated samples of the p of Levene's test.
+SIMULATIONS = 10_000
+#: Values that its simulation draws at most, but for 1,000 samples: about a second.
+SIMULATED_VALUES = 10_000_000
+#: Values in the smallest group from which the F distribution has the size that it says.
+ASYMPTOTIC = 100
+
+
+@dataclass(frozen=True)
+class BartlettResult:
+    """Bartlett's test; where it does not apply the numbers are None and ``reason`` says why."""
+
+    statistic: float | None
+    df: int | None
+    p: float | None
+    applicable: bool
+    reason: str = ""
+    p_monte_carlo: float | None = None
+    approximate: bool = False
+
+    def to_json(self) -> dict[str, object] | None:
+        """JSON document; None where the test does not apply."""
+        return _document(self, df=self.df)
+
+
+@dataclass(frozen=True)
+class LeveneResult:
+    """Levene's test about the median (Brown-Forsythe) or the mean."""
+
+    statistic: float | None
+    df: tuple[int, int] | None
+    p: float | None
+    applicable: bool
+    reason: str = ""
+    center: str = "median"
+    p_monte_carlo: float | None = None
+    approximate: bool = False
+
+    def to_json(self) -> dict[str, object] | None:
+        """JSON document; None where the test does not apply."""
+        return _document(self, df=list(self.df or ()), center=self.center)
+
+
+def _document(test: BartlettResult | LeveneResult, **own: object) -> dict[str, object] | None:
+    """JSON document of either test, with what is its own."""
+    if not test.applicable:
+        return None
+    return {
+        "statistic": test.statistic,
+        **own,
+        "p": test.p,
+        "p_monte_carlo": test.p_monte_carlo,
+        "approximate": test.approximate,
+    }
+
+
+def _named(groups: Groups) -> dict[str, Array]:
+    if isinstance(groups, Mapping):
+        items = [(str(key), value) for key, value in groups.items()]
+    else:
+        items = [(str(i + 1), value) for i, value in enumerate(groups)]
+    return {key: np.asarray(value, dtype=float) for key, value in items}
+
+
+def _fault(named: Mapping[str, Array], least: int, design: ResidualDesign | None) -> str:
+    """Why the groups cannot be compared; empty when they can."""
+    if len(named) < 2:
+        return "fewer than two groups"
+    if design is not None and design.mirrored():
+        return "the residuals of one group mirror those of the other"
+    largest = max((float(np.abs(v).max()) for v in named.values() if v.size), default=0.0)
+    floor = 16 * float(np.spacing(largest))
+    for name, values in named.items():
+        if values.size < least:
+            one = "one value" if values.size == 1 else f"{values.size} values"
+            return f"group {name} has {one}" + ("" if least <= 2 else f", {least} are needed")
+        if not np.all(np.isfinite(values)):
+            return f"group {name} has a missing value"
+        if float(np.ptp(values)) <= floor:
+            return f"group {name} has zero variance"
+    return ""
+
+
+@dataclass(frozen=True)
+class ResidualDesign:
+    """How grouped residuals of a fit come about, so that their null can be simulated."""
+
+    #: shape (n, r); orthonormal basis of the model.
+    basis: Array
+    #: shape (n,); index of the group of each row.
+    group: Ints
+
+    def draws(self, count: int, seed: int) -> Iterator[list[Array]]:
+        """Residuals of simulated normal data by group, each of shape (m, size)."""
+        rng = np.random.default_rng(seed)
+        n, groups = self.basis.shape[0], np.unique(self.group)
+        chunk = max(1, int(2e6 // n))
+        for start in range(0, count, chunk):
+            z = rng.standard_normal((min(chunk, count - start), n))
+            z -= (z @ self.basis) @ self.basis.T
+            yield [z[:, self.group == g] for g in groups]
+
+    def mirrored(self) -> bool:
+        """Whether every group spreads alike whatever the data, as two cells in blocks do."""
+        drawn = next(self.draws(1, seed=0))
+        spread = np.array([values.var() for values in drawn])
+        return bool(np.ptp(spread) < 1e-9 * spread.max())
+
+
+def bartlett(
+    groups: Groups,
+    *,
+    simulations: int = 0,
+    seed: int = 2011,
+    approximate: bool = False,
+    design: ResidualDesign | None = None,
+) -> BartlettResult:
+    """Bartlett's test of equal variances (Bartlett 1937; NIST e-Handbook 1.3.5.7).
+
+    Parameters
+    ----------
+    groups : mapping of str to array_like, or sequence of array_like
+        Values of each group; whole numbers are converted first.
+    simulations : int
+        Number of simulated normal samples for a Monte-Carlo p; 0 for none.
+    seed : int
+        Seed of the simulation.
+    approximate : bool
+        Whether the values are residuals, so that the chi-squared p is approximate.
+    design : ResidualDesign, optional
+        Fit whose residuals the values are: the Monte-Carlo p is then exact for it.
+
+    Returns
+    -------
+    BartlettResult
+        Statistic, degrees of freedom, p; or the reason why there is none.
+
+    Examples
+    --------
+    >>> bartlett([[1, 2, 4], [3, 3, 3]]).reason
+    'group 2 has zero variance'
+    """
+    named = _named(groups)
+    reason = _fault(named, 2, design)
+    if reason:
+        return BartlettResult(None, None, None, False, reason, approximate=approximate)
+    from scipy.special import chdtrc
+
+    df = np.array([v.size - 1 for v in named.values()], dtype=float)
+    variance = np.array([_variance(v) for v in named.values()])
+    t = float(_bartlett_statistic(variance, df))
+    k = len(named) - 1
+    p_mc = None
+    if simulations:
+        p_mc = _monte_carlo_p(_simulated_bartlett(df, design, simulations, seed), t)
+    return BartlettResult(t, k, float(chdtrc(k, t)), True, "", p_mc, approximate)
+
+
+def _simulated_bartlett(
+    df: Array, design: ResidualDesign | None, simulations: int, seed: int
+) -> Array:
+    if design is None:
+        rng = np.random.default_rng(seed)
+        draws = rng.chisquare(df, size=(simulations, df.size)) / df
+        return _bartlett_statistic(draws, df)
+    parts = [
+        _bartlett_statistic(np.stack([g.var(axis=1, ddof=1) for g in drawn], axis=1), df)
+        for drawn in design.draws(simulations, seed)
+    ]
+    return np.concatenate(parts)
+
+
+def _variance(values: Array) -> float:
+    shifted = values - values[0]
+    return float(shifted.var(ddof=1))
+
+
+def _bartlett_statistic(variance: Array, df: Array) -> Array:
+    total = df.sum()
+    pooled = (variance * df).sum(axis=-1) / total
+    top = total * np.log(pooled) - (df * np.log(variance)).sum(axis=-1)
+    bottom = 1 + ((1 / df).sum() - 1 / total) / (3 * (df.size - 1))
+    return np.asarray(np.maximum(top / bottom, 0.0))
+
+
+def _monte_carlo_p(simulated: Array, observed: float) -> float:
+    return float((1 + np.count_nonzero(simulated >= observed)) / (simulated.size + 1))
+
+
+def levene(
+    groups: Groups,
+    *,
+    center: str = "auto",
+    simulations: int = 0,
+    seed: int = 2011,
+    approximate: bool = False,
+    design: ResidualDesign | None = None,
+) -> LeveneResult:
+    """Levene's test of equal spreads (Levene 1960; Brown and Forsythe 1974)."""
+    named = _named(groups)
+    reason = _fault(named, 3, design)
+    if reason:
+        return LeveneResult(None, None, None, False, reason, approximate=approximate)
+    smallest = min(v.size for v in named.values())
+    if center == "auto":
+        center = "median"
+        if smallest < ASYMPTOTIC:
+            total = sum(v.size for v in named.values())
+            fewest = max(1_000, SIMULATED_VALUES // total)
+            simulations = simulations or min(SIMULATIONS, fewest)
+    sizes = np.array([v.size for v in named.values()])
+    w = float(_levene_statistic([v - v[0] for v in named.values()], center))
+    df = (len(named) - 1, int(sizes.sum()) - len(named))
+    if not math.isfinite(w):
+        reason = "every deviation within each group is equal"
+        return LeveneResult(None, None, None, False, reason, center, approximate=approximate)
+    from scipy.special import fdtrc
+
+    p_mc = None
+    if simulations:
+        drawn = _normal_draws(sizes, simulations, seed)
+        if design is not None:
+            drawn = design.draws(simulations, seed)
+        p_mc = _monte_carlo_p(np.concatenate([_levene_statistic(d, center) for d in drawn]), w)
+    return LeveneResult(w, df, float(fdtrc(*df, w)), True, "", center, p_mc, approximate)
+
+
+def _levene_statistic(groups: Sequence[Array], center: str) -> Array:
+    """W of groups that hold one sample along the last axis."""
+    middle = np.median if center == "median" else np.mean
+    n = np.array([g.shape[-1] for g in groups], dtype=float)
+    means = np.empty((*groups[0].shape[:-1], n.size))
+    squares = np.empty_like(means)
+    for size in np.unique(n):
+        alike = np.flatnonzero(n == size)
+        values = np.stack([groups[i] for i in alike.tolist()], axis=-2)
+        deviations = np.abs(values - middle(values, axis=-1, keepdims=True))
+        means[..., alike] = deviations.mean(axis=-1)
+        squares[..., alike] = ((deviations - means[..., alike, None]) ** 2).sum(axis=-1)
+    grand = (means * n).sum(axis=-1) / n.sum()
+    between = (n * (means - grand[..., None]) ** 2).sum(axis=-1)
+    within = squares.sum(axis=-1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = (n.sum() - n.size) / (n.size - 1) * between / within
+    return np.asarray(ratio)
+
+
+def _normal_draws(sizes: Ints, count: int, seed: int) -> Iterator[list[Array]]:
+    rng = np.random.default_rng(seed)
+    chunk = max(1, int(2e6 // int(sizes.sum())))
+    for start in range(0, count, chunk):
+        m = min(chunk, count - start)
+        yield [rng.standard_normal((m, int(size))) for size in sizes]

@@ -1,0 +1,417 @@
+"""The error-term ledger: which source of error is the best available, and what its p answers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from study.ground.arrays import Array, Ints
+from study.statistics.analysis import unreplicated
+from study.statistics.analysis.analysis_request import Outcome, kind_of
+from study.statistics.analysis.anova_table import Anova, ErrorTerm, Row
+from study.statistics.analysis.data import Data
+from study.statistics.analysis.effects import (
+    TermEstimate,
+    pooled_estimate,
+    size,
+    with_pooled_error,
+    with_pseudo_error,
+)
+from study.statistics.analysis.gate import judge_factors, refusal, rivals_of_rows
+from study.statistics.analysis.linear_model import (
+    Layout,
+    Term,
+    balanced,
+    model_matrix,
+    nested_in,
+    term_name,
+    terms_of,
+)
+from study.statistics.analysis.sums_of_squares import (
+    Factored,
+    TermSum,
+    TwoWayFit,
+    alias_warnings,
+    factor,
+    summary_of,
+    term_row,
+    term_sums,
+    two_way,
+    with_shares,
+)
+from study.statistics.analysis.unreplicated import LenthResult
+
+POOLED = "pooled"
+OWN = "own"
+NONE = "none"
+REMEDIES = (
+    "no residual degrees of freedom, so no F: replicate runs that are set up anew (E0), score "
+    "every cell on several measured specimens as blocks (E1), repeat with mesh seeds or "
+    "resampled noise (E3, E2), or declare before looking that high-order interactions are "
+    "negligible (E5: model = 2)"
+)
+NOISE_QUESTION = "is the effect larger than the noise in the measured data alone would give?"
+ONE_CURVE = "one measured curve stands behind all resamples: nothing is said of specimens"
+
+# Below five seeds the scatter of the mesh is not known well enough.
+_SEEDS = 5
+#: Seeds as blocks find an effect of .6 of the scatter in .93 of studies with 8, in .61 with 5.
+ENOUGH_SEEDS = 8
+BIAS = "the bias of this mesh size is common to all seeds: read the effect over U"
+
+
+@dataclass(frozen=True)
+class Situation:
+    """What decides the source of error."""
+
+    #: Whether the rows are runs of a deterministic study; whether a cell holds several rows.
+    records: bool
+    #: Name of the block, of several crossing ones joined by "and".
+    block: str | None
+    replicated: bool
+    #: Degrees of freedom of the residual and of the terms; rows of the largest cell.
+    df_residual: int
+    #: Nothing was declared negligible; Lenth's method applies; the numerical uncertainty is known.
+    full: bool
+    contrasts: int
+    sparse_ready: bool
+    #: {"auto", "runs", "mesh-seeds", "noise"}: what the rows of one cell are; "auto" where a study
+    #: did not say.
+    replicates: str = "runs"
+    largest_cell: int = 1
+    u_num: bool = False
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Source in the ledger, how it is computed, what its p answers, and what to beware of."""
+
+    source: str
+    how: str
+    question: str
+    reason: str
+    cautions: tuple[str, ...] = ()
+
+
+def method(error: str, block: str | None) -> str:
+    """Tell how effects are tested: against "own" interactions with the blocks, or "pooled"."""
+    if block is None or error == "pooled":
+        return POOLED
+    # pooled over unequal variances the test of a true null rejects in up to .48 of cases
+    return OWN
+
+
+_GROUPS = {
+    "": "",
+    "own": "; every group of blocks has a covariance of its own (Welch-Box)",
+    "pooled": "; a group has two blocks only, so one covariance serves all groups",
+}
+
+
+def strata_choice(
+    block: str, plots: str, between: tuple[str, ...], how: str, groups: str = ""
+) -> Choice:
+    """E1 of a split plot: some factors vary between whole plots, the others within."""
+    named = ", ".join(between)
+    rest = "own interactions" if how == OWN else "the pooled scatter within whole plots"
+    return Choice(
+        "E1",
+        how,
+        f"would the ranking change with another {block}? ({named} against whole plots "
+        f"({plots}), the others against {rest})",
+        f"split plot: {named} is the same on the whole of a {plots}{_GROUPS[groups]}",
+    )
+
+
+def choose(s: Situation, error: str) -> Choice:
+    """Best available source where effects are not tested against own interactions."""
+    if s.df_residual > 0 and s.block is not None:
+        return _pooled_blocks(s, error)
+    if s.df_residual > 0 and s.replicated:
+        return _replicates(s)
+    if s.records and s.u_num and s.full:
+        return Choice(
+            "E4",
+            NONE,
+            "no p: is the effect resolved by the discretization? (effect over numerical "
+            "uncertainty: resolved from 3, marginal from 1)",
+            "no replicates and no blocks; the numerical uncertainty is known",
+        )
+    if s.df_residual > 0:
+        return Choice(
+            "E5",
+            POOLED,
+            "is the effect larger than the interactions declared negligible?",
+            "assumption: the interactions left out of the model are zero",
+        )
+    if s.sparse_ready and s.contrasts >= 7:
+        return Choice(
+            "E6",
+            NONE,
+            "is the effect an outlier among the effects (effect sparsity)?",
+            f"no replicates and no blocks; Lenth's method on {s.contrasts} contrasts",
+        )
+    return Choice(
+        "E7",
+        NONE,
+        "no p: shares of variation and effects against the practical threshold",
+        "no replicates, no blocks and nothing declared negligible",
+    )
+
+
+def _pooled_blocks(s: Situation, error: str) -> Choice:
+    asked = error == "pooled"
+    why = "asked for" if asked and not s.records else "independently run trials"
+    if s.records:
+        why = "asked for instead of own interactions"
+    cautions: tuple[str, ...] = ()
+    if s.records:
+        cautions = (
+            "pooled error on a study's cells: those that differ only in discretization add "
+            "degrees of freedom and no variance, so p is far too small (use --error own)",
+        )
+    return Choice(
+        "E1",
+        POOLED,
+        f"would the ranking change with another {s.block}? (interactions with {s.block} pooled)",
+        why,
+        cautions,
+    )
+
+
+def _replicates(s: Situation) -> Choice:
+    extra = "" if s.full else "; interactions left out of the model are pooled with it"
+    if s.replicates == "mesh-seeds":
+        cautions = [BIAS]
+        if s.largest_cell < _SEEDS:
+            cautions.append(
+                f"{s.largest_cell} mesh seeds a cell: the scatter of the mesh needs {_SEEDS} or "
+                "more to be known"
+            )
+        return Choice(
+            "E3",
+            POOLED,
+            "is the effect larger than the mesh noise at this mesh size?",
+            f"cells hold repeats with other mesh seeds{extra}",
+            tuple(cautions),
+        )
+    if s.replicates == "noise":
+        return Choice(
+            "E2",
+            POOLED,
+            NOISE_QUESTION,
+            f"cells hold refits to resampled measurement noise{extra}",
+            (ONE_CURVE,),
+        )
+    return Choice(
+        "E0",
+        POOLED,
+        "is the effect larger than the run-to-run scatter within a cell?",
+        f"cells hold replicates{extra}",
+    )
+
+
+def pooled(out: Outcome, untested: str = "") -> Outcome:
+    """E0, E1 pooled, E2, E3, E5 with one residual; or E4, E6, E7 without."""
+    data = out.data
+    extra: list[Term] = [(name,) for name in data.blocks]
+    matrix = model_matrix(data.layout, out.terms, extra=extra)
+    fit = factor(matrix, out.y)
+    even = balanced(data.layout, [*data.factors, *data.blocks]) or fit.model.is_orthogonal()
+    if out.request.sums == "auto" and nested_in(out.terms):
+        # a factor given what is nested in it is nothing, so Type III would be empty
+        kind, out = "II", out if even else out.warn("unbalanced and nested: Type II")
+    else:
+        kind, out = kind_of(out, even, _why_uneven(out))
+    sums = term_sums(fit, kind)
+    partial = kind == "I" and out.structure.empty_cells > 0
+    out = out.warn(*alias_warnings(sums, partial=partial))
+    if sums and all(s.df == 0 for s in sums):
+        out = out.warn("every term is aliased with others: name those wanted, model = 1 say")
+    choice = choose(_situation(out, fit, sums), out.request.error)
+    if untested and len(data.factors) > 1:
+        # with one factor the residual is its own interaction with the blocks
+        choice = replace(choice, how=NONE, question="no p: sizes of effects alone", cautions=())
+    if untested:
+        choice = replace(choice, reason=untested)
+    df = fit.df_residual if choice.how == POOLED else 0
+    if untested or df == 0:
+        out = out.warn(untested or REMEDIES)
+    out = out.warn(*choice.cautions)
+    ready = choice.source in ("E4", "E6") and _sparse_ready(out, fit)
+    lenth = unreplicated.lenth_of(data, out.y, out.terms, out.request.seed) if ready else None
+    error_rss = fit.rss * _resamples(out)
+    rows = [term_row(s, df, error_rss, fit.tss, partial=partial) for s in sums]
+    if lenth is not None and choice.source == "E6":
+        rows = [_lenth_row(row, lenth) for row in rows]
+    ms = error_rss / df if df else None
+    rows.append(Row("residual", fit.df_residual, fit.rss if df or untested else 0.0, ms))
+    by_name = {row.term: row for row in rows}
+    # what the runs do not tell apart is left out of the sums, not of what can be estimated
+    asked = out.structure.asked
+    judged = factor(model_matrix(data.layout, asked, extra=extra), out.y) if asked else fit
+
+    def estimated(term: Term) -> TermEstimate:
+        p, alpha = by_name[term_name(term)].p, out.request.alpha
+        found = pooled_estimate(data.layout, judged, term, df, p, alpha, error_rss)
+        if judged is not fit and np.isnan(found.component).any():
+            return pooled_estimate(data.layout, fit, term, df, p, alpha, error_rss)
+        return found
+
+    estimates = [estimated(term) for term in out.terms]
+    two_levels = all(len(data.layout.levels[f]) == 2 for f in data.factors)
+    alpha, seed = out.request.alpha, out.request.interval_seed
+    simple = {}
+    if lenth is not None and choice.source == "E6" and two_levels and not out.request.records:
+        estimates = [_with_margin(e, lenth) for e in estimates]
+        every = terms_of(data.factors) if balanced(data.layout, data.factors) else out.terms
+        contrasts = unreplicated.orthonormal_contrasts(data.layout, every)[1]
+        pseudo = with_pseudo_error(judged, contrasts, alpha, seed, out.y)
+        simple = judge_factors(out, data.layout, judged, pseudo, ())
+    elif df or out.scale.deterministic:
+        sample = with_pooled_error(judged, error_rss, df, alpha, seed)
+        rivals, notes = rivals_of_rows(out, judged, error_rss, df, sample) if df else ([], [])
+        rivals = [refusal(untested), *rivals] if untested else rivals
+        out = out.warn(*notes)
+        simple = judge_factors(out, data.layout, judged, sample, rivals)
+    effects = [size(e, out.scale, simple) for e in estimates]
+    if untested:
+        effects = [replace(e, why=untested) if e.is_main and df == 0 else e for e in effects]
+    return replace(
+        out,
+        error=ErrorTerm(choice.source, choice.question, float(df), choice.reason),
+        anova=Anova(kind, with_shares(rows, fit.tss), out.y.size - 1, fit.tss),
+        effects=tuple(effects),
+        fit=fit if df else None,
+        lenth=lenth,
+        summary=summary_of(fit) if df else None,
+    )
+
+
+def _resamples(out: Outcome) -> float:
+    """Factor of the residual sum: resamples of one curve do not average its noise.
+
+    The scatter over refits is the standard error of the cell itself, however many there are
+    (Efron and Tibshirani 1993, chapter 6); an F of their means would grow with their number.
+    """
+    if out.replicates != "noise":
+        return 1.0
+    counts = np.bincount(out.data.cell)
+    return float(1 / np.mean(1 / counts[counts > 0]))
+
+
+def _why_uneven(out: Outcome) -> str:
+    if not out.data.blocks:
+        return "unbalanced"
+    if balanced(out.data.layout, out.data.factors):
+        return "incomplete blocks, effects are adjusted for the blocks"
+    return "unbalanced"
+
+
+def _sparse_ready(out: Outcome, fit: Factored) -> bool:
+    """One row in every cell of the full grid or of a saturated orthogonal fraction, no copies."""
+    data = out.data
+    # copies are no separate contrasts: Lenth's limits would not hold
+    copied = len(out.copies.groups) < np.unique(data.cell).size
+    if copied or int(np.bincount(data.cell).max()) > 1:
+        return False
+    return balanced(data.layout, data.factors) or (
+        fit.df_residual == 0 and fit.model.is_orthogonal()
+    )
+
+
+def _situation(out: Outcome, fit: Factored, sums: list[TermSum]) -> Situation:
+    return Situation(
+        out.request.records,
+        " and ".join(out.data.blocks) or None,
+        bool(np.bincount(out.data.cell).max() > 1),
+        fit.df_residual,
+        out.request.model == "full",
+        int(np.sum([s.df for s in sums])),
+        _sparse_ready(out, fit),
+        out.replicates,
+        int(np.bincount(out.data.cell).max()),
+        out.u_raw is not None,
+    )
+
+
+def _with_margin(estimate: TermEstimate, lenth: LenthResult) -> TermEstimate:
+    """Estimate whose difference carries Lenth's simultaneous margin, where it is one contrast.
+
+    In a two-level design a term is one contrast, and its components are plus or minus half the
+    effect; contrasts of other designs are in another scale, and get no interval.
+    """
+    size = np.abs(estimate.component)
+    one = term_name(estimate.term) in lenth.names and size.min() > 0
+    if not one or float(np.ptp(size)) > 1e-9 * float(size.max()):
+        return estimate
+    half = np.sign(estimate.component) / 2
+    return replace(estimate, covariance=np.outer(half, half), critical=lenth.sme)
+
+
+def _lenth_row(row: Row, lenth: LenthResult) -> Row:
+    if row.term not in lenth.names:
+        return row
+    return replace(row, p=lenth.p[lenth.names.index(row.term)], error="Lenth PSE")
+
+
+# -------------------------------------------------------------------------------------------------
+# Fits whose residuals are judged: cells and blocks, or the terms of a reduced model.
+
+
+@dataclass(frozen=True)
+class CellGroups:
+    """Values that Bartlett and Levene compare."""
+
+    groups: dict[str, Array]
+    approximate: bool
+    basis: Array | None
+    index: Ints
+
+
+def additive_fit(
+    data: Data, y: Array, rows: Ints | None = None, *, plots: Ints | None = None
+) -> Factored:
+    """Fit of cells plus blocks (or whole plots) to some of the rows: residuals within them.
+
+    Shapes: y (n,); plots (n,).
+    """
+    keep = np.arange(y.size) if rows is None else rows
+    cells, index = np.unique(data.cell[keep], return_inverse=True)
+    levels = {"cell": tuple(str(c) for c in cells)}
+    codes = {"cell": index.astype(np.int64)}
+    extra: list[Term] = []
+    for i, code in enumerate(_blocks(data, plots)):
+        present, at = np.unique(code[keep], return_inverse=True)
+        levels[f"block {i}"] = tuple(str(c) for c in present)
+        codes[f"block {i}"] = at.astype(np.int64)
+        extra += [(f"block {i}",)] if present.size > 1 else []
+    terms: list[Term] = [("cell",)] if cells.size > 1 else []
+    return factor(model_matrix(Layout(levels, codes), terms, extra=extra), y[keep])
+
+
+def within_fit(
+    data: Data, y: Array, rows: Ints | None = None, *, plots: Ints | None = None
+) -> Factored | TwoWayFit:
+    """Fit as :func:`additive_fit`, without the columns of the model where two factors serve."""
+    blocks = _blocks(data, plots)
+    if len(blocks) > 1:
+        return additive_fit(data, y, rows, plots=plots)
+    keep = np.arange(y.size) if rows is None else rows
+    cell, block = (np.unique(code[keep], return_inverse=True)[1] for code in (data.cell, blocks[0]))
+    return two_way(cell.astype(np.int64), block.astype(np.int64), y[keep])
+
+
+def _blocks(data: Data, plots: Ints | None) -> list[Ints]:
+    return [data.layout.codes[name] for name in data.blocks] if plots is None else [plots]
+
+
+def reduced_fit(data: Data, y: Array, terms: Sequence[Term], rows: Ints) -> Factored:
+    """Fit of the model's terms (and blocks) to some of the rows.
+
+    Shapes: y (n,).
+    """
+    extra: list[Term] = [(name,) for name in data.blocks]
+    return factor(model_matrix(data.layout.take(rows), terms, extra=extra), y[rows])

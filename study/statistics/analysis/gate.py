@@ -1,0 +1,471 @@
+"""One gate before every claim, whatever the error source.
+
+A claim (*matters*, *no practical difference*) is made by the printed analysis and must be made by
+every rival: an analysis that is as defensible on the same rows. A rival that does not make it
+withdraws it, and its reason is printed. Rivals change no number of the table.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+
+import numpy as np
+
+from study.ground.arrays import Array, Ints
+from study.statistics.analysis.analysis_request import Outcome
+from study.statistics.analysis.effects import (
+    DOUBT,
+    UNEQUAL,
+    cell_welch,
+    needs_welch,
+    over_blocks,
+    over_groups,
+    t_quantile,
+    with_pooled_error,
+    with_pseudo_error,
+)
+from study.statistics.analysis.linear_model import (
+    Layout,
+    ModelMatrix,
+    Term,
+    balanced,
+    model_matrix,
+    span,
+    terms_of,
+)
+from study.statistics.analysis.simple_effects import (
+    CANNOT_TELL,
+    CLAIMS,
+    MATTERS,
+    NO_DIFFERENCE,
+    Differences,
+    Estimates,
+    Sample,
+    SimpleEffects,
+    simple_effects,
+)
+from study.statistics.analysis.sums_of_squares import Factored, epsilon_gg, factor
+from study.statistics.analysis.unreplicated import lenth, orthonormal_contrasts
+
+#: blocks or rows from which skewness can be told from chance
+FEWEST_FOR_SHAPE = 5
+#: chance that all differences have one sign, below which their logarithms are analyzed as well
+ONE_SIGN = 0.07
+#: size of the test that declares a sample skewed
+SKEWED = 0.05
+#: resamples of the bootstrap
+_DRAWS = 2000
+#: contrasts times rows that a rival keeps at once: 160 MB
+_MOST_VALUES = 20_000_000
+
+COARSE = "the readings are too coarse: with their rounding the interval does not allow the claim"
+SKEW = "the differences are skewed: an interval without a normal distribution does not allow it"
+LACK_OF_FIT = "the declared model leaves out interactions that the data do not rule out"
+UNSURE_LIMIT = "the mean, of which the practical difference is a share, is not known well enough"
+NO_SCATTER = "the difference is the same in every block to the last digit: no scatter to judge by"
+
+
+@dataclass(frozen=True)
+class Rival:
+    """Analysis as defensible as the printed one.
+
+    ``why`` is the reason for which a claim is withdrawn that this analysis does not make;
+    ``matrix`` and ``practical`` replace those of the printed analysis.
+    """
+
+    why: str
+    sample: Sample
+    claims: tuple[str, ...] = CLAIMS
+    matrix: ModelMatrix | None = None
+    practical: float | None = None
+
+
+def refusal(why: str) -> Rival:
+    """Rival that makes no claim: no analysis of these rows is defensible enough."""
+
+    def estimate(asked: Differences) -> Estimates:
+        return Estimates(np.zeros(len(asked.first)), np.full(len(asked.first), np.inf), 1.0, 1.0)
+
+    return Rival(why, estimate)
+
+
+def judge_factors(
+    out: Outcome, layout: Layout, fit: Factored, sample: Sample, rivals: Sequence[Rival]
+) -> dict[str, SimpleEffects]:
+    """Judge every factor of a model by its simple effects, and let the rivals withdraw claims."""
+    found = {}
+    scale = out.scale
+    for (name,) in (term for term in out.terms if len(term) == 1):
+        judged = partial(simple_effects, name, layout, bound=scale.bound, only=scale.only)
+        printed = judged(fit.matrix, sample, practical=scale.practical)
+        if printed is None:
+            if out.structure.undecided:
+                found[name] = SimpleEffects(name, CANNOT_TELL, out.structure.undecided, ())
+            continue
+        for rival in rivals:
+            if not _claimed(printed) & set(rival.claims):
+                continue
+            limit = rival.practical or scale.practical
+            other = judged(rival.matrix or fit.matrix, rival.sample, practical=limit)
+            printed = _agreed(printed, other, rival)
+        found[name] = printed
+    return found
+
+
+def _claimed(found: SimpleEffects) -> set[str]:
+    return {effect.verdict for effect in found.effects} & set(CLAIMS)
+
+
+def _agreed(printed: SimpleEffects, other: SimpleEffects | None, rival: Rival) -> SimpleEffects:
+    """Withdraw those printed verdicts that a rival does not make."""
+    by_setting = {(e.first, e.second, e.at): e.verdict for e in (other.effects if other else ())}
+    whole = CANNOT_TELL if other is None else other.verdict
+    effects = tuple(
+        replace(e, verdict=CANNOT_TELL)
+        if e.verdict in rival.claims
+        and by_setting.get((e.first, e.second, e.at), whole) != e.verdict
+        else e
+        for e in printed.effects
+    )
+    left = {effect.verdict for effect in effects}
+    stands = printed.verdict not in rival.claims or (
+        MATTERS in left
+        if printed.verdict == MATTERS
+        else left == {NO_DIFFERENCE} and whole == NO_DIFFERENCE
+    )
+    always = tuple(pair for pair in printed.always if other and pair in other.always)
+    if stands:
+        return replace(printed, effects=effects, always=always)
+    return replace(printed, verdict=CANNOT_TELL, why=rival.why, effects=effects, always=())
+
+
+def reading_error(out: Outcome) -> float:
+    """Return the standard deviation that rounding alone gives a reading, on the working scale."""
+    step = out.structure.resolution
+    if out.request.records or not step:
+        return 0.0
+    if out.request.scale.is_log:
+        step /= float(np.exp(np.mean(np.log(out.data.y))))
+    return step / math.sqrt(12)
+
+
+def limit_rivals(out: Outcome, sample: Sample, means: Array) -> list[Rival]:
+    """Hold claims against both ends of a practical difference that is a share of the mean.
+
+    Shapes: means (n,).
+    """
+    limit = out.request.scale.practical
+    if limit is None or not limit.relative or out.request.scale.is_log or means.size < 2:
+        return []
+    centre = abs(float(means.mean()))
+    half = t_quantile(out.request.alpha / 2, means.size - 1) * float(
+        means.std(ddof=1) / math.sqrt(means.size)
+    )
+    low, high = max(limit.value * (centre - half), 1e-300), limit.value * (centre + half)
+    why = (
+        f"{UNSURE_LIMIT}: {100 * limit.value:g} % of a mean of {means.mean():.4g} \u00b1 "
+        f"{half:.2g} is {low:.3g} to {high:.3g}"
+    )
+    return [
+        Rival(why, sample, (NO_DIFFERENCE,), practical=low),
+        Rival(why, sample, (MATTERS,), practical=high),
+    ]
+
+
+def block_means(out: Outcome) -> Array:
+    """Mean of the response in each block, on the working scale."""
+    block = out.data.layout.codes[str(out.data.block)]
+    return np.asarray(out.y[0] + np.bincount(block, out.y - out.y[0]) / np.bincount(block))
+
+
+def rivals_over_blocks(
+    out: Outcome, cells: Layout, y: Array, fit: Factored, sample: Sample
+) -> tuple[list[Rival], list[str]]:
+    """Rivals where each effect is tested over blocks, and what was seen of the declared model.
+
+    Shapes: y (cells, b).
+    """
+    alpha, seed = out.request.alpha, out.request.interval_seed
+    coefficients = fit.model.inverse @ (fit.q.T @ (y - y[0, 0]))
+    rivals, notes = [], []
+    reading = reading_error(out)
+    if not out.request.records and out.replicates == "runs":
+        rivals.append(Rival(NO_SCATTER, _with_scatter(sample, float(np.abs(y).max()))))
+        if reading:
+            coarse = over_blocks(fit, coefficients, alpha, seed, reading)
+            rivals.append(Rival(COARSE, coarse))
+    if out.replicates != "noise":
+        blocks = [np.arange(y.shape[1])]
+        rivals.append(
+            Rival(SKEW, _any_shape(sample, coefficients / y.shape[1], blocks, alpha, seed))
+        )
+        rivals += limit_rivals(out, sample, y.mean(axis=0))
+    full = _every_term(out, cells)
+    if full is not None:
+        whole = factor(model_matrix(cells, full), y.mean(axis=1))
+        p, note = _lack_of_fit_over_blocks(fit, whole, y)
+        notes += [note] if note else []
+        if p < DOUBT:
+            inner = whole.model.inverse @ (whole.q.T @ (y - y[0, 0]))
+            other = over_blocks(whole, inner, alpha, seed)
+            rivals.append(Rival(f"{LACK_OF_FIT} ({note})", other, matrix=whole.matrix))
+    return rivals, notes
+
+
+def rivals_over_groups(
+    out: Outcome, fit: Factored, added: Array, groups: Sequence[Ints], sample: Sample
+) -> list[Rival]:
+    """Rivals where blocks lie in groups with variances of their own.
+
+    Shapes: added (p, b).
+    """
+    alpha, seed = out.request.alpha, out.request.interval_seed
+    rivals = []
+    reading = reading_error(out)
+    if reading:
+        rivals.append(Rival(COARSE, over_groups(fit, added, groups, alpha, seed, reading)))
+    rivals.append(Rival(SKEW, _any_shape(sample, added, groups, alpha, seed)))
+    return rivals
+
+
+def rivals_of_rows(
+    out: Outcome, fit: Factored, rss: float, df: float, sample: Sample
+) -> tuple[list[Rival], list[str]]:
+    """Rivals where one pooled variance serves all rows, and what was seen of the declared model."""
+    alpha, seed = out.request.alpha, out.request.interval_seed
+    rivals, notes = [], []
+    reading = reading_error(out)
+    if reading and rss < df * reading**2:
+        rivals.append(Rival(COARSE, with_pooled_error(fit, df * reading**2, df, alpha, seed)))
+    if out.data.block is None and out.replicates in ("runs", "mesh-seeds"):
+        rivals += _rivals_of_cells(out, fit, sample, reading)
+    blocks = [(name,) for name in out.data.blocks]
+    means = out.y.mean() + fit.residual if out.data.block is None else block_means(out)
+    if out.replicates != "noise" and not out.request.records:
+        rivals += limit_rivals(out, sample, means)
+    full = _every_term(out, out.data.layout)
+    if full is not None:
+        whole = factor(model_matrix(out.data.layout, full, extra=blocks), out.y)
+        p, note, other = _lack_of_fit_of_rows(out, fit, whole)
+        notes += [note] if note else []
+        if p < DOUBT and other is not None:
+            rivals.append(Rival(f"{LACK_OF_FIT} ({note})", other, matrix=whole.matrix))
+    return rivals, notes
+
+
+def _every_term(out: Outcome, layout: Layout) -> tuple[Term, ...] | None:
+    """Terms of the full model, where fewer were declared and the full one is no giant."""
+    full = terms_of(out.data.factors)
+    if set(full) <= set(out.terms) or np.prod([len(v) for v in layout.levels.values()]) > 4096:
+        return None
+    crossed = {frozenset(t) for t in out.terms}
+    if any(len(t) > 1 and not {frozenset((f,)) for f in t} <= crossed for t in out.terms):
+        return None  # nested: what is left out is no interaction
+    return full
+
+
+def _lack_of_fit_over_blocks(fit: Factored, whole: Factored, y: Array) -> tuple[float, str]:
+    """P of the terms left out, all together and each direction, against their own interactions."""
+    from scipy.special import fdtrc, stdtr
+
+    rest = span(whole.q - fit.q @ (fit.q.T @ whole.q))
+    df, b = rest.shape[1], y.shape[1]
+    if not df or b < 2:
+        return 1.0, ""
+    z = rest.T @ (y - y[0, 0])
+    centre, scatter = z.mean(axis=1), z - z.mean(axis=1, keepdims=True)
+    ss_error = float(np.sum(scatter**2))
+    if ss_error <= 0:
+        return 0.0 if float(centre @ centre) > 0 else 1.0, "lack of fit without any scatter"
+    f = b * float(centre @ centre) / (ss_error / (b - 1))
+    epsilon = epsilon_gg(np.atleast_2d(np.cov(z)))
+    together = float(fdtrc(df * epsilon, df * (b - 1) * epsilon, f))
+    spread = np.sqrt(np.maximum(np.sum(scatter**2, axis=1), 1e-300) / (b - 1) / b)
+    each = 2 * stdtr(b - 1, -np.abs(centre) / spread)
+    p = min(together, df * float(each.min()))
+    return p, (
+        f"lack of fit of the declared model: F({df:g}, {df * (b - 1):g}) = {f:.4g}, "
+        f"p = {together:.2g} against the blocks"
+    )
+
+
+def _lack_of_fit_of_rows(
+    out: Outcome, fit: Factored, whole: Factored
+) -> tuple[float, str, Sample | None]:
+    """P of the terms left out, what is said of it, and the sample of the full model."""
+    from scipy.special import fdtrc
+
+    alpha, seed = out.request.alpha, out.request.interval_seed
+    df = fit.df_residual - whole.df_residual
+    if df <= 0:
+        return 1.0, "", None
+    if whole.df_residual > 0 and whole.rss > 0:
+        f = max(fit.rss - whole.rss, 0.0) / df / (whole.rss / whole.df_residual)
+        p = float(fdtrc(df, whole.df_residual, f))
+        note = (
+            f"lack of fit of the declared model: F({df:g}, {whole.df_residual:g}) = {f:.4g}, "
+            f"p = {p:.2g}"
+        )
+        return p, note, with_pooled_error(whole, whole.rss, whole.df_residual, alpha, seed)
+    full = terms_of(out.data.factors)
+    single = int(np.bincount(out.data.cell).max()) == 1
+    if out.data.block is not None or not (single and balanced(out.data.layout, out.data.factors)):
+        return 1.0, "", None
+    left_out = [term for term in full if term not in out.terms]
+    names, contrasts = orthonormal_contrasts(out.data.layout, left_out)
+    if len(names) < LEAST_CONTRASTS:
+        return 1.0, "", None
+    found = lenth(contrasts.T @ (out.y - out.y[0]), names, seed=out.request.seed)
+    p = min(found.p) * len(names)
+    largest = names[int(np.argmin(found.p))]
+    note = f"of the interactions declared negligible, {largest} stands out: p = {min(1.0, p):.2g}"
+    every = orthonormal_contrasts(out.data.layout, full)[1]
+    return p, note, with_pseudo_error(whole, every, alpha, seed, out.y)
+
+
+#: contrasts that Lenth's method needs
+LEAST_CONTRASTS = 7
+
+
+def _rivals_of_cells(out: Outcome, fit: Factored, sample: Sample, reading: float) -> list[Rival]:
+    """Welch's intervals of each difference, and bootstrap-t where a cell is skewed."""
+    alpha, seed = out.request.alpha, out.request.interval_seed
+    _, index, counts = np.unique(out.data.cell, return_inverse=True, return_counts=True)
+    if counts.max() < 2:
+        return []
+    welch = cell_welch(fit, out.y, index, alpha, reading)
+    rivals = []
+    if needs_welch(out.y, index):
+        rivals.append(Rival(UNEQUAL, welch))
+    if counts.max() >= FEWEST_FOR_SHAPE and fit.q.shape[0] * fit.matrix.columns.shape[1] < 2e6:
+        groups = np.split(np.argsort(index, kind="stable"), np.cumsum(counts)[:-1])
+        if counts.min() >= 2:
+            added = (fit.model.inverse @ fit.q.T) * (out.y - fit.shift)
+            rivals.append(Rival(SKEW, _any_shape(sample, added, groups, alpha, seed)))
+    return rivals
+
+
+def _with_scatter(sample: Sample, largest: float) -> Sample:
+    """Return the same estimates; a difference that does not scatter at all tells nothing."""
+    floor = 16 * float(np.spacing(largest))
+
+    def estimate(asked: Differences) -> Estimates:
+        known = sample(asked)
+        if known.error is None:
+            return known
+        return replace(known, error=np.where(known.error <= floor, np.inf, known.error))
+
+    return estimate
+
+
+def _any_shape(
+    sample: Sample, added: Array, groups: Sequence[Ints], alpha: float, seed: int | None
+) -> Sample:
+    """Intervals that assume no normal distribution, where the values show that they have none.
+
+    A contrast whose values (one a block, or one a row of each cell) are skewed beyond chance gets
+    the interval of bootstrap-t (Efron and Tibshirani 1993, section 12.5). One whose values in all
+    blocks have one sign, beyond chance, may be as large as the mean of a lognormal (upper limit by
+    Cox's method; Zhou and Gao 1997, Statist. Med. 16, 783-790).
+    """
+
+    def estimate(asked: Differences) -> Estimates:
+        known = sample(asked)
+        if known.error is None or len(known.value) * added.shape[1] > _MOST_VALUES:
+            return known
+        value = asked.rows @ added
+        m = len(value)
+        ends = {
+            i: _bootstrap_t(value[i], groups, alpha, m, seed or 0)
+            for i in np.flatnonzero(_skewed(value, groups))
+        }
+        b = value.shape[1]
+        if len(groups) == 1 and b >= FEWEST_FOR_SHAPE and m * 2.0 ** (1 - b) <= ONE_SIGN:
+            same = np.abs(np.sign(value).sum(axis=1)) == b
+            for i in np.flatnonzero(same):
+                end = _lognormal_end(value[i] * b, alpha)
+                low, high, wide = ends.get(i, (end, end, 0.0))
+                ends[i] = (min(low, end), max(high, end), wide)
+        if not ends:
+            return known
+        single, every = (np.broadcast_to(np.asarray(k, dtype=float), m).copy()
+                         for k in (known.single, known.simultaneous))  # fmt: skip
+        centre, error = known.value.copy(), known.error.copy()
+        for i, (low, high, widest) in ends.items():
+            low = min(low, centre[i] - error[i] * single[i])
+            high = max(high, centre[i] + error[i] * single[i])
+            wide = max(widest, error[i] * every[i])
+            centre[i], error[i] = (low + high) / 2, 1.0
+            single[i], every[i] = (high - low) / 2, wide
+        return Estimates(centre, error, single, every)
+
+    return estimate
+
+
+def _skewed(value: Array, groups: Sequence[Ints]) -> Array:
+    """Whether the values of a contrast in a group are skewed beyond chance, shape (m,)."""
+    found = np.zeros(len(value), dtype=bool)
+    m = len(value) * len(groups)
+    for group in groups:
+        n = len(group)
+        if n < FEWEST_FOR_SHAPE:
+            continue
+        centred = value[:, group] - value[:, group].mean(axis=1, keepdims=True)
+        square = np.mean(centred**2, axis=1)
+        third = np.mean(centred**3, axis=1)
+        size = np.abs(value[:, group]).max(axis=1, initial=1e-60)
+        varies = square > 1e-24 * size**2
+        skewness = np.abs(third) / np.where(varies, square, 1.0) ** 1.5
+        found |= varies & (skewness > _limit_of_skewness(n, min(m, 1000)))
+    return found
+
+
+@lru_cache(maxsize=256)
+def _limit_of_skewness(n: int, tests: int) -> float:
+    """Size of the skewness of n normals that is exceeded with .05 over all tests."""
+    if n > 200:
+        from scipy.special import ndtri
+
+        return float(-ndtri(SKEWED / (2 * tests)) * math.sqrt(6 * (n - 2) / ((n + 1) * (n + 3))))
+    z = np.random.default_rng(2011).standard_normal((20_000, n))
+    z -= z.mean(axis=1, keepdims=True)
+    skewness = np.abs(np.mean(z**3, axis=1)) / np.mean(z**2, axis=1) ** 1.5
+    return float(np.quantile(skewness, 1 - SKEWED / tests))
+
+
+def _bootstrap_t(
+    value: Array, groups: Sequence[Ints], alpha: float, m: int, seed: int
+) -> tuple[float, float, float]:
+    """Find the ends of one interval of a sum over groups, and half the simultaneous one."""
+    random = np.random.default_rng(seed)
+    shift, variance, total = np.zeros(_DRAWS), np.zeros(_DRAWS), 0.0
+    for group in groups:
+        part = value[group]
+        n = part.size
+        drawn = part[random.integers(0, n, (_DRAWS, n))]
+        shift += drawn.sum(axis=1) - part.sum()
+        variance += n * drawn.var(axis=1, ddof=1)
+        total += n * float(part.var(ddof=1))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = np.where(variance > 1e-24 * total, shift / np.sqrt(variance), np.sign(shift) * np.inf)
+    t = np.sort(np.where(np.isnan(t), 0.0, t))
+    error, centre = math.sqrt(total), float(value.sum())
+
+    def quantile(p: float) -> float:
+        return float(t[min(_DRAWS - 1, max(0, math.floor(p * (_DRAWS - 1))))])
+
+    low, high = centre - quantile(1 - alpha / 2) * error, centre - quantile(alpha / 2) * error
+    tail = max(alpha / (2 * m), 1 / _DRAWS)
+    return low, high, max(abs(quantile(1 - tail)), abs(quantile(tail))) * error
+
+
+def _lognormal_end(value: Array, alpha: float) -> float:
+    """End far from zero of the interval of a lognormal mean, of values with one sign."""
+    log = np.log(np.abs(value))
+    n, variance = log.size, float(log.var(ddof=1))
+    error = math.sqrt(variance / n + variance**2 / (2 * (n - 1)))
+    end = float(log.mean()) + variance / 2 + t_quantile(alpha / 4, n - 1) * error
+    return float(np.sign(value[0])) * math.exp(min(end, 700.0))

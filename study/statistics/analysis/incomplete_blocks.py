@@ -1,0 +1,195 @@
+"""E1 where blocks lack cells: a mixed model whose claims each difference's own scatter confirms.
+
+The factors' interactions with the blocks are random (REML, Kenward and Roger), so an effect is
+never tested against less than how it differs between blocks. Such a model gives one variance to
+all differences of a term. Where one level scatters more than the others that is too little for
+it, so every interval reaches as far as that of the sandwich estimate over the blocks, too (CR2
+with Satterthwaite's degrees of freedom: Bell and McCaffrey 2002, Survey Methodology 28, 169;
+Pustejovsky and Tipton 2018, J. Bus. Econ. Statist. 36, 672), which is the interval of paired
+differences where blocks are complete.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import fdtrc
+
+from study.ground.arrays import Array, Ints
+from study.statistics.analysis import error_ledger
+from study.statistics.analysis.analysis_request import Outcome
+from study.statistics.analysis.anova_table import Anova, ErrorTerm
+from study.statistics.analysis.linear_model import Layout, Term, model_matrix, term_name
+from study.statistics.analysis.mixed_model import MixedCells
+from study.statistics.analysis.restricted_likelihood import (
+    RestrictedFit,
+    SingularError,
+    fit_restricted,
+)
+from study.statistics.analysis.sums_of_squares import (
+    Factored,
+    alias_warnings,
+    factor,
+    term_row,
+    term_sums,
+    with_shares,
+)
+
+#: numbers that the products of blocks of several contrasts may take at once: 40 MB
+_AT_ONCE = 5_000_000
+#: numbers in the products of all pairs of variances and of fixed effects: 160 MB
+_MOST_PRODUCTS = 20_000_000
+
+
+def incomplete_blocks(out: Outcome) -> Outcome | None:
+    """E1 by a mixed model; None where every block has all cells, or none can be fitted."""
+    data, block = out.data, str(out.data.block)
+    cell = np.unique(data.cell, return_inverse=True)[1]
+    code = data.layout.codes[block]
+    cells = np.bincount(code)
+    lacking = int((cells < cell.max() + 1).sum())
+    if not lacking or out.replicates in ("noise", "mesh-seeds"):
+        return None
+    asked = out.request
+    model, sources = mixed_cells(
+        data.layout, out.terms, block, out.y, asked.alpha, asked.interval_seed
+    )
+    if model is None:
+        return None
+    fit, fixed = model.fit, model.fixed
+    sandwich = Sandwich(fit, fixed, out.y - model.shift, code)
+    # sums of squares within blocks: shares of what varies there
+    within = factor(model_matrix(data.layout, out.terms, extra=[(block,)]), out.y)
+    sums = term_sums(within, "III")
+    rows = [term_row(s, 0, within.rss, within.tss) for s in sums]
+    bases = {s.term: s for s in term_sums(fixed, "III")}
+    df_error, p = {}, {}
+    for i, (row, s) in enumerate(zip(rows, sums, strict=True)):
+        basis = bases.get(s.term)
+        if basis is None or basis.df == 0 or basis.df < basis.nominal_df:
+            continue
+        test = fit.test(basis.basis)
+        epsilon, p_own = sandwich.test(basis.basis)
+        df_error[row.term], p[s.term] = test.df, max(test.p, p_own)
+        rows[i] = replace(
+            row, df=float(test.count), f=test.f, p=test.p, error="REML", df_error=test.df,
+            epsilon_gg=epsilon, p_gg=max(test.p, p_own),
+        )  # fmt: skip
+    rows.append(replace(rows[0], term="residual", df=within.df_residual, ss=within.rss, ms=None))
+    out = out.warn(*alias_warnings([bases[term] for term in out.terms]))
+    b = cells.size
+    question = (
+        f"would the ranking change with another {block}? (mixed model by REML: interactions with "
+        f"{b} levels of {block} are random; Kenward and Roger)"
+    )
+    reason = (
+        f"{lacking} of {b} levels of {block} lack a cell; random are "
+        f"{', '.join(map(term_name, sources))} and the rest; each interval also reaches as far as "
+        f"the scatter of its difference over the levels of {block} tells (CR2)"
+    )
+    return replace(
+        out,
+        error=ErrorTerm("E1", question, df_error, reason),
+        anova=Anova("III", with_shares(rows, within.tss), out.y.size - 1, within.tss),
+        effects=model.effects(out.terms, p, out.scale),
+        fit=error_ledger.within_fit(data, out.y),
+        plots=code,
+    )
+
+
+def mixed_cells(
+    layout: Layout, terms: Sequence[Term], block: str, y: Array, alpha: float, seed: int | None
+) -> tuple[MixedCells | None, list[Term]]:
+    """Mixed model of one row a cell and block, and its random terms; None where none can be fitted.
+
+    Shapes: y (n,).
+    """
+    bare = model_matrix(layout, terms)
+    shift = float(y.mean())
+    fixed = factor(bare, y - shift)
+    candidates = [(block,), *((block, *term) for term in terms)]
+    codes = {t: np.unique(layout.cell(t), return_inverse=True)[1] for t in candidates}
+    # what has a level of its own in every row is the scatter within
+    random = [t for t in candidates if int(codes[t].max()) + 1 < y.size]
+    while ((len(random) + 1) * fixed.rank) ** 2 > _MOST_PRODUCTS and len(random) > 1:
+        random.pop()
+    while random and int(codes[random[0]].max()) >= 2:
+        try:
+            fit = fit_restricted(fixed.q, y - shift, [codes[t] for t in random])
+        except SingularError as error:
+            if error.which == 0:
+                break
+            random.pop(min(error.which, len(random) - 1))
+            continue
+        robust = Sandwich(fit, fixed, y - shift, layout.codes[block]).errors
+        return MixedCells(fit, fixed, bare, layout, shift, alpha, seed, robust), random
+    return None, []
+
+
+@dataclass(frozen=True)
+class Sandwich:
+    """Variances of combinations of fixed effects by their scatter over independent blocks."""
+
+    fit: RestrictedFit
+    fixed: Factored
+    y: Array
+    block: Ints
+
+    def errors(self, rows: Array) -> tuple[Array, Array]:
+        """Find standard errors of ``rows`` @ beta, shape (m, r), and Satterthwaite's df."""
+        parts, df = self.parts(rows)
+        return np.sqrt(np.sum(parts**2, axis=0)), df
+
+    def test(self, basis: Array) -> tuple[float, float]:
+        """Epsilon and p of orthonormal directions, shape (r, l), by Box's approximation.
+
+        Where blocks are complete these are the epsilon and p of Greenhouse and Geisser.
+        """
+        parts, df = self.parts(basis.T)
+        value = basis.T @ self.fit.moments.beta
+        covariance = parts.T @ parts
+        trace = float(np.trace(covariance))
+        if trace <= 0:
+            return 1.0, 1.0
+        df1 = trace**2 / float(np.sum(covariance**2))
+        df2 = df1 * float(np.diag(covariance) @ df) / trace
+        return df1 / basis.shape[1], float(fdtrc(df1, df2, float(value @ value) / trace))
+
+    def parts(self, rows: Array) -> tuple[Array, Array]:
+        """Find what each block adds, squared, to the variances; and their degrees of freedom."""
+        x, phi, v = self.fixed.q, self.fit.covariance, self.fit.v
+        residual = self.y - x @ self.fit.moments.beta
+        blocks = int(self.block.max()) + 1
+        root = np.linalg.cholesky(phi)
+        lever = phi @ rows.T
+        parts = np.zeros((blocks, len(rows)))
+        diagonal = np.zeros((blocks, len(rows)))
+        inner = np.zeros((blocks, phi.shape[0], len(rows)))
+        for k in range(blocks):
+            here = np.flatnonzero(self.block == k)
+            cov = v[-1] * np.eye(here.size)
+            for variance, code in zip(v, self.fit.likelihood.codes, strict=False):
+                cov += variance * (code[here][:, None] == code[here])
+            upper = np.linalg.cholesky(cov).T
+            left = cov - x[here] @ phi @ x[here].T
+            values, vectors = np.linalg.eigh(upper @ left @ upper.T)
+            ok = values > 1e-9 * max(values.max(), 0.0)
+            inverse = (vectors[:, ok] / np.sqrt(values[ok])) @ vectors[:, ok].T
+            adjust = upper.T @ inverse @ upper
+            g = adjust @ np.linalg.solve(cov, x[here] @ lever)
+            parts[k] = residual[here] @ g
+            diagonal[k] = np.einsum("im,im->m", g, cov @ g)
+            inner[k] = root.T @ (x[here].T @ g)
+        df = np.ones(len(rows))
+        step = max(1, _AT_ONCE // blocks**2)
+        for start in range(0, len(rows), step):
+            part = inner[:, :, start : start + step]
+            gram = -np.einsum("krm,lrm->mkl", part, part, optimize=True)
+            at = np.arange(blocks)
+            gram[:, at, at] += diagonal[:, start : start + step].T
+            trace = np.einsum("mkk->m", gram)
+            below = np.einsum("mkl,mkl->m", gram, gram)
+            df[start : start + step] = trace**2 / np.maximum(below, 1e-300)
+        return parts, np.maximum(df, 0.1)

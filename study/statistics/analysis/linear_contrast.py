@@ -1,0 +1,254 @@
+"""Contrasts that the analyst names: one set of cells against another.
+
+``"material=ogden-1, range=60 % - material=neo-hookean, range=60 %"`` is the mean over all cells
+of the first kind less that of the second; a factor that a side leaves out is averaged over.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.special import stdtr
+
+from study.ground.arrays import Array
+from study.ground.contrast import Setting, sides_of
+from study.ground.errors import Fault, InputError
+from study.statistics.analysis.comparisons import block_multiplier, bonferroni, holm
+from study.statistics.analysis.effects import UNEQUAL, Scale, needs_welch, t_quantile
+from study.statistics.analysis.simple_effects import (
+    CANNOT_TELL,
+    CLAIMS,
+    NOT_RESOLVED,
+    ONE_SPECIMEN,
+    UNBOUNDED,
+    verdict_of,
+)
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True)
+class Contrast:
+    """A named difference with its intervals and its verdict."""
+
+    name: str
+    #: In the unit of the response, or a ratio where its log was analyzed; as the intervals.
+    difference: float
+    #: Of this contrast alone, and of all that were asked for together; None without scatter.
+    ci: tuple[float, float] | None
+    ci_simultaneous: tuple[float, float] | None
+    df: float | None
+    #: Of no difference: alone, and adjusted for all that were asked for (Holm 1979).
+    p: float | None
+    #: Bound of the numerical error; None where it is not known.
+    u: float | None
+    #: Against the smallest difference that matters.
+    verdict: str
+    why: str = ""
+    p_holm: float | None = None
+
+
+@dataclass(frozen=True)
+class _Estimate:
+    """A difference on the scale of the analysis; ``by_block`` where it is made within blocks."""
+
+    value: float
+    error: float | None
+    df: float | None
+    by_block: Array | None = None
+    welch: tuple[float, float] | None = None  # standard error and df with a variance a cell
+
+
+@dataclass(frozen=True)
+class Cells:
+    """The rows of an analysis, as contrasts need them."""
+
+    #: One row a run: ``cell``, ``y`` on the scale of the analysis, every factor, and ``block``
+    #: where there are blocks.
+    rows: pd.DataFrame
+    levels: Mapping[str, tuple[str, ...]]
+    #: What matters and what bounds the numerical error.
+    scale: Scale
+    #: One minus the level of the intervals.
+    alpha: float
+    seed: int
+    #: Whether the repeats (or blocks) are refits to resampled noise of one curve: their scatter is
+    #: the standard error of the fit itself, however many there are.
+    resampled: bool = False
+    #: Difference, standard error and degrees of freedom by a model of all rows.
+    estimate: Callable[[Setting, Setting], tuple[float, float, float]] | None = None
+
+
+def contrasts(cells: Cells, asked: Sequence[str]) -> tuple[Contrast, ...]:
+    """Estimate differences of sets of cells."""
+    found, faults = possible_contrasts(cells, asked)
+    if faults:
+        raise InputError(faults)
+    return found
+
+
+def possible_contrasts(
+    cells: Cells, asked: Sequence[str]
+) -> tuple[tuple[Contrast, ...], list[Fault]]:
+    """Estimate those differences of sets of cells that can be, and say what keeps the others."""
+    sides, estimates, names = [], [], []
+    faults: list[Fault] = []
+    for text in asked:
+        try:
+            pair = sides_of(text, cells.levels)
+            if cells.estimate is None:
+                estimates.append(_estimate(cells, *pair, text))
+            else:
+                estimates.append(_Estimate(*cells.estimate(*pair)))
+        except InputError as error:
+            faults += error.faults
+            continue
+        sides.append(pair)
+        names.append(text)
+    wide = _multipliers(estimates, cells.alpha, cells.seed)
+    found = [
+        _judged(text, pair, one, (factor, len(estimates)), cells)
+        for text, pair, one, factor in zip(names, sides, estimates, wide, strict=True)
+    ]
+    return _adjusted(found), faults
+
+
+def _adjusted(found: Sequence[Contrast]) -> tuple[Contrast, ...]:
+    """Contrasts with Holm's p of all of them that have one."""
+    adjusted = iter(holm([one.p for one in found if one.p is not None]).tolist())
+    return tuple(one if one.p is None else replace(one, p_holm=next(adjusted)) for one in found)
+
+
+def _estimate(cells: Cells, first: Setting, second: Setting, text: str) -> _Estimate:
+    rows = cells.rows
+    sides = [rows[_holds(rows, setting)] for setting in (first, second)]
+    for side, setting in zip(sides, (first, second), strict=True):
+        if side.empty:
+            said = ", ".join(f"{name}={level}" for name, level in setting.items())
+            raise InputError(Fault(f"contrast {text!r}", f"no row has {said}"))
+    if "block" not in rows:
+        return _of_cells(rows, *sides, resampled=cells.resampled)
+    # every cell counts once, whatever its repeats
+    means = [side.groupby(["block", "cell"])["y"].mean().groupby("block").mean() for side in sides]
+    both = means[0].index.intersection(means[1].index)
+    if len(both):
+        return _within((means[0][both] - means[1][both]).to_numpy(), cells.resampled)
+    return _between(*(mean.to_numpy() for mean in means))
+
+
+def _holds(rows: pd.DataFrame, setting: Setting) -> Array:
+    kept = np.ones(len(rows), dtype=bool)
+    for name, level in setting.items():
+        kept &= (rows[name].astype(str) == level).to_numpy()
+    return kept
+
+
+def _within(differences: Array, resampled: bool) -> _Estimate:
+    b = differences.size
+    if b < 2:
+        return _Estimate(float(differences.mean()), None, None, differences)
+    error = float(differences.std(ddof=1) / (1.0 if resampled else np.sqrt(b)))
+    return _Estimate(float(differences.mean()), error, b - 1.0, differences)
+
+
+def _between(first: Array, second: Array) -> _Estimate:
+    """Welch's difference of two sets of blocks."""
+    value = float(first.mean() - second.mean())
+    if min(first.size, second.size) < 2:
+        return _Estimate(value, None, None)
+    parts = np.array([side.var(ddof=1) / side.size for side in (first, second)])
+    below = float(np.sum(parts**2 / (np.array([first.size, second.size]) - 1)))
+    total = float(parts.sum())
+    return _Estimate(value, float(np.sqrt(total)), total**2 / below if below else None)
+
+
+def _of_cells(
+    rows: pd.DataFrame, first: pd.DataFrame, second: pd.DataFrame, *, resampled: bool
+) -> _Estimate:
+    """Difference of means of cells, with the variance pooled within all cells."""
+    by_cell = rows.groupby("cell")["y"]
+    index = by_cell.ngroup().to_numpy().astype(np.int64)
+    df = float(len(rows) - by_cell.ngroups)
+    means = [side.groupby("cell")["y"].agg(["mean", "size"]) for side in (first, second)]
+    value = float(means[0]["mean"].mean() - means[1]["mean"].mean())
+    if df < 1:
+        return _Estimate(value, None, None)
+    squares = float(((rows["y"] - by_cell.transform("mean")) ** 2).sum())
+    counts = [len(m) if resampled else float((1 / m["size"]).sum()) for m in means]
+    share = sum(n / len(m) ** 2 for n, m in zip(counts, means, strict=True))
+    welch = None
+    if not resampled and needs_welch(rows["y"].to_numpy(), index):
+        welch = _with_own_variances((first, second))
+    return _Estimate(value, float(np.sqrt(squares / df * share)), df, welch=welch)
+
+
+def _with_own_variances(sides: Sequence[pd.DataFrame]) -> tuple[float, float]:
+    """Welch's standard error of a difference of means of cells, and its degrees of freedom."""
+    cells = [side.groupby("cell")["y"].agg(["var", "size"]).to_numpy(dtype=float) for side in sides]
+    parts = np.concatenate([c[:, 0] / c[:, 1] / len(c) ** 2 for c in cells])
+    rows = np.concatenate([c[:, 1] for c in cells])
+    if rows.min() < 2 or parts.max() <= 0:
+        return math.inf, 1.0
+    total = float(parts.sum())
+    return math.sqrt(total), total**2 / float(np.sum(parts**2 / (rows - 1)))
+
+
+def _multipliers(found: Sequence[_Estimate], alpha: float, seed: int) -> list[float]:
+    """Multipliers of the standard errors for intervals of all contrasts together."""
+    blocks = [one.by_block for one in found if one.by_block is not None and one.error]
+    if len(blocks) == len(found) > 1 and len({b.size for b in blocks}) == 1:
+        return [block_multiplier(np.array(blocks), alpha, seed)] * len(found)
+    return [0.0 if one.df is None else bonferroni(len(found), one.df, alpha) for one in found]
+
+
+def _judged(
+    text: str,
+    sides: tuple[Setting, Setting],
+    one: _Estimate,
+    together: tuple[float, int],
+    cells: Cells,
+) -> Contrast:
+    """Judge one of some contrasts, whose simultaneous multiplier and number are ``together``."""
+    multiplier, number = together
+    scale, back = cells.scale, cells.scale.back
+    u = 0.0 if scale.bound is None else scale.bound.of(*map(dict, sides))
+    shown = None if u is None or scale.bound is None else u / scale.unit
+    if one.error is None or one.df is None:
+        why = "nothing scatters, so there is no interval"
+        return Contrast(text, back(one.value), None, None, one.df, None, shown, CANNOT_TELL, why)
+    own, every = t_quantile(cells.alpha / 2, one.df) * one.error, multiplier * one.error
+    ci, wide = (one.value - own, one.value + own), (one.value - every, one.value + every)
+    verdict, why = _verdict(ci, wide, u, scale)
+    if one.welch is not None and verdict in CLAIMS:
+        error, df = one.welch
+        halves = [t_quantile(cells.alpha / (2 * m), df) * error for m in (1, number)]
+        ends = [(one.value - half, one.value + half) for half in halves]
+        if _verdict(ends[0], ends[1], u, scale)[0] != verdict:
+            verdict, why = CANNOT_TELL, UNEQUAL
+    p = 2 * float(stdtr(one.df, -abs(one.value) / one.error)) if one.error else None
+    return Contrast(
+        text, back(one.value), _on(back, ci), _on(back, wide), one.df, p, shown, verdict, why
+    )
+
+
+def _verdict(
+    ci: tuple[float, float], wide: tuple[float, float], u: float | None, scale: Scale
+) -> tuple[str, str]:
+    """Verdict, and why it is none where the interval alone does not show that."""
+    if scale.practical is None:
+        return CANNOT_TELL, "no practical threshold was given"
+    if scale.specimens == 1:
+        return CANNOT_TELL, ONE_SPECIMEN
+    found = verdict_of(ci, wide, np.nan if u is None else u, scale.practical)
+    if found == NOT_RESOLVED and u is None:
+        return found, UNBOUNDED
+    return found, "2 specimens" if scale.specimens == 2 and found in CLAIMS else ""
+
+
+def _on(back: Callable[[float], float], ends: tuple[float, float]) -> tuple[float, float]:
+    return back(ends[0]), back(ends[1])

@@ -1,0 +1,464 @@
+"""Mixed models by REML: fixed and random factors, incomplete blocks, studies of precision.
+
+Blocks that lack some cells keep what they tell: between blocks as far as their scatter allows,
+within blocks fully (recovery of interblock information, Yates 1940, Ann. Eugen. 10, 317-325).
+Tests and intervals of fixed effects are those of Kenward and Roger (1997), intervals of
+standard deviations those of the profile of the restricted likelihood.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.special import stdtr
+
+from study.ground.arrays import Array
+from study.ground.contrast import Setting
+from study.ground.errors import Fault, InputError, nearest
+from study.ground.tabular import names_of
+from study.statistics.analysis.analysis_request import Practical, alpha_faults, threshold
+from study.statistics.analysis.comparisons import pooled_multiplier
+from study.statistics.analysis.data import Data, prepare
+from study.statistics.analysis.effects import (
+    Scale,
+    TermEstimate,
+    holm,
+    settings_of,
+    size,
+    t_quantile,
+    term_rows,
+)
+from study.statistics.analysis.linear_contrast import Cells, Contrast
+from study.statistics.analysis.linear_contrast import contrasts as contrasts_of
+from study.statistics.analysis.linear_model import (
+    Layout,
+    Model,
+    ModelMatrix,
+    Term,
+    grid,
+    model_matrix,
+    term_name,
+    terms_of,
+)
+from study.statistics.analysis.restricted_likelihood import (
+    MOST_CROSSED,
+    Likelihood,
+    RestrictedFit,
+    SingularError,
+    fit_restricted,
+)
+from study.statistics.analysis.simple_effects import Differences, Estimates, simple_effects
+from study.statistics.analysis.sums_of_squares import Factored, factor, one_thread, term_sums
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from study.statistics.analysis.anova_table import Effect
+
+
+WITHIN = "within"
+#: Levels of a random factor that its scatter needs.
+_FEWEST_LEVELS = 3
+
+
+@dataclass(frozen=True)
+class VarianceComponent:
+    """Standard deviation of one source of scatter, in the unit of the response."""
+
+    #: A random factor or an interaction, or ``"within"``.
+    source: str
+    #: REML estimate; 0 at the boundary.
+    sd: float
+    #: Interval by the profile of the restricted likelihood.
+    low: float
+    high: float
+    share: float
+
+
+@dataclass(frozen=True)
+class MixedTerm:
+    """F test of one term as of Kenward and Roger: F is scaled, as are its error's df."""
+
+    term: str
+    df: int
+    f: float
+    df_error: float
+    p: float
+
+
+@dataclass(frozen=True)
+class Slope:
+    """Change of the response for each unit of a covariate, with its interval."""
+
+    covariate: str
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class MixedModel:
+    """A fitted mixed model."""
+
+    components: tuple[VarianceComponent, ...]
+    #: Type III tests of the factors and covariates.
+    terms: tuple[MixedTerm, ...]
+    deviance: float
+    rows: int
+    slopes: tuple[Slope, ...] = ()
+    #: Means, differences and verdicts of the factors; means are those at the mean of each
+    #: covariate.
+    effects: tuple[Effect, ...] = ()
+    contrasts: tuple[Contrast, ...] = ()
+
+
+@one_thread
+def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing that may be asked
+    table: pd.DataFrame,
+    response: str,
+    factors: Sequence[str],
+    *,
+    block: str | Sequence[str] | None = None,
+    random: Sequence[str] = (),
+    covariates: Sequence[str] = (),
+    model: Model = "full",
+    practical: Practical = None,
+    contrasts: Sequence[str] = (),
+    alpha: float = 0.05,
+    seed: int = 2011,
+) -> MixedModel:
+    """Fit a mixed model by REML.
+
+    Parameters
+    ----------
+    table : DataFrame
+        One row a run; blocks may lack cells.
+    response : str
+        Column of the response.
+    factors : sequence of str
+        Columns of the fixed factors; without any, the mean is the only fixed effect.
+    block : str or sequence of str, optional
+        Columns of blocks, which are random; several cross.
+    random : sequence of str
+        A fixed factor (its interaction with the blocks is random too), any other column
+        (``"day"``), or an interaction of columns (``"day:run"``, runs within days).
+    covariates : sequence of str
+        Numeric columns (a temperature, a mass) that the response follows in a straight line.
+    model : "full", int or list
+        Fixed terms; see :func:`study.statistics.analysis.linear_model.terms_of`.
+    practical : optional
+        Smallest difference that matters; see ``threshold``.
+    contrasts : sequence of str
+        Differences by name: ``"material=stiff - material=soft"``.
+    alpha : float
+        One minus the level of the intervals.
+    seed : int
+        Of the simulated multipliers of simultaneous intervals.
+
+    Returns
+    -------
+    MixedModel
+        Variance components with intervals, tests of the fixed terms, slopes of the covariates,
+        effects with verdicts.
+
+    Raises
+    ------
+    InputError
+        For a random factor with fewer than three levels, terms that the rows cannot tell, or a
+        covariate that is no number in some row.
+    """
+    if faults := alpha_faults(alpha):
+        raise InputError(faults)
+    blocks = names_of(block)
+    sources = random_terms(factors, blocks, random)
+    columns = list(dict.fromkeys(name for term in sources for name in term if name not in factors))
+    fixed_columns, others = (list(factors), columns) if factors else (columns[:1], columns[1:])
+    data = prepare(table, response, fixed_columns, others)
+    terms = terms_of(factors, model) if factors else ()
+    bare = model_matrix(data.layout, terms)
+    shift = float(data.y.mean())
+    fixed = factor(_with_covariates(bare, table, covariates, data), data.y - shift)
+    _check(data, fixed)
+    fit = fit_sources(data, fixed, sources)
+    cells = MixedCells(fit, fixed, bare, data.layout, shift, alpha, seed)
+    tests = {s.term: fit.test(s.basis) for s in term_sums(fixed, "III") if s.df}
+    limit = threshold(practical)
+    scale = Scale(
+        "none",
+        None if limit is None else limit.on_scale(shift, "none"),
+        None,
+        deterministic=False,
+        specimens=len(data.layout.levels[blocks[0]]) if blocks else None,
+    )
+    names = [term_name(term) for term in sources]
+    return MixedModel(
+        components(fit, [*names, WITHIN], alpha),
+        tuple(MixedTerm(term_name(t), s.count, s.f, s.df, s.p) for t, s in tests.items()),
+        fit.deviance,
+        data.y.size,
+        tuple(cells.slope(name) for name in covariates),
+        holm(cells.effects(terms, {t: s.p for t, s in tests.items()}, scale)),
+        cells.contrasts(contrasts, scale),
+    )
+
+
+def random_terms(
+    factors: Sequence[str], blocks: Sequence[str], random: Sequence[str]
+) -> tuple[Term, ...]:
+    """Random terms: the blocks, interactions of fixed factors with them, and other columns."""
+    terms: list[Term] = [(name,) for name in blocks]
+    faults = []
+    for text in random:
+        term = tuple(part.strip() for part in text.split(":"))
+        if not set(term) <= set(factors):
+            terms.append(term)
+        elif blocks:
+            terms += [(name, *term) for name in blocks]
+        else:
+            rule = f"{text!r} is a fixed factor, whose effect cannot be random without blocks"
+            mend = f"name the blocks, or leave {text!r} out of the factors"
+            faults.append(Fault("random", rule, mend))
+    if not terms:
+        mend = "name the blocks, or the random factors: --random day,day:run"
+        faults.append(Fault("random", "no random factor is named", mend))
+    if faults:
+        raise InputError(faults)
+    return tuple(dict.fromkeys(terms))
+
+
+def fit_sources(data: Data, fixed: Factored, sources: Sequence[Term]) -> RestrictedFit:
+    """Fit the variances of random terms by REML, beside fixed columns."""
+    codes = [np.unique(data.layout.cell(term), return_inverse=True)[1] for term in sources]
+    faults = []
+    for term, code in zip(sources, codes, strict=True):
+        place, levels = f"random factor {term_name(term)!r}", int(code.max()) + 1
+        if levels < _FEWEST_LEVELS:
+            rule = f"has {levels} levels: the scatter over them needs {_FEWEST_LEVELS}"
+            faults.append(Fault(place, rule))
+        elif levels == data.y.size:
+            rule = "has a level of its own in every row, so it is the scatter within"
+            faults.append(Fault(place, rule, "leave it out"))
+    if faults:
+        raise InputError(faults)
+    crossed = Likelihood(fixed.q, data.y, tuple(codes)).crossed_levels
+    if crossed > MOST_CROSSED:
+        rule = f"{crossed:,} levels of random factors cross each other, at most {MOST_CROSSED:,}"
+        raise InputError(Fault("random", rule, "name fewer random factors, or average first"))
+    y = data.y - float(data.y.mean())
+    try:
+        return fit_restricted(fixed.q, y, codes)
+    except SingularError as error:
+        names = [*map(term_name, sources), WITHIN]
+        if error.which == len(sources):
+            rule = "no scatter is left within the levels of the random factors"
+            mend = f"leave {names[-2]!r} out of the random factors"
+        else:
+            rule = f"these rows do not tell the scatter over {names[error.which]!r} from the rest"
+            mend = "leave it out of the random factors"
+        raise InputError(Fault("mixed model", rule, mend)) from error
+
+
+def components(
+    fit: RestrictedFit, names: Sequence[str], alpha: float
+) -> tuple[VarianceComponent, ...]:
+    """Find standard deviations, their intervals and shares of the variance."""
+    total = float(fit.v.sum())
+    return tuple(
+        VarianceComponent(name, float(v) ** 0.5, *fit.interval(i, alpha), float(v) / total)
+        for i, (name, v) in enumerate(zip(names, fit.v, strict=True))
+    )
+
+
+@dataclass(frozen=True)
+class MixedCells:
+    """A fitted mixed model as means and differences of its cells."""
+
+    #: In the orthonormal columns of ``fixed``.
+    fit: RestrictedFit
+    #: Fixed columns; those of ``factors`` stand first.
+    fixed: Factored
+    #: Columns of the factors alone, without covariates.
+    factors: ModelMatrix
+    layout: Layout
+    #: What was taken off the response.
+    shift: float
+    #: Of the intervals, and of simulated multipliers.
+    alpha: float
+    seed: int | None
+    #: Standard errors and df of combinations that do not rest on the model's variances: intervals
+    #: reach as far as both tell.
+    robust: Callable[[Array], tuple[Array, Array]] | None = None
+
+    @cached_property
+    def _of_factors(self) -> Factored:
+        """The fit as combinations of the factors' columns see it."""
+        return replace(self.fixed, model=replace(self.fixed.model, matrix=self.factors))
+
+    def _padded(self, rows: Array) -> Array:
+        return np.pad(rows, ((0, 0), (0, self.fixed.columns.shape[1] - rows.shape[1])))
+
+    def _along(self, rows: Array) -> Array:
+        """Turn combinations of the factors' coefficients to the orthonormal columns."""
+        return np.asarray(self._padded(rows) @ self.fixed.model.inverse)
+
+    @cached_property
+    def _root(self) -> Array:
+        values, vectors = np.linalg.eigh(self.fit.adjusted)
+        return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+    def sample(self, asked: Differences) -> Estimates:
+        """Differences of settings with the multipliers of their intervals."""
+        settings = self._along(asked.settings)
+        rows = asked.of(settings)
+        found = self.fit.estimate(rows)
+        ok = self.fixed.estimable(self._padded(asked.rows)) & (found.error > 0)
+        value = np.where(ok, found.value, np.nan)
+        single = t_quantile(self.alpha / 2, found.df)
+        if not ok.any():
+            return Estimates(value, found.error, single, single)
+        some = Differences(settings @ self._root, asked.first[ok], asked.second[ok])
+        df = float(found.df[ok].min())  # the least sure contrast decides for all
+        wide = pooled_multiplier(some, found.error[ok], df, self.alpha, self.seed)
+        every = np.full(value.size, wide)
+        if self.robust is not None:
+            error, df_own = self.robust(rows)
+            ratio = np.divide(error, found.error, out=np.zeros_like(error), where=ok)
+            single = np.maximum(single, ratio * t_quantile(self.alpha / 2, df_own))
+            # at the error probability that each interval has among all of them
+            every = np.maximum(every, ratio * t_quantile(float(stdtr(df, -wide)), df_own))
+        return Estimates(value, found.error, single, every)
+
+    def estimate(self, term: Term, p: float | None) -> TermEstimate:
+        """Means and components of a term."""
+        levels, component_rows, mean_rows = term_rows(self.layout, self._of_factors, term)
+        means = self.fit.estimate(self._along(mean_rows))
+        mean = self.shift + means.value
+        mean[~self.fixed.estimable(self._padded(mean_rows))] = np.nan
+        half = t_quantile(self.alpha / 2, means.df) * means.error
+        if self.robust is not None:
+            error, df = self.robust(self._along(mean_rows))
+            half = np.maximum(half, t_quantile(self.alpha / 2, df) * error)
+        component = self._along(component_rows)
+        value = component @ self.fit.moments.beta
+        if not self.fixed.estimable(self._padded(component_rows)).all():
+            value = np.full(len(levels), np.nan)
+        first, second = np.triu_indices(len(levels), 1)
+        critical = np.zeros((len(levels), len(levels)))
+        critical[first, second] = self.sample(
+            Differences(component_rows, first, second)
+        ).simultaneous
+        return TermEstimate(
+            term,
+            levels,
+            value,
+            mean,
+            component @ self.fit.adjusted @ component.T,
+            critical + critical.T,
+            half,
+            p,
+            settings_of(self.layout, term),
+        )
+
+    def effects(
+        self, terms: Sequence[Term], p: dict[Term, float], scale: Scale
+    ) -> tuple[Effect, ...]:
+        """Effects of the terms with their verdicts."""
+        simple = {}
+        for term in terms:
+            if len(term) == 1:
+                judged = simple_effects(
+                    term[0], self.layout, self.factors, self.sample,
+                    practical=scale.practical, bound=scale.bound, only=scale.only,
+                )  # fmt: skip
+                if judged is not None:
+                    simple[term[0]] = judged
+        return tuple(size(self.estimate(term, p.get(term)), scale, simple) for term in terms)
+
+    def slope(self, covariate: str) -> Slope:
+        """Slope of a covariate with its interval."""
+        at = self.fixed.matrix.of((covariate,)).start
+        found = self.fit.estimate(self.fixed.model.inverse[at : at + 1])
+        value = float(found.value[0])
+        half = t_quantile(self.alpha / 2, float(found.df[0])) * float(found.error[0])
+        return Slope(covariate, value, value - half, value + half)
+
+    def between(self, first: Setting, second: Setting) -> tuple[float, float, float]:
+        """Difference of means over the cells of two settings, standard error, df."""
+        names = list(dict.fromkeys(name for term in self.factors.terms for name in term))
+        cells = grid(self.layout, names)
+        columns = model_matrix(cells, self.factors.terms[1:]).columns
+        sides = []
+        for setting in (first, second):
+            rows = np.ones(cells.n, dtype=bool)
+            for name, level in setting.items():
+                rows &= cells.codes[name] == self.layout.levels[name].index(level)
+            sides.append(columns[rows].mean(axis=0))
+        row = (sides[0] - sides[1])[None]
+        if not self.fixed.estimable(self._padded(row)).all():
+            raise InputError(Fault("contrast", "a cell that it needs has no row"))
+        found = self.fit.estimate(self._along(row))
+        value, error, df = (float(a[0]) for a in (found.value, found.error, found.df))
+        if self.robust is not None:
+            wide, few = (float(a[0]) for a in self.robust(self._along(row)))
+            if t_quantile(self.alpha / 2, few) * wide > t_quantile(self.alpha / 2, df) * error:
+                error, df = wide, few
+        return value, error, df
+
+    def contrasts(self, asked: Sequence[str], scale: Scale) -> tuple[Contrast, ...]:
+        """Differences by name."""
+        import pandas as pd
+
+        names = [term[0] for term in self.factors.terms if len(term) == 1]
+        levels = {name: self.layout.levels[name] for name in names}
+        seed = self.seed or 0
+        cells = Cells(pd.DataFrame(), levels, scale, self.alpha, seed, estimate=self.between)
+        return contrasts_of(cells, asked)
+
+
+def _with_covariates(
+    matrix: ModelMatrix, table: pd.DataFrame, covariates: Sequence[str], data: Data
+) -> ModelMatrix:
+    """Append a column for every covariate, each about its mean."""
+    columns, terms, blocks = [matrix.columns], [*matrix.terms], [*matrix.blocks]
+    for name in covariates:
+        values = _numbers(table, name, data)
+        at = matrix.columns.shape[1] + len(columns) - 1
+        columns.append((values - values.mean())[:, None])
+        terms.append((name,))
+        blocks.append(slice(at, at + 1))
+    return ModelMatrix(np.hstack(columns), tuple(terms), tuple(blocks))
+
+
+def _numbers(table: pd.DataFrame, name: str, data: Data) -> Array:
+    """Values of a covariate in the rows that entered."""
+    place = f"covariate {name!r}"
+    if name not in table.columns:
+        columns = [str(column) for column in table.columns]
+        raise InputError(Fault(place, "no such column", nearest(name, columns)))
+    if name in {*data.factors, *data.blocks}:
+        raise InputError(Fault(place, "is a factor or the block already", "name it once"))
+    try:
+        values = np.asarray(table[name].to_numpy()[data.rows], dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(Fault(place, "holds text", "a covariate is a column of numbers")) from None
+    if not np.isfinite(values).all():
+        row = int(data.rows[np.flatnonzero(~np.isfinite(values))[0]]) + 1
+        raise InputError(Fault(f"row {row}, {place}", "is missing", "leave such rows out"))
+    if not np.ptp(values):
+        raise InputError(Fault(place, "never changes", "leave it out"))
+    return values
+
+
+def _check(data: Data, fixed: Factored) -> None:
+    faults = []
+    if not np.ptp(data.y):
+        faults.append(Fault("response", "is the same in every row", "there is nothing to explain"))
+    if fixed.rank < fixed.columns.shape[1]:
+        rule = "the rows cannot tell all terms apart"
+        faults.append(Fault("model", rule, "leave interactions out: --model 1"))
+    if faults:
+        raise InputError(faults)

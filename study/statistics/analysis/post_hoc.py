@@ -1,0 +1,458 @@
+"""Table of regression coefficients, with the standard error that the error term gives.
+
+Factors have sum-to-zero contrasts (Minitab's ``-1, 0, +1``): the coefficient of a level is how
+far its mean lies from the mean of all, and the last level is minus the sum of the others.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from study.ground.arrays import Array, Ints
+from study.statistics.analysis.anova_table import Effect, PairDifference, Row
+from study.statistics.analysis.comparisons import Comparisons, Pair, studentized_range_cdf
+from study.statistics.analysis.effects import own_critical, pooled_critical, t_quantile
+from study.statistics.analysis.linear_model import Layout, Term, model_matrix, nested_in, terms_of
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from study.statistics.analysis.analysis_result import AnalysisResult
+
+
+#: Columns beyond which a table of coefficients is not read; the QR of 200 columns takes 0.1 s.
+MOST_COEFFICIENTS = 200
+#: A direction of the columns shorter than this, of 1, is no estimate: its terms are aliased.
+ALIASED = 1e-9
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """One coefficient on the scale of the analysis."""
+
+    #: ``Constant``, or the term with its level: ``material[2]``, ``A:B[a1 b2]``.
+    term: str
+    #: None where it cannot be given.
+    estimate: float
+    standard_error: float | None
+    t: float | None
+    p: float | None
+    df: float
+    #: Variance inflation factor; 1 where the columns are orthogonal.
+    vif: float | None
+
+
+@dataclass(frozen=True)
+class CoefficientTable:
+    """Coefficients in the order of the model; without any, ``reason`` says why."""
+
+    coefficients: tuple[Coefficient, ...] = ()
+    reason: str = ""
+
+
+def coefficient_table(found: AnalysisResult) -> CoefficientTable:
+    """Give the coefficients of the model that an analysis fitted.
+
+    With a pooled error they are those of least squares. Where effects are tested against their
+    own interactions with the blocks, the model is fitted to each block alone, and a standard
+    error is that of the mean of the blocks' coefficients: no sphericity is assumed.
+    """
+    tested = {row.error for row in found.anova.rows if row.f is not None}
+    terms = terms_of(found.request.factors, found.request.model)
+    if not tested:
+        return CoefficientTable(reason="there is no error term to judge a coefficient by")
+    if nested_in(terms):
+        return CoefficientTable(
+            reason="the levels of a nested factor have no contrasts of their own"
+        )
+    layout = _layout(found)
+    if layout is None:
+        return CoefficientTable(reason="a level of a factor has no row")
+    names = column_names(layout, terms)
+    if len(names) > MOST_COEFFICIENTS:
+        return CoefficientTable(reason=f"{len(names)} coefficients are more than anyone reads")
+    block = found.data.block
+    if found.data.model_matrix is not None and all(":" not in str(error) for error in tested):
+        return _pooled(found, names)
+    if block is not None and all(str(error).startswith(f"{block}:") for error in tested):
+        return _own(found, layout, terms, names)
+    return CoefficientTable(reason="the strata of the table have different errors")
+
+
+def column_names(layout: Layout, terms: tuple[Term, ...]) -> tuple[str, ...]:
+    """Names of the coefficients: the constant, then every level of a term but the last ones."""
+    names = ["Constant"]
+    for term in terms:
+        levels = product(*(layout.levels[name][:-1] for name in term))
+        names += [f"{':'.join(term)}[{' '.join(combination)}]" for combination in levels]
+    return tuple(names)
+
+
+def _layout(found: AnalysisResult) -> Layout | None:
+    """Levels of every row that was fitted; None where a factor has no effect to list them."""
+    rows = found.data.residuals
+    levels: dict[str, tuple[str, ...]] = {}
+    codes = {}
+    for name in found.request.factors:
+        own = next((e.levels for e in found.effects if e.term == name), ())
+        index = {level: i for i, level in enumerate(own)}
+        labels = rows[name].astype(str).tolist()
+        if len(own) < 2 or not set(labels) <= set(own):
+            return None
+        levels[name] = own
+        codes[name] = np.array([index[label] for label in labels], dtype=np.int64)
+    return Layout(levels, codes)
+
+
+def _pooled(found: AnalysisResult, names: tuple[str, ...]) -> CoefficientTable:
+    matrix, residual = found.data.model_matrix, found.anova.row("residual")
+    if matrix is None or not residual.ms:
+        return CoefficientTable(reason="nothing is left over to estimate an error from")
+    y = _working(found, found.data.residuals["response"].to_numpy(float))
+    length = np.linalg.norm(matrix, axis=0)
+    q, r = np.linalg.qr(matrix / length)
+    if np.abs(np.linalg.svd(r, compute_uv=False)).min() < ALIASED:
+        return CoefficientTable(reason="some terms are aliased with others")
+    inverse = np.linalg.inv(r)
+    beta = inverse @ (q.T @ (y - y[0])) / length
+    beta[0] += y[0]
+    spread = np.einsum("ij,ij->i", inverse, inverse) / length**2
+    # blocks stand between the constant and the factors, and are no coefficients of interest
+    kept = np.r_[0, matrix.shape[1] - len(names) + 1 : matrix.shape[1]]
+    error = np.sqrt(spread * residual.ms)
+    return _table(names, beta[kept], error[kept], residual.df, _inflation(matrix, spread)[kept])
+
+
+def _inflation(matrix: Array, spread: Array) -> Array:
+    """Variance inflation factors (Marquardt 1970): variance over that without the other columns."""
+    centered = matrix - matrix.mean(axis=0)
+    return np.asarray(spread * np.einsum("ij,ij->j", centered, centered))
+
+
+def _own(
+    found: AnalysisResult, layout: Layout, terms: tuple[Term, ...], names: tuple[str, ...]
+) -> CoefficientTable:
+    """Mean of the blocks' own coefficients, and its standard error."""
+    cells, values = _by_block(found, layout)
+    if values.shape[1] < 2:
+        return CoefficientTable(reason="fewer than two blocks have every cell")
+    matrix = model_matrix(cells, terms).columns
+    if np.linalg.matrix_rank(matrix) < matrix.shape[1]:
+        return CoefficientTable(reason="some terms are aliased with others")
+    shift = float(values[0, 0])
+    beta = np.linalg.lstsq(matrix, values - shift, rcond=None)[0]
+    beta[0] += shift
+    blocks = values.shape[1]
+    error = beta.std(axis=1, ddof=1) / np.sqrt(blocks)
+    return _table(names, beta.mean(axis=1), error, blocks - 1.0, None)
+
+
+def _by_block(found: AnalysisResult, layout: Layout) -> tuple[Layout, Array]:
+    """Means of the cells in every complete block, shape (cells, blocks), and their levels."""
+    rows = found.data.residuals
+    names = tuple(layout.levels)
+    index = layout.cell(names)
+    wide = _wide(index, rows, _working(found, rows["response"].to_numpy(float)))
+    kept = wide[wide.notna().mean(axis=1) > 0.5].dropna(axis=1)
+    first = np.array([int(np.flatnonzero(index == cell)[0]) for cell in kept.index])
+    return layout.take(first), kept.to_numpy(float)
+
+
+def _wide(index: Ints, rows: pd.DataFrame, y: Array) -> pd.DataFrame:
+    import pandas as pd
+
+    frame = pd.DataFrame({"cell": index, "block": rows["block"].astype(str).to_numpy(), "y": y})
+    return frame.pivot_table("y", "cell", "block", aggfunc="mean")
+
+
+def _working(found: AnalysisResult, y: Array) -> Array:
+    return np.log(y) if found.request.scale.is_log else y
+
+
+def _table(
+    names: tuple[str, ...], beta: Array, error: Array, df: float, inflation: Array | None
+) -> CoefficientTable:
+    from scipy.special import stdtr
+
+    rows = []
+    for i, name in enumerate(names):
+        se = float(error[i])
+        known = np.isfinite(se) and se > 0
+        t = float(beta[i]) / se if known else None
+        p = None if t is None else 2 * float(stdtr(df, -abs(t)))
+        vif = None if inflation is None or i == 0 else float(inflation[i])
+        rows.append(Coefficient(name, float(beta[i]), se if known else None, t, p, df, vif))
+    return CoefficientTable(tuple(rows))
+
+
+# -------------------------------------------------------------------------------------------------
+# Levels of a factor against a reference with the error of the fitted model (Dunnett 1955).
+
+#: Samples of the multivariate t: its quantile then repeats to about 0.1 %.
+SAMPLES = 200_000
+#: Samples drawn at a time: 20 levels of them take 8 MB.
+CHUNK = 50_000
+
+
+def dunnett_of_model(
+    effect: Effect, reference: str, df: float, alpha: float, seed: int
+) -> Comparisons:
+    """Compare the level means of a factor with one of them.
+
+    The differences are those of the model, so other factors and blocks are taken out of the
+    error; their correlations follow from the standard errors of all pairs. The distribution of
+    the largest absolute t is simulated.
+    """
+    others = [level for level in effect.levels if level != reference]
+    known = {frozenset((p.first, p.second)): p for p in effect.pairs}
+    critical = pooled_critical(len(effect.levels), len(effect.levels) - 1, df, True, alpha)
+    error = {key: _half(pair, effect.is_ratio) / critical for key, pair in known.items()}
+    means = np.array([_difference(known, name, reference, effect.is_ratio) for name in others])
+    own = np.array([error[frozenset((name, reference))] for name in others])
+    largest = _largest_t(_correlation(others, own, error), df, seed)
+    half = float(np.quantile(largest, 1 - alpha)) * own
+    p = [(1 + int(np.sum(largest >= abs(t)))) / (largest.size + 1) for t in means / own]
+    ends = zip(means, means - half, means + half, strict=True)
+    pairs = tuple(
+        Pair(name, reference, float(d), float(low), float(high), float(one))
+        for name, (d, low, high), one in zip(others, ends, p, strict=True)
+    )
+    compared = Comparisons("Dunnett", alpha, pairs, {})
+    return compared.as_ratios() if effect.is_ratio else compared
+
+
+def _half(pair: PairDifference, is_ratio: bool) -> float:
+    if is_ratio:
+        return math.log(pair.upper / pair.lower) / 2
+    return (pair.upper - pair.lower) / 2
+
+
+def _difference(
+    known: dict[frozenset[str], PairDifference], name: str, reference: str, is_ratio: bool
+) -> float:
+    pair = known[frozenset((name, reference))]
+    size = math.log(pair.difference) if is_ratio else pair.difference
+    return size if pair.first == name else -size
+
+
+def _correlation(others: Sequence[str], own: Array, error: dict[frozenset[str], float]) -> Array:
+    """Correlations of the differences from the reference: 2 cov = var + var - var of the pair."""
+    k = len(others)
+    found = np.eye(k)
+    for i in range(k):
+        for j in range(i):
+            between = error[frozenset((others[i], others[j]))]
+            found[i, j] = (own[i] ** 2 + own[j] ** 2 - between**2) / (2 * own[i] * own[j])
+            found[j, i] = found[i, j]
+    return found
+
+
+def _largest_t(correlation: Array, df: float, seed: int) -> Array:
+    """Largest absolute value of correlated t, simulated, shape (SAMPLES,)."""
+    values, vectors = np.linalg.eigh(correlation)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    rng = np.random.default_rng(seed)
+    parts = []
+    for _ in range(SAMPLES // CHUNK):
+        z = np.abs(rng.standard_normal((CHUNK, len(values))) @ root.T).max(axis=1)
+        parts.append(z / np.sqrt(rng.chisquare(df, CHUNK) / df))
+    return np.concatenate(parts)
+
+
+# -------------------------------------------------------------------------------------------------
+# All pairs of levels of every factor: difference, simultaneous interval, adjusted p.
+
+TUKEY = "Tukey"
+BONFERRONI = "Bonferroni"
+HOTELLING = "Hotelling"
+TWO_LEVELS = "t"
+
+
+@dataclass(frozen=True)
+class PairwiseDifference:
+    """Difference (or ratio) of two levels of one factor."""
+
+    #: The difference is first - second (first / second for a log response).
+    factor: str
+    first: str
+    second: str
+    #: With the simultaneous interval of all pairs of the factor.
+    difference: float
+    lower: float
+    upper: float
+    #: Adjusted for all pairs of the factor; below alpha exactly where the interval excludes no
+    #: difference. None where the error is made of several strata.
+    p: float | None
+    #: What makes interval and p hold for all pairs together.
+    method: str
+
+
+def pairwise(found: AnalysisResult) -> tuple[PairwiseDifference, ...]:
+    """Give all pairwise comparisons of an analysis, factor after factor.
+
+    With one pooled error they are Tukey's (Kramer's where unbalanced). Where effects are tested
+    against their own interactions with the blocks, each difference has its own variance, and
+    Bonferroni's or Hotelling's multiplier serves, whichever is smaller.
+    """
+    rows = {row.term: row for row in found.anova.rows}
+    return tuple(
+        _one(effect, pair, rows.get(effect.term), found)
+        for effect in found.effects
+        if effect.is_main
+        for pair in effect.pairs
+    )
+
+
+def _one(
+    effect: Effect, pair: PairDifference, row: Row | None, found: AnalysisResult
+) -> PairwiseDifference:
+    method, p = _adjusted(effect, pair, row, found)
+    ends = pair.difference, pair.lower, pair.upper
+    return PairwiseDifference(effect.term, pair.first, pair.second, *ends, p, method)
+
+
+def _adjusted(
+    effect: Effect, pair: PairDifference, row: Row | None, found: AnalysisResult
+) -> tuple[str, float | None]:
+    if row is None or row.error is None or row.df_error is None or row.df_error <= 0:
+        return "", None
+    k, alpha = len(effect.levels), found.request.alpha
+    size, half = _distances(pair, effect.is_ratio)
+    if row.error == "residual":
+        critical = pooled_critical(k, k - 1, row.df_error, True, alpha)
+        return _of_range(size, half, critical, k, row.df_error)
+    if row.error == f"{found.data.block}:{effect.term}" and row.df:
+        blocks = round(row.df_error / row.df) + 1
+        return _of_blocks(size, half, own_critical(k, k - 1, blocks, alpha), k, blocks, alpha)
+    return "", None
+
+
+def _distances(pair: PairDifference, is_ratio: bool) -> tuple[float, float]:
+    """Size of a difference and half-width of its interval on the scale of the analysis."""
+    if is_ratio:
+        return abs(math.log(pair.difference)), math.log(pair.upper / pair.lower) / 2
+    return abs(pair.difference), (pair.upper - pair.lower) / 2
+
+
+def _of_range(
+    size: float, half: float, critical: float, k: int, df: float
+) -> tuple[str, float | None]:
+    """Tukey's p: that of a studentized range at least this large."""
+    method = TWO_LEVELS if k == 2 else TUKEY
+    if not (math.isfinite(half) and half > 0):
+        return method, None
+    t = size / half * critical
+    if k == 2:
+        return method, _two_sided(t, df)
+    return method, max(0.0, 1 - studentized_range_cdf(t * math.sqrt(2), k, df))
+
+
+def _of_blocks(
+    size: float, half: float, critical: float, k: int, blocks: int, alpha: float
+) -> tuple[str, float | None]:
+    """Give p with its own variance over blocks, by the multiplier that made the interval."""
+    from scipy.special import fdtrc
+
+    pairs = k * (k - 1) / 2
+    each = t_quantile(alpha / (2 * pairs), blocks - 1)
+    method = TWO_LEVELS if k == 2 else BONFERRONI if critical >= each else HOTELLING
+    if not (math.isfinite(half) and half > 0):
+        return method, None
+    t = size / half * critical
+    if method != HOTELLING:
+        return method, min(1.0, pairs * _two_sided(t, blocks - 1))
+    df, rest = k - 1, blocks - k + 1
+    return method, float(fdtrc(df, rest, t * t * rest / (df * (blocks - 1))))
+
+
+def _two_sided(t: float, df: float) -> float:
+    from scipy.special import stdtr
+
+    return 2 * float(stdtr(df, -abs(t)))
+
+
+# -------------------------------------------------------------------------------------------------
+# Rows that a fit describes badly or leans on: residuals, leverage, Cook's distance, PRESS.
+
+#: Standardized residuals beyond this are listed, as in Minitab's "Fits and Diagnostics".
+LARGE_RESIDUAL = 2.0
+#: Leverage above this many times the average is listed, as in Minitab.
+LARGE_LEVERAGE = 3.0
+#: A row of this leverage is fitted exactly, and nothing of it can be predicted from the others.
+EXACT = 1 - 1e-10
+
+
+@dataclass(frozen=True)
+class UnusualObservations:
+    """Rows to look at, and how well the model predicts what it was not fitted to."""
+
+    #: ``row`` (from 1), ``response``, ``fitted``, ``residual``, ``standardized``, ``leverage``,
+    #: ``cook``, ``press`` (residual of the row predicted from all others), ``why``; the largest
+    #: standardized residual first.
+    rows: pd.DataFrame
+    #: Sum of the squared PRESS residuals; None where a row cannot be predicted.
+    press: float | None
+    #: 1 - PRESS / total sum of squares.
+    r_sq_pred: float | None
+    #: Median of F(p, n - p): beyond it a row moves the fit (Cook 1977).
+    cook_limit: float | None
+
+
+def diagnosed_rows(found: AnalysisResult) -> pd.DataFrame | None:
+    """Every row with its standardized and PRESS residual; None where nothing was left over."""
+    rows = found.data.residuals
+    if "leverage" not in rows:
+        return None
+    leverage = rows["leverage"].to_numpy(float)
+    residual = rows["residual"].to_numpy(float)
+    df = len(rows) - float(leverage.sum())
+    rss = float(residual @ residual)
+    # half a degree of freedom is rounding of the sum of the leverages
+    if df < 0.5 or rss <= 0:
+        return None
+    s = math.sqrt(rss / df)
+    # a row that is fitted exactly leaves 0 / 0: it has no residual to judge
+    left = np.where(leverage < EXACT, 1 - leverage, np.nan)
+    return rows.assign(
+        row=rows["row"] + 1,
+        standardized=residual / s / np.sqrt(left),
+        press=residual / left,
+    )
+
+
+def unusual_observations(found: AnalysisResult) -> UnusualObservations | None:
+    """List the rows with a large residual, leverage or Cook's distance."""
+    rows = diagnosed_rows(found)
+    if rows is None:
+        return None
+    limit = None if found.assumptions.influence is None else found.assumptions.influence.limit
+    leverage = rows["leverage"]
+    why = _reasons(rows, min(LARGE_LEVERAGE * float(leverage.mean()), 0.99), limit)
+    known = ("row", "response", "fitted", "residual", "standardized", "leverage", "cook", "press")
+    listed = rows[list(known)].assign(why=why)[np.array([bool(text) for text in why])]
+    order = listed["standardized"].abs().sort_values(ascending=False, kind="stable").index
+    summary = found.variation.summary
+    press = float(np.sum(rows["press"].to_numpy(float) ** 2))
+    return UnusualObservations(
+        listed.loc[order].reset_index(drop=True),
+        press if math.isfinite(press) else None,
+        None if summary is None else summary.r_sq_pred,
+        limit,
+    )
+
+
+def _reasons(rows: pd.DataFrame, leverage: float, cook: float | None) -> list[str]:
+    large = rows["standardized"].abs() > LARGE_RESIDUAL
+    remote = rows["leverage"] > leverage
+    moves = rows["cook"] > (math.inf if cook is None else cook)
+    texts = []
+    for flags in zip(large, remote, moves, strict=True):
+        named = zip(flags, ("large residual", "high leverage", "moves the fit"), strict=True)
+        texts.append(", ".join(text for flag, text in named if flag))
+    return texts

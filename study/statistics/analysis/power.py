@@ -1,0 +1,290 @@
+"""What a planned number of specimens or mesh seeds can detect, before anything is run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from study.ground.errors import Fault, InputError
+from study.ground.noncentral_f import noncentral_f_cdf
+from study.statistics.analysis.anova_table import Row
+from study.statistics.analysis.comparisons import scale_rule
+
+
+@dataclass(frozen=True)
+class PowerRow:
+    """Detectable difference of two level means with ``n`` blocks or replicates."""
+
+    n: int
+    detectable: float
+    df: tuple[int, int]
+    cost: float | None = None
+
+
+def power_of(
+    difference: float,
+    sd: float,
+    n: int,
+    *,
+    levels: int = 2,
+    blocked: bool = True,
+    alpha: float = 0.05,
+) -> float:
+    """Power of the F test for the least favorable pattern with a given largest difference.
+
+    Notes
+    -----
+    Two extreme means and the rest in the middle give the smallest noncentrality,
+    lambda = n d^2 / (2 sd^2).
+    """
+    _detection_check(sd, n, levels)
+    return _power(n * difference**2 / (2 * sd**2), _df(n, levels, blocked), alpha)
+
+
+def planned(
+    terms: Mapping[str, tuple[Row, int]],
+    n: int,
+    cells: int,
+    *,
+    blocked: bool,
+    alpha: float,
+    ratio: bool = False,
+) -> dict[str, tuple[PowerRow, ...]]:
+    """Tell what other numbers of blocks, or of replicates in a cell, would find.
+
+    Notes
+    -----
+    Each level is a mean over ``cells / levels`` cells, so its error variance in one block is
+    the error mean square over that number.
+    """
+    counts = sorted({max(2, math.ceil(n / 2)), n, 2 * n, 4 * n} - {1})
+    found = {}
+    for name, (row, levels) in terms.items():
+        if row.f is None or not row.f > 0 or row.ms is None:
+            continue
+        each = cells / levels
+        sd = math.sqrt(row.ms / row.f / each)
+        rows = []
+        for count in counts:
+            df2 = (levels - 1) * (count - 1) if blocked else cells * (count - 1)
+            size = _detectable(sd, count, (levels - 1, df2), alpha, 0.8)
+            value = math.exp(size) if ratio else size
+            rows.append(PowerRow(count, value, (levels - 1, df2)))
+        found[name] = tuple(rows)
+    return found
+
+
+#: differences over the scatter that no number of runs has to find: beyond, powers overflow
+_LARGEST = 1e100
+
+
+def _detectable(sd: float, n: int, df: tuple[int, int], alpha: float, power: float) -> float:
+    """Smallest largest difference that is found with the wanted power."""
+    from scipy.optimize import brentq
+
+    def gap(d: float) -> float:
+        return _power(n * d**2 / 2, df, alpha) - power
+
+    # statsmodels 0.15 would end here, without a warning, at a power of 0.05 for 3 or 5 blocks:
+    # its solve_power takes a root of f^2 between -1 and 1
+    high = 1.0
+    while gap(high) < 0:
+        high *= 2
+        if high > _LARGEST:
+            return math.inf
+    found: float = brentq(gap, 0.0, high)
+    return found * sd
+
+
+def _power(noncentrality: float, df: tuple[int, int], alpha: float) -> float:
+    from scipy.special import fdtri
+
+    if noncentrality == 0:
+        return alpha
+    return 1 - noncentral_f_cdf(*df, noncentrality, float(fdtri(*df, 1 - alpha)))
+
+
+def _df(n: int, levels: int, blocked: bool) -> tuple[int, int]:
+    return levels - 1, (levels - 1) * (n - 1) if blocked else levels * (n - 1)
+
+
+def _detection_check(sd: float, n: int, levels: int) -> None:
+    if not sd > 0 or n < 2 or levels < 2:
+        raise InputError(
+            Fault("power", f"needs sd > 0, n >= 2 and levels >= 2, got {sd}, {n}, {levels}")
+        )
+
+
+def detectable(
+    sd: float,
+    counts: Sequence[int],
+    *,
+    levels: int = 2,
+    blocked: bool = True,
+    alpha: float = 0.05,
+    power: float = 0.8,
+    cost: float | None = None,
+) -> tuple[PowerRow, ...]:
+    """Smallest difference found with the wanted power, for each number of blocks.
+
+    Examples
+    --------
+    >>> [round(r.detectable, 3) for r in detectable(1.0, [3, 9])]
+    [4.616, 1.509]
+    """
+    rows = []
+    for n in counts:
+        _detection_check(sd, n, levels)
+        df = _df(n, levels, blocked)
+        total = None if cost is None else n * cost
+        rows.append(PowerRow(n, _detectable(sd, n, df, alpha, power), df, total))
+    return tuple(rows)
+
+
+# -------------------------------------------------------------------------------------------------
+# Before a study is run: how probable each verdict is with so many specimens and mesh seeds.
+#
+# The verdict of a contrast rests on its interval d +- t s / sqrt(b) widened by U. Given the
+# standard deviation over blocks, d is normal and s^2 a multiple of chi-squared, so that every
+# probability is one integral over s: the noncentral t for *matters*, Owen's Q (Owen 1965,
+# Biometrika 52, 437-446) for *no practical difference*.
+
+#: numbers of blocks beyond this are not looked for
+MOST_BLOCKS = 200
+
+
+@dataclass(frozen=True)
+class VerdictProbabilities:
+    """Probability of each verdict; they add to one."""
+
+    matters: float
+    no_practical_difference: float
+    not_resolved: float
+    cannot_tell: float
+
+
+@dataclass(frozen=True)
+class PlannedVerdicts:
+    """What a number of blocks and seeds would tell, and what it costs."""
+
+    #: Specimens, and mesh seeds for each.
+    blocks: int
+    seeds: int
+    #: If the true difference is zero.
+    equal: VerdictProbabilities
+    #: If it is twice the practical difference.
+    double: VerdictProbabilities
+    cases: int
+    seconds: float | None
+
+    @property
+    def right(self) -> float:
+        """Smaller probability of the right claim, over both truths."""
+        return min(self.equal.no_practical_difference, self.double.matters)
+
+
+def contrast_sd(sd: float, seeds: int = 1, sd_seed: float = 0.0) -> float:
+    """Give the standard deviation over blocks of a contrast whose seeds are averaged in each block.
+
+    Examples
+    --------
+    >>> contrast_sd(3.0, 4, 8.0)
+    5.0
+    """
+    return math.hypot(sd, sd_seed / math.sqrt(seeds))
+
+
+def verdict_probabilities(
+    blocks: int, sd: float, practical: float, truth: float, *, u: float = 0.0, alpha: float = 0.05
+) -> VerdictProbabilities:
+    """Probability of each verdict of a contrast.
+
+    Examples
+    --------
+    >>> round(verdict_probabilities(3, 0.3, 1.0, 0.0).no_practical_difference, 2)
+    0.73
+    """
+    _verdict_power_check(blocks, sd, practical, u)
+    if blocks == 1:
+        return VerdictProbabilities(0.0, 0.0, 0.0, 1.0)
+    matters, none = _claimed(blocks, sd, practical, truth, u, alpha)
+    able = _claimed(blocks, sd, practical, truth, 0.0, alpha)
+    unresolved = max(0.0, sum(able) - matters - none)
+    return VerdictProbabilities(matters, none, unresolved, max(0.0, 1 - sum(able)))
+
+
+def _claimed(
+    blocks: int, sd: float, practical: float, truth: float, u: float, alpha: float
+) -> tuple[float, float]:
+    """Probability of *matters* and of *no practical difference*."""
+    from scipy.special import ndtr, stdtrit
+
+    error = sd / math.sqrt(blocks)
+    s, weights = scale_rule(blocks - 1)
+    half = float(stdtrit(blocks - 1, 1 - alpha / 2)) * error * s
+    outer, inner = practical + u + half, practical - u - half
+    above = ndtr((truth - outer) / error) + ndtr((-outer - truth) / error)
+    within = ndtr((inner - truth) / error) - ndtr((-inner - truth) / error)
+    return float(weights @ above), float(weights @ np.maximum(within, 0.0))
+
+
+def planned_verdicts(
+    counts: Sequence[int],
+    sd: float,
+    practical: float,
+    *,
+    seeds: int = 1,
+    sd_seed: float = 0.0,
+    u: float = 0.0,
+    cells: int = 2,
+    seconds: float | None = None,
+) -> tuple[PlannedVerdicts, ...]:
+    """Tell what each number of blocks would find, with its cost.
+
+    Units: seconds s.
+    """
+    spread = contrast_sd(sd, seeds, sd_seed)
+    rows = []
+    for blocks in counts:
+        equal, double = (
+            verdict_probabilities(blocks, spread, practical, truth, u=u)
+            for truth in (0.0, 2 * practical)
+        )
+        cases = cells * blocks * seeds
+        cost = None if seconds is None else cases * seconds
+        rows.append(PlannedVerdicts(blocks, seeds, equal, double, cases, cost))
+    return tuple(rows)
+
+
+def fewest_blocks(
+    sd: float, practical: float, *, u: float = 0.0, wanted: Sequence[float] = (0.8, 0.9)
+) -> tuple[int | None, ...]:
+    """Smallest numbers of blocks whose right claim reaches each wanted probability.
+
+    Examples
+    --------
+    >>> fewest_blocks(0.3, 1.0)
+    (4, 4)
+    """
+    found: list[int | None] = []
+    for level in wanted:
+        rows = (planned_verdicts([b], sd, practical, u=u)[0] for b in range(2, MOST_BLOCKS + 1))
+        found.append(next((row.blocks for row in rows if row.right >= level), None))
+    return tuple(found)
+
+
+def _verdict_power_check(blocks: int, sd: float, practical: float, u: float) -> None:
+    faults = []
+    if blocks < 1:
+        faults.append(Fault("blocks", f"at least one is needed, got {blocks}"))
+    for name, value in (("sd", sd), ("practical", practical)):
+        if not (math.isfinite(value) and value > 0):
+            faults.append(Fault(name, f"must be a positive number, got {value!r}"))
+    if not (math.isfinite(u) and u >= 0):
+        rule = f"must be zero or a positive number, got {u!r}"
+        faults.append(Fault("numerical uncertainty", rule))
+    if faults:
+        raise InputError(faults)

@@ -1,0 +1,452 @@
+"""Simple effects: what a factor does at each setting of the factors that it interacts with.
+
+*No practical difference, whatever the other factors* is claimed where every simple effect lies
+inside the practical band. Claiming that all of several hypotheses hold is an intersection-union
+test (Berger 1982, Technometrics 24, 295): each interval keeps its own level, and the claim is
+false with at most half of alpha. *Matters at some setting* is a claim on one of many and needs
+simultaneous intervals.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations, product
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from study.ground.arrays import Array, Ints
+from study.ground.errors import Fault, InputError, StudyError
+from study.statistics.analysis.anova_table import Effect, SimpleEffect
+from study.statistics.analysis.linear_model import Layout, ModelMatrix, Term, model_matrix
+from study.statistics.convergence.contrast_bound import NumericalBound
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+# -------------------------------------------------------------------------------------------------
+# The verdict on a difference: its interval, widened by the numerics, against what matters.
+#
+# A numerical error is a bias, so its bound widens the interval on both sides and is never added
+# in quadrature. A verdict is a claim (*matters*, *no practical difference*) or a refusal: the data
+# *cannot tell*, or they could and the mesh does not allow it.
+
+MATTERS = "matters"
+NO_DIFFERENCE = "no practical difference"
+NOT_RESOLVED = "not resolved by the mesh"
+CANNOT_TELL = "cannot tell"
+CLAIMS = (MATTERS, NO_DIFFERENCE)
+REFUSALS = (NOT_RESOLVED, CANNOT_TELL)
+#: Why the values of one specimen claim nothing, however far they are from the threshold.
+ONE_SPECIMEN = "one specimen: another may differ"
+#: Why a difference has no U although meshes were refined.
+UNBOUNDED = "with finer meshes a cell moves ever farther, so nothing bounds its error"
+#: of an interaction, whose pure components nobody chooses between
+SEE_SIMPLE = "see simple effects"
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """Verdict on one difference, or on several."""
+
+    #: {"matters", "no practical difference", "not resolved by the mesh", "cannot tell"}: two claims
+    #: and two refusals.
+    verdict: str
+    why: str
+    #: Numerical uncertainty at which the mesh would allow the claim that the interval makes.
+    u_needed: float | None = None
+
+
+def claim(low: float, high: float, practical: float) -> str:
+    """Claim that an interval allows; empty where it allows none.
+
+    Examples
+    --------
+    >>> claim(1.2, 1.6, 1.0), claim(-0.3, 0.4, 1.0), claim(0.5, 1.5, 1.0)
+    ('matters', 'no practical difference', '')
+    """
+    if low > practical or high < -practical:
+        return MATTERS
+    return NO_DIFFERENCE if -practical < low and high < practical else ""
+
+
+def judge(low: float, high: float, practical: float, u: float = 0.0) -> Judgement:
+    """Judge one difference.
+
+    Examples
+    --------
+    >>> judge(0.2, 0.4, 1.0, u=100.0).verdict
+    'not resolved by the mesh'
+    >>> judge(1.15, 1.25, 1.0, u=0.5).u_needed
+    0.15
+    """
+    if not (math.isfinite(u) and u >= 0):
+        mend = "leave it out where it is not known; 0 means that there is none"
+        raise InputError(Fault("u_num", f"must be zero or a positive number, got {u!r}", mend))
+    found = claim(low - u, high + u, practical)
+    if found == MATTERS:
+        return Judgement(MATTERS, "the interval lies beyond the practical band")
+    if found == NO_DIFFERENCE:
+        return Judgement(NO_DIFFERENCE, "the interval lies inside the practical band")
+    without = claim(low, high, practical)
+    if not without:
+        return Judgement(CANNOT_TELL, "the interval crosses the practical threshold")
+    needed = max(low, -high) - practical if without == MATTERS else practical - max(-low, high)
+    return Judgement(NOT_RESOLVED, resolution(needed), float(f"{needed:.6g}"))
+
+
+def judge_all(low: Array, high: Array, practical: float, u: Array) -> Judgement:
+    """Judge several differences together.
+
+    Shapes: low, high (m,); u (m,).
+    """
+    beyond = np.maximum(low, -high)
+    if (beyond - u > practical).any():
+        return Judgement(MATTERS, "the interval lies beyond the practical band")
+    inside = practical - np.maximum(-low, high)
+    if (inside > u).all():
+        return Judgement(NO_DIFFERENCE, "every interval lies inside the practical band")
+    if beyond.max() > practical:
+        needed = float(f"{beyond.max() - practical:.6g}")
+        return Judgement(NOT_RESOLVED, resolution(needed), needed)
+    if inside.min() > 0:
+        needed = float(f"{inside.min():.6g}")
+        return Judgement(NOT_RESOLVED, resolution(needed), needed)
+    return Judgement(CANNOT_TELL, "the interval crosses the practical threshold")
+
+
+def resolution(needed: float) -> str:
+    """Say which numerical uncertainty a claim needs.
+
+    Examples
+    --------
+    >>> resolution(0.0512)
+    'the numerical uncertainty would have to be below 0.051'
+    """
+    return f"the numerical uncertainty would have to be below {needed:.2g}"
+
+
+def size_needed(mesh_size: float, u: float, u_needed: float, order: float) -> float:
+    """Mesh size that a claim needs.
+
+    Units: mesh_size mm; returns mm.
+
+    Examples
+    --------
+    >>> size_needed(1.0, 0.4, 0.1, 2.0)
+    0.5
+    """
+    if u_needed <= 0 or not math.isfinite(u):
+        return 0.0
+    return mesh_size * (u_needed / u) ** (1 / order) if u > u_needed else mesh_size
+
+
+#: Simple effects beyond this number are not listed: nobody reads them and none could be tested.
+MOST = 20_000
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """Contrasts with what their intervals need."""
+
+    #: shape (m,); on the scale of the analysis.
+    value: Array
+    #: shape (m,); standard errors; None where nothing scatters.
+    error: Array | None
+    #: shape (m,); multipliers of the standard error, for one interval alone and for all together.
+    single: float | Array = 0.0
+    simultaneous: float | Array = 0.0
+
+
+@dataclass(frozen=True)
+class Differences:
+    """Differences of pairs of settings, of which there are far fewer than pairs."""
+
+    #: shape (k, p); combinations of the coefficients of the model that give each setting.
+    settings: Array
+    #: shape (m,); settings of each difference, first - second.
+    first: Ints
+    second: Ints
+
+    @property
+    def rows(self) -> Array:
+        """Combinations of the coefficients, shape (m, p)."""
+        return self.of(self.settings)
+
+    def of(self, values: Array) -> Array:
+        """Differences of values of the settings, shape (k, ...)."""
+        return np.asarray(values[self.first] - values[self.second])
+
+
+class Sample(Protocol):
+    """What is known of linear combinations of the coefficients of the model."""
+
+    def __call__(self, asked: Differences) -> Estimates:
+        """Estimate some differences."""
+        ...
+
+
+@dataclass(frozen=True)
+class SimpleEffects:
+    """All simple effects of one factor and what they say together."""
+
+    factor: str
+    #: *matters* at some setting, *no practical difference* at any, or a refusal.
+    verdict: str
+    why: str
+    #: In the order of the settings.
+    effects: tuple[SimpleEffect, ...]
+    #: Numerical uncertainty that a claim would need.
+    u_needed: float | None = None
+    #: Pairs (larger, smaller) whose difference is beyond the practical one at every setting.
+    always: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def largest(self) -> SimpleEffect:
+        """The one with the largest difference."""
+        return max(self.effects, key=lambda effect: abs(effect.difference))
+
+
+def partners(factor: str, terms: Sequence[Term]) -> tuple[str, ...]:
+    """Factors that a factor interacts with in a model.
+
+    Examples
+    --------
+    >>> partners("A", [("A",), ("B",), ("C",), ("A", "B")])
+    ('B',)
+    """
+    found = (name for term in terms if factor in term for name in term)
+    return tuple(dict.fromkeys(name for name in found if name != factor))
+
+
+def simple_effects(
+    factor: str,
+    layout: Layout,
+    matrix: ModelMatrix,
+    sample: Sample,
+    practical: float | None,
+    bound: NumericalBound | None,
+    only: Mapping[str, str] | None = None,
+) -> SimpleEffects | None:
+    """Judge a factor at every setting of the factors that it interacts with."""
+    others = partners(factor, matrix.terms)
+    settings = list(_settings(layout, others, only or {}))
+    pairs = list(combinations(range(len(layout.levels[factor])), 2))
+    if not pairs or len(settings) * len(pairs) > MOST:
+        return None
+    found = sample(_differences(factor, layout, matrix, others, settings, pairs))
+    effects = tuple(_effects(factor, layout, others, settings, pairs, found, bound, practical))
+    if not effects:
+        return None
+    lost = len(found.value) - len(effects)
+    judged = _together(factor, effects, practical)
+    if not lost:
+        return judged
+    where = "has an empty cell" if lost == 1 else "have an empty cell"
+    return replace(judged, why=f"{judged.why}; {lost} of {len(found.value)} {where}")
+
+
+def _settings(
+    layout: Layout, others: Sequence[str], only: Mapping[str, str]
+) -> Iterator[tuple[int, ...]]:
+    choices = [
+        [layout.levels[name].index(only[name])]
+        if only.get(name) in layout.levels[name]
+        else range(len(layout.levels[name]))
+        for name in others
+    ]
+    yield from product(*choices)
+
+
+def _differences(
+    factor: str,
+    layout: Layout,
+    matrix: ModelMatrix,
+    others: Sequence[str],
+    settings: Sequence[tuple[int, ...]],
+    pairs: Sequence[tuple[int, int]],
+) -> Differences:
+    """Combine the coefficients to every difference."""
+    k = len(layout.levels[factor])
+    columns = columns_at(factor, layout, matrix, others, settings)
+    start = np.arange(len(settings)) * k
+    first = np.concatenate([start + i for i, _ in pairs])
+    return Differences(columns, first, np.concatenate([start + j for _, j in pairs]))
+
+
+def columns_at(
+    factor: str,
+    layout: Layout,
+    matrix: ModelMatrix,
+    others: Sequence[str],
+    settings: Sequence[tuple[int, ...]],
+) -> Array:
+    """Combine the coefficients in which a factor enters, at settings of its partners.
+
+    Shapes: returns (settings * k, p).
+    """
+    k = len(layout.levels[factor])
+    codes = {name: np.zeros(len(settings) * k, dtype=np.int64) for name in layout.levels}
+    codes[factor] = np.tile(np.arange(k), len(settings))
+    for i, name in enumerate(others):
+        codes[name] = np.repeat([setting[i] for setting in settings], k)
+    cells = model_matrix(Layout(layout.levels, codes), [t for t in matrix.terms if t])
+    columns = np.zeros((len(settings) * k, matrix.columns.shape[1]))
+    for term in matrix.terms:
+        if factor in term:
+            columns[:, matrix.of(term)] = cells.columns[:, cells.of(term)]
+    return columns
+
+
+def _effects(
+    factor: str,
+    layout: Layout,
+    others: Sequence[str],
+    settings: Sequence[tuple[int, ...]],
+    pairs: Sequence[tuple[int, int]],
+    found: Estimates,
+    bound: NumericalBound | None,
+    practical: float | None,
+) -> Iterator[SimpleEffect]:
+    levels = layout.levels[factor]
+    zero = np.zeros_like(found.value)
+    error = zero if found.error is None else found.error
+    one = (error * found.single).tolist()
+    every = (error * found.simultaneous).tolist()
+    for n, ((i, j), setting) in enumerate(product(pairs, settings)):
+        at = {name: layout.levels[name][c] for name, c in zip(others, setting, strict=True)}
+        u = 0.0
+        if bound is not None:
+            known = bound.of({**at, factor: levels[i]}, {**at, factor: levels[j]})
+            u = np.nan if known is None else known
+        d = float(found.value[n])
+        if math.isnan(d):  # cells are missing: this difference cannot be estimated
+            continue
+        ci, wide = ((d - h, d + h) for h in (one[n], every[n]))
+        yield SimpleEffect(
+            levels[i],
+            levels[j],
+            tuple(at.items()),
+            d,
+            None if found.error is None else ci,
+            None if found.error is None else wide,
+            None if math.isnan(u) else float(u),
+            verdict_of(ci, wide, u, practical),
+        )
+
+
+def verdict_of(
+    ci: tuple[float, float], wide: tuple[float, float], u: float, practical: float | None
+) -> str:
+    """Judge one difference by its own interval and by the simultaneous one."""
+    if practical is None or not (math.isfinite(ci[0]) and math.isfinite(ci[1])):
+        return CANNOT_TELL
+    # nothing bounds the numerical error of a quantity that diverges, so nothing is claimed of it
+    if not math.isnan(u) and claim(wide[0] - u, wide[1] + u, practical) == MATTERS:
+        return MATTERS
+    if not math.isnan(u) and claim(ci[0] - u, ci[1] + u, practical) == NO_DIFFERENCE:
+        return NO_DIFFERENCE
+    resolvable = claim(*wide, practical) == MATTERS or claim(*ci, practical) == NO_DIFFERENCE
+    return NOT_RESOLVED if resolvable else CANNOT_TELL
+
+
+def _together(
+    factor: str, effects: tuple[SimpleEffect, ...], practical: float | None
+) -> SimpleEffects:
+    verdicts = {effect.verdict for effect in effects}
+    if practical is None:
+        return SimpleEffects(factor, CANNOT_TELL, "no practical threshold was given", effects)
+    if MATTERS in verdicts:
+        why = "the simultaneous interval of a simple effect lies beyond the practical band"
+        return SimpleEffects(factor, MATTERS, why, effects, always=_always(effects, practical))
+    if verdicts == {NO_DIFFERENCE}:
+        why = "the interval of every simple effect lies inside the practical band"
+        return SimpleEffects(factor, NO_DIFFERENCE, why, effects)
+    needed = _needed(effects, practical)
+    if needed is not None:
+        open_ones = [e for e in effects if e.verdict == NOT_RESOLVED]
+        why = resolution(needed)
+        if open_ones and all(e.u is None for e in open_ones):
+            why = UNBOUNDED
+        return SimpleEffects(factor, NOT_RESOLVED, why, effects, needed)
+    why = "the interval of a simple effect crosses the practical threshold"
+    return SimpleEffects(factor, CANNOT_TELL, why, effects)
+
+
+def _needed(effects: Sequence[SimpleEffect], practical: float) -> float | None:
+    """Numerical uncertainty that a claim needs; None where the scatter alone forbids it."""
+    intervals = [e.ci or (e.difference, e.difference) for e in effects]
+    wide = [e.ci_simultaneous or (e.difference, e.difference) for e in effects]
+    beyond = [max(low, -high) - practical for low, high in wide]
+    if max(beyond) > 0:
+        return max(beyond)
+    if all(claim(*ci, practical) == NO_DIFFERENCE for ci in intervals):
+        return min(practical - max(-low, high) for low, high in intervals)
+    return None
+
+
+def _always(effects: Sequence[SimpleEffect], practical: float) -> tuple[tuple[str, str], ...]:
+    """Pairs whose difference lies beyond the practical one, on the same side, at all settings."""
+    found: dict[tuple[str, str], set[int]] = {}
+    for e in effects:
+        low, high = e.ci or (e.difference, e.difference)
+        u = e.u or 0.0
+        sign = 1 if low - u > practical else -1 if high + u < -practical else 0
+        found.setdefault((e.first, e.second), set()).add(sign)
+    up = [pair for pair, signs in found.items() if signs == {1}]
+    return (*up, *((b, a) for (a, b), signs in found.items() if signs == {-1}))
+
+
+# -------------------------------------------------------------------------------------------------
+# Claims held against the loss of one block: one that falls with it is fragile.
+#
+# Blocks are left out one at a time, as in the jackknife (Efron and Tibshirani 1993, chapter 11).
+
+#: effects of some rows
+Analysis = Callable[["pd.DataFrame"], Sequence[Effect]]
+
+#: analyses that are made again at most
+MOST_BLOCKS = 40
+#: rows of a table whose analysis may be made that often
+MOST_ROWS = 5000
+#: two blocks are the least that an analysis needs, so that three are needed to leave one out
+FEWEST_BLOCKS = 3
+
+
+def without_each(
+    table: pd.DataFrame,
+    block: str,
+    effects: Sequence[Effect],
+    analyses: Sequence[Analysis],
+) -> tuple[Effect, ...]:
+    """Name the blocks without which a claim is not made."""
+    labels = table[block].astype(str)
+    names = list(dict.fromkeys(labels))
+    claims = {e.term: e.verdict for e in effects if e.verdict in (MATTERS, NO_DIFFERENCE)}
+    if not (claims and FEWEST_BLOCKS <= len(names) <= MOST_BLOCKS and len(table) <= MOST_ROWS):
+        return tuple(effects)
+    lost: dict[str, list[str]] = {term: [] for term in claims}
+    for name in names:
+        try:
+            gone = _lost(claims, table[labels != name], analyses)
+        except StudyError:
+            return tuple(effects)  # the rest makes no analysis, so nothing is known
+        for term in gone:
+            lost[term].append(name)
+    return tuple(
+        replace(e, lost_without=tuple(lost[e.term])) if e.term in lost else e for e in effects
+    )
+
+
+def _lost(claims: Mapping[str, str], rows: pd.DataFrame, analyses: Sequence[Analysis]) -> list[str]:
+    """Terms of which some rows do not make the claim, by the last analysis that has to be asked."""
+    gone = list(claims)
+    for analyze in analyses:
+        found = {e.term: e.verdict for e in analyze(rows)}
+        gone = [term for term in gone if found.get(term) != claims[term]]
+        if not gone:
+            break
+    return gone

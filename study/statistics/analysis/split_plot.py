@@ -1,0 +1,420 @@
+"""Split plots: factors that vary between whole plots are tested against whole plots.
+
+The rows are projected on orthogonal strata (blocks, whole plots in blocks, within whole
+plots), as in Bailey, *Design of Comparative Experiments* (2008), chapter 8. A term is tested in
+the last stratum that holds all of its degrees of freedom.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from study.ground.arrays import Array, Ints
+from study.ground.errors import Fault, InputError, nearest
+from study.statistics.analysis import error_ledger
+from study.statistics.analysis.analysis_request import Outcome, kind_of
+from study.statistics.analysis.anova_table import Anova, ErrorTerm, Row
+from study.statistics.analysis.comparisons import bonferroni
+from study.statistics.analysis.data import Data
+from study.statistics.analysis.effects import pooled_estimate, size, t_quantile, term_rows
+from study.statistics.analysis.gate import (
+    COARSE,
+    Rival,
+    block_means,
+    judge_factors,
+    limit_rivals,
+    reading_error,
+)
+from study.statistics.analysis.linear_model import (
+    ALIAS_TOLERANCE,
+    Factorization,
+    ModelMatrix,
+    Term,
+    model_matrix,
+    span,
+    term_name,
+)
+from study.statistics.analysis.simple_effects import Differences, Estimates, Sample
+from study.statistics.analysis.sums_of_squares import (
+    Factored,
+    TermSum,
+    factor,
+    term_row,
+    term_sums,
+    with_shares,
+)
+
+
+@dataclass(frozen=True)
+class Plots:
+    """Whole plots of a split plot."""
+
+    #: Factors that are constant within every whole plot.
+    between: tuple[str, ...]
+    #: shape (n,); index of the whole plot of each row.
+    code: Ints
+    #: Name of the whole plots, ``specimen`` or ``block:A``.
+    name: str
+    #: Whether the block itself is the whole plot.
+    nested: bool
+
+
+@dataclass(frozen=True)
+class Stratum:
+    """One stratum: its terms, and the residual that they are tested against."""
+
+    name: str
+    fit: Factored
+    sums: tuple[TermSum, ...]
+    df: int
+
+
+def whole_plots(data: Data, asked: Sequence[str]) -> Plots | None:
+    """Whole plots of a design: the blocks, where factors are constant in them, or as asked."""
+    if data.block is None or data.also:
+        return None
+    block = data.layout.codes[data.block]
+    if asked:
+        for name in asked:
+            if name not in data.factors:
+                mend = nearest(name, data.factors)
+                raise InputError(Fault("whole plot", f"{name!r} is no factor", mend))
+        pair = data.layout.cell([data.block, *asked])
+        name = ":".join([data.block, *asked])
+        return Plots(tuple(asked), np.unique(pair, return_inverse=True)[1], name, False)
+    constant = [f for f in data.factors if _constant(data.layout.codes[f], block)]
+    if not constant:
+        return None
+    return Plots(tuple(constant), block, data.block, True)
+
+
+def _constant(codes: Ints, block: Ints) -> bool:
+    """Whether every block holds one level, and a level lies in several blocks."""
+    pairs = np.unique(np.column_stack([block, codes]), axis=0)
+    return bool(pairs.shape[0] == np.unique(block).size > np.unique(codes).size)
+
+
+def split_plot(out: Outcome, plots: Plots) -> Outcome:
+    """Analysis of a split plot with one pooled error in each stratum."""
+    data = out.data
+    matrix = model_matrix(data.layout, out.terms)
+    whole = factor(matrix, out.y)
+    bases = _even(whole, data, plots)
+    strata = _strata(out, matrix, plots, bases)
+    kind, out = kind_of(out, all(s.fit.model.is_orthogonal() for s in strata))
+    strata = [replace(s, sums=tuple(term_sums(s.fit, kind))) for s in strata]
+    place = _place(out.terms, strata, whole)
+    rows, df = _rows(strata, place, whole.tss)
+    lost = [term_name(t) for t, s in place.items() if s is None]
+    out = out.warn(*(f"{name}: is in no stratum whole; no test" for name in lost))
+    by_name = {row.term: row for row in rows}
+    sample = _over_strata(out, whole, [basis for _, basis in bases], strata, reading=0.0)
+    rivals = limit_rivals(out, sample, block_means(out))
+    if reading := reading_error(out):
+        coarse = _over_strata(out, whole, [basis for _, basis in bases], strata, reading=reading)
+        rivals = [Rival(COARSE, coarse), *rivals]
+    simple = judge_factors(out, data.layout, whole, sample, rivals)
+    effects = []
+    for term in out.terms:
+        stratum = place[term]
+        fit, rest = (whole, 0) if stratum is None else (stratum.fit, stratum.df)
+        estimate = pooled_estimate(
+            data.layout, fit, term, rest, by_name[term_name(term)].p, out.request.alpha, fit.rss
+        )
+        means = pooled_estimate(data.layout, whole, term, 0, None, out.request.alpha, 0.0).mean
+        mean_rows = term_rows(data.layout, whole, term)[2]
+        none = np.zeros(len(mean_rows), dtype=np.int64)
+        found = sample(Differences(np.vstack([np.zeros(mean_rows.shape[1]), mean_rows]),
+                                   np.arange(1, len(mean_rows) + 1), none))  # fmt: skip
+        half = None if found.error is None else found.error * found.single
+        estimate = replace(estimate, mean=means, mean_half=half)
+        effects.append(size(estimate, out.scale, simple))
+    choice = error_ledger.strata_choice(
+        str(data.block), plots.name, plots.between, error_ledger.POOLED
+    )
+    return replace(
+        out,
+        error=ErrorTerm(choice.source, choice.question, df, choice.reason),
+        anova=Anova(kind, with_shares(rows, whole.tss), out.y.size - 1, whole.tss),
+        effects=tuple(effects),
+        fit=error_ledger.within_fit(data, out.y, plots=plots.code),
+        plots=plots.code,
+    )
+
+
+def _over_strata(
+    out: Outcome,
+    whole: Factored,
+    bases: Sequence[Array],
+    strata: Sequence[Stratum],
+    *,
+    reading: float,
+) -> Sample:
+    """Estimate combinations whose variance is that of each stratum in which they lie.
+
+    Degrees of freedom are Satterthwaite's; what has a part in a stratum without an error has no
+    interval. The grand mean varies as the outermost stratum does.
+    """
+    mean = np.ones((out.y.size, 1)) / np.sqrt(out.y.size)
+    coefficients, alpha = whole.coefficients(), out.request.alpha
+    known = [s.df > 0 for s in strata]
+    ms = np.array([max(s.fit.rss / s.df, reading**2) if s.df else np.inf for s in strata])
+    df = np.array([float(max(s.df, 1)) for s in strata])
+
+    def estimate(asked: Differences) -> Estimates:
+        rows = asked.rows
+        weight = (rows @ whole.model.inverse) @ whole.q.T
+        parts = [np.sum((weight @ basis) ** 2, axis=1) for basis in bases]
+        parts.append(np.sum(weight**2, axis=1) - np.sum(parts, axis=0))
+        grand = np.sum((weight @ mean) ** 2, axis=1)
+        parts[-1] = np.maximum(parts[-1] - grand, 0.0)
+        parts[known.index(True) if any(known) else 0] += grand
+        length = np.array(parts).T
+        length[length < 1e-12 * length.sum(axis=1, keepdims=True)] = 0.0
+        with np.errstate(invalid="ignore"):
+            variance = np.where(length == 0, 0.0, length * ms)
+            total = variance.sum(axis=1)
+            free = np.where(
+                np.isfinite(total) & (total > 0), total**2 / np.sum(variance**2 / df, axis=1), 1.0
+            )
+        value = np.where(whole.estimable(rows), rows @ coefficients, np.nan)
+        wide = bonferroni(max(len(value), 1), free, alpha)
+        return Estimates(value, np.sqrt(total), t_quantile(alpha / 2, free), wide)
+
+    return estimate
+
+
+def _even(whole: Factored, data: Data, plots: Plots) -> list[tuple[str, Array]]:
+    """Names and orthonormal bases of the strata, the last one (within) left to the caller."""
+    mean = np.ones((data.y.size, 1)) / np.sqrt(data.y.size)
+    parts = [] if plots.nested else [(str(data.block), data.layout.codes[str(data.block)])]
+    found, before = [], mean
+    for name, code in [*parts, (plots.name, plots.code)]:
+        basis = _beyond(before, np.eye(int(code.max()) + 1)[code])
+        found.append((name, basis))
+        before = np.hstack([before, basis])
+    return found
+
+
+def _beyond(before: Array, columns: Array) -> Array:
+    """Orthonormal basis of what ``columns`` add to the orthonormal ``before``."""
+    left = columns / np.linalg.norm(columns, axis=0)
+    for _ in range(2):
+        left = left - before @ (before.T @ left)
+    return span(left)
+
+
+def _strata(
+    out: Outcome, matrix: ModelMatrix, plots: Plots, bases: list[tuple[str, Array]]
+) -> list[Stratum]:
+    n = out.y.size
+    shifted = out.y - out.y[0]
+    done = np.ones((n, 1)) / np.sqrt(n)
+    strata = []
+    for name, basis in bases:
+        fit = _projected(matrix, basis @ (basis.T @ shifted), basis, None)
+        strata.append(Stratum(name, fit, (), basis.shape[1] - fit.rank))
+        done = np.hstack([done, basis])
+    rest = shifted - done @ (done.T @ shifted)
+    rest = rest - done @ (done.T @ rest)
+    fit = _projected(matrix, rest, None, done)
+    strata.append(Stratum("residual", fit, (), n - done.shape[1] - fit.rank))
+    return strata
+
+
+def _projected(
+    matrix: ModelMatrix, y: Array, inside: Array | None, outside: Array | None
+) -> Factored:
+    """Fit of the model's columns projected on a stratum (or off all earlier ones)."""
+    scale = np.linalg.norm(matrix.columns, axis=0)
+    scale[scale == 0] = 1.0
+    x = matrix.columns / scale
+    if inside is not None:
+        x = inside @ (inside.T @ x)
+    if outside is not None:
+        x = x - outside @ (outside.T @ x)
+        x = x - outside @ (outside.T @ x)
+    # what rounding leaves of a column that has no part here must not look like a direction
+    x[:, np.linalg.norm(x, axis=0) < ALIAS_TOLERANCE] = 0.0
+    q = span(x)
+    z = q.T @ y
+    residual = y - q @ z
+    return Factored(
+        Factorization(matrix, q, q.T @ x, scale),
+        z,
+        q @ z,
+        residual,
+        float(residual @ residual),
+        float(y @ y),
+        0.0,
+    )
+
+
+def _place(
+    terms: Sequence[Term], strata: Sequence[Stratum], whole: Factored
+) -> dict[Term, Stratum | None]:
+    """Stratum of each term: the last that holds all the degrees of freedom it has at all."""
+    full = {s.term: s.df for s in term_sums(whole, "III")}
+    place: dict[Term, Stratum | None] = {}
+    for term in terms:
+        found = [s for s in strata if any(t.term == term and t.df == full[term] for t in s.sums)]
+        place[term] = found[-1] if found and full[term] else None
+    return place
+
+
+def _rows(
+    strata: Sequence[Stratum], place: dict[Term, Stratum | None], total: float
+) -> tuple[list[Row], dict[str, float]]:
+    rows, df = [], {}
+    for stratum in strata:
+        for s in stratum.sums:
+            if place.get(s.term) is not stratum:
+                continue
+            df[term_name(s.term)] = float(stratum.df)
+            rows.append(term_row(s, stratum.df, stratum.fit.rss, total, stratum.name))
+        ms = stratum.fit.rss / stratum.df if stratum.df else None
+        rows.append(Row(stratum.name, stratum.df, stratum.fit.rss, ms))
+    rows += [Row(term_name(t), 0, 0.0) for t, s in place.items() if s is None]
+    return rows, df
+
+
+# -------------------------------------------------------------------------------------------------
+# Groups of blocks with covariances of their own: Welch's idea with Box's degrees of freedom.
+#
+# Blocks (specimens) belong to groups (mixes, batches). Every block gives the contrasts B' y of a
+# term; their covariance may differ between groups, so nothing is pooled over groups.
+#
+# References: Box (1954), Ann. Math. Statist. 25, 290-302 (a quadratic form as a multiple of
+# chi-squared); Welch (1938), Biometrika 29, 350-362, and Satterthwaite (1946), Biometrics Bull.
+# 2, 110-114 (degrees of freedom of a sum of variances); Greenhouse and Geisser (1959),
+# Psychometrika 24, 95-112, which is the case of one group.
+
+#: a covariance of two blocks has one degree of freedom: smaller groups are pooled
+LEAST_OWN = 3
+
+
+@dataclass(frozen=True)
+class WelchBox:
+    """Test that a vector of contrasts is zero."""
+
+    #: theta' theta / tr V; None where nothing varies.
+    f: float | None
+    #: Degrees of freedom of the approximation.
+    df1: float | None
+    df2: float | None
+    p: float | None
+    #: Whether a group has two blocks only, so that one covariance is used for all groups.
+    pooled: bool = False
+
+
+@dataclass(frozen=True)
+class WelchInterval:
+    """Interval of one contrast over groups of blocks."""
+
+    estimate: float
+    standard_error: float
+    df: float
+    low: float
+    high: float
+    pooled: bool = False
+
+
+def welch_box(groups: Sequence[Array], weights: Array | None = None) -> WelchBox:
+    """Test weighted sums over groups of a term's mean contrasts.
+
+    Shapes: groups (d, n_g); weights (G,).
+
+    Notes
+    -----
+    With S_g the covariance in group g, theta_i = sum_g w_ig mean_g and M the covariance of all
+    theta: F = theta' theta / tr M, df1 = (tr M)^2 / tr M^2, df2 = df1 (tr M)^2 /
+    sum_g [(sum_i w_ig^2)^2 (tr S_g)^2 / n_g^2 / (n_g - 1)]. One group is Greenhouse-Geisser.
+
+    Examples
+    --------
+    >>> one = np.array([[1.0, 2.0, 4.0, 3.0]])
+    >>> found = welch_box([one])
+    >>> round(found.f, 4), round(found.df1, 4), round(found.df2, 4)
+    (15.0, 1.0, 3.0)
+    """
+    _check(groups)
+    w = np.full(len(groups), 1 / len(groups)) if weights is None else np.asarray(weights, float)
+    w = np.atleast_2d(w)
+    n = np.array([float(g.shape[1]) for g in groups])
+    covariance, pooled = _covariances(groups)
+    means = np.array([g.mean(axis=1) for g in groups])
+    theta = w @ means
+    # blocks of M are sum_g w_ig w_jg S_g / n_g; a Kronecker product for each group
+    m = sum(np.kron(np.outer(w[:, g], w[:, g]), covariance[g] / n[g]) for g in range(len(groups)))
+    trace = float(np.trace(m))
+    if not trace > 0:
+        return WelchBox(None, None, None, None, pooled)
+    traces = np.array([float(np.trace(s)) for s in covariance])
+    df1 = trace**2 / float(np.sum(m * m))
+    share = (w**2).sum(axis=0) * traces / n
+    if pooled:  # one covariance with the degrees of freedom of all groups
+        below = float(share.sum()) ** 2 / float((n - 1).sum())
+    else:
+        below = float(np.sum(share**2 / (n - 1)))
+    df2 = df1 * trace**2 / below
+    f = float(np.sum(theta**2)) / trace
+    return WelchBox(f, df1, df2, _tail(df1, df2, f), pooled)
+
+
+def welch_interval(
+    groups: Sequence[Array], weights: Array | None = None, *, alpha: float = 0.05
+) -> WelchInterval:
+    """Interval of one contrast with its own variance in each group.
+
+    Shapes: groups (n_g,); weights (G,).
+    """
+    from scipy.special import stdtrit
+
+    rows = [np.atleast_2d(np.asarray(g, float)) for g in groups]
+    found = welch_box(rows, weights)
+    w = np.full(len(rows), 1 / len(rows)) if weights is None else np.asarray(weights, float)
+    centre = float(sum(wg * g.mean() for wg, g in zip(w, rows, strict=True)))
+    if found.df2 is None:
+        return WelchInterval(centre, 0.0, float("inf"), centre, centre, found.pooled)
+    covariance, pooled = _covariances(rows)
+    variance = sum(
+        wg**2 * float(s[0, 0]) / g.shape[1] for wg, s, g in zip(w, covariance, rows, strict=True)
+    )
+    error = float(np.sqrt(variance))
+    half = float(stdtrit(found.df2, 1 - alpha / 2)) * error
+    return WelchInterval(centre, error, found.df2, centre - half, centre + half, pooled)
+
+
+def _covariances(groups: Sequence[Array]) -> tuple[list[Array], bool]:
+    """Covariance of every group; one pooled covariance where a group has two blocks only."""
+    own = [np.atleast_2d(np.cov(g)) for g in groups]
+    if len(groups) == 1 or min(g.shape[1] for g in groups) >= LEAST_OWN:
+        return own, False
+    df = np.array([g.shape[1] - 1.0 for g in groups])
+    pooled = np.tensordot(df, np.array(own), axes=1) / df.sum()
+    return [pooled] * len(groups), True
+
+
+def _tail(df1: float, df2: float, f: float) -> float:
+    from scipy.special import fdtrc
+
+    return float(fdtrc(df1, df2, f))
+
+
+def _check(groups: Sequence[Array]) -> None:
+    faults = []
+    if not groups:
+        faults.append(Fault("groups", "no group of blocks given"))
+    for i, g in enumerate(groups):
+        if g.ndim != 2 or g.shape[1] < 2:
+            rule = f"needs at least two blocks, got shape {g.shape}"
+            faults.append(Fault(f"group {i + 1}", rule, "run more blocks or merge groups"))
+        elif not np.isfinite(g).all():
+            faults.append(Fault(f"group {i + 1}", "a value is missing", "leave its block out"))
+    if not faults and len({g.shape[0] for g in groups}) > 1:
+        faults.append(Fault("groups", "all groups need the same contrasts"))
+    if faults:
+        raise InputError(faults)

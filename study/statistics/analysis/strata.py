@@ -1,0 +1,773 @@
+"""Repeated measures on groups of blocks: own interactions where some factors vary between blocks.
+
+A block (specimen) belongs to one group (its mix, say) and is scored in every cell of the other
+factors. An effect within blocks, and its interaction with the groups, is tested against its own
+interaction with the blocks of a group; an effect between blocks against the blocks themselves.
+Each group has a covariance of its own (Welch-Box) from three blocks a group on; with two, one
+covariance serves all groups.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.special import fdtrc
+
+from study.ground.arrays import Array, Ints
+from study.ground.errors import Fault, InputError, nearest
+from study.statistics.analysis import error_ledger
+from study.statistics.analysis.analysis_request import AnalysisRequest, Outcome, kind_of
+from study.statistics.analysis.anova_table import (
+    Anova,
+    Effect,
+    ErrorTerm,
+    NaiveTerm,
+    NestedUnits,
+    Row,
+)
+from study.statistics.analysis.data import Crossed, crossed, prepare
+from study.statistics.analysis.effects import (
+    TermEstimate,
+    group_errors,
+    over_blocks,
+    over_complete_settings,
+    over_groups,
+    own_critical,
+    pooled_estimate,
+    settings_of,
+    size,
+    t_quantile,
+    term_rows,
+)
+from study.statistics.analysis.gate import judge_factors, rivals_over_blocks, rivals_over_groups
+from study.statistics.analysis.linear_model import (
+    Layout,
+    Term,
+    complement,
+    model_matrix,
+    term_name,
+    terms_of,
+)
+from study.statistics.analysis.split_plot import LEAST_OWN, Plots, welch_box
+from study.statistics.analysis.sums_of_squares import (
+    Factored,
+    SphericityResult,
+    TermSum,
+    alias_warnings,
+    epsilon_gg,
+    factor,
+    sphericity,
+    term_sums,
+    with_shares,
+)
+from study.statistics.analysis.unreplicated import ulp_floor
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True)
+class _Part:
+    """One within-block term: its contrasts in every block and their error."""
+
+    name: str
+    values: Array
+    residual: Array
+    df: int
+
+
+def own_groups(out: Outcome, plots: Plots) -> Outcome | None:
+    """E1 with own interactions, blocks nested in groups; None where groups have no replicates."""
+    block = str(out.data.block)
+    within = tuple(f for f in out.data.factors if f not in plots.between)
+    table, groups = _table(out, within, plots)
+    between = model_matrix(groups, terms_of(plots.between))
+    fit = factor(between, np.arange(float(groups.n)))
+    if fit.df_residual < 1:
+        return None
+    code = groups.cell(plots.between)
+    members = [np.flatnonzero(code == g) for g in np.unique(code)]
+    kind, out = kind_of(out, len({len(m) for m in members}) == 1)
+    out = out.warn(*table.warnings)
+    shifted = table.y - table.y[0, 0]
+    total = float(np.sum((shifted - shifted.mean()) ** 2))
+    floor = max(out.working_tolerance(), ulp_floor(table.y))
+    apart = members if min(len(m) for m in members) >= LEAST_OWN else []
+    rows: dict[Term, Row] = {}
+    errors, spheres = [], {}
+    for part_term, part in _parts(out, table, within, block, fit).items():
+        if part.values.shape[0] > 1:
+            spheres[term_name(part_term)] = _sphere(part, fit)
+        errors.append(_error_row(part))
+        for group_term, direction in _directions(fit, kind, part_term):
+            term = tuple(f for f in out.data.factors if f in (*part_term, *group_term))
+            if term in out.terms:
+                rows[term] = _row(term, part, direction, apart, total, floor)
+    choice = error_ledger.strata_choice(
+        block, plots.name, plots.between, error_ledger.OWN, "own" if apart else "pooled"
+    )
+    if out.request.error == "own":
+        choice = replace(choice, reason="asked for")
+    effects = _welch_effects(out, rows, table, apart) if apart else _effects(out, rows, errors)
+    listed = [rows[t] for t in out.terms if t in rows]
+    return replace(
+        out,
+        error=ErrorTerm(
+            choice.source,
+            choice.question,
+            {r.term: float(r.df_error or 0) for r in listed},
+            choice.reason,
+        ),
+        anova=Anova(kind, with_shares([*listed, *errors], total), out.y.size - 1, total),
+        effects=effects,
+        sphericity=spheres,
+        fit=error_ledger.within_fit(out.data, out.y, plots=plots.code),
+        plots=plots.code,
+    )
+
+
+def _table(out: Outcome, within: tuple[str, ...], plots: Plots) -> tuple[Crossed, Layout]:
+    """Cells of the factors within blocks against blocks, and the group of each block kept."""
+    data = out.data
+    block = str(data.block)
+    table = crossed(replace(data, factors=within), out.y)
+    index = {name: i for i, name in enumerate(data.layout.levels[block])}
+    kept = [index[name] for name in table.blocks]
+    first = np.array([int(np.flatnonzero(data.layout.codes[block] == k)[0]) for k in kept])
+    codes = {f: data.layout.codes[f][first] for f in plots.between}
+    return table, Layout({f: data.layout.levels[f] for f in plots.between}, codes)
+
+
+def _parts(
+    out: Outcome, table: Crossed, within: tuple[str, ...], block: str, fit: Factored
+) -> dict[Term, _Part]:
+    cells = table.y.shape[0]
+    bases: dict[Term, Array] = {(): np.ones((cells, 1)) / np.sqrt(cells)}
+    terms = dict.fromkeys(tuple(f for f in t if f in within) for t in out.terms)
+    inner = [t for t in terms if t]
+    if inner:
+        cell_model = factor(model_matrix(table.layout, inner), table.y.mean(axis=1))
+        for s in term_sums(cell_model, "III"):
+            bases[s.term] = cell_model.q @ s.basis
+    parts = {}
+    for term, basis in bases.items():
+        values = basis.T @ (table.y - table.y[0, 0])
+        residual = values - (values @ fit.q) @ fit.q.T
+        name = f"{block}:{term_name(term)}" if term else block
+        parts[term] = _Part(name, values, residual, values.shape[0] * fit.df_residual)
+    return parts
+
+
+def _directions(fit: Factored, kind: str, part: Term) -> list[tuple[Term, Array]]:
+    """Orthonormal directions over blocks of the mean and of every term between blocks."""
+    found: list[tuple[Term, Array]] = []
+    if part:
+        n = fit.q.shape[0]
+        mean = np.ones((n, 1)) / np.sqrt(n)
+        if kind == "III":
+            mean = fit.q @ complement(fit.r[:, 1:], fit.r[:, :1])
+        found.append(((), mean))
+    return found + [(s.term, fit.q @ s.basis) for s in term_sums(fit, kind)]
+
+
+def _row(
+    term: Term,
+    part: _Part,
+    direction: Array,
+    groups: Sequence[Ints],
+    total: float,
+    floor: float,
+) -> Row:
+    effect = part.values @ direction
+    df, ss = effect.size, float(np.sum(effect**2))
+    ss_error = float(np.sum(part.residual**2))
+    name = term_name(term)
+    if df == 0:
+        return Row(name, 0, 0.0)
+    if float(np.abs(part.residual).max(initial=0.0)) <= floor:
+        return Row(name, df, ss, ss / df)
+    ms_error = ss_error / part.df
+    f, epsilon, df_error = _f(part, direction, groups, ss / df / ms_error)
+    return Row(
+        name,
+        df,
+        ss,
+        ss / df,
+        f,
+        float(fdtrc(df, df_error, f)),
+        part.name,
+        df_error,
+        epsilon,
+        float(fdtrc(df * epsilon, df_error * epsilon, f)),
+        max(0.0, (ss - df * ms_error) / (total + ms_error)),
+        ss / (ss + ss_error),
+    )
+
+
+def _f(
+    part: _Part, direction: Array, groups: Sequence[Ints], pooled: float
+) -> tuple[float, float, float]:
+    """F, epsilon and the degrees of freedom of the error before their correction by epsilon."""
+    if groups:
+        weights = np.array([direction[group].sum(axis=0) for group in groups]).T
+        found = welch_box([part.values[:, group] for group in groups], weights)
+        if found.f is not None and found.df1 is not None and found.df2 is not None:
+            epsilon = found.df1 / (part.values.shape[0] * direction.shape[1])
+            return found.f, epsilon, found.df2 / epsilon
+    return pooled, epsilon_gg(part.residual @ part.residual.T), part.df
+
+
+def _error_row(part: _Part) -> Row:
+    ss = float(np.sum(part.residual**2))
+    return Row(part.name, part.df, ss, ss / part.df)
+
+
+def _sphere(part: _Part, fit: Factored) -> SphericityResult:
+    """Sphericity of the residual contrasts: as many free columns as residual df, plus one."""
+    left, s, _ = np.linalg.svd(part.residual, full_matrices=False)
+    free = fit.df_residual
+    scores = (left * s)[:, :free]
+    # as deviations of free + 1 columns, which is what the test of one group expects
+    helmert = np.linalg.qr(np.column_stack([np.ones(free + 1), np.eye(free + 1, free, -1)]))[0]
+    return sphericity(scores @ helmert[:, 1 : scores.shape[1] + 1].T)
+
+
+def _welch_effects(
+    out: Outcome, rows: dict[Term, Row], table: Crossed, groups: Sequence[Ints]
+) -> tuple[Effect, ...]:
+    """Effects with variances of their own in each group of blocks, and simple effects."""
+    data, asked = out.data, out.request
+    index = {name: i for i, name in enumerate(table.blocks)}
+    names = data.layout.levels[str(data.block)]
+    of_row = np.array([index.get(names[c], -1) for c in data.layout.codes[str(data.block)]])
+    kept = of_row >= 0
+    layout = Layout(data.layout.levels, {f: c[kept] for f, c in data.layout.codes.items()})
+    fit = factor(model_matrix(layout, out.terms), out.y[kept])
+    per_row = (fit.model.inverse @ fit.q.T) * (out.y[kept] - fit.shift)
+    added = per_row @ np.eye(len(table.blocks))[of_row[kept]]
+    sample = over_groups(fit, added, groups, asked.alpha, asked.interval_seed)
+    rivals = rivals_over_groups(out, fit, added, groups, sample)
+    simple = judge_factors(out, layout, fit, sample, rivals)
+    return tuple(
+        size(_welch_estimate(out, fit, term, rows, added, groups), out.scale, simple)
+        for term in out.terms
+    )
+
+
+def _welch_estimate(
+    out: Outcome,
+    fit: Factored,
+    term: Term,
+    rows: dict[Term, Row],
+    added: Array,
+    groups: Sequence[Ints],
+) -> TermEstimate:
+    """Estimate of a term; each difference has Welch's degrees of freedom."""
+    levels, component_rows, mean_rows = term_rows(out.data.layout, fit, term)
+    alpha, k = out.request.alpha, len(levels)
+    component, mean = component_rows @ added, mean_rows @ added
+    if not fit.estimable(component_rows).all():
+        component = np.full_like(component, np.nan)
+    first, second = (index.ravel() for index in np.indices((k, k)))
+    df = group_errors(component[first] - component[second], groups)[1].reshape(k, k)
+    error, df_mean = group_errors(mean, groups)
+    centre = fit.shift + mean.sum(axis=1)
+    centre[np.logical_not(fit.estimable(mean_rows))] = np.nan
+    return TermEstimate(
+        term,
+        levels,
+        component.sum(axis=1),
+        centre,
+        sum_of_covariances(component, groups),
+        t_quantile(alpha / max(2, k * (k - 1)), df),
+        t_quantile(alpha / 2, df_mean) * error,
+        rows[term].p_deciding if term in rows else None,
+        settings_of(out.data.layout, term),
+    )
+
+
+def sum_of_covariances(value: Array, groups: Sequence[Ints]) -> Array:
+    """Covariance of sums over blocks, from the scatter in each group, shape (m, m).
+
+    Shapes: value (m, b).
+    """
+    parts = [len(group) * np.atleast_2d(np.cov(value[:, group])) for group in groups]
+    return np.asarray(np.sum(parts, axis=0))
+
+
+def _effects(out: Outcome, rows: dict[Term, Row], errors: list[Row]) -> tuple[Effect, ...]:
+    """Effects with the pooled error of their stratum."""
+    whole = factor(model_matrix(out.data.layout, out.terms), out.y)
+    by_error = {row.term: row for row in errors}
+    effects = []
+    for term in out.terms:
+        row = rows.get(term, Row(term_name(term), 0, 0.0))
+        against = by_error.get(row.error or "")
+        df = 0.0 if against is None else against.df * (row.epsilon_gg or 1.0)
+        rss = 0.0 if against is None else (against.ms or 0.0) * df
+        estimate = pooled_estimate(
+            out.data.layout, whole, term, df, row.p_deciding, out.request.alpha, rss
+        )
+        effects.append(size(replace(estimate, mean_half=None), out.scale))
+    return tuple(effects)
+
+
+# -------------------------------------------------------------------------------------------------
+# Each effect against its own interaction with the blocks, Greenhouse-Geisser corrected.
+#
+# For a term with orthonormal contrasts B (cells x df) every block gives one vector B' y; the
+# mean vector is the effect, the scatter of the vectors over blocks is its error. Nothing is
+# pooled, so cells that differ only in discretization add no degrees of freedom.
+
+
+def seed_choice(seeds: int) -> error_ledger.Choice:
+    """E3 with seeds that every cell has: each effect against its own interaction with them."""
+    few = (f"{seeds} mesh seeds: ask for 8 or more",) if seeds < error_ledger.ENOUGH_SEEDS else ()
+    return error_ledger.Choice(
+        "E3",
+        error_ledger.OWN,
+        "would another mesh of this size change the effect? (each effect against its own "
+        f"interaction with {seeds} mesh seeds, Greenhouse-Geisser deciding)",
+        "every cell has the same mesh seeds, so they are blocks",
+        (error_ledger.BIAS, *few),
+    )
+
+
+def own_choice(block: str, blocks: int, error: str) -> error_ledger.Choice:
+    """E1 with every effect against its own interaction."""
+    why = "asked for" if error == "own" else "every cell is seen in the same blocks"
+    return error_ledger.Choice(
+        "E1",
+        error_ledger.OWN,
+        f"would the ranking change with another {block}? (each effect against its own "
+        f"interaction with {blocks} levels of {block}, Greenhouse-Geisser deciding)",
+        why,
+    )
+
+
+def noise_choice(resamples: int) -> error_ledger.Choice:
+    """E2 where cells fitted to one curve share its resampled noise."""
+    return error_ledger.Choice(
+        "E2",
+        error_ledger.OWN,
+        f"{error_ledger.NOISE_QUESTION} (each effect against its own scatter over {resamples} "
+        "refits to resampled residuals, Greenhouse-Geisser deciding)",
+        "cells hold refits to resampled measurement noise, the same for all cells of a curve",
+        (error_ledger.ONE_CURVE,),
+    )
+
+
+@dataclass(frozen=True)
+class OwnTerm:
+    """Test of one term against its own interaction with the blocks."""
+
+    sums: TermSum
+    row: Row
+    error: Row
+    sphericity: SphericityResult
+    warning: str = ""
+
+
+def single_noise(table: Crossed) -> Crossed:
+    """Let resamples of one curve scatter as their mean does.
+
+    The scatter over refits is the standard error of the fit itself, however many there are
+    (Efron and Tibshirani 1993, chapter 6); that of their mean would fall with their number.
+    """
+    mean = table.y.mean(axis=1, keepdims=True)
+    return replace(table, y=mean + np.sqrt(table.y.shape[1]) * (table.y - mean))
+
+
+def cell_fit(table: Crossed, terms: Sequence[Term]) -> Factored:
+    """Fit of the terms to the means of the cells."""
+    return factor(model_matrix(table.layout, terms), table.y.mean(axis=1))
+
+
+def own_terms(
+    table: Crossed,
+    fit: Factored,
+    kind: str,
+    block: str,
+    floor: float,
+    total: float,
+    *,
+    partial: bool = False,
+) -> list[OwnTerm]:
+    """Test every term against its own interaction with the blocks."""
+    return [
+        _own_term(table, fit, s, block, floor, total, partial=partial) for s in term_sums(fit, kind)
+    ]
+
+
+def _own_term(
+    table: Crossed,
+    fit: Factored,
+    sums: TermSum,
+    block: str,
+    floor: float,
+    total: float,
+    *,
+    partial: bool,
+) -> OwnTerm:
+    from scipy.special import fdtrc
+
+    name, blocks, df = term_name(sums.term), table.y.shape[1], sums.df
+    contrasts = sums.basis.T @ (fit.q.T @ (table.y - table.y[0, 0]))
+    center = contrasts.mean(axis=1)
+    scatter = contrasts - center[:, None]
+    ss, ss_error = blocks * float(center @ center), float(np.sum(scatter**2))
+    df_error = df * (blocks - 1)
+    error = Row(f"{block}:{name}", df_error, ss_error, ss_error / df_error if df else None)
+    if df == 0:
+        return OwnTerm(sums, Row(name, 0, 0.0), error, sphericity(np.zeros((1, blocks))))
+    spread = sphericity(contrasts)
+    if (
+        df < sums.nominal_df and not partial
+    ):  # what is left is not the effect: an empty cell, or an alias
+        return OwnTerm(sums, Row(name, df, ss, ss / df), error, spread)
+    why = _no_test(fit.q, sums.basis, contrasts, floor, name, block)
+    if why:
+        return OwnTerm(sums, Row(name, df, ss, ss / df), error, spread, why)
+    f = (ss / df) / (ss_error / df_error)
+    epsilon = epsilon_gg(np.atleast_2d(np.cov(contrasts)))
+    ms_error = ss_error / df_error
+    row = Row(
+        name,
+        df,
+        ss,
+        ss / df,
+        f,
+        float(fdtrc(df, df_error, f)),
+        f"{block}:{name}",
+        df_error,
+        epsilon,
+        float(fdtrc(df * epsilon, df_error * epsilon, f)),
+        max(0.0, (ss - df * ms_error) / (total + ms_error)),
+        ss / (ss + ss_error),
+    )
+    return OwnTerm(sums, row, error, spread)
+
+
+def _no_test(q: Array, basis: Array, contrasts: Array, floor: float, name: str, block: str) -> str:
+    """Why an effect cannot be tested: it, or its interaction, is below the tolerance."""
+    if float(np.abs(q @ (basis @ contrasts)).max()) <= floor:
+        return f"{name}: its levels agree within the solver tolerance in every block, no test"
+    scatter = contrasts - contrasts.mean(axis=1, keepdims=True)
+    if float(np.abs(q @ (basis @ scatter)).max()) <= floor:
+        return f"{name}: its effect is the same in every {block} to the solver tolerance, no test"
+    return ""
+
+
+def own_estimate(
+    table: Crossed, fit: Factored, term: Term, df: int, p: float | None, alpha: float
+) -> TermEstimate:
+    """Estimate of a term; each difference carries its own variance over the blocks."""
+    levels, component_rows, mean_rows = term_rows(table.layout, fit, term)
+    component_rows = over_complete_settings(table.layout, fit, term, component_rows)
+    blocks = table.y.shape[1]
+    shift, beta = block_coefficients(table, fit)
+    component, mean = component_rows @ beta, shift + mean_rows @ beta
+    estimable = bool(fit.estimable(component_rows).all())
+    mean_half = t_quantile(alpha / 2, blocks - 1) * mean.std(axis=1, ddof=1) / np.sqrt(blocks)
+    centers = mean.mean(axis=1)
+    centers[np.logical_not(fit.estimable(mean_rows))] = np.nan
+    return TermEstimate(
+        term,
+        levels,
+        component.mean(axis=1) if estimable else np.full(len(levels), np.nan),
+        centers,
+        np.atleast_2d(np.cov(component)) / blocks,
+        own_critical(len(levels), max(df, 1), blocks, alpha),
+        mean_half,
+        p,
+        settings_of(table.layout, term),
+    )
+
+
+def block_coefficients(table: Crossed, fit: Factored) -> tuple[float, Array]:
+    """Shift of the response, and coefficients of every block, shape (p, b)."""
+    shift = float(table.y[0, 0])
+    return shift, fit.model.inverse @ (fit.q.T @ (table.y - shift))
+
+
+def own(out: Outcome) -> Outcome | None:
+    """E1: every effect against its own interaction with the blocks.
+
+    E2 where the blocks are resamples of the noise, which all cells have in common.
+    """
+    data, block = out.data, str(out.data.block)
+    table = crossed(data, out.y)
+    if len(table.blocks) < 2 or table.cells.size < 2:
+        return None
+    out = out.warn(*table.warnings)
+    if out.replicates == "noise":
+        table = single_noise(table)
+    full = int(np.prod([len(table.layout.levels[f]) for f in data.factors]))
+    fewer = table.cells.size < np.unique(data.cell).size
+    empty = full - table.cells.size if fewer or out.structure.empty_cells else 0
+    out = replace(out, structure=replace(out.structure, empty_cells=empty))
+    kind, out = kind_of(out, table.cells.size == full)
+    partial = kind == "I" and empty > 0
+    fit = cell_fit(table, out.terms)
+    # differences from one value are exact where doubles are close
+    shifted = table.y - table.y[0, 0]
+    total = float(np.sum((shifted - shifted.mean()) ** 2))
+    floor = max(out.working_tolerance(), ulp_floor(table.y))
+    tests = own_terms(table, fit, kind, block, floor, total, partial=partial)
+    out = out.warn(*(t.warning for t in tests if t.warning))
+    out = out.warn(*alias_warnings([t.sums for t in tests], partial=partial))
+    n_cells, b = table.y.shape
+    ss_block = n_cells * float(np.sum((shifted.mean(axis=0) - shifted.mean()) ** 2))
+    rows = [t.row for t in tests] + [Row(block, b - 1, ss_block, ss_block / (b - 1))]
+    rows += [t.error for t in tests]
+    rest = n_cells - 1 - sum(t.sums.df for t in tests)
+    if rest > 0:
+        out = out.warn(f"{rest} treatment degrees of freedom are outside the model")
+    choice = own_choice(block, b, out.request.error)
+    if out.replicates in ("noise", "mesh-seeds"):
+        choice = noise_choice(b) if out.replicates == "noise" else seed_choice(b)
+        out = out.warn(*choice.cautions)
+    df = {t.row.term: float(t.error.df) for t in tests}
+    judged = cell_fit(table, out.structure.asked) if out.structure.asked else fit
+    estimates = [
+        own_estimate(table, judged, t.sums.term, t.sums.df, t.row.p_deciding, out.request.alpha)
+        for t in tests
+    ]
+    sample = over_blocks(
+        judged, block_coefficients(table, judged)[1], out.request.alpha, out.request.interval_seed
+    )
+    rivals, notes = rivals_over_blocks(out, table.layout, table.y, judged, sample)
+    out = out.warn(*notes)
+    simple = judge_factors(out, table.layout, judged, sample, rivals)
+    return replace(
+        out,
+        error=ErrorTerm(choice.source, choice.question, df, choice.reason),
+        anova=Anova(kind, with_shares(rows, total), table.y.size - 1, total),
+        effects=tuple(size(e, out.scale, simple) for e in estimates),
+        sphericity={t.row.term: t.sphericity for t in tests if t.sums.df > 1},
+        fit=error_ledger.within_fit(data, out.y),
+        crossed=table,
+        cell_model=fit.model,
+    )
+
+
+# -------------------------------------------------------------------------------------------------
+# Repeats on one unit (specimen) are nested in it: average them, and say what that changes.
+
+
+def average_units(
+    table: pd.DataFrame, request: AnalysisRequest, unit: str, block: Sequence[str] = ()
+) -> pd.DataFrame:
+    """Average the rows of each unit within its cell (geometrically for a log response)."""
+    import pandas as pd
+
+    response, factors = request.response, request.factors
+    names = [str(c) for c in table.columns]
+    if unit not in names:
+        raise InputError(Fault(f"unit {unit!r}", "no such column", nearest(unit, names)))
+    if unit in (response, *block, *factors):
+        raise InputError(Fault("unit", f"{unit!r} is already the response, block or a factor"))
+    data = prepare(table, response, factors, block)
+    keys = [*factors, *block]
+    y = data.y
+    if request.scale.is_log:
+        if y.min() <= 0:
+            raise InputError(Fault(f"response {response!r}", "the log needs positive values"))
+        y = np.log(y)
+    frame = pd.DataFrame({name: table[name].to_numpy() for name in [*keys, unit]})
+    shift = float(y[0])
+    frame[response] = np.nan
+    frame.loc[data.rows, response] = y - shift
+    # a unit without any response stays, so that it is counted among the missing
+    means = frame.groupby([*keys, unit], sort=False, observed=True)[response].mean() + shift
+    out = means.reset_index()
+    if request.scale.is_log:
+        out[response] = np.exp(out[response])
+    return out
+
+
+def crosses(table: pd.DataFrame, request: AnalysisRequest, unit: str) -> bool:
+    """Whether the same unit is measured in several cells, so that it is a block of them.
+
+    Labels that start again in every cell name other units there; they are told from one unit in
+    several cells by a factor of which every label has one level only.
+    """
+    if unit not in table.columns or unit in (request.response, *request.factors):
+        return False
+    levels = table.groupby(unit, observed=True)[list(request.factors)].nunique()
+    return bool((levels == 1).all(axis=0).any() and (levels > 1).all(axis=0).any())
+
+
+def compare_naive(
+    table: pd.DataFrame, request: AnalysisRequest, unit: str, nested: Anova, naive: Anova
+) -> NestedUnits | None:
+    """Compare the table of unit means with that of all rows; None without repeats."""
+    data = prepare(table, request.response, request.factors, request.layout.block)
+    y = np.log(data.y) if request.scale.is_log else data.y
+    cell = data.layout.cell([*data.factors, *data.blocks])
+    labels = np.unique(table[unit].astype(str).to_numpy()[data.rows], return_inverse=True)[1]
+    units = np.unique(np.column_stack([cell, labels]), axis=0, return_inverse=True)[1]
+    cells = np.unique(cell, return_inverse=True)[1]
+    size = np.bincount(units)
+    df_unit, df_row = size.size - int(cells.max()) - 1, y.size - size.size
+    if df_unit < 1 or df_row < 1:
+        return None
+    shifted = y - y[0]
+    of_unit = (np.bincount(units, shifted) / size)[units]
+    of_cell = (np.bincount(cells, shifted) / np.bincount(cells))[cells]
+    ms_unit = float(np.sum((of_unit - of_cell) ** 2)) / df_unit
+    ms_row = float(np.sum((shifted - of_unit) ** 2)) / df_row
+    # mean number of repeats in the expected mean square (Searle 1971, section 9.7 for balance)
+    m = float(y.size / size.size)
+    between = max(0.0, (ms_unit - ms_row) / m)
+    total = between + ms_row
+    correlation = between / total if total > 0 else 0.0
+    naive_ms = (df_unit * ms_unit + df_row * ms_row) / (df_unit + df_row)
+    wider = t_quantile(0.025, df_unit) / t_quantile(0.025, df_unit + df_row)
+    terms = _terms(nested, naive)
+    df_term = int(terms[0].df[0]) if terms else 1
+    return NestedUnits(
+        unit,
+        int(y.size),
+        int(size.size),
+        correlation,
+        y.size / (1 + (m - 1) * correlation),
+        wider * float(np.sqrt(ms_unit / naive_ms)) if naive_ms > 0 else 1.0,
+        _naive_size(
+            1 + (m - 1) * correlation, 1 - correlation, df_term, df_unit, df_row, request.seed
+        ),
+        terms,
+    )
+
+
+def _naive_size(
+    unit: float, row: float, df_term: int, df_unit: int, df_row: int, seed: int
+) -> float:
+    """How often the naive 5 % test rejects a true null, by 200,000 simulated mean squares."""
+    from scipy.special import fdtri
+
+    rng = np.random.default_rng(seed)
+    count = 200_000
+    top = unit * rng.chisquare(df_term, count) / df_term
+    rest = unit * rng.chisquare(df_unit, count) + row * rng.chisquare(df_row, count)
+    cut = float(fdtri(df_term, df_unit + df_row, 0.95))
+    return float(np.mean(top > cut * rest / (df_unit + df_row)))
+
+
+def _terms(nested: Anova, naive: Anova) -> tuple[NaiveTerm, ...]:
+    found = []
+    for row in nested.rows:
+        if row.f is None or row.df_error is None or row.p is None:
+            continue
+        other = naive.row(row.term)
+        if other.f is None or other.df_error is None or other.p is None:
+            continue
+        found.append(
+            NaiveTerm(
+                row.term,
+                row.f,
+                (row.df, row.df_error),
+                row.p,
+                other.f,
+                (other.df, other.df_error),
+                other.p,
+            )
+        )
+    return tuple(found)
+
+
+def sentences(found: NestedUnits, alpha: float) -> list[str]:
+    """Sentences that say how far the analysis of all rows would have misled."""
+    unit = found.unit
+    out = [
+        f"{found.rows} rows are averaged into {found.units} levels of {unit} within the cells: "
+        f"repeats on one {unit} are nested in it",
+        f"two rows on one {unit} correlate by {found.correlation:.2f}: {found.rows} rows tell as "
+        f"much as {found.effective_rows:.0f} independent ones; taking them as independent would "
+        f"give intervals {found.too_narrow:.2g} times too narrow and reject a true null in "
+        f"{100 * found.naive_size:.0f} % of studies instead of 5 %",
+    ]
+    for t in found.terms:
+        changed = " (the conclusion changes)" if (t.p < alpha) != (t.naive_p < alpha) else ""
+        out.append(
+            f"{t.term}: F({t.df[0]:g}, {t.df[1]:g}) = {t.f:.4g}; taking the rows as independent "
+            f"would have given F({t.naive_df[0]:g}, {t.naive_df[1]:g}) = {t.naive_f:.4g}{changed}"
+        )
+    return out
+
+
+# -------------------------------------------------------------------------------------------------
+# Mesh seeds as blocks: whether the seeds of a study are common to all of its cells.
+#
+# A seed that every cell shares is a block: the effect is tested against its own interaction with
+# the seeds, and the question is whether another mesh of this size would change it. Seeds that
+# differ between cells are replicates within cells.
+
+#: seeds that a plan should ask for: with 5 the power at correlation .5 is .26, with 8 .53
+SEEDS_WANTED = 8
+
+
+class SeedRole(StrEnum):
+    """What the seeds of a study are."""
+
+    BLOCKS = "blocks"
+    AVERAGED = "averaged within blocks"
+    WITHIN_CELLS = "replicates within cells"
+    NONE = "none"
+
+
+@dataclass(frozen=True)
+class SeedDesign:
+    """What the seeds are, which are used, and why."""
+
+    #: How the analysis uses the seeds.
+    role: SeedRole
+    #: Seeds that every cell has, in the order found.
+    common: tuple[str, ...]
+    #: Seeds that some cell lacks and that are therefore left out everywhere.
+    left_out: tuple[str, ...]
+    reason: str
+
+
+def seed_design(
+    cells: Sequence[Hashable], seeds: Sequence[object], *, blocks: bool = False
+) -> SeedDesign:
+    """Decide from the labels whether seeds are common to all cells.
+
+    Examples
+    --------
+    >>> seed_design(["a", "a", "b", "b"], [1, 2, 1, 2]).role.value
+    'blocks'
+    >>> seed_design(["a", "a", "b", "b"], [1, 2, 3, 4]).role.value
+    'replicates within cells'
+    """
+    if not cells or len(cells) != len(seeds):
+        rule = f"one seed for each of {len(cells)} rows is needed, got {len(seeds)}"
+        raise InputError(Fault("seeds", rule))
+    held: dict[Hashable, set[str]] = {}
+    for cell, seed in zip(cells, seeds, strict=True):
+        held.setdefault(cell, set()).add(str(seed))
+    labels = tuple(dict.fromkeys(str(seed) for seed in seeds))
+    common = tuple(s for s in labels if all(s in own for own in held.values()))
+    left = tuple(s for s in labels if s not in common)
+    if len(labels) == 1:
+        return SeedDesign(SeedRole.NONE, common, left, "one mesh seed: its effect is not seen")
+    shared = len(common) >= 2 and 2 * len(common) >= len(labels)
+    if shared and blocks:
+        why = f"the {len(common)} mesh seeds are averaged within each block first"
+        return SeedDesign(SeedRole.AVERAGED, common, left, why + _left_out(left))
+    if shared:
+        why = f"the {len(common)} mesh seeds are common to all cells, so they are blocks"
+        return SeedDesign(SeedRole.BLOCKS, common, left, why + _left_out(left))
+    why = "mesh seeds differ between cells: replicates, pooled within cells"
+    return SeedDesign(SeedRole.WITHIN_CELLS, common, (), why)
+
+
+def _left_out(seeds: tuple[str, ...]) -> str:
+    if not seeds:
+        return ""
+    return f"; missing in some cell and left out everywhere: {', '.join(seeds)}"

@@ -1,0 +1,1 @@
+"""Response surfaces: quadratics and Gaussian processes, optima, inversion, propagation."""

@@ -1,0 +1,605 @@
+"""An emulator of a response: prediction, its error, and what the factors do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from scipy import linalg
+
+from study.ground.arrays import Array, Flags
+from study.ground.errors import Fault, RefusedError
+from study.statistics.surfaces.gaussian_process import (
+    FAMILIES,
+    GaussianProcess,
+    Kernel,
+    draw_paths,
+    fit_process,
+)
+from study.statistics.surfaces.surface_factors import Runs, change_together
+
+# -------------------------------------------------------------------------------------------------
+# How far a factor moves the response, in the response's unit, and whether that matters.
+
+#: settings of the other factors, and steps along the factor
+SETTINGS = 256
+STEPS = 11
+
+#: part of the settings that the range is claimed for
+SHARE = 0.95
+
+#: bound of a range: this many times the largest leave-one-out error
+ERRORS = 2.0
+
+#: added to a range before it is called small, as a part of the response's range: larger than
+#: every miss of the bound on the borehole function
+MISS = 0.02
+
+Verdict = Literal["matters", "no practical difference", "cannot tell"]
+
+
+@dataclass(frozen=True)
+class EffectRange:
+    """Range of the response along one factor."""
+
+    #: Range, in the response's unit, that 95 % of the settings of the others stay below.
+    value: float
+    #: Half width around it: twice the largest leave-one-out error, and numerical uncertainty.
+    bound: float
+    #: {"matters", "no practical difference", "cannot tell"}: at 95 % of the settings.
+    verdict: Verdict
+    #: shape (2, k); coded settings of the two predicted extremes: run both before the claim is
+    #: made.
+    confirm: Array
+
+    @property
+    def claims(self) -> bool:
+        """Whether the factor is said to matter, which two runs are to confirm."""
+        return self.verdict == "matters"
+
+
+def effect_range(
+    mean: Callable[[Array], Array], k: int, j: int, bound: float, small: Small
+) -> EffectRange:
+    """Range along factor j.
+
+    Shapes: mean (m,).
+    """
+    from scipy.stats import qmc
+
+    others = qmc.Sobol(k, seed=j).random(SETTINGS)
+    steps = np.linspace(0.0, 1.0, STEPS)
+    points = np.repeat(others[:, None, :], STEPS, axis=1)
+    points[:, :, j] = steps
+    values = mean(points.reshape(-1, k)).reshape(SETTINGS, STEPS)
+    ranges = np.ptp(values, axis=1)
+    value = float(np.quantile(ranges, SHARE))
+    at = int(np.abs(ranges - value).argmin())
+    ends = points[at, [int(values[at].argmin()), int(values[at].argmax())]]
+    return EffectRange(value, bound, small.verdict(value, bound), 2.0 * ends - 1.0)
+
+
+@dataclass(frozen=True)
+class Small:
+    """What is too small to matter."""
+
+    #: Smallest difference that matters, in the response's unit; None if nobody has said.
+    practical: float | None
+    #: Largest minus smallest response that was run, in the same unit.
+    response_range: float
+
+    def verdict(self, value: float, bound: float) -> Verdict:
+        """Judge a range with its bound."""
+        if self.practical is None:
+            return "cannot tell"
+        if value - bound > self.practical:
+            return "matters"
+        if value + bound + MISS * self.response_range < self.practical:
+            return "no practical difference"
+        return "cannot tell"
+
+
+# -------------------------------------------------------------------------------------------------
+# Shares of the response's variance that factors explain, with all factors uniform on the box.
+
+#: points of the sample: with 1,024 an exact emulator still erred by .017
+SAMPLE = 4096
+
+#: what the sample itself may err, added to every interval
+SAMPLE_ERROR = 0.005
+
+
+@dataclass(frozen=True)
+class SobolIndex:
+    """First-order and total index of a factor."""
+
+    #: S: share of the variance by the factor alone; T: with all its interactions.
+    first: float
+    first_interval: tuple[float, float]
+    total: float
+    total_interval: tuple[float, float]
+
+
+def jansen(values: Callable[[Array], Array], k: int, seed: int) -> tuple[Array, Array]:
+    """First-order and total indices by Jansen's estimators (Saltelli et al. 2010, table 2).
+
+    Shapes: values (m, p); returns (k, p).
+    """
+    from scipy.stats import qmc
+
+    sample = qmc.Sobol(2 * k, seed=seed).random(SAMPLE)
+    a = sample[:, :k]
+    b = sample[:, k:]
+    at_a = values(a)
+    at_b = values(b)
+    variance = np.vstack([at_a, at_b]).var(axis=0)
+    twice = np.where(variance > 0, 2.0 * variance, np.nan)
+    first = np.empty((k, at_a.shape[1]))
+    total = np.empty_like(first)
+    for j in range(k):
+        mixed = a.copy()
+        mixed[:, j] = b[:, j]
+        at_mixed = values(mixed)
+        first[j] = 1.0 - ((at_b - at_mixed) ** 2).mean(axis=0) / twice
+        total[j] = ((at_a - at_mixed) ** 2).mean(axis=0) / twice
+    return first, total
+
+
+def sobol_indices(
+    values: Callable[[Array], Array], k: int, q2: float, seed: int
+) -> tuple[SobolIndex, ...]:
+    """Estimate indices of the posterior mean, with intervals from its paths.
+
+    Shapes: values (m, 1 + paths).
+    """
+    first, total = jansen(values, k, seed)
+    margin = 1.0 - q2 + SAMPLE_ERROR
+    return tuple(
+        SobolIndex(
+            _cut(s[0]),
+            _sobol_indices_interval(s[1:], margin),
+            _cut(t[0]),
+            _sobol_indices_interval(t[1:], margin),
+        )
+        for s, t in zip(first, total, strict=True)
+    )
+
+
+def _sobol_indices_interval(paths: Array, margin: float) -> tuple[float, float]:
+    low, high = np.quantile(paths, [0.025, 0.975])
+    return _cut(low - margin), _cut(high + margin)
+
+
+def _cut(value: float) -> float:
+    return float(np.clip(value, 0.0, 1.0))
+
+
+#: Q2 at which indices and effects are given, and at which factors are at least ranked
+GIVEN = 0.9
+RANKED = 0.7
+
+#: most runs: the work grows with the cube, 1,000 runs take about half a minute, 2,000 about five
+LARGEST = 2000
+
+#: seconds of a fit with 1,000 runs on one core, for the estimate that is said beforehand: 25 to
+#: 30 of eight factors
+SECONDS_1000 = 40.0
+
+#: fewest runs a factor where a design does not fill the box
+RUNS_A_FACTOR = 10
+
+#: fewest runs of one combination of categories beside those of the others
+FEWEST_OWN = 5
+
+#: fewest settings of a factor
+FEWEST_SETTINGS = 4
+
+#: designs with at most this many settings a factor are grids, not space-filling
+GRID_LEVELS = 5
+
+Gate = Literal["given", "ranking only", "refused"]
+
+
+@dataclass(frozen=True)
+class Emulator:
+    """A fitted emulator."""
+
+    #: What it was fitted to, copies averaged.
+    runs: Runs
+    #: In the unit box, for standardized responses; where it was fitted to the runs of several
+    #: combinations of categories, it has those of the others, too.
+    process: GaussianProcess
+    #: Mean and standard deviation of the responses, in their unit.
+    centre: float
+    scale: float
+    seed: int
+    #: Number of the combination of categories at which it is asked.
+    combination: int | None = None
+    #: The same runs with the other kernel: where runs are far, the two part.
+    rival: GaussianProcess | None = None
+
+    @cached_property
+    def loo_errors(self) -> Array:
+        """Leave-one-out errors of the own runs, shape (n,), in the response's unit."""
+        return np.asarray(self.scale * self.process.loo_errors[self._own])
+
+    @property
+    def _own(self) -> Flags:
+        which = self.process.found.kernel.combination(self.process.x)
+        return np.asarray(which == (self.combination or 0))
+
+    def points(self, unit: Array) -> Array:
+        """Points of the process at points (m, k) of the unit box."""
+        return _among(unit, self.combination)
+
+    def paths(self, seed: int) -> Callable[[Array], Array]:
+        """Draw posterior paths: the mean and functions, shape (m, 1 + paths), of points (m, k).
+
+        Points lie in the unit box; values are those of standardized responses.
+        """
+        drawn = draw_paths(self.process, seed)
+        return lambda unit: drawn.values(self.points(unit))
+
+    @property
+    def loo_rms(self) -> float:
+        """Root mean square leave-one-out error, in the response's unit."""
+        return float(np.sqrt(np.mean(self.loo_errors**2)))
+
+    @property
+    def q2(self) -> float:
+        """Share of the responses' variance that is predicted from the other runs."""
+        left = float((self.loo_errors**2).sum())
+        return 1.0 - left / float(((self.runs.response - self.runs.response.mean()) ** 2).sum())
+
+    @property
+    def gate(self) -> Gate:
+        """What may be said: indices and effects, a ranking, or nothing."""
+        if self.q2 >= GIVEN:
+            return "given"
+        return "ranking only" if self.q2 >= RANKED else "refused"
+
+    @cached_property
+    def widening(self) -> float:
+        """Factor that makes the process' deviations as large as leave-one-out errors."""
+        ratios = np.abs(self.process.loo_errors / self.process.loo_deviations)[self._own]
+        rms = float(np.sqrt(np.mean(ratios**2)))
+        return max(1.0, rms, float(np.quantile(ratios, 0.95)) / 1.96)
+
+    def predict(self, coded: Array) -> tuple[Array, Array]:
+        """Predictions and half widths of 95 % intervals, shape (m,) each, at coded points.
+
+        What the other kernel predicts counts as well. In a corner of the box, where extremes lie
+        and no run is near, deviations of one kernel covered 25 to 88 % of the largest and smallest
+        values of five functions; with this they cover 75 to 100 %.
+        """
+        x = self.points(0.5 * (coded + 1.0))
+        own = self.process.mean(x)
+        other = own if self.rival is None else self.rival.mean(x)
+        deviation = self.scale * self.widening * self.process.deviation(x)
+        half = 1.96 * np.maximum(deviation, self.loo_rms) + self.scale * np.abs(own - other)
+        return self.centre + self.scale * own, half
+
+    def value(self, coded: Array) -> Array:
+        """Predictions, shape (m,), at coded points of shape (m, k)."""
+        return self.centre + self.scale * self.process.mean(self.points(0.5 * (coded + 1.0)))
+
+    def indices(self) -> tuple[SobolIndex, ...]:
+        """Sobol indices of every factor."""
+        if self.gate == "refused":
+            rule = f"Q2 is {self.q2:.2f}, below {RANKED}: no indices"
+            mend = f"add runs: {2 * self.runs.response.size} in all"
+            raise RefusedError(str(Fault("emulator", rule, mend)))
+        return sobol_indices(self.paths(self.seed), len(self.runs.factors), self.q2, self.seed)
+
+    def ranges(self, practical: float | None, u: float = 0.0) -> tuple[EffectRange, ...]:
+        """Range of the response along every factor."""
+        bound = ERRORS * float(np.abs(self.loo_errors).max()) + u
+        small = Small(practical, float(np.ptp(self.runs.response)))
+        k = len(self.runs.factors)
+        return tuple(
+            effect_range(lambda x: self.value(2.0 * x - 1.0), k, j, bound, small) for j in range(k)
+        )
+
+
+def expected_seconds(n: int) -> float:
+    """Seconds that a fit of n runs takes on one core."""
+    return SECONDS_1000 * (n / 1000.0) ** 3
+
+
+def fit_emulator(runs: Runs, seed: int = 0) -> Emulator:
+    """Fit both kernels and keep the one that predicts left-out runs better."""
+    _check(runs)
+    (found,) = _fitted([runs], (), seed)
+    return found
+
+
+def fit_together(runs: Sequence[Runs], sizes: Sequence[int], seed: int = 0) -> tuple[Emulator, ...]:
+    """Fit one process to the runs of all combinations of categories together."""
+    for one in runs:
+        _check_own(one)
+    first = runs[0]
+    coded, response = (np.concatenate([getattr(r, n) for r in runs]) for n in ("coded", "response"))
+    _check(Runs(first.name, first.factors, coded, response))
+    return _fitted(runs, sizes, seed)
+
+
+def _fitted(runs: Sequence[Runs], sizes: Sequence[int], seed: int) -> tuple[Emulator, ...]:
+    singles = [_emulator_averaged(one) for one in runs]
+    centres = [float(one.response.mean()) for one, _ in singles]
+    scales = [float(one.response.std()) for one, _ in singles]
+    for (one, _), centre, scale in zip(singles, centres, scales, strict=True):
+        if scale <= 1e-12 * abs(centre):
+            rule = f"the response {one.name!r} is the same in every run"
+            raise RefusedError(str(Fault("emulator", rule, "there is nothing to explain")))
+    numbers = range(len(runs)) if sizes else [None]
+    x, y, noise = (np.concatenate(parts) for parts in zip(*(
+        (_among(0.5 * (one.coded + 1.0), number), (one.response - centre) / scale, (u / scale) ** 2)
+        for (one, u), centre, scale, number in zip(singles, centres, scales, numbers, strict=True)
+    ), strict=True))  # fmt: skip
+    fits = [fit_process(x, y, noise, family, seed, sizes) for family in FAMILIES]
+    rival, best = sorted(fits, key=_q2)
+    return tuple(
+        Emulator(one, best, centre, scale, seed, number, rival)
+        for (one, _), centre, scale, number in zip(singles, centres, scales, numbers, strict=True)
+    )
+
+
+def _among(unit: Array, combination: int | None) -> Array:
+    """Points of the process: those of the unit box, and the number of the combination."""
+    if combination is None:
+        return unit
+    return np.column_stack([unit, np.full(len(unit), float(combination))])
+
+
+def _q2(process: GaussianProcess) -> float:
+    return 1.0 - float((process.loo_errors**2).sum() / (process.y**2).sum())
+
+
+def _emulator_averaged(runs: Runs) -> tuple[Runs, Array]:
+    """Average copies: a run is no test of its own copy."""
+    settings, which = runs.distinct()
+    counts = np.bincount(which)
+    response = np.bincount(which, weights=runs.response) / counts
+    u = np.zeros(counts.size)
+    if runs.u_num is not None:
+        u = np.sqrt(np.bincount(which, weights=runs.u_num**2) / counts)
+    return Runs(runs.name, runs.factors, settings, response), u
+
+
+def _check_own(runs: Runs) -> None:
+    n = len(runs.distinct()[0])
+    if n < FEWEST_OWN:
+        rule = f"{n} different runs at one combination of levels, at least {FEWEST_OWN} are needed"
+        raise RefusedError(str(Fault("emulator", rule, "add runs, or leave a level out")))
+
+
+def _check(runs: Runs) -> None:
+    n = len(runs.distinct()[0])
+    k = len(runs.factors)
+    levels = runs.levels()
+    if runs.response.size > LARGEST:
+        rule = f"{runs.response.size} runs, at most {LARGEST}: the work grows with their cube"
+        mend = f"take every {-(-runs.response.size // LARGEST)}th row, or --surface quadratic"
+        raise RefusedError(str(Fault("emulator", rule, mend)))
+    for name, count in zip(runs.names, levels, strict=True):
+        if count < FEWEST_SETTINGS:
+            least = f"an emulator needs at least {FEWEST_SETTINGS}"
+            rule = f"factor {name!r} has {count} settings, {least}"
+            mend = "--surface quadratic, or run more settings"
+            raise RefusedError(str(Fault("emulator", rule, mend)))
+    needed = RUNS_A_FACTOR * k if max(levels) <= GRID_LEVELS else 3 * k
+    if n < needed:
+        rule = f"{n} different runs of {k} factors, at least {needed} are needed"
+        raise RefusedError(str(Fault("emulator", rule, "add runs, or --surface quadratic")))
+    together = change_together(runs)
+    if together:
+        rule = f"{', '.join(map(repr, together[:-1]))} and {together[-1]!r} change together"
+        mend = "leave one of them out, or run settings that part them"
+        raise RefusedError(str(Fault("emulator", f"{rule} in every run", mend)))
+
+
+# -------------------------------------------------------------------------------------------------
+# One emulator a block: what factors do in each block, and how that differs between blocks.
+
+#: fewest blocks whose mean has an interval worth the name
+FEWEST = 3
+
+
+@dataclass(frozen=True)
+class BlockedEmulator:
+    """Emulators of the blocks; every number is formed in each block, then compared over them."""
+
+    runs: Runs
+    emulators: dict[str, Emulator]
+
+    @property
+    def each(self) -> tuple[Emulator, ...]:
+        """The emulators in the order of the blocks."""
+        return tuple(self.emulators.values())
+
+    @property
+    def q2(self) -> float:
+        """Smallest leave-one-out Q2 of all blocks."""
+        return min(found.q2 for found in self.each)
+
+    @property
+    def gate(self) -> Gate:
+        """What the worst block allows to be said."""
+        return min(self.each, key=lambda found: found.q2).gate
+
+    @property
+    def loo_rms(self) -> float:
+        """Root mean square leave-one-out error over all blocks, in the response's unit."""
+        return float(np.sqrt(np.mean([found.loo_rms**2 for found in self.each])))
+
+    @property
+    def loo_errors(self) -> Array:
+        """Leave-one-out errors of all blocks, in the response's unit."""
+        return np.concatenate([found.loo_errors for found in self.each])
+
+    def value(self, coded: Array) -> Array:
+        """Mean over the blocks, shape (m,), at coded points of shape (m, k)."""
+        return np.asarray(np.mean([found.value(coded) for found in self.each], axis=0))
+
+    def predict(self, coded: Array) -> tuple[Array, Array]:
+        """Means over blocks and half widths: scatter of the blocks, and the emulators' error."""
+        told = [found.predict(coded) for found in self.each]
+        values = np.array([value for value, _ in told])
+        errors = np.mean([half for _, half in told], axis=0)
+        return values.mean(axis=0), self._scatter(values) + errors
+
+    def indices(self) -> tuple[SobolIndex, ...]:
+        """Sobol indices, averaged over blocks, with t intervals widened by 1 - Q2."""
+        told = [found.indices() for found in self.each]
+        margin = 1.0 - self.q2 + SAMPLE_ERROR
+        return tuple(
+            _blocked_averaged(own, self._scatter, margin) for own in zip(*told, strict=True)
+        )
+
+    def ranges(self, practical: float | None, u: float = 0.0) -> tuple[EffectRange, ...]:
+        """Range along every factor, averaged over blocks; arguments as for one emulator."""
+        told = [found.ranges(practical, u) for found in self.each]
+        small = Small(practical, float(np.ptp(self.runs.response)))
+        return tuple(self._range(own, small) for own in zip(*told, strict=True))
+
+    def _range(self, own: tuple[EffectRange, ...], small: Small) -> EffectRange:
+        values = np.array([effect.value for effect in own])
+        bound = float(self._scatter(values) + np.mean([effect.bound for effect in own]))
+        value = float(values.mean())
+        # where the block nearest to the mean has its extremes
+        nearest = own[int(np.abs(values - value).argmin())]
+        return EffectRange(value, bound, small.verdict(value, bound), nearest.confirm)
+
+    def _scatter(self, values: Array) -> Array:
+        """Half width of the 95 % interval of a mean over blocks, the first axis of the values."""
+        from scipy import stats
+
+        b = len(self.each)
+        t = float(stats.t.ppf(0.975, b - 1))
+        return np.asarray(t * values.std(axis=0, ddof=1) / np.sqrt(b))
+
+
+def _blocked_averaged(
+    own: tuple[SobolIndex, ...], scatter: Callable[[Array], Array], margin: float
+) -> SobolIndex:
+    first = np.array([index.first for index in own])
+    total = np.array([index.total for index in own])
+    return SobolIndex(
+        float(first.mean()),
+        _blocked_interval(first, float(scatter(first)) + margin),
+        float(total.mean()),
+        _blocked_interval(total, float(scatter(total)) + margin),
+    )
+
+
+def _blocked_interval(values: Array, half: float) -> tuple[float, float]:
+    low, high = np.clip([values.mean() - half, values.mean() + half], 0.0, 1.0)
+    return float(low), float(high)
+
+
+def fit_blocks(runs: Runs, seed: int = 0) -> BlockedEmulator:
+    """Fit an emulator to the runs of each block."""
+    found = {name: fit_emulator(_of_block(runs, name), seed) for name in _blocks(runs)}
+    return BlockedEmulator(runs, found)
+
+
+def fit_blocks_together(
+    runs: Sequence[Runs], sizes: Sequence[int], seed: int = 0
+) -> tuple[BlockedEmulator, ...]:
+    """Fit one process a block to its runs of all combinations of categories."""
+    every = [_blocks(one) for one in runs]
+    if any(set(one) != set(every[0]) for one in every):
+        rule = "the combinations of levels have runs of other blocks"
+        raise RefusedError(str(Fault("emulator", rule, "run every block at each of them")))
+    found = {
+        name: fit_together([_of_block(one, name) for one in runs], sizes, seed) for name in every[0]
+    }
+    return tuple(
+        BlockedEmulator(one, {name: own[place] for name, own in found.items()})
+        for place, one in enumerate(runs)
+    )
+
+
+def _blocks(runs: Runs) -> tuple[str, ...]:
+    names = tuple(dict.fromkeys(runs.blocks))
+    if len(names) < FEWEST:
+        rule = f"{len(names)} blocks have no interval, at least {FEWEST} are needed"
+        mend = "analyze the rows of one block at a time, without --block"
+        raise RefusedError(str(Fault("--block", rule, mend)))
+    return names
+
+
+def _of_block(runs: Runs, name: str) -> Runs:
+    rows = np.array(runs.blocks) == name
+    return Runs(runs.name, runs.factors, runs.coded[rows], runs.response[rows])
+
+
+# -------------------------------------------------------------------------------------------------
+# Where further runs make an emulator surest (Cohn, Ghahramani and Jordan 1996; Gramacy 2020).
+
+#: candidates for the next run, and points at which the gain is summed, as powers of two
+CANDIDATES = 10
+REFERENCES = 9
+
+#: how far candidates reach beyond the box before they are cut: so the faces have some, too
+STRETCH = 1.1
+
+#: weight of the mean misfit where no run is near, in runs
+PRIOR_RUNS = 1.0
+
+
+def candidates(k: int, seed: int) -> Array:
+    """Points of the unit box from which runs are chosen, shape (1024, k), some on its faces."""
+    from scipy.stats import qmc
+
+    inside = qmc.Sobol(k, seed=seed).random_base2(CANDIDATES)
+    return np.asarray(np.round(np.clip(0.5 + STRETCH * (inside - 0.5), 0.0, 1.0), 4))
+
+
+@dataclass(frozen=True)
+class Unsure:
+    """What one emulator says of the box."""
+
+    #: Fitted to standardized responses at points of the unit box.
+    process: GaussianProcess
+    #: 1 to lower the mean squared error, more to go where left-out runs were missed most.
+    power: float = 1.0
+
+    def gains(self, x: Array, at: Array, made: Array) -> Array:
+        """Drop of the summed variance that a run at each candidate would bring, shape (m,).
+
+        Shapes: x (m, k); at (r, k); made (n, k).
+        """
+        found = self.process.found
+        kernel, nugget = found.kernel, found.nugget
+        matrix = kernel.correlation(made, made)
+        matrix[np.diag_indices_from(matrix)] += max(nugget, 1e-10)
+        factor = linalg.cholesky(matrix, lower=True)
+        half_x = linalg.solve_triangular(factor, kernel.correlation(made, x), lower=True)
+        half_at = linalg.solve_triangular(factor, kernel.correlation(made, at), lower=True)
+        shared = kernel.correlation(x, at) - half_x.T @ half_at
+        own = np.maximum(1.0 - (half_x**2).sum(axis=0), 0.0) + max(nugget, 1e-10)
+        gains = (shared**2) @ self._weights(at, kernel) / own
+        return np.asarray(found.variance * gains / at.shape[0])
+
+    def _weights(self, at: Array, kernel: Kernel) -> Array:
+        """Square of the misfit of the runs near each point, over that which the process expects."""
+        ratios = (self.process.loo_errors / self.process.loo_deviations) ** 2
+        near = kernel.correlation(at, self.process.x)
+        mean = float(ratios.mean())
+        local = (near @ ratios + PRIOR_RUNS * mean) / (near.sum(axis=1) + PRIOR_RUNS)
+        return np.asarray(local**self.power)
+
+
+def next_run(unsure: Sequence[Unsure], x: Array, at: Array, made: Array) -> tuple[int, float]:
+    """Candidate with the largest gain over all emulators, and that gain."""
+    if not unsure:
+        apart = np.min(np.abs(x[:, None, :] - made[None, :, :]).sum(axis=2), axis=1)
+        best = int(apart.argmax())
+        return best, float(apart[best])
+    gains = np.sum([one.gains(x, at, made) for one in unsure], axis=0)
+    best = int(gains.argmax())
+    return best, float(gains[best])

@@ -1,0 +1,454 @@
+"""A Gaussian process with constant means, fitted by restricted maximum likelihood.
+
+scikit-learn's regressor has no mean by least squares, and its gradient is an array of n times n
+times k + 2 numbers: 2.1 s a step with 1,000 runs of eight factors, which takes hundreds of steps.
+Here one n times n array serves all length scales (`Kernel.with_slope`). The tests compare the
+likelihood and the prediction with scikit-learn's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, reduce
+from typing import Literal
+
+import numpy as np
+from scipy import linalg, optimize
+from scipy.spatial.distance import cdist
+
+from study.ground.arrays import Array, Ints
+
+# -------------------------------------------------------------------------------------------------
+# Correlation of the functions that belong to categories: what they share, and what each has.
+
+#: distances of a category from the shared part: below, it is the shared part; beyond, alone
+DISTANCES = (1e-5, 3.0)
+
+#: where the first search begins: two categories correlate by .82
+FIRST_DISTANCE = 0.1
+RESTART_DISTANCES = (0.01, 1.0)
+
+
+@dataclass(frozen=True)
+class CategoryCorrelation:
+    """Correlation exp(-(d_r + d_s)) of categories r and s, multiplied over the factors.
+
+    McMillan, Sacks, Welch and Gao (1999, J. Biopharm. Stat. 9, 417), in the family of Qian, Wu
+    and Wu (2008, Technometrics 50, 383). The function of category r is exp(-d_r) times one that
+    all share, and the rest its own. With equal distances it is the exchangeable correlation; one
+    distance is fitted to two categories, for only the sum of theirs counts.
+    """
+
+    #: shape (c,); of every category of each factor, from the shared part; positive.
+    distances: tuple[Array, ...]
+
+    @classmethod
+    def of(cls, values: Array, sizes: Sequence[int]) -> CategoryCorrelation:
+        """Read what is fitted, shape (`fitted(sizes)`,)."""
+        parts = np.split(values, np.cumsum([_own(c) for c in sizes])[:-1])
+        return cls(tuple(np.broadcast_to(p, c) for p, c in zip(parts, sizes, strict=True)))
+
+    @cached_property
+    def matrix(self) -> Array:
+        """Correlations, shape (p, p), of all combinations; the last factor changes fastest."""
+        return reduce(np.kron, [np.exp(m) for m in self._logarithms])
+
+    @cached_property
+    def parts(self) -> Array:
+        """Weights, shape (p, p), of independent functions: a root of the matrix."""
+        return np.asarray(np.linalg.cholesky(self.matrix + 1e-12 * np.eye(len(self.matrix))))
+
+    def slopes(self) -> list[Array]:
+        """List the derivatives of ln(matrix) by the logarithm of each distance that is fitted."""
+        found = []
+        for q, own in enumerate(self.distances):
+            c = own.size
+            for r in range(_own(c)):
+                slope = np.zeros((c, c))
+                slope[r, :] -= own[r]
+                slope[:, r] -= own[r]
+                if c == 2:  # both are the same number
+                    slope[:] = -2.0 * own[0]
+                np.fill_diagonal(slope, 0.0)
+                around = [np.zeros_like(m) for m in self._logarithms]
+                around[q] = slope
+                found.append(_spread(around))
+        return found
+
+    @cached_property
+    def _logarithms(self) -> list[Array]:
+        made = [-(own[:, None] + own) for own in self.distances]
+        for one in made:
+            np.fill_diagonal(one, 0.0)
+        return made
+
+
+def fitted(sizes: Sequence[int]) -> int:
+    """Count the distances that are fitted to factors with so many categories."""
+    return sum(_own(c) for c in sizes)
+
+
+def _own(c: int) -> int:
+    return 1 if c == 2 else c
+
+
+def _spread(logarithms: Sequence[Array]) -> Array:
+    """Sum over the factors, shape (p, p), as the Kronecker product multiplies."""
+
+    def summed(a: Array, b: Array) -> Array:
+        return np.asarray(np.kron(a, np.ones_like(b)) + np.kron(np.ones_like(a), b))
+
+    return reduce(summed, logarithms)
+
+
+# -------------------------------------------------------------------------------------------------
+# Correlation of two points by their distance, with one length scale a factor.
+
+Family = Literal["Matern 5/2", "Gaussian"]
+FAMILIES: tuple[Family, ...] = ("Matern 5/2", "Gaussian")
+
+#: degrees of freedom of the t distribution that is the spectrum of Matern 5/2
+SPECTRAL_DF = 5
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """A stationary correlation (Rasmussen and Williams 2006, section 4.2)."""
+
+    #: {"Matern 5/2", "Gaussian"}: twice differentiable, or without end.
+    family: Family
+    #: shape (k,); length scales, in the unit box.
+    lengths: Array
+    #: Where the runs belong to combinations of categories: points have the number of theirs in a
+    #: last column, and correlations are multiplied by those of the combinations.
+    categories: CategoryCorrelation | None = None
+
+    def correlation(self, x: Array, other: Array) -> Array:
+        """Correlations, shape (n, m), of points of shape (n, k) and (m, k)."""
+        if self.family == "Gaussian":
+            found = np.asarray(np.exp(-0.5 * self._squared(x, other)))
+        else:
+            a = np.sqrt(5.0 * self._squared(x, other))
+            found = np.asarray((1.0 + a + a * a / 3.0) * np.exp(-a))
+        return self._among(found, x, other)
+
+    def with_slope(self, x: Array) -> tuple[Array, Array]:
+        """Correlations R of points of shape (n, k), and H: dR/d ln l_j = H (x_ij - x_kj)^2/l_j^2.
+
+        All slopes share H, so that no array of n times n times k numbers is ever made.
+        """
+        squared = self._squared(x, x)
+        if self.family == "Gaussian":
+            r = self._among(np.exp(-0.5 * squared), x, x)
+            return r, r
+        a = np.sqrt(5.0 * squared)
+        decay = self._among(np.exp(-a), x, x)
+        return (1.0 + a + a * a / 3.0) * decay, 5.0 / 3.0 * (1.0 + a) * decay
+
+    def numbers(self, x: Array) -> Array:
+        """Columns (n, k) of the points that are no categories."""
+        return x[:, : self.lengths.size]
+
+    def combination(self, x: Array) -> Ints:
+        """Give the combination of categories of each point, shape (n,); 0 where there are none."""
+        if self.categories is None:
+            return np.zeros(len(x), dtype=np.int64)
+        return np.asarray(x[:, -1], dtype=np.int64)
+
+    def constants(self, x: Array) -> Array:
+        """Columns (n, p) of the constant mean of every combination of categories."""
+        p = 1 if self.categories is None else len(self.categories.matrix)
+        return np.asarray(np.eye(p)[self.combination(x)])
+
+    def _among(self, found: Array, x: Array, other: Array) -> Array:
+        if self.categories is None:
+            return found
+        rows, columns = self.combination(x), self.combination(other)
+        return np.asarray(found * self.categories.matrix[np.ix_(rows, columns)])
+
+    def frequencies(self, rng: np.random.Generator, n: int) -> Array:
+        """Draw frequencies, shape (n, k), from the spectrum of the correlation (Bochner)."""
+        normal = rng.standard_normal((n, self.lengths.size))
+        if self.family == "Matern 5/2":
+            normal /= np.sqrt(rng.chisquare(SPECTRAL_DF, (n, 1)) / SPECTRAL_DF)
+        return np.asarray(normal / self.lengths)
+
+    def _squared(self, x: Array, other: Array) -> Array:
+        scaled = (self.numbers(points) / self.lengths for points in (x, other))
+        return np.asarray(cdist(*scaled, "sqeuclidean"))
+
+
+#: length scales in the unit box: shorter is noise between runs, longer is a straight line
+LENGTHS = (0.05, 50.0)
+
+#: variance of the process beside that of the responses
+VARIANCES = (1e-2, 1e4)
+
+#: nugget beside the variance of the process: below, the matrix cannot be factorized
+NUGGETS = (1e-10, 1.0)
+
+#: where the first search begins; random ones begin at length scales between .1 and 5
+FIRST_LENGTH = 0.5
+FIRST_NUGGET = 1e-6
+RESTART_LENGTHS = (0.1, 5.0)
+
+#: searches beside the first one, and most steps of each
+RESTARTS = 2
+STEPS = 80
+
+#: what an impossible matrix costs the search: any value above every likelihood
+IMPOSSIBLE = 1e20
+
+
+@dataclass(frozen=True)
+class Hyperparameters:
+    """What the likelihood decides."""
+
+    kernel: Kernel
+    #: Of the process, beside that of the responses.
+    variance: float
+    #: Variance of the part that no neighbour shares, beside that of the process.
+    nugget: float
+
+
+@dataclass(frozen=True)
+class GaussianProcess:
+    """A process conditioned on runs; responses have mean zero and variance one."""
+
+    #: shape (n, k); settings in the unit box; with categories, their combination in a last column.
+    x: Array
+    #: shape (n,); standardized responses.
+    y: Array
+    #: shape (n,); known variance of each.
+    noise: Array
+    found: Hyperparameters
+    #: shape (n, n); lower Cholesky factor of the covariance K of the runs.
+    factor: Array
+    #: shape (n, n); K^-1 with the constant means projected out.
+    projected: Array
+    #: shape (n,); the same times y.
+    weights: Array
+
+    @property
+    def loo_errors(self) -> Array:
+        """Errors of predicting each run from all the others, shape (n,), in closed form."""
+        return np.asarray(self.weights / np.diag(self.projected))
+
+    @property
+    def loo_deviations(self) -> Array:
+        """Standard deviations of these predictions, shape (n,)."""
+        return np.asarray(1.0 / np.sqrt(np.diag(self.projected)))
+
+    def mean(self, x: Array) -> Array:
+        """Posterior mean, shape (m,), at points of shape (m, k)."""
+        level, weights = self.solved
+        return np.asarray(self.found.kernel.constants(x) @ level + self.covariance(x) @ weights)
+
+    @cached_property
+    def solved(self) -> tuple[Array, Array]:
+        """Means of the p combinations by generalized least squares, and weights of the runs."""
+        level, weights = self._weights(self.y[:, None])
+        return level[:, 0], weights[:, 0]
+
+    def _weights(self, responses: Array) -> tuple[Array, Array]:
+        level = linalg.solve(self._information, self._constants.T @ responses, assume_a="pos")
+        rest = responses - self.found.kernel.constants(self.x) @ level
+        return level, linalg.cho_solve((self.factor, True), rest)
+
+    @cached_property
+    def _constants(self) -> Array:
+        """K^-1 times the columns of the constant means, shape (n, p)."""
+        return np.asarray(
+            linalg.cho_solve((self.factor, True), self.found.kernel.constants(self.x))
+        )
+
+    @property
+    def _information(self) -> Array:
+        """What the runs say of these means, shape (p, p)."""
+        return np.asarray(self.found.kernel.constants(self.x).T @ self._constants)
+
+    def covariance(self, x: Array) -> Array:
+        """Covariance, shape (m, n), of points of shape (m, k) with the runs."""
+        return self.found.variance * self.found.kernel.correlation(x, self.x)
+
+    def interpolated(self, responses: Array, x: Array) -> Array:
+        """Predictions (m, q) at points (m, k) that the process makes of data (n, q)."""
+        level, weights = self._weights(responses)
+        return np.asarray(self.found.kernel.constants(x) @ level + self.covariance(x) @ weights)
+
+    def deviation(self, x: Array) -> Array:
+        """Posterior standard deviation, shape (m,), without the nugget, at points (m, k)."""
+        k = self.covariance(x)
+        half = linalg.solve_triangular(self.factor, k.T, lower=True)
+        missed = self.found.kernel.constants(x) - k @ self._constants
+        mean = (missed * linalg.solve(self._information, missed.T, assume_a="pos").T).sum(axis=1)
+        variance = self.found.variance - (half**2).sum(axis=0) + mean
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+
+def fit_process(
+    x: Array, y: Array, noise: Array, family: Family, seed: int = 0, sizes: Sequence[int] = ()
+) -> GaussianProcess:
+    """Fit length scales, distances of categories, variance and nugget.
+
+    Shapes: x (n, k); y (n,); noise (n,).
+    """
+    rng = np.random.default_rng(seed)
+    k, p, tail = x.shape[1] - bool(sizes), fitted(sizes), [1.0, FIRST_NUGGET]
+    starts = [np.log([FIRST_LENGTH * np.sqrt(k)] * k + [FIRST_DISTANCE] * p + tail)]
+    for _ in range(RESTARTS):
+        lengths, apart = _between(rng, RESTART_LENGTHS, k), _between(rng, RESTART_DISTANCES, p)
+        starts.append(np.array([*lengths, *apart, *np.log(tail)]))
+    ends = [LENGTHS] * k + [DISTANCES] * p + [VARIANCES, NUGGETS]
+    bounds = [tuple(np.log(one)) for one in ends]
+
+    def cost(theta: Array) -> tuple[float, Array]:
+        value, slope = log_likelihood(theta, x, y, noise, family, sizes)
+        return (-value, -slope) if np.isfinite(value) else (IMPOSSIBLE, np.zeros_like(theta))
+
+    searches = [
+        optimize.minimize(
+            cost, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": STEPS}
+        )
+        for start in starts
+    ]
+    best = min(searches, key=lambda search: float(search.fun))
+    return condition(x, y, noise, hyperparameters(np.asarray(best.x), family, sizes))
+
+
+def _between(rng: np.random.Generator, ends: tuple[float, float], count: int) -> Array:
+    """Logarithms drawn evenly between two ends."""
+    low, high = np.log(ends)
+    return np.asarray(low + rng.random(count) * (high - low))
+
+
+def hyperparameters(theta: Array, family: Family, sizes: Sequence[int] = ()) -> Hyperparameters:
+    """Read the logarithms of length scales, distances, variance and nugget, shape (k + p + 2,)."""
+    values = np.exp(theta)
+    k = values.size - 2 - fitted(sizes)
+    categories = CategoryCorrelation.of(values[k:-2], sizes) if sizes else None
+    kernel = Kernel(family, values[:k], categories)
+    return Hyperparameters(kernel, float(values[-2]), float(values[-1]))
+
+
+def condition(x: Array, y: Array, noise: Array, found: Hyperparameters) -> GaussianProcess:
+    """Condition a process with known hyperparameters on runs."""
+    matrix = found.variance * found.kernel.correlation(x, x)
+    matrix[np.diag_indices_from(matrix)] += noise + found.variance * found.nugget
+    factor = linalg.cholesky(matrix, lower=True)
+    projected = _projected(factor, found.kernel.constants(x))
+    return GaussianProcess(x, y, noise, found, factor, projected, projected @ y)
+
+
+def _projected(factor: Array, constants: Array) -> Array:
+    """K^-1 with the columns of the constant means projected out, shape (n, n)."""
+    inverse, _ = linalg.lapack.dpotri(factor, lower=1)
+    inverse = np.tril(inverse) + np.tril(inverse, -1).T
+    known = inverse @ constants
+    return np.asarray(inverse - known @ linalg.solve(constants.T @ known, known.T, assume_a="pos"))
+
+
+def log_likelihood(
+    theta: Array, x: Array, y: Array, noise: Array, family: Family, sizes: Sequence[int] = ()
+) -> tuple[float, Array]:
+    """Restricted log likelihood without its constant, and its gradient.
+
+    Shapes: theta (k + p + 2,); returns (k + p + 2,).
+    """
+    found = hyperparameters(theta, family, sizes)
+    correlation, shared = found.kernel.with_slope(x)
+    matrix = found.variance * correlation
+    matrix[np.diag_indices_from(matrix)] += noise + found.variance * found.nugget
+    constants = found.kernel.constants(x)
+    try:
+        factor = linalg.cholesky(matrix, lower=True, check_finite=False)
+        half = linalg.solve_triangular(factor, constants, lower=True)
+        means = linalg.cholesky(half.T @ half, lower=True)
+    except linalg.LinAlgError:
+        return -np.inf, np.zeros_like(theta)
+    projected = _projected(factor, constants)
+    weights = projected @ y
+    value = -np.log(np.diag(factor)).sum() - np.log(np.diag(means)).sum() - 0.5 * (y @ weights)
+    # dL = 1/2 sum W dK with W = Pyy'P - P, P as in _projected
+    outer = np.outer(weights, weights) - projected
+    part = found.variance * outer * shared
+    numbers = found.kernel.numbers(x)
+    lengths = (
+        part.sum(axis=1) @ numbers**2 - np.einsum("ij,ij->j", numbers, part @ numbers)
+    ) / found.kernel.lengths**2
+    share = found.variance * outer * correlation
+    nugget = 0.5 * found.variance * found.nugget * float(np.trace(outer))
+    variance = 0.5 * float(share.sum()) + nugget
+    apart = []
+    if found.kernel.categories is not None:
+        by_combination = constants.T @ share @ constants
+        apart = [0.5 * (by_combination * s).sum() for s in found.kernel.categories.slopes()]
+    return float(value), np.array([*lengths, *apart, variance, nugget])
+
+
+# -------------------------------------------------------------------------------------------------
+# Functions drawn from the posterior: Matheron's rule with random features.
+
+#: random features of a prior path (Rahimi and Recht 2007) and paths that are drawn
+FEATURES = 1000
+PATHS = 40
+
+
+@dataclass(frozen=True)
+class PosteriorPaths:
+    """The posterior mean and functions drawn from the posterior (Wilson et al. 2021).
+
+    A path is a function of the prior, plus what the process makes of the difference between
+    the data and that function at the runs.
+    """
+
+    process: GaussianProcess
+    #: shape (features, k); of the cosines.
+    frequencies: Array
+    #: shape (features,); in radians.
+    phases: Array
+    #: shape (p, features, paths); of each path, for every combination of categories; p is 1 without
+    #: them.
+    amplitudes: Array
+    #: shape (n, 1 + paths); the data, and the data without each path.
+    differences: Array
+
+    def values(self, x: Array) -> Array:
+        """Values, shape (m, 1 + paths), at points (m, k) of the unit box; the mean comes first."""
+        found = self.process.interpolated(self.differences, x)
+        found[:, 1:] += _prior(self.process, x, self.frequencies, self.phases, self.amplitudes)
+        return found
+
+
+def draw_paths(process: GaussianProcess, seed: int, paths: int = PATHS) -> PosteriorPaths:
+    """Draw functions from the posterior."""
+    rng = np.random.default_rng(seed)
+    found = process.found
+    frequencies = found.kernel.frequencies(rng, FEATURES)
+    phases = rng.uniform(0.0, 2.0 * np.pi, FEATURES)
+    size = np.sqrt(2.0 * found.variance / FEATURES)
+    categories = found.kernel.categories
+    parts = np.ones((1, 1)) if categories is None else categories.parts
+    independent = size * rng.standard_normal((len(parts), FEATURES, paths))
+    amplitudes = np.tensordot(parts, independent, axes=1)
+    prior = _prior(process, process.x, frequencies, phases, amplitudes)
+    deviation = np.sqrt(process.noise + found.variance * found.nugget)
+    noise = deviation[:, None] * rng.standard_normal((process.y.size, paths))
+    differences = np.column_stack([process.y, process.y[:, None] - prior - noise])
+    return PosteriorPaths(process, frequencies, phases, amplitudes, differences)
+
+
+def _prior(
+    process: GaussianProcess, x: Array, frequencies: Array, phases: Array, amplitudes: Array
+) -> Array:
+    """Paths of the prior, shape (m, paths), at points of the unit box."""
+    kernel = process.found.kernel
+    which = kernel.combination(x)
+    found = np.empty((len(x), amplitudes.shape[2]))
+    for one in np.unique(which):
+        own = which == one
+        # half the digits: a path of 1,000 cosines is a few percent off that of the process anyway
+        angles = (kernel.numbers(x[own]) @ frequencies.T + phases).astype(np.float32)
+        found[own] = np.cos(angles) @ amplitudes[one].astype(np.float32)
+    return found

@@ -1,0 +1,593 @@
+"""Tests of terms and of lack of fit: against blocks, or against measured replicates."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+from typing import Literal
+
+import numpy as np
+from scipy import linalg
+
+from study.ground.arrays import Array, Flags, Ints
+from study.ground.errors import Fault, RefusedError
+from study.statistics.surfaces.surface_factors import (
+    Extreme,
+    Runs,
+    box_points,
+    change_together,
+    extremes,
+)
+
+# -------------------------------------------------------------------------------------------------
+# A polynomial of second order in coded factors.
+
+
+@dataclass(frozen=True)
+class Term:
+    """One column of the model: a product of at most two factors, given by their positions."""
+
+    factors: tuple[int, ...]
+
+    def column(self, coded: Array) -> Array:
+        """Values of the term, shape (n,), at coded points of shape (n, k)."""
+        return np.asarray(np.prod(coded[:, list(self.factors)], axis=1), dtype=np.float64)
+
+    def label(self, names: Sequence[str]) -> str:
+        """Name as it is printed: ``1``, ``time``, ``time^2`` or ``time:temp``."""
+        if not self.factors:
+            return "1"
+        if len(self.factors) == 2 and self.factors[0] == self.factors[1]:
+            return f"{names[self.factors[0]]}^2"
+        return ":".join(names[j] for j in self.factors)
+
+
+def second_order(levels: Sequence[int]) -> tuple[Term, ...]:
+    """Terms 1, x_j, x_j x_k and x_j^2; no square of a factor with two levels."""
+    k = range(len(levels))
+    linear = [Term((j,)) for j in k]
+    products = [Term(pair) for pair in combinations(k, 2)]
+    return (Term(()), *linear, *products, *(Term((j, j)) for j in k if levels[j] > 2))
+
+
+def model_matrix(terms: Sequence[Term], coded: Array) -> Array:
+    """Columns of the terms, shape (n, terms), at coded points of shape (n, k)."""
+    return np.column_stack([term.column(coded) for term in terms])
+
+
+@dataclass(frozen=True)
+class Polynomial:
+    """Terms with their coefficients."""
+
+    terms: tuple[Term, ...]
+    #: shape (terms,); in the response's unit, for coded factors.
+    coefficients: Array
+    k: int
+
+    def value(self, coded: Array) -> Array:
+        """Values, shape (n,), at coded points of shape (n, k)."""
+        return np.asarray(model_matrix(self.terms, coded) @ self.coefficients)
+
+    def linear(self) -> Array:
+        """Coefficients b of the linear terms, shape (k,)."""
+        b = np.zeros(self.k)
+        for term, c in zip(self.terms, self.coefficients, strict=True):
+            if len(term.factors) == 1:
+                b[term.factors[0]] = c
+        return b
+
+    def quadratic(self) -> Array:
+        """Symmetric matrix B, shape (k, k), of the second-order terms x'Bx."""
+        matrix = np.zeros((self.k, self.k))
+        for term, c in zip(self.terms, self.coefficients, strict=True):
+            if len(term.factors) == 2:
+                i, j = term.factors
+                matrix[i, j] += 0.5 * c
+                matrix[j, i] += 0.5 * c
+        return matrix
+
+    def gradient(self, coded: Array) -> Array:
+        """Slopes b + 2Bx, shape (n, k), at coded points of shape (n, k)."""
+        return np.asarray(self.linear() + 2.0 * coded @ self.quadratic())
+
+
+# -------------------------------------------------------------------------------------------------
+# Least squares by QR, with the terms that the runs cannot tell apart, and leave-one-out errors.
+
+#: a column that keeps less than this part of its length beside those before it is their alias:
+#: rounding leaves about 1e-15, and a design that is nearly aliased keeps a few hundredths
+ALIASED = 1e-8
+
+#: a run with a leverage above this decides its own prediction and cannot be left out
+SATURATED = 1.0 - 1e-9
+
+
+@dataclass(frozen=True)
+class ModelColumns:
+    """Columns of a model that the settings can tell, factorized once for every response."""
+
+    terms: tuple[Term, ...]
+    #: Each term left out, and the sum of kept terms that it equals at these settings.
+    aliases: tuple[tuple[Term, tuple[tuple[Term, float], ...]], ...]
+    #: shape (n, p); the columns.
+    matrix: Array
+    #: shape (n, p); orthonormal columns.
+    q: Array
+    #: shape (p, p); upper triangle.
+    r: Array
+
+    @property
+    def leverage(self) -> Array:
+        """Diagonal of the hat matrix, shape (n,)."""
+        return np.asarray((self.q**2).sum(axis=1))
+
+    def coefficients(self, response: Array) -> Array:
+        """Coefficients, shape (p,) or (p, m), of responses of shape (n,) or (n, m)."""
+        return np.asarray(linalg.solve_triangular(self.r, self.q.T @ response))
+
+    def residuals(self, response: Array) -> Array:
+        """Responses without what the model says of them, in the same shape."""
+        return np.asarray(response - self.q @ (self.q.T @ response))
+
+    def inverse(self) -> Array:
+        """(X'X)^-1, shape (p, p)."""
+        half = linalg.solve_triangular(self.r, np.eye(len(self.terms)))
+        return np.asarray(half @ half.T)
+
+    def complement(self) -> Array:
+        """Orthonormal columns, shape (n, n - p), of all that the model leaves open."""
+        full, _ = linalg.qr(self.matrix)
+        return np.asarray(full[:, len(self.terms) :])
+
+    def alone(self, which: Sequence[int]) -> Array:
+        """Orthonormal columns, shape (n, len(which)), of terms beside all the other terms."""
+        others = [j for j in range(len(self.terms)) if j not in set(which)]
+        ordered = self.matrix[:, [*others, *which]]
+        q, _ = linalg.qr(ordered, mode="economic")
+        return np.asarray(q[:, len(others) :])
+
+
+def factorize(terms: Sequence[Term], coded: Array) -> ModelColumns:
+    """Keep, in their order, the terms that the settings can tell.
+
+    Shapes: coded (n, k).
+    """
+    kept: list[Term] = []
+    basis = np.empty((len(coded), 0))
+    left_out: list[Term] = []
+    for term in terms:
+        column = term.column(coded)
+        rest = column - basis @ (basis.T @ column)
+        rest -= basis @ (basis.T @ rest)  # twice is enough (Kahan, Parlett)
+        length = float(np.linalg.norm(rest))
+        if length <= ALIASED * max(float(np.linalg.norm(column)), 1.0):
+            left_out.append(term)
+            continue
+        kept.append(term)
+        basis = np.column_stack([basis, rest / length])
+    matrix = model_matrix(kept, coded)
+    q, r = linalg.qr(matrix, mode="economic")
+    aliases = tuple((term, _equals(term, kept, q, r, coded)) for term in left_out)
+    return ModelColumns(tuple(kept), aliases, matrix, np.asarray(q), np.asarray(r))
+
+
+def _equals(
+    term: Term, kept: Sequence[Term], q: Array, r: Array, coded: Array
+) -> tuple[tuple[Term, float], ...]:
+    weights = linalg.solve_triangular(r, q.T @ term.column(coded))
+    return tuple((t, float(w)) for t, w in zip(kept, weights, strict=True) if abs(w) > ALIASED)
+
+
+@dataclass(frozen=True)
+class LeaveOneOut:
+    """Errors of predicting each run from all the others."""
+
+    #: Root mean square and largest absolute error, in the response's unit.
+    rms: float
+    largest: float
+    #: 1 - PRESS/SS about the mean: 1 is perfect, 0 no better than the mean.
+    q2: float
+    #: Runs that cannot be predicted without themselves, and are not counted.
+    saturated: int
+    #: shape (n,); responses, and responses minus predictions; NaN where a run is saturated.
+    observed: Array = field(compare=False, repr=False)
+    errors: Array = field(compare=False, repr=False)
+
+
+def leave_one_out(columns: ModelColumns, response: Array) -> LeaveOneOut | None:
+    """Leave-one-out errors e/(1 - h) of a response of shape (n,); None if none can be told."""
+    free = columns.leverage < SATURATED
+    if not free.any():
+        return None
+    every = np.full(response.shape, np.nan)
+    every[free] = columns.residuals(response)[free] / (1.0 - columns.leverage[free])
+    errors = every[free]
+    spread = float(((response[free] - response.mean()) ** 2).sum())
+    q2 = 1.0 - float((errors**2).sum()) / spread if spread > 0 else float("nan")
+    rms = float(np.sqrt(np.mean(errors**2)))
+    largest = float(np.abs(errors).max())
+    return LeaveOneOut(rms, largest, q2, int((~free).sum()), response, every)
+
+
+#: part of the response's size below which a spread between blocks is rounding
+ROUNDING = 1e-12
+
+
+@dataclass(frozen=True)
+class FTest:
+    """An F test."""
+
+    f: float
+    #: Degrees of freedom; with blocks after Greenhouse and Geisser's correction.
+    df: float
+    df_error: float
+    #: Probability of a larger ratio where there is nothing to be found.
+    p: float
+
+
+def against_blocks(columns: Array, response: Array) -> FTest | None:
+    """Test columns against their own interaction with the blocks (Greenhouse and Geisser 1959).
+
+    Shapes: columns (n, k); response (n, b).
+    """
+    from scipy import stats
+
+    parts = response.T @ columns  # (b, k): what every block says of each column
+    blocks, k = parts.shape
+    if k == 0 or blocks < 2:
+        return None
+    mean = parts.mean(axis=0)
+    covariance = np.atleast_2d(np.cov(parts, rowvar=False))
+    trace = float(np.trace(covariance))
+    if trace <= (ROUNDING * float(np.abs(response).max())) ** 2:
+        return None
+    epsilon = trace**2 / (k * float((covariance**2).sum()))
+    f = blocks * float(mean @ mean) / trace
+    df = epsilon * k
+    return FTest(f, df, df * (blocks - 1), float(stats.f.sf(f, df, df * (blocks - 1))))
+
+
+def lack_of_fit(columns: ModelColumns, response: Array, which: Ints) -> FTest | None:
+    """Classical test of the model against pure error (Montgomery 2017, section 11.2).
+
+    Shapes: response (n,); which (n,).
+    """
+    from scipy import stats
+
+    counts = np.bincount(which)
+    means = np.bincount(which, weights=response) / counts
+    pure = float(((response - means[which]) ** 2).sum())
+    df_pure = int(response.size - counts.size)
+    df = int(counts.size - len(columns.terms))
+    if df_pure < 1 or df < 1 or pure <= 0:
+        return None
+    residual = float((columns.residuals(response) ** 2).sum())
+    f = max(residual - pure, 0.0) / df / (pure / df_pure)
+    return FTest(f, float(df), float(df_pure), float(stats.f.sf(f, df, df_pure)))
+
+
+# -------------------------------------------------------------------------------------------------
+# Where the surface is level, and what it is there (canonical analysis).
+
+#: an eigenvalue below this part of the largest makes a ridge: the point slides along it
+RIDGE = 0.05
+
+#: points of the box at which the confidence region is asked for
+SEARCHED = 4096
+
+Kind = Literal["maximum", "minimum", "saddle", "ridge"]
+
+
+@dataclass(frozen=True)
+class StationaryPoint:
+    """Point with gradient zero."""
+
+    #: {"maximum", "minimum", "saddle", "ridge"}: by the signs of the eigenvalues; a ridge if one is
+    #: below 5 % of the largest.
+    kind: Kind
+    #: shape (k,); coded settings.
+    at: Array
+    value: float
+    #: shape (k,); of B, in the response's unit, in ascending order.
+    eigenvalues: Array
+    #: shape (k, k); one column an eigenvalue, in coded factors.
+    eigenvectors: Array
+    #: Whether it lies in the box.
+    inside: bool
+    #: Where it may be; None without enough blocks.
+    region: Region | None = None
+
+    @property
+    def established(self) -> bool:
+        """Whether it is known to lie in the box."""
+        return self.inside and (self.region is None or not self.region.leaves)
+
+
+@dataclass(frozen=True)
+class Region:
+    """95 % confidence region of the stationary point, as far as it lies in the box."""
+
+    #: shape (k,); its extent in coded factors; NaN if no point of the box belongs to it.
+    low: Array
+    high: Array
+    #: Whether it reaches the boundary of the box, and may go on beyond it.
+    leaves: bool
+
+
+def stationary_point(surface: Polynomial) -> StationaryPoint | None:
+    """Canonical analysis of a surface (Box and Wilson 1951)."""
+    matrix = surface.quadratic()
+    eigenvalues, vectors = np.linalg.eigh(matrix)
+    largest = float(np.abs(eigenvalues).max())
+    if largest == 0 or float(np.abs(eigenvalues).min()) < 1e-12 * largest:
+        return None
+    at: Array = np.asarray(-0.5 * np.linalg.solve(matrix, surface.linear()), dtype=np.float64)
+    inside = bool(np.abs(at).max() <= 1.0)
+    value = float(surface.value(at[None, :])[0])
+    return StationaryPoint(_kind(eigenvalues), at, value, eigenvalues, vectors, inside)
+
+
+def _kind(eigenvalues: Array) -> Kind:
+    if np.abs(eigenvalues).min() < RIDGE * np.abs(eigenvalues).max():
+        return "ridge"
+    if eigenvalues.max() < 0:
+        return "maximum"
+    return "minimum" if eigenvalues.min() > 0 else "saddle"
+
+
+def in_region(surfaces: Sequence[Polynomial], coded: Array, level: float = 0.95) -> Flags:
+    """Whether the blocks' gradients at each point may have the mean zero (Hotelling's T^2).
+
+    Shapes: coded (n, k).
+    """
+    from scipy import stats
+
+    b, k = len(surfaces), surfaces[0].k
+    gradients = np.stack([surface.gradient(coded) for surface in surfaces])  # (b, n, k)
+    mean = gradients.mean(axis=0)
+    centred = gradients - mean
+    covariance = np.einsum("bni,bnj->nij", centred, centred) / (b - 1)
+    t2 = b * np.einsum("ni,nij,nj->n", mean, np.linalg.pinv(covariance), mean)
+    limit = k * (b - 1) / (b - k) * stats.f.ppf(level, k, b - k)
+    return np.asarray(t2 <= limit)
+
+
+def region_of(surfaces: Sequence[Polynomial], points: Array) -> Region | None:
+    """Confidence region over the box.
+
+    Shapes: points (n, k).
+    """
+    k = surfaces[0].k
+    if len(surfaces) <= k:
+        return None
+    member = points[in_region(surfaces, points)]
+    nowhere = np.full(k, np.nan)
+    low, high = (member.min(axis=0), member.max(axis=0)) if len(member) else (nowhere, nowhere)
+    return Region(low, high, _touches(surfaces, points))
+
+
+def _touches(surfaces: Sequence[Polynomial], points: Array) -> bool:
+    """Whether the region reaches a face of the box."""
+    for j in range(points.shape[1]):
+        for side in (-1.0, 1.0):
+            face = points.copy()
+            face[:, j] = side
+            if in_region(surfaces, face).any():
+                return True
+    return False
+
+
+# -------------------------------------------------------------------------------------------------
+# A quadratic surface fitted to runs, and what may be said of it.
+
+#: smallest Q2 at which effects are carried by a quadratic
+CARRIED = 0.8
+
+Error = Literal["none", "blocks", "replicates"]
+
+
+@dataclass(frozen=True)
+class TermEstimate:
+    """A coefficient of a coded term; interval and p only where there is an error to judge by."""
+
+    term: str
+    coefficient: float
+    interval: tuple[float, float] | None = None
+    p: float | None = None
+
+
+@dataclass(frozen=True)
+class QuadraticSurface:
+    """A fitted surface."""
+
+    runs: Runs
+    polynomial: Polynomial
+    #: The same with intervals and p.
+    terms: tuple[TermEstimate, ...]
+    #: With blocks: all terms of a factor together.
+    factor_tests: dict[str, FTest]
+    #: {"none", "blocks", "replicates"}: what tests rest on: nothing (a deterministic surface),
+    #: blocks or replicates.
+    error: Error
+    #: Leave-one-out errors; None where no run can be left out.
+    loo: LeaveOneOut | None
+    #: What the model leaves open, against blocks or pure error.
+    lack_of_fit: FTest | None
+    #: None where the surface is level nowhere.
+    stationary: StationaryPoint | None
+    #: In the box, with twice the rms leave-one-out error around.
+    smallest: Extreme
+    largest: Extreme
+    #: Terms that the settings cannot tell from others.
+    aliases: tuple[str, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def half_width(self) -> float:
+        """Twice the rms leave-one-out error, in the response's unit; NaN if it is not known."""
+        return self.smallest.half_width
+
+    def predict(self, coded: Array) -> tuple[Array, Array]:
+        """Predictions and half widths of their intervals, shape (n,) each, at coded points."""
+        values = self.polynomial.value(coded)
+        return values, np.full(values.shape, self.half_width)
+
+
+def fit_quadratic(runs: Runs, alpha: float = 0.05) -> QuadraticSurface:
+    """Fit a quadratic surface."""
+    if len(set(runs.blocks)) > 1:
+        return _with_blocks(runs, alpha)
+    settings, which = runs.distinct()
+    means = np.bincount(which, weights=runs.response) / np.bincount(which)
+    scatter = float(np.abs(runs.response - means[which]).max())
+    if scatter > 1e-12 * float(np.abs(runs.response).max()):
+        return _with_replicates(runs, which, alpha)
+    # copies of a deterministic run are one run: counted twice, they would only weigh more
+    single = replace(runs, coded=settings, response=means, blocks=(), u_num=None)
+    columns = factorize(second_order(single.levels()), settings)
+    b = columns.coefficients(means)
+    terms = [
+        TermEstimate(label, float(c)) for label, c in zip(_labels(runs, columns), b, strict=True)
+    ]
+    notes = ["no p: a deterministic surface has misfit, not noise"]
+    copies = runs.response.size - means.size
+    notes += [f"{copies} copies of deterministic runs count once"] if copies else []
+    return _surface(runs, columns, means, tuple(terms), "none", notes=notes)
+
+
+def _with_replicates(runs: Runs, which: Ints, alpha: float) -> QuadraticSurface:
+    columns = factorize(second_order(runs.levels()), runs.coded)
+    b = columns.coefficients(runs.response)
+    df = runs.response.size - b.size
+    residual = float((columns.residuals(runs.response) ** 2).sum())
+    errors = np.sqrt(np.diag(columns.inverse()) * residual / max(df, 1))
+    terms = _estimates(_labels(runs, columns), b, errors, df, alpha)
+    fit = lack_of_fit(columns, runs.response, which)
+    notes = []
+    if fit is not None and fit.p < alpha:
+        notes.append(
+            "lack of fit: p and intervals of the terms rest on a surface that does not fit"
+        )
+    return _surface(runs, columns, runs.response, terms, "replicates", lack=fit, notes=notes)
+
+
+def _with_blocks(runs: Runs, alpha: float) -> QuadraticSurface:
+    settings, which = runs.distinct()
+    names = tuple(dict.fromkeys(runs.blocks))
+    rows = np.array([names.index(b) for b in runs.blocks])
+    counts = np.zeros((len(settings), len(names)))
+    sums = np.zeros_like(counts)
+    np.add.at(counts, (which, rows), 1.0)
+    np.add.at(sums, (which, rows), runs.response)
+    whole: Flags = np.asarray((counts > 0).all(axis=0))
+    if whole.sum() < 2:
+        rule = "fewer than two blocks have a run at every setting"
+        mend = "complete the blocks, or leave --block out"
+        raise RefusedError(str(Fault("blocks", rule, mend)))
+    table = sums[:, whole] / counts[:, whole]
+    columns = factorize(second_order(runs.levels()), settings)
+    each = columns.coefficients(table)
+    b, blocks = each.mean(axis=1), each.shape[1]
+    terms = _estimates(
+        _labels(runs, columns), b, each.std(axis=1, ddof=1) / np.sqrt(blocks), blocks - 1, alpha
+    )
+    lost = [name for name, kept in zip(names, whole, strict=True) if not kept]
+    notes = [f"left out, with settings that lack a run: {', '.join(lost)}"] if lost else []
+    if blocks <= len(runs.factors):
+        notes.append("no region of the stationary point: it needs more blocks than factors")
+    found = _surface(
+        runs, columns, table.mean(axis=1), terms, "blocks",
+        lack=against_blocks(columns.complement(), table), notes=notes,
+    )  # fmt: skip
+    surfaces = [Polynomial(columns.terms, c, len(runs.factors)) for c in each.T]
+    return replace(
+        found,
+        factor_tests=_factor_tests(runs, columns, table),
+        stationary=_with_region(found.stationary, surfaces),
+    )
+
+
+def _with_region(
+    point: StationaryPoint | None, surfaces: list[Polynomial]
+) -> StationaryPoint | None:
+    if point is None:
+        return None
+    points = np.vstack([box_points(surfaces[0].k, SEARCHED), np.clip(point.at, -1, 1)])
+    return replace(point, region=region_of(surfaces, points))
+
+
+def _factor_tests(runs: Runs, columns: ModelColumns, table: Array) -> dict[str, FTest]:
+    found = {}
+    for j, name in enumerate(runs.names):
+        own = [i for i, term in enumerate(columns.terms) if j in term.factors]
+        test = against_blocks(columns.alone(own), table)
+        if test is not None:
+            found[name] = test
+    return found
+
+
+def _labels(runs: Runs, columns: ModelColumns) -> list[str]:
+    return [term.label(runs.names) for term in columns.terms]
+
+
+def _estimates(
+    labels: list[str], b: Array, errors: Array, df: int, alpha: float
+) -> tuple[TermEstimate, ...]:
+    from scipy import stats
+
+    if df < 1:
+        return tuple(TermEstimate(label, float(c)) for label, c in zip(labels, b, strict=True))
+    t = float(stats.t.ppf(1.0 - alpha / 2.0, df))
+    return tuple(
+        TermEstimate(
+            label,
+            float(c),
+            (float(c - t * se), float(c + t * se)),
+            float(2.0 * stats.t.sf(abs(c) / se, df)) if se > 0 else None,
+        )
+        for label, c, se in zip(labels, b, errors, strict=True)
+    )
+
+
+def _surface(
+    runs: Runs,
+    columns: ModelColumns,
+    response: Array,
+    terms: tuple[TermEstimate, ...],
+    error: Error,
+    *,
+    lack: FTest | None = None,
+    notes: list[str],
+) -> QuadraticSurface:
+    polynomial = Polynomial(columns.terms, columns.coefficients(response), len(runs.factors))
+    loo = leave_one_out(columns, response)
+    half_width = float("nan") if loo is None else 2.0 * loo.rms
+    smallest, largest = extremes(polynomial.value, polynomial.k, half_width)
+    linear = [n for n, count in zip(runs.names, runs.levels(), strict=True) if count == 2]
+    said = [f"{name} has two settings: linear only" for name in linear]
+    together = change_together(runs)
+    if together:
+        said.append(
+            f"{', '.join(together[:-1])} and {together[-1]} change together in every run: what one "
+            "does is not told from the others, and nothing is known where they change alone"
+        )
+    if loo is None:
+        said.append("as many coefficients as runs: no error of the surface can be told; add runs")
+    elif not loo.q2 >= CARRIED:
+        said.append(f"Q2 {loo.q2:.2f} is below .8: effects are not carried by a quadratic")
+    # a stationary point needs every square
+    squares = sum(len(t.factors) == 2 and t.factors[0] == t.factors[1] for t in columns.terms)
+    point = stationary_point(polynomial) if squares == polynomial.k else None
+    return QuadraticSurface(
+        runs, polynomial, terms, {}, error, loo, lack, point, smallest, largest,
+        _alias_list(runs, columns), (*notes, *said),
+    )  # fmt: skip
+
+
+def _alias_list(runs: Runs, columns: ModelColumns) -> tuple[str, ...]:
+    def summed(parts: tuple[tuple[Term, float], ...]) -> str:
+        labels = [(term.label(runs.names), weight) for term, weight in parts]
+        return " + ".join(label if abs(w - 1) < 1e-9 else f"{w:.3g} {label}" for label, w in labels)
+
+    return tuple(f"{term.label(runs.names)} = {summed(parts)}" for term, parts in columns.aliases)

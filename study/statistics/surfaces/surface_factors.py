@@ -1,0 +1,234 @@
+"""Numeric factors and the runs that were made at their settings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import optimize
+
+from study.ground.arrays import Array, Ints
+from study.ground.errors import Fault, InputError, nearest
+
+#: part of the largest singular value of the settings below which factors change together
+COLLINEAR = 1e-7
+
+#: settings closer than this in coded units are one setting: far above rounding, far below a step
+SAME_SETTING = 1e-9
+
+
+@dataclass(frozen=True)
+class NumericFactor:
+    """A factor whose settings are numbers."""
+
+    name: str
+    #: Settings that are coded -1 and 1, in the factor's own unit.
+    low: float
+    high: float
+    #: Whether settings are coded by their logarithm.
+    log: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.low < self.high:
+            rule = f"its range {self.low:g}..{self.high:g} is empty"
+            mend = "a constant column is no factor: leave it out of --numeric"
+            raise InputError(Fault(f"factor {self.name!r}", rule, mend))
+        if self.log and self.low <= 0:
+            rule = f"a logarithm needs positive settings, the lowest is {self.low:g}"
+            raise InputError(Fault(f"factor {self.name!r}", rule, "leave ' log' out"))
+
+    def coded(self, settings: Array) -> Array:
+        """Coded settings: -1 at ``low``, 1 at ``high``, without unit and of the same shape."""
+        low, high = self._ends()
+        values = np.log(settings) if self.log else np.asarray(settings)
+        return np.asarray(2.0 * (values - 0.5 * (low + high)) / (high - low))
+
+    def setting(self, coded: float) -> float:
+        """Give the setting in the factor's own unit at a coded value."""
+        low, high = self._ends()
+        value = 0.5 * (low + high) + 0.5 * coded * (high - low)
+        return float(np.exp(value)) if self.log else float(value)
+
+    def _ends(self) -> tuple[float, float]:
+        if self.log:
+            return float(np.log(self.low)), float(np.log(self.high))
+        return self.low, self.high
+
+
+@dataclass(frozen=True)
+class Runs:
+    """Responses at settings of numeric factors."""
+
+    name: str
+    factors: tuple[NumericFactor, ...]
+    #: shape (n, k); coded settings.
+    coded: Array
+    #: shape (n,); one value a run, in the response's unit.
+    response: Array
+    #: Block of each run; empty without blocks.
+    blocks: tuple[str, ...] = ()
+    #: shape (n,); numerical standard uncertainty of each run, in the response's unit.
+    u_num: Array | None = None
+
+    def __post_init__(self) -> None:
+        if not self.response.size:
+            rule = "none has an answer, so no surface is fitted"
+            raise InputError(Fault("runs", rule, "study status says what failed"))
+        constant = [
+            f for f, column in zip(self.factors, self.coded.T, strict=True) if _same(column)
+        ]
+        if constant:
+            mend = "leave it out of --numeric, or run other settings"
+            raise InputError(
+                [
+                    Fault(f"factor {f.name!r}", "has one setting in every run", mend)
+                    for f in constant
+                ]
+            )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the factors."""
+        return tuple(factor.name for factor in self.factors)
+
+    def levels(self) -> tuple[int, ...]:
+        """Count the different settings of each factor."""
+        return tuple(len(np.unique(np.round(c / SAME_SETTING))) for c in self.coded.T)
+
+    def settings(self, coded: Array) -> dict[str, float]:
+        """Give settings by name, in their own units, of one coded point of shape (k,)."""
+        return {f.name: f.setting(float(x)) for f, x in zip(self.factors, coded, strict=True)}
+
+    def points(self, at: Mapping[str, ArrayLike]) -> Array:
+        """Coded points, shape (m, k), of settings given by name, one or m of each."""
+        faults = [
+            Fault(n, "no such factor", nearest(n, self.names)) for n in at if n not in self.names
+        ]
+        faults += [
+            Fault(n, "has no setting", "give every factor one") for n in self.names if n not in at
+        ]
+        if faults:
+            raise InputError(faults)
+        settings = [np.atleast_1d(np.asarray(at[n], dtype=np.float64)) for n in self.names]
+        columns = [f.coded(s) for f, s in zip(self.factors, settings, strict=True)]
+        outside = [
+            self._outside(j, s, c) for j, (s, c) in enumerate(zip(settings, columns, strict=True))
+        ]
+        if any(outside):
+            raise InputError([fault for fault in outside if fault is not None])
+        return np.column_stack(np.broadcast_arrays(*columns))
+
+    def coded_inside(self, name: str, setting: float) -> float:
+        """Coded setting of one factor."""
+        j = self.names.index(name)
+        settings = np.array([setting])
+        coded = self.factors[j].coded(settings)
+        fault = self._outside(j, settings, coded)
+        if fault is not None:
+            raise InputError(fault)
+        return float(coded[0])
+
+    def distinct(self) -> tuple[Array, Ints]:
+        """Different settings, shape (m, k), and which of them each run has, shape (n,)."""
+        rounded = np.round(self.coded / SAME_SETTING)
+        _, first, which = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
+        order = np.argsort(first)  # in the order of the runs
+        rank = np.empty_like(order)
+        rank[order] = np.arange(order.size)
+        return self.coded[first[order]], rank[np.ravel(which)]
+
+    def _outside(self, j: int, settings: Array, coded: Array) -> Fault | None:
+        """Fault of the first setting that would have to be extrapolated."""
+        factor, run = self.factors[j], self.coded[:, j]
+        inside = (coded >= run.min() - SAME_SETTING) & (coded <= run.max() + SAME_SETTING)
+        if inside.all():  # a NaN is never inside
+            return None
+        low, high = (factor.setting(float(x)) for x in (run.min(), run.max()))
+        first = settings[~inside][0]
+        rule = f"{first:g} lies outside the settings that were run, {low:g} to {high:g}"
+        return Fault(factor.name, rule, "ask inside this range, or run settings beyond it")
+
+
+def _same(column: Array) -> bool:
+    return bool(np.ptp(column) <= SAME_SETTING)
+
+
+def change_together(runs: Runs) -> tuple[str, ...]:
+    """Name the factors of which one follows from the others in every run; empty if none does.
+
+    Shapes: runs (n, k).
+    """
+    centred = runs.coded - runs.coded.mean(axis=0)
+    _, sizes, directions = np.linalg.svd(centred, full_matrices=len(centred) < centred.shape[1])
+    if len(runs.factors) < 2 or (sizes.size == len(directions)
+                                 and sizes[-1] > COLLINEAR * sizes[0]):  # fmt: skip
+        return ()
+    last = np.abs(directions[-1])
+    return tuple(n for n, c in zip(runs.names, last, strict=True) if c > 1e-3 * last.max())
+
+
+# -------------------------------------------------------------------------------------------------
+# Largest and smallest prediction in the box of coded factors.
+
+#: most factors whose corners are all asked: 2^10 = 1,024
+CORNERS = 10
+
+#: best points from which the search goes on
+STARTS = 5
+
+#: a coordinate this near to 1 in size lies on the boundary
+BOUNDARY = 1e-6
+
+
+@dataclass(frozen=True)
+class Extreme:
+    """A largest or smallest prediction."""
+
+    #: shape (k,); coded settings.
+    at: Array
+    value: float
+    #: Half of the interval around it, in the same unit.
+    half_width: float
+
+    @property
+    def on_boundary(self) -> bool:
+        """Whether a factor stands at an end of its range."""
+        return bool(np.abs(self.at).max() >= 1.0 - BOUNDARY)
+
+
+def box_points(k: int, n: int, seed: int = 0) -> Array:
+    """Points that fill the box [-1, 1]^k evenly, shape (n, k); n is a power of two."""
+    from scipy.stats import qmc
+
+    return np.asarray(2.0 * qmc.Sobol(k, seed=seed).random(n) - 1.0)
+
+
+def extremes(value: Callable[[Array], Array], k: int, half_width: float) -> tuple[Extreme, Extreme]:
+    """Smallest and largest prediction in the box.
+
+    Shapes: value (n,).
+    """
+    points = box_points(k, 4096)
+    if k <= CORNERS:
+        points = np.vstack([points, np.array(list(product((-1.0, 1.0), repeat=k)))])
+    values = value(points)
+    low = _polished(value, points[np.argsort(values)[:STARTS]], 1.0, half_width)
+    high = _polished(value, points[np.argsort(-values)[:STARTS]], -1.0, half_width)
+    return low, high
+
+
+def _polished(
+    value: Callable[[Array], Array], starts: Array, sign: float, half_width: float
+) -> Extreme:
+    scale = float(np.abs(value(starts)).max()) or 1.0
+
+    def goal(x: Array) -> float:
+        return sign * float(value(x[None, :])[0]) / scale
+
+    bounds = [(-1.0, 1.0)] * starts.shape[1]
+    found = [optimize.minimize(goal, x, method="L-BFGS-B", bounds=bounds).x for x in starts]
+    best = min([*found, *starts], key=goal)
+    return Extreme(np.asarray(best), float(value(best[None, :])[0]), half_width)

@@ -1,0 +1,253 @@
+"""All settings whose curve agrees with a measured one, and what of them is determined."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import optimize, stats
+
+from study.ground.arrays import Array, Flags, Ints
+from study.statistics.surfaces.surface_factors import box_points
+from study.statistics.surfaces.surface_optimum import run_box
+from study.statistics.surfaces.surface_profile import CurveEmulator
+
+#: points at which the search looks around, and the best of them from which it goes on
+SAMPLE = 2048
+STARTS = 5
+
+#: halvings between the best setting and an end of the range: 1e-4 of the range
+HALVINGS = 14
+
+#: a coded coordinate this near to an end of what was run stands there
+NEAR_END = 1e-3
+
+#: a power below this part of the largest one does not count
+COUNTS = 0.05
+
+#: step of the differences that give slopes, in coded units
+STEP = 1e-4
+
+#: a combination is determined where its interval is less than this part of what the ranges allow
+NARROW = 0.5
+
+#: probability of the region
+LEVEL = 0.95
+
+
+@dataclass(frozen=True)
+class Combination:
+    """A product of powers of the inputs that a curve determines."""
+
+    #: shape (k,); powers, the first one that counts is 1; 0 for an input that was held or is
+    #: determined.
+    exponents: Array
+    #: Of the product, in the inputs' units.
+    value: float
+    #: Factor by which the product may be larger or smaller.
+    ratio: float
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Settings whose curves agree with a measured one."""
+
+    #: shape (k,); coded settings of the best curve.
+    at: Array
+    #: Root mean square of what it misses, in the curve's unit.
+    rms: float
+    #: The same at which a curve no longer agrees.
+    limit: float
+    #: shape (k,); ends of every setting inside of the set, coded.
+    low: Array
+    high: Array
+    #: shape (k,); whether the set goes on there to the end of what was run, of this input or of one
+    #: that makes up for it, and maybe beyond.
+    open_low: Flags
+    open_high: Flags
+    #: shape (p, k); members of the set, coded: the best setting for values of each input.
+    points: Array
+    #: shape (2, k); members where the least determined input is smallest and largest.
+    ends: Array
+    #: What is determined where an input by itself is not; empty where all inputs are.
+    combinations: tuple[Combination, ...]
+
+
+def agreeing(
+    model: CurveEmulator,
+    measured: Array,
+    held: Array,
+    *,
+    rows_worth: float | None = None,
+    largest: float | None = None,
+) -> Agreement:
+    """Find the set of settings whose curves agree with a measured one.
+
+    A curve agrees where its sum of squares lies in the joint 95 % region of least squares (Bates
+    and Watts 1988, eq. 2.12: S <= S_min + s^2 p F), widened by the emulator's own error; or where
+    it misses no more than ``largest``. The ends of an input are those of its profile: the other
+    inputs are always at their best, so that a narrow, bent set is followed to its ends.
+
+    Shapes: measured (m,); held (k,).
+    """
+    search = _Search.of(model, measured, held)
+    at = search.best()
+    rms, p, m = search.rms(at), search.free.size, measured.size
+    if largest is None:
+        worth = min(max(rows_worth or float(m), p + 1.0), float(m))
+        f = float(stats.f.ppf(LEVEL, p, max(m - p, 1)))
+        share = p * f / max(m - p, 1) * m / worth
+        largest = float(np.sqrt(rms**2 * (1.0 + share) + (1.96 * model.loo_rms) ** 2))
+    low, high = at.copy(), at.copy()
+    is_open = np.zeros((2, at.size), dtype=bool)
+    points, ends = [at], {}
+    for j in search.free:
+        for side, end in enumerate((search.low[j], search.high[j])):
+            found = search.profile_end(int(j), float(end), at, largest)
+            is_open[side, j] = search.is_at_end(found[-1])
+            (low, high)[side][j] = found[-1][j]
+            points += found
+            ends[int(j), side] = found[-1]
+    width = (high - low)[search.free] / (search.high - search.low)[search.free]
+    loose = int(search.free[int(np.argmax(width))])
+    whole = np.array([ends[loose, 0], ends[loose, 1]])
+    alone = ~(is_open[0] | is_open[1])
+    loose_ones = np.array([j for j in search.free if not alone[j]], dtype=np.int64)
+    told = search.combinations(at, rms, largest, loose_ones)
+    return Agreement(
+        at, rms, largest, low, high, is_open[0], is_open[1], np.array(points), whole, told
+    )
+
+
+@dataclass(frozen=True)
+class _Search:
+    """A measured curve beside an emulator of curves."""
+
+    model: CurveEmulator
+    measured: Array
+    held: Array
+    free: Ints
+    low: Array
+    high: Array
+
+    @classmethod
+    def of(cls, model: CurveEmulator, measured: Array, held: Array) -> _Search:
+        low, high = run_box(model.runs)
+        return cls(model, measured, held, np.flatnonzero(np.isnan(held)), low, high)
+
+    def rms(self, at: Array) -> float:
+        """Root mean square of what the curve at a point misses."""
+        return float(self.each_rms(at[None, :])[0])
+
+    def each_rms(self, points: Array) -> Array:
+        """Give the same, shape (n,), for points of shape (n, k)."""
+        return np.asarray(np.sqrt(((self.model.value(points) - self.measured) ** 2).mean(axis=1)))
+
+    def best(self) -> Array:
+        """Point (k,) of the least sum of squares."""
+        own = box_points(self.free.size, SAMPLE)
+        points = np.repeat(np.nan_to_num(self.held)[None, :], SAMPLE, axis=0)
+        low, high = self.low[self.free], self.high[self.free]
+        points[:, self.free] = low + 0.5 * (own + 1.0) * (high - low)
+        starts = points[np.argsort(self.each_rms(points))[:STARTS]]
+        return min((self.fitted(one, self.free) for one in starts), key=self.rms)
+
+    def fitted(self, start: Array, free: Ints) -> Array:
+        """Least squares over some coordinates from a start; shape (k,)."""
+        if not free.size:
+            return start
+        scale = float(np.abs(self.measured).max()) or 1.0
+        low, high = self.low[free], self.high[free]
+        inside = np.clip(start[free], low + 1e-9, high - 1e-9)
+
+        def whole(x: Array) -> Array:
+            at = start.copy()
+            at[free] = x
+            return at
+
+        found = optimize.least_squares(
+            lambda x: (self.model.value(whole(x)[None, :])[0] - self.measured) / scale,
+            inside,
+            jac=lambda x: self.slope(whole(x), free) / scale,
+            bounds=(low, high), xtol=1e-10, ftol=1e-12, gtol=1e-12, max_nfev=60,
+        )  # fmt: skip
+        return whole(np.asarray(found.x, dtype=np.float64))
+
+    def slope(self, at: Array, free: Ints) -> Array:
+        """Differentiate the curve by coded coordinates, shape (m, f)."""
+        steps = np.zeros((free.size, at.size))
+        steps[np.arange(free.size), free] = STEP
+        values = self.model.value(np.vstack([at + steps, at - steps]))
+        return np.asarray((values[: free.size] - values[free.size :]).T / (2.0 * STEP))
+
+    def is_at_end(self, at: Array) -> bool:
+        """Whether a free coordinate stands at an end of what was run."""
+        room = np.minimum(at - self.low, self.high - at)[self.free]
+        return bool(room.min() < NEAR_END)
+
+    def profile_end(self, j: int, end: float, best: Array, largest: float) -> list[Array]:
+        """Members of the set on the way from the best one to an end of an input."""
+        others = np.asarray(self.free[self.free != j])
+
+        def at(value: float, near: Array) -> Array:
+            starts = (near.copy(), best.copy())
+            for one in starts:
+                one[j] = value
+            return min((self.fitted(one, others) for one in starts), key=self.rms)
+
+        found = [best]
+        # on the way, so that a bent set is followed
+        for share in (0.25, 0.5, 0.75, 1.0):
+            one = at(best[j] + share * (end - best[j]), found[-1])
+            if self.rms(one) > largest:
+                break
+            found.append(one)
+        else:
+            return found
+        inner, outer = float(found[-1][j]), float(one[j])
+        for _ in range(HALVINGS):
+            middle = at(0.5 * (inner + outer), found[-1])
+            if self.rms(middle) <= largest:
+                inner = float(middle[j])
+                found.append(middle)
+            else:
+                outer = float(middle[j])
+        return found
+
+    def combinations(
+        self, at: Array, rms: float, largest: float, loose: Ints
+    ) -> tuple[Combination, ...]:
+        """Products of powers of the inputs that by themselves are not determined.
+
+        In logarithms the curve is nearly linear about the best setting; along the directions in
+        which it changes much, the set is narrow.
+        """
+        factors = [self.model.runs.factors[j] for j in loose]
+        if not factors or any(one.low <= 0 for one in factors):
+            return ()
+        settings = np.array([one.setting(float(at[j]))
+                             for one, j in zip(factors, loose, strict=True)])  # fmt: skip
+        extent = np.log([one.high / one.low for one in factors])
+        by_log = np.array([2.0 / np.log(one.high / one.low) if one.log
+                           else 2.0 * x / (one.high - one.low)
+                           for one, x in zip(factors, settings, strict=True)])  # fmt: skip
+        _, strength, directions = np.linalg.svd(self.slope(at, loose) * by_log, full_matrices=False)
+        room = np.sqrt(self.measured.size * max(largest**2 - rms**2, 0.0))
+        half = room / np.maximum(strength, 1e-12 * strength[0])
+        narrow = half < NARROW * 0.5 * (np.abs(directions) @ extent)
+        return tuple(
+            self._combination(direction, float(own), settings, loose)
+            for direction, own, is_narrow in zip(directions, half, narrow, strict=True)
+            if is_narrow
+        )
+
+    def _combination(
+        self, direction: Array, half: float, settings: Array, loose: Ints
+    ) -> Combination:
+        counts = np.abs(direction) >= COUNTS * float(np.abs(direction).max())
+        unit = direction[int(np.flatnonzero(counts)[0])]
+        own = np.where(counts, direction / unit, 0.0)
+        exponents = np.zeros(self.held.size)
+        exponents[loose] = own
+        value = float(np.prod(settings**own))
+        return Combination(exponents, value, float(np.exp(half / abs(unit))))

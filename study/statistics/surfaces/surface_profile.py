@@ -1,0 +1,321 @@
+"""What a fitted surface looks like: along each factor, over two of them, and at runs left out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from study.ground.arrays import Array
+from study.ground.errors import Fault, RefusedError
+from study.statistics.surfaces.emulator import (
+    ERRORS,
+    GIVEN,
+    SETTINGS,
+    SHARE,
+    BlockedEmulator,
+    Emulator,
+    Verdict,
+    fit_emulator,
+)
+from study.statistics.surfaces.quadratic import QuadraticSurface
+from study.statistics.surfaces.surface_factors import Runs, box_points
+from study.statistics.surfaces.surface_result import SurfaceAnalysis
+
+if TYPE_CHECKING:
+    from study.statistics.surfaces.surface_propagation import Propagated
+    from study.statistics.surfaces.surface_result import Sensitivity
+
+
+#: points of a profile, and along each side of a contour
+POINTS = 41
+GRID = 31
+
+
+@dataclass(frozen=True)
+class Profile:
+    """The response along one factor, the others in the middle of their ranges."""
+
+    factor: str
+    #: shape (m,); settings that were run, from the lowest to the highest, in the factor's unit.
+    setting: Array
+    #: shape (m,); predictions with their 95 % intervals, in the response's unit.
+    value: Array
+    low: Array
+    high: Array
+
+    @property
+    def range(self) -> float:
+        """Largest minus smallest prediction."""
+        return float(np.ptp(self.value))
+
+
+@dataclass(frozen=True)
+class Contour:
+    """The response over two factors, the others in the middle of their ranges."""
+
+    factors: tuple[str, str]
+    #: shape (m,); settings.
+    x: Array
+    y: Array
+    #: shape (n, m); predictions in the response's unit.
+    value: Array
+    #: shape (r, 2); settings of the runs, whatever the others were.
+    runs: Array
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Every run, and what all the others predict of it; shape (n,) each."""
+
+    observed: Array
+    predicted: Array
+
+
+def profiles(found: SurfaceAnalysis) -> tuple[Profile, ...]:
+    """Profile of every factor, in the order of the factors."""
+    return tuple(_profile(found, j) for j in range(len(found.runs.factors)))
+
+
+def strongest(found: SurfaceAnalysis) -> tuple[str, ...]:
+    """Names of the factors, the one that moves the response most first."""
+    if found.sensitivity:
+        return tuple(i.factor for i in sorted(found.sensitivity, key=lambda i: i.rank))
+    return tuple(p.factor for p in sorted(profiles(found), key=lambda p: -p.range))
+
+
+def contour(found: SurfaceAnalysis, factors: Sequence[str]) -> Contour:
+    """Surface over two factors."""
+    runs = found.runs
+    i, j = (runs.names.index(name) for name in factors)
+    across, up = _coded(runs.coded[:, i], GRID), _coded(runs.coded[:, j], GRID)
+    points = np.zeros((GRID, GRID, len(runs.factors)))
+    points[..., i] = across[np.newaxis, :]
+    points[..., j] = up[:, np.newaxis]
+    value, _ = found.model.predict(points.reshape(GRID * GRID, -1))
+    pair = (runs.factors[i], runs.factors[j])
+    settings = [np.array([f.setting(float(x)) for x in runs.coded[:, k]])
+                for f, k in zip(pair, (i, j), strict=True)]  # fmt: skip
+    return Contour(
+        (pair[0].name, pair[1].name),
+        np.array([pair[0].setting(float(x)) for x in across]),
+        np.array([pair[1].setting(float(x)) for x in up]),
+        np.asarray(value).reshape(GRID, GRID),
+        np.column_stack(settings),
+    )
+
+
+def left_out(found: SurfaceAnalysis) -> LeftOut | None:
+    """Leave-one-out predictions; None where no run can be left out."""
+    model = found.model
+    if isinstance(model, QuadraticSurface):
+        if model.loo is None:
+            return None
+        known = np.isfinite(model.loo.errors)
+        observed = model.loo.observed[known]
+        return LeftOut(observed, observed - model.loo.errors[known])
+    each = model.each if isinstance(model, BlockedEmulator) else (model,)
+    observed = np.concatenate([one.runs.response for one in each])
+    return LeftOut(observed, observed - model.loo_errors)
+
+
+def _profile(found: SurfaceAnalysis, j: int) -> Profile:
+    runs = found.runs
+    coded = np.zeros((POINTS, len(runs.factors)))
+    coded[:, j] = _coded(runs.coded[:, j], POINTS)
+    value, half = found.model.predict(coded)
+    factor = runs.factors[j]
+    setting = np.array([factor.setting(float(x)) for x in coded[:, j]])
+    return Profile(factor.name, setting, value, value - half, value + half)
+
+
+def _coded(column: Array, points: int) -> Array:
+    return np.linspace(float(column.min()), float(column.max()), points)
+
+
+# -------------------------------------------------------------------------------------------------
+# An emulator of whole curves: a mean, and a few shapes whose sizes are emulated.
+
+#: a shape is kept as long as it is this large beside the first one; at most so many
+SMALLEST = 1e-4
+MOST = 6
+
+
+@dataclass(frozen=True)
+class CurveEmulator:
+    """Curves at settings that were not run."""
+
+    #: Settings of the runs; the response is the mean of each curve.
+    runs: Runs
+    #: shape (m,); of the curves, in their unit.
+    mean: Array
+    #: shape (q, m); orthonormal.
+    shapes: Array
+    #: Of each shape, in the curves' unit.
+    sizes: tuple[Emulator, ...]
+    #: shape (n, m); errors of predicting the curve of each run from all the others, in that unit.
+    loo_errors: Array
+    #: Share of the curves' variance that is predicted so.
+    q2: float
+
+    @property
+    def loo_rms(self) -> float:
+        """Root mean square of the leave-one-out errors, in the curves' unit."""
+        return float(np.sqrt(np.mean(self.loo_errors**2)))
+
+    def value(self, coded: Array) -> Array:
+        """Curves, shape (p, m), at coded points of shape (p, k)."""
+        sizes = np.column_stack([one.value(coded) for one in self.sizes])
+        return np.asarray(self.mean + sizes @ self.shapes)
+
+
+def fit_curves(runs: Runs, curves: Array, seed: int = 0) -> CurveEmulator:
+    """Emulate curves by their principal components (Higdon et al. 2008, JASA 103, 570).
+
+    Shapes: curves (n, m).
+    """
+    settings, which = runs.distinct()
+    own = np.zeros((len(settings), curves.shape[1]))
+    np.add.at(own, which, curves)
+    own /= np.bincount(which)[:, None]
+    mean = own.mean(axis=0)
+    _, size, shapes = np.linalg.svd(own - mean, full_matrices=False)
+    if size[0] <= 1e-12 * float(np.abs(own).max()):
+        rule = "every run has the same curve"
+        raise RefusedError(str(Fault("invert", rule, "no input can be told from it")))
+    kept = shapes[: max(1, min(MOST, int((size > SMALLEST * size[0]).sum())))]
+    scores = (own - mean) @ kept.T
+    sizes = tuple(
+        fit_emulator(Runs(f"shape {j + 1}", runs.factors, settings, column), seed)
+        for j, column in enumerate(scores.T)
+    )
+    # what the shapes leave out is an error, too
+    rest = own - mean - scores @ kept
+    errors = np.column_stack([one.loo_errors for one in sizes]) @ kept + rest
+    q2 = 1.0 - float((errors**2).sum() / ((own - mean) ** 2).sum())
+    if not q2 >= GIVEN:
+        rule = f"the emulator of the curves has a Q2 of {q2:.2f}, below {GIVEN}"
+        raise RefusedError(str(Fault("invert", rule, f"add runs: {2 * len(settings)} in all")))
+    single = Runs("force", runs.factors, settings, own.mean(axis=1))
+    return CurveEmulator(single, mean, kept, sizes, errors, q2)
+
+
+# -------------------------------------------------------------------------------------------------
+# What another level of a factor without numbers changes, over the ranges of the numbers.
+
+
+@dataclass(frozen=True)
+class LevelDifference:
+    """Difference of a response at one level from that at another, with the same numbers."""
+
+    #: The factor; the response at ``level`` less that at ``other``.
+    factor: str
+    level: str
+    other: str
+    #: Over the ranges: mean, and ends of what 95 % of the settings have, in the response's unit.
+    mean: float
+    low: float
+    high: float
+    #: Half width around them: twice the largest leave-one-out errors, and numerical uncertainty.
+    bound: float
+    #: {"matters", "no practical difference", "cannot tell"}: whether it matters at some settings;
+    #: no difference means at none.
+    verdict: Verdict
+
+    def to_json(self) -> dict[str, object]:
+        """Plain values."""
+        return dict(vars(self))
+
+
+def level_difference(
+    names: tuple[str, str, str],
+    models: tuple[Emulator | BlockedEmulator, Emulator | BlockedEmulator],
+    practical: float | None,
+    u: float = 0.0,
+) -> LevelDifference:
+    """Compare the emulators of two levels."""
+    points = box_points(len(models[0].runs.factors), SETTINGS)
+    told = [one.predict(points) for one in models]
+    change = told[0][0] - told[1][0]
+    half = np.hypot(told[0][1], told[1][1])
+    largest = [float(np.abs(one.loo_errors).max()) for one in models]
+    bound = ERRORS * float(np.hypot(largest[0], largest[1])) + u
+    verdict: Verdict = "cannot tell"
+    if practical is not None and all(one.gate == "given" for one in models):
+        if float(np.quantile(np.abs(change), SHARE)) - bound > practical:
+            verdict = "matters"
+        elif float((np.abs(change) + half).max()) + u < practical:
+            verdict = "no practical difference"
+    tail = 0.5 * (1.0 - SHARE)
+    low, high = (float(q) for q in np.quantile(change, [tail, 1.0 - tail]))
+    return LevelDifference(*names, float(change.mean()), low, high, bound, verdict)
+
+
+# -------------------------------------------------------------------------------------------------
+# A surface over the numeric factors of a study, for one response.
+
+
+@dataclass(frozen=True)
+class FittedSurface:
+    """What the runs of a study say of one response over its numeric factors."""
+
+    response: str
+    unit: str
+    #: The surface; None where the runs cannot carry one.
+    found: SurfaceAnalysis | None
+    refused: str = ""
+    #: Levels of the other factors: every combination of them has a surface of its own.
+    labels: Mapping[str, str] = field(default_factory=dict)
+    #: Smallest difference that matters, in the response's unit.
+    practical: float | None = None
+    #: Bound of the numerical error of a difference of two settings, in the same unit.
+    bound: float | None = None
+    #: Units of the factors that are numbers.
+    units: Mapping[str, str] = field(default_factory=dict)
+    #: The response's distribution where inputs are uncertain.
+    uncertain: Propagated | None = None
+    #: Distribution of each of them, in words.
+    inputs: Mapping[str, str] = field(default_factory=dict)
+    #: From the surfaces at the first levels of the other factors, one factor at a time.
+    differences: tuple[LevelDifference, ...] = ()
+
+    @property
+    def verdicts(self) -> list[dict[str, object]]:
+        """One row a numeric factor, with the keys of a study's verdicts."""
+        told = () if self.found is None else self.found.sensitivity
+        return [self._row(item) for item in told]
+
+    def to_json(self) -> dict[str, object]:
+        """Plain values: the response, where the others stand, and the surface."""
+        own: dict[str, object] = {
+            "response": self.response,
+            "unit": self.unit,
+            "at": dict(self.labels),
+            "practical": self.practical,
+            "U": self.bound,
+        }
+        if self.found is None:
+            return own | {"surface": None, "sensitivity": [], "refused": self.refused}
+        told = own | self.found.to_json()
+        if self.labels:
+            told["differences"] = [one.to_json() for one in self.differences]
+        if self.uncertain is not None:
+            told["uncertainty"] = self.uncertain.to_json() | {"distributions": dict(self.inputs)}
+        return told
+
+    def _row(self, item: Sensitivity) -> dict[str, object]:
+        effect = item.range
+        return {
+            "response": self.response,
+            "factor": item.factor,
+            "at": dict(self.labels),
+            "verdict": "cannot tell" if effect is None else effect.verdict,
+            "effect": None if effect is None else effect.value,
+            "ci95": None,
+            "practical": self.practical,
+            "u_num": self.bound,
+            "U": self.bound,
+            "p": None,
+        }

@@ -1,0 +1,243 @@
+"""What uncertain inputs do to a response, through its surface (Saltelli et al. 2008; GUM S1)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from scipy import stats
+from scipy.stats import qmc
+
+from study.ground.arrays import Array
+from study.ground.errors import Fault, RefusedError
+from study.statistics.surfaces.emulator import (
+    GIVEN,
+    RANKED,
+    SAMPLE_ERROR,
+    BlockedEmulator,
+    Emulator,
+    SobolIndex,
+    jansen,
+    sobol_indices,
+)
+from study.statistics.surfaces.quadratic import QuadraticSurface
+from study.statistics.surfaces.surface_factors import Runs
+from study.statistics.surfaces.surface_result import SurfaceAnalysis
+
+#: points of the sample, as a power of two: 8,192
+SAMPLE = 13
+
+#: what is told of a distribution, in percent
+PERCENTILES = np.array([2.5, 5.0, 25.0, 50.0, 75.0, 95.0, 97.5])
+
+#: points at which the surface's own uncertainty is asked: 2,048
+OWN_SAMPLE = 11
+
+Model = QuadraticSurface | Emulator | BlockedEmulator
+
+
+class Spread(Protocol):
+    """Distribution of an input, inside the range that was run."""
+
+    @property
+    def outside(self) -> float:
+        """Probability that is cut off."""
+
+    def quantile(self, shares: Array) -> Array:
+        """Values below which such shares lie, in the unit of the input."""
+
+    def halved(self) -> Spread:
+        """Give the same with half the spread."""
+
+
+@dataclass(frozen=True)
+class Told:
+    """A number of the response's distribution, and what the surface may err in it."""
+
+    value: float
+    #: Half width of an interval of about 95 % for the surface's own error, in that unit.
+    own: float
+
+
+@dataclass(frozen=True)
+class InputShare:
+    """What one uncertain input does."""
+
+    name: str
+    #: Its share of the response's variance; None below a Q2 of .9.
+    index: SobolIndex | None
+    #: Standard deviation of the response if this input were known twice as well.
+    halved: float
+
+
+@dataclass(frozen=True)
+class Propagated:
+    """Distribution of a response whose inputs are uncertain."""
+
+    mean: Told
+    sd: Told
+    percentiles: Mapping[float, Told]
+    #: The one that is worth measuring most first.
+    inputs: tuple[InputShare, ...]
+    #: Settings of the factors that are not uncertain.
+    fixed: Mapping[str, float]
+    #: Probability of each input that lies outside its range, and was cut off.
+    cut: Mapping[str, float]
+
+    def gain(self, one: InputShare) -> float:
+        """Share of the standard deviation that knowing an input twice as well would take away."""
+        return 1.0 - one.halved / self.sd.value if self.sd.value > 0 else 0.0
+
+    def to_json(self) -> dict[str, object]:
+        """Plain values."""
+        told = {f"{percent:g}": vars(one) for percent, one in self.percentiles.items()}
+        rows = [
+            {
+                "input": one.name,
+                "S": None if one.index is None else one.index.first,
+                "S_interval": None if one.index is None else list(one.index.first_interval),
+                "T": None if one.index is None else one.index.total,
+                "T_interval": None if one.index is None else list(one.index.total_interval),
+                "sd_if_halved": one.halved,
+                "gain": self.gain(one),
+            }
+            for one in self.inputs
+        ]
+        return {
+            "mean": vars(self.mean),
+            "sd": vars(self.sd),
+            "percentiles": told,
+            "inputs": rows,
+            "fixed": dict(self.fixed),
+            "cut": dict(self.cut),
+        }
+
+
+def propagate(
+    found: SurfaceAnalysis, inputs: Mapping[str, Spread], fixed: Mapping[str, float], seed: int = 0
+) -> Propagated:
+    """Carry the distributions of inputs through a surface."""
+    model = found.model
+    q2 = _q2(model)
+    if not q2 >= RANKED:
+        rule = f"Q2 is {q2:.2f}, below {RANKED}: nothing is said of uncertain inputs"
+        raise RefusedError(str(Fault("uncertainty", rule, "add runs")))
+    own = _Inputs(found.runs, dict(inputs), dict(fixed))
+    u = qmc.Sobol(len(inputs), seed=seed).random_base2(SAMPLE)
+    values = _value(model, own.coded(u))
+    told, errors = _numbers(values[:, None])[:, 0], _own(model, own, seed)
+    each = [Told(float(v), float(e)) for v, e in zip(told, errors, strict=True)]
+    shares = _shares(model, own, q2, seed) if q2 >= GIVEN else [None] * len(inputs)
+    rows = [
+        InputShare(name, share, float(_value(model, own.halved(name).coded(u)).std()))
+        for name, share in zip(inputs, shares, strict=True)
+    ]
+    return Propagated(
+        each[0],
+        each[1],
+        dict(zip(PERCENTILES.tolist(), each[2:], strict=True)),
+        tuple(sorted(rows, key=lambda one: one.halved)),
+        dict(fixed),
+        {name: spread.outside for name, spread in inputs.items()},
+    )
+
+
+@dataclass(frozen=True)
+class _Inputs:
+    """Uncertain and fixed inputs of a surface."""
+
+    runs: Runs
+    spreads: Mapping[str, Spread]
+    fixed: Mapping[str, float]
+
+    def coded(self, shares: Array) -> Array:
+        """Coded points (m, k) of shares (m, inputs) of the distributions."""
+        columns = dict(zip(self.spreads, shares.T, strict=True))
+        made = [
+            f.coded(self.spreads[f.name].quantile(columns[f.name]))
+            if f.name in columns
+            else np.full(len(shares), float(f.coded(np.array([self.fixed[f.name]]))[0]))
+            for f in self.runs.factors
+        ]
+        return np.column_stack(made)
+
+    def unit(self, shares: Array) -> Array:
+        """Give the same in the unit box."""
+        return 0.5 * (self.coded(shares) + 1.0)
+
+    def halved(self, name: str) -> _Inputs:
+        """Give the same with one of them known twice as well."""
+        spreads = {n: s.halved() if n == name else s for n, s in self.spreads.items()}
+        return _Inputs(self.runs, spreads, self.fixed)
+
+
+def _value(model: Model, coded: Array) -> Array:
+    if isinstance(model, QuadraticSurface):
+        return model.polynomial.value(coded)
+    return model.value(coded)
+
+
+def _q2(model: Model) -> float:
+    if not isinstance(model, QuadraticSurface):
+        return model.q2
+    return float("nan") if model.loo is None else model.loo.q2
+
+
+def _numbers(values: Array) -> Array:
+    """Mean, standard deviation and percentiles, shape (2 + percentiles, p), of values (n, p)."""
+    middle = np.percentile(values, PERCENTILES, axis=0)
+    return np.vstack([values.mean(axis=0), values.std(axis=0), middle])
+
+
+def _own(model: Model, inputs: _Inputs, seed: int) -> Array:
+    """Half widths for the surface's own error, shape (2 + percentiles,), in the response's unit.
+
+    Left-out runs are missed by that much on average: a number that belongs to one place of the
+    distribution may be, too. The mean and the spread average over places.
+    """
+    if isinstance(model, QuadraticSurface):
+        rms = 0.0 if model.loo is None else model.loo.rms
+        return np.full(2 + PERCENTILES.size, 2.0 * rms)
+    u = qmc.Sobol(len(inputs.spreads), seed=seed + 1).random_base2(OWN_SAMPLE)
+    if isinstance(model, BlockedEmulator):
+        told = np.column_stack([_numbers(e.value(inputs.coded(u))[:, None]) for e in model.each])
+        blocks = told.shape[1]
+        t = float(stats.t.ppf(0.975, blocks - 1))
+        scatter = t * told.std(axis=1, ddof=1) / np.sqrt(blocks)
+        return np.asarray(scatter + np.mean([_own(e, inputs, seed) for e in model.each], axis=0))
+    paths = model.scale * model.paths(seed)(inputs.unit(u))
+    told = _numbers(paths)
+    scatter = np.sqrt(np.mean((told[:, 1:] - told[:, :1]) ** 2, axis=1))
+    least = np.full(scatter.shape, model.loo_rms)
+    least[:2] /= np.sqrt(model.runs.response.size)
+    return np.asarray(1.96 * np.maximum(model.widening * scatter, least))
+
+
+def _shares(model: Model, inputs: _Inputs, q2: float, seed: int) -> list[SobolIndex | None]:
+    """Sobol indices of the uncertain inputs."""
+    k = len(inputs.spreads)
+    if isinstance(model, Emulator):
+        paths = model.paths(seed)
+        return [*sobol_indices(lambda u: paths(inputs.unit(u)), k, q2, seed)]
+
+    def value(u: Array) -> Array:
+        return _value(model, inputs.coded(u))[:, None]
+
+    return [*_plain_indices(value, k, 1.0 - q2 + SAMPLE_ERROR, seed)]
+
+
+def _plain_indices(
+    value: Callable[[Array], Array], k: int, margin: float, seed: int
+) -> list[SobolIndex]:
+    """Estimate indices; what the surface leaves unexplained is their interval."""
+    first, total = (np.clip(found[:, 0], 0.0, 1.0) for found in jansen(value, k, seed))
+    return [
+        SobolIndex(float(s), _around(s, margin), float(t), _around(t, margin))
+        for s, t in zip(first, total, strict=True)
+    ]
+
+
+def _around(value: float, margin: float) -> tuple[float, float]:
+    return max(0.0, float(value) - margin), min(1.0, float(value) + margin)

@@ -1,0 +1,246 @@
+"""What an analysis over numeric factors found, for people and for programs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from study.ground.arrays import Array
+from study.statistics.surfaces.emulator import BlockedEmulator, EffectRange, Emulator, SobolIndex
+from study.statistics.surfaces.quadratic import FTest, QuadraticSurface, StationaryPoint
+from study.statistics.surfaces.surface_factors import Extreme, Runs, extremes
+
+Document = dict[str, object]
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Predictions with their 95 % intervals, shape (m,) each, in the response's unit."""
+
+    value: Array
+    low: Array
+    high: Array
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """What the emulator says of one factor; at a Q2 below .9 its rank alone."""
+
+    factor: str
+    rank: int
+    index: SobolIndex | None
+    range: EffectRange | None
+
+
+@dataclass(frozen=True)
+class SurfaceAnalysis:
+    """A surface over numeric factors."""
+
+    model: QuadraticSurface | Emulator | BlockedEmulator
+    #: One entry a factor; empty for a quadratic surface, or where Q2 refuses it.
+    sensitivity: tuple[Sensitivity, ...]
+    smallest: Extreme
+    largest: Extreme
+    notes: tuple[str, ...]
+
+    @property
+    def runs(self) -> Runs:
+        """The runs that were used."""
+        return self.model.runs
+
+    @property
+    def kind(self) -> str:
+        """Either ``quadratic`` or ``emulator``."""
+        return "quadratic" if isinstance(self.model, QuadraticSurface) else "emulator"
+
+    def noted(self, *notes: str) -> SurfaceAnalysis:
+        """Copy with notes before its own."""
+        return replace(self, notes=(*notes, *self.notes))
+
+    def predict(self, at: Mapping[str, ArrayLike]) -> Prediction:
+        """Predict at settings that were not run, inside those that were.
+
+        Shapes: at (m,).
+        """
+        value, half = self.model.predict(self.runs.points(at))
+        return Prediction(value, value - half, value + half)
+
+    def to_json(self) -> Document:
+        """Plain values, with the keys ``surface`` and ``sensitivity``."""
+        shape = self._quadratic() if isinstance(self.model, QuadraticSurface) else self._emulator()
+        best = {"smallest": self._extreme(self.smallest), "largest": self._extreme(self.largest)}
+        surface: Document = {"kind": self.kind, **shape, "best": best}
+        factors = {
+            f.name: {"low": f.low, "high": f.high, "scale": "log" if f.log else "linear"}
+            for f in self.runs.factors
+        }
+        return {
+            "response": self.runs.name,
+            "runs": int(self.runs.response.size),
+            "factors": factors,
+            "surface": surface,
+            "sensitivity": [self._sensitivity(item) for item in self.sensitivity],
+            "notes": list(self.notes),
+        }
+
+    def _quadratic(self) -> Document:
+        found = self.model
+        if not isinstance(found, QuadraticSurface):
+            return {}
+        loo = found.loo
+        return {
+            "error": found.error,
+            "terms": [
+                {"term": t.term, "coefficient": t.coefficient, "ci95": _pair(t.interval), "p": t.p}
+                for t in found.terms
+            ],
+            "factor_tests": {name: _test(test) for name, test in found.factor_tests.items()},
+            "aliases": list(found.aliases),
+            "loo_rms": None if loo is None else loo.rms,
+            "loo_max": None if loo is None else loo.largest,
+            "q2": None if loo is None else _finite(loo.q2),
+            "lack_of_fit": _test(found.lack_of_fit),
+            "stationary": self._stationary(found.stationary),
+        }
+
+    def _emulator(self) -> Document:
+        found = self.model
+        if isinstance(found, QuadraticSurface):
+            return {}
+        own: Document
+        if isinstance(found, Emulator):
+            own = self._process(found)
+        else:
+            own = {"blocks": {name: self._process(e) for name, e in found.emulators.items()}}
+        return {
+            **own,
+            "loo_rms": found.loo_rms,
+            "loo_max": float(np.abs(found.loo_errors).max()),
+            "q2": found.q2,
+            "indices": found.gate,
+        }
+
+    def _process(self, found: Emulator) -> Document:
+        kernel = found.process.found.kernel
+        lengths = dict(zip(self.runs.names, kernel.lengths.tolist(), strict=True))
+        own: Document = {"kernel": kernel.family, "lengths": lengths, "q2": found.q2}
+        if kernel.categories is None:
+            return own
+        # with the functions of the other combinations of levels, in their order
+        shared = kernel.categories.matrix[found.combination]
+        return own | {"category_correlation": shared.tolist()}
+
+    def _stationary(self, point: StationaryPoint | None) -> Document | None:
+        if point is None:
+            return None
+        region = point.region
+        ends: Document | None = None
+        if region is not None and np.isfinite(region.low).all():
+            ends = {
+                "low": self.runs.settings(region.low),
+                "high": self.runs.settings(region.high),
+                "leaves_the_box": region.leaves,
+            }
+        return {
+            "kind": point.kind,
+            "at": self.runs.settings(point.at) if np.abs(point.at).max() < FAR else None,
+            "coded": point.at.tolist(),
+            "value": point.value,
+            "eigenvalues": point.eigenvalues.tolist(),
+            "eigenvectors": point.eigenvectors.T.tolist(),
+            "inside": point.inside,
+            "established": point.established,
+            "region": ends,
+        }
+
+    def _extreme(self, extreme: Extreme) -> Document:
+        return {
+            "at": self.runs.settings(extreme.at),
+            "value": extreme.value,
+            "half_width": _finite(extreme.half_width),
+            "on_boundary": extreme.on_boundary,
+        }
+
+    def _sensitivity(self, item: Sensitivity) -> Document:
+        index, effect = item.index, item.range
+        return {
+            "factor": item.factor,
+            "rank": item.rank,
+            "S": None if index is None else index.first,
+            "S_interval": _pair(None if index is None else index.first_interval),
+            "T": None if index is None else index.total,
+            "T_interval": _pair(None if index is None else index.total_interval),
+            "range": None if effect is None else effect.value,
+            "range_bound": None if effect is None else effect.bound,
+            "verdict": "cannot tell" if effect is None else effect.verdict,
+            "confirm": [self.runs.settings(point) for point in effect.confirm]
+            if effect is not None and effect.claims
+            else [],
+        }
+
+
+#: coded distance beyond which a stationary point is not given in units: a logarithm overflows
+FAR = 100.0
+
+
+def analysis_of_quadratic(found: QuadraticSurface) -> SurfaceAnalysis:
+    """Say what a quadratic surface means."""
+    said = [*found.notes]
+    point = found.stationary
+    if point is None or not point.established:
+        said.append(
+            "no stationary point established inside the region; confirm the best predicted "
+            "setting by a run there"
+        )
+    return SurfaceAnalysis(found, (), found.smallest, found.largest, tuple(said))
+
+
+def analysis_of_emulator(
+    found: Emulator | BlockedEmulator, practical: float | None, u: float = 0.0
+) -> SurfaceAnalysis:
+    """Ask an emulator for all that its Q2 allows."""
+    k = len(found.runs.factors)
+    rough_low, rough_high = extremes(found.value, k, 0.0)
+    low, high = (_with_interval(found, extreme) for extreme in (rough_low, rough_high))
+    twice = 2 * found.runs.response.size
+    if found.gate == "refused":
+        note = f"Q2 {found.q2:.2f} is below .7: no indices; add runs, {twice} in all"
+        return SurfaceAnalysis(found, (), low, high, (note,))
+    indices = found.indices()
+    order = np.argsort([-index.total for index in indices]).tolist()
+    ranks = {j: rank for rank, j in enumerate(order, 1)}
+    names = found.runs.names
+    if found.gate == "ranking only":
+        note = f"Q2 {found.q2:.2f} is below .9: ranking only; add runs, {twice} in all"
+        ranked = tuple(Sensitivity(names[j], ranks[j], None, None) for j in range(k))
+        return SurfaceAnalysis(found, ranked, low, high, (note,))
+    ranges = found.ranges(practical, u)
+    told = tuple(Sensitivity(names[j], ranks[j], indices[j], ranges[j]) for j in range(k))
+    notes = [
+        "indices are of factors uniform over their ranges; ranges hold at 95 % of the settings"
+    ]
+    if any(item.verdict == "matters" for item in ranges):
+        notes.append("matters holds once the two predicted extremes were run: see confirm")
+    return SurfaceAnalysis(found, told, low, high, tuple(notes))
+
+
+def _with_interval(found: Emulator | BlockedEmulator, extreme: Extreme) -> Extreme:
+    _, half = found.predict(extreme.at[None, :])
+    return Extreme(extreme.at, extreme.value, float(half[0]))
+
+
+def _test(test: FTest | None) -> Document | None:
+    if test is None:
+        return None
+    return {"F": test.f, "df": test.df, "df_error": test.df_error, "p": test.p}
+
+
+def _pair(interval: tuple[float, float] | None) -> list[float] | None:
+    return None if interval is None else list(interval)
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

@@ -1,1 +1,0 @@
-"""A study opened, and what a report reads of it."""

@@ -1,1 +1,0 @@
-"""Closed triangulated surfaces: read, checked and oriented."""

@@ -1,1 +1,0 @@
-"""A tracker against what is known: fixed distances, commanded displacements, a reference."""
