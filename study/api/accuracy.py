@@ -92,7 +92,6 @@ def _body(path: Path, surface_unit: str, overrides: Sequence[str]) -> SimulatedB
     return body_of_mesh(DeformedMesh(found.points, found.displacement, found.kind, found.cells))
 
 
-# -------------------------------------------------------------------------------------------------
 # The verb tracking: accuracy of a tracker.
 
 

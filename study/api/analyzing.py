@@ -67,7 +67,6 @@ if TYPE_CHECKING:
     from study.statistics.convergence.contrast_bound import NumericalBound
 
 
-# -------------------------------------------------------------------------------------------------
 # Levels of a factor compared with one of them.
 
 
@@ -104,7 +103,6 @@ def _of_rows(found: AnalysisResult, factor: str, reference: str) -> Comparisons:
     return blocked_dunnett(by_level, reference, alpha=alpha, seed=seed)
 
 
-# -------------------------------------------------------------------------------------------------
 # Write the page of one analysis: of a CSV, a table, or a study's records.
 
 #: Names that the rows of an analysis have for themselves.
@@ -185,9 +183,10 @@ def report_data(found: AnalysisResult, source: Source) -> ReportData:
     rows = found.data.residuals
     block = found.data.block
     labels = {name: name for name in (request.response, *request.factors)}
+    named = ", ".join(found.request.factors)
     return ReportData(
         name=source.name,
-        question=_question(found),
+        question=f"What does {found.request.response} depend on: {named}?",
         factors=_levels(found),
         table=_report_table(found),
         responses=(
@@ -214,11 +213,6 @@ def report_data(found: AnalysisResult, source: Source) -> ReportData:
         cells=len(found.data.cell_means),
         labels=labels,
     )
-
-
-def _question(found: AnalysisResult) -> str:
-    named = ", ".join(found.request.factors)
-    return f"What does {found.request.response} depend on: {named}?"
 
 
 def _levels(found: AnalysisResult) -> dict[str, tuple[str, ...]]:
@@ -255,7 +249,6 @@ def provenance(source: Source) -> dict[str, str]:
     return out
 
 
-# -------------------------------------------------------------------------------------------------
 # An analysis as a notebook shows it: a frame, a table in HTML, a figure, a page.
 
 
@@ -458,7 +451,6 @@ def analyze(
     return Analysis.of(_study(source, response, factors, results, options))
 
 
-# -------------------------------------------------------------------------------------------------
 # The same analysis over less of the test, to see whether the answer depends on its depth.
 #
 # Every case keeps its measured and its predicted curve, so that a response over the first part
@@ -552,7 +544,6 @@ def _first(measured: Curve, depth_mm: float) -> Curve:
     return Curve(measured.displacement_mm[inside], measured.force_N[inside])
 
 
-# -------------------------------------------------------------------------------------------------
 # Tests that are adjusted together: those of a response, those declared, those of a whole study.
 
 
@@ -588,7 +579,6 @@ def _with(
     return replace(analysis, result=replace(analysis.result, effects=effects).noted(note))
 
 
-# -------------------------------------------------------------------------------------------------
 # A mixed model of a study, a table or a file: blocks and other columns as random factors.
 
 
@@ -647,7 +637,6 @@ def fit_mixed_model(
     return mixed_model(study.table, named, names, **options)
 
 
-# -------------------------------------------------------------------------------------------------
 # What a response was scored on: the curve that was fitted, or one that the fit never saw.
 
 #: words in the name of a column that tell specimens apart

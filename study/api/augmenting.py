@@ -47,7 +47,6 @@ if TYPE_CHECKING:
     from study.harness.runner.job import Work
 
 
-# -------------------------------------------------------------------------------------------------
 # Cells that a run has added to its design, kept in the design that it stores.
 
 
@@ -160,7 +159,11 @@ def next_cells(design: Design, records: Sequence[Record]) -> tuple[list[list[flo
     places = _places(design)
     fitted = [_fit(design, rule, labels, records) for labels in places]
     size = len(design.treatments)
-    step: Step = {"cells": size, "q2": _quality(fitted), "open": _open(fitted), "stopped": ""}
+    found: dict[str, float] = {}
+    for one in fitted:
+        for name, model in one.responses.items():
+            found[name] = min(found.get(name, 1.0), float(model.q2))
+    step: Step = {"cells": size, "q2": found, "open": _open(fitted), "stopped": ""}
     free = min(rule.batch, rule.budget - size)
     step["stopped"] = _end(rule, step, free, any(record.converged for record in records))
     return ([] if step["stopped"] else _chosen(design, rule, places, fitted, free)), step
@@ -194,7 +197,10 @@ def _fit(
         if response.name in _COSTS:
             continue
         try:
-            if not _answers(response.name, labels, records):
+            here = [
+                r for r in records if all(r.levels[name] == label for name, label in labels.items())
+            ]
+            if not any(record.value(response.name) is not None for record in here):
                 raise RefusedError("no cell has an answer")
             runs = runs_at(design, response.name, labels, records)
             if np.ptp(runs.response) <= 1e-12 * float(np.abs(runs.response).max()):
@@ -208,11 +214,6 @@ def _fit(
         if not known:
             still.append(response.name)
     return _Fitted(found, refused, tuple(still))
-
-
-def _answers(response: str, labels: Mapping[str, str], records: Sequence[Record]) -> bool:
-    here = [r for r in records if all(r.levels[name] == label for name, label in labels.items())]
-    return any(record.value(response) is not None for record in here)
 
 
 def _is_known(
@@ -233,15 +234,6 @@ def _is_known(
     told = fit_runs(runs, "emulator", practical).sensitivity
     verdicts = [None if one.range is None else one.range.verdict for one in told]
     return bool(verdicts) and all(v not in (None, "cannot tell") for v in verdicts)
-
-
-def _quality(fitted: Sequence[_Fitted]) -> dict[str, float]:
-    """Smallest Q2 of each response."""
-    found: dict[str, float] = {}
-    for one in fitted:
-        for name, model in one.responses.items():
-            found[name] = min(found.get(name, 1.0), float(model.q2))
-    return found
 
 
 def _open(fitted: Sequence[_Fitted]) -> list[str]:
@@ -314,7 +306,6 @@ def _cell(design: Design, labels: Mapping[str, str], point: Array) -> list[float
     ]
 
 
-# -------------------------------------------------------------------------------------------------
 # Further cells for a fraction that leaves a doubt: those that tell more terms apart.
 
 #: kinds of a design whose factors are samples of ranges, not levels

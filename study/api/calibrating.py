@@ -44,7 +44,6 @@ if TYPE_CHECKING:
     from study.reporting.figures.axes import Drawing
 
 
-# -------------------------------------------------------------------------------------------------
 # Curves of a calibration as the panels of its figure.
 
 
@@ -279,7 +278,6 @@ def calibration_figure(found: CalibrationResult) -> str:
     return fit_figure(panels_of(found), f"{found.name}: {found.model}, {found.status}")
 
 
-# -------------------------------------------------------------------------------------------------
 # How a calibration file wants its constants found.
 
 
@@ -288,7 +286,6 @@ def is_analytic(source: str | Path, overrides: Sequence[str] = ()) -> bool:
     return load_calibration(source, overrides).asked.method == "analytic"
 
 
-# -------------------------------------------------------------------------------------------------
 # Files to start from: virtual measurements, a commented design or calibration.
 
 
@@ -353,7 +350,6 @@ def new_file(file: str | Path, *, calibration: bool = False) -> list[Path]:
     return [path, *(write_tests(path.parent / "tests-of-material") if calibration else ())]
 
 
-# -------------------------------------------------------------------------------------------------
 # Young's modulus of measured indentations in closed form.
 
 #: override that asks a calibration file for the closed form

@@ -93,7 +93,6 @@ def with_contrasts(found: AnalysisResult, asked: Sequence[str]) -> AnalysisResul
     return replace(found, contrasts=together).noted(*notes)
 
 
-# -------------------------------------------------------------------------------------------------
 # What a number of specimens can show, before they are tested: probability of a claim, and cost.
 
 #: Numbers of specimens that are compared.

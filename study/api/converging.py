@@ -69,7 +69,6 @@ if TYPE_CHECKING:
     from study.statistics.convergence.grid_convergence import ConvergenceResult
 
 
-# -------------------------------------------------------------------------------------------------
 # What ``study converge`` found of a problem, or of the cells of a design.
 
 
@@ -156,7 +155,6 @@ def _page(report: Path | None) -> dict[str, object]:
     return {} if report is None else {"report": str(report)}
 
 
-# -------------------------------------------------------------------------------------------------
 # The page of a convergence study, with pictures of its meshes.
 
 #: cells whose coarsest and finest mesh are shown
@@ -222,7 +220,6 @@ def near(tables: Tables) -> Array:
     return np.array([[radius - reach, height - reach], [radius, height]])
 
 
-# -------------------------------------------------------------------------------------------------
 # Refinement of a study's cells within a time budget, mesh by mesh, cheapest cells first.
 #
 # Before anything is solved a cost is a prediction, which may be off by several times for a shape
@@ -246,20 +243,16 @@ def refine_within(
     }
     for level in range(max((len(one.jobs) for one in series), default=0)):
         left = (until - time.monotonic()) * workers
-        ongoing = _affordable(ongoing, [_price(one, level, predicted) for one in ongoing], left)
+        prices = [_price(one, level, predicted) for one in ongoing]
+        order = sorted(range(len(ongoing)), key=lambda i: prices[i])
+        spent = accumulate(prices[i] for i in order)
+        ongoing = [
+            ongoing[i] for i, sum_so_far in zip(order, spent, strict=True) if sum_so_far <= left
+        ]
         steps = [one.jobs[level] for one in ongoing]
         for one, step, found in zip(ongoing, steps, compute(steps) if steps else (), strict=True):
             one.add(step, found)
     return ongoing
-
-
-def _affordable(
-    series: Sequence[CaseSeries], prices: Sequence[float], seconds: float
-) -> list[CaseSeries]:
-    """Cheapest series that fit into some worker seconds together."""
-    order = sorted(range(len(series)), key=lambda i: prices[i])
-    spent = accumulate(prices[i] for i in order)
-    return [series[i] for i, sum_so_far in zip(order, spent, strict=True) if sum_so_far <= seconds]
 
 
 def _price(one: CaseSeries, level: int, predicted: Mapping[str, float]) -> float:
@@ -351,7 +344,9 @@ def cost_fronts(
     """Error against seconds of every mesh, and which cell reaches the accuracy first."""
     groups: dict[str, list[int]] = {}
     for k, one in enumerate(cells):
-        groups.setdefault(_physics(one.tables), []).append(k)
+        groups.setdefault(
+            case_id({k: one.tables.get(k) for k in ("specimen", "test", "material")}), []
+        ).append(k)
     fronts = [
         _front([(_label(cells[k], k), cells[k], judged[k]) for k in members], accuracy)
         for members in groups.values()
@@ -383,10 +378,6 @@ def _front(
         tuple(RankedCell(r.name, r.seconds, r.mesh_size, r.how) for r in ranked),
         _answer(ranked, accuracy, u, value),
     )
-
-
-def _physics(tables: Tables) -> str:
-    return case_id({k: tables.get(k) for k in ("specimen", "test", "material")})
 
 
 def _label(one: Series, number: int) -> str:
@@ -465,7 +456,6 @@ def _said(progress: CellProgress) -> Callable[[RunProgress], None]:
     return lambda state: progress(f"{state.done}/{state.total}: {state.label}")
 
 
-# -------------------------------------------------------------------------------------------------
 # Refinement series as a notebook shows them: a frame, a table in HTML, a figure.
 
 
@@ -493,7 +483,6 @@ class SeriesDocument(Shown, dict[str, object]):
         return (self.to_frame()[names],)
 
 
-# -------------------------------------------------------------------------------------------------
 # ``study converge``: of plain numbers, of a problem, or of every cell of a design.
 
 Progress = Callable[[str], None]

@@ -60,7 +60,6 @@ if TYPE_CHECKING:
     from study.statistics.surfaces.surface_propagation import Propagated
 
 
-# -------------------------------------------------------------------------------------------------
 # Runs of a table, and the surface that suits them, with what it means.
 
 Surface = Literal["auto", "quadratic", "emulator", "none"]
@@ -496,7 +495,6 @@ def differences(
     return tuple(made)
 
 
-# -------------------------------------------------------------------------------------------------
 # Surfaces over the numeric factors of a study's own runs.
 
 #: kinds of a design whose settings are chosen for a surface
@@ -715,7 +713,6 @@ def _runs(
     return Runs(response, factors, _coded(design, factors, records), values, blocks, u)
 
 
-# -------------------------------------------------------------------------------------------------
 # Write the page of a surface that was fitted to a table.
 
 

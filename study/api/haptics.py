@@ -50,7 +50,6 @@ if TYPE_CHECKING:
     from study.reporting.results.study_result import StudyResult
 
 
-# -------------------------------------------------------------------------------------------------
 # A material as the input of another program: ``study export --as abaqus`` and ``--as febio``.
 
 #: what writes a material, and the ending of its file, by the name of the program
@@ -104,7 +103,6 @@ def export_material(title: str, material: Material, program: str, folder: Path) 
     return MaterialExport(name, converted, text, (path,), remarks(material, converted), warnings)
 
 
-# -------------------------------------------------------------------------------------------------
 # What a verb about one simulation is given: a problem file, a calibration, a case of a study.
 
 #: Half ranges of calibrated constants over their standard errors.
@@ -363,7 +361,6 @@ def _warnings(law: ForceLaw, tolerance: float) -> tuple[str, ...]:
     return tuple(said)
 
 
-# -------------------------------------------------------------------------------------------------
 # What the sensors of a test must be for constants as accurate as wanted.
 
 
@@ -429,7 +426,6 @@ def require(
     return Required(found, write_requirement(found, out), tuple(warnings(found)))
 
 
-# -------------------------------------------------------------------------------------------------
 # The surfaces of a study as functions that need no package.
 
 

@@ -96,7 +96,12 @@ def invert(  # noqa: PLR0913  # the public face: one keyword for each thing that
     study = api.open_study(path, results) if isinstance(path, str | Path) else path
     known = _known(study, dict(at or {}))
     curve, notes = _read(Path(to), columns, in_units, decimal), []
-    records = _records(study, known)
+    more = joined(study.design, Store(study.folder), study.manifest)
+    every = [*study.records, *more.records]
+    here = [one for one in every if all(one.levels[n] == v for n, v in known.labels.items())]
+    records = [
+        one for one in here if one.converged and not is_repeat(one.extra) and one.first_prediction()
+    ]
     curve, cut = _covered(curve, records, Path(to))
     notes += cut
     found, runs = _solved(study, known, curve, records, _share(within), confirming, permission)
@@ -180,15 +185,6 @@ def _read(source: Path, columns: Sequence[str], in_units: Sequence[str], decimal
     return _Measured(displacement, force)
 
 
-def _records(study: StudyResult, known: _Known) -> list[Record]:
-    """List the runs with a curve at the levels that are known, those that joined included."""
-    more = joined(study.design, Store(study.folder), study.manifest)
-    every = [*study.records, *more.records]
-    here = [one for one in every if all(one.levels[n] == v for n, v in known.labels.items())]
-    return [one for one in here
-            if one.converged and not is_repeat(one.extra) and one.first_prediction()]  # fmt: skip
-
-
 def _covered(
     curve: _Measured, records: Sequence[Record], source: Path
 ) -> tuple[_Measured, list[str]]:
@@ -237,15 +233,12 @@ def _fitted(
     found = agreeing(model, curve.force, held, largest=largest)
     residual = np.asarray(curve.force - model.value(found.at[None, :])[0])
     if share is None and residual.size >= _TOO_FEW:
-        worth = effective_rows(residual.size, _correlation(residual))
+        square = float(residual @ residual)
+        worth = effective_rows(
+            residual.size, float(residual[1:] @ residual[:-1]) / square if square > 0 else 0.0
+        )
         found = agreeing(model, curve.force, held, rows_worth=worth)
     return _Found(model, found, residual)
-
-
-def _correlation(residual: Array) -> float:
-    """Correlation of neighbouring rows."""
-    square = float(residual @ residual)
-    return float(residual[1:] @ residual[:-1]) / square if square > 0 else 0.0
 
 
 def _solved(

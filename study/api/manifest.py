@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from study.reporting.results.study_result import StudyResult
 
 
-# -------------------------------------------------------------------------------------------------
 # What two studies do not share: keys of their designs, measurements, truths, code.
 
 #: keys that change no number
@@ -42,7 +41,7 @@ def changes(first: StudyResult, second: StudyResult) -> tuple[Change, ...]:
         *_differing("extent", *(_extent(study) for study in studies)),
         *_differing("measurements", *(_files(study) for study in studies)),
         *_truths(first, second),
-        *_differing("code", *(_versions(study) for study in studies)),
+        *_differing("code", *(_code(study.manifest.get("versions", {})) for study in studies)),
     )
 
 
@@ -111,10 +110,6 @@ def _sums(files: Mapping[str, str]) -> dict[str, str]:
     return {f"sha256 of {name}": str(sha)[:_DIGITS] for name, sha in files.items()}
 
 
-def _versions(study: StudyResult) -> dict[str, str]:
-    return _code(study.manifest.get("versions", {}))
-
-
 def _code(versions: Mapping[str, str]) -> dict[str, str]:
     return {f"version of {name}": str(value) for name, value in versions.items()}
 
@@ -176,7 +171,6 @@ def manifest_of(work: Work) -> ManifestDocument:
     }
 
 
-# -------------------------------------------------------------------------------------------------
 # Results of other libraries, other code or another mesh: used, refused or computed again.
 
 REFUSE = "refuse"

@@ -43,7 +43,6 @@ if TYPE_CHECKING:
     from study.reporting.figures.axes import Drawing
 
 
-# -------------------------------------------------------------------------------------------------
 # A study as a notebook shows it: a frame, verdicts in HTML, a figure.
 
 

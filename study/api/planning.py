@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     from study.harness.runner.job import CaseJob, Work
 
 
-# -------------------------------------------------------------------------------------------------
 # Seconds that a study still needs: its refinements, its controls, and what was noted.
 
 #: seconds between two notes for other shells: nobody reads them faster
@@ -337,7 +336,6 @@ def _unfinished(
     return {"cases": _counts(quiet.survey(later["cases"])), "changed": changed}
 
 
-# -------------------------------------------------------------------------------------------------
 # A run sheet for physical trials: every specimen under every condition, in random order.
 #
 # Order is drawn anew for each specimen, so that drift of the machine, the room or the operator is

@@ -142,7 +142,6 @@ def _predicted(one: FittedSurface, at: Mapping[str, Array]) -> Predicted:
     return Predicted(one.response, one.unit, told.value, told.low, told.high)
 
 
-# -------------------------------------------------------------------------------------------------
 # Runs of the true model at settings that a surface has named; they join the study's surfaces.
 
 #: name of the list of these runs in a results folder
@@ -174,7 +173,9 @@ def joined(design: Design, store: Store, manifest: Mapping[str, object]) -> Join
     own = [row for row in rows if row["of"] == _identity(manifest)]
     found = store.records({row["case"]: row["input"] for row in own if ID.fullmatch(row["case"])})
     records = tuple(record for record in found if _is_of(record, design))
-    return Joined(_knowing(design, [record.levels for record in records]), records)
+    cells = [record.levels for record in records]
+    factors = tuple(_with_levels(f, [one[f.name] for one in cells]) for f in design.factors)
+    return Joined(replace(design, factors=factors) if cells else design, records)
 
 
 def _is_of(record: Record, design: Design) -> bool:
@@ -194,12 +195,6 @@ def code_of(manifest: Mapping[str, object]) -> str:
     """Version of this program that a run was made with."""
     versions = manifest.get("versions")
     return str(versions.get("study")) if isinstance(versions, Mapping) else ""
-
-
-def _knowing(design: Design, cells: Sequence[Mapping[str, str]]) -> Design:
-    """Copy whose ranges have the levels of some cells."""
-    factors = tuple(_with_levels(f, [one[f.name] for one in cells]) for f in design.factors)
-    return replace(design, factors=factors) if cells else design
 
 
 def _with_levels(factor: Factor, labels: Sequence[str]) -> Factor:

@@ -129,7 +129,9 @@ def rows_for(
     if _MESH not in table:
         return Rows(table, block, how)
     cells = [*factors, *([block] if block else [])]
-    if not _spread(table, response, cells):
+    groups = table.groupby(cells, sort=False, dropna=False)[response]
+    widest = (groups.max() - groups.min()).max()
+    if not bool(widest > _SAME * table[response].abs().max()):
         first = table[table[_MESH] == table[_MESH].min()].drop(columns=_MESH)
         note = f"the mesh does not enter {response}: it is the same on every mesh, no E3"
         return Rows(first, block, how, notes=(note,))
@@ -137,11 +139,6 @@ def rows_for(
         table, block = _over(table, response, [*factors, _MESH]), None
     if block:
         return Rows(table, block, how)
-    return _seed_rows(table, factors, how)
-
-
-def _seed_rows(table: pd.DataFrame, factors: Sequence[str], how: str) -> Rows:
-    """Rows whose mesh seeds are blocks where every cell has the same ones."""
     labels = table[list(factors)].astype(str).itertuples(index=False, name=None)
     found = seed_design(list(labels), table[_MESH].tolist())
     if found.role is not SeedRole.BLOCKS or how == "pooled":
@@ -174,13 +171,6 @@ def _noise_rows(
     return Rows(again, common, how, "noise")
 
 
-def _spread(table: pd.DataFrame, response: str, cells: list[str]) -> bool:
-    """Whether the response differs between the rows of some cell."""
-    groups = table.groupby(cells, sort=False, dropna=False)[response]
-    widest = (groups.max() - groups.min()).max()
-    return bool(widest > _SAME * table[response].abs().max())
-
-
 def _over(table: pd.DataFrame, response: str, keys: list[str]) -> pd.DataFrame:
     """Mean of the response over the blocks; missing where one of them is."""
     groups = table.groupby(keys, sort=False)[response]
@@ -209,7 +199,10 @@ def without_gaps(
     until nothing is missing or a factor would be down to one level.
     """
     designed = _designed(design, factors)
-    answered = _answered(table, response, factors, block)
+    known = table.dropna(subset=[response])
+    if block is not None and len(known):
+        known = known[answered_often(known, factors, block, table[block].nunique())]
+    answered = {tuple(map(str, row)) for row in known[list(factors)].to_numpy()}
     terms = [[factors.index(name) for name in term] for term in terms_of(factors, model)]
     notes = []
     while (worst := _worst(designed, answered, terms)) is not None:
@@ -228,15 +221,6 @@ def without_gaps(
 def _designed(design: Design, factors: Sequence[str]) -> list[Cell]:
     found = (tuple(str(t.levels[name]) for name in factors) for t in design.treatments)
     return list(dict.fromkeys(found))
-
-
-def _answered(
-    table: pd.DataFrame, response: str, factors: Sequence[str], block: str | None
-) -> set[Cell]:
-    known = table.dropna(subset=[response])
-    if block is not None and len(known):
-        known = known[answered_often(known, factors, block, table[block].nunique())]
-    return {tuple(map(str, row)) for row in known[list(factors)].to_numpy()}
 
 
 def _worst(

@@ -30,7 +30,6 @@ from study.reporting.figures.registry import slug
 from study.reporting.output.overview_page import Progress, StudyState, render_overview
 from study.reporting.output.page import policy_hash, table_script
 
-# -------------------------------------------------------------------------------------------------
 # State of every study, read from its folders without changing a byte of them.
 #
 # Whoever sent a results folder decides what it holds: a study that cannot be read is left out, and
@@ -104,7 +103,13 @@ class Folders:
                 if not left:
                     continue
                 left -= 1
-                self._records[path] = stamp, *_read_record(path)
+                # status and input of a record; empty where it is damaged
+                content = _sealed(path)
+                fields = content if isinstance(content, dict) else {}
+                self._records[path] = (
+                    stamp,
+                    *(str(fields.get("status", "")), str(fields.get("input_hash", ""))),
+                )
             _, status, made_of = self._records[path]
             done += made_of == cases[name] and status == CONVERGED
             failed += made_of == cases[name] and status not in ("", CONVERGED)
@@ -146,13 +151,6 @@ def _read_study(path: Path) -> tuple[str, dict[str, str] | None]:
         section = None
     question = section.get("question", "") if isinstance(section, dict) else ""
     return clean(question, _LONGEST), manifest["cases"]
-
-
-def _read_record(path: str) -> tuple[str, str]:
-    """Status and input of a record; empty where it is damaged."""
-    content = _sealed(path)
-    fields = content if isinstance(content, dict) else {}
-    return str(fields.get("status", "")), str(fields.get("input_hash", ""))
 
 
 def _sealed(path: str | Path) -> object:
@@ -320,7 +318,6 @@ def report_file(reports: Path, address: str) -> Path:
     return found
 
 
-# -------------------------------------------------------------------------------------------------
 # Serve pages until the user stops it.
 
 

@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from study.reporting.figures.axes import Drawing
 
 
-# -------------------------------------------------------------------------------------------------
 # A simulation as a notebook shows it: a frame, a table in HTML, a figure.
 
 
@@ -188,7 +187,6 @@ def solution_json(solution: Solution) -> dict[str, object]:
     return {key: plain(value, f"solution.{key}", {}) for key, value in content.items()}
 
 
-# -------------------------------------------------------------------------------------------------
 # Is the installation able to do the work? Every part is tried, not looked up.
 
 _NEEDED = ("numpy", "scipy", "pandas", "numba", "skfem", "meshio", "matplotlib", "statsmodels")
@@ -275,7 +273,6 @@ def _worker() -> tuple[str, str]:
     return ("pass" if good else "fail"), f"answered in {outcome.seconds:.1f} s"
 
 
-# -------------------------------------------------------------------------------------------------
 # Files of one simulation: fields for ParaView, a picture of the mesh.
 
 

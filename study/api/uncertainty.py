@@ -143,7 +143,6 @@ def checks_of_spaces(rows: tuple[Mapping[str, Any], ...]) -> Iterator[Check]:
         yield Check(name, "pass" if good else "caution", told, mend)
 
 
-# -------------------------------------------------------------------------------------------------
 # Checks of what lies between the load steps: energy, and the interpolation of the curve.
 
 #: Largest share of the stored energy by which the work of a test may be off without a snap.
@@ -233,7 +232,6 @@ def _load_steps(steps: Sequence[tuple[str, float, str]]) -> Check:
     return Check(name, "caution", finding, "raise test.steps")
 
 
-# -------------------------------------------------------------------------------------------------
 # Numerical uncertainty of the effects of a study: what the verdicts are held against.
 
 
@@ -284,7 +282,10 @@ def numerical_bound(
     rows = [row for row in numerical if row.response == response]
     if not rows:
         return None
-    cells = _cells(design)
+    cells = [
+        (dict(one.levels), "" if one.cell.problem.is_homogeneous else _element(one))
+        for one in design.treatments
+    ]
     mesh = mesh_factor(design)
     meshes = None if mesh is None else _ordered(records, mesh)
     names = [f.name for f in design.factors]
@@ -305,14 +306,6 @@ def numerical_bound(
         if elements.get(cell)
     }
     return SeriesBounds(tuple(names), known, named, elements, more, mesh, finest)
-
-
-def _cells(design: Design) -> list[tuple[dict[str, str], str]]:
-    """Levels of every treatment, and the name of its discretization; none where it is exact."""
-    return [
-        (dict(one.levels), "" if one.cell.problem.is_homogeneous else _element(one))
-        for one in design.treatments
-    ]
 
 
 def _element(treatment: Treatment) -> str:
@@ -422,7 +415,6 @@ def _geometric_mean(records: Sequence[Record], response: str) -> float:
     return math.exp(math.fsum(known) / len(known))
 
 
-# -------------------------------------------------------------------------------------------------
 # Comparison with the measurements, E +- u_val, of every case of a study (ASME V&V 20-2009).
 
 

@@ -243,7 +243,12 @@ def _compare(name: str, old: Sequence[str], new: Sequence[str], found: Verificat
         if found.tolerance > 0 and _rounding(first, second, numbers, found.tolerance):
             found.rounded += 1
             continue
-        reported, recomputed = _around(first, second)
+        same = next(
+            (k for k, (a, b) in enumerate(zip(first, second, strict=False)) if a != b),
+            min(len(first), len(second)),
+        )
+        begin = max(same - 30, 0)
+        reported, recomputed = first[begin : same + 30].strip(), second[begin : same + 30].strip()
         found.differences.append(Difference(f"{name}: line {number}", reported, recomputed))
 
 
@@ -258,16 +263,6 @@ def _rounding(first: str, second: str, numbers: Sequence[str], tolerance: float)
 
 def _value(text: str) -> float:
     return float(text.replace("\u2212", "-"))
-
-
-def _around(first: str, second: str, width: int = 30) -> tuple[str, str]:
-    """Parts of two lines around the first place where they differ."""
-    same = next(
-        (k for k, (a, b) in enumerate(zip(first, second, strict=False)) if a != b),
-        min(len(first), len(second)),
-    )
-    begin = max(same - width, 0)
-    return first[begin : same + width].strip(), second[begin : same + width].strip()
 
 
 def _solve_again(

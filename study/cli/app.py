@@ -26,7 +26,6 @@ from study.cli.study_commands import REPORTS, RESULTS, Reports, Results, Set
 from study.ground.errors import DiskFullError, Fault, InputError, StudyError
 from study.ground.working_folder import leave
 
-# -------------------------------------------------------------------------------------------------
 # The verb that shows studies in a browser.
 
 
@@ -48,7 +47,6 @@ def _say(address: str) -> None:
     print(f"{address}  (Ctrl-C ends it)", flush=True)
 
 
-# -------------------------------------------------------------------------------------------------
 # Verbs that write files to start from: new, virtual.
 
 

@@ -98,7 +98,6 @@ def _between(pair: tuple[float, float] | None) -> str:
     return "-" if pair is None else " to ".join(f"{1e3 * v:.5g}" for v in pair)
 
 
-# -------------------------------------------------------------------------------------------------
 # The verbs for a device that renders forces: its force law, and what its sensors must be.
 
 
@@ -203,7 +202,6 @@ def _print_requirement(found: Required) -> None:
 HAPTIC_VERBS: tuple[Callable[..., None], ...] = (export, require)
 
 
-# -------------------------------------------------------------------------------------------------
 # Verbs that compare with an instrument: tracking, shape.
 
 

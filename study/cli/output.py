@@ -132,15 +132,11 @@ def progress_line() -> Iterator[Callable[[Progress], None]]:
         now = time.monotonic()
         if now - last >= QUIET_S or state.done == state.total:
             last = now
-            print(_text(state), file=sys.stderr, flush=True)
+            failed = f", {state.failed} failed" if state.failed else ""
+            left = f", {seconds(state.seconds_left)} left" if state.seconds_left >= 0.5 else ""
+            print(f"{state.counted}{failed}{left}: {state.label}", file=sys.stderr, flush=True)
 
     yield line
-
-
-def _text(state: Progress) -> str:
-    failed = f", {state.failed} failed" if state.failed else ""
-    left = f", {seconds(state.seconds_left)} left" if state.seconds_left >= 0.5 else ""
-    return f"{state.counted}{failed}{left}: {state.label}"
 
 
 @contextmanager
@@ -229,7 +225,6 @@ def print_nuisance(found: Document) -> None:
         )
 
 
-# -------------------------------------------------------------------------------------------------
 # The command that comes next, or that resumes, as it is typed, and what a shell offers behind it.
 #
 # A shell completes studies that have run, design files, tables and cases.

@@ -136,11 +136,15 @@ def calibrate(
     asked = [*(settings or ()), *([f'calibration.method="{method}"'] if method else ())]
     alone = not (profiles or numerics or bootstrap)
     if is_analytic(file, asked):
-        _check_analytic(alone=alone and by is None and not energies and convention == "study")
+        if not (alone and by is None and not energies and convention == "study"):
+            rule = "takes no --energies, --profile, --numerics, --bootstrap, --by or --convention"
+            raise InputError(Fault("method analytic", rule, "leave them out, or the method"))
         closed_form(file, data, asked, results, as_json)
         return
     if by is not None:
-        _check_by(by, alone=alone and not energies)
+        if by != "test" or not (alone and not energies):
+            mend = "write --by test, without --energies, --profile, --numerics and --bootstrap"
+            raise InputError(Fault("--by", f"cannot compare by {by!r} with these options", mend))
         compared = _compared(file, data, asked, difference, zero)
         output.print_json(compared) if as_json else _print_comparison(compared)
         return
@@ -157,20 +161,6 @@ def calibrate(
     _show(found, convention, results / found.name, as_json)
     if not found.usable:
         raise typer.Exit(1)
-
-
-def _check_analytic(*, alone: bool) -> None:
-    """Refuse what the closed form of indentations has no answer to."""
-    if not alone:
-        rule = "takes no --energies, --profile, --numerics, --bootstrap, --by or --convention"
-        raise InputError(Fault("method analytic", rule, "leave them out, or the method"))
-
-
-def _check_by(by: str, *, alone: bool) -> None:
-    """Refuse a comparison by anything but tests, or beside other questions."""
-    if by != "test" or not alone:
-        mend = "write --by test, without --energies, --profile, --numerics and --bootstrap"
-        raise InputError(Fault("--by", f"cannot compare by {by!r} with these options", mend))
 
 
 def _show(found: CalibrationResult, convention: str, folder: Path, as_json: bool) -> None:

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from study.statistics.analysis.mixed_model import MixedModel
 
 
-# -------------------------------------------------------------------------------------------------
 # A mixed model as the terminal shows it.
 
 #: flags that a mixed model has a use for
@@ -499,7 +498,6 @@ def _model(text: str | None) -> str | int | list[str] | None:
     return names(text)
 
 
-# -------------------------------------------------------------------------------------------------
 # The verb that plans the number of specimens.
 
 

@@ -356,7 +356,6 @@ def _print_diff(beside: Beside) -> None:
             output.paragraph(note)
 
 
-# -------------------------------------------------------------------------------------------------
 # The verb ``verify``: every number of a report once more.
 
 

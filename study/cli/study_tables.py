@@ -114,7 +114,6 @@ def print_further(found: Augmentation) -> None:
     print(f"\n{found.table()}")
 
 
-# -------------------------------------------------------------------------------------------------
 # Tables of a report as plain rows for the terminal.
 
 Rows = list[list[str]]

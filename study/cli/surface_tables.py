@@ -55,7 +55,7 @@ def show(
     )
     found = [one.found for one in every if one.found is not None]
     notes = dict.fromkeys(note for one in found for note in one.notes)
-    output.warn([*notes, *_refused(every)])
+    output.warn([*notes, *[f"{_at(one)}: {one.refused}" for one in every if one.found is None]])
     page = _page(every, source, {"--numeric": ",".join(numeric), "--surface": surface}, flags)
     if as_json:
         told = {"surfaces": [one.to_json() for one in every]}
@@ -66,11 +66,6 @@ def show(
         print_fitted(one)
     if page is not None:
         print(f"\nreport: {page}")
-
-
-def _refused(every: Sequence[FittedSurface]) -> list[str]:
-    """Say at which labels there is no surface, and why."""
-    return [f"{_at(one)}: {one.refused}" for one in every if one.found is None]
 
 
 def _at(one: FittedSurface) -> str:
@@ -283,7 +278,6 @@ def _surface_tables_settings(settings: Mapping[str, float], units: Mapping[str, 
     )
 
 
-# -------------------------------------------------------------------------------------------------
 # What optimize and invert show in a terminal.
 
 

@@ -332,7 +332,6 @@ def _cut(n: int) -> str:
     return f" The first {MOST_ROWS} of {n:,} are shown; the CSV has all." if n > MOST_ROWS else ""
 
 
-# -------------------------------------------------------------------------------------------------
 # Checks that follow from the analysis: outcome, finding, and what it means for the reader.
 
 _ORDER = {"fail": 0, "caution": 1, "not applicable": 2, "pass": 3}
@@ -387,7 +386,10 @@ def all_checks(data: ReportData, found: Sequence[Facts]) -> tuple[Check, ...]:
                 *_fragile(facts, data),
             ]
         elif not data.surfaces:
-            made.append(_not_analyzed(facts))
+            why = facts.warnings[0] if facts.warnings else "no reason was recorded"
+            made.append(
+                Check("Analysis", "fail", why, "No verdict for this response.", facts.title)
+            )
     made += [_surface(one, data) for one in data.surfaces]
     return tuple(sorted(made, key=lambda check: _ORDER[check.outcome]))
 
@@ -414,11 +416,6 @@ def _surface(one: FittedSurface, data: ReportData) -> Check:
         return Check(name, "pass", surface_content.accuracy(one), of=of)
     outcome = "caution" if found >= RANKED else "fail"
     return Check(name, outcome, surface_content.accuracy(one), "Add runs.", of)
-
-
-def _not_analyzed(facts: Facts) -> Check:
-    why = facts.warnings[0] if facts.warnings else "no reason was recorded"
-    return Check("Analysis", "fail", why, "No verdict for this response.", facts.title)
 
 
 def _normality(facts: Facts, alpha: float) -> Check:

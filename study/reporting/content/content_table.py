@@ -54,7 +54,6 @@ class Table:
     follow: str = ""
 
 
-# -------------------------------------------------------------------------------------------------
 # Sizes of effects as text: differences and ratios, intervals, what matters, numerical bounds.
 #
 # A difference is rounded to what the declared threshold makes meaningful: a thousandth of
@@ -162,7 +161,6 @@ def change(effect: Effect, facts: Facts) -> str:
     return size(effect, facts)
 
 
-# -------------------------------------------------------------------------------------------------
 # Answers by the role of a factor: recommended among choices, given at each condition.
 #
 # A *choice* is the analyst's, a *condition* belongs to the question, an *unknown* is a fact that

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from study.statistics.surfaces.surface_result import Sensitivity, SurfaceAnalysis
 
 
-# -------------------------------------------------------------------------------------------------
 # What uncertain inputs do to a response over ranges: sentences and the table of inputs.
 
 #: a gain below this is no reason to measure an input better

@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from study.statistics.analysis.failures import FailurePattern, FailureRule, FailureTest
 
 
-# -------------------------------------------------------------------------------------------------
 # Tables of fitted constants: one row for each kind of fit, and every fit.
 
 
@@ -165,7 +164,6 @@ def every_fit(data: ReportData) -> Table:
     return Table("every-fit", columns, rows, 4, 1, grouped=True)
 
 
-# -------------------------------------------------------------------------------------------------
 # Every case beside its record: where the mean of a cell comes from.
 
 #: cases that a page lists: a row takes 400 bytes, and beyond these the CSV is quicker to search
@@ -289,12 +287,20 @@ def anova(facts: Facts, data: ReportData) -> Table:
     columns.append("share")
     rows = []
     for row in effects:
-        cell = [term_name(row.term, data.labels), _df(row)]
+        cell = [
+            term_name(row.term, data.labels),
+            f"{row.df:g}" + (f", {row.df_error:g}" if row.df_error is not None else ""),
+        ]
         if tested:
             cell += [f_value(row.f), p_value(row.p)]
             if corrected:
                 cell += [_fixed(row.epsilon_gg), p_value(row.p_deciding)]
-            cell += [_fixed(row.omega_sq, 3), _eta(row)]
+            text = _fixed(row.partial_eta_sq, 3)
+            ends = row.partial_eta_sq_ci95
+            cell += [
+                _fixed(row.omega_sq, 3),
+                f"{text} ({interval(ends[0], ends[1])})" if ends else text,
+            ]
         else:
             cell += [significant(row.ss)]
             cell += [p_value(row.p)] if facts.lenth else []
@@ -342,21 +348,11 @@ def strata(facts: Facts, data: ReportData) -> Table:
     return Table(f"{facts.name}-strata", columns, rows)
 
 
-def _df(row: Row) -> str:
-    return f"{row.df:g}" + (f", {row.df_error:g}" if row.df_error is not None else "")
-
-
 def _fixed(value: float | None, decimals: int = 2) -> str:
     if value is None:
         return MISSING
     least = 10.0**-decimals
     return f"< {least:g}" if 0 < value < least / 2 else f"{value:.{decimals}f}"
-
-
-def _eta(row: Row) -> str:
-    text = _fixed(row.partial_eta_sq, 3)
-    ends = row.partial_eta_sq_ci95
-    return f"{text} ({interval(ends[0], ends[1])})" if ends else text
 
 
 def matrix(data: ReportData, found: Sequence[Facts]) -> Table:
@@ -449,7 +445,6 @@ def failures(data: ReportData) -> Table:
     return Table("failures", ("case", "cell", data.block or "block", "status", "message"), rows, 5)
 
 
-# -------------------------------------------------------------------------------------------------
 # Which settings fail: rules in words, then a test of every factor.
 
 #: levels of a factor that the table lists, those that fail most, and causes in a sentence
@@ -460,7 +455,9 @@ _ALPHA = 0.05
 
 def failure_sentences(pattern: FailurePattern, labels: Mapping[str, str]) -> tuple[str, ...]:
     """Say where cases fail, why, and which factors have to do with it."""
-    causes = _causes(pattern)
+    counted = [f"{number:,} {clean(cause)}" for cause, number in pattern.causes.items()]
+    others = sum(list(pattern.causes.values())[_LISTED:])
+    causes = "; ".join([*counted[:_LISTED], *([f"{others:,} others"] if others else [])])
     if pattern.failed == pattern.total:
         return (
             f"Every case failed ({causes}): no setting of this study gives an answer, so none of "
@@ -478,13 +475,6 @@ def failure_sentences(pattern: FailurePattern, labels: Mapping[str, str]) -> tup
             "combination of two or three, holds enough of them to be named as the place."
         )
     return found, f"Causes: {causes}.", _blamed(pattern, labels)
-
-
-def _causes(pattern: FailurePattern) -> str:
-    """Count the causes, those behind the most frequent ones together."""
-    counted = [f"{number:,} {clean(cause)}" for cause, number in pattern.causes.items()]
-    others = sum(list(pattern.causes.values())[_LISTED:])
-    return "; ".join([*counted[:_LISTED], *([f"{others:,} others"] if others else [])])
 
 
 def _rule(rule: FailureRule, labels: Mapping[str, str]) -> str:
@@ -577,7 +567,6 @@ def _p(value: float) -> str:
     return "< 0.001" if value < 0.001 else f"{value:.3f}"
 
 
-# -------------------------------------------------------------------------------------------------
 # Tables of markers inside a specimen: errors beside the motion of the plate that leaves them.
 
 #: what a plate is taken to do, in words

@@ -330,7 +330,6 @@ def sphericity(facts: Facts, labels: Labels = None) -> str:
     )
 
 
-# -------------------------------------------------------------------------------------------------
 # What was expected before the study ran, beside what it found.
 
 HOLDS = "holds"

@@ -123,7 +123,6 @@ def _hexagons(places: Array) -> tuple[int, int]:
     return count, max(int(count * high / wide / np.sqrt(3)), 2)
 
 
-# -------------------------------------------------------------------------------------------------
 # Figures of a tracker: distances by stage, differences from the stage, errors by pose.
 
 #: Classes of a histogram: thirty show the shape of a thousand samples and more.

@@ -134,7 +134,6 @@ def clean_left(ax: Axes) -> None:
     ax.tick_params(axis="y", length=0)
 
 
-# -------------------------------------------------------------------------------------------------
 # How figures look: one palette, one set of type sizes, deterministic SVG.
 
 

@@ -215,7 +215,9 @@ def draw_meshes(meshes: Sequence[tuple[str, Array, NDArray[np.int64]]], window: 
     figure = canvas(WIDTH_IN, 0.4 + 2.3 * rows)
     axes = np.atleast_1d(figure.subplots(rows, columns, squeeze=False)).ravel()
     for ax, (label, points, cells) in zip(axes, meshes, strict=False):
-        near = cells[_seen(points[cells], window)]
+        corners = points[cells]
+        low, high = corners.min(axis=1), corners.max(axis=1)
+        near = cells[np.asarray(((high > window[0]) & (low < window[1])).all(axis=1))]
         shapes = PolyCollection(
             list(points[near]), facecolors="none", edgecolors=INK, linewidths=0.35
         )
@@ -228,11 +230,6 @@ def draw_meshes(meshes: Sequence[tuple[str, Array, NDArray[np.int64]]], window: 
         ax.set_visible(False)
     figure.supxlabel("distance from the axis (mm)", fontsize=8.5)
     return figure
-
-
-def _seen(corners: Array, window: Array) -> NDArray[np.bool_]:
-    low, high = corners.min(axis=1), corners.max(axis=1)
-    return np.asarray(((high > window[0]) & (low < window[1])).all(axis=1))
 
 
 def _logarithmic(ax: Axes, x: str, y: str) -> None:
@@ -275,7 +272,6 @@ def error_caption(cells: Sequence[Document]) -> str:
     return f"{text} Dashed: the formal order, limited by {why}." if why else text
 
 
-# -------------------------------------------------------------------------------------------------
 # Comparison of simulation and measurement: E and u_val along the curve (ASME V&V 20).
 
 Row = Mapping[str, Any]
@@ -317,21 +313,17 @@ def draw_validation_errors(frame: pd.DataFrame) -> Canvas:
     panels = figure.subplots(count, columns, squeeze=False, sharex=True, sharey=True)
     axes = np.atleast_1d(panels).ravel()
     for ax, (cell, part) in zip(axes, groups, strict=False):
-        _panel(ax, part)
+        d, u = part["displacement_mm"], part["u_val_N"]
+        ax.fill_between(d, -u, u, color=BAND, linewidth=0)
+        ax.axhline(0.0, color=MUTED, linewidth=0.6)
+        ax.plot(d, part["error_N"], color=color_of(0))
+        plain_ticks(ax, "y")
         ax.set_title(wrap(cell, 30), fontsize=7.5)
     for ax in axes[len(groups) :]:
         ax.set_visible(False)
     figure.supxlabel("displacement (mm)", fontsize=8.5)
     figure.supylabel("simulated minus measured force (N)", fontsize=8.5)
     return figure
-
-
-def _panel(ax: Axes, part: pd.DataFrame) -> None:
-    d, u = part["displacement_mm"], part["u_val_N"]
-    ax.fill_between(d, -u, u, color=BAND, linewidth=0)
-    ax.axhline(0.0, color=MUTED, linewidth=0.6)
-    ax.plot(d, part["error_N"], color=color_of(0))
-    plain_ticks(ax, "y")
 
 
 def caption(rows: Sequence[Row]) -> str:

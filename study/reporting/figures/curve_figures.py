@@ -116,7 +116,6 @@ def _fit_panel(force: Axes, residual: Axes, panel: FitPanel) -> None:
         ax.grid(axis="y", color=RULE, linewidth=0.4)
 
 
-# -------------------------------------------------------------------------------------------------
 # Errors of markers inside a specimen, layer by layer and state by state.
 
 
@@ -191,7 +190,6 @@ def caption(frame: pd.DataFrame) -> str:
     )
 
 
-# -------------------------------------------------------------------------------------------------
 # Which curves are drawn in which panel, sampled, each beside its own measurement.
 
 #: Displacements at which every curve is sampled, from the first measured one to the last.
@@ -367,7 +365,6 @@ def _repeats(one: pd.DataFrame, longer: pd.DataFrame) -> bool:
     return bool(np.all(np.abs(one["measured_N"] - between) <= scatter))
 
 
-# -------------------------------------------------------------------------------------------------
 # Small multiples of curves: force above, residual below, on axes that can be compared.
 
 #: Longest title of a panel in characters; titles that are alike when cut are numbered.
@@ -400,7 +397,8 @@ class PanelScale:
 
 def draw_curves(found: CurvePanels, data: ReportData) -> Canvas:
     """Draw every panel: measured points, predictions on them, residuals below."""
-    columns = _columns(found, data)
+    levels = len(data.factors[found.panel]) if found.panel else 1
+    columns = min(max(levels, (4 // levels) * levels), len(found.panels))
     rows = -(-len(found.panels) // columns)
     titles = panel_titles(found, (WIDTH_IN - NAMES_IN) / columns)
     lines = max(title.count("\n") + 1 for title in titles)
@@ -422,12 +420,6 @@ def draw_curves(found: CurvePanels, data: ReportData) -> Canvas:
     figure.text(0.45, 0.08 / figure.get_figheight(), x_label, ha="center", fontsize=8.5)
     _legend(figure, found)
     return figure
-
-
-def _columns(found: CurvePanels, data: ReportData) -> int:
-    """Panels beside each other: the levels of one block, or of several blocks."""
-    levels = len(data.factors[found.panel]) if found.panel else 1
-    return min(max(levels, (4 // levels) * levels), len(found.panels))
 
 
 def panel_titles(found: CurvePanels, width_in: float) -> tuple[str, ...]:
@@ -652,7 +644,6 @@ def _legend(figure: Canvas, found: CurvePanels) -> None:
     )
 
 
-# -------------------------------------------------------------------------------------------------
 # One curve by itself.
 
 

@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as Canvas
 
 
-# -------------------------------------------------------------------------------------------------
 # Means of levels of every factor, beside the grand mean.
 
 
@@ -259,7 +258,6 @@ def _mark_cells(ax: Axes, frame: pd.DataFrame, means: pd.DataFrame) -> None:
     )
 
 
-# -------------------------------------------------------------------------------------------------
 # The interaction matrix: lines above the diagonal, cell means below.
 
 
@@ -410,7 +408,6 @@ def _lower_ticks(ax: Axes, levels: Sequence[str], last: bool) -> None:
     ax.tick_params(axis="x", labelsize=7)
 
 
-# -------------------------------------------------------------------------------------------------
 # Figures of effects: sizes against what matters, level means, interactions, cells.
 #
 # Compute, then draw: each ``draw_*`` takes the frame of its function, which is the figure's CSV.

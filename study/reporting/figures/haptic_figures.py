@@ -108,7 +108,6 @@ def draw_deviation(frame: pd.DataFrame) -> Canvas:
     return figure
 
 
-# -------------------------------------------------------------------------------------------------
 # Figures of sensor requirements: a map of accuracies, and the parts of the variance.
 
 #: Lines of equal uncertainty, percent.

@@ -136,7 +136,14 @@ def _seen(ax: Axes, seen: Array, faces: Ints, values: Array | None) -> ScalarMap
     far_first = np.argsort(seen[faces][:, :, 2].mean(axis=1), kind="stable")
     ordered = faces[far_first]
     part = None if values is None else values[far_first]
-    return _polygons(ax, seen[ordered][:, :, :2], part, _shade(seen[ordered]))
+    corners = seen[ordered]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+    # the side that is seen faces the viewer
+    normal *= np.where(normal[:, 2:] < 0, -1.0, 1.0)
+    return _polygons(
+        ax, seen[ordered][:, :, :2], part, np.asarray(0.62 + 0.38 * np.clip(normal @ _LIGHT, 0, 1))
+    )
 
 
 def _from_sides(figure: SubFigure, after: Array, faces: Ints, color: Array) -> None:
@@ -159,15 +166,6 @@ def _sides_height(after: Array) -> float:
 
 def _mean(values: Array, faces: Ints) -> Array:
     return np.asarray(values[faces].mean(axis=1))
-
-
-def _shade(corners: Array) -> Array:
-    """Brightness of faces lit from the upper left, 0.62 to 1."""
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
-    # the side that is seen faces the viewer
-    normal *= np.where(normal[:, 2:] < 0, -1.0, 1.0)
-    return np.asarray(0.62 + 0.38 * np.clip(normal @ _LIGHT, 0, 1))
 
 
 def _polygons(

@@ -45,7 +45,6 @@ if TYPE_CHECKING:
     from study.reporting.figures.curve_figures import CurvePanels
 
 
-# -------------------------------------------------------------------------------------------------
 # Captions: each states what its figure shows, with numbers.
 
 

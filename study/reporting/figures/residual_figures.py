@@ -168,7 +168,6 @@ def _half_normal(ax: Axes, frame: pd.DataFrame, label: str) -> None:
     plain_ticks(ax, "y")
 
 
-# -------------------------------------------------------------------------------------------------
 # Figures of assumptions: four views of the residuals, and the spread of the cells.
 
 _SIMULATIONS = 1000
@@ -387,7 +386,6 @@ def draw_spread(frame: pd.DataFrame, facts: Facts) -> Canvas:
     return figure
 
 
-# -------------------------------------------------------------------------------------------------
 # Residual plots of a table of measurements: four in one, against the factors, influence.
 #
 # At most :data:`MOST_POINTS` rows are drawn, the largest residuals among them: a drawing of 100,000

@@ -109,7 +109,6 @@ def _panel(ax: Axes, frame: pd.DataFrame, color: str) -> None:
     ax.locator_params(axis="x", nbins=4)
 
 
-# -------------------------------------------------------------------------------------------------
 # Figures of cost and of failure: the front of cells worth their seconds, the failure map.
 
 #: a row of a legend in small type, a letter in it, what its mark and gaps take, inches; and the
@@ -303,7 +302,6 @@ def draw_failures(frame: pd.DataFrame, statuses: Sequence[str]) -> Canvas:
     return figure
 
 
-# -------------------------------------------------------------------------------------------------
 # Effect of each factor against the depth that the test is scored to.
 
 #: sideways distance of the intervals of two factors, over the distance of two depths

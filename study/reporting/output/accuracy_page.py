@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-# -------------------------------------------------------------------------------------------------
 # What a report says of a scanned surface: its answers in sentences, and its tables.
 
 
@@ -126,7 +125,6 @@ def _marker_table(found: MarkerDeviation) -> Table:
     return Table("Measured less simulated place of markers", columns, tuple(rows), raw=tuple(raw))
 
 
-# -------------------------------------------------------------------------------------------------
 # What a report says of a tracker: its answers in sentences, and its tables.
 
 

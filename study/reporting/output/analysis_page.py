@@ -277,7 +277,6 @@ def _write_data(report: AnalysisReport, contents: page.Contents, beside: Path) -
             replace_file(beside / f"figure-{figure.name}.svg", figure.svg + "\n")
 
 
-# -------------------------------------------------------------------------------------------------
 # The page of a verb about one thing: answer, figures, tables, warnings, data beside it.
 
 

@@ -42,9 +42,14 @@ def write_convergence(
     cells = list(document.get("cells", [document]))
     figures = convergence_figures(cells, document.get("fronts", ()), meshes, window)
     tables = [series_table(cells), *sources_tables(cells)]
+    found = [
+        f"{convergence.label_of(cell)}: {text}" if len(cells) > 1 else str(text)
+        for cell in cells
+        for text in cell.get("warnings") or ()
+    ]
     page = AnswerPage(
         "mesh convergence", "convergence", name, question, answers(cells, document), figures,
-        tables, _warnings(cells),
+        tables, [clean(line) for line in dict.fromkeys(found)],
     )  # fmt: skip
     return write_answer(page, out_dir)
 
@@ -178,12 +183,3 @@ def part_of_value(share: float | None) -> str:
     if share is not None and 0 < share < SMALLEST_PART:
         return "< " + quantity(100 * SMALLEST_PART, "%", 1)
     return quantity(None if share is None else 100 * share, "%", 2)
-
-
-def _warnings(cells: Sequence[Document]) -> list[str]:
-    found = [
-        f"{convergence.label_of(cell)}: {text}" if len(cells) > 1 else str(text)
-        for cell in cells
-        for text in cell.get("warnings") or ()
-    ]
-    return [clean(line) for line in dict.fromkeys(found)]

@@ -85,7 +85,6 @@ def constants(law: ForceLaw) -> Table:
     return Table("Constants", columns, tuple(rows), 1, raw=tuple(raw), note=note)
 
 
-# -------------------------------------------------------------------------------------------------
 # The page of sensor requirements: answer, map, parts, what each error may be, Monte Carlo.
 
 

@@ -368,7 +368,6 @@ def response_note(response: ResponseAnalysis) -> str:
     return "; ".join(parts)
 
 
-# -------------------------------------------------------------------------------------------------
 # Files of a report: each replaced whole, none outside the folder it was asked for.
 #
 # A project may come from others, with links in it that lead elsewhere. The folder that the user

@@ -48,7 +48,6 @@ if TYPE_CHECKING:
     from study.harness.execution.local import Worker
 
 
-# -------------------------------------------------------------------------------------------------
 # Tables and methods in LaTeX.
 
 if TYPE_CHECKING:
@@ -342,7 +341,6 @@ def _text(columns: Iterable[object], rows: Iterable[Iterable[object]]) -> str:
     return buffer.getvalue()
 
 
-# -------------------------------------------------------------------------------------------------
 # What a report was made from, so that one that would be the same again is not made again.
 #
 # The same bytes of the results folder, the same formats and warnings, the same code and the same
@@ -413,20 +411,15 @@ def arithmetic_of(folder: Path, name: str) -> str:
 
 
 def _told(folder: Path, name: str, made_from: str) -> dict[str, str]:
-    files = _report(folder, name)
+    stem = slug(name)
+    pages = [folder / f"{stem}.{suffix}" for suffix in ("html", "tex", "pdf")]
+    data = [path for path in (folder / f"{stem}-data").rglob("*") if path.name != NAME]
+    files = _content(folder, [*pages, *data])
     return {"made_from": made_from, "files": files, "arithmetic": arithmetic()}
 
 
 def _note(folder: Path, name: str) -> Path:
     return folder / f"{slug(name)}-data" / NAME
-
-
-def _report(folder: Path, name: str) -> str:
-    """Hash of the files of a report, whatever formats it has."""
-    stem = slug(name)
-    pages = [folder / f"{stem}.{suffix}" for suffix in ("html", "tex", "pdf")]
-    data = [path for path in (folder / f"{stem}-data").rglob("*") if path.name != NAME]
-    return _content(folder, [*pages, *data])
 
 
 def _content(root: Path, paths: Iterable[Path]) -> str:

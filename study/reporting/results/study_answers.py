@@ -155,7 +155,6 @@ class Beside:
     alphas: tuple[float, float] = (0.05, 0.05)
 
 
-# -------------------------------------------------------------------------------------------------
 # The cases of a study as their failures are looked at: by level, or by part of a range.
 
 #: equal parts of a range in whose stead its settings stand, where these are as good as all
@@ -197,7 +196,6 @@ def parts_of(factor: Factor) -> Mapping[str, str]:
     }
 
 
-# -------------------------------------------------------------------------------------------------
 # The best setting among the choices of a study, as it is told.
 
 @dataclass(frozen=True)
@@ -297,7 +295,6 @@ class Recommendation:
         }
 
 
-# -------------------------------------------------------------------------------------------------
 # All inputs of a study that agree with a measured curve, as they are told.
 
 @dataclass(frozen=True)

@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from study.reporting.results.study_answers import Beside
 
 
-# -------------------------------------------------------------------------------------------------
 # What a report is made of: plain values that whoever holds the records fills in.
 #
 # The report formats and draws; it computes nothing that belongs to the analysis. Every
