@@ -222,11 +222,8 @@ def near(tables: Tables) -> Array:
 
 # Refinement of a study's cells within a time budget, mesh by mesh, cheapest cells first.
 #
-# Before anything is solved a cost is a prediction, which may be off by several times for a shape
-# that
-# the predictions were never fitted to. From the first mesh on, a cell costs what its last mesh
-# took,
-# times the predicted ratio of the two.
+# Before the first mesh a cost is a prediction, which may be off by several times; from then on a
+# cell costs what its last mesh took, times the predicted ratio of the two.
 
 Compute = Callable[[Sequence[CaseJob]], Sequence[Record | None]]
 
