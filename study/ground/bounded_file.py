@@ -156,7 +156,7 @@ def _larger(limit: int) -> str:
 
 
 # -------------------------------------------------------------------------------------------------
-# Text of a file that somebody gave: plain or gzip, UTF-8, of a bounded size.
+# Text of a file that somebody gave: plain or gzip, of a bounded size.
 
 _THIN_OUT = "name a file of data; a long recording is thinned out or split into several files"
 
@@ -182,22 +182,27 @@ def unzipped(raw: bytes, source: str) -> bytes:
         raise InputError(Fault(source, error.rule, mend)) from error
 
 
-def decoded(data: bytes, source: str) -> str:
-    """Decode UTF-8, with or without a byte order mark."""
-    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        raise InputError(Fault(source, "is in UTF-16", "save it as UTF-8"))
+def decoded(data: bytes, source: str) -> tuple[str, str]:
+    """Text of a file and its encoding: UTF-8, UTF-16 with a byte order mark, or Windows-1252.
+
+    Windows-1252 is what instruments write that know no UTF-8; it is taken only where no other
+    character of the file is UTF-8, for then the damage of one byte is the likelier reading.
+    """
+    encoding = "UTF-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "UTF-8"
     try:
-        text = data.decode("utf-8-sig")
+        text = data.decode("utf-16" if encoding == "UTF-16" else "utf-8-sig")
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
-        raise InputError(
-            Fault(
-                f"{source}:{line}",
-                f"byte {data[error.start]:#04x} is not UTF-8",
-                "save the file as UTF-8",
-            )
-        ) from error
+        place, rule = f"{source}:{line}", f"byte {data[error.start]:#04x} is not {encoding}"
+        rest = data.decode("utf-8", "ignore")
+        if encoding == "UTF-16" or not rest.isascii():
+            raise InputError(Fault(place, rule, "save the file as UTF-8")) from error
+        try:
+            text, encoding = data.decode("cp1252"), "Windows-1252"
+        except UnicodeDecodeError:
+            rule += " and not Windows-1252"
+            raise InputError(Fault(place, rule, "save the file as UTF-8")) from error
     if "\0" in text:
         line = text.count("\n", 0, text.index("\0")) + 1
         raise InputError(Fault(f"{source}:{line}", "holds a NUL character: this is not a CSV file"))
-    return text
+    return text, encoding

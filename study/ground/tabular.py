@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from study.ground.arrays import Array
 from study.ground.bounded_file import decoded, read_bytes, unzipped
 from study.ground.errors import Fault, InputError, nearest
+from study.ground.units import is_unit
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -37,6 +38,18 @@ MAX_LABEL = 200
 DELIMITERS = ",;\t|"
 NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,4})?", re.ASCII)
 _DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d+(?:[eE][+-]?\d{1,4})?", re.ASCII)
+_THOUSANDS = "'\u2019 \u00a0\u2009\u202f"
+#: a number in groups of three digits: the mark between them is the first group
+_GROUPS = {
+    mark: re.compile(
+        rf"[+-]?[1-9]\d{{0,2}}([{other}{_THOUSANDS}])\d{{3}}(?:\1\d{{3}})*(?:{sign}\d*)?",
+        re.ASCII,
+    )
+    for mark, other, sign in ((".", ",", r"\."), (",", ".", ","))
+}
+_DIGIT = re.compile(r"\d", re.ASCII)
+#: a unit in brackets or without
+_UNIT_CELL = re.compile(r"[\[(]?\s*([^\d\s\[\]()][^\[\]()]{0,15}|1)\s*[\])]?")
 _FORMULA = re.compile(r"[=+\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
 
 
@@ -63,11 +76,43 @@ class CsvTable:
     padded: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     #: What a user writes to declare a decimal comma.
     declared_by: str = MEASURED_COMMA
+    #: Unit of every column, as a row below the header says; empty without such a row.
+    units: Mapping[str, str] = field(default_factory=dict)
+
+    def of_file(self, raw: bytes, encoding: str) -> CsvTable:
+        """Copy with the hash of the file, and a note of an encoding that is not UTF-8."""
+        notes = () if encoding == "UTF-8" else (f"{self.source}: read as {encoding}",)
+        digest = hashlib.sha256(raw).hexdigest()
+        return replace(self, sha256=digest, notes=(*notes, *self.notes))
+
+    def without_units(self, required: Sequence[str]) -> CsvTable:
+        """Copy without the row of units below the header, if there is one.
+
+        It is one where every required column of numbers holds a unit or nothing in its first row.
+        """
+        if len(self.lines) < 2:
+            return self
+        first = {name: self.columns[name][0] for name in required}
+        measured = [name for name in required if _DIGIT.search(self.columns[name][1])]
+        units = {name: _UNIT_CELL.fullmatch(cell) for name, cell in first.items()}
+        if not measured or not all(units[name] or not first[name] for name in measured):
+            return self
+        shown = {name: unit[1] for name, unit in units.items() if unit and name in measured}
+        if not any(is_unit(unit) for unit in shown.values()):
+            return self
+        return replace(
+            self,
+            columns={name: cells[1:] for name, cells in self.columns.items()},
+            lines=self.lines[1:],
+            padded={name: cells[1:] for name, cells in self.padded.items()},
+            notes=(*self.notes, f"{self.source}:{self.lines[0]}: row of units"),
+            units=shown,
+        )
 
     def text(self, name: str) -> tuple[str, ...]:
         """Cells of a column as text."""
         if name not in self.columns:
-            raise InputError(_no_column(self.source, name, self.columns))
+            raise InputError(_no_column(f"{self.source}:1", name, self.columns))
         return self.columns[name]
 
     def place(self, row: int, name: str) -> str:
@@ -78,10 +123,7 @@ class CsvTable:
         """Cells of a column as finite numbers, shape (rows,)."""
         cells = self.text(name)
         absent = [k for k, cell in enumerate(cells) if missing and cell.lower() in missing]
-        if self.decimal == ",":
-            plain = [c.replace(",", ".") if "." not in c else "?" for c in cells]
-        else:
-            plain = list(cells)
+        plain = _plain(cells, self.decimal)
         for k in absent:
             plain[k] = "0"
         values = np.array([float(c) if NUMBER.fullmatch(c) else math.inf for c in plain])
@@ -120,11 +162,12 @@ def read_csv(
         rule = f"must be '.' or ',', got {decimal!r}"
         raise InputError(Fault("decimal", rule))
     raw = read_bytes(path, name)
+    text, encoding = decoded(unzipped(raw, name), name)
     table = parse_csv(
-        decoded(unzipped(raw, name), name),
-        required=required, numbers=numbers, decimal=decimal, source=name, declared_by=declared_by,
+        text, required=required, numbers=numbers, decimal=decimal, source=name,
+        declared_by=declared_by,
     )  # fmt: skip
-    return replace(table, sha256=hashlib.sha256(raw).hexdigest())
+    return table.of_file(raw, encoding)
 
 
 def parse_csv(
@@ -135,17 +178,25 @@ def parse_csv(
     decimal: str = ".",
     source: str = "<text>",
     declared_by: str = MEASURED_COMMA,
+    numbered: Sequence[int] | None = None,
 ) -> CsvTable:
-    """Parse the text of a CSV file; see :func:`read_csv`."""
+    """Parse the text of a CSV file; see :func:`read_csv`.
+
+    ``numbered`` holds the number that each line has in its file, where some were left out.
+    """
     text = text.replace("\r\n", "\n").replace("\r", "\n")
     lines = text.split("\n")
+    numbered = numbered or range(1, len(lines) + 1)
     _check_shape(lines, source)
     delimiter = _delimiter(lines[0], required, decimal)
-    rows, at, blank = _rows(text, lines, delimiter, source)
+    rows, at, blank = _rows(text, lines, delimiter, source, numbered)
     if not rows:
         raise InputError(Fault(source, "the file is empty", "it needs a header line and rows"))
     header = [cell.strip() for cell in rows[0]]
-    _check_header(header, required, source)
+    while len(header) > 1 and not header[-1]:
+        del header[-1]
+    _check_header(header, required, f"{source}:{at[0]}", rows, at)
+    trailing = _even(rows, len(header))
     _check_widths(rows, at, len(header), delimiter, decimal, source)
     if len(rows) == 1:
         rule = "there is a header line but no row of data"
@@ -159,6 +210,7 @@ def parse_csv(
     changed = sum(_changes(column, columns[name]) for name, column in padded.items())
     notes = [f"{source}: spaces around {changed} cells removed"] if changed else []
     notes += [f"{source}: {blank} blank lines skipped"] if blank else []
+    notes += [f"{source}: empty cells at the ends of {trailing} rows removed"] if trailing else []
     return CsvTable(source, columns, tuple(at[1:]), decimal, "", tuple(notes), padded, declared_by)
 
 
@@ -217,7 +269,7 @@ def _delimiter(header: str, required: Sequence[str], decimal: str) -> str:
 
 
 def _rows(
-    text: str, lines: list[str], delimiter: str, source: str
+    text: str, lines: list[str], delimiter: str, source: str, at: Sequence[int]
 ) -> tuple[list[list[str]], list[int], int]:
     """Cells of every row, the line each stands on, and the number of blank lines inside."""
     empty = f"{delimiter} \t"
@@ -226,12 +278,28 @@ def _rows(
         rows = [line.split(delimiter) for _, line in numbered]
         numbers = [k for k, _ in numbered]
     else:
-        rows, numbers = _quoted_rows(text, delimiter, source)
+        rows, numbers = _quoted_rows(text, delimiter, source, at)
     blank = sum(not line.strip(empty) for line in lines[: numbers[-1] if numbers else 0])
-    return rows, numbers, blank
+    return rows, [at[k - 1] for k in numbers], blank
 
 
-def _quoted_rows(text: str, delimiter: str, source: str) -> tuple[list[list[str]], list[int]]:
+def _even(rows: list[list[str]], width: int) -> int:
+    """Remove empty cells beyond the header, in place; return the number of rows that had some.
+
+    A header with such cells of its own makes no row of the file uneven.
+    """
+    count = 0
+    usual = len(rows[0])
+    for row in rows:
+        if len(row) > width and not any(cell.strip() for cell in row[width:]):
+            count += len(row) != usual
+            del row[width:]
+    return count
+
+
+def _quoted_rows(
+    text: str, delimiter: str, source: str, at: Sequence[int]
+) -> tuple[list[list[str]], list[int]]:
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
     rows: list[list[str]] = []
     numbers: list[int] = []
@@ -245,7 +313,7 @@ def _quoted_rows(text: str, delimiter: str, source: str) -> tuple[list[list[str]
     except csv.Error as error:
         raise InputError(
             Fault(
-                f"{source}:{reader.line_num}",
+                f"{source}:{at[min(reader.line_num, len(at)) - 1]}",
                 f"is not well-formed CSV ({error})",
                 'quotes must enclose a whole cell and be doubled inside: "a ""b"" c"',
             )
@@ -253,12 +321,14 @@ def _quoted_rows(text: str, delimiter: str, source: str) -> tuple[list[list[str]
     return rows, numbers
 
 
-def _check_header(header: list[str], required: Sequence[str], source: str) -> None:
+def _check_header(
+    header: list[str], required: Sequence[str], source: str, rows: list[list[str]], at: list[int]
+) -> None:
     if len(header) > MAX_COLUMNS:
         raise InputError(Fault(source, f"has {len(header)} columns, at most {MAX_COLUMNS}"))
     faults = [
         Fault(
-            f"{source}:1",
+            source,
             f"column {name!r} stands {header.count(name)} times in the header",
             "every column needs its own name",
         )
@@ -266,6 +336,12 @@ def _check_header(header: list[str], required: Sequence[str], source: str) -> No
         if name and header.count(name) > 1
     ]
     faults += [_no_column(source, name, header) for name in required if name not in header]
+    later = (
+        n for n, row in zip(at, rows, strict=True) if set(required) <= {c.strip() for c in row}
+    )
+    if faults and required and (line := next(later, None)) not in (None, at[0]):
+        faults = [replace(f, mend=f"line {line} names the columns: write skip_lines = {line - 1}")
+                  for f in faults]  # fmt: skip
     if faults:
         raise InputError(faults)
 
@@ -297,7 +373,7 @@ def _check_decimal_comma(
     columns: Mapping[str, Sequence[str]], source: str, declared_by: str
 ) -> None:
     for name, column in columns.items():
-        if _DECIMAL_COMMA.fullmatch(column[0]):
+        if _DECIMAL_COMMA.fullmatch(column[0]) and "?" in _plain(column, "."):
             rule = f"holds a decimal comma ({column[0]!r}) but none is declared"
             raise InputError(Fault(f"{source}: column {name!r}", rule, f"write {declared_by}"))
 
@@ -307,18 +383,43 @@ def _no_column(source: str, name: str, columns: Iterable[str]) -> Fault:
     cells = [cell for column in names for cell in column.split()]
     if cells and all(NUMBER.fullmatch(cell) for cell in cells):
         mend = 'the first line holds numbers: write header = false, and columns = { ... = "1" }'
-        return Fault(f"{source}:1", f"there is no column {name!r}", mend)
-    return Fault(f"{source}:1", f"there is no column {name!r}", nearest(name, names[:50]))
+        return Fault(source, f"there is no column {name!r}", mend)
+    return Fault(source, f"there is no column {name!r}", nearest(name, names[:50]))
 
 
 def _short(cell: str) -> str:
     return repr(cell if len(cell) <= 40 else cell[:37] + "...")
 
 
+def _plain(cells: Sequence[str], decimal: str) -> list[str]:
+    """Numbers with a decimal point and without marks of thousands; ``?`` for what is neither.
+
+    A space or an apostrophe between groups of three digits parts thousands. So does the mark that
+    is not the decimal one, where a cell of the column shows the decimal one: ``1,200`` beside
+    ``0.5`` is 1200, and alone it may be 1.2.
+    """
+    other = "." if decimal == "," else ","
+    shown = any(decimal in cell for cell in cells)
+    groups = _GROUPS[decimal]
+    plain = []
+    for cell in cells:
+        match = groups.fullmatch(cell)
+        if match and (match[1] != other or shown or cell.count(other) > 1):
+            cell = cell.replace(match[1], "")
+        plain.append("?" if other in cell else cell.replace(decimal, "."))
+    return plain
+
+
 def _number_mend(cell: str, decimal: str, declared_by: str) -> str:
     if not cell:
         return "the cell is empty: delete the row or give the value"
     if decimal == "." and _DECIMAL_COMMA.fullmatch(cell):
+        if _GROUPS["."].fullmatch(cell):
+            value = float(cell.replace(",", ""))
+            return (
+                f"{value:g} if the comma parts thousands: remove it; a decimal comma must be "
+                f"declared: {declared_by}"
+            )
         return f"a decimal comma must be declared: {declared_by}"
     if decimal == "," and "." in cell:
         return "a decimal comma was declared, so a point has no place here"

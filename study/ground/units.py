@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from decimal import Decimal
 from functools import lru_cache
 from typing import Any
@@ -101,6 +102,14 @@ _QUANTITY = re.compile(rf"({_NUMBER.pattern})[ \t]*(\S(?:.*\S)?)", re.ASCII)
 _WORD = r"[A-Za-z]+(?:(?:\*\*|\^)?-?[1-9])?"
 _UNIT = re.compile(rf"{_WORD}(?:[ ]?[*/ ][ ]?{_WORD}){{0,3}}")
 MAX_LENGTH = 80
+
+
+def is_unit(word: str) -> bool:
+    """Whether a word is a unit of a recorded quantity."""
+    for dimension in ("length", "force", "pressure", "time", "ratio"):
+        with suppress(UnitError):
+            return bool(_factor(word, dimension))
+    return False
 
 
 def parse(text: object, dimension: str) -> float:

@@ -214,8 +214,8 @@ BAD = {
     "still": ("d,f\n1,0\n1,1\n1,2\n", "the displacement is constant"),
     "nul": ("d,f\n0,0\n1,\0\n", "NUL"),
     "quote": ('d,f\n0,"0\n', "not well-formed"),
-    "utf-16": (LINE.encode("utf-16"), "UTF-16"),
-    "latin-1": (LINE.replace("3,6", "\xb5,6").encode("latin-1"), "a.csv:5: byte 0xb5"),
+    "half utf-16": (LINE.encode("utf-16")[:-1], "is not UTF-16"),
+    "latin-1": (LINE.replace("3,6", "\xb5,6").encode("latin-1"), "a.csv:5: column 'd'"),
     "broken gzip": (gzip.compress(LINE.encode())[:-9], "broken gzip"),
     "long line": ("d,f\n" + "1" * 100_001 + ",2\n", "at most 100000"),
 }

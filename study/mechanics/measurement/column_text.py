@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -35,21 +34,25 @@ class Layout:
     #: Whether a line names the columns; without one their names are 1, 2 and so on.
     header: bool = True
 
-    def plain(self, text: str, decimal: str) -> str:
-        r"""Text with a header line and delimiters that a CSV file has.
+    def plain(self, text: str, decimal: str) -> tuple[str, list[int]]:
+        r"""Text with a header line and delimiters that a CSV file has, and where its lines stand.
 
         Examples
         --------
         >>> Layout(1, "#", "space").plain("of 1944\nl  P\n# first row\n1.02   0.0255", ".")
-        'l,P\n1.02,0.0255'
+        ('l,P\n1.02,0.0255', [2, 4])
         >>> Layout(header=False).plain("1.02, 0.0255\n1.1, 0.12", ".")
-        '1,2\n1.02,0.0255\n1.1,0.12'
+        ('1,2\n1.02,0.0255\n1.1,0.12', [1, 1, 2])
         """
+        lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+        at = [
+            k
+            for k, line in enumerate(lines, 1)
+            if k > self.skip_lines and not (self.comment and line.lstrip().startswith(self.comment))
+        ]
         if self == Layout():
-            return text
-        lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")[self.skip_lines :]
-        if self.comment:
-            lines = [line for line in lines if not line.lstrip().startswith(self.comment)]
+            return text, at
+        lines = [lines[k - 1] for k in at]
         mark, own = ";" if decimal == "," else ",", self.delimiter
         if not self.header:
             own = own or _shown_by(next((line for line in lines if line.strip()), ""), mark)
@@ -58,8 +61,9 @@ class Layout:
             if not self.header:
                 widest = max(map(len, rows), default=0)
                 rows.insert(0, [str(k + 1) for k in range(widest)])
+                at.insert(0, at[0] if at else 1)
             lines = [mark.join(row) for row in rows]
-        return "\n".join(lines)
+        return "\n".join(lines), at
 
 
 def _cells(line: str, delimiter: str) -> list[str]:
@@ -78,11 +82,10 @@ def read_table(
 ) -> CsvTable:
     """Read a measured file; see :func:`study.ground.tabular.read_csv`."""
     raw = read_bytes(path, source)
-    text = layout.plain(decoded(unzipped(raw, source), source), decimal)
-    table = parse_csv(text, required=required, decimal=decimal, source=source)
-    added = 0 if layout.header else 1  # a line that the file does not have
-    lines = tuple(line - added for line in table.lines)
-    return replace(table, lines=lines, sha256=hashlib.sha256(raw).hexdigest())
+    text, encoding = decoded(unzipped(raw, source), source)
+    plain, at = layout.plain(text, decimal)
+    table = parse_csv(plain, required=required, decimal=decimal, source=source, numbered=at)
+    return table.without_units(required).of_file(raw, encoding)
 
 
 # -------------------------------------------------------------------------------------------------

@@ -36,7 +36,7 @@ MAX_SKIPPED = 1000
 _FIELD = re.compile(r"\{([^{}]*)\}")
 
 #: ends of the names of measured files: texts are read as CSV
-ENDINGS = (".csv", ".csv.gz", ".txt", ".tsv", ".dat")
+ENDINGS = (".csv", ".csv.gz", ".txt", ".tsv", ".dat", ".asc")
 
 #: label of a row, or several
 Labels = str | tuple[str, ...]

@@ -221,10 +221,20 @@ def _split(
     table: CsvTable, labels: Mapping[str, str], groups: Sequence[str], spec: MeasurementSpec
 ) -> Iterable[Recording]:
     """Rows of each test of a table."""
-    d = _quantity(table, spec, spec.columns.kinematic, MAX_TRAVEL_MM)
-    f = _quantity(table, spec, spec.columns.kinetic, MAX_FORCE_N)
-    has_time = spec.columns.time is not None
-    time = _quantity(table, spec, "time", MAX_TIME_S) if has_time else None
+    limits = {spec.columns.kinematic: MAX_TRAVEL_MM, spec.columns.kinetic: MAX_FORCE_N}
+    if spec.columns.time is not None:
+        limits["time"] = MAX_TIME_S
+    read: dict[str, Array] = {}
+    faults: list[Fault] = []
+    for what, limit in limits.items():
+        try:
+            read[what] = _quantity(table, spec, what, limit)
+        except InputError as error:
+            faults.extend(error.faults)
+    if faults:
+        raise InputError(faults)
+    d, f = read[spec.columns.kinematic], read[spec.columns.kinetic]
+    time = read.get("time")
     inside = [name for name in groups if name not in labels]
     for name, label in labels.items():
         if rule := label_fault(label):
@@ -338,16 +348,17 @@ def _factor(table: CsvTable, spec: MeasurementSpec, what: str) -> float:
     dimension = "time" if what == "time" else {**KINEMATIC, **KINETIC}[what]
     factor = parse(f"1 {unit}", dimension)
     suffix = _UNIT_SUFFIX.fullmatch(column)
-    if suffix:
+    shown = {"its name": suffix[1] if suffix else "", "the row of units": table.units.get(column)}
+    for who, word in shown.items():
         try:
-            named = parse(f"1 {suffix[1]}", dimension)
+            named = parse(f"1 {word}", dimension) if word else factor
         except InputError:
-            return factor  # the last word of the name is no unit of this dimension
+            continue  # the last word of the name is no unit of this dimension
         if not np.isclose(named, factor, rtol=1e-9):
             raise InputError(
                 Fault(
                     f"{table.source}: column {column!r}",
-                    f"its name says {suffix[1]}, but {unit} is declared in measurements.units",
+                    f"{who} says {word}, but {unit} is declared in measurements.units",
                     "declare the unit that the file is in",
                 )
             )
