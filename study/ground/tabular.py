@@ -98,7 +98,7 @@ class CsvTable:
         if not measured or not all(units[name] or not first[name] for name in measured):
             return self
         shown = {name: unit[1] for name, unit in units.items() if unit and name in measured}
-        if not any(is_unit(unit) for unit in shown.values()):
+        if not any(unit != "1" and is_unit(unit) for unit in shown.values()):
             return self
         return replace(
             self,

@@ -23,7 +23,7 @@ from study.mechanics.indentation.contact_law import (
     force_law,
     limits,
 )
-from study.mechanics.measurement.conditioning import Rules, condition
+from study.mechanics.measurement.conditioning import Rules, condition, placed
 from study.mechanics.measurement.measurement_section import MeasurementSpec
 from study.mechanics.measurement.recording import read_recordings
 from study.mechanics.setup.calibration_table import Theory
@@ -274,14 +274,16 @@ def read_curves(
     if spec.range is not None:
         low, high = spec.range.in_mm(height_mm)
     rules = Rules(
-        low, high, 0, spec.sign or "positive", spec.zero or "none", spec.toe, height_mm
+        low, high, 0, spec.sign or "positive", spec.zero or "none", spec.toe, height_mm,
+        spec.direction, spec.displacement_zero,
     )  # fmt: skip
     recorded = read_recordings(spec, root)
     found: list[RecordedCurve] = []
     faults: list[Fault] = []
     for one in recorded.tests:
         try:
-            kept = condition(one.kinematic, one.kinetic, rules, one.where)
+            moved, _ = placed(one.kinematic, one.kinetic, rules, one.where)
+            kept = condition(moved, one.kinetic, rules, one.where)
         except InputError as error:
             faults += error.faults
             nothing = np.empty(0)

@@ -2,9 +2,11 @@
 
 The rules are applied in this order, and every row they drop or change is counted:
 
-1. branch: of a test that was loaded and unloaded, once or in cycles, the first loading is kept;
-2. sign: force, and displacement where it runs the other way, made positive into the specimen;
-   a force that falls with displacement is refused;
+1. ``displacement_zero`` and ``direction``: the recorded coordinate becomes the displacement of
+   the specimen;
+2. branch: of a test that was loaded and unloaded, once or in cycles, the first loading is kept;
+   sign: force, and displacement where it runs the other way, made positive into the specimen;
+   a force that falls with displacement, or that is there before displacement zero, is refused;
 3. ``zero``: the load cell's reading without load is subtracted (``first``: the first row;
    ``fit``: the start of a straight line through the first tenth of the travel);
 4. sorting by displacement; equal displacements averaged; a non-monotone force is kept;
@@ -46,7 +48,7 @@ def last_of_loading(displacement_mm: Array) -> int:
     """Row at which the first loading ends: the last one of a test that was only loaded.
 
     Rows that stand in no order, or begin far from where the test begins, have no loading branch
-    and are all kept.
+    and are all kept. Displacements are positive into the specimen, and negative on the approach.
 
     Shapes: displacement_mm (rows,).
 
@@ -57,7 +59,7 @@ def last_of_loading(displacement_mm: Array) -> int:
     >>> last_of_loading(np.array([0.0, 3, 1, 4, 2]))
     4
     """
-    d = np.abs(displacement_mm)
+    d = displacement_mm
     everything = d.size - 1
     turns = _turns(d, TURN * float(np.ptp(d)))
     ends = [0, *turns, everything]
@@ -78,7 +80,8 @@ def _turns(d: Array, least: float) -> list[int]:
         if not back.size:
             return turns
         row = int(back[0])
-        turns.append(start + int(np.flatnonzero(way[:row] == furthest[row])[-1]))
+        # of rows that stand at the turn together, the first belongs to the branch that ends here
+        turns.append(start + int(np.flatnonzero(way[:row] == furthest[row])[0]))
         start, sense = start + row, -sense
 
 
@@ -210,6 +213,12 @@ class Rules:
     toe_N: float | None = None
     #: Height of the specimen, for messages in percent.
     height_mm: float | None = None
+    #: {"auto", "rising", "falling"}: way of the recorded displacement into the specimen.
+    direction: str = "auto"
+    #: {"first row", "contact"} or recorded displacement in mm; None where the file's zero counts.
+    displacement_zero: str | float | None = None
+    #: Whether rows on both sides of zero are two tests, and no range says which is meant.
+    is_signed: bool = False
 
     @property
     def is_raw(self) -> bool:
@@ -249,10 +258,8 @@ def condition(displacement_mm: Array, force_N: Array, rules: Rules, where: str) 
         raise InputError(
             Fault(where, f"has {displacement_mm.size} rows, a curve needs at least {MIN_ROWS}")
         )
-    last = last_of_loading(displacement_mm)
-    if last + 1 < displacement_mm.size:
-        counts[UNLOADED] += displacement_mm.size - last - 1
-    d, f = _apply_sign(displacement_mm[: last + 1], force_N[: last + 1], rules, where, counts)
+    d, f = _apply_sign(displacement_mm, force_N, rules, where, counts)
+    _check_torn(d, f, rules, where)
     zero, offset = _zero(d, f, rules.zero), _offset(d, f, rules)
     d, f = _sorted_unique(d, f - zero, counts)
     d, f, toe = _toe(d, f, rules, where, counts)
@@ -331,32 +338,209 @@ def _apply_sign(
                 "check the columns and the recording",
             )
         )
+    turn = -1.0 if rules.sign == "negative" else 1.0
+    f = turn * f
+    is_auto = rules.direction == "auto"
+    way = _way(d, f)
     backwards = abs(float(d.min())) > abs(float(d.max()))
-    if rules.sign == "negative":
-        f = -f
-        if backwards:
-            d = -d
-            counts["displacement reversed (declared sign negative)"] += d.size
-    elif backwards:
-        raise InputError(
-            Fault(
-                where,
-                f"displacement runs from {d.max():.4g} to {d.min():.4g} mm where the "
-                "declared sign is positive into the specimen",
-                'write sign = "negative" if compression is recorded as negative',
-            )
-        )
-    if _covariance(d, f) < 0:
-        other = "negative" if rules.sign == "positive" else "positive"
-        raise InputError(
-            Fault(
-                where,
-                "force falls as displacement grows: the declared sign "
-                f"({rules.sign}) does not fit the data",
-                f'write sign = "{other}", or check the columns',
-            )
-        )
+    usual = -1.0 if backwards and turn < 0 else 1.0
+    inside = way * d > 0  # rows on the other side of zero may belong to another test
+    grown = (f - f[0])[inside if np.count_nonzero(inside) >= MIN_ROWS else slice(None)]
+    pulls = float(grown.max()) < -float(grown.min())
+    doubtful = way != usual or (backwards and turn > 0)
+    if (pulls and doubtful) if is_auto else way < 0:
+        raise InputError(_falls(d, turn * f, rules, where))
+    if is_auto and way < 0:
+        d = -d
+        counts[f"displacement reversed (declared sign {rules.sign})"] += d.size
+    last = last_of_loading(d)
+    if last + 1 < d.size:
+        counts[UNLOADED] += d.size - last - 1
+    d, f = d[: last + 1], f[: last + 1]
+    if rules.displacement_zero is None and is_auto and rules.toe_N is None:
+        _check_zero(d, f, way, rules, where)
+    if rules.is_signed:
+        _check_sides(d, f, where)
+    before = int(np.count_nonzero(d < -_slack(rules)))
+    if before:
+        counts["rows before displacement zero set aside"] += before
     return d, f
+
+
+def _falls(d: Array, f: Array, rules: Rules, where: str) -> Fault:
+    other = "negative" if rules.sign == "positive" else "positive"
+    mend = f'write sign = "{other}", or check the columns'
+    if rules.direction != "auto":
+        way = "falling" if rules.direction == "rising" else "rising"
+        mend = f'write direction = "{way}" or sign = "{other}", or check the columns'
+    rule = (
+        f"displacement runs from {d[0]:.4g} to {d[np.argmax(np.abs(d - d[0]))]:.4g} mm and force "
+        f"from {f[0]:.4g} to {f[np.argmax(np.abs(f - f[0]))]:.4g} N: with the declared sign "
+        f"({rules.sign}) the specimen would pull, not resist"
+    )
+    return Fault(where, rule, mend)
+
+
+def _way(d: Array, f: Array) -> float:
+    """Sign of the displacement into the specimen: that in which a positive force grows.
+
+    Rows after the largest force say nothing where the specimen tore or was unloaded.
+    """
+    loading = slice(0, int(np.argmax(f)) + 1)
+    ways = [_covariance(d, f)]
+    if loading.stop >= MIN_ROWS and np.ptp(d[loading]) > 0:
+        ways.append(_covariance(d[loading], f[loading]))
+    return math.copysign(1.0, ways[0] if ways[0] >= 0 or len(ways) == 1 else ways[1])
+
+
+#: share of the largest force that falls away at once, for good, where a specimen tears
+_TORN = 0.5
+#: share of the travel from zero at which a recording may begin without another look
+_STARTS_LATE = 0.02
+#: least force of a late start, over that of the straight line from zero to it
+_AT_ZERO = 0.05
+#: share of the largest force by which the force may rise before zero
+_RISEN = 0.02
+#: standard errors from which a rise is none of noise
+_CLEAR = 4.0
+#: shares of the travel that an approach may fill at least, and slope of one over that of contact
+_APPROACHES = (0.1, 0.05, 0.02)
+_FLAT = 0.05
+
+
+def placed(displacement_mm: Array, resisted: Array, rules: Rules, where: str) -> tuple[Array, str]:
+    """Displacement of the specimen from the recorded one, and what was done.
+
+    Shapes: displacement_mm, resisted (rows,), mm, N or MPa; returns (rows,).
+    """
+    d, f = displacement_mm, (-1.0 if rules.sign == "negative" else 1.0) * resisted
+    if rules.direction == "auto" and rules.displacement_zero is None:
+        return d, ""
+    way = {"rising": 1.0, "falling": -1.0}.get(rules.direction) or _way(d - d[0], f)
+    word = "rising" if way > 0 else "falling"
+    zero = rules.displacement_zero or 0.0
+    if zero == "first row":
+        zero = float(d[0])
+    elif isinstance(zero, str):
+        zero = _contact(d, f, way, where)
+    chosen = "" if isinstance(rules.displacement_zero, float) else f" ({rules.displacement_zero})"
+    return way * (
+        d - zero
+    ) + 0.0, f"{where}: displacement counts from {zero:.6g} mm{chosen}, {word}"
+
+
+def _contact(d: Array, f: Array, way: float, where: str) -> float:
+    """Return the recorded displacement at which the force leaves the scatter of the approach."""
+    moved, peak = way * d, int(np.argmax(f))
+    travel = float(moved[peak] - moved[0])
+    flat = next((n for n in _APPROACHES if _is_flat(moved, f, moved[0] + n * travel)), None)
+    if flat is None:
+        rule = "the force rises from the first row on: no row shows the specimen before contact"
+        raise InputError(Fault(where, rule, 'write displacement_zero = "first row" or a length'))
+    base = f[: peak + 1][moved[: peak + 1] <= moved[0] + flat * travel]
+    level = float(base.mean()) + 4.0 * float(base.std())
+    return float(d[int(np.flatnonzero(f[: peak + 1] <= level)[-1])])
+
+
+def _is_flat(moved: Array, f: Array, end: float) -> bool:
+    """Whether the force up to a place rises by no more than its scatter."""
+    peak = int(np.argmax(f))
+    first = moved[:peak] <= end
+    if np.count_nonzero(first) < MIN_ROWS or f[peak] <= 0:
+        return False
+    x, y = moved[:peak][first], f[:peak][first]
+    slope, scatter = _slope(x, y)
+    secant = float(f[peak] - y[-1]) / max(float(moved[peak] - x[-1]), 1e-300)
+    return slope - 2.0 * scatter <= _FLAT * secant
+
+
+def _check_zero(d: Array, f: Array, way: float, rules: Rules, where: str) -> None:
+    """Refuse a recorded displacement whose zero is not that of the specimen.
+
+    A specimen at rest carries no force. One that carries none far from zero, or resists before
+    zero, was recorded in coordinates of the machine.
+
+    Shapes: d, f (rows,), mm, N; both positive into the specimen.
+    """
+    travel, largest = float(np.ptp(d)), float(f.max())
+    count = max(int(np.count_nonzero(d <= d.min() + ZERO_FIT_SHARE * travel)), MIN_ROWS)
+    order = np.argsort(d, kind="stable")[:count]
+    first, x, y = float(d.min()), d[order], f[order]
+    slope, _ = _slope(x, y)
+    start = float(y.mean()) + slope * (first - float(x.mean()))
+    is_late = first > _STARTS_LATE * travel and start < _AT_ZERO * slope * first
+    at_zero = float(np.interp(0.0, d[order := np.argsort(d, kind="stable")], f[order]))
+    is_early = first < -_STARTS_LATE * travel and _RISEN * largest < min(
+        _rises(d[d <= 0], f[d <= 0]), at_zero
+    )
+    if not is_late and not is_early:
+        return
+    at = way * float(d[0])
+    turned = float((f - f[0]).max()) < -float((f - f[0]).min())
+    rule = (
+        f"displacement starts at {at:.6g} mm with {abs(f[0]):.4g} N and goes to "
+        f"{way * float(d[int(np.argmax(np.abs(d - d[0])))]):.6g} mm: no specimen that is "
+        "unloaded at 0 mm gives these forces"
+    )
+    other = "negative" if rules.sign == "positive" else "positive"
+    mend = (
+        f'write displacement_zero = "first row" if the specimen is unloaded at {at:.6g} mm, '
+        '"contact" if it was met later, or "0 mm" if the recorded zero is that of the specimen'
+        + (f'; and sign = "{other}"' if turned else "")
+    )
+    raise InputError(Fault(where, rule, mend))
+
+
+def _rises(d: Array, f: Array) -> float:
+    """Force that some rows gain by a straight line; 0 where that may be noise."""
+    if d.size < MIN_ROWS or np.ptp(d) == 0:
+        return 0.0
+    slope, scatter = _slope(d, f)
+    return slope * float(np.ptp(d)) if slope > _CLEAR * scatter else 0.0
+
+
+def _slope(x: Array, y: Array) -> tuple[float, float]:
+    """Slope of a straight line and its standard error."""
+    x = x - x.mean()
+    square = max(float(x @ x), 1e-300)
+    slope = float(x @ y) / square
+    rest = y - y.mean() - slope * x
+    return slope, math.sqrt(float(rest @ rest) / max(x.size - 2, 1) / square)
+
+
+def _check_sides(d: Array, f: Array, where: str) -> None:
+    """Refuse one test through zero: a curve begins at the unloaded specimen and goes one way."""
+    before = d < -_STARTS_LATE * float(np.ptp(d))
+    if not before.any() or float(f[before].min()) > -_AT_ZERO * float(f.max()):
+        return
+    rows = int(np.count_nonzero(d < 0))
+    rule = f"the test runs through zero: {rows} of {d.size} rows lie on the other side of it"
+    mend = (
+        "write two [[tests]] with this file, each with a range: tension with range = "
+        f'["0 mm", "{d.max():.6g} mm"], and compression with sign = "negative" and range = '
+        f'["0 mm", "{-d.min():.6g} mm"]'
+    )
+    raise InputError(Fault(where, rule, mend))
+
+
+def _check_torn(d: Array, f: Array, rules: Rules, where: str) -> None:
+    """Refuse rows in the range after which the force fell away at once and stayed away."""
+    peak = int(np.argmax(f))
+    later = f[peak + 1 : peak + 3]
+    ahead = bool(later.size) and bool((np.diff(d[peak:]) > 0).all())
+    low_N = (1 - _TORN) * float(f[peak])  # noqa: N806
+    if peak < MIN_ROWS or not ahead or f[peak + 1 :].max() > low_N or f[peak - 1] < low_N:
+        return  # a single high row is none of a specimen that tears
+    if d[peak + 1] > rules.high_mm:
+        return
+    rule = (
+        f"the force falls from {f[peak]:.4g} N at {_place(d[peak], rules)} to "
+        f"{f[peak + 1]:.4g} N at {_place(d[peak + 1], rules)} and stays low: the specimen tore, "
+        f"slipped or lost contact ({d.size - peak - 1} rows)"
+    )
+    low = max(rules.low_mm, 0.0)
+    mend = f'fit the rows before: range = ["{low:.6g} mm", "{d[peak]:.6g} mm"]'
+    raise InputError(Fault(where, rule, mend))
 
 
 def _covariance(d: Array, f: Array) -> float:

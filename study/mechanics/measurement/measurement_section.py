@@ -225,6 +225,17 @@ def _points(value: object) -> int | Literal["raw"]:
     return integer(2, MAX_POINTS)(value)
 
 
+def _displacement_zero(value: object) -> str | float:
+    """Read ``"first row"``, ``"contact"`` or a length such as ``"3.2 mm"``."""
+    if value in ("first row", "contact"):
+        return str(value)
+    try:
+        return units.parse(value, "length")
+    except UnitError as error:
+        mend = 'write "first row", "contact" or a length such as "3.2 mm"'
+        raise Bad(error.faults[0].rule, mend) from error
+
+
 def _mark(value: object) -> str:
     mark = text(value)
     if len(mark) > 3 or mark.strip() != mark:
@@ -270,6 +281,10 @@ class MeasurementSpec:
     toe: Force | None = None
     #: Rule of the load cell's zero, sign of a resisting force, decimal mark of the file.
     sign: Annotated[str, Reads(choice("positive", "negative"))] = "positive"
+    #: Recorded displacement of the unloaded specimen in contact: a row, or a value in mm.
+    displacement_zero: Annotated[str | float | None, Reads(_displacement_zero)] = None
+    #: Whether the recorded displacement rises or falls as the specimen is loaded.
+    direction: Annotated[str, Reads(choice("auto", "rising", "falling"))] = "auto"
     #: Rule of the load cell's zero, sign of a resisting force, decimal mark of the file.
     decimal: Annotated[str, Reads(choice(".", ","))] = "."
     #: Printed in the report.
@@ -296,8 +311,9 @@ class MeasurementSpec:
         found = asdict(self)
         for key in ("columns", "units"):
             found[key] = {k: v for k, v in found[key].items() if v is not None}
-        if self.header:
-            del found["header"]
+        for key, usual in (("header", True), ("displacement_zero", None), ("direction", "auto")):
+            if found[key] == usual:
+                del found[key]
         return {k: v for k, v in found.items() if k not in _LAYOUT or v}
 
     @classmethod

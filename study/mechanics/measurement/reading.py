@@ -23,6 +23,7 @@ from study.mechanics.measurement.conditioning import (
     Rules,
     condition,
     condition_course,
+    placed,
 )
 from study.mechanics.measurement.measured_test import Measurements, SingleTest
 from study.mechanics.measurement.recording import Recording, Recordings, capped, read_recordings
@@ -43,6 +44,8 @@ def read_measurements(
     rules = usual = _rules(spec, height_mm, displacement_mm)
     recorded = recordings or read_recordings(spec, Path(root))
     notes = [*recorded.notes]
+    if gauge is not None and gauge.is_homogeneous and spec.range is None:
+        rules = usual = replace(rules, is_signed=True)
     if spec.range is None and not rules.is_raw:
         rules = _begun(rules, spec, recorded, gauge)
     tests: list[SingleTest] = []
@@ -50,6 +53,7 @@ def read_measurements(
     done: list[Conditioned] = []
     for one in recorded.tests:
         try:
+            one, did = _specimens(one, spec, rules)
             d, f = _rows(one, spec, gauge)
             if one.time_s is None:
                 result = condition(d, f, rules, one.where)
@@ -59,6 +63,7 @@ def read_measurements(
             faults.extend(error.faults)
             continue
         done.append(result)
+        notes += [did] if did else []
         own = tuple(f"{one.where}: {n} {what}" for what, n in result.counts.items())
         tests.append(SingleTest(dict(one.groups), result.force_N, own, result.recorded))
     _check_distinct(tests, faults)
@@ -84,6 +89,17 @@ def read_measurements(
     return found
 
 
+def _specimens(one: Recording, spec: MeasurementSpec, rules: Rules) -> tuple[Recording, str]:
+    """Put a recording into the coordinate of the specimen; say what was done."""
+    if spec.columns.kinematic != "displacement":
+        if spec.displacement_zero is not None or spec.direction != "auto":
+            rule = f"belongs to a column of displacement, not of {spec.columns.kinematic}"
+            raise InputError(Fault("measurements.displacement_zero", rule, "leave it out"))
+        return one, ""
+    moved, did = placed(one.kinematic, one.kinetic, rules, one.where)
+    return replace(one, kinematic=moved), did
+
+
 def _rows(one: Recording, spec: MeasurementSpec, gauge: Gauge | None) -> tuple[Array, Array]:
     """Displacements and forces of a recording."""
     return displacement_and_force(
@@ -100,7 +116,8 @@ def _begun(rules: Rules, spec: MeasurementSpec, recorded: Recordings, gauge: Gau
     begins = [rules.low_mm]
     for one in recorded.tests:
         with suppress(InputError):  # said where its rows become a curve
-            begins.append(float(np.abs(_rows(one, spec, gauge)[0]).min()))
+            moved = _rows(_specimens(one, spec, rules)[0], spec, gauge)[0]
+            begins.append(float(np.abs(moved).min()))
     spacing = (rules.high_mm - rules.low_mm) / max(rules.points - 1, 1)
     late = max(begins) > rules.low_mm + spacing and rules.toe_N is None
     return replace(rules, low_mm=max(begins)) if late and max(begins) < rules.high_mm else rules
@@ -150,7 +167,11 @@ def _rules(spec: MeasurementSpec, height_mm: float | None, displacement_mm: floa
         )
     if faults:
         raise InputError(faults)
-    return Rules(low, high, points, sign, zero, spec.toe, height_mm)
+    is_displacement = spec.columns.kinematic == "displacement"
+    return Rules(
+        low, high, points, sign, zero, spec.toe, height_mm, spec.direction,
+        spec.displacement_zero if is_displacement else 0.0,
+    )  # fmt: skip
 
 
 def _range(

@@ -1,0 +1,139 @@
+"""Coordinates of the machine: put into those of the specimen by what is declared, or refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from study.ground.errors import InputError
+from study.mechanics.measurement.column_text import Gauge
+from study.mechanics.measurement.measurement_section import MeasurementSpec, Range
+from study.mechanics.measurement.reading import read_measurements
+from tests.record.samples import Spec
+
+#: 6 mm of travel, 3 N/mm: what every file below records in its own coordinates
+DEPTH = np.linspace(0.0, 6.0, 25)
+STIFFNESS = 3.0
+GAUGE = Gauge(20.0, 25.0, "uniaxial", 1.0, True)
+
+
+def write(folder: Path, place: np.ndarray, force: np.ndarray) -> None:
+    rows = (f"{d:.6f},{f:.6f}\n" for d, f in zip(place, force, strict=True))
+    (folder / "a.csv").write_text("d,f\n" + "".join(rows))
+
+
+def spec(**changes: object) -> MeasurementSpec:
+    return Spec(**{"range": None, "points": "raw", **changes})
+
+
+def read(folder: Path, **changes: object):
+    return read_measurements(spec(**changes), folder)
+
+
+def stiffness(folder: Path, **changes: object) -> tuple[float, int]:
+    found = read(folder, **changes).curve().curve
+    d, f = found.displacement_mm, found.force_N
+    return float(d @ f / (d @ d)), d.size
+
+
+@pytest.mark.parametrize("start", [12.5, -40.0, 0.5])
+@pytest.mark.parametrize("way", [1.0, -1.0])
+@pytest.mark.parametrize("turn", [1.0, -1.0])
+def test_a_position_is_refused_until_its_zero_is_declared(tmp_path, start, way, turn):
+    write(tmp_path, start + way * DEPTH, turn * STIFFNESS * DEPTH)
+    sign = "positive" if turn > 0 else "negative"
+    with pytest.raises(InputError, match="displacement_zero") as caught:
+        read(tmp_path, sign=sign)
+    assert f"unloaded at {start:g} mm" in str(caught.value)
+    word = "rising" if way > 0 else "falling"
+    for zero in ("first row", start):
+        for direction in ("auto", word):
+            declared = {"displacement_zero": zero, "direction": direction, "sign": sign}
+            assert stiffness(tmp_path, **declared) == (pytest.approx(STIFFNESS, rel=1e-6), 25)
+    notes = "\n".join(read(tmp_path, displacement_zero="first row", sign=sign).notes)
+    assert f"displacement counts from {start:g} mm (first row), {word}" in notes
+    other = "falling" if way > 0 else "rising"
+    with pytest.raises(InputError, match=f'direction = "{word}"'):
+        read(tmp_path, displacement_zero="first row", direction=other, sign=sign)
+
+
+@pytest.mark.parametrize("approach", [1.0, 10.0])
+@pytest.mark.parametrize("sign", ["positive", "negative"])
+def test_an_approach_of_any_length_is_set_aside_and_counted(tmp_path, approach, sign):
+    """Loading at 3 N/mm, unloading at 2.4 N/mm: the branches are never averaged."""
+    turn = 1.0 if sign == "positive" else -1.0
+    before = np.arange(-approach, 0.0, 0.25)
+    place = np.r_[before, DEPTH, DEPTH[::-1], before[::-1]]
+    force = np.r_[0 * before, 3.0 * DEPTH, 2.4 * DEPTH[::-1], 0 * before]
+    write(tmp_path, place, turn * force)
+    value, rows = stiffness(tmp_path, sign=sign)
+    assert (value, rows) == (pytest.approx(STIFFNESS, rel=1e-6), 25)
+    notes = "\n".join(read(tmp_path, sign=sign).notes)
+    assert f"{25 + before.size} rows after the first loading left out" in notes
+    assert f"{before.size} rows before displacement zero set aside" in notes
+    # the same recorded as a position
+    write(tmp_path, place + 80.0, turn * force)
+    value, rows = stiffness(tmp_path, sign=sign, displacement_zero="contact")
+    assert (value, rows) == (pytest.approx(STIFFNESS, rel=1e-6), 25)
+
+
+def test_contact_needs_an_approach(tmp_path):
+    write(tmp_path, 12.5 + DEPTH, STIFFNESS * DEPTH)
+    with pytest.raises(InputError, match="no row shows the specimen before contact"):
+        read(tmp_path, displacement_zero="contact")
+
+
+def test_the_first_row_of_unloading_is_none_of_loading(tmp_path):
+    """The peak stands twice, with the force of either branch."""
+    write(tmp_path, np.r_[DEPTH, DEPTH[::-1]], np.r_[3.0 * DEPTH, 2.4 * DEPTH[::-1]])
+    found = read(tmp_path).curve().curve
+    assert found.force_N[-1] == pytest.approx(18.0, rel=1e-12)
+    assert len(found) == 25
+
+
+def test_a_sound_test_that_begins_late_or_stiffens_is_read_as_before(tmp_path):
+    for exponent in (1.0, 2.0, 4.0):
+        write(tmp_path, 1.0 + DEPTH, (1.0 + DEPTH) ** exponent)
+        assert read(tmp_path).curve().curve.displacement_mm[0] == 1.0
+
+
+def test_a_test_through_zero_is_refused_or_split_by_its_ranges(tmp_path):
+    place = np.linspace(-5.0, 10.0, 31)
+    write(tmp_path, place, STIFFNESS * place)
+    with pytest.raises(InputError, match="10 of 31 rows lie on the other side") as caught:
+        read_measurements(spec(), tmp_path, gauge=GAUGE)
+    assert 'range = ["0 mm", "10 mm"]' in str(caught.value)
+    tension = spec(range=Range("mm", 0.0, 10.0))
+    assert len(read_measurements(tension, tmp_path, gauge=GAUGE).curve().curve) == 21
+    write(tmp_path, -place, STIFFNESS * place)  # the sense of compression
+    pressed = spec(range=Range("mm", 0.0, 5.0), sign="negative")
+    found = read_measurements(pressed, tmp_path, gauge=GAUGE).curve().curve
+    assert len(found) == 11
+    assert found.force_N == pytest.approx(STIFFNESS * found.displacement_mm, rel=1e-9)
+
+
+def test_a_torn_specimen_is_named_and_its_range_written(tmp_path):
+    force = STIFFNESS * DEPTH
+    force[20:] *= 0.2
+    write(tmp_path, DEPTH, force)
+    with pytest.raises(InputError, match="the specimen tore") as caught:
+        read(tmp_path)
+    assert 'range = ["0 mm", "4.75 mm"]' in str(caught.value)
+    assert stiffness(tmp_path, range=Range("mm", 0.0, 4.75))[1] == 20
+    force = STIFFNESS * DEPTH
+    force[12] *= 5  # one wrong row is no rupture
+    write(tmp_path, DEPTH, force)
+    assert len(read(tmp_path).curve().curve) == 25
+
+
+def test_keys_of_displacement_are_refused_for_a_stretch(tmp_path):
+    (tmp_path / "a.csv").write_text("l,s\n1,0\n1.1,1\n1.2,2\n")
+    stretch = spec(
+        columns={"stretch": "l", "stress": "s"},
+        units={"stretch": "1", "stress": "MPa"},
+        displacement_zero="first row",
+    )
+    with pytest.raises(InputError, match="belongs to a column of displacement"):
+        read_measurements(stretch, tmp_path, gauge=GAUGE)
