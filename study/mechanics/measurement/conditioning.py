@@ -345,7 +345,9 @@ def _apply_sign(
     backwards = abs(float(d.min())) > abs(float(d.max()))
     usual = -1.0 if backwards and turn < 0 else 1.0
     inside = way * d > 0  # rows on the other side of zero may belong to another test
-    grown = (f - f[0])[inside if np.count_nonzero(inside) >= MIN_ROWS else slice(None)]
+    grown = f - f[0]
+    if MIN_ROWS <= np.count_nonzero(inside) < d.size:
+        grown = (f - f[int(np.argmin(np.abs(d)))])[inside]
     pulls = float(grown.max()) < -float(grown.min())
     doubtful = way != usual or (backwards and turn > 0)
     if (pulls and doubtful) if is_auto else way < 0:
