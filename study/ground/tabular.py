@@ -339,9 +339,10 @@ def _check_header(
     later = (
         n for n, row in zip(at, rows, strict=True) if set(required) <= {c.strip() for c in row}
     )
-    if faults and required and (line := next(later, None)) not in (None, at[0]):
-        faults = [replace(f, mend=f"line {line} names the columns: write skip_lines = {line - 1}")
-                  for f in faults]  # fmt: skip
+    line = next(later, at[0])
+    if faults and required and line > at[0]:
+        mend = f"line {line} names the columns: write skip_lines = {line - 1}"
+        faults = [replace(fault, mend=mend) for fault in faults]
     if faults:
         raise InputError(faults)
 
