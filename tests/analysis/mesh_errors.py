@@ -19,9 +19,9 @@ from study.statistics.convergence.contrast_bound import (
     FLOOR,
     difference_bounds,
     inherited_uncertainty,
-    observed_orders,
     response_bounds,
 )
+from study.statistics.convergence.grid_convergence import series_bounds
 
 BLOCKS = 9
 WEIGHTS = np.array([1.0, -1.0])
@@ -128,9 +128,8 @@ def _inherited(
 
 def limits(f: Array, h: Array, formal: float | None, place: int) -> tuple[Array, Array]:
     """Signed errors and bounds of cells, as ``limit_of`` finds them, for many."""
-    p = observed_orders(f, h.tolist())
-    used = np.clip(p, 0.5, 1.0 if formal is None else formal)
-    fine = np.where(np.isnan(p), 0.0, (f[..., 1] - f[..., 0]) / ((h[1] / h[0]) ** used - 1))
+    used = series_bounds(h, f, formal).order_used
+    fine = np.where(np.isnan(used), 0.0, (f[..., 1] - f[..., 0]) / ((h[1] / h[0]) ** used - 1))
     moved = f[..., place] - f[..., 0]
     bound = response_bounds(f, h.tolist(), formal)
     return fine + moved, bound + np.abs(moved)

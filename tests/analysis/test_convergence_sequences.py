@@ -54,8 +54,11 @@ def test_growing_changes_are_divergent(r1, r2, p, size) -> None:
     """A negative order: what two public GCI packages take for order +p."""
     h = np.cumprod([1.0, r1, r2])
     result = grid_convergence(h, 1 + size * h**-p)
-    assert result.behaviour == "divergent"
-    assert (result.gci_fine, result.u_num, result.observed_order) == (None, None, None)
+    f = np.array(result.value)
+    small = abs(f[1] - f[0]) <= 0.01 * abs(f[0])  # noise of the meshes
+    assert result.behaviour == ("noise-floor" if small else "divergent")
+    assert (result.gci_fine, result.observed_order) == (None, None)
+    assert result.u_num == pytest.approx(3 * np.ptp(f))
 
 
 @given(RATIO, st.floats(1.05, 20), st.floats(0.1, 10))
@@ -78,7 +81,7 @@ def test_noise_within_the_tolerance_is_the_noise_floor(value, seed) -> None:
     noise = np.random.default_rng(seed).uniform(-5 * tolerance, 5 * tolerance, 3)
     result = grid_convergence([1, 2, 4], value + noise, tolerance=tolerance)
     assert result.behaviour == "noise-floor"
-    assert result.u_num == tolerance
+    assert result.u_num == pytest.approx(max(tolerance, 3 * np.ptp(noise)), rel=1e-6)
 
 
 @given(RATIO, RATIO, st.floats(0.7, 3.0), st.floats(0.01, 1), st.floats(1.5, 4))
@@ -168,4 +171,4 @@ def test_a_change_that_is_small_by_accident_is_not_believed() -> None:
     result = grid_convergence([1, 2, 4], f, formal_order=1, tolerance=1e-7)
     assert result.behaviour == "monotone"
     assert result.observed_order is None
-    assert result.u_num == pytest.approx(1e-3)
+    assert result.u_num == pytest.approx(3 * (1e-3 - 1.5e-6) / 2)

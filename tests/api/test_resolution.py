@@ -14,7 +14,7 @@ from study.api.uncertainty import numerical_bound
 from study.harness.design.load import loads
 from study.harness.design.spec import Design, Practical, Response
 from study.harness.record.record import Record, table
-from study.harness.runner.case_series import fine_uncertainty
+from study.harness.runner.case_series import half_width
 from study.statistics.analysis.analysis_result import AnalysisResult
 from study.statistics.convergence.contrast_bound import NumericalBound, SeriesBounds
 from study.statistics.convergence.grid_convergence import NumericalUncertainty
@@ -76,7 +76,7 @@ def columns_of(records: Sequence[Record]) -> list[NumericalUncertainty]:
                 NumericalUncertainty(dict(levels), NAME, None, None, "%", "not available", "")
             )
             continue
-        behaviour, u = fine_uncertainty(values, sizes, ORDER)
+        behaviour, u = half_width(values, sizes, ORDER, "finest")
         rows.append(
             NumericalUncertainty(
                 dict(levels), NAME, values[-1], u, "%", behaviour, "", sizes, values, ORDER, "known"

@@ -71,17 +71,19 @@ def test_numerical_uncertainty_covers_the_error_of_the_fake_solver(
 
 def test_two_meshes_give_a_cautious_bound() -> None:
     # f = 1 + 0.1 h at h = 1, 1/1.5: the error of the coarse one is 0.1
-    u = case_series.two_mesh_uncertainty(1.1, 1 + 0.1 / 1.5, 1.5)
+    _, u = case_series.half_width([1.1, 1 + 0.1 / 1.5], [1.5, 1.0], 2.0)
     assert u == pytest.approx(3 * 0.1)
 
 
 def test_a_series_without_an_order_takes_three_times_its_range() -> None:
-    behaviour, u = case_series.series_uncertainty([1.0, 1.2, 1.1], 1.5)
+    sizes = [1.0, 1 / 1.5, 1 / 1.5**2]
+    behaviour, u = case_series.half_width([1.0, 1.2, 1.1], sizes, 1.0)
     assert behaviour == "oscillatory"
     assert u == pytest.approx(3 * 0.2)
-    # order 0.1: not in the asymptotic range
+    # order 0.1: not in the asymptotic range, so thrice the distance to a limit of order 0.5
     slow = [1.0, 1.1, 1.1 + 0.1 / 1.5**0.1]
-    assert case_series.series_uncertainty(slow, 1.5)[1] == pytest.approx(3 * (slow[-1] - 1.0))
+    limit = slow[2] + (slow[2] - slow[1]) / (1.5**0.5 - 1)
+    assert case_series.half_width(slow, sizes, 1.0)[1] == pytest.approx(3 * (limit - slow[0]))
 
 
 class Halved:
@@ -112,9 +114,9 @@ def test_every_round_computes_what_is_due_of_all_series_together() -> None:
 
 
 def test_an_order_above_the_formal_one_is_not_believed_for_the_interval() -> None:
-    # observed order 2.3 of 2: the error of the coarsest mesh by the formal one, times 1.25
+    # observed order 2.3 of 2: the error of the coarsest mesh by the formal one, twice
     values, sizes = [0.27074, 0.25925, 0.25352], [1.0, 1 / 1.35, 1 / 1.35**2]
-    behaviour, u = case_series.series_uncertainty(values, 1.5, sizes, 2.0)
+    behaviour, u = case_series.half_width(values, sizes, 2.0)
     limit = values[2] - (values[1] - values[2]) / (1.35**2 - 1)
     assert behaviour == "monotone"
-    assert u == pytest.approx(1.25 * (values[0] - limit), rel=1e-9)
+    assert u == pytest.approx(2 * (values[0] - limit), rel=1e-9)

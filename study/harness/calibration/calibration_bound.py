@@ -21,7 +21,6 @@ from study.harness.calibration.calibrate_tests import bounds_of
 from study.harness.calibration.measured_tests import in_order, parts_of, read_tests
 from study.harness.design.calibration_section import CalibrationDesign
 from study.harness.runner import fit_task
-from study.harness.runner.case_series import MIN_ORDER, TWO_MESH_FACTOR
 from study.harness.runner.problem_tables import on_mesh
 from study.harness.runner.refinement import formal_order
 from study.harness.runner.response import scale_of
@@ -168,9 +167,5 @@ def _order(part: Part, names: tuple[str, ...], values: Array) -> float:
 def _u(sizes: Sequence[float], values: Array, own: int, order: float) -> float:
     """Half-width of one constant on one of the meshes."""
     noise = _SEARCH * float(np.abs(values).max())
-    found = grid_convergence(sizes, values, formal_order=order, tolerance=noise)
-    ordered = found.observed_order is not None and found.observed_order >= MIN_ORDER
-    if ordered and found.extrapolated is not None and found.factor_of_safety is not None:
-        return float(found.factor_of_safety * abs(values[own] - found.extrapolated))
-    spread = float(np.ptp(values))
-    return max(spread, noise) if found.behaviour == "noise-floor" else TWO_MESH_FACTOR * spread
+    result = grid_convergence(sizes, values, formal_order=order, tolerance=noise)
+    return float(result.bound_of(float(values[own])) or noise)

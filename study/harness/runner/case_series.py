@@ -30,104 +30,37 @@ from study.harness.runner.refinement import (
     series_sizes,
 )
 from study.statistics.convergence.grid_convergence import (
+    CAUTIOUS,
     ConvergenceResult,
     NumericalUncertainty,
     grid_convergence,
 )
 
-# -------------------------------------------------------------------------------------------------
-# Half-width of a series of values on its coarsest or on its finest mesh.
-#
-# Rules of the grid convergence index (Roache 1994, ASME JFE 116, 405; Celik et al. 2008), and for
-# series without an order thrice the range of the values (Eca and Hoekstra 2014, J. Comput. Phys.
-# 262, 104).
-
-#: Observed order where only two meshes exist: bonded corners limit it to one.
+#: Order at most where only two meshes exist: bonded corners limit it to one.
 ASSUMED_ORDER = 1.0
 
-#: An observed order below this says that the meshes are not in the asymptotic range.
-MIN_ORDER = 0.5
 
-#: Safety factor with two meshes, and on the range of a series without an order.
-TWO_MESH_FACTOR = 3.0
+def half_width(
+    values: Sequence[float],
+    sizes: Sequence[float],
+    formal: float,
+    own: Literal["coarsest", "finest"] = "coarsest",
+) -> tuple[str, float]:
+    """Behaviour of a series from coarse to fine, and half-width for one of its end meshes.
 
-
-def two_mesh_uncertainty(coarse: float, fine: float, ratio: float) -> float:
-    """Half-width for the coarser of two meshes: factor 3 on first-order extrapolation.
+    Units: sizes mm.
 
     Examples
     --------
-    >>> round(two_mesh_uncertainty(1.1, 1.0, 2.0), 10)
+    >>> half_width([1.4, 1.2, 1.1], [4.0, 2.0, 1.0], 1.0, "finest")[0]
+    'monotone'
+    >>> round(half_width([1.1, 1.0], [2.0, 1.0], 2.0)[1], 10)
     0.6
     """
-    error = abs(coarse - fine) / (1 - ratio**-ASSUMED_ORDER)
-    return float(TWO_MESH_FACTOR * error)
-
-
-def ratio_of(sizes: Sequence[float], asked: float) -> float:
-    """Ratio that the two first meshes really have, or the one asked for where that is unknown.
-
-    Units: sizes mm.
-    """
-    known = len(sizes) > 1 and sizes[1] > 0 and sizes[0] > sizes[1]
-    return sizes[0] / sizes[1] if known else asked
-
-
-def series_uncertainty(
-    values: Sequence[float],
-    ratio: float,
-    sizes: Sequence[float] = (),
-    formal: float | None = None,
-) -> tuple[str, float]:
-    """Behaviour of a series from coarse to fine, and half-width for its coarsest mesh.
-
-    Where the series converges with an order of its own, the distance to the extrapolated
-    value counts, with the factor of the grid convergence index; elsewhere thrice the range of
-    the values (Eca and Hoekstra 2014, J. Comput. Phys. 262, 104, for series without an order).
-
-    Units: sizes mm.
-
-    Examples
-    --------
-    >>> behaviour, u = series_uncertainty([1.4, 1.2, 1.1], 2.0, formal=1.0)
-    >>> behaviour, round(u, 6)
-    ('monotone', 0.5)
-    >>> behaviour, u = series_uncertainty([1.4, 1.2, 1.1], 2.0)  # without a formal order: thrice
-    >>> round(u, 6)
-    1.2
-    """
-    usable = len(set(sizes)) == len(values) and all(size > 0 for size in sizes)
-    nominal = [ratio**-k for k in range(len(values))]
-    found = grid_convergence(sizes if usable else nominal, values, formal_order=formal)
-    ordered = found.observed_order is not None and found.observed_order >= MIN_ORDER
-    if ordered and (bound := found.bound_of(values[0])) is not None:
-        return found.behaviour, bound
-    if found.behaviour == "noise-floor":
-        return found.behaviour, abs(values[0] - values[-1])
-    return found.behaviour, TWO_MESH_FACTOR * (max(values) - min(values))
-
-
-def fine_uncertainty(
-    values: Sequence[float], sizes: Sequence[float], formal: float | None = None
-) -> tuple[str, float]:
-    """Behaviour of a series from coarse to fine, and half-width for its finest mesh.
-
-    Without an order it is thrice the range of the values (Eca and Hoekstra 2014, J. Comput.
-    Phys. 262, 104).
-
-    Units: sizes mm.
-
-    Examples
-    --------
-    >>> behaviour, u = fine_uncertainty([1.4, 1.2, 1.1], [4.0, 2.0, 1.0], formal=1.0)
-    >>> behaviour, round(u, 6)
-    ('monotone', 0.125)
-    """
-    found = grid_convergence(sizes, values, formal_order=formal)
-    if found.u_num:
-        return found.behaviour, float(found.u_num)
-    spread = max(values) - min(values)
-    return found.behaviour, spread if found.behaviour == "noise-floor" else TWO_MESH_FACTOR * spread
+    order = min(formal, ASSUMED_ORDER) if len(values) == 2 else formal
+    result = grid_convergence(sizes, values, formal_order=order)
+    bound = result.u_num if own == "finest" else result.bound_of(values[0])
+    return result.behaviour, math.inf if bound is None else bound
 
 
 #: Relative error of a fitted constant or a score at the tolerances of fit and solver.
@@ -205,12 +138,9 @@ class CaseSeries:
         self, values: Sequence[float], sizes: Sequence[float], formal: float
     ) -> tuple[str, float]:
         """Behaviour of some values from coarse to fine, and half-width on the study's mesh."""
-        if self.own == "finest":
-            return fine_uncertainty(values, sizes, formal)
-        if len(values) == 2:
-            real = ratio_of(sizes, self.ratio)
-            return "two meshes", two_mesh_uncertainty(values[0], values[1], real)
-        return series_uncertainty(values, self.ratio, sizes, formal)
+        if len(set(sizes)) < len(values) or min(sizes) <= 0:  # meshes that do not say their size
+            sizes = [self.ratio**-k for k in range(len(values))]
+        return half_width(values, sizes, formal, self.own)
 
     def uncertainty(self, response: str, unit: str) -> NumericalUncertainty:
         """Numerical uncertainty of a response on the study's mesh.
@@ -237,7 +167,7 @@ class CaseSeries:
                 note += "; no other mesh of the study's own size gave an answer"
             else:
                 note += f"; another mesh of the study's own size gives {again:.4g} {unit}".rstrip()
-                u = math.hypot(u, TWO_MESH_FACTOR * abs(again - value))
+                u = math.hypot(u, CAUTIOUS * abs(again - value))
         return NumericalUncertainty(
             self.levels, response, value, u, unit, behaviour, note, sizes, values,
             formal.order, formal.why,
@@ -282,7 +212,7 @@ class CaseSeries:
         u = np.array([self.half_width(list(place), sizes, formal)[1] for place in forces.T])
         if self._again is not None:
             own = forces[0 if self.own == "coarsest" else -1]
-            u = np.hypot(u, TWO_MESH_FACTOR * np.abs(force_at_places(self._again) - own))
+            u = np.hypot(u, CAUTIOUS * np.abs(force_at_places(self._again) - own))
         if self.own == "coarsest":
             return {self.base.case.case_id: u / np.abs(forces[0])}
         return {

@@ -99,10 +99,8 @@ def _error_of(values: Sequence[float]) -> float:
     change = abs(values[-1] - values[0])
     if len(values) < 3:
         return change
-    found = grid_convergence([1.0, 2.0, 4.0], values, tolerance=1e-8 * abs(values[0]))
-    if found.extrapolated is None or found.factor_of_safety is None:
-        return change
-    return max(change, found.factor_of_safety * abs(values[-1] - found.extrapolated))
+    result = grid_convergence([1.0, 2.0, 4.0], values, tolerance=1e-8 * abs(values[0]))
+    return max(change, result.bound_of(values[-1]) or 0.0)
 
 
 def one_table(
@@ -165,19 +163,11 @@ def judged(
 
 
 def within(results: Mapping[str, ConvergenceResult], accuracy: float) -> dict[str, bool]:
-    """Whether the uncertainty of each quantity is at most a fraction of its value.
-
-    A series without an order has no GCI; it settles where thrice the range of its finest three
-    meshes is small enough (Eca and Hoekstra 2014 for series that are noise).
-    """
-    return {name: _bound(r) <= accuracy * abs(r.value[0]) + _NOTHING for name, r in results.items()}
-
-
-def _bound(result: ConvergenceResult) -> float:
-    if result.u_num is not None:
-        return result.u_num
-    finest = result.value[:3]
-    return 3 * (max(finest) - min(finest))
+    """Whether the uncertainty of each quantity is at most a fraction of its value."""
+    return {
+        name: r.u_num is not None and r.u_num <= accuracy * abs(r.value[0]) + _NOTHING
+        for name, r in results.items()
+    }
 
 
 def outlook(
@@ -242,14 +232,14 @@ class SeriesJudgement:
 
     @property
     def settled(self) -> bool:
-        """Whether every quantity has the wanted accuracy, or an uncertainty where none is asked."""
+        """Whether every quantity has the wanted accuracy, or none diverges where none is asked."""
         return bool(self.quantities) and not self.unsettled
 
     @property
     def unsettled(self) -> list[str]:
-        """Quantities without the wanted accuracy; without an uncertainty where none is asked."""
+        """Quantities without the wanted accuracy; those that diverge where none is asked."""
         if self.accuracy is None:
-            return [name for name, r in self.quantities.items() if r.u_num is None]
+            return [n for n, r in self.quantities.items() if r.behaviour == "divergent"]
         good = within(self.quantities, self.accuracy)
         return [name for name, ok in good.items() if not ok]
 
@@ -345,12 +335,8 @@ def combined(
 
 def given_mesh(result: ConvergenceResult) -> GivenMesh:
     """Value and uncertainty on the problem's own mesh, the coarsest of its series."""
-    value, u = result.value[-1], None
-    if (bound := result.bound_of(value)) is not None:
-        u = bound
-    elif result.u_num is not None:
-        u = max(result.u_num, abs(value - result.value[0]))
-    return GivenMesh(result.mesh_size[-1], value, u)
+    value = result.value[-1]
+    return GivenMesh(result.mesh_size[-1], value, result.bound_of(value))
 
 
 def inconclusive(

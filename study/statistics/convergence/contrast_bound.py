@@ -21,27 +21,22 @@ from typing import Protocol
 import numpy as np
 
 from study.ground.arrays import Array
+from study.statistics.convergence.grid_convergence import (
+    CAUTIOUS,
+    NO_ORDER,
+    NOISE_SHARE,
+    SAFE,
+    MeshBounds,
+    series_bounds,
+)
 
-#: Order of a series that shows none of its own and whose element promises none.
-NO_ORDER = 1.0
-#: Smallest observed order that is believed.
-LOWEST_ORDER = 0.5
-#: Observed and formal order agree where they differ by no more.
-SAME_ORDER = 0.5
-#: Safety factor of a difference whose series shows the formal order: its order is known less
-#: well than that of a response, for which 1.25 is usual.
-SAFE = 2.0
-#: Safety factor of a response whose series shows the formal order (Roache 1998).
-SAFE_RESPONSE = 1.25
-#: Safety factor of a series without a trustworthy order (Eca and Hoekstra 2014).
-CAUTIOUS = 3.0
+#: Safety factor of a difference over that of a response whose series shows the formal order: its
+#: order is known less well.
+DIFFERENCE_SHARE = 1.6
 #: Smallest share of the sum of the cells' bounds that the bound of a difference may have.
 FLOOR = 0.1
 #: Two meshes show no order: this share of the expected one is assumed.
 ASSUMED_SHARE = 0.7
-#: Growing changes below this share of the value are noise of the meshes, bounded by thrice the
-#: range; above it the quantity diverges and nothing bounds its error.
-NOISE_SHARE = 0.01
 #: Share of the refined cells' mean bound that a difference of other cells inherits.
 INHERITED_SHARE = 0.2
 
@@ -94,53 +89,24 @@ class ContrastUncertainty:
         return self.u + self.moved
 
 
-def observed_orders(value: Array, mesh_size: Sequence[float]) -> Array:
-    """Order p of f = f0 + C h^p through three meshes, NaN where the changes do not shrink.
-
-    Shapes: value (..., 3); returns The fixed point of Celik et al. (2008), equation 5.
-    """
-    e21, e32 = value[..., 1] - value[..., 0], value[..., 2] - value[..., 1]
-    a, b = math.log(mesh_size[1] / mesh_size[0]), math.log(mesh_size[2] / mesh_size[1])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = e21 / e32
-        monotone = (ratio > 0) & (ratio < a / b * (1 - 1e-12))
-        target = np.log(np.where(monotone, ratio, 0.5))
-    if abs(a - b) <= 1e-9 * b:
-        return np.where(monotone, -target / b, np.nan)
-    low, high = np.full(target.shape, 1e-8), np.full(target.shape, 200.0)
-    for _ in range(60):  # bisection of a falling function: 200 / 2^60 is below rounding
-        middle = (low + high) / 2
-        found = np.log(-np.expm1(-middle * a)) - np.log(-np.expm1(-middle * b)) - middle * b
-        low, high = np.where(found > target, middle, low), np.where(found > target, high, middle)
-    return np.where(monotone, (low + high) / 2, np.nan)
+def _finest(
+    value: Array, mesh_size: Sequence[float], formal: float | None, noise: float | Array | None
+) -> MeshBounds:
+    """Bounds of the finest three meshes; two show no order, so a share of the expected is taken."""
+    if value.shape[-1] == 2:
+        formal = ASSUMED_SHARE * min(NO_ORDER if formal is None else formal, 1.0)
+    return series_bounds(mesh_size, value, formal, noise=noise)
 
 
 def response_bounds(
     value: Array, mesh_size: Sequence[float], formal: float | None, noise: float | Array = 0.0
 ) -> Array:
-    """Grid convergence index of single responses, in their unit.
+    """Bound of single responses, in their unit; infinite where the meshes diverge: no claim.
 
     Shapes: value (..., n); noise (...); returns (...).
     """
-    if value.shape[-1] == 2:
-        return _two_meshes(value, mesh_size, formal)
-    value, size = value[..., :3], mesh_size[:3]
-    p = observed_orders(value, size)
-    limit = NO_ORDER if formal is None else formal
-    used = np.clip(np.where(np.isnan(p), limit, p), min(LOWEST_ORDER, limit), limit)
-    error = _larger_error(value, size, used)
-    safe = (np.abs(p - limit) <= SAME_ORDER) & (formal is not None)
-    spread = np.ptp(value, axis=-1)
-    bound = np.where(safe, SAFE_RESPONSE * error, np.maximum(CAUTIOUS * error, spread))
-    bound = np.where(np.isnan(p), CAUTIOUS * spread, bound)
-    return np.where(_diverges(value, noise), np.inf, bound)
-
-
-def _diverges(value: Array, noise: float | Array) -> Array:
-    """Whether the changes grow with refinement, by more than noise and rounding."""
-    e21, e32 = np.abs(value[..., 1] - value[..., 0]), np.abs(value[..., 2] - value[..., 1])
-    floor = np.maximum(noise, 4 * np.spacing(np.abs(value).max(axis=-1)))
-    return np.asarray((e21 > e32 * (1 + 1e-9)) & (e21 > floor))
+    found = _finest(value, mesh_size, formal, noise)
+    return np.where(found.kind == "divergent", np.inf, found.u)
 
 
 def difference_bounds(
@@ -150,34 +116,11 @@ def difference_bounds(
 
     Shapes: value (..., n); returns (...).
     """
-    if value.shape[-1] == 2:
-        order = ASSUMED_SHARE * min(NO_ORDER if formal is None else formal, 1.0)
-        return _two_meshes(value, mesh_size, formal), np.full(value.shape[:-1], order)
-    value, size = value[..., :3], mesh_size[:3]
-    p = observed_orders(value, size)
-    limit = NO_ORDER if formal is None else formal
-    used = np.where(np.isnan(p), min(limit, 1.0), np.clip(p, min(LOWEST_ORDER, limit), limit))
-    error = _larger_error(value, size, used)
-    safe = (np.abs(p - limit) <= SAME_ORDER) & (formal is not None)
-    spread = np.ptp(value, axis=-1)
-    return np.where(safe, SAFE * error, np.maximum(CAUTIOUS * error, spread)), used
-
-
-def _larger_error(value: Array, size: Sequence[float], order: Array) -> Array:
-    """Error of the finest value by the change between the finer and the coarser two meshes.
-
-    Both count: one of the changes may be small by accident, where errors cancel or where a
-    higher-order term hides the order.
-    """
-    fine, coarse = (np.power(size[i + 1] / size[i], order) for i in (0, 1))
-    e21, e32 = np.abs(value[..., 1] - value[..., 0]), np.abs(value[..., 2] - value[..., 1])
-    return np.asarray(np.maximum(e21 / (fine - 1), e32 / (coarse - 1) / fine))
-
-
-def _two_meshes(value: Array, mesh_size: Sequence[float], formal: float | None) -> Array:
-    order = ASSUMED_SHARE * min(NO_ORDER if formal is None else formal, 1.0)
-    ratio = (mesh_size[1] / mesh_size[0]) ** order
-    return np.asarray(CAUTIOUS * np.abs(value[..., 1] - value[..., 0]) / (ratio - 1))
+    found = _finest(value, mesh_size, formal, None)
+    top = min(NO_ORDER if formal is None else formal, 1.0)
+    order = np.where(np.isnan(found.order_used), top, found.order_used)
+    short = (found.factor == SAFE) | np.isnan(found.order_used)
+    return np.where(short, DIFFERENCE_SHARE, 1.0) * found.u, order
 
 
 def contrast_uncertainty(
@@ -241,13 +184,9 @@ def limit_of(series: CellSeries) -> tuple[float, float] | None:
     bound = float(response_bounds(value, size, series.formal_order, series.noise))
     if not math.isfinite(bound):
         return None
-    limit, order = series.value[0], math.nan
-    if len(value) > 2:
-        order = float(observed_orders(value[:3], size[:3]))
-    if math.isfinite(order):
-        highest = NO_ORDER if series.formal_order is None else series.formal_order
-        used = min(max(order, LOWEST_ORDER), highest)
-        limit += (value[0] - value[1]) / ((size[1] / size[0]) ** used - 1)
+    order, limit = float(series_bounds(size, value, series.formal_order).order_used), value[0]
+    if len(value) > 2 and math.isfinite(order):
+        limit += (value[0] - value[1]) / ((size[1] / size[0]) ** order - 1)
     return series.on_the_studied_mesh - limit, bound + abs(series.on_the_studied_mesh - value[0])
 
 

@@ -1,16 +1,22 @@
-"""Mesh convergence: behaviour first, then order, extrapolation and GCI, or a refusal.
+"""Bound of the error of a refinement series: behaviour, order, limit and half-width by one rule.
 
-References: Celik et al. (2008), J. Fluids Eng. 130, 078001 (three meshes, unequal ratios);
-Eca and Hoekstra (2014), J. Comput. Phys. 262, 104-130 (least squares for four or more).
+:func:`series_bounds` answers for the finest two or three meshes of one series or of many, and
+:func:`grid_convergence` for one series of any length with its sentence. Every series gets a bound;
+its kind says what it rests on.
+
+References: Roache (1994), J. Fluids Eng. 116, 405-413 (factors 3 and 1.25); Celik et al. (2008),
+J. Fluids Eng. 130, 078001 (three meshes, unequal ratios); Eca and Hoekstra (2014), J. Comput.
+Phys. 262, 104-130 (least squares for four or more, thrice the range without an order). How far an
+order is believed was chosen by the simulation of ``validation/bounds.py``.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from html import escape
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,133 +28,191 @@ from study.ground.errors import Fault, InputError
 if TYPE_CHECKING:
     import pandas as pd
 
+__all__ = ["ConvergenceResult", "grid_convergence", "observed_order", "series_bounds"]
 
-# -------------------------------------------------------------------------------------------------
-# Order of a refinement series: through three meshes, by least squares, and how sure it is.
-#
-# References: Celik et al. (2008), J. Fluids Eng. 130, 078001 (three meshes, unequal ratios);
-# Eca and Hoekstra (2014), J. Comput. Phys. 262, 104-130 (least squares for four or more).
-
-#: an order that the algebraic error moves by more than this is not carried by the data
+#: Factor of the GCI where observed and formal order agree (Roache 1994).
+SAFE = 1.25
+#: The same where the observed order exceeds the formal one: the leading term still hides.
+SAFE_ABOVE = 2.0
+#: Factor of the GCI otherwise, and of the range of a series without an order.
+CAUTIOUS = 3.0
+#: Observed and formal order agree where they differ by no more.
+AGREEMENT = 0.5
+#: An observed order exceeds the formal one by more than rounding and curvature from here on.
+ABOVE = 0.05
+#: Smallest order that is believed: lower ones would let the bound grow without limit.
+LEAST_ORDER = 0.5
+#: Order of a series without a formal one, at most.
+NO_ORDER = 1.0
+#: Without a formal order, an observed order above this is limited.
+_HIGHEST_ORDER = 4.0
+#: An order that the algebraic error moves by more than this is not carried by the data.
 RESOLVED_ORDER = 0.05
-
-#: two triples of meshes that differ by less in order are in the asymptotic range
-SAME_ORDER = 0.3
+#: Changes that grow are noise of the meshes below this share of the value.
+NOISE_SHARE = 0.01
+#: Half-width over standard uncertainty where factor 1.25 applies: the error is a bias there, the
+#: shifted Gaussian of ASME V&V 20-2009. Simulated rms(error / U) is 0.70 to 0.79, so U/2 would
+#: be too small.
+_BIAS_COVERAGE = 1.15
+#: Distance of the finest from the extrapolated value, over the latter, that is told.
+FAR = 0.05
+_MIN_RATIO = 1.3
+#: Two triples of meshes that differ by less in order are in the asymptotic range.
+_SAME_ORDER = 0.3
 _LOWEST = 0.05
 _HIGHEST = 20.0
 
 
-def classify(h: Array, f: Array, tolerance: float = 0.0) -> str:
-    """Behaviour of the finest three meshes (all of them for the noise floor).
+def observed_order(h: ArrayLike, f: ArrayLike) -> Array:
+    """Order p of f = f0 + C h^p through the three finest meshes, NaN where changes do not shrink.
 
-    Shapes: h, f (n,).
+    The root of (r21^p - 1) / (r21^p (r32^p - 1)) = e21 / e32, which is where the fixed point
+    of Celik et al. (2008), equation 5, ends.
 
-    Examples
-    --------
-    >>> classify(np.array([1, 2, 2.6]), np.array([1.0, 2.0, 2.6]))
-    'monotone'
-    >>> classify(np.array([1, 2, 4.0]), np.array([4.0, 2.0, 1.0]))
-    'divergent'
+    Shapes: h (n,), f (..., n), fine to coarse.
     """
-    floor = max(10 * tolerance, 4 * float(np.spacing(np.abs(f).max())))
-    if float(np.abs(np.diff(f)).max()) <= floor:
-        return "noise-floor"
-    e21, e32 = f[1] - f[0], f[2] - f[1]
-    if min(abs(e21), abs(e32)) <= floor:
-        return "inconclusive"
-    ratio, limit = e21 / e32, math.log(h[1] / h[0]) / math.log(h[2] / h[1])
-    if 0 < ratio < limit * (1 - 1e-12):
-        return "monotone"
-    return "oscillatory" if -1 <= ratio < 0 else "divergent"
+    f = np.asarray(f, float)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = (f[..., 1] - f[..., 0]) / (f[..., 2] - f[..., 1])
+    return _order(np.asarray(h, float), ratio)
+
+
+def _order(h: Array, ratio: Array) -> Array:
+    """Order of series whose finer change is ``ratio`` times the coarser; 200 at most."""
+    a, b = math.log(h[1] / h[0]), math.log(h[2] / h[1])
+    monotone = (ratio > 0) & (ratio < a / b * (1 - 1e-12))
+    target = np.log(np.where(monotone, ratio, 0.5 * min(a / b, 1.0)))
+    if abs(a - b) <= 1e-9 * b:
+        return np.where(monotone, -target / b, np.nan)
+    low, high = np.full(target.shape, 1e-8), np.full(target.shape, 200.0)
+    for _ in range(60):  # bisection of a falling function: 200 / 2^60 is below rounding
+        middle = (low + high) / 2
+        falling = np.log(-np.expm1(-middle * a)) - np.log(-np.expm1(-middle * b)) - middle * b
+        low = np.where(falling > target, middle, low)
+        high = np.where(falling > target, high, middle)
+    return np.where(monotone, (low + high) / 2, np.nan)
 
 
 @dataclass(frozen=True)
-class OrderFit:
-    """Order and limit of a monotone series."""
+class MeshBounds:
+    """What the finest two or three meshes of one series, or of many, tell; arrays of one shape."""
 
-    #: p and f0 of f = f0 + C h^p.
-    order: float
-    extrapolated: float
-    #: Standard deviation of the fit, and its miss at the finest mesh; zero for three meshes.
-    scatter: float = 0.0
-    misfit: float = 0.0
-    #: Whether the two finest triples of meshes agree in order.
-    consistent: bool = True
-    #: Orders that values within the algebraic error could have.
-    interval: tuple[float, float] = (0.0, 0.0)
-
-    @property
-    def carried(self) -> bool:
-        """Whether the values determine the order to within 0.05."""
-        return (self.interval[1] - self.interval[0]) / 2 <= RESOLVED_ORDER
+    #: ``"monotone"``, ``"oscillatory"``, ``"noise-floor"``, ``"inconclusive"``, ``"divergent"`` or
+    #: ``"two meshes"``.
+    kind: Array
+    #: Half-width around the finest value.
+    u: Array
+    #: Observed order and the orders that values within the tolerance could have; NaN without one.
+    order: Array
+    low: Array
+    high: Array
+    #: Order and factor of the half-width, and whether the observed order was limited for it.
+    order_used: Array
+    factor: Array
+    limited: Array
 
 
-def fitted_order(h: Array, f: Array, tolerance: float = 0.0) -> OrderFit:
-    """Order of a series that was found monotone, fine to coarse.
+def series_bounds(
+    h: ArrayLike,
+    f: ArrayLike,
+    formal: float | None = None,
+    tolerance: float = 0.0,
+    noise: float | Array | None = None,
+) -> MeshBounds:
+    """Kind and bound of the error of the finest value, for every series.
 
-    Shapes: h, f (n,).
+    Shapes: h (n,), f (..., n), fine to coarse, of which the finest three count; noise (...): the
+    growing changes below it are noise, 1 % of the finest value by default.
+
+    Examples
+    --------
+    >>> two = series_bounds([1, 2], [10.0, 9.5], formal=2)
+    >>> str(two.kind), round(float(two.u), 10)
+    ('two meshes', 0.5)
     """
-    if h.size == 3:
-        p = observed_order(h, f)
-        limit = f[0] + (f[0] - f[1]) / ((h[1] / h[0]) ** p - 1)
-        fit = OrderFit(p, float(limit))
-        return replace(fit, interval=_three_mesh_interval(h, f, tolerance, p))
-    fit = _least_squares(h, f)
-    half = _fitted_half_width(h, f, tolerance, fit.order)
-    return replace(fit, interval=(max(fit.order - half, 0.0), fit.order + half))
+    h, f = np.asarray(h, float)[:3], np.asarray(f, float)[..., :3]
+    change, spread = np.abs(np.diff(f)), np.ptp(f, axis=-1)
+    top = NO_ORDER if formal is None else formal
+    nan, shape = np.full(spread.shape, np.nan), spread.shape
+    if h.size == 2:
+        u = np.maximum(CAUTIOUS * spread / ((h[1] / h[0]) ** top - 1), tolerance)
+        return MeshBounds(
+            np.full(shape, "two meshes"), u, nan, nan, nan, np.full(shape, top),
+            np.full(shape, CAUTIOUS), np.full(shape, True),
+        )  # fmt: skip
+    noise = NOISE_SHARE * np.abs(f[..., 0]) if noise is None else noise
+    floor = np.maximum(10 * tolerance, 4 * np.spacing(np.abs(f).max(axis=-1)))
+    order = observed_order(h, f)
+    kind = np.select(
+        [
+            change.max(axis=-1) <= floor,
+            change.min(axis=-1) <= floor,
+            ~np.isnan(order),
+            (np.diff(f).prod(axis=-1) < 0) & (change[..., 0] <= change[..., 1]),
+            (change[..., 0] <= noise),
+        ],
+        ["noise-floor", "inconclusive", "monotone", "oscillatory", "noise-floor"],
+        "divergent",
+    )
+    order = np.where(kind == "monotone", order, np.nan)
+    low, high = _orders_within(h, change, order, tolerance)
+    used, limited = _believed(order, low, high, formal, NO_ORDER)
+    carried = (high - low) / 2 <= RESOLVED_ORDER
+    safe = ~limited & (np.abs(order - top) <= AGREEMENT) & (formal is not None)
+    factor = np.where(safe, np.where(order > top + ABOVE, SAFE_ABOVE, SAFE), CAUTIOUS)
+    error = _larger_error(h, change, used)
+    if formal is None:
+        error = change[..., 0] / ((h[1] / h[0]) ** used - 1)
+    u = factor * error
+    if formal is not None:
+        u = np.where(safe, u, np.maximum(u, spread))
+    u = np.where(carried, u, np.maximum(u, spread))
+    u = np.where(kind == "monotone", u, CAUTIOUS * spread)
+    return MeshBounds(kind, np.maximum(u, tolerance), order, low, high, used, factor, limited)
 
 
-def observed_order(h: Sequence[float] | Array, f: Sequence[float] | Array) -> float:
-    """Order p of f = f0 + C h^p through three meshes, fine to coarse.
+def _believed(
+    order: Array | float, low: Array | float, high: Array | float, formal: float | None,
+    unjudged: float,
+) -> tuple[Array, Array]:  # fmt: skip
+    """Order for the bound, and whether the observed one had to be limited for it.
 
-    The root of (r21^p - 1) / (r21^p (r32^p - 1)) = e21 / e32, which is where the fixed point
-    of Celik et al. (2008) ends; a bracketed root also converges for ratios near 1.
-
-    Shapes: h, f (3,).
+    An order above the formal one is believed for the limit, not for the bound (Roache 1998).
     """
-    return _order(h, (f[1] - f[0]) / (f[2] - f[1]))
+    top = unjudged if formal is None else formal
+    carried = (np.asarray(high) - low) / 2 <= RESOLVED_ORDER
+    believed = np.where(carried, order, np.minimum(order, low))
+    most = _HIGHEST_ORDER if formal is None else formal + AGREEMENT
+    limited = ~carried | (believed < min(LEAST_ORDER, top)) | (order > most)
+    return np.clip(believed, min(LEAST_ORDER, top), top), limited
 
 
-def _order(h: Sequence[float] | Array, ratio: float) -> float:
-    from scipy.optimize import brentq
+def _larger_error(h: Array, change: Array, order: Array) -> Array:
+    """Error of the finest value by the change between the finer and the coarser two meshes.
 
-    a, b = math.log(h[1] / h[0]), math.log(h[2] / h[1])
-    target = math.log(ratio)
-
-    def mismatch(p: float) -> float:
-        # logarithm of the ratio, without overflow for a large p
-        return math.log(-math.expm1(-p * a)) - math.log(-math.expm1(-p * b)) - p * b - target
-
-    low, high = 1e-8, 1.0
-    while mismatch(high) > 0 and high < 1e3:
-        high *= 2
-    if mismatch(low) <= 0:
-        return low
-    return float(brentq(mismatch, low, high, xtol=1e-14, rtol=1e-14))
+    Both count: one of the changes may be small by accident, where errors cancel or where a
+    higher-order term hides the order.
+    """
+    fine, coarse = (h[i + 1] / h[i] for i in (0, 1))
+    by_fine = change[..., 0] / (fine**order - 1)
+    return np.maximum(by_fine, change[..., 1] / (coarse**order - 1) / fine**order)
 
 
-def _three_mesh_interval(h: Array, f: Array, tolerance: float, p: float) -> tuple[float, float]:
+def _orders_within(h: Array, change: Array, order: Array, tolerance: float) -> tuple[Array, Array]:
     """Orders when the middle value and an outer one err by the tolerance in opposite ways."""
     if tolerance == 0:
-        return p, p
-    e21, e32 = abs(f[1] - f[0]), abs(f[2] - f[1])
-    least = max(e32 - 2 * tolerance, 1e-300)
-    low = _order(h, (e21 + 2 * tolerance) / least)
-    smallest = e21 - 2 * tolerance
-    high = math.inf if smallest <= 0 else _order(h, smallest / (e32 + 2 * tolerance))
-    return low, high
+        return order, order
+    fine, coarse = change[..., 0], change[..., 1]
+    low = _order(h, (fine + 2 * tolerance) / np.maximum(coarse - 2 * tolerance, 1e-300))
+    least = fine - 2 * tolerance
+    high = np.where(least <= 0, np.inf, _order(h, least / (coarse + 2 * tolerance)))
+    return np.where(np.isnan(low), 0.0, low), high
 
 
-def _least_squares(h: Array, f: Array) -> OrderFit:
-    """Fit f0 + a h^p, plain and weighted by 1/h; the one with less scatter is kept."""
+def _least_squares(h: Array, f: Array) -> tuple[float, float, float, float]:
+    """Order, limit, slope and scatter of f0 + a h^p, plain or weighted by 1/h by the scatter."""
     candidates = [_weighted_fit(h, f, weight) for weight in (np.ones_like(h), 1 / h)]
-    p, limit, slope, scatter = min(candidates, key=lambda item: item[3])
-    misfit = float(abs(f[0] - limit - slope * h[0] ** p))
-    agree = False
-    if classify(h[1:], f[1:]) == "monotone":
-        gap = abs(observed_order(h[:3], f[:3]) - observed_order(h[1:4], f[1:4]))
-        agree = gap <= SAME_ORDER
-    return OrderFit(p, limit, scatter, misfit, agree)
+    return min(candidates, key=lambda item: item[3])
 
 
 def _weighted_fit(h: Array, f: Array, weight: Array) -> tuple[float, float, float, float]:
@@ -190,31 +254,8 @@ def _fitted_half_width(h: Array, f: Array, tolerance: float, p: float) -> float:
     for k in range(h.size):
         changed = f.copy()
         changed[k] += tolerance
-        moved += abs(_least_squares(h, changed).order - p)
+        moved += abs(_least_squares(h, changed)[0] - p)
     return moved
-
-
-__all__ = ["ConvergenceResult", "classify", "grid_convergence", "observed_order"]
-
-#: distance of the finest from the extrapolated value, over the latter, that is told
-FAR = 0.05
-_MIN_RATIO = 1.3
-#: factor of the GCI where observed and formal order agree (Roache 1994)
-SAFE = 1.25
-#: factor of the GCI otherwise
-CAUTIOUS = 3.0
-#: lower orders would let the bound grow without limit
-LEAST_ORDER = 0.5
-#: observed and formal order agree where they differ by no more
-AGREEMENT = 0.5
-#: without a formal order, the order that three meshes are trusted with at most
-_UNJUDGED_ORDER = 1.0
-#: and the order that four or more agreeing meshes are trusted with
-_HIGHEST_ORDER = 4.0
-#: half-width over standard uncertainty where factor 1.25 applies: the error is a bias there, the
-#: shifted Gaussian of ASME V&V 20-2009. Simulated rms(error / U) is 0.70 to 0.79, so U/2 would
-#: be too small
-_BIAS_COVERAGE = 1.15
 
 
 @dataclass(frozen=True)
@@ -222,9 +263,9 @@ class ConvergenceResult:
     """What a refinement series tells; keys are those of ``study converge --json``.
 
     ``gci_fine`` is a fraction of the finest value; ``u_num`` is the same half-width in the
-    unit of the value (``gci_fine * abs(value[0])``), the solver tolerance at the noise floor,
-    or half the range of four or more oscillating values. ``observed_order`` is None where the
-    stated tolerance leaves the order open by more than 0.05; ``order_interval`` holds the
+    unit of the value (``gci_fine * abs(value[0])``). Without an order ``u_num`` is thrice the
+    range of the finest three values, and at least the tolerance. ``observed_order`` is None
+    where the stated tolerance leaves the order open by more than 0.05; ``order_interval`` holds the
     orders that are possible then, and the uncertainty is that of the lowest of them.
     """
 
@@ -250,8 +291,8 @@ class ConvergenceResult:
     def standard_uncertainty(self) -> float | None:
         """Standard uncertainty for a comparison with measurements, in the unit of the value.
 
-        U/1.15 with factor 1.25, U/2 with factor 3; half a range and a tolerance are limits of
-        a uniform distribution, over sqrt(3).
+        U/1.15 with factor 1.25, U/2 with a larger one; a range and a tolerance are limits of a
+        uniform distribution, over sqrt(3).
         """
         if self.u_num is None:
             return None
@@ -264,16 +305,19 @@ class ConvergenceResult:
         return dict(plain(self))
 
     def bound_of(self, value: float) -> float | None:
-        """Half-width of another mesh's value: its distance to the limit, times the factor.
+        """Half-width of another mesh's value; None where the series has no bound.
 
-        An order a little above the formal one is believed for the limit, not for the interval.
-        None where the meshes have no order.
+        With an order the distance to the limit, times the factor: an order a little above the
+        formal one is believed for the limit, not for the interval. Without one thrice the distance
+        to the finest value, and at least the bound of that.
         """
-        if self.extrapolated is None or self.factor_of_safety is None:
+        if self.u_num is None:
             return None
-        limits = [self.extrapolated]
-        if self.order_used is not None:
-            limits.append(_limit_by_pair(self.mesh_size, self.value, self.order_used))
+        if self.extrapolated is None or self.factor_of_safety is None or self.order_used is None:
+            return max(self.u_num, CAUTIOUS * abs(value - self.value[0]))
+        limits = (
+            self.extrapolated, _limit_by_pair(self.mesh_size, self.value, self.order_used)
+        )  # fmt: skip
         return self.factor_of_safety * max(abs(value - limit) for limit in limits)
 
     def to_frame(self) -> pd.DataFrame:
@@ -301,13 +345,13 @@ def grid_convergence(
     Parameters
     ----------
     sizes : array_like, shape (n,)
-        Mesh sizes, in any order, n >= 3.
+        Mesh sizes, in any order, n >= 3, or 2 with a formal order.
     values : array_like, shape (n,)
         Value of the quantity on each mesh.
     formal_order : float, optional
         Order that the element promises for this quantity. Without one the observed order
         cannot be judged: factor 3 at an order of 1 at most; four or more meshes whose triples
-        agree take factor 1.25 at the fitted order, up to 4.
+        agree take factor 1.25 at the fitted order, up to 4. Two meshes assume it.
     tolerance : float
         Algebraic error of a value (solver tolerance), in its unit.
     qoi, unit : str
@@ -321,7 +365,8 @@ def grid_convergence(
     Raises
     ------
     InputError
-        For fewer than three meshes, equal sizes, or values that are not numbers.
+        For fewer than three meshes (two with a formal order), equal sizes, or values that are
+        not numbers.
 
     Examples
     --------
@@ -333,22 +378,156 @@ def grid_convergence(
     0.00103083
     """
     h, f = _checked(sizes, values, formal_order, tolerance)
-    warnings = _ratio_warnings(h)
-    behaviour = classify(h, f, tolerance)
-    base: dict[str, Any] = {
-        "qoi": qoi,
-        "unit": unit,
-        "mesh_size": tuple(h.tolist()),
-        "value": tuple(f.tolist()),
-        "behaviour": behaviour,
-        "formal_order": formal_order,
-        "warnings": tuple(warnings),
-    }
+    bounds = series_bounds(h, f, formal_order, tolerance)
+    behaviour, u, limit = str(bounds.kind), float(bounds.u), None
+    order, low, high = (float(v) for v in (bounds.order, bounds.low, bounds.high))
+    used, factor = float(bounds.order_used), float(bounds.factor)
+    limited, consistent = bool(bounds.limited), True
+    if behaviour in ("monotone", "two meshes"):
+        if h.size > 3:
+            fit = _fitted(h, f, formal_order, tolerance)
+            order, low, high, limit = fit.order, fit.low, fit.high, fit.limit
+            used, factor, limited, u = fit.used, fit.factor, fit.limited, fit.u
+            consistent = fit.consistent
+        if limit is None or limited:
+            limit = _limit_by_pair(h, f, used if limited else order)
+    elif behaviour == "oscillatory":
+        u = max(u, float(np.ptp(f)) / 2)
+    carried = (high - low) / 2 <= RESOLVED_ORDER
+    gci, ratio = (None, None), None
+    if limit is not None:
+        gci, ratio = _indices(h, f, used, factor, u)
+    ordered = limit is not None
+    verdict = _verdict(behaviour, f, u)
     if behaviour == "monotone":
-        found = _monotone(h, f, formal_order, tolerance)
-        base["warnings"] = (*warnings, *_far_warnings(float(f[0]), found["extrapolated"]))
-        return ConvergenceResult(**base, **found)
-    return ConvergenceResult(**base, **_without_order(behaviour, f, tolerance))
+        verdict = _monotone_verdict((low, order, high), formal_order, factor, limited, consistent)
+    elif behaviour == "two meshes":
+        verdict = f"two meshes: order assumed, {used:.3g}, factor {factor:g}"
+    warnings = _ratio_warnings(h) + ([] if limit is None else _far_warnings(float(f[0]), limit))
+    return ConvergenceResult(
+        qoi, unit, tuple(h.tolist()), tuple(f.tolist()), behaviour,
+        observed_order=order if behaviour == "monotone" and carried else None,
+        formal_order=formal_order,
+        extrapolated=limit,
+        gci_fine=gci[0],
+        factor_of_safety=factor if ordered else None,
+        u_num=u,
+        asymptotic_ratio=ratio,
+        verdict=verdict,
+        order_used=used if ordered else None,
+        gci_coarse=gci[1],
+        order_interval=(low, high) if math.isfinite(high) and high > low else None,
+        warnings=tuple(warnings),
+    )  # fmt: skip
+
+
+def _indices(
+    h: Array, f: Array, used: float, factor: float, u: float
+) -> tuple[tuple[float | None, float | None], float | None]:
+    """GCI of the finest and of the next mesh, and their ratio over that of the sizes."""
+    fine = u / abs(float(f[0])) if f[0] else None
+    if h.size == 2 or not f[1]:
+        return (fine, None), None
+    by_fine, by_coarse = (
+        abs(f[i + 1] - f[i]) / ((h[i + 1] / h[i]) ** used - 1) / abs(f[i]) if f[i] else math.inf
+        for i in (0, 1)
+    )
+    coarse = factor * float(by_coarse)
+    if not f[0]:
+        return (None, coarse), None
+    return (fine, coarse), float(by_coarse / ((h[1] / h[0]) ** used * by_fine))
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Order and bound of four or more meshes by least squares."""
+
+    order: float
+    low: float
+    high: float
+    limit: float
+    used: float
+    factor: float
+    limited: bool
+    u: float
+    #: Whether the two finest triples of meshes agree in order.
+    consistent: bool
+
+
+def _fitted(h: Array, f: Array, formal: float | None, tolerance: float) -> _Fit:
+    """Bound of a monotone series of four or more meshes."""
+    order, limit, slope, scatter = _least_squares(h, f)
+    half = _fitted_half_width(h, f, tolerance, order)
+    low, high = max(order - half, 0.0), order + half
+    carried = half <= RESOLVED_ORDER
+    triples = [float(observed_order(h[i : i + 3], f[i : i + 3])) for i in (0, 1)]
+    consistent = abs(triples[0] - triples[1]) <= _SAME_ORDER
+    unjudged = _HIGHEST_ORDER if consistent and carried else NO_ORDER
+    used, limited = _believed(order, low, high, formal, unjudged)
+    factor = CAUTIOUS if limited or not consistent else SAFE
+    if factor == SAFE and formal is not None and order > formal + ABOVE:
+        factor = SAFE_ABOVE
+    error = float(_larger_error(h, np.abs(np.diff(f)), used))
+    if not limited:
+        error = max(error, abs(float(f[0]) - limit))
+    misfit = abs(float(f[0] - limit - slope * h[0] ** order))
+    u = max(factor * error + scatter + misfit, tolerance)
+    if not carried:  # the finest change may be small by accident: what else changed counts
+        u = max(u, float(np.ptp(f[:3])))
+    return _Fit(order, low, high, limit, float(used), factor, bool(limited), u, consistent)
+
+
+def _limit_by_pair(h: Sequence[float] | Array, f: Sequence[float] | Array, order: float) -> float:
+    """Limit of the two finest meshes by an order."""
+    return float(f[0] + (f[0] - f[1]) / ((h[1] / h[0]) ** order - 1))
+
+
+def _monotone_verdict(
+    orders: tuple[float, float, float],
+    formal: float | None,
+    factor: float,
+    limited: bool,
+    consistent: bool,
+) -> str:
+    """Sentence of a monotone series; ``orders`` is the lowest, the observed, the highest."""
+    low, observed, high = orders
+    promised = "" if formal is None else f" (formal {formal:.3g})"
+    if not (high - low) / 2 <= RESOLVED_ORDER:
+        between = f"between {low:.2g} and {high:.2g}" if math.isfinite(high) else f"over {low:.2g}"
+        return (
+            f"monotone, but the values do not carry an order: {between} at this "
+            f"tolerance{promised}; uncertainty indicative (factor {factor:g})"
+        )
+    order = f"monotone with observed order {observed:.3g}"
+    near = formal is not None and abs(observed - formal) <= AGREEMENT
+    if limited:
+        return f"{order}{promised}: order limited, uncertainty indicative (factor {factor:g})"
+    if factor == SAFE_ABOVE:
+        return f"{order}{promised}: above the formal order, factor {factor:g}"
+    if factor == SAFE:
+        where = "in the asymptotic range" if near else "consistent over the meshes"
+        return f"{order}{promised}: {where}, factor {factor:g}"
+    why = "the triples disagree" if not consistent else "far from the formal order"
+    if formal is None and consistent:
+        why = "no formal order given: the order cannot be judged"
+    return f"{order}{promised}: {why}, factor {factor:g}"
+
+
+def _verdict(behaviour: str, f: Array, u: float) -> str:
+    """Sentence of a series without an order, with its bound."""
+    bound = f"bound {u:.3g}, thrice the range of the finest three meshes"
+    if behaviour == "noise-floor":
+        return f"noise floor: the changes are those of solver and meshes, no order; {bound}"
+    if behaviour == "oscillatory":
+        if u == float(np.ptp(f)) / 2:
+            bound = f"bound {u:.3g}, half the range of {f.size} meshes"
+        return f"oscillatory: no extrapolation; {bound}; run another mesh"
+    if behaviour == "inconclusive":
+        return f"inconclusive: two meshes agree and the third does not; {bound}; run another mesh"
+    return (
+        f"divergent: the changes do not shrink with refinement, GCI refused; {bound}; "
+        "suspects: a singularity, locking, contact"
+    )
 
 
 def _checked(
@@ -358,8 +537,9 @@ def _checked(
     faults = []
     if h.size != f.size:
         faults.append(Fault("sizes", f"{h.size} sizes for {f.size} values"))
-    elif h.size < 3:
-        faults.append(Fault("sizes", f"an order needs at least three meshes, got {h.size}"))
+    elif h.size < (3 if formal is None else 2):
+        mend = "two are enough with a formal order"
+        faults.append(Fault("sizes", f"an order needs at least three meshes, got {h.size}", mend))
     if not (np.all(np.isfinite(h)) and np.all(h > 0)):
         faults.append(Fault("sizes", f"must be positive numbers, got {h.tolist()}"))
     elif np.unique(h).size < h.size:
@@ -399,120 +579,6 @@ def _far_warnings(finest: float, extrapolated: float) -> list[str]:
         f"the finest value, {finest:.6g}, is {100 * off:.3g} % from its extrapolated value, "
         f"{extrapolated:.6g}: refine further before either is used"
     ]
-
-
-def _monotone(h: Array, f: Array, formal: float | None, tolerance: float) -> dict[str, Any]:
-    fit = fitted_order(h, f, tolerance)
-    used, limited = _limited(fit, formal, h.size)
-    factor = _factor(fit, formal, limited, h.size)
-    a21, a32 = (h[1] / h[0]) ** used - 1, (h[2] / h[1]) ** used - 1
-    by_pair = _limit_by_pair(h, f, used)
-    extrapolated = by_pair if limited else fit.extrapolated
-    error = max(abs(f[0] - extrapolated), abs(f[0] - by_pair))
-    u = max(float(factor * error + fit.scatter + fit.misfit), tolerance)
-    if not fit.carried:  # the finest change may be small by accident: what else changed counts
-        u = max(u, float(np.ptp(f[:3])))
-    u32 = SAFE * abs(f[2] - f[1]) / a32
-    u21 = SAFE * abs(f[1] - f[0]) / a21
-    ratio = None
-    if f[0] != 0 and f[1] != 0:
-        ratio = float((u32 / abs(f[1])) / ((h[1] / h[0]) ** used * u21 / abs(f[0])))
-    low, high = fit.interval
-    return {
-        "observed_order": fit.order if fit.carried else None,
-        "order_interval": (low, high) if math.isfinite(high) and high > low else None,
-        "order_used": used,
-        "extrapolated": extrapolated,
-        "gci_fine": u / abs(float(f[0])) if f[0] != 0 else None,
-        "gci_coarse": factor / SAFE * float(u32) / abs(float(f[1])) if f[1] != 0 else None,
-        "factor_of_safety": factor,
-        "u_num": u,
-        "asymptotic_ratio": ratio,
-        "verdict": _monotone_verdict(fit, formal, factor, limited),
-    }
-
-
-def _limit_by_pair(h: Sequence[float] | Array, f: Sequence[float] | Array, order: float) -> float:
-    """Limit of the two finest meshes by an order."""
-    return float(f[0] + (f[0] - f[1]) / ((h[1] / h[0]) ** order - 1))
-
-
-def _limited(fit: OrderFit, formal: float | None, meshes: int) -> tuple[float, bool]:
-    """Order for the GCI, and whether it had to be limited."""
-    order = fit.order if fit.carried else min(fit.order, fit.interval[0])
-    if order < LEAST_ORDER:
-        return LEAST_ORDER, True
-    if formal is None:
-        most = _HIGHEST_ORDER if _agreed(fit, meshes) else _UNJUDGED_ORDER
-        return min(order, most), order > _HIGHEST_ORDER or not fit.carried
-    if order > formal + AGREEMENT:
-        return formal, True
-    # an order a little above the formal one is believed for the limit, not for the interval
-    # (Roache 1998, Verification and Validation in Computational Science and Engineering)
-    return min(order, formal), not fit.carried
-
-
-def _agreed(fit: OrderFit, meshes: int) -> bool:
-    """Whether four or more meshes vouch for the order."""
-    return meshes >= 4 and fit.consistent and fit.carried
-
-
-def _near(fit: OrderFit, formal: float | None) -> bool:
-    return formal is not None and abs(fit.order - formal) <= AGREEMENT
-
-
-def _factor(fit: OrderFit, formal: float | None, limited: bool, meshes: int) -> float:
-    if limited:
-        return CAUTIOUS
-    if meshes >= 4:
-        return SAFE if fit.consistent else CAUTIOUS
-    return SAFE if _near(fit, formal) else CAUTIOUS
-
-
-def _monotone_verdict(fit: OrderFit, formal: float | None, factor: float, limited: bool) -> str:
-    beside = "" if formal is None else f" (formal {formal:.3g})"
-    if not fit.carried:
-        low, high = fit.interval
-        between = f"between {low:.2g} and {high:.2g}" if math.isfinite(high) else f"over {low:.2g}"
-        return (
-            f"monotone, but the values do not carry an order: {between} at this "
-            f"tolerance{beside}; uncertainty indicative (factor {factor:g})"
-        )
-    order = f"monotone with observed order {fit.order:.3g}"
-    if limited:
-        return f"{order}{beside}: order limited, uncertainty indicative (factor {factor:g})"
-    if factor == SAFE:
-        where = "in the asymptotic range" if _near(fit, formal) else "consistent over the meshes"
-        return f"{order}{beside}: {where}, factor {factor:g}"
-    why = "the triples disagree" if not fit.consistent else "far from the formal order"
-    if formal is None and fit.consistent:
-        why = "no formal order given: the order cannot be judged"
-    return f"{order}{beside}: {why}, factor {factor:g}"
-
-
-def _without_order(behaviour: str, f: Array, tolerance: float) -> dict[str, Any]:
-    nothing = dict.fromkeys(
-        ("observed_order", "extrapolated", "gci_fine", "factor_of_safety", "asymptotic_ratio")
-    )
-    u: float | None = None
-    if behaviour == "noise-floor":
-        u = tolerance
-        text = "noise floor: the meshes agree to 10 times the solver tolerance, no order"
-    elif behaviour == "oscillatory":
-        if f.size >= 4:
-            u = float(np.ptp(f)) / 2
-            text = f"oscillatory: no extrapolation, u from the range of {f.size} meshes"
-        else:
-            text = "oscillatory: no extrapolation"
-        text += "; run another mesh"
-    elif behaviour == "inconclusive":
-        text = "inconclusive: two meshes agree and the third does not; run another mesh"
-    else:
-        text = (
-            "divergent: the changes grow with refinement, GCI refused; "
-            "suspects: a singularity, locking, contact"
-        )
-    return {**nothing, "u_num": u, "verdict": text}
 
 
 @dataclass(frozen=True)
