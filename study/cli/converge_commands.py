@@ -122,6 +122,9 @@ def _print_limit(cell: Document) -> None:
         print(f"order {output.number(cell['observed_order'])}, "
               f"extrapolated {output.number(cell['extrapolated'], 8)}, "
               f"GCI {100 * cell['gci_fine']:.4g} %")  # fmt: skip
+    if cell["u_num"] is not None:
+        unit = f" {cell['unit']}" if cell["unit"] else ""
+        print(f"finest value {cell['value'][0]:.8g} +- {cell['u_num']:.3g}{unit}")
     given = cell.get("given_mesh")
     if given and given["u_num"] is not None:
         share = f" ({100 * given['u_num'] / abs(given['value']):.2g} %)" if given["value"] else ""

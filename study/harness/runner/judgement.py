@@ -294,6 +294,11 @@ def judge(series: Series, formal: FormalOrder, tolerance: float | None = None) -
         stopped=series.stopped,
     )
     if len(kept) < FEWEST:
+        if len(kept) == FEWEST - 1:
+            pair = judged(
+                representative_sizes(kept, series.setup), curve_values(kept), formal.order
+            )
+            facts = replace(facts, main=pair[series.spec.qoi])
         return facts.warned(*said)
     fraction, coarsest = SOLVER_TOLERANCE, kept[0]
     if tolerance and (main := function(kept[-1].curve)):

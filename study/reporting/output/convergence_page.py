@@ -139,11 +139,9 @@ def series_table(cells: Sequence[Document]) -> Table:
             if not q["value"]:
                 continue
             u = q["u_num"]
-            share = (
-                MISSING
-                if u is None or not q["value"][0]
-                else f"{100 * u / abs(q['value'][0]):.2g} %"
-            )  # noqa: E501
+            share = MISSING if u is None else f"{significant(u, 3)} {clean(q['unit'])}".strip()
+            if u is not None and q["value"][0]:
+                share += f" ({100 * u / abs(q['value'][0]):.2g} %)"
             rows.append((
                 clean(convergence.label_of(cell)), name_of(str(name)),
                 f"{significant(q['value'][0], 4)} {clean(q['unit'])}".strip(),
