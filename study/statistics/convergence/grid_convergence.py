@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from study.ground.arrays import Array
+from study.ground.arrays import Array, Flags
 from study.ground.canonical import plain
 from study.ground.errors import Fault, InputError
 
@@ -109,7 +109,7 @@ class MeshBounds:
     #: Order and factor of the half-width, and whether the observed order was limited for it.
     order_used: Array
     factor: Array
-    limited: Array
+    limited: Flags
 
 
 def series_bounds(
@@ -174,7 +174,7 @@ def series_bounds(
 def _believed(
     order: Array | float, low: Array | float, high: Array | float, formal: float | None,
     unjudged: float,
-) -> tuple[Array, Array]:  # fmt: skip
+) -> tuple[Array, Flags]:  # fmt: skip
     """Order for the bound, and whether the observed one had to be limited for it.
 
     An order above the formal one is believed for the limit, not for the bound (Roache 1998).
@@ -195,7 +195,7 @@ def _larger_error(h: Array, change: Array, order: Array) -> Array:
     """
     fine, coarse = (h[i + 1] / h[i] for i in (0, 1))
     by_fine = change[..., 0] / (fine**order - 1)
-    return np.maximum(by_fine, change[..., 1] / (coarse**order - 1) / fine**order)
+    return np.asarray(np.maximum(by_fine, change[..., 1] / (coarse**order - 1) / fine**order))
 
 
 def _orders_within(h: Array, change: Array, order: Array, tolerance: float) -> tuple[Array, Array]:
@@ -394,7 +394,8 @@ def grid_convergence(
     elif behaviour == "oscillatory":
         u = max(u, float(np.ptp(f)) / 2)
     carried = (high - low) / 2 <= RESOLVED_ORDER
-    gci, ratio = (None, None), None
+    gci: tuple[float | None, float | None] = (None, None)
+    ratio: float | None = None
     if limit is not None:
         gci, ratio = _indices(h, f, used, factor, u)
     ordered = limit is not None
