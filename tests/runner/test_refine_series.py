@@ -132,7 +132,7 @@ def test_a_hopeless_accuracy_is_said_early() -> None:
 def test_stops_before_the_memory_runs_out() -> None:
     found = converged(Fake(), memory_MB=120.0)
     assert "MB of 120 MB" in found["stopped"]
-    assert found["behaviour"] == "inconclusive"
+    assert found["behaviour"] == "two meshes"
     assert "there are 2" in found["verdict"]
 
 

@@ -298,7 +298,9 @@ def judge(series: Series, formal: FormalOrder, tolerance: float | None = None) -
             pair = judged(
                 representative_sizes(kept, series.setup), curve_values(kept), formal.order
             )
-            facts = replace(facts, main=pair[series.spec.qoi])
+            main = pair[series.spec.qoi]
+            verdict = f"{facts.main.verdict}; {main.verdict}"
+            facts = replace(facts, main=replace(main, verdict=verdict))
         return facts.warned(*said)
     fraction, coarsest = SOLVER_TOLERANCE, kept[0]
     if tolerance and (main := function(kept[-1].curve)):
