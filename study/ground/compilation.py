@@ -44,7 +44,13 @@ def private_folder() -> Path | None:
     It is ``study`` in XDG_CACHE_HOME or ``~/.cache``; where neither can be written, or others
     could write there, one in the folder for temporary files.
     """
-    for place in _places():
+    cache = os.environ.get("XDG_CACHE_HOME", "")
+    home = os.path.expanduser(os.path.join("~", ".cache"))
+    temporary = os.environ.get("TMPDIR", "")
+    for place in [
+        Path(cache if os.path.isabs(cache) else home, "study"),
+        Path(temporary if os.path.isabs(temporary) else "/tmp", f"study-{os.geteuid()}"),
+    ]:
         try:
             place.parent.mkdir(parents=True, exist_ok=True)
             place.mkdir(mode=0o700, exist_ok=True)
@@ -56,17 +62,6 @@ def private_folder() -> Path | None:
         if fault is not None and multiprocessing.current_process().name == "MainProcess":
             print(f"warning: the cache {place} is not used: {fault}", file=sys.stderr)
     return None
-
-
-def _places() -> list[Path]:
-    """Where the folder may be; a relative path, which would name the working folder, is none."""
-    cache = os.environ.get("XDG_CACHE_HOME", "")
-    home = os.path.expanduser(os.path.join("~", ".cache"))
-    temporary = os.environ.get("TMPDIR", "")
-    return [
-        Path(cache if os.path.isabs(cache) else home, "study"),
-        Path(temporary if os.path.isabs(temporary) else "/tmp", f"study-{os.geteuid()}"),
-    ]
 
 
 def fault_of(place: Path) -> str | None:

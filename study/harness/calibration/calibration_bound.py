@@ -26,7 +26,7 @@ from study.harness.runner.refinement import formal_order
 from study.harness.runner.response import scale_of
 from study.harness.runner.staged_fit import Checkpoint, Part, Progress, single_stage
 from study.mechanics.setup.declaration import with_table
-from study.mechanics.setup.setup import MESH_LEVELS, Model, Setup, problem_of
+from study.mechanics.setup.setup import MESH_LEVELS, Setup, problem_of
 from study.statistics.convergence.grid_convergence import grid_convergence
 
 if TYPE_CHECKING:
@@ -108,7 +108,8 @@ def numerical_bound(
     simulated = [part for part in parts if part.method == "inverse-fem"]
     if not simulated:
         return NumericalBound(names, (), np.zeros((0, len(names))), zero, zero)
-    own, levels = _levels(Setup.of(simulated[0].tables).model)
+    model = Setup.of(simulated[0].tables).model
+    own, levels = (0, (1, 0, -1)) if model.mesh_size_mm is not None else (model.level, (2, 1, 0))
     # from coarse to fine, and the own mesh again with more steps
     made = [[_on_level(part, step) for part in parts] for step in levels]
     made.append([_with_more_steps(part) for part in parts])
@@ -133,11 +134,6 @@ def numerical_bound(
     reference = start if known.joint is None else again
     steps = np.maximum(np.abs(stepped - reference), np.abs(again - reference))
     return NumericalBound(names, sizes, values, mesh, steps)
-
-
-def _levels(model: Model) -> tuple[int, tuple[int, ...]]:
-    """Level of the fit's mesh (0 fine or given, 2 coarse), and levels to fit on, coarse to fine."""
-    return (0, (1, 0, -1)) if model.mesh_size_mm is not None else (model.level, (2, 1, 0))
 
 
 def _on_level(part: Part, level: int) -> Part:

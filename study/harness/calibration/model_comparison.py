@@ -299,7 +299,15 @@ def compare(
     progress: Progress | None = None,
 ) -> Comparison:
     """Fit every test of a calibration for itself, and test whether the constants are equal."""
-    groups = _groups(config)
+    fitted = [(i, test) for i, test in enumerate(config.tests) if test.role == "fit"]
+    if len(fitted) < 2:
+        mend = "give a second [[tests]] table with role = 'fit'"
+        raise InputError(Fault("tests", "one test alone has nothing to be compared with", mend))
+    stems, alone = [Path(test.file).stem for _, test in fitted], config.pooled()
+    groups = {
+        stem if stems.count(stem) == 1 else f"tests[{i}]": replace(alone, tests=(test,))
+        for stem, (i, test) in zip(stems, fitted, strict=True)
+    }
     fits, joint = _at_least_squares(config, groups, root, progress)
     if joint is None:
         _refuse_unconverged(fits)
@@ -447,19 +455,6 @@ def _mirrored(found: Fit, k: int) -> Fit:
     )  # fmt: skip
 
 
-def _groups(config: CalibrationDesign) -> dict[str, CalibrationDesign]:
-    """Calibration of every fitted test alone; only the bounds carry over."""
-    fitted = [(i, test) for i, test in enumerate(config.tests) if test.role == "fit"]
-    if len(fitted) < 2:
-        mend = "give a second [[tests]] table with role = 'fit'"
-        raise InputError(Fault("tests", "one test alone has nothing to be compared with", mend))
-    stems, alone = [Path(test.file).stem for _, test in fitted], config.pooled()
-    return {
-        stem if stems.count(stem) == 1 else f"tests[{i}]": replace(alone, tests=(test,))
-        for stem, (i, test) in zip(stems, fitted, strict=True)
-    }
-
-
 def _shown(names: tuple[str, ...], moved: Array) -> dict[str, float]:
     return {n: scale_of(n) * float(m) for n, m in zip(names, moved, strict=True)}
 
@@ -561,7 +556,12 @@ def choose(
     failures: dict[str, str] = {}
     for model, order, label in (*CANDIDATES, *(FOAMS if _may_be_foam(config) else ())):
         try:
-            result = calibrate(_with_energy(config, model, order), root, progress=progress)
+            changes: dict[str, object] = {"model": model, "order": order, "constants": {}}
+            tests = tuple(
+                replace(test, tables=with_table(test.tables, "material", **changes))
+                for test in config.tests
+            )
+            result = calibrate(CalibrationDesign(config.name, tests), root, progress=progress)
         except InputError as error:
             failures[label] = str(error)
             continue
@@ -578,13 +578,3 @@ def _may_be_foam(config: CalibrationDesign) -> bool:
     problems = (problem_of(test.tables) for test in config.tests)
     compressible = config.material.compressibility.poisson_ratio is not None
     return compressible and all(one.method == "closed-form" for one in problems)
-
-
-def _with_energy(config: CalibrationDesign, model: str, order: int | None) -> CalibrationDesign:
-    """Make the same calibration of another energy; start, bounds and extra fits do not carry."""
-    changes: dict[str, object] = {"model": model, "order": order, "constants": {}}
-    tests = tuple(
-        replace(test, tables=with_table(test.tables, "material", **changes))
-        for test in config.tests
-    )
-    return CalibrationDesign(config.name, tests)

@@ -573,7 +573,8 @@ def _estimate(
     if one.is_fitted:
         i = joint.names.index(one.name)
         rest = tuple(name for name in joint.names if name != one.name)
-        known = _without(plain, rest)
+        priors = tuple(one for one in plain.priors if one.name in rest)
+        known = replace(_part(plain, rest), priors=priors)
         others = [k for k in range(len(joint.names)) if k != i]
         beside = (moved @ moved.T)[np.ix_(others, others)]
         left = with_serial_correlation(known, task.measured, beside)
@@ -596,9 +597,3 @@ def _estimate(
         interval,
         dict(zip(task.names, shares.tolist(), strict=True)),
     )
-
-
-def _without(plain: Fit, names: tuple[str, ...]) -> Fit:
-    """Fit as if the parameters left out were known exactly."""
-    priors = tuple(one for one in plain.priors if one.name in names)
-    return replace(_part(plain, names), priors=priors)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Annotated
 
@@ -331,7 +331,12 @@ def terms_of(scheme: Scheme, factors: Sequence[Factor]) -> tuple[str, ...] | Non
     for factor in factors:
         if not any(_same(columns[factor.name], columns[other]) for other in kept):
             kept.append(factor.name)
-    parents = _parents(kept, columns)
+    parents = {
+        child: parent
+        for child in kept
+        for parent in kept
+        if child != parent and _determines(columns[child], columns[parent])
+    }
     terms = [
         term
         for order in range(1, len(kept) + 1)
@@ -339,16 +344,6 @@ def terms_of(scheme: Scheme, factors: Sequence[Factor]) -> tuple[str, ...] | Non
         if all(parents[n] in term for n in term if n in parents)
     ]
     return tuple(":".join(term) for term in terms)
-
-
-def _parents(names: Collection[str], columns: Mapping[str, Sequence[int]]) -> Mapping[str, str]:
-    """Nested factor -> the factor that its level says the level of."""
-    return {
-        child: parent
-        for child in names
-        for parent in names
-        if child != parent and _determines(columns[child], columns[parent])
-    }
 
 
 def _determines(column: Sequence[int], other: Sequence[int]) -> bool:

@@ -79,7 +79,16 @@ def check_cells(design: Design, presets: Presets, faults: Faults) -> None:
     if not faults:  # a level that cannot be read would be missed here once more
         _check_contrasts(design, faults)
     if not found and cells:
-        _check_courses(cells, faults)
+        for cell in cells:
+            for problem in (cell.problem, cell.fitted):
+                test, spec = problem.test, problem.measurements
+                mend = "responses compare curves over displacement: `study solve` follows a course"
+                for key, value in (("hold", test.hold_s), ("cycles", test.cycles)):
+                    if value is not None:
+                        faults.add(f"test.{key}", "has no place in a design", mend)
+                if spec is not None and spec.columns.time is not None:
+                    mend = "give test.speed, or fit the course by `study calibrate`"
+                    faults.add("measurements.columns.time", "has no place in a design", mend)
         _check_responses(design, cells, faults)
         check_replicates(design, cells, faults)
 
@@ -136,20 +145,6 @@ def _check_left(design: Design, faults: Faults) -> None:
             faults.add("exclude", rule, "a factor needs two levels; remove it, or exclude less")
 
 
-def _check_courses(cells: Sequence[Cell], faults: Faults) -> None:
-    """Keep courses that stand still or go back out of designs, whose curves are over distance."""
-    for cell in cells:
-        for problem in (cell.problem, cell.fitted):
-            test, spec = problem.test, problem.measurements
-            mend = "responses compare curves over displacement: `study solve` follows a course"
-            for key, value in (("hold", test.hold_s), ("cycles", test.cycles)):
-                if value is not None:
-                    faults.add(f"test.{key}", "has no place in a design", mend)
-            if spec is not None and spec.columns.time is not None:
-                mend = "give test.speed, or fit the course by `study calibrate`"
-                faults.add("measurements.columns.time", "has no place in a design", mend)
-
-
 def _check_responses(design: Design, cells: Sequence[Cell], faults: Faults) -> None:
     for i, response in enumerate(design.responses):
         where = f"response[{i}].name"
@@ -200,7 +195,9 @@ def check_replicates(design: Design, cells: Sequence[Cell], faults: Faults) -> N
         faults.add("analysis.error", rule, "add [replicates] mesh_seeds = 5 or noise = 200")
     if design.replicates.noise:
         _check_noise(design, cells, faults)
-    if design.replicates.mesh_seeds and not any(_meshed(cell) for cell in cells):
+    if design.replicates.mesh_seeds and not any(
+        (not (cell.problem.is_homogeneous and cell.fitted.is_homogeneous)) for cell in cells
+    ):
         rule = (
             "every cell is compression between frictionless plates, which is the same on every "
             "mesh: there is no scatter of meshes to learn"
@@ -231,11 +228,6 @@ def is_constant(response: str) -> bool:
     (True, True, False, False)
     """
     return response not in _NO_CONSTANT and not is_simulated(response)
-
-
-def _meshed(cell: Cell) -> bool:
-    """Whether a mesh can change an answer of a cell: its scored test or its calibration."""
-    return not (cell.problem.is_homogeneous and cell.fitted.is_homogeneous)
 
 
 File = TypeVar("File", ProblemFile, DesignFile, CalibrationFile)

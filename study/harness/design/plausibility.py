@@ -36,7 +36,16 @@ def check(problem: CellProblem, faults: Faults, places: Mapping[str, str]) -> No
     _check_gauge_section(problem, faults, places)
     _check_course(problem, faults, places)
     _check_model(problem, faults, places)
-    _check_motion(problem, faults, places)
+    moves = isinstance(TEST_KINDS.get(problem.test.kind), PlateMotion)
+    if problem.test.motion is not None and not moves:
+        rule = f"a {problem.test.kind} moves along its axis alone"
+        faults.add(f"{places['test']}.motion", rule, 'write kind = "plate-motion", or leave it out')
+    if moves and problem.specimen.shape not in (None, "block"):
+        rule = f"plate-motion is modelled on a block, not on a {problem.specimen.shape}"
+        faults.add(f"{places['test']}.kind", rule, 'write specimen.shape = "block"')
+    if moves and problem.model.space == "axisymmetric":
+        rule = "a plate that moves sideways leaves no axis of symmetry"
+        faults.add(f"{places['model']}.space", rule, 'write space = "3d"')
     _check_markers(problem, faults, places)
     if problem.test.indenter is not None:
         _check_indenter(problem, problem.test.indenter, faults, f"{places['test']}.indenter.")
@@ -150,20 +159,6 @@ def _check_speed(
     if test.hold_s and test.cycles:
         rule = "stands beside hold"
         faults.add(f"{at}.cycles", rule, "give one of the two, and the other in a test of its own")
-
-
-def _check_motion(problem: CellProblem, faults: Faults, places: Mapping[str, str]) -> None:
-    """Keep motions of a plate to the test that has them, and that test to what it models."""
-    moves = isinstance(TEST_KINDS.get(problem.test.kind), PlateMotion)
-    if problem.test.motion is not None and not moves:
-        rule = f"a {problem.test.kind} moves along its axis alone"
-        faults.add(f"{places['test']}.motion", rule, 'write kind = "plate-motion", or leave it out')
-    if moves and problem.specimen.shape not in (None, "block"):
-        rule = f"plate-motion is modelled on a block, not on a {problem.specimen.shape}"
-        faults.add(f"{places['test']}.kind", rule, 'write specimen.shape = "block"')
-    if moves and problem.model.space == "axisymmetric":
-        rule = "a plate that moves sideways leaves no axis of symmetry"
-        faults.add(f"{places['model']}.space", rule, 'write space = "3d"')
 
 
 def _check_markers(problem: CellProblem, faults: Faults, places: Mapping[str, str]) -> None:

@@ -87,7 +87,10 @@ def solve_by_command(
         for argv in command.argv:
             document["steps"].append(_step(argv, folder, command, limit))
             _check(document["steps"][-1], command)
-        _check_success(document["steps"], command)
+        steps = document["steps"]
+        if command.success and not any(command.success in step["output"] for step in steps):
+            rule = f"no command said {command.success!r}: {_last(steps[-1]['output'])}"
+            raise NoAnswer("not-converged", rule)
         return exchange.answer(_written(folder), displacement_mm), document
 
 
@@ -149,12 +152,6 @@ def _check(step: StepDocument, command: Command) -> None:
         raise NoAnswer("failed", f"{name} said: {_last(said)}")
 
 
-def _check_success(steps: list[StepDocument], command: Command) -> None:
-    if command.success and not any(command.success in step["output"] for step in steps):
-        rule = f"no command said {command.success!r}: {_last(steps[-1]['output'])}"
-        raise NoAnswer("not-converged", rule)
-
-
 def _last(said: str) -> str:
     lines = [line.strip() for line in said.splitlines() if line.strip()]
     told = [line for line in lines if "ERROR" in line.upper()]
@@ -213,7 +210,7 @@ class External:
         table = tables.get("forward")
         if not isinstance(table, Mapping):
             return None
-        section = section_of("forward", ForwardModel, _tupled(table))
+        section = section_of("forward", ForwardModel, {k: _deep(v) for k, v in table.items()})
         if not section.is_external:
             return None
         text, version = str(table.get("function") or ""), str(table.get("function_version") or "")
@@ -266,11 +263,6 @@ class External:
 def _texts(table: Mapping[str, object], key: str) -> dict[str, str]:
     found = table.get(key)
     return {str(k): str(v) for k, v in found.items()} if isinstance(found, Mapping) else {}
-
-
-def _tupled(table: Mapping[str, object]) -> dict[str, object]:
-    """Make the lists of JSON the tuples that the section holds."""
-    return {k: _deep(v) for k, v in table.items()}
 
 
 def _deep(value: object) -> object:

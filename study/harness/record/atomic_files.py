@@ -201,7 +201,8 @@ def exclusive(folder: Path) -> Iterator[None]:
                 f"{path}: this file system cannot lock files ({error.strerror or error}); keep "
                 "results on a local disk"
             ) from error
-        _sign(handle)
+        now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+        _write(handle, dict(zip(_OWNER, (os.getpid(), socket.gethostname(), now), strict=True)))
         yield
     finally:
         os.close(handle)  # releases the lock
@@ -269,11 +270,6 @@ def sign(folder: Path, progress: Mapping[str, object]) -> None:
         _write(handle, owner | dict(progress))
     finally:
         os.close(handle)
-
-
-def _sign(handle: int) -> None:
-    now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-    _write(handle, dict(zip(_OWNER, (os.getpid(), socket.gethostname(), now), strict=True)))
 
 
 def _write(handle: int, facts: Mapping[str, object]) -> None:

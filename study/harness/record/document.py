@@ -414,15 +414,10 @@ def fault_of_fits(fits: Mapping[str, FitDocument], needed: Sequence[str] = _NEED
         lost = [key for key in needed if key not in fit]
         if lost:
             return f"its fit {name!r} has no {lost[0]}"
-        if _is_uneven(fit):
+        size, rows = len(fit.get("names", ())), fit.get("correlation") or []
+        if bool(rows) and [len(row) for row in rows] != [size] * size:
             return f"its fit {name!r} has correlations of other constants than its own"
     return ""
-
-
-def _is_uneven(fit: FitDocument) -> bool:
-    """Whether correlations are others than one for each two constants."""
-    size, rows = len(fit.get("names", ())), fit.get("correlation") or []
-    return bool(rows) and [len(row) for row in rows] != [size] * size
 
 
 def fault_of_curves(
@@ -571,20 +566,17 @@ def unpack(data: bytes, path: Path) -> dict[str, Stored]:
             if size > MAX_FIELD_BYTES:
                 raise StoreError(f"{path}: unpacks to {size} bytes, which no field file does")
             for info in archive.infolist():
-                _check_header(archive, info)
+                with archive.open(info) as member:
+                    read = {(1, 0): read_array_header_1_0, (2, 0): read_array_header_2_0}
+                    shape, _, dtype = read[read_magic(member)](member)
+                    promised = member.tell() + math.prod(shape) * dtype.itemsize
+                if promised != info.file_size:
+                    raise ValueError(
+                        f"{info.filename} promises {promised} bytes and has {info.file_size}"
+                    )
         with np.load(io.BytesIO(data), allow_pickle=False) as found:
             return {name: found[name] for name in found.files}
     except StoreError:
         raise
     except Exception as error:  # numpy's parser of headers raises whatever it stumbles over
         raise StoreError(f"{path}: is no field file ({error})") from error
-
-
-def _check_header(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> None:
-    """Refuse an array whose header promises another size than its file: numpy reserves that."""
-    with archive.open(info) as member:
-        read = {(1, 0): read_array_header_1_0, (2, 0): read_array_header_2_0}
-        shape, _, dtype = read[read_magic(member)](member)
-        promised = member.tell() + math.prod(shape) * dtype.itemsize
-    if promised != info.file_size:
-        raise ValueError(f"{info.filename} promises {promised} bytes and has {info.file_size}")

@@ -257,7 +257,13 @@ def unseal(text: str | bytes, source: str) -> object:
         if hashlib.sha256(content).hexdigest() == as_written["checksum"].decode():
             return parse_json(content, source)  # byte for byte what was sealed
     whole = parse_json(data, source)
-    _check_schema(whole, source)
+    schema = whole.get("schema") if isinstance(whole, dict) else None
+    if isinstance(schema, int) and schema > SCHEMA:
+        raise NewerSchemaError(
+            f"{source}: was written by a newer study (schema {schema}, this version reads "
+            f"{SCHEMA}); it is left as it is. Update this one with pip install --upgrade, or "
+            "name another folder with --results"
+        )
     if not isinstance(whole, dict) or set(whole) != {"schema", "checksum", "content"}:
         raise StoreError(f"{source}: is not a sealed file of this program")
     if whole["schema"] != SCHEMA:
@@ -269,17 +275,6 @@ def unseal(text: str | bytes, source: str) -> object:
     if found != whole["checksum"]:
         raise StoreError(f"{source}: is damaged, its checksum does not fit its content")
     return whole["content"]
-
-
-def _check_schema(whole: object, source: str) -> None:
-    """Tell what a newer version wrote from what is damaged."""
-    schema = whole.get("schema") if isinstance(whole, dict) else None
-    if isinstance(schema, int) and schema > SCHEMA:
-        raise NewerSchemaError(
-            f"{source}: was written by a newer study (schema {schema}, this version reads "
-            f"{SCHEMA}); it is left as it is. Update this one with pip install --upgrade, or "
-            "name another folder with --results"
-        )
 
 
 # -------------------------------------------------------------------------------------------------
@@ -313,7 +308,16 @@ def table(records: Sequence[Record]) -> DataFrame:
     import pandas as pd
 
     factors = list(records[0].levels) if records else []
-    _check_same_study(records, factors)
+    seen: set[str] = set()
+    for record in records:
+        if set(record.levels) != set(factors):
+            raise StoreError(
+                f"case {record.case_id}: its factors are {sorted(record.levels)}, those of the "
+                f"first record {sorted(factors)}; records of different studies are not mixed"
+            )
+        if record.case_id in seen:
+            raise StoreError(f"case {record.case_id} stands twice among the records")
+        seen.add(record.case_id)
     units = _units(records)
     numbered = [n for n in REPLICATES if any(n in r.extra for r in records)]
     clash = [n for n in factors if n in FIXED or n in units or n in numbered]
@@ -381,19 +385,6 @@ def _texts(frame: DataFrame) -> list[tuple[str, str]]:
         values = dict.fromkeys(v for v in frame[name].tolist() if isinstance(v, str))
         found += [(f"column {name}", value) for value in values]
     return found
-
-
-def _check_same_study(records: Sequence[Record], factors: list[str]) -> None:
-    seen: set[str] = set()
-    for record in records:
-        if set(record.levels) != set(factors):
-            raise StoreError(
-                f"case {record.case_id}: its factors are {sorted(record.levels)}, those of the "
-                f"first record {sorted(factors)}; records of different studies are not mixed"
-            )
-        if record.case_id in seen:
-            raise StoreError(f"case {record.case_id} stands twice among the records")
-        seen.add(record.case_id)
 
 
 def _units(records: Sequence[Record]) -> dict[str, str]:

@@ -43,7 +43,8 @@ def monotone_slopes(knots: Array, values: Array, slopes: Array) -> Array:
     """
     found = slopes.astype(float)
     chords = np.diff(values) / np.diff(knots)
-    rising = _is_monotone_data(chords, found)
+    sign = np.sign(chords)
+    rising = np.asarray((sign * found[:-1] >= 0) & (sign * found[1:] >= 0))
     # an interval that is limited may take its neighbor's slope away; each is limited once at most
     for _ in range(chords.size):
         outside = np.flatnonzero(rising & ~is_monotone(chords, found))
@@ -68,12 +69,6 @@ def is_monotone(chords: Array, slopes: Array) -> NDArray[np.bool_]:
     inside = (sums <= 0) | (2 * a + b <= 3) | (a + 2 * b <= 3) | (lowest >= 0)
     still = (slopes[:-1] == 0) & (slopes[1:] == 0)
     return np.asarray(np.where(flat, still, (a >= 0) & (b >= 0) & inside))
-
-
-def _is_monotone_data(chords: Array, slopes: Array) -> NDArray[np.bool_]:
-    """Whether values and slopes of every interval have one direction."""
-    sign = np.sign(chords)
-    return np.asarray((sign * slopes[:-1] >= 0) & (sign * slopes[1:] >= 0))
 
 
 def _limited(chord: float, pair: Array) -> Array:

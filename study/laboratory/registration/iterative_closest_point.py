@@ -300,7 +300,9 @@ def _trimmed(
         if number < point_steps:
             step = _point_step(moved[kept], found.points[kept])
         else:
-            step = _step(moved, found, _kept_weights(len(cloud), kept))
+            weights = np.zeros(len(cloud))
+            weights[kept] = 1.0
+            step = _step(moved, found, weights)
         motion = step.after(motion)
     return rms, motion
 
@@ -334,12 +336,6 @@ def _point_step(moved: Array, found: Array) -> RigidMotion:
     if on_a_line(found) or on_a_line(moved):
         return RigidMotion(np.eye(3), (found - moved).mean(axis=0))
     return fit_pairs(moved, found).motion
-
-
-def _kept_weights(n: int, kept: Ints) -> Array:
-    weights = np.zeros(n)
-    weights[kept] = 1.0
-    return weights
 
 
 def _step(moved: Array, found: Closest, weights: Array) -> RigidMotion:

@@ -167,7 +167,9 @@ def _real_sides(mesh: DeformedMesh, symmetry: Symmetry) -> Ints:
     parts = []
     for k in range(len(sides)):
         own = alone[number[alone] == k]
-        split = _split(mesh, owner[own], k)
+        owners = owner[own]
+        pieces = np.array(_pieces(mesh.kind, k))
+        split = np.asarray(mesh.cells[owners][:, pieces].reshape(-1, pieces.shape[1]))
         centers = mesh.points[mesh.cells[owner[own], :corners]].mean(axis=1)
         parts.append(_turned(mesh.points, split, np.repeat(centers, len(split) // max(len(own), 1),
                                                            axis=0)))  # fmt: skip
@@ -184,12 +186,6 @@ def _in_symmetry(mesh: DeformedMesh, symmetry: Symmetry, nodes: Ints) -> Flags:
     for k, place in planes:
         inside |= (np.abs(mesh.points[nodes, k] - place) < SAME_PLACE * size).all(axis=1)
     return inside
-
-
-def _split(mesh: DeformedMesh, owners: Ints, side: int) -> Ints:
-    """Split one side of some cells into triangles (or lines), those of a cell in a row."""
-    pieces = np.array(_pieces(mesh.kind, side))
-    return np.asarray(mesh.cells[owners][:, pieces].reshape(-1, pieces.shape[1]))
 
 
 def _pieces(kind: str, side: int) -> list[tuple[int, ...]]:

@@ -161,6 +161,13 @@ def judge_shape(
     added = None
     if registration is not None:
         added = float(np.sqrt((registration.uncertainty_at(placed) ** 2).mean()))
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(placed)
+    spacing = float(np.median(tree.query(placed, k=2)[0][:, 1]))
+    centers = surface.corners.mean(axis=1)
+    off = float(np.median(np.abs(surface.closest(placed).distance)))
+    near = tree.query(centers, k=1)[0] < SEEN_SPACINGS * (spacing + off)
     return ShapeDeviation(
         name=name,
         scan=scan.source,
@@ -170,7 +177,7 @@ def judge_shape(
         distances=found.distance,
         normals=found.normal,
         statistics=statistics_of(found.distance),
-        seen=_seen(surface, placed),
+        seen=float(surface.areas[near].sum() / surface.areas.sum()),
         registration_uncertainty=added,
         markers=None if markers is None else _marked(body, markers, motion),
         symmetry=str(body.symmetry) if body.symmetry else "whole body",
@@ -229,18 +236,6 @@ def _check_state(body: SimulatedBody, scan: Scan, own: float, start: RigidMotion
             f"simulated one to {own:.3g} mm. Give the scan of this displacement, or say "
             "--any-state if the simulation itself is in doubt"
         )
-
-
-def _seen(surface: TriangleSurface, points: Array) -> float:
-    """Share of the area of a surface near which there are scanned points."""
-    from scipy.spatial import cKDTree
-
-    tree = cKDTree(points)
-    spacing = float(np.median(tree.query(points, k=2)[0][:, 1]))
-    centers = surface.corners.mean(axis=1)
-    off = float(np.median(np.abs(surface.closest(points).distance)))
-    near = tree.query(centers, k=1)[0] < SEEN_SPACINGS * (spacing + off)
-    return float(surface.areas[near].sum() / surface.areas.sum())
 
 
 def _marked(body: SimulatedBody, markers: Markers, motion: RigidMotion) -> MarkerDeviation:

@@ -75,7 +75,12 @@ def analyze_displacement(
 ) -> DisplacementResult:
     """Judge how a tracker follows a commanded displacement."""
     commanded = unit_factor(declared.unit, "length") * recording.table.numbers(declared.commanded)
-    stops = _stops(recording, declared.commanded)
+    labels = recording.table.text(declared.commanded)
+    stops = [
+        Visit(own.stage, visit.begin + own.begin, visit.begin + own.end)
+        for visit in recording.visits
+        for own in visits_to(labels[visit.rows])
+    ]
     places = np.array([recording.positions[declared.marker][s.rows].mean(axis=0) for s in stops])
     told = np.array([commanded[stop.begin] for stop in stops])
     axis, along, off = _straight(places, told)
@@ -91,11 +96,15 @@ def analyze_displacement(
         raise InputError(Fault("displacement.unit", rule, mend))
     spread = line.residual_sd if repeat is None else repeat
     home = float(spread / np.sqrt(at_home.sum()))
+    own = line.offset_uncertainty
+    total = float(np.hypot(own, home))
+    half = (line.offset_interval[1] - line.offset) * (total / own if own > 0 else 1.0)
+    interval = (line.offset - half, line.offset + half)
     return DisplacementResult(
         marker=declared.marker,
         commanded_mm=wanted,
         measured_mm=measured,
-        line=_with_home(line, home),
+        line=replace(line, offset_uncertainty=total, offset_interval=interval),
         straightness_rms_mm=float(np.sqrt((off**2).mean())),
         straightness_max_mm=float(off.max()),
         agreement=limits_of_agreement(measured, wanted, alpha, "displacement"),
@@ -104,16 +113,6 @@ def analyze_displacement(
         axis=axis,
         stops=len(stops),
     )
-
-
-def _stops(recording: Recording, column: str) -> list[Visit]:
-    """Find samples in a row at one commanded position, within one visit to a stage."""
-    labels = recording.table.text(column)
-    return [
-        Visit(own.stage, visit.begin + own.begin, visit.begin + own.end)
-        for visit in recording.visits
-        for own in visits_to(labels[visit.rows])
-    ]
 
 
 def _straight(places: Array, told: Array) -> tuple[Array, Array, Array]:
@@ -150,15 +149,6 @@ def _ratio(
         own = max(total - declared.uncertainty**2, 0.1 * total)
         return float(own / declared.uncertainty**2)
     return max(repeat**2, 1e-12 * declared.uncertainty**2) / declared.uncertainty**2
-
-
-def _with_home(line: Line, home: float) -> Line:
-    """Line whose offset has the uncertainty of home besides its own."""
-    own = line.offset_uncertainty
-    total = float(np.hypot(own, home))
-    half = (line.offset_interval[1] - line.offset) * (total / own if own > 0 else 1.0)
-    interval = (line.offset - half, line.offset + half)
-    return replace(line, offset_uncertainty=total, offset_interval=interval)
 
 
 # -------------------------------------------------------------------------------------------------

@@ -298,7 +298,14 @@ def read_recording(declared: RecordingTable, root: Path) -> Recording:
         check_places(points, f"{declared.file}: marker {marker}")
     time = None if declared.time is None else table.numbers(declared.time)
     if time is not None:
-        _check_time(time, table)
+        back = np.flatnonzero(np.diff(time) <= 0)
+        if back.size:
+            first = int(back[0]) + 1
+            word = "goes backwards" if time[first] < time[first - 1] else "stands still"
+            more = f" (and at {back.size - 1} more rows)" if back.size > 1 else ""
+            rule = f"the time {word}: {time[first]:g} s after {time[first - 1]:g} s{more}"
+            mend = "sort the rows by time; was the clock set, or were two recordings joined?"
+            raise InputError(Fault(f"{table.source}:{table.lines[first]}", rule, mend))
     labels = table.text(declared.stage) if declared.stage else (WHOLE,) * len(table.lines)
     return Recording(positions, time, visits_to(labels), table)
 
@@ -309,17 +316,6 @@ def coordinates(table: CsvTable, columns: Triple) -> Array:
     Shapes: returns (n, 3).
     """
     return np.column_stack([table.numbers(column) for column in columns])
-
-
-def _check_time(time: Array, table: CsvTable) -> None:
-    back = np.flatnonzero(np.diff(time) <= 0)
-    if back.size:
-        first = int(back[0]) + 1
-        word = "goes backwards" if time[first] < time[first - 1] else "stands still"
-        more = f" (and at {back.size - 1} more rows)" if back.size > 1 else ""
-        rule = f"the time {word}: {time[first]:g} s after {time[first - 1]:g} s{more}"
-        mend = "sort the rows by time; was the clock set, or were two recordings joined?"
-        raise InputError(Fault(f"{table.source}:{table.lines[first]}", rule, mend))
 
 
 def visits_to(labels: Sequence[str]) -> tuple[Visit, ...]:

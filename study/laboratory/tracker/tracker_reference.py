@@ -100,12 +100,27 @@ def analyze_reference(
     ]
     moving = np.array([part.mean(axis=0) for part in parts])
     fit = fit_pairs(moving, fixed, "reference")
-    _check_frames(fit, moving, fixed)
+    ratio = _extent(fixed) / _extent(moving)
+    if not 1 / UNIT_RATIO < ratio < UNIT_RATIO:
+        rule = f"the reference's poses are {ratio:.4g} times as far apart as the tracker's"
+        mend = 'one unit is wrong: a factor near 1000 means "m" where "mm" is written'
+        raise InputError(Fault("reference.unit", rule, mend))
+    if fit.is_mirrored and fit.rms > UNPAIRED_SHARE * _extent(fixed):
+        rule = f"the tracker's frame is mirrored: RMS {fit.rms:.3g} mm, {fit.mirrored_rms:.3g} mm "
+        rule += "with one axis flipped"
+        mend = "exchange or negate one column: one of both frames is left-handed"
+        raise InputError(Fault("recording.markers", rule, mend))
     turned = None
     if declared.axes is not None:
         further = [factor * coordinates(table, one)[rows] for one in declared.axes]
         _check_axes(fixed, further, poses, declared.file)
-        turned = _body_axes(fixed, further[0], further[1])
+        second = further[1]
+        x = further[0] - fixed
+        x /= np.linalg.norm(x, axis=1, keepdims=True)
+        y = second - fixed
+        y -= (x * y).sum(axis=1, keepdims=True) * x
+        y /= np.linalg.norm(y, axis=1, keepdims=True)
+        turned = np.stack([x, y, np.cross(x, y)], axis=-1)
     away = np.concatenate([part - part.mean(axis=0) for part in parts])
     errors = _distances(moving) - _distances(fixed)
     lever_arm = _lever_arm(moving, fixed, turned, fit)
@@ -158,20 +173,6 @@ def _extent(points: Array) -> float:
     return float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
 
 
-def _check_frames(fit: PairedFit, moving: Array, fixed: Array) -> None:
-    """Refuse another unit and a mirrored frame."""
-    ratio = _extent(fixed) / _extent(moving)
-    if not 1 / UNIT_RATIO < ratio < UNIT_RATIO:
-        rule = f"the reference's poses are {ratio:.4g} times as far apart as the tracker's"
-        mend = 'one unit is wrong: a factor near 1000 means "m" where "mm" is written'
-        raise InputError(Fault("reference.unit", rule, mend))
-    if fit.is_mirrored and fit.rms > UNPAIRED_SHARE * _extent(fixed):
-        rule = f"the tracker's frame is mirrored: RMS {fit.rms:.3g} mm, {fit.mirrored_rms:.3g} mm "
-        rule += "with one axis flipped"
-        mend = "exchange or negate one column: one of both frames is left-handed"
-        raise InputError(Fault("recording.markers", rule, mend))
-
-
 def _check_pairs(left: float, extent: float, where: str) -> None:
     """Refuse poses whose residual is no error of a tracker."""
     if left > UNPAIRED_SHARE * extent:
@@ -209,16 +210,6 @@ def _check_axes(origin: Array, further: list[Array], poses: tuple[str, ...], whe
         rule = f"the three points on the body lie on a line at: {', '.join(lines[:5])}"
         mend = "name other columns in [reference] axes: two points off the line through the first"
         raise InputError(Fault(f"{where}: axes", rule, mend))
-
-
-def _body_axes(origin: Array, first: Array, second: Array) -> Array:
-    """Axes of the body from three points on it, as columns, shape (n, 3, 3)."""
-    x = first - origin
-    x /= np.linalg.norm(x, axis=1, keepdims=True)
-    y = second - origin
-    y -= (x * y).sum(axis=1, keepdims=True) * x
-    y /= np.linalg.norm(y, axis=1, keepdims=True)
-    return np.stack([x, y, np.cross(x, y)], axis=-1)
 
 
 def _lever_arm(

@@ -62,11 +62,16 @@ def uncertainty(
     covariance[np.ix_(free, free)] = variance * inverse
     error = np.sqrt(np.diag(covariance))
     half = student_t(dof) * error
+    correlation = np.full((free.size, free.size), np.nan)
+    scale = np.sqrt(np.diag(inverse))
+    inner = inverse / np.outer(scale, scale)
+    np.fill_diagonal(inner, np.where(np.isfinite(scale), 1.0, np.nan))
+    correlation[np.ix_(free, free)] = inner
     return Uncertainty(
         covariance,
         error,
         np.stack([values - half, values + half], axis=1),
-        _correlation(inverse, free),
+        correlation,
         scaled_condition(jacobian[:, free], values[free]),
         rank,
         dof,
@@ -136,9 +141,11 @@ def identifiability(names: Sequence[str], values: Array, known: Uncertainty) -> 
         return False, (
             f"the data determine only {known.rank} of {len(names)} combinations of {_listed(names)}"
         )
-    first, second, worst = _worst_pair(known.correlation)
+    off = np.nan_to_num(known.correlation - np.diag(np.diag(known.correlation)))
+    i, j = np.unravel_index(int(np.argmax(np.abs(off))), off.shape)
+    first, second, worst = min(int(i), int(j)), max(int(i), int(j)), float(off[i, j])
     if abs(worst) > LIMIT_CORRELATION:
-        ratio = _ratio_of_errors(known, first, second)
+        ratio = float(known.standard_error[first] / known.standard_error[second])
         return False, _together(names[first], names[second], worst, ratio)
     if known.degrees_of_freedom <= 0:
         return False, "as many constants as points: nothing is left to judge them by"
@@ -168,21 +175,6 @@ def verdict_at_end(
     return identifiable, reason
 
 
-def _correlation(inverse: Array, free: NDArray[np.bool_]) -> Array:
-    correlation = np.full((free.size, free.size), np.nan)
-    scale = np.sqrt(np.diag(inverse))
-    inner = inverse / np.outer(scale, scale)
-    np.fill_diagonal(inner, np.where(np.isfinite(scale), 1.0, np.nan))
-    correlation[np.ix_(free, free)] = inner
-    return correlation
-
-
-def _worst_pair(correlation: Array) -> tuple[int, int, float]:
-    off = np.nan_to_num(correlation - np.diag(np.diag(correlation)))
-    i, j = np.unravel_index(int(np.argmax(np.abs(off))), off.shape)
-    return min(int(i), int(j)), max(int(i), int(j)), float(off[i, j])
-
-
 def _together(first: str, second: str, correlation: float, ratio: float) -> str:
     # errors that go together leave only first / s1 -+ second / s2 determined
     sign, shown = ("+" if correlation < 0 else "-"), f"{ratio:.3g}"
@@ -191,11 +183,6 @@ def _together(first: str, second: str, correlation: float, ratio: float) -> str:
         f"{first} and {second} move together: correlation {correlation:.4f}; "
         f"only {first} {sign} {also} is determined"
     )
-
-
-def _ratio_of_errors(known: Uncertainty, first: int, second: int) -> float:
-    """Error of one constant over that of another: what the second weighs in what is known."""
-    return float(known.standard_error[first] / known.standard_error[second])
 
 
 def _widest(names: Sequence[str], values: Array, known: Uncertainty) -> str:

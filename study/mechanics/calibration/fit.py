@@ -13,7 +13,6 @@ from study.ground.arrays import Array
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
 from study.mechanics.calibration.covariance import (
-    Uncertainty,
     influence,
     uncertainty,
     verdict_at_end,
@@ -222,7 +221,10 @@ def _report(result: LMResult, model: _Model) -> Fit:
         free = ~result.at_bound
         identifiable, reason = verdict_at_end(model.names, result.x, known, free, ended)
     if not result.converged:
-        known = _without_errors(known)
+        none = np.full_like(known.covariance, np.nan)
+        known = replace(
+            known, covariance=none, standard_error=none[0], ci95=none[:, :1].repeat(2, 1)
+        )
     mean = float(weight**2 @ force / (weight @ weight))
     total = float(np.sum((weight * (force - mean)) ** 2))
     return Fit(
@@ -247,12 +249,6 @@ def _report(result: LMResult, model: _Model) -> Fit:
         model.failure,
         priors=model.priors,
     )
-
-
-def _without_errors(known: Uncertainty) -> Uncertainty:
-    """Uncertainty of a fit that did not converge: nothing is known about its errors."""
-    none = np.full_like(known.covariance, np.nan)
-    return replace(known, covariance=none, standard_error=none[0], ci95=none[:, :1].repeat(2, 1))
 
 
 def aicc(rss: float, n: int, parameters: int) -> float:

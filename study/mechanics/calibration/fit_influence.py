@@ -30,7 +30,6 @@ from study.mechanics.calibration.residual_function import (
     pseudo_rows,
 )
 from study.mechanics.calibration.serial_correlation import (
-    Intervals,
     Pseudo,
     SerialCorrelation,
     Series,
@@ -53,7 +52,11 @@ def with_serial_correlation(
     series, beside = _series(found, measured, names)
     if known is not None:
         beside = beside + known[np.ix_(free, free)]
-    from_rows = intervals(series, _pseudo(found, names), beside)
+    priors = [one for one in found.priors if one.name in names]
+    values = np.array([found.values[found.names.index(name)] for name in names])
+    from_rows = intervals(
+        series, Pseudo(pseudo_rows(priors, names, values), pseudo_jacobian(priors, names)), beside
+    )
     if from_rows is None:
         return found
     rows = sum(one.residual.size for one in series)
@@ -66,13 +69,15 @@ def with_serial_correlation(
     rho = from_rows.correlation
     mixture = from_rows.mixture if free.all() else None
     serial = SerialCorrelation(rows, rho, effective_rows(rows, rho), half / independent, mixture)
+    scale = np.sqrt(np.diag(covariance))
+    correlated = math.isfinite(from_rows.correlation)
     corrected = replace(
         found,
         covariance=covariance,
         standard_error=np.sqrt(np.diag(covariance)),
         ci95=np.stack([found.values - half, found.values + half], axis=1),
-        correlation=_correlation(covariance),
-        aicc=_aicc(from_rows, rows, found.values.size),
+        correlation=np.asarray(covariance / np.outer(scale, scale)),
+        aicc=small_sample_aic(from_rows.deviance, rows, found.values.size + 1 + int(correlated)),
         serial=serial,
     )
     return (
@@ -80,24 +85,6 @@ def with_serial_correlation(
         if free.all()
         else corrected
     )
-
-
-def _correlation(covariance: Array) -> Array:
-    scale = np.sqrt(np.diag(covariance))
-    return np.asarray(covariance / np.outer(scale, scale))
-
-
-def _pseudo(found: Fit, names: Sequence[str]) -> Pseudo:
-    """Pseudo-observations of the free parameters."""
-    priors = [one for one in found.priors if one.name in names]
-    values = np.array([found.values[found.names.index(name)] for name in names])
-    return Pseudo(pseudo_rows(priors, names, values), pseudo_jacobian(priors, names))
-
-
-def _aicc(known: Intervals, rows: int, parameters: int) -> float:
-    """AICc of recorded rows; the variance and, where it was estimated, rho count as parameters."""
-    correlated = math.isfinite(known.correlation)
-    return small_sample_aic(known.deviance, rows, parameters + 1 + int(correlated))
 
 
 def _judged(found: Fit, degrees_of_freedom: int, measured: Sequence[MeasuredCurve]) -> Fit:

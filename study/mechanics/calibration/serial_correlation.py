@@ -268,20 +268,15 @@ def _propagated(series: Sequence[Series], rho: Array) -> Array:
     spectra = [np.fft.rfft(one.influence, size, axis=1) for one in series]
     power_spectrum = sum(s[:, None] * s[None].conj() for s in spectra)
     products = np.fft.irfft(power_spectrum, size, axis=2)[..., :rows]
-    weight = _powers(rho, rows)
+    out = np.ones((rho.size, rows))
+    known, factor = 1, rho[:, None]
+    while known < rows:
+        out[:, known : 2 * known] = out[:, : min(known, rows - known)] * factor
+        known, factor = 2 * known, factor**2
+    weight = out
     weight[:, 0] = 0.5
     half = (weight @ products.reshape(p * p, rows).T).reshape(rho.size, p, p)
     return np.asarray((half + half.transpose(0, 2, 1)) / (1 - rho**2)[:, None, None])
-
-
-def _powers(base: Array, count: int) -> Array:
-    """Powers 0 to ``count`` - 1 of every number, shape (k, count): each by few products."""
-    out = np.ones((base.size, count))
-    known, factor = 1, base[:, None]
-    while known < count:
-        out[:, known : 2 * known] = out[:, : min(known, count - known)] * factor
-        known, factor = 2 * known, factor**2
-    return out
 
 
 def _half_widths(errors: Array, weight: Array, freedom: Array) -> Array:

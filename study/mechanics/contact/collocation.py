@@ -65,7 +65,15 @@ def _under_indenter(
 ) -> tuple[ContactPoints, ...]:
     press = Press(profile(pair.indenter, far_mm=1e3 * mesh.height_mm), mesh.height_mm)
     if pair.indenter.is_sharp_edged:
-        return _under_sharp_edge(problem, space, mesh, press, pair.indenter.face_radius_mm)
+        rho = np.linalg.norm(space.nodes[:, : space.dim - 1], axis=1)
+        under = rho <= pair.indenter.face_radius_mm * (1 + _SAME)
+        below = _on_top(problem, space, mesh, Plate(mesh.height_mm, -1, 1.0), nodal=True)
+        beside = _on_top(problem, space, mesh, press)
+        parts = (
+            only(below, under[below.nodes].all(axis=1)),
+            only(beside, ~under[beside.nodes].all(axis=1)),
+        )
+        return tuple(points for points in parts if points.size)
     return gripping(
         _on_top(problem, space, mesh, press),
         space.dim,
@@ -100,28 +108,16 @@ def meeting(
     Shapes: chosen (n_facets,).
     """
     points = _points_of(problem, mesh, surface, *_collocation(space, chosen, nodal=nodal))
-    return _with_corners(problem, space, points, space.facets[chosen])
-
-
-def _under_sharp_edge(
-    problem: Problem, space: Discretization, mesh: Mesh, press: Press, face_mm: float
-) -> tuple[ContactPoints, ...]:
-    """Points of the closed disc under a flat face meet its plane, the others the whole punch.
-
-    The node at a sharp edge carries the largest pressure. Whether it is under the face must
-    not hang on its last digit, and a point that the face has run past must be pushed down by
-    it, not out by the nearer side. Quadratic edges touch with their nodes here: they can lie
-    in the plane exactly, and the force then comes from above as an energy does.
-    """
-    rho = np.linalg.norm(space.nodes[:, : space.dim - 1], axis=1)
-    under = rho <= face_mm * (1 + _SAME)
-    below = _on_top(problem, space, mesh, Plate(mesh.height_mm, -1, 1.0), nodal=True)
-    beside = _on_top(problem, space, mesh, press)
-    parts = (
-        only(below, under[below.nodes].all(axis=1)),
-        only(beside, ~under[beside.nodes].all(axis=1)),
-    )
-    return tuple(points for points in parts if points.size)
+    facets = space.facets[chosen]
+    if facets.shape[1] != 6:
+        return points
+    pressed = problem.test.indenter
+    if pressed is None or not pressed.has_face:
+        return replace(points, middles=_middles(space, points, facets))
+    corners = np.isin(points.nodes[:, 0], facets[:, :3])
+    # a corner of six facets of area A has the weight A / 2
+    allowance = np.where(corners, CORNER_ALLOWANCE * np.sqrt(4 * points.weights), 0.0)
+    return replace(points, allowance_mm=allowance)
 
 
 def only(points: ContactPoints, kept: NDArray[np.bool_]) -> ContactPoints:
@@ -139,27 +135,6 @@ def only(points: ContactPoints, kept: NDArray[np.bool_]) -> ContactPoints:
         eps=points.eps[kept],
         middles=None if points.middles is None else points.middles[kept][:, kept],
     )
-
-
-def _with_corners(
-    problem: Problem, space: Discretization, points: ContactPoints, facets: Ints
-) -> ContactPoints:
-    """Say how the corners of six-node triangles take part.
-
-    A uniform pressure loads only their mid-sides, so that the sign of a corner's force says
-    nothing. Under a cone or a sphere they go with their mid-sides: left alone they open, and
-    let the surface buckle. Under a flat indenter they may sink in a little: held to a gap of
-    zero they stop a specimen that turns about the edge.
-    """
-    if facets.shape[1] != 6:
-        return points
-    pressed = problem.test.indenter
-    if pressed is None or not pressed.has_face:
-        return replace(points, middles=_middles(space, points, facets))
-    corners = np.isin(points.nodes[:, 0], facets[:, :3])
-    # a corner of six facets of area A has the weight A / 2
-    allowance = np.where(corners, CORNER_ALLOWANCE * np.sqrt(4 * points.weights), 0.0)
-    return replace(points, allowance_mm=allowance)
 
 
 def _middles(space: Discretization, points: ContactPoints, facets: Ints) -> sp.csr_matrix:
@@ -199,7 +174,13 @@ def _collocation(
     facets, areas = space.facets[chosen], space.facet_weights[chosen]
     k = facets.shape[1]
     if space.dim == 2 and k == 3 and not nodal:
-        return _gauss_edges(space, facets)
+        s = np.array([-1, 1]) / np.sqrt(3)
+        N = np.stack([s * (s - 1) / 2, s * (s + 1) / 2, 1 - s**2], axis=-1)
+        ends = space.nodes[facets]
+        length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+        radius = np.einsum("qa,ea->eq", N, ends[:, :, 0])
+        weights = 2 * np.pi * radius * length[:, None] / 2
+        return np.repeat(facets, 2, axis=0), np.tile(N, (len(facets), 1)), weights.ravel()
     share = {
         (2, 2): None,  # consistent with the radius, below
         (2, 3): None,
@@ -235,24 +216,18 @@ def _at_nodes(areas: Array) -> tuple[Ints, Array, Array]:
     return nodes[:, None], np.ones((nodes.size, 1)), areas[nodes]
 
 
-def _gauss_edges(space: Discretization, edges: Ints) -> tuple[Ints, Array, Array]:
-    """Two Gauss points on each quadratic edge (end, end, middle) of an axisymmetric mesh."""
-    s = np.array([-1, 1]) / np.sqrt(3)
-    N = np.stack([s * (s - 1) / 2, s * (s + 1) / 2, 1 - s**2], axis=-1)
-    ends = space.nodes[edges]
-    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-    radius = np.einsum("qa,ea->eq", N, ends[:, :, 0])
-    weights = 2 * np.pi * radius * length[:, None] / 2
-    return np.repeat(edges, 2, axis=0), np.tile(N, (len(edges), 1)), weights.ravel()
-
-
 def _side_onto_plate(
     problem: Problem, pair: PlateContact, space: Discretization, mesh: Mesh
 ) -> tuple[ContactPoints, ...]:
     """Points of the free side that could fold onto a bonded plate; another one is plane."""
     if not pair.is_bonded or (mesh.half_height and pair.face == "base"):
         return ()
-    return (_side_points(problem, space, mesh, _plate(problem, pair, mesh)),)
+    plate = _plate(problem, pair, mesh)
+    side = _side_facets(space, mesh)
+    facets, areas = space.facets[side], space.facet_weights[side]
+    nodal = _nodal_areas(space, facets, np.repeat(areas / facets.shape[1], facets.shape[1]))
+    nodal[at_level(space, mesh, plate.height_mm)] = 0.0
+    return (_points_of(problem, mesh, plate, *_at_nodes(nodal)),)
 
 
 def _plate(problem: Problem, pair: PlateContact, mesh: Mesh) -> Plate:
@@ -261,16 +236,6 @@ def _plate(problem: Problem, pair: PlateContact, mesh: Mesh) -> Plate:
     axial = next(f.axial for f in problem.setup.faces if f.face == pair.face)
     speed = (0.0 - axial) * (0.5 if mesh.half_height else 1.0)
     return Plate(mesh.height_mm if is_top else 0.0, -1 if is_top else 1, speed)
-
-
-def _side_points(
-    problem: Problem, space: Discretization, mesh: Mesh, plate: Plate
-) -> ContactPoints:
-    side = _side_facets(space, mesh)
-    facets, areas = space.facets[side], space.facet_weights[side]
-    nodal = _nodal_areas(space, facets, np.repeat(areas / facets.shape[1], facets.shape[1]))
-    nodal[at_level(space, mesh, plate.height_mm)] = 0.0  # held by the plate already
-    return _points_of(problem, mesh, plate, *_at_nodes(nodal))
 
 
 #: subdivisions of the triangles where an indenter could touch first, and how many are kept
@@ -336,7 +301,11 @@ def touch_mm(indenter: Indenter, triangles: Array, height: float) -> float:
     greatest value in each triangle, found by halving its sides where it is greatest.
     """
     pieces = profile(indenter, far_mm=1e3 * height)
-    _under_axis(triangles)
+    x, y = triangles[:, :, 0], triangles[:, :, 1]
+    area = np.stack([x[:, k - 1] * y[:, k] - x[:, k] * y[:, k - 1] for k in range(3)], axis=1)
+    if not ((area >= 0).all(axis=1) | (area <= 0).all(axis=1)).any():
+        mend = "choose press_x and press_y inside its outline"
+        raise InputError(Fault("specimen.press_x", "the indenter misses the specimen", mend))
     best, kept = -np.inf, triangles
     for _ in range(_DIVISIONS):
         places = np.einsum("qk,mkj->mqj", _HALVES, kept)
@@ -347,12 +316,3 @@ def touch_mm(indenter: Indenter, triangles: Array, height: float) -> float:
         order = np.argsort(-level[:, _QUARTERS].max(axis=2).ravel(), kind="stable")
         kept = quarters[order[:_KEPT]]
     return best
-
-
-def _under_axis(triangles: Array) -> None:
-    """Refuse an axis that passes beside the specimen."""
-    x, y = triangles[:, :, 0], triangles[:, :, 1]
-    area = np.stack([x[:, k - 1] * y[:, k] - x[:, k] * y[:, k - 1] for k in range(3)], axis=1)
-    if not ((area >= 0).all(axis=1) | (area <= 0).all(axis=1)).any():
-        mend = "choose press_x and press_y inside its outline"
-        raise InputError(Fault("specimen.press_x", "the indenter misses the specimen", mend))

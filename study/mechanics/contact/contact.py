@@ -458,7 +458,8 @@ def prescribed_rates(setup: Setup, space: Nodes, mesh: Mesh) -> dict[int, float]
     if not isinstance(specimen, Enclosed):
         return rate
     if not body(specimen).touches("top"):
-        rate = _without_top(rate, space, mesh)
+        top = {int(n) for n in at_level(space, mesh, mesh.height_mm)}
+        rate = {dof: v for dof, v in rate.items() if dof // space.dim not in top}
     if specimen.clamp_below_mm is None:
         return rate
     level = specimen.clamp_below_mm - body(specimen).lowest_mm
@@ -512,12 +513,6 @@ def face_motions(space: Nodes, nodes: Ints) -> Array:
         motions[:, 2, 2], motions[:, 2, 3] = y, -x
         motions[:, 0, 4], motions[:, 1, 4] = -y, x
     return motions
-
-
-def _without_top(rate: dict[int, float], space: Nodes, mesh: Mesh) -> dict[int, float]:
-    """Leave a round top to contact: it has no face that a plate could move as a whole."""
-    top = {int(n) for n in at_level(space, mesh, mesh.height_mm)}
-    return {dof: v for dof, v in rate.items() if dof // space.dim not in top}
 
 
 #: motion, over that of the largest, below which a rigid motion counts as held

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from study.ground.arrays import Array
-from study.mechanics.setup.geometry import Cone, Flat, Indenter, Sphere
+from study.mechanics.setup.geometry import Cone, Flat, Indenter
 
 #: smallest distance to the center of an arc or to the axis that is divided by, mm
 _TINY = 1e-12
@@ -52,19 +52,19 @@ def profile(indenter: Indenter, *, far_mm: float) -> Profile:
     Units: indenter mm.
     """
     if isinstance(indenter, Flat):
-        return _flat(indenter, far_mm)
+        edge = indenter.edge_radius_mm
+        inner = indenter.radius_mm - edge
+        return (
+            Line((0.0, 0.0), (inner, 0.0)),
+            Arc((inner, edge), edge, 0.0, np.pi / 2),
+            Line((indenter.radius_mm, edge), (indenter.radius_mm, far_mm)),
+        )
     if isinstance(indenter, Cone):
         return _cone(indenter, far_mm)
-    return _sphere(indenter, far_mm)
-
-
-def _flat(flat: Flat, far: float) -> Profile:
-    edge = flat.edge_radius_mm
-    inner = flat.radius_mm - edge
+    radius = indenter.radius_mm
     return (
-        Line((0.0, 0.0), (inner, 0.0)),
-        Arc((inner, edge), edge, 0.0, np.pi / 2),
-        Line((flat.radius_mm, edge), (flat.radius_mm, far)),
+        Arc((0.0, radius), radius, 0.0, np.pi / 2),
+        Line((radius, radius), (radius, radius + far_mm)),
     )
 
 
@@ -84,14 +84,6 @@ def _cone(cone: Cone, far: float) -> Profile:
         Line(start, corner),
         Arc(corner, 0.0, turn, np.pi / 2),
         Line(corner, (shaft, corner[1] + far)),
-    )
-
-
-def _sphere(sphere: Sphere, far: float) -> Profile:
-    radius = sphere.radius_mm
-    return (
-        Arc((0.0, radius), radius, 0.0, np.pi / 2),
-        Line((radius, radius), (radius, radius + far)),
     )
 
 

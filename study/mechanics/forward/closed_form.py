@@ -14,12 +14,11 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from study.ground.arrays import Array
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
-from study.mechanics.contact.rigid_surface import Line, Profile, profile
+from study.mechanics.contact.rigid_surface import Line, profile
 from study.mechanics.material.homogeneous import LOADINGS, loading_in
 from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Cone, Enclosed, Flat, Indenter, Specimen
@@ -87,7 +86,18 @@ def _half_space(indenter: Indenter, depth: Array) -> tuple[Array, Array]:
     radii = first + (widest - first) * np.linspace(0.0, 1.0, _RADII) ** 2
     angles = (np.arange(_POINTS) + 0.5) * (0.5 * np.pi / _POINTS)
     pieces = profile(indenter, far_mm=10 * (deepest + widest))
-    slopes = _slope(pieces, radii[:, None] * np.sin(angles))
+    rho = radii[:, None] * np.sin(angles)
+    slope = np.zeros(rho.shape)
+    for piece in pieces:
+        if isinstance(piece, Line):
+            (r0, z0), (r1, z1) = piece.start, piece.end
+            rise = (z1 - z0) / (r1 - r0) if r1 > r0 else 0.0
+            slope = np.where(*((rho >= r0) & (rho <= r1) & (r1 > r0), rise), slope)
+        elif piece.radius > 0:  # a corner has no width
+            out = (rho - piece.center[0]) / piece.radius
+            inside = (out > np.sin(piece.start)) & (out < np.sin(piece.end))
+            slope = np.where(inside, out / np.sqrt(np.maximum(1 - out**2, 1e-12)), slope)
+    slopes = slope
     step = 0.5 * np.pi / _POINTS
     depths = radii * slopes.sum(axis=1) * step
     forces = 2 * radii**2 * (slopes @ np.sin(angles) ** 2) * step
@@ -106,26 +116,6 @@ def _contact(indenter: Indenter, deepest: float) -> tuple[float, float]:
         free = 2 * (run + indenter.tip_radius_mm)
         return 0.0, free if indenter.shaft_radius_mm is None else indenter.shaft_radius_mm
     return 0.0, _NEARLY * indenter.radius_mm
-
-
-def _slope(pieces: Profile, rho: Array) -> Array:
-    """Slope of a profile at radius ``rho``, of the same shape."""
-    slope = np.zeros(rho.shape)
-    for piece in pieces:
-        if isinstance(piece, Line):
-            slope = np.where(*_along(piece, rho), slope)
-        elif piece.radius > 0:  # a corner has no width
-            out = (rho - piece.center[0]) / piece.radius
-            inside = (out > np.sin(piece.start)) & (out < np.sin(piece.end))
-            slope = np.where(inside, out / np.sqrt(np.maximum(1 - out**2, 1e-12)), slope)
-    return slope
-
-
-def _along(line: Line, rho: Array) -> tuple[NDArray[np.bool_], float]:
-    """Where a straight piece lies, and its slope."""
-    (r0, z0), (r1, z1) = line.start, line.end
-    rise = (z1 - z0) / (r1 - r0) if r1 > r0 else 0.0
-    return (rho >= r0) & (rho <= r1) & (r1 > r0), rise
 
 
 def _layer(ratio: Array, poisson_ratio: float, bonded: bool) -> Array:

@@ -466,7 +466,12 @@ def indentation_modulus(
     series = test.theory == "dimitriadis"
     found = limits(test.indenter, test.layer, law, area_mm2=test.area_mm2, is_series=series)
     fitted = tuple(FittedCurve(c.label, c.groups, _fitted(test, c, law, found)) for c in curves)
-    units = _units(fitted, test.spec.block)
+    moduli: dict[str, list[float]] = {}
+    for one in fitted:
+        if one.found.modulus_MPa is not None:
+            unit = one.label if test.spec.block is None else one.groups[test.spec.block]
+            moduli.setdefault(unit, []).append(one.found.modulus_MPa)
+    units = {unit: float(np.median(values)) for unit, values in moduli.items()}
     result = IndentationModulus(
         test=number,
         file=str(test.spec.file or test.spec.files),
@@ -497,16 +502,6 @@ def _fitted(
         deepest_mm=found[0].depth_mm,
         find_contact=test.find_contact,
     )
-
-
-def _units(fitted: Sequence[FittedCurve], block: str | None) -> Mapping[str, float]:
-    """Median modulus of every unit: curves of one specimen are repeats, not independent."""
-    moduli: dict[str, list[float]] = {}
-    for one in fitted:
-        if one.found.modulus_MPa is not None:
-            unit = one.label if block is None else one.groups[block]
-            moduli.setdefault(unit, []).append(one.found.modulus_MPa)
-    return {unit: float(np.median(values)) for unit, values in moduli.items()}
 
 
 def _estimate(fitted: Sequence[FittedCurve], units: Mapping[str, float]) -> MedianEstimate | None:

@@ -460,19 +460,12 @@ def _stretched(material: Material, mode: Mode, memory: Memory) -> Loaded:
             slope = slope + bulk[name] * volume
         if condition is not None:
             residual = (condition.pull * change).sum(0) + bulk[name] * volume
-            slope = slope + _by_free_side(state, mode, condition, residual, taken)
+            dz = condition.steps(residual)
+            turn = deviator(np.array(mode.free, float))
+            moved = state.bar**2 * condition.memory.convolved(condition.rate * dz)
+            slope = slope + np.asarray(taken @ (moved + 2 * turn[:, None] * state.left * dz))
         gradient[name] = (slope / stretch)[memory.rows]
     return Loaded((total / stretch)[memory.rows], gradient)
-
-
-def _by_free_side(
-    state: _State, mode: Mode, condition: _Condition, residual: Array, taken: Array
-) -> Array:
-    """Change of the stress as the free side gives way to a change of its condition."""
-    dz = condition.steps(residual)
-    turn = deviator(np.array(mode.free, float))
-    moved = state.bar**2 * condition.memory.convolved(condition.rate * dz)
-    return np.asarray(taken @ (moved + 2 * turn[:, None] * state.left * dz))
 
 
 def _free(material: Material, mode: Mode, memory: Memory) -> tuple[Array, bool]:

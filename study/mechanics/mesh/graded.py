@@ -439,7 +439,18 @@ def _triangles(radius: float, height: float, field: SizeField, ring: float) -> t
         points, cells = generated(gmsh, 2)
     points = snapped(points[:, :2], [(0, 0.0), (0, radius), (1, 0.0), (1, height)])
     if patch:
-        points, cells = _joined(points, cells, patch)
+        inner, inside, rim = patch
+        gap = np.linalg.norm(points[None] - inner[rim][:, None], axis=2)
+        size = np.linalg.norm(inner[rim[1]] - inner[rim[0]])
+        if gap.min(axis=1).max() > 1e-6 * size:
+            raise MeshError(
+                "the triangles around the edge do not meet the others: change mesh_size"
+            )
+        number = np.empty(len(inner), dtype=np.int64)
+        new = np.setdiff1d(np.arange(len(inner)), rim)
+        number[rim] = gap.argmin(axis=1)
+        number[new] = len(points) + np.arange(new.size)
+        points, cells = np.vstack([points, inner[new]]), np.vstack([cells, number[inside]])
     return points, turned(points, cells)
 
 
@@ -454,23 +465,6 @@ def _even_patch(
     points = points + np.array([ring, height])
     points[points[:, 1] > height - 1e-12 * height, 1] = height
     return points, cells, rim
-
-
-def _joined(points: Array, cells: Ints, patch: tuple[Array, Ints, Ints]) -> tuple[Array, Ints]:
-    """Mesh around a patch together with it; they share the points of its rim.
-
-    Raises MeshError if gmsh put further points between those of the rim.
-    """
-    inner, inside, rim = patch
-    gap = np.linalg.norm(points[None] - inner[rim][:, None], axis=2)
-    size = np.linalg.norm(inner[rim[1]] - inner[rim[0]])
-    if gap.min(axis=1).max() > 1e-6 * size:
-        raise MeshError("the triangles around the edge do not meet the others: change mesh_size")
-    number = np.empty(len(inner), dtype=np.int64)
-    new = np.setdiff1d(np.arange(len(inner)), rim)
-    number[rim] = gap.argmin(axis=1)
-    number[new] = len(points) + np.arange(new.size)
-    return np.vstack([points, inner[new]]), np.vstack([cells, number[inside]])
 
 
 def _tetrahedra(outline: Array, height: float, field: SizeField, ring: float) -> tuple[Array, Ints]:

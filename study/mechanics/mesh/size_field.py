@@ -204,9 +204,12 @@ def size_field(model: Model, contact: AroundContact, top_mm: float, extent_mm: f
     indenter, depth_mm = contact.indenter, contact.depth_mm
     reference = reference_field(indenter, depth_mm, top_mm, extent_mm)
     if indenter.is_sharp_edged and model.space == "axisymmetric":
-        reference = _about_sharp_edge(reference, contact)
+        halvings = int(_is_shallow(contact))
+        reference = replace(reference, even=_EVEN, growth=_EVEN_GROWTH, halvings=halvings)
     if indenter.has_face and (model.space, model.element_shape) == ("3d", "tensor"):
-        reference = _of_rings(reference, contact)
+        shallow = contact.indenter.is_sharp_edged and _is_shallow(contact)
+        finest = reference.finest_mm / (_RING_FINER if shallow else 1.0)
+        reference = replace(reference, finest_mm=finest, growth=_FACE_GROWTH)
     if (model.element_order, model.element_shape) == _STRETCHED:
         reference = _quadratic_simplices(reference, contact, model.space)
     if model.mesh_size_mm is not None:
@@ -220,40 +223,17 @@ def _is_shallow(contact: AroundContact) -> bool:
     return depth_mm <= _SHALLOW * contact.indenter.contact_radius_mm(depth_mm)
 
 
-def _about_sharp_edge(field: SizeField, contact: AroundContact) -> SizeField:
-    """Let the error of the edge, of first order, rule that of the smooth rest.
-
-    In 3D so slow a growth would cost too much.
-    """
-    halvings = int(_is_shallow(contact))
-    return replace(field, even=_EVEN, growth=_EVEN_GROWTH, halvings=halvings)
-
-
-def _of_rings(field: SizeField, contact: AroundContact) -> SizeField:
-    """Sizes of rings of hexahedra around an edge, which are cheap to be small across it.
-
-    Linear ones need a slower growth; the singular edge takes as much off the force as they do.
-    """
-    shallow = contact.indenter.is_sharp_edged and _is_shallow(contact)
-    finest = field.finest_mm / (_RING_FINER if shallow else 1.0)
-    return replace(field, finest_mm=finest, growth=_FACE_GROWTH)
-
-
 def _quadratic_simplices(field: SizeField, contact: AroundContact, space: Space) -> SizeField:
     """Sizes of quadratic triangles and tetrahedra, under a tip or around the edge of a face."""
     indenter = contact.indenter
     if not indenter.has_face:
-        return _under_tip(field, indenter.rounding_mm, _TIP_CORE[space])
+        core = _TIP_CORE[space]
+        finest = indenter.rounding_mm / (_PER_TIP * _TIP_FINER)
+        if not 0 < finest < field.finest_mm:
+            return field
+        return replace(field, finest_mm=finest, feature_mm=core * indenter.rounding_mm)
     slips = contact.depth_mm > _SLIPPING * indenter.contact_radius_mm(contact.depth_mm)
     return field if slips or space == "axisymmetric" else replace(field, growth=_FACE_GROWTH)
-
-
-def _under_tip(field: SizeField, tip_mm: float, core: float) -> SizeField:
-    """Smaller elements under a rounded tip, where a deep needle stretches them most."""
-    finest = tip_mm / (_PER_TIP * _TIP_FINER)
-    if not 0 < finest < field.finest_mm:
-        return field
-    return replace(field, finest_mm=finest, feature_mm=core * tip_mm)
 
 
 # -------------------------------------------------------------------------------------------------

@@ -116,7 +116,11 @@ def inspect(points: Array, triangles: Ints, name: str, unit: str) -> Inspected:
         rule = rule if bad.any() else "has coordinates beyond 1e15"
         raise InputError(Fault(where, rule, "save the surface again"))
     points, triangles = _merged(points, triangles)
-    flat = _degenerate(points, triangles)
+    corners = points[triangles]
+    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    extent = float(np.ptp(points, axis=0).max())
+    flat = np.asarray(np.linalg.norm(area, axis=1) <= _FLAT * extent * np.maximum(sides, 1e-300))
     if flat.any():
         first = int(np.flatnonzero(flat)[0])
         rule = f"{int(flat.sum())} triangles have no area (first: triangle {first + 1}, near "
@@ -154,14 +158,6 @@ def _merged(points: Array, triangles: Ints) -> tuple[Array, Ints]:
     _, group = connected_components(graph, directed=False)
     _, first = np.unique(group, return_index=True)
     return distinct[first], group[cells].astype(np.int64)
-
-
-def _degenerate(points: Array, triangles: Ints) -> NDArray[np.bool_]:
-    corners = points[triangles]
-    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    extent = float(np.ptp(points, axis=0).max())
-    return np.asarray(np.linalg.norm(area, axis=1) <= _FLAT * extent * np.maximum(sides, 1e-300))
 
 
 def _components(links: Ints, n: int) -> tuple[int, Ints]:

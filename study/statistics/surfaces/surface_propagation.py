@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -225,17 +225,13 @@ def _shares(model: Model, inputs: _Inputs, q2: float, seed: int) -> list[SobolIn
     def value(u: Array) -> Array:
         return _value(model, inputs.coded(u))[:, None]
 
-    return [*_plain_indices(value, k, 1.0 - q2 + SAMPLE_ERROR, seed)]
-
-
-def _plain_indices(
-    value: Callable[[Array], Array], k: int, margin: float, seed: int
-) -> list[SobolIndex]:
-    """Estimate indices; what the surface leaves unexplained is their interval."""
+    margin = 1.0 - q2 + SAMPLE_ERROR
     first, total = (np.clip(found[:, 0], 0.0, 1.0) for found in jansen(value, k, seed))
     return [
-        SobolIndex(float(s), _around(s, margin), float(t), _around(t, margin))
-        for s, t in zip(first, total, strict=True)
+        *[
+            SobolIndex(float(s), _around(s, margin), float(t), _around(t, margin))
+            for s, t in zip(first, total, strict=True)
+        ]
     ]
 
 
