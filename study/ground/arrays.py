@@ -8,9 +8,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Flags = NDArray[np.bool_]
-
 #: indices of unknowns in compiled loops: half the memory traffic of int64
 Unknowns = NDArray[np.int32]
-
 #: numbers of elements
 Elements = NDArray[np.uint32]

@@ -22,10 +22,8 @@ from study.ground.errors import Fault, InputError, StoreError
 
 #: bytes of a file of data, before and after it is unpacked
 MAX_BYTES = 256_000_000
-
 #: bytes of a JSON file: this program writes none that is larger
 MAX_JSON_BYTES = 200_000_000
-
 #: bytes of a file that is hashed and not kept in memory: programs and surfaces
 MAX_HASHED_BYTES = 4_000_000_000
 
@@ -155,7 +153,6 @@ def _larger(limit: int) -> str:
     return f"holds more than {size}, the limit"
 
 
-# -------------------------------------------------------------------------------------------------
 # Text of a file that somebody gave: plain or gzip, of a bounded size.
 
 _THIN_OUT = "name a file of data; a long recording is thinned out or split into several files"

@@ -30,7 +30,6 @@ from threadpoolctl import ThreadpoolController
 
 from study.ground.arrays import Elements
 
-# -------------------------------------------------------------------------------------------------
 # One folder for caches that are run as code: the user's, with rights for nobody else.
 
 #: owner of files whose owner a container does not know
@@ -88,7 +87,6 @@ def _mend(place: Path, path: Path) -> str:
 
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
-
 #: reorder and contract sums, but keep NaN: an inverted element must still be seen
 FAST = {"contract", "reassoc", "arcp", "nsz"}
 #: the longest compilation takes 15 s, and four times that on a busy machine

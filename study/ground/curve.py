@@ -87,10 +87,7 @@ class Curve:
         return np.asarray(cubic + bulge)
 
     def interpolation_error_N(self) -> Array:  # noqa: N802
-        """Estimate how far the force between neighboring points is off.
-
-        Shapes: returns (n,).
-        """
+        """Estimate how far the force between neighboring points is off. Shapes: returns (n,)."""
         off = np.abs(self._missed_mean())
         if len(self) == off.size and self.work_Nmm is not None:
             off[0] = abs(self._missed_by_a_parabola())

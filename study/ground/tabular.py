@@ -51,8 +51,6 @@ _DIGIT = re.compile(r"\d", re.ASCII)
 #: a unit in brackets or without
 _UNIT_CELL = re.compile(r"[\[(]?\s*([^\d\s\[\]()][^\[\]()]{0,15}|1)\s*[\])]?")
 _FORMULA = re.compile(r"[=+\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
-
-
 #: How a measured file declares its decimal comma.
 MEASURED_COMMA = 'decimal = "," in [measurements]'
 
@@ -431,11 +429,9 @@ def _number_mend(cell: str, decimal: str, declared_by: str) -> str:
     return ""
 
 
-# -------------------------------------------------------------------------------------------------
 # Tidy tables of responses, read strictly: one row a case, one column a factor.
 
 _NUMBER = NUMBER
-
 #: Cells that stand for a missing response, in small letters.
 MISSING = frozenset({"", "na", "n/a", "nan", "null", "*", "."})
 

@@ -90,7 +90,6 @@ _EXAMPLE: Mapping[str, str] = {
     "memory": "20 GB",
     "density": "980 kg/m^3",
 }
-
 #: unit inside -> (unit shown to people, factor); constants are reported in kPa
 TO_DISPLAY: Mapping[str, tuple[str, float]] = {"MPa": ("kPa", 1000.0)}
 _NUMBER = re.compile(

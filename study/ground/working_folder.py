@@ -29,17 +29,14 @@ if TYPE_CHECKING:
 
 _PACKAGE = __name__.partition(".")[0]
 _HOME = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
-
 #: libraries that look for a file of settings in the working folder while they are imported
 SETTINGS = {"numba": ".numba_config.yaml", "matplotlib": "matplotlibrc"}
-
 #: variables that name files of settings or folders of caches; a relative path is in the working
 #: folder, whichever that is
 PATH_VARIABLES = (
     "HOME", "XDG_CACHE_HOME", "XDG_CONFIG_HOME", "MATPLOTLIBRC", "MPLCONFIGDIR", "DASK_CONFIG",
     "DASK_ROOT_CONFIG",
 )  # fmt: skip
-
 #: any text keeps the working folder off the path of an interpreter; this one marks who set it
 SAFE_PATH = ("PYTHONSAFEPATH", "study")
 

@@ -57,7 +57,6 @@ if TYPE_CHECKING:
     from study.mechanics.calibration.residual_function import MeasuredCurve
 
 
-# -------------------------------------------------------------------------------------------------
 # Whether the constants found make a material, and how far it is stable.
 
 
@@ -90,7 +89,6 @@ def range_stability(
     return bool(judged.stable), judged.sentence
 
 
-# -------------------------------------------------------------------------------------------------
 # Where the search for the constants of a calibration begins, and within which bounds.
 
 
@@ -127,10 +125,7 @@ def setting_of(
     checkpoint: Checkpoint,
     begin: Mapping[str, float] | None = None,
 ) -> Setting:
-    """Constants, start and bounds of a calibration.
-
-    Units: begin MPa.
-    """
+    """Constants, start and bounds of a calibration. Units: begin MPa."""
     tests, given = config.tests, config.bounds
     if begin is None:
         names, start = _start(tests, curves, progress, checkpoint)
@@ -151,10 +146,7 @@ def setting_of(
 
 
 def bounds_of(config: CalibrationDesign, names: Sequence[str]) -> list[tuple[float, float]]:
-    """Bounds of the file; else those beyond which an energy is not defined.
-
-    Units: returns MPa.
-    """
+    """Bounds of the file; else those beyond which an energy is not defined. Units: returns MPa."""
     return [config.bounds.get(n) or config.material.bounds(n) for n in names]
 
 
@@ -239,10 +231,7 @@ def calibrate(
     folder: Path | None = None,
     begin: Mapping[str, float] | None = None,
 ) -> CalibrationResult:
-    """Fit one material to all tests of a calibration at once.
-
-    Units: begin MPa.
-    """
+    """Fit one material to all tests of a calibration at once. Units: begin MPa."""
     began = time.perf_counter()
     curves, notes = read_tests(config.tests, root)
     own, left = _splits(config, curves)

@@ -35,10 +35,8 @@ if TYPE_CHECKING:
 
 #: of the element sizes of neighboring meshes, which is that of the named ones
 _RATIO = 1.5
-
 #: how many load steps replace one
 _MORE_STEPS = 2
-
 #: change of a constant over its value below which it is rounding of the search
 _SEARCH = 1e-6
 

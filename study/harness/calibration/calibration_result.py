@@ -208,10 +208,7 @@ def _moduli(material: Material | None) -> dict[str, object]:
 
 
 def parameters(fit: Fit) -> dict[str, ParameterDocument]:
-    """Constants with errors and intervals by name: kPa, exponents plain.
-
-    Units: fit MPa.
-    """
+    """Constants with errors and intervals by name: kPa, exponents plain. Units: fit MPa."""
     return {
         name: {
             "value": scale_of(name) * float(fit.values[i]),

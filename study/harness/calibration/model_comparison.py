@@ -36,21 +36,13 @@ from study.mechanics.calibration.residual_function import EvaluationFailed
 from study.mechanics.material.material import is_dimensionless
 from study.mechanics.setup.declaration import with_table
 
-# -------------------------------------------------------------------------------------------------
-# Constants of one test to first order around those of all tests (Rao's form of a test).
-#
-# Where an exponent is hardly known from one test alone, its sum of squares is no parabola: slopes
-# at that test's own minimum are not those at the truth, and Wald's statistic rejects the same
-# material too often. If one set of constants explains all tests, then the common estimate is near
-# the truth, and so are the slopes there (Rao 1948, Proc. Camb. Phil. Soc. 44, 50). One step of
-# Gauss and Newton from it is a fit of the model made linear there, with that fit's covariance.
+# Constants of one test to first order around those of all tests: one Gauss-Newton step from the
+# common estimate (Rao 1948, Proc. Camb. Phil. Soc. 44, 50), where Wald's statistic rejects too
+# often.
 
 
 def linearized_fit(config: CalibrationDesign, root: Path, common: Mapping[str, float]) -> Fit:
-    """Fit one test with the slopes at the constants that all tests share.
-
-    Units: common MPa.
-    """
+    """Fit one test with the slopes at the constants that all tests share. Units: common MPa."""
     names, center = tuple(common), np.array(list(common.values()), float)
     parts = parts_of(config.tests, in_order(read_tests(config.tests, root)[0]))
     measured = [one for part in parts for one in part.measured]
@@ -83,21 +75,15 @@ def _at_points(predicted: Curve, measured: Curve, names: tuple[str, ...]) -> Cur
     return Curve(d, predicted.force_at(d), force_gradient=slopes, time_s=predicted.time_s)
 
 
-# -------------------------------------------------------------------------------------------------
-# Errors that all points of one test share, as changes of the constants that it gives.
-#
-# A fit's covariance knows the scatter of its points alone. A load cell's zero and the mesh shift
-# a whole curve, and with it the constants, by more than that scatter admits.
+# Errors that all points of one test share, such as a load cell's zero and the mesh, as changes of
+# the constants.
 
 #: of the mesh sizes of neighboring names, and of the meshes whose constants are compared
 _RATIO = 1.5
 
 
 def zero_error(config: CalibrationDesign, root: Path, found: Fit, zero: float) -> Array:
-    """Change of the constants by a shift of all forces of one test.
-
-    Shapes: returns (p,), MPa.
-    """
+    """Change of the constants by a shift of all forces of one test. Shapes: returns (p,), MPa."""
     curves = in_order(read_tests(config.tests, root)[0])
     rows, shifts = [], []
     for measured, predicted in zip(curves, found.curves, strict=True):
@@ -153,7 +139,6 @@ def _coarser(config: CalibrationDesign) -> CalibrationDesign | None:
 _ROUNDING = 1e-9
 
 Verdict = Literal["differ", "agree", "undecided"]
-
 #: slopes of the models at every test's own constants, or at those of all tests together
 Form = Literal["wald", "score"]
 
@@ -466,7 +451,6 @@ def _off(common: Array, names: tuple[str, ...], group: int, groups: int) -> Arra
     return out
 
 
-# -------------------------------------------------------------------------------------------------
 # Choice between energies: each is fitted to the same tests and weighed by AICc.
 
 #: energies compared: name, order, label
@@ -483,7 +467,6 @@ CANDIDATES = (
     ("van-der-waals", None, "van-der-waals"),
     ("extended-tube", None, "extended-tube"),
 )
-
 #: compared besides where the sides are free to follow Poisson's ratio, in closed-form tests
 FOAMS = (("ogden-hill", 1, "ogden-hill-1"), ("ogden-hill", 2, "ogden-hill-2"))
 

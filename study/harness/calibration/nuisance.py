@@ -32,7 +32,6 @@ from study.mechanics.setup.setup import Tables
 OFFSET = "displacement_offset"
 ZERO = "force_zero"
 FRICTION = "friction"
-
 #: change of an input without an uncertainty from which its influence is taken, over its value
 _STEP = 0.01
 
@@ -134,10 +133,7 @@ def _located(test: Tables, key: str) -> tuple[Mapping[str, object], str]:
 
 
 def moved(test: Tables, key: str, amount: float) -> Tables:
-    """Copy of the tables of a test with one input changed.
-
-    Units: amount mm, mm^2, MPa.
-    """
+    """Copy of the tables of a test with one input changed. Units: amount mm, mm^2, MPa."""
     table, name = _located(test, key)
     *path, _ = key.split(".")
     changed: Mapping[str, object] = {**table, name: float(cast(float, table[name])) + amount}
@@ -149,22 +145,13 @@ def moved(test: Tables, key: str, amount: float) -> Tables:
     return changed
 
 
-# -------------------------------------------------------------------------------------------------
-# Predicted curves of tests whose offset, zero, friction and inputs are not known exactly.
-#
-# An offset d0 adds to every recorded displacement and a zero z to every force:
-# F(d) = f(d + d0) + z. Friction between plates lies between the two conditions that can be
-# computed,
-# f = (1 - phi) f_frictionless + phi f_bonded. Other inputs move a curve along the parabola
-# through its values at the expected input and one step on either side, so that the force is a
-# smooth function of them although a mesh is not.
+# Predicted curves of tests with unknown offset d0, zero z and friction phi: F(d) = f(d + d0) + z,
+# f = (1 - phi) f_frictionless + phi f_bonded; other inputs move a curve along a parabola.
 
 #: standard uncertainties that an offset may reach
 REACH = 4.0
-
 #: share of the largest displacement that an offset of which nothing is known may reach
 _FAR = 0.05
-
 #: change of the offset over the largest displacement from which the slope of a curve is taken
 _SMALL = 1e-4
 
@@ -376,22 +363,14 @@ def _weighed(
     return np.asarray(np.sum(rows, axis=0))
 
 
-# -------------------------------------------------------------------------------------------------
-# Constants with nuisance parameters: fitted beside them, or propagated to them.
-#
-# A fitted parameter is one more unknown; what is known of it before is a pseudo-observation, which
-# counts as much as a standard deviation of the residuals is worth, correlation of rows allowed for.
-# Of a propagated one the tests learn nothing: its standard uncertainty u adds u^2 b b' to the
-# covariance, b the derivative of the estimates by it (JCGM 100:2008, eq. 10). The interval of a
-# constant holds both; the pseudo-observations' own errors enter it with the size that they are said
-# to have, not with one that the residuals tell.
+# Constants with nuisance parameters. A fitted one is one more unknown with a pseudo-observation;
+# a propagated one of standard uncertainty u adds u^2 b b' to the covariance, b the derivative of
+# the estimates by it (JCGM 100:2008, eq. 10).
 
 #: change of the noise, relative, at which pseudo-observations have their weight
 _SETTLED = 1e-3
-
 #: fits in which they find it
 _ROUNDS = 8
-
 #: noise over the largest force of data that have none
 _NOISELESS = 1e-9
 
@@ -472,10 +451,7 @@ def predicted(
     names: Sequence[str],
     values: Array,
 ) -> list[Curve]:
-    """Curves of a fit for constants and fitted nuisance parameters.
-
-    Shapes: values (p + k,), MPa, mm, N.
-    """
+    """Curves of a fit for constants and fitted nuisance parameters; values (p + k,), MPa, mm, N."""
     parameters = parameters_of(tests, curves)
     own = [tests[number] for number in sorted({c.test for c in curves})]
     asked = [one for one in parameters if one.is_fitted]

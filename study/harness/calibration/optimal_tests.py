@@ -43,16 +43,12 @@ REACH: Mapping[str, float] = {
     "simple-shear": 1.5,
     "indentation": 0.1,
 }
-
 #: strain to which tests are compared where the measured ones did not go as far
 USUAL_STRAIN = 0.4
-
 #: strains of a search for the one that a test must reach
 _STRAINS = 80
-
 #: cross-section where no measured specimen has any, mm^2
 _AREA = 100.0
-
 #: singular value over the largest one below which a test does not see a combination
 _SEEN = 1e-6
 

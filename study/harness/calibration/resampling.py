@@ -170,12 +170,8 @@ def _of_specimens(
     return parts_of(tests, in_order([c for k in drawn for c in specimens[labels[k]]]))
 
 
-# -------------------------------------------------------------------------------------------------
-# Starts of a calibration besides its own: a sum of squares may have several minima.
-#
-# Exponents and other plain numbers are drawn by the energy, moduli follow by linear least squares,
-# since every energy is linear in its moduli where these scale K as well. The draws are those of a
-# seed, so that a calibration remains a function of its file.
+# Further starts of a calibration, drawn from its seed: exponents by the energy, moduli by linear
+# least squares, in which every energy is linear where K scales with them.
 
 #: sums of squares that differ by less are the same minimum
 SAME_MINIMUM = 1e-3
@@ -216,10 +212,7 @@ def scattered(
     bounds: Sequence[tuple[float, float]] | None,
     rng: np.random.Generator,
 ) -> Array:
-    """Draw a start.
-
-    Shapes: start (p,), MPa; returns (p,).
-    """
+    """Draw a start. Shapes: start (p,), MPa; returns (p,)."""
     energy = ENERGIES[name]
     own = dict(zip(names, start.tolist(), strict=True))
     drawn = energy.scattered({n: v for n, v in own.items() if not is_of_relaxation(n)}, rng)
@@ -265,10 +258,7 @@ def _with_moduli(
 
 
 def excluded(name: str, value: float, bounds: tuple[float, float]) -> Fault:
-    """Fault of a start that lies outside the bounds of its constant.
-
-    Units: value MPa.
-    """
+    """Fault of a start that lies outside the bounds of its constant. Units: value MPa."""
     return Fault(
         f"calibration.bounds.{name}",
         f"{bounds[0]:g} to {bounds[1]:g} excludes the start {value:.6g} (MPa; exponents plain)",

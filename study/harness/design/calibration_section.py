@@ -26,17 +26,14 @@ from study.mechanics.setup.declaration import (
 from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import Setup, Tables
 
-# -------------------------------------------------------------------------------------------------
 # The table ``[nuisance]`` of a calibration file: what moves the constants and is none of them.
 
 OFFSET = "displacement_offset"
 ZERO = "force_zero"
 FRICTION = "friction"
-
 #: dimension of the parameters that are no input of the simulation, and whether every curve has
 #: its own unless the file says otherwise
 _OWN = {OFFSET: ("length", "curve"), ZERO: ("force", "curve"), FRICTION: ("number", "all")}
-
 #: tables whose numbers may be uncertain
 _TABLES = ("specimen", "test.indenter", "material")
 

@@ -25,7 +25,6 @@ from study.mechanics.setup.setup import ForwardModel, Model, Setup
 from study.mechanics.setup.test_kind import Test
 from study.mechanics.setup.test_section import TEST_KINDS, TestSection
 
-# -------------------------------------------------------------------------------------------------
 # Names made of content: the hash of plain values with one spelling.
 
 ID_LENGTH = 16
@@ -127,7 +126,6 @@ def _plain(value: object) -> Json:
 #: Document of a cell or of a file, in mm, N, MPa and deg: what leaves this room, to be hashed and
 #: to be computed. Inside the room a cell is a value of the classes below.
 Config = dict[str, object]
-
 #: keys of a test that few have: its course in time, a stretch before it; left out where they say
 #: nothing
 SELDOM = ("speed_mm_per_s", "hold_s", "cycles", "prestretch")
@@ -298,7 +296,6 @@ class Cell:
         return "exact" if self.is_calibrated and self.fitted.has_closed_form else self.method
 
 
-# -------------------------------------------------------------------------------------------------
 # The table ``[measurements]``: its keys read, and checked against one another.
 
 
@@ -389,10 +386,7 @@ def _check_together(table: Table, path: str, faults: Faults) -> None:
         fault("block", rule, f"write {{{block}}} where its label stands")
 
 
-# -------------------------------------------------------------------------------------------------
 # Specimen, test and discretization of a cell, with the defaults that other tables decide.
-#
-# Checks of one table against another are in :mod:`study.harness.design.plausibility`.
 
 
 def specimen_from(table: object, faults: Faults, path: str = "specimen") -> Specimen:

@@ -25,7 +25,6 @@ from study.mechanics.setup.declaration import (
 
 Kind = TypeVar("Kind")
 Value = TypeVar("Value")
-
 #: a table as it is written
 Table = Mapping[str, object]
 
@@ -203,10 +202,7 @@ def all_about(faults: Faults, table: str) -> bool:
     return all(is_about(fault, table) for fault in faults)
 
 
-# -------------------------------------------------------------------------------------------------
 # TOML in and out: size caps, positions of errors, overrides, canonical dump.
-#
-# Nothing here knows what a key means.
 
 #: nested tables of a file
 Tables = dict[str, object]

@@ -26,7 +26,6 @@ from study.mechanics.setup.declaration import MAX_NAME, Bad, choice, name, numbe
 
 MAX_FACTORS = 20
 MAX_LEVELS = 100
-
 #: set -> label -> dotted keys laid over the file
 Presets = Mapping[str, Mapping[str, Table]]
 

@@ -127,10 +127,7 @@ def latin_hypercube(count: int, runs: int, seed: int) -> Array:
 
 
 def sobol(count: int, runs: int, seed: int) -> Array:
-    """Scrambled Sobol sequence in 0 to 1.
-
-    Shapes: returns (runs, count).
-    """
+    """Scrambled Sobol sequence in 0 to 1. Shapes: returns (runs, count)."""
     from scipy.stats import qmc
 
     rng = np.random.default_rng(seed)
@@ -143,12 +140,8 @@ def _ordered(runs: Array) -> Array:
     return runs[np.lexsort(runs.T[::-1])]
 
 
-# -------------------------------------------------------------------------------------------------
-# D-optimal designs: the cells that estimate given terms with the smallest joint variance.
-#
-# Cells are chosen by coordinate exchange (Meyer and Nachtsheim 1995, Technometrics 37, 60-69): the
-# level of one factor of one cell changes wherever that makes det(X'X) larger, until no change does.
-# No cell is taken twice, for a simulation repeated is the same simulation.
+# D-optimal designs by coordinate exchange (Meyer and Nachtsheim 1995, Technometrics 37, 60-69).
+# No cell is taken twice: a simulation repeated is the same simulation.
 
 #: searches from random designs; the best of them is taken
 STARTS = 20
@@ -156,17 +149,13 @@ STARTS = 20
 _GAIN = 1e-9
 #: weight of the unit matrix that lets a search begin from a singular design
 _RIDGE = 1e-8
-
 #: factors of a term, by their number
 Word = tuple[int, ...]
 Row = tuple[int, ...]
 
 
 def model_columns(rows: Ints, sizes: Sequence[int], words: Sequence[Word]) -> Array:
-    """Columns of a model in orthonormal contrasts.
-
-    Shapes: rows (n, factors); returns (n, p).
-    """
+    """Columns of a model in orthonormal contrasts. Shapes: rows (n, factors); returns (n, p)."""
     own = [_contrasts(size)[rows[:, k]] for k, size in enumerate(sizes)]
     columns = [np.ones((len(rows), 1))]
     for word in words:
@@ -269,7 +258,6 @@ def _ratio(inverse: Array, old: Array, new: Array) -> Array:
     return np.asarray((1 + at_new) * (1 - at_old) + between**2)
 
 
-# -------------------------------------------------------------------------------------------------
 # What a two-level design cannot tell apart, found by brute force over products of its columns.
 
 GeneratorWord = tuple[int, ...]
@@ -289,10 +277,7 @@ class Alias:
 
 
 def defining_words(runs: Array) -> tuple[GeneratorWord, ...]:
-    """Products of columns that are constant over all runs, shortest first.
-
-    Shapes: runs (runs, factors).
-    """
+    """Products of columns that are constant over all runs, shortest first; runs (runs, factors)."""
     return tuple(word for word in _words(runs.shape[1]) if abs(_column(runs, word).mean()) == 1)
 
 

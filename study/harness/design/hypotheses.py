@@ -210,7 +210,6 @@ _READERS: Mapping[
 ] = {"interact": _factors, "best": _cell, "close": _cell, "better": _levels, "fewer": _levels}
 
 
-# -------------------------------------------------------------------------------------------------
 # The terms of the analysis: those asked for, or those that a design can tell.
 
 MAX_TERMS = 1000

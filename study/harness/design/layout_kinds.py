@@ -122,7 +122,6 @@ def _word(names: Sequence[str], term: object) -> Word:
     return tuple(sorted(names.index(part) for part in parts))
 
 
-# -------------------------------------------------------------------------------------------------
 # Kind ``adaptive`` of ``[design]``: a Latin hypercube, and cells that are added while it runs.
 
 #: fewest cells at the beginning for each range: an emulator needs three
@@ -274,11 +273,7 @@ def _placed(
     return tuple(made), tuple(zip(*columns, strict=True))
 
 
-# -------------------------------------------------------------------------------------------------
 # Table ``[design]``: which combinations of the levels are run.
-#
-# ::
-#
 #     [design]
 #     kind = "fractional"        # full | fractional | plackett-burman | central-composite
 #                                # | box-behnken | latin-hypercube | sobol | adaptive

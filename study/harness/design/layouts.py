@@ -106,7 +106,6 @@ def placed(request: Request, kind: str, shares: Array, summary: str, note: str) 
     return tuple(made), Scheme(kind, rows, summary, (note,))
 
 
-# -------------------------------------------------------------------------------------------------
 # Full factorials, also with factors that change together or are nested; and listed cells.
 
 #: parent of a nested factor, and the labels that exist within each of its levels
@@ -316,13 +315,11 @@ def _row(factors: Sequence[Factor], item: object, index: int) -> tuple[int, ...]
     return tuple(f.labels.index(known_level(given[f.name], f)) for f in factors)
 
 
-# -------------------------------------------------------------------------------------------------
 # Two-level designs with fewer cells than combinations.
 
 #: factors of a two-level design: every product of its columns is formed
 MAX_FRACTION = 12
 MAX_SCREENED = 15
-
 #: generated factor -> sign and factors of the product that it equals
 Words = Mapping[str, tuple[int, Sequence[str]]]
 
@@ -465,7 +462,6 @@ def _rows(runs: Array) -> tuple[tuple[int, ...], ...]:
     return tuple(tuple(int(x > 0) for x in run) for run in runs)
 
 
-# -------------------------------------------------------------------------------------------------
 # Response-surface designs: points for a quadratic model, inside the ranges of the factors.
 
 MAX_FACTORS = 10
@@ -530,7 +526,6 @@ def _surface(request: Request, kind: str, runs: Array, what: str) -> Made:
     return placed(request, kind, (runs + 1) / 2, words, note)
 
 
-# -------------------------------------------------------------------------------------------------
 # Space-filling designs: samples of the ranges of the factors.
 
 MAX_RUNS = 1024

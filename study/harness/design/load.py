@@ -52,7 +52,6 @@ from study.harness.design.study_file import (
 )
 from study.mechanics.material.material import is_constant_key
 
-# -------------------------------------------------------------------------------------------------
 # Checks of a whole design: every cell, every response, every replicate.
 
 MAX_FAULTS = 100

@@ -34,12 +34,10 @@ from study.mechanics.setup.declaration import (
 )
 from study.mechanics.setup.material_section import Compressibility, MaterialSection, RelaxationKey
 
-# -------------------------------------------------------------------------------------------------
 # The key ``material.relaxation``: terms by which the stress fades, or a grid of their times.
 
 _MEND = 'write [{ share = 0.3, time = "2 s" }], or { from = "0.1 s", to = "100 s", terms = 4 }'
 _TIME = quantity("time")
-
 #: shares from 0 to 1, each of the stress that a load has at once
 _SHARE = number(0, 1, closed=True)
 
@@ -255,7 +253,6 @@ def _complete(
             faults.add(f"{path}.{name}", "is missing", f"{energy.name} takes {', '.join(names)}")
 
 
-# -------------------------------------------------------------------------------------------------
 # Distribution of an uncertain input, cut off at the ends of the range that is run.
 
 #: what each kind of distribution is told by, in the order of its numbers
@@ -265,7 +262,6 @@ PARAMETERS: Mapping[str, tuple[str, ...]] = {
     "triangular": ("low", "mode", "high"),
     "lognormal": ("median", "factor"),
 }
-
 #: all keys of a distribution
 DISTRIBUTION_KEYS = ("distribution", *dict.fromkeys(k for own in PARAMETERS.values() for k in own))
 

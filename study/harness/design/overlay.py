@@ -54,7 +54,6 @@ _CONSTANTS = tuple(
     )
 )
 _SHAPES: Mapping[str, Mapping[str, type]] = {"specimen": SPECIMENS, "test.indenter": INDENTERS}
-
 #: every such table by its dotted name
 PLACES: Mapping[str, Place] = {
     "specimen": Place(tuple(SPECIMENS.values()), "shape"),
@@ -69,17 +68,14 @@ PLACES: Mapping[str, Place] = {
     "calibration": Place((Calibration,), varying=("method",)),
     "forward": Place((ForwardModel,)),
 }
-
 #: tables that a preset set may be named after
 TABLES = tuple(name for name in PLACES if "." not in name)
-
 #: keys that may differ between the cells of a design, as they are suggested
 VARYING = (
     *(f"{name}.{key}" for name, place in PLACES.items() for key in place.keys),
     *(f"material.{key}" for key in _CONSTANTS),
 )
 _REPLACED = r"calibration\.problem\."
-
 #: what the value of a key measures, as its declaration says
 _DIMENSIONS = {
     key.written: key.reads.dimension

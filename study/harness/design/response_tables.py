@@ -80,11 +80,7 @@ def _practical(unit: str, value: object) -> Practical:
     return Practical(units.to_display(inside, "MPa")[0] if unit == "kPa" else inside, unit, False)
 
 
-# -------------------------------------------------------------------------------------------------
 # Table ``[uncertainty]``: standard uncertainties of inputs, and distributions over ranges.
-#
-# ::
-#
 #     [uncertainty]
 #     specimen.radius = "0.1 mm"         # a standard uncertainty: normal about the file's value
 #     material.C10 = { distribution = "normal", mean = "7 kPa", sd = "0.5 kPa" }

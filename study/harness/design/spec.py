@@ -345,7 +345,6 @@ class Case:
         return " / ".join([self.treatment.label, *([] if self.block is None else [self.block])])
 
 
-# -------------------------------------------------------------------------------------------------
 # Cells -> cases: every cell in every block, named by its content.
 
 MAX_CASES = 100_000

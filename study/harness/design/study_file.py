@@ -37,7 +37,6 @@ from study.mechanics.setup.declaration import (
 )
 from study.mechanics.setup.setup import MESH_LEVELS
 
-# -------------------------------------------------------------------------------------------------
 # Responses of a predicted curve alone, by their names in a study file.
 
 #: responses of a predicted curve alone, with their units; those at a displacement name it, too
@@ -72,7 +71,6 @@ def is_simulated(name: str) -> bool:
     return simulated_at(name)[0] in SIMULATED
 
 
-# -------------------------------------------------------------------------------------------------
 # ``[virtual]``: how carefully the true curve of virtual specimens is solved.
 
 
@@ -101,14 +99,10 @@ MAX_EXCLUSIONS = 4096
 MAX_TESTS = 1000
 #: terms that may be declared primary before the run
 MOST_PRIMARY = 3
-
 #: responses that compare with measured curves
 SCORED = ("relative_rms_force_error", "rms_force_error", "peak_force_error", "work_error")
-
-
 #: responses that compare with the displacements of markers inside a specimen
 MARKED = ("marker_error", "predicted_marker_error")
-
 #: unit of every other response; constants are reported in kPa, exponents plain
 RESPONSES = {
     "relative_rms_force_error": "%",
@@ -121,23 +115,19 @@ RESPONSES = {
 }
 QUANTITIES = ("peak_force", "work", "curve_rms", *RESPONSES)
 FORMATS = ("html", "pdf", "tex", "csv")
-
 #: what a factor is: decided by the analyst; a part of the question, answered at each level; a
 #: fact that nobody measured, never recommended
 ROLES = ("choice", "condition", "unknown")
 RESPONSES_MEND = '[[response]] with name = "relative_rms_force_error"'
-
 #: least and most meshes of a cell (below five their scatter is not known well enough), and
 #: resamples of a fit (the scatter of 20 is known to 16 %, of 200 to 5 %)
 SEEDS = (5, 1000)
 RESAMPLES = (20, 10_000)
-
 #: what may be changed of a case that has no answer
 SMALLER_STEPS = "smaller-steps"
 FINER_MESH = "finer-mesh"
 LONGER_LIMIT = "longer-limit"
 MORE_MEMORY = "more-memory"
-
 #: causes of which something can be tried, and what may help
 REMEDIES = {
     "not-converged": (SMALLER_STEPS, FINER_MESH),
@@ -427,7 +417,6 @@ class CalibrationFile:
     nuisance: AsWritten = None
 
 
-# -------------------------------------------------------------------------------------------------
 # How the table of cases is analyzed, as a design declares it.
 
 

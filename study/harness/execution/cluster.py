@@ -135,12 +135,10 @@ def first_line(error: BaseException) -> str:
     return (str(error).splitlines() or [type(error).__name__])[0]
 
 
-# -------------------------------------------------------------------------------------------------
 # Whether a worker would give the numbers of this machine.
 
 #: names and versions of what decides a number, asked of this machine and of every worker
 Identity = Callable[[], Mapping[str, str]]
-
 #: kinds of difference that are listed before "and ... more"
 LISTED = 4
 #: how an error of an import begins as text
@@ -187,13 +185,8 @@ def refusal(different: Mapping[str, str]) -> str:
     )
 
 
-# -------------------------------------------------------------------------------------------------
-# Tasks in processes of their own, on a machine that others send tasks to.
-#
-# A worker of a cluster must not die of a task: what it had finished and not yet sent would be
-# lost with it. So it hands every task to a process beside it, which may die alone (the bulkhead
-# of Nygard 2018, Release It!, section 5.3), and keeps that process for the next task of the same
-# sender, who counts on what it remembers.
+# Tasks in processes beside a cluster's worker, which must not die of a task (the bulkhead of
+# Nygard 2018, Release It!, section 5.3).
 
 #: seconds after which a process that nobody uses ends: its sender may be gone without a word
 IDLE_S = 60.0
@@ -315,7 +308,6 @@ def _watched(
 HERE = Processes()
 
 
-# -------------------------------------------------------------------------------------------------
 # What a worker of the cluster does: found there by its name.
 
 #: folder of each run's files, and where it has the copy of each file of the study's machine
@@ -361,12 +353,10 @@ def end_run(run: str) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-# -------------------------------------------------------------------------------------------------
 # The workers of a cluster as one run uses them: every thread of theirs is a slot.
 
 #: where the outcome of a slot's task is put
 Done = queue.SimpleQueue[tuple[object, Answer]]
-
 #: seconds between two looks at the workers
 LOOK_S = 1.0
 #: seconds for the workers to end the processes of a run that is over
@@ -610,13 +600,8 @@ def _lost(error: BaseException | None = None) -> str:
     )
 
 
-# -------------------------------------------------------------------------------------------------
-# Tasks on a Dask cluster that exists.
-#
-# Tasks and results travel as text, so that workers share no disk with the study. A worker hands
-# its task to a process of its own (:mod:`study.harness.execution.cluster`), where it dies, hangs
-# and is limited as on this machine. A slot stays with its worker, so that a task meets what the
-# last one of its group left there; where a worker is gone, its tasks are done once more elsewhere.
+# Tasks on a Dask cluster that exists. Tasks and results travel as text, so that workers share no
+# disk with the study; where a worker is gone, its tasks are done once more elsewhere.
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,6 @@ THREAD_VARIABLES = (
 )
 #: what a call in a process gives
 Given = TypeVar("Given")
-
 #: seconds within which a worker notices that its parent is gone
 PARENT_CHECK_S = 1.0
 
@@ -205,7 +204,6 @@ def cause_of_death(said: str) -> str:
     return f"crashed (signal {-code}){hint}"
 
 
-# -------------------------------------------------------------------------------------------------
 # One process that works beside this one: what it cannot do is done here.
 
 TaskData = TypeVar("TaskData")

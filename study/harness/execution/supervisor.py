@@ -24,7 +24,6 @@ from study.harness.execution.task import (
     stopped_late,
 )
 
-# -------------------------------------------------------------------------------------------------
 # Which task comes next: dependencies, length and groups, in O(log n) a task.
 
 
@@ -164,15 +163,12 @@ class ReadyQueue:
 MAX_DEATHS = 2
 #: longest wait in seconds, so that Ctrl-C is seen at once on every system
 LONGEST_WAIT_S = 0.5
-
-
 #: predicted seconds up to which tasks are handed out several at a time, and those of all together:
 #: a way to a worker and back costs a thousandth of a second, and each of the owner's waits too
 SHORT_S = 0.05
 TOGETHER_S = 0.4
 #: hand-outs to each slot into which what is left is divided at least, so that none waits long
 SHARES = 4
-
 #: seconds within which a worker is up, or never will be: it imports nothing until then
 START_LIMIT_S = 60.0
 
@@ -386,7 +382,6 @@ class Supervisor:
         return found
 
 
-# -------------------------------------------------------------------------------------------------
 # Tasks in this very process, one after the other: for notebooks, tests and debuggers.
 
 

@@ -12,10 +12,8 @@ from study.ground.errors import Fault, InputError
 
 #: what JSON can hold under names: the only thing that crosses to a worker and back
 Document = Mapping[str, object]
-
 #: a document as a worker gets it, to be read at once by the task that it describes
 Received = Mapping[str, Any]
-
 #: a task's document in, a document with a ``status`` out; a function of a module, found by name
 Perform = Callable[[dict[str, object]], Document]
 Results = Mapping[str, Document]

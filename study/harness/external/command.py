@@ -26,11 +26,9 @@ from study.mechanics.setup.setup import ForwardModel, Problem
 
 #: word that stands for the interpreter that runs this package
 PYTHON = "python"
-
 #: seconds that a program may take to say its version, and bytes that it may say
 _VERSION_S = 20.0
 _VERSION_BYTES = 65_536
-
 #: how the return code of a program that wrote a larger file than it may is seen
 _FILE_TOO_LARGE = -25  # SIGXFSZ
 
@@ -71,10 +69,7 @@ class Command:
 def solve_by_command(
     command: Command, problem: Problem, displacement_mm: Array
 ) -> tuple[Answer, ProgramDocument]:
-    """Run the commands for one problem.
-
-    Shapes: displacement_mm (n,).
-    """
+    """Run the commands for one problem. Shapes: displacement_mm (n,)."""
     document: ProgramDocument = {
         "version": said_version(command.version, command.contents),
         "digest": command.digest,
@@ -172,12 +167,10 @@ def _written(folder: Path) -> dict[str, str]:
     return texts
 
 
-# -------------------------------------------------------------------------------------------------
 # Forward models that are not ours, as a resolved table ``forward`` says them.
 
 #: digits of the name of a set of commands that a person compares and gives
 DIGITS = 12
-
 #: step of a finite difference, relative to a constant (or, where that is 0, to the largest):
 #: programs print six digits or more, of which a step of 1e-3 leaves three
 STEP = 1e-3
@@ -241,10 +234,7 @@ class External:
         return [*shown, *(f"with the file {name}" for name in self.contents)]
 
     def solve(self, problem: Problem, displacement_mm: Array) -> Solved:
-        """Solve one problem.
-
-        Shapes: displacement_mm (n,).
-        """
+        """Solve one problem. Shapes: displacement_mm (n,)."""
         began = time.perf_counter()
         if self.section.model == "python":
             if self.function is None:
@@ -310,9 +300,6 @@ def _refusal(name: str, commands: Sequence[External], allowed: bool | str) -> st
 
 
 def steps_of(values: Array) -> Array:
-    """Step of the finite difference by every constant, shape (p,).
-
-    Units: values MPa.
-    """
+    """Step of the finite difference by every constant, shape (p,). Units: values MPa."""
     largest = float(np.abs(values).max(initial=0.0)) or 1.0
     return STEP * np.where(values != 0.0, np.abs(values), largest)

@@ -35,20 +35,15 @@ FACTS_FILE = "facts.json"
 DISPLACEMENT = "displacement_mm"
 FORCE = "force_N"
 GRADIENT = "dforce_"
-
 #: rows that a curve may have, and bytes of an answer: more is a mistake
 MAX_ROWS = 100_000
 MAX_BYTES = 20_000_000
-
 #: magnitude that no displacement in mm and no force in N has; powers of smaller ones are numbers
 LARGEST = 1e30
-
 #: unknowns and elements that no mesh has, beyond which a double is not exact
 MOST_ELEMENTS = 2**53
-
 #: characters of the reason for which there is no answer
 _REASON = 500
-
 #: share of the displacement asked for that a curve may end before: digits of a text file
 _SHORT = 1e-6
 
@@ -76,10 +71,7 @@ class Answer:
 
 
 def request(problem: Problem, displacement_mm: Array) -> dict[str, Json]:
-    """Document of a problem, complete in itself.
-
-    Shapes: displacement_mm (n,).
-    """
+    """Document of a problem, complete in itself. Shapes: displacement_mm (n,)."""
     material, test = problem.material, problem.test
     bulk = material.bulk
     indenter = None if test.indenter is None else _section(test.indenter)
@@ -121,10 +113,7 @@ def _mesh_size(problem: Problem) -> float | None:
 
 
 def answer(files: Text, displacement_mm: Array) -> Answer:
-    """Read what a program wrote.
-
-    Shapes: displacement_mm (n,).
-    """
+    """Read what a program wrote. Shapes: displacement_mm (n,)."""
     if CURVE_FILE not in files:
         raise NoAnswer("failed", f"the program wrote no {CURVE_FILE}")
     columns = _exchange_columns(files[CURVE_FILE])
@@ -220,7 +209,6 @@ def _facts(text: str) -> dict[str, int]:
     return {name: int(count) for name, count in counts.items()}
 
 
-# -------------------------------------------------------------------------------------------------
 # A Python function as a forward model: given to ``study.run``, never named in a file.
 
 #: problem (see ``request``) -> forces in N at its ``displacement_mm``,

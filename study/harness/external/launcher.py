@@ -25,7 +25,6 @@ from collections.abc import Iterator
 #: and the signal that this process gets when its parent ends, PR_SET_PDEATHSIG
 _SUBREAPER = 36
 _PARENT_DEATH = 1
-
 #: seconds in which processes that cannot be killed are waited for
 _PATIENCE_S = 10.0
 

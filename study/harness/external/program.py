@@ -21,16 +21,13 @@ from pathlib import Path
 
 #: characters of the output of a program that its record keeps
 TAIL = 4000
-
 #: bytes that a program may say, and that its folder may hold on the disk
 OUTPUT_BYTES = 256_000_000
 FOLDER_BYTES = 4_000_000_000
-
 #: files and folders that its folder may hold
 FOLDER_ENTRIES = 100_000
 
 _LAUNCHER = Path(__file__).with_name("launcher.py")
-
 #: seconds between two looks at the folder, at least; and in which a launcher ends
 _LOOK_S = 0.25
 _LAUNCHER_S = 15.0

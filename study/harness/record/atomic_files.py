@@ -25,7 +25,6 @@ from study.ground.bounded_file import parse_json
 from study.ground.errors import DiskFullError, StoreError
 
 TEMPORARY = ".part"
-
 #: what the system says of a disk that takes no more: no space, quota, size of a file, broken disk
 FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO})
 
@@ -166,18 +165,13 @@ def _discard(part: Path, system: FileSystem) -> None:
         return  # the disk refuses even this; the next run clears the leftover
 
 
-# -------------------------------------------------------------------------------------------------
-# One runner per results folder.
-#
-# The lock is the operating system's (flock), so it dies with its owner: there is no stale lock
-# to clear by hand. On a network file system flock may hold on one machine only.
+# One runner per results folder: a lock of the operating system (flock), which dies with its
+# owner. On a network file system it may hold on one machine only.
 
 LOCK_NAME = ".lock"
-
 #: times that a lock is tried for, and seconds between them
 _GLANCES = 5
 _GLANCE_S = 0.01
-
 #: what the lock file says of its owner, and the bytes that this and its progress take
 _OWNER = ("pid", "host", "since")
 _LENGTH = 512

@@ -370,16 +370,11 @@ class CurveKey(NamedTuple):
         return cls(role, label)
 
 
-# -------------------------------------------------------------------------------------------------
-# Whether what was read from the disk is such a document as its class says.
-#
-# A right checksum says that a file is as it was written, not that a study wrote it. The keys and
-# types of a document are compiled once, and its numbers must be finite: it is checked in a few
-# microseconds.
+# Keys, types and finite numbers of a document that was read, compiled once for each class: a
+# right checksum does not say that a study wrote it.
 
 #: what a record must know of each of its fits
 _NEEDED = ("key", "values", "identifiable")
-
 #: whole numbers of a document; a larger one overflows where it meets a float
 _LARGEST = 2**63
 
@@ -526,7 +521,6 @@ def _table(kind: type) -> CoreSchema:
     return core_schema.typed_dict_schema(fields, strict=True, extra_behavior="ignore")
 
 
-# -------------------------------------------------------------------------------------------------
 # Arrays beside a record: packed into one file, whose name holds the hash of its content.
 
 #: an array as it was kept: of numbers, flags or text

@@ -207,11 +207,7 @@ class SealedFolder:
             self._warn(message)
 
 
-# -------------------------------------------------------------------------------------------------
 # What each run of a study was: a manifest of its own, and the last finished one to read from.
-#
-# ::
-#
 #     study.json            the last finished run; the first one while none is finished
 #     unfinished.json       a run of another design that began later and is not finished
 #     unfinished-NAME.json  rows that this run found, beside those of the finished one
@@ -221,10 +217,8 @@ Row = TypeVar("Row")
 
 _STUDY = "study"
 _UNFINISHED = "unfinished"
-
 #: what a run may find besides its records
 ROWS = frozenset({"numerical", "spaces", "validation"})
-
 #: parts of a manifest that say how a run went, not what it was
 _OUTCOME = ("timings", "finished")
 

@@ -20,16 +20,12 @@ from study.ground.bounded_file import read_regular
 from study.ground.errors import StoreError
 from study.harness.record.record import CONVERGED, Record, canonical, seal, unseal
 
-# -------------------------------------------------------------------------------------------------
-# Which libraries made a result, and whether those of today are others.
-#
-# Their versions are no part of a result's key, for an update would then send every finished study
-# back to work; they are kept with it and compared when it is used again.
+# Versions of the libraries that made a result: no part of its key, compared when it is used
+# again.
 
 #: entries of a record's versions that are no library: the package's own code is part of every
 #: key, and the interpreter computes no number by itself
 _OTHERS = ("study", "python")
-
 #: digits of a name
 _DIGITS = 16
 
@@ -83,10 +79,8 @@ def differences(then: Mapping[str, str], now: Mapping[str, str]) -> dict[str, tu
 
 #: name of the stored file, of which a study's own files must not be
 NAME = "index"
-
 #: name of the file of a case's record
 CURRENT = "record.json"
-
 #: entries that are noted before the index is written, at least; then a share of those it has,
 #: so that all writing together grows no faster than the number of records
 FEWEST = 500
@@ -235,7 +229,6 @@ def _entry(row: object) -> Entry:
     return Entry(FileStamp(size, modified, changed), status, input_hash, libraries, mesh)
 
 
-# -------------------------------------------------------------------------------------------------
 # What a results folder holds of the cases that a study wants.
 
 

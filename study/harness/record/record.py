@@ -277,11 +277,9 @@ def unseal(text: str | bytes, source: str) -> object:
     return whole["content"]
 
 
-# -------------------------------------------------------------------------------------------------
 # The tidy table of a study: one row per case, failed cases included.
 
 FIXED = ("case_id", "block", "status", "seconds", "dofs")
-
 #: columns that number the replicates of a cell, and the number of the case that they repeat
 REPLICATES = {"mesh_seed": 1, "noise_seed": 0}
 

@@ -54,12 +54,10 @@ from study.harness.record.index import (
 from study.harness.record.index import NAME as INDEX
 from study.harness.record.record import CONVERGED, Record
 
-# -------------------------------------------------------------------------------------------------
 # Results that are no records: fits that cases share, solutions of refinement series.
 
 #: key of a stored result: name of the libraries that made it
 _MADE_WITH = "made_with"
-
 #: ends of a fit that has constants
 ENDS_WITH_CONSTANTS = (CONVERGED, "at-edge", "at-kink")
 

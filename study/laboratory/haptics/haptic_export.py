@@ -141,10 +141,7 @@ def _uncertainty(law: ForceLaw) -> list[float] | None:
 
 
 def csv_text(law: ForceLaw) -> str:
-    """Knots as CSV: displacement, force, stiffness, gradients.
-
-    Units: law mm, N, N/mm, MPa.
-    """
+    """Knots as CSV: displacement, force, stiffness, gradients. Units: law mm, N, N/mm, MPa."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     gradients = [f"dF_d{name}" for name in law.gradients]
@@ -156,18 +153,12 @@ def csv_text(law: ForceLaw) -> str:
 
 
 def python_text(law: ForceLaw) -> str:
-    """Python module without imports.
-
-    Units: law mm, MPa.
-    """
+    """Python module without imports. Units: law mm, MPa."""
     return _rendered("force_law.py.j2", law)
 
 
 def c_text(law: ForceLaw) -> str:
-    """C header without includes.
-
-    Units: law mm, MPa.
-    """
+    """C header without includes. Units: law mm, MPa."""
     return _rendered("force_law.h.j2", law)
 
 
@@ -203,7 +194,6 @@ def _number(value: float) -> str:
     return repr(float(value))
 
 
-# -------------------------------------------------------------------------------------------------
 # Solve a test in steps fine enough for its force law, with points kept out to judge it.
 
 #: Fewest intervals of a table: a spline through its gradients needs that many.

@@ -11,14 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from study.ground.arrays import Array
 
-# -------------------------------------------------------------------------------------------------
-# Slopes of a cubic Hermite interpolant that is monotone where its data are.
-#
-# A cubic with the right values and slopes at both ends may still overshoot between them. Fritsch
-# and
-# Carlson (1980, SIAM J. Numer. Anal. 17, 238-246) say when it does not: with a and b the slopes at
-# the ends over that of the chord, when a + b <= 2, or 2a + b <= 3, or a + 2b <= 3, or
-# a - (2a + b - 3)^2 / (3 (a + b - 2)) >= 0.
+# Slopes of a monotone cubic Hermite interpolant (Fritsch and Carlson 1980, SIAM J. Numer. Anal.
+# 17, 238-246).
 
 #: Slopes up to this multiple of that of the chord make a monotone cubic, whatever the other one is
 #: below it (Fritsch and Carlson 1980, section 4).
@@ -201,10 +195,7 @@ class ForceLaw:
     def force_at(
         self, displacement_mm: ArrayLike, constants: Mapping[str, float] | None = None
     ) -> Array:
-        """Force in N, of the shape of the displacements.
-
-        Units: constants MPa.
-        """
+        """Force in N, of the shape of the displacements. Units: constants MPa."""
         force = self.force.at(displacement_mm)
         for name, value in (constants or {}).items():
             change = value - self.constants[name]

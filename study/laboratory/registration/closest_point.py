@@ -20,10 +20,8 @@ if TYPE_CHECKING:
 
 #: Triangles looked at in the first round; a round multiplies it by four where that is too few.
 FIRST_CANDIDATES = 8
-
 #: Barycentric coordinate below which a closest point lies on the edge across.
 ON_EDGE = 1e-9
-
 #: Pairs of points and triangles computed at once: 2e5 of them take about 100 MB.
 PAIRS_AT_ONCE = 200_000
 
@@ -118,10 +116,7 @@ class TriangleSurface:
         return tuple(found)
 
     def closest(self, points: Array, *, exact: bool = True) -> Closest:
-        """Closest point of the surface to each of some points.
-
-        Shapes: points (n, 3), mm.
-        """
+        """Closest point of the surface to each of some points. Shapes: points (n, 3), mm."""
         distance = np.full(len(points), np.inf)
         triangle = np.zeros(len(points), dtype=np.int64)
         weights = np.zeros((len(points), 3))

@@ -13,15 +13,11 @@ import numpy as np
 from study.ground.arrays import Array
 from study.ground.errors import Fault, InputError
 
-# -------------------------------------------------------------------------------------------------
-# Agreement of two methods of measurement: bias and limits of agreement.
-#
-# Bland and Altman 1986; intervals of the limits are exact, by the noncentral t distribution that
-# a normal quantile's estimate follows (Carkeet 2015), not the symmetric ones of 1986.
+# Agreement of two methods of measurement: bias and limits (Bland and Altman 1986), with exact
+# intervals by the noncentral t distribution (Carkeet 2015).
 
 #: Fewest differences whose limits have an interval.
 FEWEST = 3
-
 #: Normal quantile of the limits: 95 % of the differences lie between them.
 LIMIT = 1.959963984540054
 
@@ -50,10 +46,7 @@ class Agreement:
 def limits_of_agreement(
     first: Array, second: Array, alpha: float = 0.05, where: str = "agreement"
 ) -> Agreement:
-    """Bias and limits of agreement of ``first - second``.
-
-    Shapes: first, second (n,).
-    """
+    """Bias and limits of agreement of ``first - second``. Shapes: first, second (n,)."""
     from scipy.stats import linregress, nct, t
 
     n = len(first)
@@ -106,10 +99,7 @@ class Line:
 def deming_line(
     x: Array, y: Array, variance_ratio: float, alpha: float = 0.05, where: str = "regression"
 ) -> Line:
-    """Line between two quantities that both have errors.
-
-    Shapes: x, y (n,).
-    """
+    """Line between two quantities that both have errors. Shapes: x, y (n,)."""
     from scipy.stats import t
 
     n = len(x)

@@ -27,11 +27,8 @@ from study.laboratory.registration.rigid import (
     turned_about,
 )
 
-# -------------------------------------------------------------------------------------------------
-# Distances along normals, linearized by a small rigid motion, and the motions that slide.
-#
-# A surface that can move along itself (a plane, a cylinder) leaves eigenvalues of the normal
-# matrix near zero (Gelfand and Guibas 2004): such motions are not fixed by any scan of it.
+# Distances along normals, linearized by a small rigid motion. Motions along a surface itself have
+# eigenvalues near zero (Gelfand and Guibas 2004).
 
 #: Eigenvalue of the normal matrix, over the largest, below which a direction slides: rotations
 #: are counted in arcs at the RMS distance, so that both kinds compare. A smooth ellipsoid of
@@ -134,44 +131,32 @@ def normal_equations(moved: Array, found: Closest, weights: Array) -> NormalEqua
 #: Share of the nearest pairs that count while it is still far: leaves room for 30 % outliers
 #: and for a tenth of the cloud on parts that the surface has not.
 TRIM = 0.6
-
 #: Points used from every start.
 COARSE_POINTS = 400
-
 #: Steps between points from every start, then most steps along the normals.
 POINT_STEPS = 4
 NORMAL_STEPS = 20
-
 #: Starts that go on to the settled residual.
 FINALISTS = 2
-
 #: Relative change of the trimmed residual at which a start is compared, and has settled.
 COMPARED = 1e-2
 SETTLED = 1e-5
-
 #: Share of the pairs that count where nearly the whole cloud may belong to the surface.
 NEARLY_ALL = 0.95
-
 #: Points by which motions of both shares are compared.
 COMPARED_POINTS = 1600
-
 #: Points used in the end; more of them no longer change the pose by what matters.
 FINE_POINTS = 20_000
 FINE_STEPS = 100
-
 #: Rounding of a registration over the size of the surface.
 ROUNDING_SHARE = 1e-12
-
 #: Patches of the surface whose residuals may go together in the stated uncertainty.
 PATCHES = 60
-
 #: With fewer points in a patch, or fewer patches, residuals are taken as independent.
 FEWEST_IN_PATCH = 5
 FEWEST_PATCHES = 20
-
 #: Factor by which a robust scale grows that would free a motion.
 WIDER = 3.0
-
 #: Steps after which the robust scale is held.
 SCALE_SETTLES = 20
 
@@ -228,10 +213,7 @@ class Registration:
 def register(
     surface: TriangleSurface, cloud: Array, starts: Sequence[RigidMotion] | None = None
 ) -> Registration:
-    """Rigid motion that carries a cloud onto a surface.
-
-    Shapes: cloud (n, 3), mm.
-    """
+    """Rigid motion that carries a cloud onto a surface. Shapes: cloud (n, 3), mm."""
     _, motion = coarse_registration(surface, cloud, starts)
     motion = _likelier(surface, _thinned(cloud, COMPARED_POINTS), motion)
     return _refined(surface, _thinned(cloud, FINE_POINTS), motion)

@@ -16,16 +16,12 @@ from study.ground.errors import Fault, InputError, RefusedError
 
 #: Fewest points that fix a rigid motion.
 FEWEST_POINTS = 3
-
 #: Points count as lying on a line if their second extent is below this share of the first one.
 COLLINEAR_SHARE = 1e-6
-
 #: Points closer than this to a line, or to each other, lie on it: below any instrument, in mm.
 SAME_PLACE_MM = 1e-9
-
 #: Coordinates from here on are another unit or a mistake: 1000 km, in mm.
 FARTHEST_MM = 1e9
-
 #: Points are called mirrored if a reflection leaves less than this share of the residual that
 #: the best rotation leaves.
 MIRRORED_SHARE = 0.2
@@ -75,20 +71,14 @@ def identity() -> RigidMotion:
 
 
 def rotation_of(vector: Array) -> Array:
-    """Rotation about a vector by its length in rad (Rodrigues), shape (3, 3).
-
-    Shapes: vector (3,).
-    """
+    """Rotation about a vector by its length in rad (Rodrigues), shape (3, 3); vector (3,)."""
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_rotvec(vector).as_matrix())
 
 
 def rotation_vector(rotation: Array) -> Array:
-    """Axis of a rotation times its angle in rad, shape (3,).
-
-    Shapes: rotation (3, 3).
-    """
+    """Axis of a rotation times its angle in rad, shape (3,). Shapes: rotation (3, 3)."""
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_matrix(rotation).as_rotvec())
@@ -137,10 +127,7 @@ class PairedFit:
 
 
 def on_a_line(points: Array) -> bool:
-    """Whether points lie on one line, or all at one place.
-
-    Shapes: points (n, 3).
-    """
+    """Whether points lie on one line, or all at one place. Shapes: points (n, 3)."""
     extent = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return bool(extent[1] <= max(COLLINEAR_SHARE * extent[0], SAME_PLACE_MM))
 
@@ -205,21 +192,16 @@ def target_registration_error(fiducials: Array, targets: Array, localization_err
     return np.asarray(localization_error * np.sqrt((1 + ratio) / len(fiducials)))
 
 
-# -------------------------------------------------------------------------------------------------
 # Robust scale and weights: Tukey's biweight about a scale from the median (Huber 1981).
 
 #: Median absolute deviation of a normal distribution over its standard deviation.
 NORMAL_MAD = 0.6744897501960817
-
 #: Tukey's tuning constant: 95 % efficiency where errors are normal (Holland and Welsch 1977).
 BIWEIGHT = 4.685
-
 #: Rounds in which the scale of the inliers settles: each round removes most of what is left.
 SCALE_STEPS = 10
-
 #: Neighbors whose mean distance tells how isolated a point of a cloud is.
 NEIGHBORS = 8
-
 #: Robust standard deviations of log distance beyond which a point is isolated.
 ISOLATED = 3.0
 
@@ -299,31 +281,21 @@ def isolated(points: Array) -> Flags:
     return np.asarray(logs > middle + np.maximum(ISOLATED * spread, np.log(3.0)))
 
 
-# -------------------------------------------------------------------------------------------------
-# Spheres fitted to scanned points.
-#
-# Start: the algebraic fit that Pratt 1987 normalizes by the gradient, solved as an eigenproblem;
-# it stays unbiased enough on a small cap, where the plain linear fit shrinks. Then the geometric
-# distances are least in a robust sense: Tukey's biweight with Gauss-Newton steps.
+# Spheres fitted to scanned points: the algebraic fit of Pratt 1987, an eigenproblem, then
+# Gauss-Newton steps with Tukey's biweight.
 
 #: Fewest points that fix a sphere and leave one over for its scatter.
 FEWEST_SPHERE_POINTS = 5
-
 #: Steps of the geometric fit; from the algebraic start it takes about six.
 MAX_STEPS = 100
-
 #: Steps after which the scale is held, so that the fit has one minimum to go to.
 SCALE_SETTLES = 10
-
 #: Relative change of center and radius at which the fit has converged.
 CONVERGED = 1e-12
-
 #: the same above which there is no answer after the last of them
 SETTLED = 1e-6
-
 #: Residuals below this share of the radius are rounding.
 ROUNDING_SHARE = 1e-12
-
 #: Standard uncertainty over radius beyond which the points do not fix a sphere.
 LARGEST_UNCERTAINTY = 0.5
 
@@ -371,10 +343,7 @@ class Sphere:
 
 
 def fit_sphere(points: Array, where: str = "sphere") -> Sphere:
-    """Sphere through scanned points, with its uncertainty.
-
-    Shapes: points (n, 3), mm.
-    """
+    """Sphere through scanned points, with its uncertainty. Shapes: points (n, 3), mm."""
     if len(points) < FEWEST_SPHERE_POINTS:
         rule = f"has {len(points)} points, a sphere needs {FEWEST_SPHERE_POINTS}"
         raise InputError(Fault(where, rule, "scan more of it"))

@@ -28,15 +28,9 @@ from study.laboratory.sensors.virtual_test import Changes, Chunk, Sampling, perf
 from study.mechanics.calibration.covariance import scaled_inverse
 from study.mechanics.setup.setup import Setup, Tables
 
-# -------------------------------------------------------------------------------------------------
-# First-order propagation of sensor errors through a least-squares fit (JCGM 100:2008, 5).
-#
-# A row measured at displacement d differs from the model there by
-#
-#     zero + scale_F F + noise_F - F' (offset + scale_d d + noise_d),
-#
-# and the fit answers with its pseudo-inverse. Offset, zero and scales are the same in all rows of
-# a test; noise is not.
+# First-order propagation of sensor errors through a least-squares fit (JCGM 100:2008, 5): a row
+# at displacement d differs by zero + scale_F F + noise_F - F' (offset + scale_d d + noise_d); all
+# but the noise are the same in all rows of a test.
 
 #: Largest multiple that a requirement is looked for at: beyond it a sensor need not be there.
 UNLIMITED = 1e6

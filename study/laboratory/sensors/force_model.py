@@ -191,7 +191,6 @@ def _spline(knots: Array, values: Array, at: Array) -> Array:
     return np.asarray(CubicSpline(np.r_[0.0, knots], np.r_[0.0, values])(at))
 
 
-# -------------------------------------------------------------------------------------------------
 # Tables ``[position]``, ``[force]``, ``[requirement]`` of a file for ``study require``.
 
 #: Most multiples of the given errors at which a Monte Carlo simulation is made.
@@ -290,7 +289,6 @@ def multiplied(
     )
 
 
-# -------------------------------------------------------------------------------------------------
 # Read a file for ``study require``: a problem with its constants, two sensors, what is asked.
 
 #: Tables that only this verb knows.

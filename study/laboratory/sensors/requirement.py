@@ -181,10 +181,7 @@ def percent(share: float) -> str:
 
 
 def size(source: ErrorSource, value: float) -> str:
-    """Write an error with its unit.
-
-    Units: source mm.
-    """
+    """Write an error with its unit. Units: source mm."""
     if math.isinf(value):
         return "any"
     if math.isnan(value):

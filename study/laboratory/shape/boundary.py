@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 #: Segments of a body of revolution: its chords lie within 1.6e-4 radii of the circle.
 SEGMENTS = 180
-
 #: Places within this share of the extent lie in a plane of symmetry, or are one point.
 SAME_PLACE = 1e-6
 
@@ -35,7 +34,6 @@ _TETRAHEDRON = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2))
 _HEXAHEDRON = (
     (0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7),
 )  # fmt: skip
-
 #: Corners, sides as their corners, and corners in whose middle every further node lies (VTK).
 _SHAPES: dict[str, tuple[int, tuple[tuple[int, ...], ...], tuple[tuple[int, ...], ...]]] = {
     "triangle": (3, _TRIANGLE, ()),
@@ -281,7 +279,6 @@ def _groups(points: Array, tolerance: float) -> tuple[Ints, Ints]:
     return group.astype(np.int64), first
 
 
-# -------------------------------------------------------------------------------------------------
 # A simulated body: its surface before and after the deformation, and what moves inside.
 
 #: Name of the displacements in a VTU file.
@@ -359,10 +356,7 @@ def body_of_mesh(mesh: DeformedMesh) -> SimulatedBody:
 
 
 def read_body(path: Path, unit: str) -> SimulatedBody:
-    """Read a simulated body from a file.
-
-    Units: unit mm.
-    """
+    """Read a simulated body from a file. Units: unit mm."""
     if path.suffix.lower() == ".vtu":
         return body_of_mesh(_read_vtu(path))
     from study.mechanics.surface.closed_surface import inspect, read_mesh

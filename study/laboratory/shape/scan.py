@@ -15,17 +15,13 @@ from study.laboratory.registration.rigid import isolated
 
 #: Fewest points of a cloud that can be registered with something left over.
 FEWEST_POINTS = 30
-
 #: Fewest markers.
 FEWEST_MARKERS = 3
-
 #: Share of isolated points beyond which a cloud is no scan of a surface.
 MOST_OUTLIERS = 0.4
-
 #: Size of a cloud over that of the body outside which it is in another unit: a scan may show a
 #: twentieth of a body, and is never five times as large.
 SIZES = (0.05, 5.0)
-
 #: Units that a scan may be in by mistake, in mm.
 UNITS = {"m": 1000.0, "cm": 10.0, "in": 25.4, "um": 1e-3, "mm": 1.0}
 
@@ -54,10 +50,7 @@ class Markers:
 
 
 def read_scan(path: Path, unit: str, body_size: float) -> Scan:
-    """Read a scan and drop its isolated points.
-
-    Units: body_size mm.
-    """
+    """Read a scan and drop its isolated points. Units: body_size mm."""
     where = f"--scan: {path.name}"
     points = unit_factor(unit, "length") * _points(path, where)
     if not np.isfinite(points).all():

@@ -21,17 +21,13 @@ from study.laboratory.shape.scan import Markers, Scan
 
 #: Percentiles of the signed distances that are reported.
 PERCENTILES = (5, 25, 50, 75, 95)
-
 #: A scan is called mirrored, or of another state, if that fits it with less than this share of
 #: the residual.
 CLEARLY_BETTER = 0.5
-
 #: Residuals below this share of the size are the resolution of any scanner: nothing is judged.
 RESOLUTION_SHARE = 1e-3
-
 #: Shares of the displacement at which a scan could have been taken by mistake.
 OTHER_STATES = (0.0, 0.5, 1.5)
-
 #: Part of the surface that is nearer to a scanned point than this many spacings of them.
 SEEN_SPACINGS = 3.0
 
@@ -186,10 +182,7 @@ def judge_shape(
 
 
 def statistics_of(distances: Array) -> Statistics:
-    """Describe signed distances.
-
-    Shapes: distances (n,), mm.
-    """
+    """Describe signed distances. Shapes: distances (n,), mm."""
     sizes = np.abs(distances)
     return Statistics(
         points=len(distances),

@@ -151,18 +151,13 @@ def _ratio(
     return max(repeat**2, 1e-12 * declared.uncertainty**2) / declared.uncertainty**2
 
 
-# -------------------------------------------------------------------------------------------------
-# Distance between two markers on one rigid body: what changes in it is the tracker's error.
-#
-# Samples of one visit follow each other within milliseconds and share most of their errors, so a
-# visit counts as one observation: stages are compared against the scatter between visits.
+# Distance between two markers on one rigid body: what changes in it is the tracker's error. A
+# visit counts as one observation, for its samples share most of their errors.
 
 #: A distance this far from its standard is in another unit, not wrong by an error.
 UNIT_RATIO = 5.0
-
 #: Fewest visits, or blocks of samples, over which a drift is judged.
 FEWEST_FOR_DRIFT = 6
-
 #: Blocks into which a recording without visits is cut for its drift.
 DRIFT_BLOCKS = 20
 
@@ -416,7 +411,6 @@ def _bias(
     return bias, (bias - half, bias + half)
 
 
-# -------------------------------------------------------------------------------------------------
 # What ``study tracking`` found, and its document.
 
 #: JSON of one part of a result.

@@ -32,11 +32,9 @@ from study.mechanics.setup.declaration import (
 )
 from study.mechanics.setup.declaration import name as label
 
-# -------------------------------------------------------------------------------------------------
 # The file of a tracker study: its tables are classes, and a class's fields are the keys.
 
 SCHEMA = 1
-
 #: Coordinates of a point: names of three columns.
 Triple = tuple[str, str, str]
 
@@ -241,7 +239,6 @@ def _across(found: TrackingFile) -> Sequence[Fault]:
 
 #: Name of the only stage of a recording without a column of stages.
 WHOLE = "all"
-
 #: Samples that a visit needs for its scatter and correlation.
 FEWEST_SAMPLES = 4
 
@@ -311,10 +308,7 @@ def read_recording(declared: RecordingTable, root: Path) -> Recording:
 
 
 def coordinates(table: CsvTable, columns: Triple) -> Array:
-    """Coordinates in three columns of a table.
-
-    Shapes: returns (n, 3).
-    """
+    """Coordinates in three columns of a table. Shapes: returns (n, 3)."""
     return np.column_stack([table.numbers(column) for column in columns])
 
 

@@ -30,11 +30,9 @@ from study.laboratory.tracker.tracker_recording import Recording, ReferenceTable
 
 #: Scale between both sets beyond which one is in another unit.
 UNIT_RATIO = 2.0
-
 #: Residual over the extent of the poses beyond which they do not pair. Trackers err by less
 #: than 1 % of their workspace; poses paired in the wrong order by tens of percent.
 UNPAIRED_SHARE = 0.02
-
 #: Poses that nine parameters (motion and arm) need to leave something over.
 FEWEST_FOR_ARM = 5
 

@@ -33,25 +33,18 @@ STAGES = (
     ("hold", (50.0,)),
     ("retract", (40.0, 30.0, 20.0, 10.0)),
 )
-
 #: stage in which the distance is wrong
 BIASED = "retract"
-
 #: distance of the markers where no number says it, mm
 _APART_MM = 80.0
-
 #: radius of scanned spheres, mm
 _RADIUS_MM = 6.0
-
 #: points scanned on a sphere
 _SCANNED = 400
-
 #: their noise, mm
 _SCAN_SD_MM = 0.02
-
 #: part of a sphere's height that the scanner sees
 _SEEN = 0.4
-
 #: direction of the needle and place of its tip at home, mm
 _AXIS = np.array([2.0, -1.0, 2.0]) / 3
 _HOME_MM = np.array([300.0, -20.0, 900.0])

@@ -17,10 +17,8 @@ from study.ground.arrays import Array
 #: V39: a warning is due above these
 CAUTION_CORRELATION = 0.95
 CAUTION_CONDITION = 100.0
-
 #: V39: not identifiable above this
 LIMIT_CORRELATION = 0.99
-
 #: share of the largest force below which what an interval leaves open does not matter
 AS_GOOD_AS_ZERO = 0.01
 
@@ -162,10 +160,7 @@ def verdict_at_end(
     free: NDArray[np.bool_],
     ended: str,
 ) -> tuple[bool, str]:
-    """Verdict on a fit that ended at a kink, at an edge or at a bound.
-
-    Shapes: free (p,).
-    """
+    """Verdict on a fit that ended at a kink, at an edge or at a bound. Shapes: free (p,)."""
     identifiable, reason = identifiability(names, values, known)
     if ended:
         return False, ended if identifiable or not reason else f"{ended}; besides, {reason}"

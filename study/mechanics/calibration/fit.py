@@ -129,10 +129,7 @@ def fit(
     resume: Iteration | None = None,
     priors: Sequence[Prior] = (),
 ) -> Fit:
-    """Fit constants to the measured curves whose role is ``fit``.
-
-    Shapes: start (p,).
-    """
+    """Fit constants to the measured curves whose role is ``fit``. Shapes: start (p,)."""
     _check(measured, names, start)
     model = _Model(predict, measured, tuple(names), tuple(priors))
     result = levenberg_marquardt(

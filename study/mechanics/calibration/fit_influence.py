@@ -183,14 +183,8 @@ def interpolation_transposed(by_point: Array, places: Array, rows: Array) -> Arr
     return out
 
 
-# -------------------------------------------------------------------------------------------------
-# Specimens as the unit: a constant's mean in the population and its range for the next specimen.
-#
-# The scatter between specimens is no error of a test: more rows do not lessen it. A pooled fit of
-# eight specimens whose stiffness scatters by 15 % takes it for noise of rows; were they
-# independent, its interval would hold the population's mean in a quarter of all cases. Here each
-# specimen gives one value, and their mean has Student's t distribution with specimens - 1 degrees
-# of freedom, whatever the errors within specimens, as long as these are alike.
+# Specimens as the unit: a constant's mean in the population by Student's t distribution with
+# specimens - 1 degrees of freedom, and its range for the next specimen.
 
 
 @dataclass(frozen=True)

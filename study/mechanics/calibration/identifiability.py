@@ -24,10 +24,8 @@ from study.mechanics.material.material import is_dimensionless
 
 #: relative standard error up to which a combination counts as known
 KNOWN = 0.1
-
 #: share of the largest part below which a constant is no part of a combination
 _PART = 0.03
-
 #: share of the largest part from which a constant may be the first of a combination
 _FIRST = 0.9
 
@@ -176,7 +174,6 @@ def _effect(
     )
 
 
-# -------------------------------------------------------------------------------------------------
 # Profile likelihood: an interval that does not trust the parabola.
 
 

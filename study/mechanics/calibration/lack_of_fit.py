@@ -144,29 +144,18 @@ def same_constants(
     return float(fdtrc(extra, left, max(pooled_rss - own_rss, 0.0) / extra / (own_rss / left)))
 
 
-# -------------------------------------------------------------------------------------------------
-# Wald test that fits to different data estimate the same constants, and its power.
-#
-# Cochran's (1954, Biometrics 10, 101) weighted distances from a common estimate are chi-square
-# where the error variances are known. They are estimated, each from the residuals of its own fit,
-# so the statistic over its degrees of freedom is compared with F, whose denominator follows from
-# those of the fits (Fai and Cornelius 1996, J. Stat. Comput. Simul. 54, 363). How strongly the rows
-# of a test are correlated is not known either: p is averaged over what each test allows. One
-# covariance that is an average of its own gave p above .5 for three tests of 15 points whose rows
-# were independent, 600 times in 600.
+# Wald test that fits to different data estimate the same constants, and its power (Cochran 1954,
+# Biometrics 10, 101; denominator by Fai and Cornelius 1996, J. Stat. Comput. Simul. 54, 363). p
+# is averaged over the correlations of rows that each test allows.
 
 #: significance of the test
 WALD_ALPHA = 0.05
-
 #: power that a test should have against a difference that matters (Cohen 1988)
 USUAL_POWER = 0.80
-
 #: correlations of its rows that are drawn for each fit
 DRAWS = 4000
-
 #: denominator from which F is a chi-square in every digit that is shown
 _MANY = 1e5
-
 #: noncentrality beyond which power is 1
 _LARGE = 1e3
 
@@ -201,10 +190,7 @@ class Agreement:
         return _power(self._noncentrality(differences), self.df, self.df_error)
 
     def detectable(self, differences: Array) -> float:
-        """Multiple of these differences that is seen with a power of 80 %.
-
-        Shapes: differences (k, p).
-        """
+        """Multiple of these differences that is seen with a power of 80 %; differences (k, p)."""
         from scipy.optimize import brentq
 
         unit = self._noncentrality(differences)
@@ -222,10 +208,7 @@ class Agreement:
 
 
 def agreement(fits: Sequence[Fit], extra: Sequence[Array] = ()) -> Agreement:
-    """Test whether fits to different data give the same constants.
-
-    Shapes: extra (p, p).
-    """
+    """Test whether fits to different data give the same constants. Shapes: extra (p, p)."""
     from scipy.special import chdtrc, fdtrc
 
     _comparable(fits)

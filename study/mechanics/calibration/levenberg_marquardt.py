@@ -21,7 +21,6 @@ from numpy.typing import ArrayLike, NDArray
 from study.ground.arrays import Array
 from study.mechanics.calibration.residual_function import Function, checked_bounds, evaluate
 
-# -------------------------------------------------------------------------------------------------
 # The damped linear least-squares problem inside a trust region, with bounds.
 
 
@@ -76,10 +75,7 @@ class Linearization:
 
 
 def length_of(vector: Array) -> float:
-    """Euclidean length without overflow or underflow of the squares.
-
-    Shapes: vector (n,).
-    """
+    """Euclidean length without overflow or underflow of the squares. Shapes: vector (n,)."""
     return math.hypot(*vector)
 
 
@@ -145,20 +141,15 @@ def bounded_step(
         linear = Linearization.of(jacobian[:, free], given, scale[free])
 
 
-# -------------------------------------------------------------------------------------------------
 # State of a least-squares search, and what can be read from it: convergence, edges, limits.
 
 EPS = float(np.finfo(float).eps)
-
 #: first trust-region radius as a multiple of the start's scaled length
 FIRST_RADIUS = 1.0
-
 #: scaled distance, relative to the parameters, at which a failed evaluation counts as next door
 NEXT_DOOR = 0.01
-
 #: accepted steps over which a search that creeps along failures is judged
 CRAWL = 5
-
 #: growth of a parameter over its start that counts as running to infinity
 FAR = 1e8
 
@@ -380,7 +371,6 @@ class Status(Enum):
 #: which no smooth model turns its gradient
 SHORT = 0.01
 SMALL = 1e-3
-
 #: shares of the step along the surface that are tried
 SHARES = (1.0, 0.25, 0.06)
 
@@ -399,10 +389,7 @@ def turned(before: Array, after: Array, step: Array) -> bool:
 def step_along(
     jacobian: Array, residual: Array, scale: Array, held: NDArray[np.bool_], jump: Array
 ) -> Array:
-    """Gauss-Newton step that stays on the surface, shape (p,).
-
-    Shapes: jacobian, residual (n, p).
-    """
+    """Gauss-Newton step that stays on the surface, shape (p,); jacobian, residual (n, p)."""
     free, step = ~held, np.zeros(scale.size)
     if np.count_nonzero(free) < 2:
         return step
@@ -415,16 +402,13 @@ def step_along(
 
 #: gain from which a step is taken
 ACCEPTED = 1e-4
-
 #: cosine below which a point where no step helps is a minimum with a singular Jacobian
 STATIONARY = 1e-6
-
 #: Foretold decrease of the cost, in ``ftol``, that the precision of the function may hide where
 #: no step lowers the cost. A simulation started from another state differs by 3e-9 N; the cost
 #: of a flat indentation fitted to 1.3 % noise then scatters by 1e-9 of itself, which is the
 #: ``ftol`` of fits by simulation, and one specimen in six ended there with 1.5e-9 foretold.
 HIDDEN = 10.0
-
 #: Relative offset below which the rest of the way is a thousandth of the radius of a 95 % region,
 #: which a model that scatters by itself need not go (Bates and Watts 1981, Technometrics 23, 179)
 NEGLIGIBLE_OFFSET = 1e-3

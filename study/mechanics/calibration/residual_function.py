@@ -97,7 +97,6 @@ class EvaluationFailed(Exception):
     """The model has no answer at these constants; the optimizer rejects the step."""
 
 
-# -------------------------------------------------------------------------------------------------
 # A measured curve of a fit, and what must hold of it.
 
 
@@ -162,12 +161,7 @@ def _force_faults(where: str, d: Array, force: Array) -> list[Fault]:
     return []
 
 
-# -------------------------------------------------------------------------------------------------
-# What is known of a parameter before the fit, as one more observation of it, and after it.
-#
-# A prior with a mean and a standard uncertainty is a pseudo-observation: a row of the least-squares
-# problem that measures the parameter itself (Theil and Goldberger 1961, Int. Econ. Rev. 2, 65). It
-# is no measurement of these tests, and is told from them wherever rows are counted.
+# Priors of parameters as pseudo-observations (Theil and Goldberger 1961, Int. Econ. Rev. 2, 65).
 
 
 @dataclass(frozen=True)
@@ -189,10 +183,7 @@ class Prior:
 
 
 def pseudo_rows(priors: Sequence[Prior], names: Sequence[str], values: Array) -> Array:
-    """Residuals of the pseudo-observations, shape (k,).
-
-    Shapes: values (p,).
-    """
+    """Residuals of the pseudo-observations, shape (k,). Shapes: values (p,)."""
     place = {name: i for i, name in enumerate(names)}
     return np.array([one.weight * (values[place[one.name]] - one.mean) for one in priors])
 

@@ -22,19 +22,14 @@ from study.ground.arrays import Array
 
 #: rows below which nothing is said about their correlation, and they count as independent
 FEWEST_ROWS = 8
-
 #: share of the error outside a two-sided interval at 95 %
 _OUTSIDE = 0.05
-
 #: Fisher's z = artanh(rho) of the first look: rho from -0.947 to 0.999
 _FIRST_LOOK = np.linspace(-1.8, 3.8, 57)
-
 #: log weight below the largest from which values of rho no longer count
 _NEGLIGIBLE = 15.0
-
 #: values of rho over which is averaged: 7 to a standard error
 _VALUES = 81
-
 #: rounding of a sum of squares relative to its first term
 _ROUNDING = 1e-13
 

@@ -103,10 +103,7 @@ def meeting(
     *,
     nodal: bool = False,
 ) -> ContactPoints:
-    """Points of some facets that a surface may meet.
-
-    Shapes: chosen (n_facets,).
-    """
+    """Points of some facets that a surface may meet. Shapes: chosen (n_facets,)."""
     points = _points_of(problem, mesh, surface, *_collocation(space, chosen, nodal=nodal))
     facets = space.facets[chosen]
     if facets.shape[1] != 6:
@@ -121,10 +118,7 @@ def meeting(
 
 
 def only(points: ContactPoints, kept: NDArray[np.bool_]) -> ContactPoints:
-    """Keep some of the points.
-
-    Shapes: kept (n_points,).
-    """
+    """Keep some of the points. Shapes: kept (n_points,)."""
     allowance = np.broadcast_to(points.allowance_mm, kept.shape)[kept]
     return replace(
         points,
@@ -241,7 +235,6 @@ def _plate(problem: Problem, pair: PlateContact, mesh: Mesh) -> Plate:
 #: subdivisions of the triangles where an indenter could touch first, and how many are kept
 _DIVISIONS = 14
 _KEPT = 48
-
 #: points of a triangle in halves: its corners and the middles of its sides, and the quarters
 _HALVES = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.5, 0.5, 0], [0, 0.5, 0.5], [0.5, 0, 0.5]])
 _QUARTERS = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])

@@ -278,15 +278,8 @@ class ContactState:
         return float(np.abs(self.gap[self.active]).max()) if self.active.any() else 0.0
 
 
-# -------------------------------------------------------------------------------------------------
-# Sticking to a rigid indenter: a point that has touched it goes with it from then on.
-#
-# A bonded cone or sphere takes hold of more of the surface as it goes deeper, without slip and
-# without release (adhesive contact: Spence 1968, Proc. R. Soc. A 305, 55). New contact is
-# frictionless within its load step; when the step is done, its points are tied to the place of
-# the indenter that they touch. Ties are kept as contact is, by springs whose multipliers take up
-# the force. What slips before it is tied makes an error of first order in the load step, which is
-# why these steps are small: less than 0.1 % of the force of a cone is left.
+# Sticking to a rigid indenter without slip and release (Spence 1968, Proc. R. Soc. A 305, 55).
+# New contact is tied at the end of its load step, an error of first order in the step.
 
 
 @dataclass(frozen=True)
@@ -340,10 +333,7 @@ class TiedPoints(ContactPoints):
 
 
 def in_its_frame(x: Array, displacement_mm: float) -> Array:
-    """Positions as seen from the indenter, which moves against the last axis.
-
-    Shapes: x (n, dim), mm.
-    """
+    """Positions as seen from the indenter, which moves against the last axis; x (n, dim), mm."""
     seen = x.copy()
     seen[:, -1] += displacement_mm
     return seen
@@ -411,7 +401,6 @@ def hold(
     return Glue(glue.held | new, anchor, moved), (np.where(new, 0.0, pressure), *pushed)
 
 
-# -------------------------------------------------------------------------------------------------
 # What holds and what touches a specimen: prescribed unknowns and contact points of a test.
 
 
@@ -536,10 +525,7 @@ def rigid_motions(places: Array) -> Array:
 
 
 def pins(places: Array, n_free: int, held: Mapping[int, float]) -> Ints:
-    """Unknowns that have to be held besides those that are.
-
-    Shapes: places (n_nodes, 3).
-    """
+    """Unknowns that have to be held besides those that are. Shapes: places (n_nodes, 3)."""
     motions = rigid_motions(places)
     rows = motions[sorted(held)]
     values, directions = np.linalg.eigh(rows.T @ rows) if held else (np.zeros(6), np.eye(6))

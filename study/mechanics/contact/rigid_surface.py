@@ -17,7 +17,6 @@ from study.mechanics.setup.geometry import Cone, Flat, Indenter
 
 #: smallest distance to the center of an arc or to the axis that is divided by, mm
 _TINY = 1e-12
-
 #: height of a profile where it has none, mm
 _FAR = 1e6
 
@@ -47,10 +46,7 @@ Profile = tuple[Arc | Line, ...]
 
 
 def profile(indenter: Indenter, *, far_mm: float) -> Profile:
-    """Chain of pieces from the axis outwards.
-
-    Units: indenter mm.
-    """
+    """Chain of pieces from the axis outwards. Units: indenter mm."""
     if isinstance(indenter, Flat):
         edge = indenter.edge_radius_mm
         inner = indenter.radius_mm - edge
@@ -134,10 +130,7 @@ class Distance:
 
 
 def signed_distance(pieces: Profile, rho: Array, z: Array) -> Distance:
-    """Distance to a profile, positive outside.
-
-    Shapes: rho, z (n,).
-    """
+    """Distance to a profile, positive outside. Shapes: rho, z (n,)."""
     best = np.zeros((7, rho.size))
     best[0] = -np.inf
     for piece in pieces:

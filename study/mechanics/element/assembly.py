@@ -118,10 +118,7 @@ def assemble(
     want_tangent: bool,
     sums: Sums,
 ) -> float:
-    """Residuals of some elements, and the sum of their tangents.
-
-    Shapes: x, R (n,), mm, MPa.
-    """
+    """Residuals of some elements, and the sum of their tangents. Shapes: x, R (n,), mm, MPa."""
     # names of their own: fields would be counted as references at every point
     gradients, hoop, pressure_shape, weights, dofs = space
     law, constants, bulk, compliance, kappa = energy
@@ -199,10 +196,7 @@ def constrained_product(
 
 @kernel()
 def gathered(dofs: Unknowns, residuals: Array, out: Array) -> None:
-    """Sum of element residuals, shape (n,).
-
-    Shapes: dofs, residuals, out (n_elements, m).
-    """
+    """Sum of element residuals, shape (n,). Shapes: dofs, residuals, out (n_elements, m)."""
     out[:] = 0.0
     for e in range(dofs.shape[0]):
         for i in range(dofs.shape[1]):
@@ -333,13 +327,8 @@ def add_unevenness(
         _add_means(cross, mean_rate, stiff, m, K)
 
 
-# -------------------------------------------------------------------------------------------------
-# Compiled sum of the energy that elements store: what the work of the test is compared with.
-#
-# The mixed form stores ``W_iso(F) + p (J - 1) - p^2 / (2 K)``, whose middle and last term are
-# ``K (J - 1)^2 / 2`` of the pressure's volume where the pressure is in equilibrium. The
-# resistance to uneven volume (``assembly``) is no energy of the material and is
-# added up apart.
+# Compiled sum of the energy that elements store, K (J - 1)^2 / 2 of the pressure's volume
+# included; the resistance to uneven volume (``assembly``) is added up apart.
 
 
 @part()
@@ -378,10 +367,7 @@ def ogden_energy(f: Array, terms: Array, c: Array, axes: Array) -> float:
 
 @part(fastmath=FAST)
 def isochoric_energy(law: int, f: Array, J: float, constants: Array) -> float:
-    """Energy W(I1bar, I2bar) per reference volume.
-
-    Shapes: f (9,); constants (n, m).
-    """
+    """Energy W(I1bar, I2bar) per reference volume. Shapes: f (9,); constants (n, m)."""
     I1 = 0.0
     for i in range(9):
         I1 += f[i] * f[i]
@@ -399,10 +385,7 @@ def isochoric_energy(law: int, f: Array, J: float, constants: Array) -> float:
 
 @part()
 def linear_energy(f: Array, mu: float) -> float:
-    """Deviatoric small-strain energy ``mu dev(eps) : dev(eps)`` per volume.
-
-    Shapes: f (9,); mu MPa.
-    """
+    """Deviatoric small-strain energy ``mu dev(eps) : dev(eps)`` per volume; f (9,); mu MPa."""
     mean, energy = (f[0] + f[4] + f[8]) / 3.0, 0.0
     for i in range(3):
         for j in range(3):
@@ -415,10 +398,7 @@ def linear_energy(f: Array, mu: float) -> float:
 def stored_energy(
     elements: Elements, space: Shapes, energy: ElementEnergy, x: Array, out: Array
 ) -> float:
-    """Energy of some elements.
-
-    Shapes: out (n_elements, 2), N mm.
-    """
+    """Energy of some elements. Shapes: out (n_elements, 2), N mm."""
     gradients, hoop, pressure_shape, weights, dofs = space
     law, constants, bulk, compliance, kappa = energy
     nq, na, dim = gradients.shape[1:]

@@ -116,10 +116,7 @@ def place_coupling(C: Array, m: int, K: Array) -> None:
 
 @part()
 def add_volume(N: Array, excess: float, w: float, R: Array) -> None:
-    """Add N_b (J - 1 - p / K), the equation of each pressure.
-
-    Shapes: N (n_pressure,); w mm^3; R (m,).
-    """
+    """Add N_b (J - 1 - p / K), the equation of each pressure; N (n_pressure,); w mm^3; R (m,)."""
     nu = R.size - N.size
     for b in range(N.size):
         R[nu + b] += w * excess * N[b]

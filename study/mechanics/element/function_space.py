@@ -43,10 +43,7 @@ class Nodes(Protocol):
 
 
 def at_level(space: Nodes, mesh: Mesh, level: float) -> Ints:
-    """Nodes at an axial position.
-
-    Shapes: level mm; returns (n,).
-    """
+    """Nodes at an axial position. Shapes: level mm; returns (n,)."""
     return np.flatnonzero(np.abs(space.nodes[:, -1] - level) < _SAME * mesh.height_mm)
 
 
@@ -69,7 +66,6 @@ def _side_facets(space: Discretization, mesh: Mesh) -> NDArray[np.bool_]:
 
 #: scikit-fem's numbering of the corners of a hexahedron, seen from (bottom quad, top quad)
 _HEX_ORDER = [0, 4, 3, 1, 7, 5, 2, 6]
-
 #: order of the quadrature rule of (space, order, shape)
 _RULES = {
     ("axisymmetric", "quadratic", "simplex"): 4,
@@ -81,7 +77,6 @@ _RULES = {
     ("3d", "quadratic", "tensor"): 5,
     ("3d", "linear", "tensor"): 3,
 }
-
 #: and under an indenter, where a quadratic tetrahedron is stretched five times: looked at in
 #: four points only, it collapses between them
 _STRETCHED_RULES = {("3d", "quadratic", "simplex"): 5}
@@ -299,10 +294,7 @@ def _facet_areas(corners: Array, axisymmetric: bool) -> Array:
 
 
 def deformation_gradient(space: Discretization, u: Array) -> Array:
-    """F at every quadrature point, shape (3, 3, n_elements, n_quadrature).
-
-    Shapes: u (n_nodes, dim), mm.
-    """
+    """F at every quadrature point, shape (3, 3, n_elements, n_quadrature); u (n_nodes, dim), mm."""
     local, dim = u[space.element_nodes], space.dim
     F = np.zeros((3, 3, *space.weights.shape))
     F[0, 0] = F[1, 1] = F[2, 2] = 1.0
@@ -312,10 +304,7 @@ def deformation_gradient(space: Discretization, u: Array) -> Array:
     return F
 
 
-# -------------------------------------------------------------------------------------------------
-# Fixed sparsity pattern of the free unknowns and the map that scatters element tangents into it.
-#
-# Built once per mesh in one compiled pass; every Newton iteration then only adds numbers.
+# Fixed sparsity pattern of the free unknowns, and the map that scatters element tangents into it.
 
 _Filled = tuple[Unknowns, Unknowns, Unknowns]
 
@@ -457,7 +446,6 @@ def symmetric_product(indptr: Unknowns, indices: Unknowns, data: Array, v: Array
 
 
 Slabs = tuple[Elements, ...]
-
 #: quadrature points of a slab that are worth a thread's while, and numbers of slabs: two, four or
 #: eight threads have the same work
 _WORTH = 5_000

@@ -20,7 +20,6 @@ EXPONENTIAL = int(PointLaw.EXPONENTIAL)
 FINITE_EXTENSIBILITY = int(PointLaw.FINITE_EXTENSIBILITY)
 VAN_DER_WAALS = int(PointLaw.VAN_DER_WAALS)
 VAN_DER_WAALS_BY_MIXTURE = int(PointLaw.VAN_DER_WAALS_BY_MIXTURE)
-
 #: mixed invariant less 3 below which its root is that of rounding
 _REST = 1e-30
 
@@ -75,10 +74,7 @@ def invariant_energy(law: int, constants: Array, a: float, b: float) -> float:
 
 @part()
 def exponential_derivatives(constants: Array, a: float, out: Array) -> bool:
-    """Of (p + q a) exp(k a) - p + d b.
-
-    Shapes: constants (3, 1), MPa; out (5 or more,).
-    """
+    """Of (p + q a) exp(k a) - p + d b. Shapes: constants (3, 1), MPa; out (5 or more,)."""
     p, q, k = constants[0, 0], constants[1, 0], constants[2, 0]
     if not k * a < LARGEST_EXPONENT:
         return False
@@ -150,10 +146,7 @@ def _power_derivatives(x: float, n: int) -> tuple[float, float, float]:
 
 @part()
 def polynomial_derivatives(table: Array, a: float, b: float, out: Array) -> None:
-    """Add the derivatives of sum C_ij a^i b^j.
-
-    Shapes: table (ni, nj), MPa; out (5 or more,).
-    """
+    """Add the derivatives of sum C_ij a^i b^j. Shapes: table (ni, nj), MPa; out (5 or more,)."""
     for i in range(table.shape[0]):
         ai, ai1, ai2 = _power_derivatives(a, i)
         for j in range(table.shape[1]):
@@ -169,10 +162,7 @@ def polynomial_derivatives(table: Array, a: float, b: float, out: Array) -> None
 
 @part(fastmath=FAST)
 def polynomial_energy(table: Array, a: float, b: float) -> float:
-    """Sum C_ij a^i b^j.
-
-    Shapes: table (ni, nj), MPa.
-    """
+    """Sum C_ij a^i b^j. Shapes: table (ni, nj), MPa."""
     energy, row = 0.0, 1.0
     for i in range(table.shape[0]):
         term = row

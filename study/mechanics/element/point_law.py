@@ -22,7 +22,6 @@ from study.mechanics.material.energy import PointLaw
 SMALL_STRAIN = int(PointLaw.SMALL_STRAIN)
 OGDEN_BY_EXPONENT = int(PointLaw.OGDEN_BY_EXPONENT)
 EXTENDED_TUBE = int(PointLaw.EXTENDED_TUBE)
-
 #: scratch rows of nine numbers: those of principal stretches, of invariants, and a tangent
 WORK_ROWS = SPECTRAL_ROWS + 7 + 9
 
@@ -62,10 +61,7 @@ def full_tangent(
     work: Array,
     tangent: Array,
 ) -> None:
-    """Tangent of :func:`isochoric`, called before, and of a pressure.
-
-    Shapes: tangent (9, 9).
-    """
+    """Tangent of :func:`isochoric`, called before, and of a pressure. Shapes: tangent (9, 9)."""
     if law >= POLYNOMIAL:
         invariant_tangent(f, plane, bend, stiff, work, tangent)
         return
@@ -80,10 +76,7 @@ def full_tangent(
 
 @part()
 def cofactor(f: Array, g: Array) -> float:
-    """Write the cofactor matrix dJ/dF of ``f`` into ``g``; return J.
-
-    Shapes: f, g (9,).
-    """
+    """Write the cofactor matrix dJ/dF of ``f`` into ``g``; return J. Shapes: f, g (9,)."""
     g[0] = f[4] * f[8] - f[5] * f[7]
     g[1] = f[5] * f[6] - f[3] * f[8]
     g[2] = f[3] * f[7] - f[4] * f[6]
@@ -285,10 +278,7 @@ def linear_stress(f: Array, mu: float, work: Array, stress: Array) -> float:
 
 @part(fastmath=FAST)
 def linear_tangent(mu: float, tangent: Array) -> None:
-    """Tangent of :func:`linear_stress`.
-
-    Shapes: mu, tangent (9, 9), MPa.
-    """
+    """Tangent of :func:`linear_stress`. Shapes: mu, tangent (9, 9), MPa."""
     tangent[:, :] = 0.0
     for i in range(3):
         for j in range(3):
@@ -299,10 +289,7 @@ def linear_tangent(mu: float, tangent: Array) -> None:
 
 @part(fastmath=FAST)
 def add_pressure_tangent(g: Array, bend: float, stiff: float, tangent: Array) -> None:
-    """Add the tangent of ``p dJ/dF``, with ``dJ/dF = J g``.
-
-    Shapes: g (9,).
-    """
+    """Add the tangent of ``p dJ/dF``, with ``dJ/dF = J g``. Shapes: g (9,)."""
     for i in range(3):
         for j in range(3):
             n = 3 * i + j

@@ -22,7 +22,6 @@ from study.ground.compilation import FAST, part
 #: what a column of constants does: stress of W, or of dW/dalpha
 STRESS = 0
 BY_EXPONENT = 1
-
 #: scratch rows of nine numbers that every law can do with
 WORK_ROWS = 27
 

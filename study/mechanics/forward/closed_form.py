@@ -30,22 +30,15 @@ if TYPE_CHECKING:
     from study.mechanics.solver.solution import Solution
 
 
-# -------------------------------------------------------------------------------------------------
-# Indentation in closed form, for the size of a modulus: half-space, layer, whole specimen.
-#
-# Force and depth of a rigid body of revolution that is pressed without friction into an elastic
-# half-space (Sneddon 1965, Int. J. Engng Sci. 3, 47), times the correction for a layer of finite
-# height (Dimitriadis et al. 2002, Biophys. J. 82, 2798). Strains are small and the specimen is
-# linear and wide in all of it: good for a start value within a factor of about 2, not for an
-# answer.
+# Indentation in closed form, a start value within a factor of about 2: half-space (Sneddon 1965,
+# Int. J. Engng Sci. 3, 47) with the layer correction of Dimitriadis et al. 2002 (Biophys. J. 82,
+# 2798).
 
 #: points of the quadrature over the contact, and contact radii that are tabulated
 _POINTS = 64
 _RADII = 400
-
 #: contact radius over height up to which the series of a thick layer holds
 _SERIES_ENDS = 1.0
-
 #: share of a round indenter's radius up to which contact spreads: at all of it the wall is steep
 _NEARLY = 0.999
 
@@ -156,10 +149,7 @@ def homogeneous(
     sense: float = -1.0,
     prestretch: float | None = None,
 ) -> Curve:
-    """Force of a specimen that deforms the same everywhere.
-
-    Shapes: displacement_mm (n,); returns MPa.
-    """
+    """Force of a specimen that deforms the same everywhere; displacement_mm (n,); returns MPa."""
     height, area = height_and_area(specimen)
     d = np.asarray(displacement_mm, dtype=float)
     _check_height(height, d, sense)

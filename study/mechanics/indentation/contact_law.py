@@ -21,7 +21,6 @@ from study.mechanics.setup.geometry import Cone, Flat, Indenter, Sphere
 
 #: Gauss points over a rounded edge
 _EDGE = 64
-
 #: share of an indenter's radius up to which contact is followed: its wall is upright at all of it
 NEARLY = 0.98
 
@@ -82,20 +81,15 @@ def contact_range(indenter: Indenter) -> tuple[float, float]:
     return face, face + NEARLY * indenter.edge_radius_mm
 
 
-# -------------------------------------------------------------------------------------------------
 # Kernel of an elastic layer: what its support adds to the answer of a half-space.
-#
 # The surface of a layer of height h answers a pressure of wave number x/h as that of a half-space
 # does, times K(x). On a bonded base, with the shear stress on the surface zero,
-#
 #     K = ((3 - 4 nu) sinh 2x - 2x) / ((3 - 4 nu) cosh 2x + 2x^2 + 5 - 12 nu + 8 nu^2),
-#
 # and on a frictionless base K = 2 sinh^2 x / (sinh 2x + 2x), whatever nu (Lebedev and Ufliand 1958,
 # J. Appl. Math. Mech. 22, 442; Hayes, Keer, Herrmann and Mockros 1972, J. Biomech. 5, 541).
 
 #: wave number times height at which the integral is cut: 1 - K is below 1e-15 there
 _LONGEST = 25.0
-
 #: Gauss points over the wave numbers; cosines of contacts five heights wide are resolved
 _WAVES = 240
 
@@ -143,15 +137,10 @@ def _missing(nu: float, bonded: bool) -> tuple[Array, Array]:
     return x, 0.5 * _LONGEST * weights * (1 - answer)
 
 
-# -------------------------------------------------------------------------------------------------
-# Dimitriadis' series for a sphere on a layer, for comparison with published moduli.
-#
-# Dimitriadis, Horkay, Maresca, Kachar and Chadwick 2002 (Biophys. J. 82, 2798, eq. 7 and 12) give
-# the force of a sphere over Hertz's as a polynomial of chi = sqrt(R d) / h. It is a truncated
-# expansion: against the integral equation its force is 1 % low at chi = 0.2, 3 % at 0.3 and 8 % at
-# 0.5 (nu = 0.5, bonded), and moduli by it are high by as much. The coefficient of chi^4 at
-# nu = 0.5 bonded is -0.0976 by the paper's own formula, which is used here; the paper prints
-# +0.0975, a difference of 0.7 % of the force at chi = 0.5.
+# Dimitriadis' series for a sphere on a layer (2002, Biophys. J. 82, 2798, eq. 7 and 12), for
+# comparison with published moduli: its force is 1 % low at chi = sqrt(R d) / h = 0.2, 3 % at 0.3
+# and 8 % at 0.5 (nu = 0.5, bonded). The coefficient of chi^4 there is -0.0976 by the paper's own
+# formula, used here; it prints +0.0975.
 
 
 def coefficients(layer: Layer) -> Array:
@@ -182,14 +171,10 @@ def correction(layer: Layer, radius_mm: float, depth_mm: Array) -> Array:
     return np.asarray(np.polynomial.Polynomial(coefficients(layer))(chi))
 
 
-# -------------------------------------------------------------------------------------------------
 # Frictionless contact of a rigid body of revolution with an elastic layer, by its radius.
-#
 # The pressure follows from a function phi on the contact, 0 <= t <= a, that solves the Fredholm
 # equation of the second kind
-#
 #     phi(t) - int_0^a k(s, t) phi(s) ds = d - q(t),    F = 2 E* int_0^a phi(t) dt,
-#
 # with the layer's kernel k (``contact_law``), the profile's transform q
 # (``contact_law``), the depth d and E* = E / (1 - nu^2). Where the profile
 # is smooth at the rim the pressure ends there with zero: phi(a) = 0, which makes the depth follow
@@ -227,17 +212,12 @@ def contact_state(
     return ContactState(depth, float(2 * w @ (depth * plain - shaped)), float(2 * w @ plain))
 
 
-# -------------------------------------------------------------------------------------------------
-# Force of an indenter on a layer over its depth: one table for all curves of a test.
-#
-# The contact is solved at radii that grow by even ratios; between them force follows a cubic in
-# logarithms with the exact slope dF/dd = E* stiffness. Beyond the indenter's own width contact goes
-# on as that of a flat punch.
+# Force of an indenter on a layer over its depth: solved at radii that grow by even ratios,
+# between them a cubic in logarithms with the exact slope dF/dd = E* stiffness.
 
 #: contact radii that are tabulated, over three decades: force is interpolated to 1e-6
 _RADII = 60
 _DECADES = 3.0
-
 #: contact radius over height beyond which nothing is tabulated
 WIDEST = 5.0
 
@@ -357,27 +337,20 @@ def _by_series(sphere: Sphere, layer: Layer, deepest: float) -> ForceLaw:
     return ForceLaw(depth, force(depth), slope, np.sqrt(size * depth))
 
 
-# -------------------------------------------------------------------------------------------------
-# How deep the closed form holds: each assumption ends at a depth, and the least one counts.
-#
-# The limits are depths at which the built-in finite elements (neo-Hookean, nu = 0.4999, no
-# friction) resist about 3 % less than the closed form; docs/analytic_indentation.py makes the runs.
+# Depths at which the assumptions of the closed form end: the built-in finite elements
+# (neo-Hookean, nu = 0.4999, no friction) resist about 3 % less there
+# (docs/analytic_indentation.py).
 
 #: depth over the radius of a sphere: strains under it are about 0.2 a/R (Tabor 1951)
 SPHERE_DEPTH = 0.1
-
 #: depth over the radius of a flat punch
 PUNCH_DEPTH = 0.15
-
 #: depth over the height of the layer: the mean strain under a wide contact
 LAYER_DEPTH = 0.1
-
 #: chi = sqrt(R d) / h up to which the published series was compared with experiments
 SERIES_CHI = 1.0
-
 #: shortening of the whole specimen, as a free column, over the depth: its sides are no layer's
 COLUMN_SHARE = 0.03
-
 #: depths at which a limit that rises with depth is looked for
 _DEPTHS = 400
 

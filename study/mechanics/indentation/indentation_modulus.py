@@ -31,7 +31,6 @@ from study.mechanics.setup.geometry import Indenter
 
 #: level of every interval
 LEVEL = 0.95
-
 #: units from which order statistics hold the median in 95 %: 1 - 2 / 2^6
 _MEDIAN_FROM = 6
 
@@ -77,29 +76,20 @@ def median_estimate(
     return MedianEstimate(middle, interval, kind, n, (low, high))
 
 
-# -------------------------------------------------------------------------------------------------
-# Young's modulus of one indentation curve by least squares, with an interval.
-#
-# Force is E* times a known function of depth, so that E* is linear; a depth of contact, where it is
-# asked for, is searched by variable projection (Golub and Pereyra 1973). Neighboring residuals are
-# correlated: the variance is that of least squares under autoregressive errors of first order,
-# whose coefficient is estimated from the residuals and corrected for its bias.
+# Young's modulus of one indentation curve: least squares, linear in E*; a depth of contact by
+# variable projection (Golub and Pereyra 1973). The variance is that under autoregressive errors
+# of first order, whose coefficient is estimated from the residuals and corrected for its bias.
 
 Status = Literal["fitted", "outside", "implausible", "unreadable"]
-
 #: rows in contact and within the limits that a fit needs
 MIN_ROWS = 5
-
 #: depths of contact that are tried before the best of them is refined
 _TRIED = 41
-
 #: share of the travel up to which contact may begin, and before its start that it may have begun
 _LATEST = 0.9
 _EARLIEST = -0.2
-
 #: rounds of fitting and of choosing the rows within the limits of the depth so found
 _ROUNDS = 8
-
 #: largest correlation of neighboring residuals that is told from a trend
 _MOST_CORRELATED = 0.99
 
@@ -244,7 +234,6 @@ def _covariance(jacobian: Array, residual: Array) -> tuple[Array, float, float]:
     return np.asarray(size / left * spread @ inverse), r, freedom
 
 
-# -------------------------------------------------------------------------------------------------
 # Measured indentations, each on its own rows: many curves share no grid.
 
 
@@ -295,7 +284,6 @@ def read_curves(
     return tuple(found), recorded.notes
 
 
-# -------------------------------------------------------------------------------------------------
 # Moduli of the curves of a test, gathered by unit, and what is wrong with them.
 
 
@@ -425,12 +413,10 @@ def _kilo(value_MPa: float | None) -> float | None:
     return None if value_MPa is None else 1e3 * value_MPa
 
 
-# -------------------------------------------------------------------------------------------------
 # Closed-form modulus of the indentations of one test: curves, limits, median, warnings.
 
 #: share by which the chosen support changes the force before it is said
 _SAID = 0.01
-
 #: deepest data over which the law is tabulated: contact may have begun before the recording
 _DEEPER = 1.25
 

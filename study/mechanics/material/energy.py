@@ -20,7 +20,6 @@ import numpy as np
 from study.ground.arrays import Array
 from study.ground.errors import Fault, InputError
 
-# -------------------------------------------------------------------------------------------------
 # How a material resists a change of volume, U = K/2 (J - 1)^2.
 
 
@@ -78,7 +77,6 @@ def poisson_from_bulk(mu0: float, bulk_modulus: float) -> float:
     return (3 - 2 * ratio) / (2 * (3 + ratio))
 
 
-# -------------------------------------------------------------------------------------------------
 # Constants of an energy as another code wants them.
 
 

@@ -96,11 +96,8 @@ class ExponentialEnergy(InvariantEnergy):
         return Law(PointLaw.EXPONENTIAL, np.ascontiguousarray(table[:, :columns]))
 
 
-# -------------------------------------------------------------------------------------------------
-# Isotropic exponential energy of soft tissue: W = mu / (2 b) (exp(b (I1 - 3)) - 1).
-#
-# Fung's law (1967) in the isotropic form of Demiray (1972, J. Biomech. 5, 309-311), which Humphrey
-# and Yin (1987) write with c = mu / (2 b).
+# Isotropic exponential energy of soft tissue: W = mu / (2 b) (exp(b (I1 - 3)) - 1), Fung's law
+# (1967) by Demiray (1972, J. Biomech. 5, 309-311); c = mu / (2 b) in Humphrey and Yin (1987).
 
 #: stiffening that a fit starts from: W is nearly neo-Hookean at moderate strain
 FUNG_STARTING_STIFFENING = 0.1
@@ -134,11 +131,8 @@ class Fung(DeclaredConstants, ExponentialEnergy):
         return {"mu": shear_modulus, "b": FUNG_STARTING_STIFFENING}
 
 
-# -------------------------------------------------------------------------------------------------
-# Energy of skin: W = C1 (exp(C2 (I1 - 3)) - 1) - C1 C2 / 2 (I2 - 3).
-#
-# Veronda and Westmann (1970, J. Biomech. 3, 111-124), without their volumetric term; the form of
-# FEBio's material of that name (User Manual, 4.1.2).
+# Energy of skin: W = C1 (exp(C2 (I1 - 3)) - 1) - C1 C2 / 2 (I2 - 3), Veronda and Westmann (1970,
+# J. Biomech. 3, 111-124) without their volumetric term, as in FEBio (User Manual, 4.1.2).
 
 #: stiffening that a fit starts from
 VERONDA_WESTMANN_STARTING_STIFFENING = 0.1

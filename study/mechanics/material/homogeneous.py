@@ -21,15 +21,11 @@ from study.ground.errors import Fault, InputError, nearest
 from study.mechanics.material.energy import CompressibleEnergy, poisson_from_bulk
 from study.mechanics.material.material import Material
 
-# -------------------------------------------------------------------------------------------------
 # Stress and tangent of a material at a deformation gradient.
 
 
 def strain_energy(material: Material, F: Array) -> Array:
-    """Strain energy per unit reference volume in MPa.
-
-    Shapes: F (3, 3, ...); returns (...).
-    """
+    """Strain energy per unit reference volume in MPa. Shapes: F (3, 3, ...); returns (...)."""
     if material.small_strain:
         strain, trace = _small_strain(F)
         mu, pressure = material.mu0, _finite(material.bulk)
@@ -88,10 +84,7 @@ def _reached(material: Material, values: Array) -> Array:
 
 
 def deviator(values: Array) -> Array:
-    """Subtract the mean over the first axis.
-
-    Shapes: values (3, ...).
-    """
+    """Subtract the mean over the first axis. Shapes: values (3, ...)."""
     # what ``mean`` computes, at half its cost for a few points
     return np.asarray(values - np.add.reduce(values) / len(values))
 
@@ -201,10 +194,7 @@ def uniaxial_gradient(material: Material, stretch: ArrayLike) -> dict[str, Array
 
 
 def simple_shear(material: Material, shear: ArrayLike) -> tuple[Array, Array, Array]:
-    """Cauchy stresses (s12, s11, s22) in MPa in simple shear with s33 = 0 (V05).
-
-    Shapes: shear (n,).
-    """
+    """Cauchy stresses (s12, s11, s22) in MPa in simple shear with s33 = 0 (V05); shear (n,)."""
     g = np.atleast_1d(np.asarray(shear, dtype=float))
     F = np.zeros((3, 3, g.size))
     F[[0, 1, 2], [0, 1, 2]], F[0, 1] = 1.0, g
@@ -404,11 +394,8 @@ def _shaped(values: Array, like: ArrayLike) -> Array:
     return np.asarray(values).reshape(np.shape(like))
 
 
-# -------------------------------------------------------------------------------------------------
-# Nominal stress of a homogeneous specimen in every loading that a measured test may have.
-#
-# A loading is a function of one measure: the stretch of the loaded direction, or the amount of
-# shear. Where K is finite the free stretch is solved (:mod:`study.mechanics.material.homogeneous`).
+# Nominal stress of a homogeneous specimen in every loading that a measured test may have, by the
+# stretch of the loaded direction or the amount of shear.
 
 
 @dataclass(frozen=True)

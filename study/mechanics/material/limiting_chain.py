@@ -23,13 +23,9 @@ from study.mechanics.material.energy import (
 )
 from study.mechanics.material.polynomial import Curvatures, InvariantEnergy, Slopes, TableEnergy
 
-# -------------------------------------------------------------------------------------------------
-# Energies of chains that end: W has a pole where e (I1 - 3) = 1.
-#
-# ``dW/dI1 = A1 s + A2 s^2 + A3 s^3`` with ``s = 1 / (1 - e (I1 - 3))`` holds these energies and
-# their
-# derivatives by their constants, so that one compiled law serves them all. A state beyond the pole
-# has no stress: closed forms answer NaN, and a load step of finite elements is halved.
+# Energies of chains that end: W has a pole where e (I1 - 3) = 1. ``dW/dI1 = A1 s + A2 s^2 + A3
+# s^3`` with ``s = 1 / (1 - e (I1 - 3))`` serves them all; a state beyond the pole has no stress
+# (NaN).
 
 
 class FiniteExtensibilityEnergy(InvariantEnergy):
@@ -122,17 +118,12 @@ class Gent(DeclaredConstants, FiniteExtensibilityEnergy):
         return febio_hyperelastic("Gent", values, compressibility.bulk(constants["mu"]))
 
 
-# -------------------------------------------------------------------------------------------------
-# Eight-chain energy in five terms: W = mu sum C_k / lambda_m^(2k-2) (I1^k - 3^k).
-#
-# Arruda and Boyce (1993) have the inverse Langevin function; this is the series that Abaqus and
-# FEBio publish for it (Abaqus Theory Guide, 4.6.1), with C = 1/2, 1/20, 11/1050, 19/7000 and
-# 519/673750. The series has no limit at lambda_m, which the inverse Langevin function has; it is
-# what published constants were fitted with.
+# Eight-chain energy of Arruda and Boyce (1993) in five terms: W = mu sum C_k / lambda_m^(2k-2)
+# (I1^k - 3^k), C = 1/2, 1/20, 11/1050, 19/7000, 519/673750 (Abaqus Theory Guide, 4.6.1). The
+# series has no limit at lambda_m; published constants were fitted with it.
 
 #: C_k of the series
 SERIES = np.array([1 / 2, 1 / 20, 11 / 1050, 19 / 7000, 519 / 673750])
-
 #: rows k: coefficients of I1^k - 3^k by powers of I1 - 3, all of them positive
 POWERS = np.zeros((5, 6))
 for _k in range(1, 6):
@@ -184,19 +175,15 @@ class ArrudaBoyce(DeclaredConstants, TableEnergy):
         return febio_hyperelastic("Arruda-Boyce", values, bulk)
 
 
-# -------------------------------------------------------------------------------------------------
 # Kilian's van der Waals energy in the form of Abaqus (Theory Guide, 4.6.1).
-#
 #     W = mu (-(lambda_m^2 - 3) (ln(1 - eta) + eta) - 2/3 a ((I - 3) / 2)^(3/2)),
 #     I = (1 - beta) I1 + beta I2,    eta = sqrt((I - 3) / (lambda_m^2 - 3))
-#
 # Kilian, Enderle and Unseld (1986, Colloid Polym. Sci. 264, 866-876). A state beyond eta = 1, a
 # stretch of chains beyond lambda_m, has no stress.
 
 #: starts of a fit: I1 may reach 100, little interaction, the first invariant alone
 STARTING_LOCKING_STRETCH = 10.0
 STARTING_INTERACTION = 0.1
-
 #: mixed invariant less 3 below which its root is that of rounding
 _REST = 1e-30
 

@@ -39,7 +39,6 @@ from study.mechanics.material.relaxation import (
     long_term_share,
 )
 
-# -------------------------------------------------------------------------------------------------
 # Every energy by the name that a study file says.
 
 ENERGIES: dict[str, Energy] = {
@@ -61,7 +60,6 @@ ENERGIES: dict[str, Energy] = {
         OgdenHill(),
     )
 }
-
 #: Names of all energies.
 MODELS: tuple[str, ...] = tuple(ENERGIES)
 
@@ -273,11 +271,9 @@ def _constant_faults(energy: Energy, constants: Mapping[str, float]) -> list[Fau
     return faults
 
 
-# -------------------------------------------------------------------------------------------------
-# Constants in other codes' conventions, and back from the classical Ogden form.
-#
-# Ours are W = sum C_ij (I1-3)^i (I2-3)^j, W = sum 2 mu_i / alpha_i^2 (sum l^alpha_i - 3) and
-# U = K/2 (J-1)^2, which are Abaqus' forms with D1 = 2/K.
+# Constants in other codes' conventions, and back from the classical Ogden form; ours, sum C_ij
+# (I1-3)^i (I2-3)^j, sum 2 mu_i / alpha_i^2 (sum l^alpha_i - 3) and K/2 (J-1)^2, are Abaqus' with
+# D1 = 2/K.
 
 CONVENTIONS = ("study", "abaqus", "febio", "ogden-classical")
 

@@ -29,7 +29,6 @@ from study.mechanics.material.limiting_chain import FiniteExtensibilityEnergy
 
 #: Bounds of an exponent: beyond, powers of a stretch of 0.5 only overfit.
 EXPONENT: Bounds = (-30.0, 30.0)
-
 #: Exponents a fit starts from. They alternate: equal ones would make the terms
 #: indistinguishable.
 STARTING_EXPONENTS = (2.0, -2.0, 4.0, -4.0, 6.0, -6.0)
@@ -212,13 +211,10 @@ def _series_or(
     return np.where(small, total, far)
 
 
-# -------------------------------------------------------------------------------------------------
-# Foam of Ogden and Hill, whose volume change is part of every term.
-#
-# ``W = sum 2 mu_i / alpha_i^2 (l1^a + l2^a + l3^a - 3 + (J^(-a b) - 1) / b)`` with a = alpha_i and
-# b = nu / (1 - 2 nu) (Ogden 1972, Proc. R. Soc. A 328, 567; Hill 1978, Adv. Appl. Mech. 18, 1;
-# Storakers 1986, J. Mech. Phys. Solids 34, 125). One Poisson's ratio for all terms: it is that of
-# logarithmic strains at every stretch in uniaxial stress, l2 = l1^(-nu).
+# Foam of Ogden and Hill: ``W = sum 2 mu_i / alpha_i^2 (l1^a + l2^a + l3^a - 3 + (J^(-a b) - 1) /
+# b)`` with a = alpha_i, b = nu / (1 - 2 nu) (Ogden 1972, Proc. R. Soc. A 328, 567; Hill 1978,
+# Adv. Appl. Mech. 18, 1; Storakers 1986, J. Mech. Phys. Solids 34, 125). In uniaxial stress l2 =
+# l1^(-nu).
 
 
 class OgdenHill(OgdenSeries, CompressibleEnergy):
@@ -320,17 +316,13 @@ def _no_elements() -> InputError:
     return InputError(Fault("material.model", rule, mend))
 
 
-# -------------------------------------------------------------------------------------------------
 # Extended tube energy of Kaliske and Heinrich (1999, Rubber Chem. Technol. 72, 602-632).
-#
 #     W = Gc / 2 ((1 - delta^2) D / (1 - delta^2 D) + ln(1 - delta^2 D))
 #         + 2 Ge / beta^2 (l1^-beta + l2^-beta + l3^-beta - 3),    D = I1 - 3
-#
 # Crosslinks that end at I1 - 3 = 1 / delta^2, and entanglements, which are a term of Ogden's with
 # the exponent -beta. mu0 = Gc (1 - 2 delta^2) + Ge.
 
 _ENTANGLEMENT = Ogden()
-
 #: exponent and inextensibility that a fit starts from: 1 / delta^2 = 400
 STARTING_EXPONENT = 0.5
 STARTING_INEXTENSIBILITY = 0.05

@@ -28,12 +28,8 @@ from study.mechanics.material.energy import (
     no_counterpart,
 )
 
-# -------------------------------------------------------------------------------------------------
-# What energies W(I1, I2) of the isochoric invariants have in common.
-#
-# Each of them says W, its slopes and curvatures by ``a = I1 - 3`` and ``b = I2 - 3``, and how the
-# slopes go with every constant; principal stresses follow by the chain rule (Holzapfel 2000,
-# eqs. 6.32 and 6.52).
+# Energies W(I1, I2) of the isochoric invariants by ``a = I1 - 3`` and ``b = I2 - 3``; principal
+# stresses follow by the chain rule (Holzapfel 2000, eqs. 6.32 and 6.52).
 
 
 class Slopes(NamedTuple):
@@ -172,7 +168,6 @@ def _shear(slopes: Slopes) -> float:
 
 #: coefficients of a polynomial in two variables, as :func:`_columns` orders them
 Coefficients = tuple[tuple[float, ...], ...]
-
 #: name of a constant: the power of the first invariant less 3, then a digit for the second
 _NAME = re.compile(r"C(\d|[1-9]\d+)(\d)", re.ASCII)
 

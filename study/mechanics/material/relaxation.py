@@ -21,7 +21,6 @@ from study.ground.arrays import Array
 from study.ground.errors import Fault
 
 _NAME = re.compile(r"(share|time)([1-9])")
-
 #: terms that a series may have: names of its constants have one digit
 MOST_TERMS = 9
 

@@ -25,17 +25,14 @@ from study.mechanics.material.relaxation import unphysical
 
 #: stretches judged where the caller has no range of its own
 USUAL_STRETCHES = np.linspace(0.5, 2.0, 151)
-
 #: real root of x^3 + x^2 + 3x = 1, the surface wave condition of Biot (1963)
 BIOT_ROOT = 0.29559774252208477
-
 #: compression at which the free surface of a neo-Hookean half-space creases or wrinkles (V45)
 BIOT_LIMITS: Mapping[str, float] = {
     "planar": BIOT_ROOT ** (1 / 2),
     "equibiaxial": BIOT_ROOT ** (1 / 3),
     "uniaxial": BIOT_ROOT ** (2 / 3),
 }
-
 #: initial shear moduli of soft tissue and silicone, MPa; outside, a unit is probably wrong
 PLAUSIBLE_MU0 = (1e-4, 10.0)
 
@@ -87,10 +84,7 @@ def stability(material: Material, stretches: ArrayLike = USUAL_STRETCHES) -> Sta
 
 
 def tangent(material: Material, mode: Mode, stretch: ArrayLike) -> Array:
-    """Incompressible tangent D along a loading mode, MPa, shape (2, 2, n).
-
-    Shapes: stretch (n,).
-    """
+    """Incompressible tangent D along a loading mode, MPa, shape (2, 2, n). Shapes: stretch (n,)."""
     x = np.log(np.atleast_1d(np.asarray(stretch, float)))
     a, v = np.array(mode.loaded, float), np.array(mode.free, float)
     bar = np.exp(a[:, None] * x - v[:, None] * x * a.sum() / v.sum())
@@ -201,16 +195,12 @@ def _stable_in_volume(
     return np.asarray(known & (values[:, 0] > 0))
 
 
-# -------------------------------------------------------------------------------------------------
 # Where an energy loses its ellipticity: deformation may then gather in bands of no width.
-#
 # An incompressible isotropic material is strongly elliptic in the plane of two principal
 # stretches l1, l2 where ``alpha > 0`` and ``beta > -sqrt(alpha gamma)`` (Dowaikh and Ogden 1990,
 # IMA J. Appl. Math. 44, 261, eqs. 2.14 to 2.18), with
-#
 #     alpha = l1^2 (t1 - t2) / (l1^2 - l2^2),    gamma = alpha l2^2 / l1^2,
 #     2 beta = h11 - t1 + h22 - t2 - 2 h12 + 2 (l1^2 t2 - l2^2 t1) / (l1^2 - l2^2),
-#
 # ``t = dW / dln l`` and ``h = d2W / dln l dln l``. A common pressure drops out. Past that point
 # an answer depends on the mesh, and no finer one mends it. Ogden's terms with exponents of one
 # and more never get there; Hencky's quadratic logarithm, which an exponent of zero is, does at a

@@ -106,20 +106,15 @@ def free_steps(
     return step
 
 
-# -------------------------------------------------------------------------------------------------
-# Memory of a homogeneous test: its course in parts, and what each term keeps of the stress.
-#
-# Stresses are interpolated quadratically in every part and convolved exactly with each exponential
-# function (a product integration, which Taylor, Pister and Goudreau 1970, Int. J. Numer. Methods
-# Eng. 2, 45, do with straight lines).
+# Memory of a homogeneous test: stresses interpolated quadratically in parts and convolved exactly
+# with each exponential function (cf. Taylor, Pister and Goudreau 1970, Int. J. Numer. Methods
+# Eng. 2, 45, with straight lines).
 
 #: largest change of the logarithm of a stretch, or of an amount of shear, within a part
 LARGEST_STEP = 0.02
-
 #: first part of an interval over the shortest time, where a free side creeps, and their growth
 _FIRST_PART = 0.1
 _GROWTH = 1.25
-
 #: argument below which the functions of the exponential are summed as power series
 _SMALL = 1.0
 _POWERS = 22
@@ -277,16 +272,12 @@ def _exponential_functions(y: Array) -> tuple[Array, Array, Array, Array]:
     return a, b, c, d
 
 
-# -------------------------------------------------------------------------------------------------
 # Stress of a homogeneous test over time: finite viscoelasticity of Simo (1987).
-#
 # What relaxes is the isochoric second Piola-Kirchhoff stress, taken to the reference configuration
 # without its volume change (Simo 1987, Comput. Methods Appl. Mech. Eng. 60, 153; Simo and Hughes
 # 1998, ch. 10; the same as Abaqus' law for hyperelastic materials with ``*Viscoelastic``):
-#
 #     Pi(s) = DEV_s [2 dW/dCbar],    H(t) = integral g(t - s) dPi(s),
 #     tau(t) = dev (Fbar H Fbar') + K J (J - 1) 1,
-#
 # with W the instantaneous energy and g of ``relaxation``. In a test without
 # shear all of them are diagonal. Between two rows of a test its stretch (or amount of shear) is
 # linear in time. Pi is interpolated quadratically in parts of these intervals and convolved
@@ -300,10 +291,7 @@ _MOST_ITERATIONS = 40
 
 
 def relaxing(material: Material, loading: str, time_s: Array, measure: Array) -> Loaded:
-    """Nominal stress of a test whose course in time is known.
-
-    Shapes: time_s (n,); measure (n,).
-    """
+    """Nominal stress of a test whose course in time is known. Shapes: time_s (n,); measure (n,)."""
     time, values = np.asarray(time_s, float), np.asarray(measure, float)
     _check(material, loading, time, values)
     if loading == "volumetric" or not material.relaxation:  # K does not relax

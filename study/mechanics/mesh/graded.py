@@ -37,29 +37,21 @@ from study.mechanics.setup.geometry import Block, Cylinder, Specimen
 from study.mechanics.setup.setup import Setup
 from study.mechanics.setup.test_kind import AroundContact
 
-# -------------------------------------------------------------------------------------------------
-# Hexahedra under a flat punch: rings of them that follow the edge of its face.
-#
-# In the middle lies a square block with bulging sides, around it a ring of blocks out to the
-# circle of the face, and another out to the sides of the specimen, or to a square where it is a
-# block that is longer than wide. Nodes lie on the circle
-# whatever the size, so that what the punch holds is a disc on every mesh of a series.
+# Hexahedra under a flat punch: a square block with bulging sides, a ring of blocks out to the
+# circle of the face, and another out to the sides of the specimen. Nodes lie on the circle
+# whatever the size.
 
 Size = Callable[[Array], Array]
-
 #: half-width of the middle block over the radius of the face, and its corner over its half-width:
 #: its corners then open to some 120 deg, as where three cells meet
 CORE = 0.7
 BULGE = 1.15
-
 #: growth of sizes inward from the edge over that outward: material that is held moves with the
 #: face, and what the force owes to its sizes is small (0.02 % at a growth of 0.5)
 INWARD = 2.0
-
 #: part of their way that lines of the grid go from the edge towards where sizes ask for them:
 #: they crowd at the edge and need not elsewhere. A fifth less error at the same cost
 _BENT = 0.4
-
 #: radii at which these heights are computed
 _COLUMNS = 65
 
@@ -248,11 +240,9 @@ def _beside(field: SizeField, depth: float, away: Array, start: float | None = N
 #: gmsh's numbers: frontal triangles, Delaunay tetrahedra
 _FRONTAL = 6
 _DELAUNAY = 1
-
 #: sizes of grids along the top and along the axis under a cone, over those of the field: what
 #: begins tall ends less flat where a needle stretches the surface to three times its length
 UNDER_CONE = {"linear": (1.0, 2.0), "quadratic": (0.8, 2.0)}
-
 #: smallest quality (gmsh's inverse condition number) of a tetrahedron or triangle
 _POOREST = 0.02
 
@@ -287,10 +277,7 @@ def indentation_mesh(setup: Setup) -> Mesh:
 
 
 def graded_size(setup: Setup) -> float:
-    """Element size of an indented cylinder or block, as ``mesh_size`` names it.
-
-    Units: setup mm.
-    """
+    """Element size of an indented cylinder or block, as ``mesh_size`` names it. Units: setup mm."""
     return sizes_of(setup).size_mm
 
 
@@ -360,10 +347,7 @@ def _outline(specimen: Cylinder | Block, field: SizeField) -> Array:
 
 @contextmanager
 def gmsh_session(field: Sizes, dim: int) -> Iterator[ModuleType]:
-    """One model in one quiet, single-threaded session of gmsh.
-
-    Units: field, dim mm.
-    """
+    """One model in one quiet, single-threaded session of gmsh. Units: field, dim mm."""
     import gmsh
 
     # without readConfigFiles, which takes options of whoever's home or working folder it is
@@ -522,10 +506,7 @@ def _face(gmsh: ModuleType, corners: list[int], lines: dict[tuple[int, int], int
 
 
 def snapped(points: Array, planes: list[tuple[int, float]]) -> Array:
-    """Put points that belong to a plane exactly onto it.
-
-    Shapes: points, planes (n, dim).
-    """
+    """Put points that belong to a plane exactly onto it. Shapes: points, planes (n, dim)."""
     extent = np.ptp(points, axis=0).max()
     for axis, value in planes:
         near = np.abs(points[:, axis] - value) < 1e-8 * extent
@@ -534,10 +515,7 @@ def snapped(points: Array, planes: list[tuple[int, float]]) -> Array:
 
 
 def turned(points: Array, cells: Ints) -> Ints:
-    """Cells with positive volume.
-
-    Shapes: points, cells (n, dim).
-    """
+    """Cells with positive volume. Shapes: points, cells (n, dim)."""
     edges = points[cells[:, 1:]] - points[cells[:, :1]]
     inverted = np.linalg.det(edges) < 0
     cells[inverted, :2] = cells[inverted, 1::-1]

@@ -31,10 +31,8 @@ from study.mechanics.surface.closed_surface import height_of
 
 #: reference sizes in one cube root of the volume; the finest named mesh has this size
 CELLS_PER_LENGTH = 20.0
-
 #: the same of a whole block, which has four times the cells of its quarter
 CELLS_OF_WHOLE = 6.5
-
 #: meshes of this process that are kept, and they
 _KEPT = 4
 _MADE: dict[tuple[object, ...], Mesh] = {}

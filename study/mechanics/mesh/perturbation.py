@@ -23,18 +23,14 @@ if TYPE_CHECKING:
 
 
 Table = dict[tuple[int, int], list[tuple[int, ...]]]
-
 #: longest step towards one neighbor over the length of the edge to it, by dimension; a node
 #: then moves by some 0.12 of the element size (root mean square) in both
 FRACTION = {2: 0.2, 3: 0.15}
-
 #: smallest volume of an element corner over that before; nodes of flatter elements go back
 _KEPT = 0.3
 _TRIES = 12
-
 #: out of the plane of a facet, over the size of the specimen
 _FLAT = 1e-9
-
 #: by (dimension, vertices): edges, facets, and for every corner the vertex and its neighbors
 _EDGES: Table = {
     (2, 3): [(0, 1), (1, 2), (2, 0)],

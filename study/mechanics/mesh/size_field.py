@@ -27,7 +27,6 @@ _PER_CONTACT = 7.0
 _PER_TIP = 4.0
 _PER_EDGE = 3.0
 _PER_SHARP_EDGE = 30.0
-
 #: part of a tip's radius within which sizes are the finest; for quadratic simplices they are finer
 #: still, within a smaller part: the surface is stretched three times there, five times if its
 #: energy softens in tension, and facets as wide as the tip let it snap (linear and tensor elements
@@ -36,28 +35,22 @@ _TIP_ZONE = 1.5
 _TIP_FINER = 7.0
 _TIP_CORE = {"axisymmetric": 0.3, "3d": 0.2}
 _STRETCHED = ("quadratic", "simplex")
-
 #: elements of one size around a sharp edge, and the growth beyond them, in a plane
 _EVEN = 4.0
 _EVEN_GROWTH = 0.12
-
 #: up to this depth over the radius the last of them is halved, and with it the error; deeper,
 #: the smaller an element at a sharp edge is, the sooner it collapses
 _SHALLOW = 0.1
-
 #: growth beyond the edge of a face in 3D, where hexahedra lie in rings or tetrahedra are quadratic:
 #: the edge's singular strains reach far. Quadratic tetrahedra (1 mm deep, edge 0.3 mm, nu 0.4999)
 #: are 0.94 % too stiff on the coarse mesh with 0.4, at 0.7 times the unknowns of 0.24, 0.31 %
 _FACE_GROWTH = 0.27
-
 #: depth over the radius of a face up to which tetrahedra grow so slowly. Deeper, the surface slips
 #: over the edge facet by facet, and only with the faster growth a neo-Hookean solid is known to
 #: reach the radius: the more facets there are, the more of them have to slip
 _SLIPPING = 0.5
-
 #: how much finer rings of hexahedra are across a sharp edge
 _RING_FINER = 3.0
-
 #: how fast sizes grow away from the contact, and the largest part of the specimen
 _GROWTH = 0.4
 LARGEST = 0.3
@@ -236,18 +229,12 @@ def _quadratic_simplices(field: SizeField, contact: AroundContact, space: Space)
     return field if slips or space == "axisymmetric" else replace(field, growth=_FACE_GROWTH)
 
 
-# -------------------------------------------------------------------------------------------------
-# How large the elements of a compressed surface should be: small at plates that are bonded.
-#
-# A quarter model divides height and radius by lines of their own, both closer at a bonded
-# corner. Tetrahedra in a surface are as large in every direction: here they get the volume of
-# the cells that the quarter model has at the same distance from plates and sides, so that one
-# mesh size means one density of elements, and one error, in both.
+# Sizes of elements in a compressed surface: tetrahedra get the volume of the quarter model's
+# cells at the same distance from plates and sides, so that one mesh size means one error in both.
 
 #: steps of the table in an element, and the most of them along an edge of the bounding box
 _PER_ELEMENT = 4.0
 _MOST = 64
-
 #: size that gmsh is told over that of the cells it should be as many as, in a body much larger than
 #: they are, and how much less in a smaller one: lines of a quarter model have whole numbers of
 #: cells, rounded up, and sizes that grow within a cell are followed but in part. A cylinder of R 10
@@ -255,7 +242,6 @@ _MOST = 64
 #: 1.4, 1.4, 0.9 and 0.7 % stiffer at 5, 3.4, 2.5 and 1.8 mm; one of H 6 mm is up to 2 % stiffer
 _TOLD = 0.975
 _LESS = 0.75
-
 #: height over which a squat body counts as small: it shears across its height, where a quarter
 #: model has flat cells and tetrahedra of the same volume are taller
 _SQUAT = 1.2
@@ -323,10 +309,7 @@ def table_callback() -> CFunction:
 
 
 def graded_table(found: Body, size_mm: float, plates: tuple[float, ...]) -> SizeTable:
-    """Sizes in a body whose faces are bonded at some heights.
-
-    Units: found mm; plates mm.
-    """
+    """Sizes in a body whose faces are bonded at some heights. Units: found mm; plates mm."""
     low, high = found.points.min(axis=0), found.points.max(axis=0)
     step = max(size_mm / _PER_ELEMENT, float((high - low).max()) / _MOST)
     axes = [np.arange(a, b + step, step) for a, b in zip(low, high, strict=True)]

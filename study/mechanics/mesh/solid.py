@@ -32,34 +32,22 @@ from study.mechanics.setup.setup import Model, Setup, mesh_level
 from study.mechanics.setup.test_kind import AroundContact
 from study.mechanics.surface.closed_surface import Body, body
 
-# -------------------------------------------------------------------------------------------------
-# Coordinates in which gmsh meshes a body, wherever and however it lies in its file.
-#
-# gmsh decides by comparisons, which the last digit of a coordinate can turn: a sphere that was
-# moved
-# by whole millimetres had other tetrahedra and a force 1.3 % away, and so it had on a processor
-# that
-# adds in another order. Here the body is turned about its loading axis to an orientation that its
-# shape gives, its coordinates are rounded to a power of two, and its corners and triangles are put
-# into the order of these.
+# Coordinates in which gmsh meshes a body: turned about the loading axis to an orientation that
+# its shape gives, rounded to a power of two and ordered, for the last digits turn gmsh's
+# comparisons (1.3 % of a force).
 
 #: binary digits of the rounded coordinates: 2e-7 of the extent, below the digits of a scan and far
 #: above rounding; more where corners would fall together
 _DIGITS = (22, 32, 42)
-
 #: the extent is taken so much larger, lest one that is a power of two is at a border
 _LARGER = 1.37
-
 #: share of its sum of weights from which an angular moment gives the orientation, and the highest
 _CLEAR = 0.01
 _HIGHEST = 400
-
 #: moments beyond it that tell equal parts of a turn apart
 _FURTHER = 8
-
 #: difference over the largest value below which two orientations count as equal
 _EQUAL = 1e-7
-
 #: equal orientations of a symmetric body that are told apart by their triangles
 _COMPARED = 16
 
@@ -159,37 +147,27 @@ def _orientations(body: Body) -> Array:
 
 #: angle between triangles at which an edge counts as sharp (rad)
 FEATURE = np.radians(35.0)
-
 #: the same for rough scans, on which some edges are so bent though they bound no face
 ROUGH = np.radians(60.0)
-
 #: reference sizes in one cube root of the volume; coarser than for half or quarter models
 CELLS_PER_LENGTH = 12.0
-
 #: the same where elements get smaller towards bonded plates: as many in all on a medium mesh
 GRADED_PER_LENGTH = 6.5
-
 #: largest part of the volume that straight-sided elements may cut off
 _LOST = 0.05
-
 #: what straight sides of the coarse mesh of an indented body may cut off, over that part
 _SHARE = 0.6
-
 #: a triangle with sides h on a sphere of radius R lies h^2 / 8 R below it, on average
 _SAGITTA = 8.0
-
 #: tetrahedra of size h in a volume of h^3, and unknowns (displacements, pressures) of each
 _PER_CUBE = 6.0
-
 #: the same where they grow away from an indenter, and as many more as gmsh makes because it cannot
 #: follow sizes that grow within an element, by the two-thirds power of the number of cubes
 _GROWING_PER_CUBE = 3.4
 _GROWING_BESIDE = 10.9
-
 #: tetrahedra beside a face over the squares of their size that cover it, in a body that is thinner
 #: than they are: plates of 60 x 60 and 200 x 200 mm, 0.1 to 1 mm thick, have 3.8 to 4.4 at 3 mm
 _PER_SQUARE = 4.0
-
 #: triangles of a surface over which sizes are integrated, at least; and the most that are taken
 #: one by one, with the lines of the raster in which more of them are gathered
 _SAMPLED = 4000

@@ -19,7 +19,6 @@ from study.mechanics.setup.geometry import Block, Cylinder, Enclosed, Specimen
 #: largest side of the square in a disc of quadrilaterals, over the radius: from 1 / sqrt(2) on
 #: the cells at the square's corner fold over
 LARGEST_SQUARE = 0.7
-
 #: size at a bonded corner over the size inside, and how fast sizes grow away from it
 CORNER_FRACTION = 0.2
 GROWTH = 0.35
@@ -143,10 +142,7 @@ def layers(height: float, h: float, *, half: bool, top: bool, base: bool) -> Arr
 
 
 def equivalent_radius(specimen: Specimen) -> float:
-    """Radius of the circle with the specimen's cross-section area.
-
-    Units: specimen mm.
-    """
+    """Radius of the circle with the specimen's cross-section area. Units: specimen mm."""
     if isinstance(specimen, Enclosed):
         raise InputError("a surface has no one radius: take a cylinder or a block")
     return float(np.sqrt(specimen.volume_mm3 / specimen.height_mm / np.pi))
@@ -300,7 +296,6 @@ def extrude(plane: Array, faces: Ints, z: Array) -> tuple[Array, Ints]:
     return points, (tetrahedra[None] + shift).reshape(-1, 4)
 
 
-# -------------------------------------------------------------------------------------------------
 # The mesh as a value: nodes, cells and the element they carry.
 
 

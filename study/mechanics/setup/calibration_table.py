@@ -11,16 +11,12 @@ from study.mechanics.material.material import is_dimensionless
 from study.mechanics.setup.declaration import AsWritten, Bad, Reads, choice, integer, section, shown
 
 METHODS = ("auto", "analytic", "inverse-fem", "none")
-
 #: how the support of an indented layer may enter its closed form
 Theory = Literal["integral-equation", "dimitriadis", "half-space"]
-
 #: keys that mean something to it alone
 ANALYTIC_KEYS = ("theory", "profile", "contact")
-
 #: name of a constant -> its least and largest value, in MPa, exponents plain
 Bounds = Mapping[str, tuple[float, float]]
-
 #: value of ``leave_out`` that scores the curve fitted
 NOTHING = "nothing"
 

@@ -27,7 +27,6 @@ from study.ground.errors import Fault, InputError, UnitError, nearest
 #: Reader of a raw value; who declares a key knows what it makes.
 Read = Callable[[object], object]
 Kind = TypeVar("Kind")
-
 #: Context of a validation: the values are those of a file, written by hand.
 FROM_FILE: Mapping[str, bool] = {"from_file": True}
 
@@ -96,7 +95,6 @@ def _itself(value: object) -> object:
 
 #: A value that is read later, and may be left out.
 AsWritten = Annotated[object, as_written()]
-
 #: Mark of a field that no file may set: what other tables say decides it.
 DERIVED = "derived"
 
@@ -226,7 +224,6 @@ def section_of(where: str, kind: type[Kind], resolved: Mapping[str, object]) -> 
     return kind(**values)
 
 
-# -------------------------------------------------------------------------------------------------
 # Quantities of a study file: numbers with a unit, and plain numbers, each with its range.
 
 #: largest and smallest size of a quantity in internal units (mm, N, MPa, s): the fourth power of
@@ -244,10 +241,7 @@ def shown(value: object) -> str:
 def quantity(
     dimension: str, low: float = 0.0, high: float = math.inf, *, closed: bool = False
 ) -> Callable[[object], float]:
-    """Reader of a value with its unit, within a range.
-
-    Units: returns mm.
-    """
+    """Reader of a value with its unit, within a range. Units: returns mm."""
 
     def read(value: object) -> float:
         number = units.parse(value, dimension)
@@ -320,10 +314,7 @@ def integer(low: int, high: int) -> Callable[[object], int]:
 
 
 def unit_of_length(value: object) -> str:
-    """Read the name of a unit of length.
-
-    Units: value mm.
-    """
+    """Read the name of a unit of length. Units: value mm."""
     if not isinstance(value, str):
         raise Bad(f"must be a text, got {shown(value)}", 'for example unit = "mm"')
     try:
@@ -344,12 +335,10 @@ Duration = Annotated[float, measured("time")]
 Force = Annotated[float, measured("force")]
 
 
-# -------------------------------------------------------------------------------------------------
 # Texts of a study file: words to choose from, names, paths; each refused with its rule.
 
 MAX_NAME = 80
 MAX_TEXT = 4000
-
 #: categories of Unicode that a reader cannot see, or that steer a terminal
 INVISIBLE = {"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"}
 

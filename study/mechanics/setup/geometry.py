@@ -343,7 +343,6 @@ class Homogeneous:
 
 Specimen = Cylinder | Block | Surface | Brain | Homogeneous
 Indenter = Flat | Cone | Sphere
-
 #: every shape by its name in a file
 SPECIMENS: dict[str, type[Specimen]] = {
     "cylinder": Cylinder,

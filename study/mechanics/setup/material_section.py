@@ -41,7 +41,6 @@ class Compressibility:
 
 #: of the stress that may fade, as a fit starts; the rest stays
 _FADING = 0.5
-
 #: all of the stress may fade, none may grow
 _SHARES: Bounds = (0.0, 1.0)
 
@@ -126,10 +125,7 @@ class MaterialSection:
         return energy.bounds(name) if isinstance(energy, DeclaredConstants) else FREE
 
     def material(self, constants: Mapping[str, float] | None = None) -> Material:
-        """Material with numbers.
-
-        Units: constants MPa, s.
-        """
+        """Material with numbers. Units: constants MPa, s."""
         given = self.constants if constants is None else constants
         values = {n: v for n, v in given.items() if n not in self._names_of_relaxation}
         if not values:

@@ -52,10 +52,8 @@ Order = Literal["linear", "quadratic"]
 Shape = Literal["simplex", "tensor"]
 Formulation = Literal["mixed", "displacement"]
 MeshName = Literal["coarse", "medium", "fine"]
-
 #: Document of a problem: its tables by their names, in mm, N, MPa, deg and s.
 Tables = Mapping[str, object]
-
 #: coarse : medium : fine are these multiples of the reference size (ratio 1.5 by default)
 MESH_LEVELS: tuple[MeshName, ...] = ("coarse", "medium", "fine")
 #: shapes that deform the same everywhere where nothing holds their ends
@@ -217,10 +215,7 @@ def problem_of(
     constants: Mapping[str, float] | None = None,
     displacement_mm: float | None = None,
 ) -> Problem:
-    """Problem of resolved tables.
-
-    Units: constants MPa.
-    """
+    """Problem of resolved tables. Units: constants MPa."""
     material = MaterialSection.of(resolved).material(constants)
     return Setup.of(resolved).problem(material, displacement_mm)
 
@@ -265,16 +260,13 @@ def known_height_mm(resolved: Mapping[str, object]) -> float | None:
     return None if height is None else finite(height)
 
 
-# -------------------------------------------------------------------------------------------------
 # The table ``[forward]``: which program predicts the curves of a cell.
 
 Kind = Literal["fem", "closed-form", "command", "python"]
-
 #: what a table may hold: a chain of programs is short, and adapters are small
 MAX_STEPS = 20
 MAX_WORDS = 200
 MAX_FILES = 50
-
 #: seconds of one solution by a program that does not say them
 USUAL_SECONDS = 1.0
 

@@ -16,7 +16,6 @@ from study.ground.arrays import Array
 from study.ground.errors import Fault, InputError
 from study.mechanics.setup.geometry import FaceMotion, Gravity, Indenter
 
-# -------------------------------------------------------------------------------------------------
 # The load steps of a test, and the settings of the iteration that go with its size.
 
 

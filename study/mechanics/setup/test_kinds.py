@@ -104,7 +104,6 @@ def beyond_height(test: Test, height_mm: float) -> Iterator[Fault]:
 COMPRESSION = Compression()
 
 
-# -------------------------------------------------------------------------------------------------
 # Indentation of a specimen on a rigid support by a rigid body of revolution.
 
 #: stretches around an indenter in which a material must at least be stable
@@ -214,11 +213,8 @@ def indenter_of_test(test: Test) -> Indenter:
 INDENTATION = Indentation()
 
 
-# -------------------------------------------------------------------------------------------------
-# Tests of material on a gauge section that deforms the same everywhere.
-#
-# Tension, equibiaxial and planar tension (pure shear), simple shear, volumetric and confined
-# compression. They have a closed form for every energy and need no elements.
+# Tests of material on a gauge section that deforms the same everywhere: a closed form for every
+# energy, no elements.
 
 #: points of a range of stretches at which stability is looked at
 GAUGE_SECTION_STRETCHES = 41
@@ -300,13 +296,8 @@ GAUGE_SECTIONS = {
 }
 
 
-# -------------------------------------------------------------------------------------------------
-# Compression by a plate that also shifts and turns, and on which the face may spread.
-#
-# A press is rarely true: its plate shifts across the axis and tilts, and a face that is not glued
-# slips outwards. All of it is prescribed here, as a rigid motion with small rotations and one
-# in-plane stretch of the loaded face, so that markers inside a specimen can tell how the plate
-# really moved.
+# Compression by a plate that also shifts and turns, and on which the face may spread: a rigid
+# motion with small rotations and one in-plane stretch of the loaded face.
 
 
 @dataclass(frozen=True)

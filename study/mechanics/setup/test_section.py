@@ -101,7 +101,6 @@ class TestSection:
         )
 
 
-# -------------------------------------------------------------------------------------------------
 # Course of a test in time: a ramp at one speed, and what follows it, a hold or cycles.
 
 #: first row of a hold over its duration: rows are even on a logarithmic scale, as relaxation is

@@ -14,16 +14,12 @@ from study.mechanics.setup.geometry import Brain
 
 #: how often the triangles of an octahedron are quartered: 8,192 in all
 _QUARTERED = 5
-
 #: how much narrower it is in front and wider behind
 _TAPER = 0.12
-
 #: height of the widest section over that of the body
 _WAIST = 0.35
-
 #: half width of the groove over its depth: coarse triangles can follow its sides
 _GROOVE = 1.7
-
 #: deepest groove over the height, and over the width
 _DEEPEST = 0.15
 

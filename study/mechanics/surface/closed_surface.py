@@ -26,14 +26,11 @@ from study.ground.units import parse
 from study.mechanics.setup.geometry import Brain, Enclosed, Specimen, Surface
 from study.mechanics.surface.brain import brain_surface
 
-# -------------------------------------------------------------------------------------------------
-# What a surface must be to enclose a specimen: closed, of one piece, and facing outward.
-#
-# Places in messages are coordinates of the file, as the program that wrote it shows them.
+# Checks that a surface encloses a specimen: closed, of one piece, facing outward. Messages give
+# places in the coordinates of the file.
 
 #: points closer than this fraction of the extent are one point
 _MERGE = 1e-7
-
 #: smallest altitude of a triangle over the extent
 _FLAT = 1e-7
 
@@ -94,10 +91,7 @@ def volume(points: Array, triangles: Ints) -> float:
 
 
 def area(points: Array, triangles: Ints) -> float:
-    """Total area of triangles.
-
-    Shapes: points, triangles (n, 3).
-    """
+    """Total area of triangles. Shapes: points, triangles (n, 3)."""
     corners = points[triangles]
     twice = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return float(np.linalg.norm(twice, axis=1).sum() / 2)
@@ -274,10 +268,7 @@ _DEPTH = 1e-6
 
 
 def first_intersection(points: Array, triangles: Ints) -> tuple[int, int, Array, int] | None:
-    """First pair of triangles that intersect.
-
-    Shapes: points, triangles (n, 3).
-    """
+    """First pair of triangles that intersect. Shapes: points, triangles (n, 3)."""
     corners = np.ascontiguousarray(points[triangles])
     sides = np.roll(corners, -1, axis=1) - corners
     normals = np.cross(sides[:, 0], sides[:, 1])
@@ -385,26 +376,19 @@ def _cross(u: Array, v: Array, out: Array) -> None:
 
 SUFFIXES = (".stl", ".ply", ".obj")
 MAX_BYTES = 200 * 1024**2
-
 #: bytes of a binary STL before its triangles, and of each of them
 _STL_HEADER = 84
 _STL_TRIANGLE = 50
-
 #: bytes of a PLY header, comments included
 _PLY_HEADER = 64 * 1024
-
 #: more triangles than any mesh for a laptop can follow
 MAX_TRIANGLES = 500_000
-
 #: faces within this fraction of the height of the lowest or highest point touch the plates
 PLATE_TOLERANCE = 1e-4
-
 #: cosine of the angle that such a face may have to the plate (10 deg)
 _LEVEL = 0.985
-
 #: lengths of a specimen, in mm, outside which a unit is suspect
 PLAUSIBLE_MM = (2.0, 1000.0)
-
 #: file coordinates (columns, signs) that become x, y and z where this axis points up
 _TURNS: dict[str, tuple[tuple[int, int, int], tuple[int, int, int]]] = {
     "z": ((0, 1, 2), (1, 1, 1)),
@@ -571,10 +555,7 @@ def unit_mm(unit: str) -> float:
 
 
 def turned_up(points: Array, axis: str) -> Array:
-    """Turn points, never mirrored, so that an axis of theirs points up.
-
-    Shapes: points (n, 3).
-    """
+    """Turn points, never mirrored, so that an axis of theirs points up. Shapes: points (n, 3)."""
     if axis not in _TURNS:
         rule = f"must be one of {', '.join(AXES)}, got {axis!r}"
         raise InputError(Fault("specimen.axis", rule, "it is the axis of the file that points up"))

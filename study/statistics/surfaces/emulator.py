@@ -21,19 +21,15 @@ from study.statistics.surfaces.gaussian_process import (
 )
 from study.statistics.surfaces.surface_factors import Runs, change_together
 
-# -------------------------------------------------------------------------------------------------
 # How far a factor moves the response, in the response's unit, and whether that matters.
 
 #: settings of the other factors, and steps along the factor
 SETTINGS = 256
 STEPS = 11
-
 #: part of the settings that the range is claimed for
 SHARE = 0.95
-
 #: bound of a range: this many times the largest leave-one-out error
 ERRORS = 2.0
-
 #: added to a range before it is called small, as a part of the response's range: larger than
 #: every miss of the bound on the borehole function
 MISS = 0.02
@@ -64,10 +60,7 @@ class EffectRange:
 def effect_range(
     mean: Callable[[Array], Array], k: int, j: int, bound: float, small: Small
 ) -> EffectRange:
-    """Range along factor j.
-
-    Shapes: mean (m,).
-    """
+    """Range along factor j. Shapes: mean (m,)."""
     from scipy.stats import qmc
 
     others = qmc.Sobol(k, seed=j).random(SETTINGS)
@@ -102,12 +95,10 @@ class Small:
         return "cannot tell"
 
 
-# -------------------------------------------------------------------------------------------------
 # Shares of the response's variance that factors explain, with all factors uniform on the box.
 
 #: points of the sample: with 1,024 an exact emulator still erred by .017
 SAMPLE = 4096
-
 #: what the sample itself may err, added to every interval
 SAMPLE_ERROR = 0.005
 
@@ -180,23 +171,17 @@ def _cut(value: float) -> float:
 #: Q2 at which indices and effects are given, and at which factors are at least ranked
 GIVEN = 0.9
 RANKED = 0.7
-
 #: most runs: the work grows with the cube, 1,000 runs take about half a minute, 2,000 about five
 LARGEST = 2000
-
 #: seconds of a fit with 1,000 runs on one core, for the estimate that is said beforehand: 25 to
 #: 30 of eight factors
 SECONDS_1000 = 40.0
-
 #: fewest runs a factor where a design does not fill the box
 RUNS_A_FACTOR = 10
-
 #: fewest runs of one combination of categories beside those of the others
 FEWEST_OWN = 5
-
 #: fewest settings of a factor
 FEWEST_SETTINGS = 4
-
 #: designs with at most this many settings a factor are grids, not space-filling
 GRID_LEVELS = 5
 
@@ -401,7 +386,6 @@ def _check(runs: Runs) -> None:
         raise RefusedError(str(Fault("emulator", f"{rule} in every run", mend)))
 
 
-# -------------------------------------------------------------------------------------------------
 # One emulator a block: what factors do in each block, and how that differs between blocks.
 
 #: fewest blocks whose mean has an interval worth the name
@@ -537,16 +521,13 @@ def _of_block(runs: Runs, name: str) -> Runs:
     return Runs(runs.name, runs.factors, runs.coded[rows], runs.response[rows])
 
 
-# -------------------------------------------------------------------------------------------------
 # Where further runs make an emulator surest (Cohn, Ghahramani and Jordan 1996; Gramacy 2020).
 
 #: candidates for the next run, and points at which the gain is summed, as powers of two
 CANDIDATES = 10
 REFERENCES = 9
-
 #: how far candidates reach beyond the box before they are cut: so the faces have some, too
 STRETCH = 1.1
-
 #: weight of the mean misfit where no run is near, in runs
 PRIOR_RUNS = 1.0
 

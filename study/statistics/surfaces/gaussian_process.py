@@ -19,12 +19,10 @@ from scipy.spatial.distance import cdist
 
 from study.ground.arrays import Array, Ints
 
-# -------------------------------------------------------------------------------------------------
 # Correlation of the functions that belong to categories: what they share, and what each has.
 
 #: distances of a category from the shared part: below, it is the shared part; beyond, alone
 DISTANCES = (1e-5, 3.0)
-
 #: where the first search begins: two categories correlate by .82
 FIRST_DISTANCE = 0.1
 RESTART_DISTANCES = (0.01, 1.0)
@@ -102,12 +100,10 @@ def _spread(logarithms: Sequence[Array]) -> Array:
     return reduce(summed, logarithms)
 
 
-# -------------------------------------------------------------------------------------------------
 # Correlation of two points by their distance, with one length scale a factor.
 
 Family = Literal["Matern 5/2", "Gaussian"]
 FAMILIES: tuple[Family, ...] = ("Matern 5/2", "Gaussian")
-
 #: degrees of freedom of the t distribution that is the spectrum of Matern 5/2
 SPECTRAL_DF = 5
 
@@ -181,22 +177,17 @@ class Kernel:
 
 #: length scales in the unit box: shorter is noise between runs, longer is a straight line
 LENGTHS = (0.05, 50.0)
-
 #: variance of the process beside that of the responses
 VARIANCES = (1e-2, 1e4)
-
 #: nugget beside the variance of the process: below, the matrix cannot be factorized
 NUGGETS = (1e-10, 1.0)
-
 #: where the first search begins; random ones begin at length scales between .1 and 5
 FIRST_LENGTH = 0.5
 FIRST_NUGGET = 1e-6
 RESTART_LENGTHS = (0.1, 5.0)
-
 #: searches beside the first one, and most steps of each
 RESTARTS = 2
 STEPS = 80
-
 #: what an impossible matrix costs the search: any value above every likelihood
 IMPOSSIBLE = 1e20
 
@@ -387,7 +378,6 @@ def log_likelihood(
     return float(value), np.array([*lengths, *apart, variance, nugget])
 
 
-# -------------------------------------------------------------------------------------------------
 # Functions drawn from the posterior: Matheron's rule with random features.
 
 #: random features of a prior path (Rahimi and Recht 2007) and paths that are drawn

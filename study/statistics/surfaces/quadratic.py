@@ -20,7 +20,6 @@ from study.statistics.surfaces.surface_factors import (
     extremes,
 )
 
-# -------------------------------------------------------------------------------------------------
 # A polynomial of second order in coded factors.
 
 
@@ -92,13 +91,11 @@ class Polynomial:
         return np.asarray(self.linear() + 2.0 * coded @ self.quadratic())
 
 
-# -------------------------------------------------------------------------------------------------
 # Least squares by QR, with the terms that the runs cannot tell apart, and leave-one-out errors.
 
 #: a column that keeps less than this part of its length beside those before it is their alias:
 #: rounding leaves about 1e-15, and a design that is nearly aliased keeps a few hundredths
 ALIASED = 1e-8
-
 #: a run with a leverage above this decides its own prediction and cannot be left out
 SATURATED = 1.0 - 1e-9
 
@@ -149,10 +146,7 @@ class ModelColumns:
 
 
 def factorize(terms: Sequence[Term], coded: Array) -> ModelColumns:
-    """Keep, in their order, the terms that the settings can tell.
-
-    Shapes: coded (n, k).
-    """
+    """Keep, in their order, the terms that the settings can tell. Shapes: coded (n, k)."""
     kept: list[Term] = []
     basis = np.empty((len(coded), 0))
     left_out: list[Term] = []
@@ -267,12 +261,10 @@ def lack_of_fit(columns: ModelColumns, response: Array, which: Ints) -> FTest | 
     return FTest(f, float(df), float(df_pure), float(stats.f.sf(f, df, df_pure)))
 
 
-# -------------------------------------------------------------------------------------------------
 # Where the surface is level, and what it is there (canonical analysis).
 
 #: an eigenvalue below this part of the largest makes a ridge: the point slides along it
 RIDGE = 0.05
-
 #: points of the box at which the confidence region is asked for
 SEARCHED = 4096
 
@@ -354,10 +346,7 @@ def in_region(surfaces: Sequence[Polynomial], coded: Array, level: float = 0.95)
 
 
 def region_of(surfaces: Sequence[Polynomial], points: Array) -> Region | None:
-    """Confidence region over the box.
-
-    Shapes: points (n, k).
-    """
+    """Confidence region over the box. Shapes: points (n, k)."""
     k = surfaces[0].k
     if len(surfaces) <= k:
         return None
@@ -378,7 +367,6 @@ def _touches(surfaces: Sequence[Polynomial], points: Array) -> bool:
     return False
 
 
-# -------------------------------------------------------------------------------------------------
 # A quadratic surface fitted to runs, and what may be said of it.
 
 #: smallest Q2 at which effects are carried by a quadratic

@@ -15,7 +15,6 @@ from study.ground.errors import Fault, InputError, nearest
 
 #: part of the largest singular value of the settings below which factors change together
 COLLINEAR = 1e-7
-
 #: settings closer than this in coded units are one setting: far above rounding, far below a step
 SAME_SETTING = 1e-9
 
@@ -170,15 +169,12 @@ def change_together(runs: Runs) -> tuple[str, ...]:
     return tuple(n for n, c in zip(runs.names, last, strict=True) if c > 1e-3 * last.max())
 
 
-# -------------------------------------------------------------------------------------------------
 # Largest and smallest prediction in the box of coded factors.
 
 #: most factors whose corners are all asked: 2^10 = 1,024
 CORNERS = 10
-
 #: best points from which the search goes on
 STARTS = 5
-
 #: a coordinate this near to 1 in size lies on the boundary
 BOUNDARY = 1e-6
 
@@ -207,10 +203,7 @@ def box_points(k: int, n: int, seed: int = 0) -> Array:
 
 
 def extremes(value: Callable[[Array], Array], k: int, half_width: float) -> tuple[Extreme, Extreme]:
-    """Smallest and largest prediction in the box.
-
-    Shapes: value (n,).
-    """
+    """Smallest and largest prediction in the box. Shapes: value (n,)."""
     points = box_points(k, 4096)
     if k <= CORNERS:
         points = np.vstack([points, np.array(list(product((-1.0, 1.0), repeat=k)))])

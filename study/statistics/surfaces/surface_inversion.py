@@ -15,22 +15,16 @@ from study.statistics.surfaces.surface_profile import CurveEmulator
 #: points at which the search looks around, and the best of them from which it goes on
 SAMPLE = 2048
 STARTS = 5
-
 #: halvings between the best setting and an end of the range: 1e-4 of the range
 HALVINGS = 14
-
 #: a coded coordinate this near to an end of what was run stands there
 NEAR_END = 1e-3
-
 #: a power below this part of the largest one does not count
 COUNTS = 0.05
-
 #: step of the differences that give slopes, in coded units
 STEP = 1e-4
-
 #: a combination is determined where its interval is less than this part of what the ranges allow
 NARROW = 0.5
-
 #: probability of the region
 LEVEL = 0.95
 

@@ -19,11 +19,9 @@ from study.statistics.surfaces.surface_factors import BOUNDARY, CORNERS, Runs, b
 Model = QuadraticSurface | Emulator | BlockedEmulator
 Goal = Literal["minimize", "maximize"]
 Assurance = Literal["", "surely", "predicted"]
-
 #: points at which the search looks around, and the best of them from which it goes on
 SAMPLE = 4096
 STARTS = 8
-
 #: a limit counts as kept this near to it, as a part of the response's range: rounding of the search
 ROUNDING = 1e-7
 
@@ -45,10 +43,7 @@ class Limit:
         return float(np.ptp(self.model.runs.response)) or 1.0
 
     def room(self, coded: Array, share: float) -> Array:
-        """Distance to the limit, shape (m,), positive where it is kept.
-
-        Shapes: coded (m, k).
-        """
+        """Distance to the limit, shape (m,), positive where it is kept. Shapes: coded (m, k)."""
         value, half = self.model.predict(coded)
         return np.asarray((self.sign * (value - self.value) - share * half) / self.scale)
 

@@ -135,7 +135,6 @@ def _coded(column: Array, points: int) -> Array:
     return np.linspace(float(column.min()), float(column.max()), points)
 
 
-# -------------------------------------------------------------------------------------------------
 # An emulator of whole curves: a mean, and a few shapes whose sizes are emulated.
 
 #: a shape is kept as long as it is this large beside the first one; at most so many
@@ -202,7 +201,6 @@ def fit_curves(runs: Runs, curves: Array, seed: int = 0) -> CurveEmulator:
     return CurveEmulator(single, mean, kept, sizes, errors, q2)
 
 
-# -------------------------------------------------------------------------------------------------
 # What another level of a factor without numbers changes, over the ranges of the numbers.
 
 
@@ -253,7 +251,6 @@ def level_difference(
     return LevelDifference(*names, float(change.mean()), low, high, bound, verdict)
 
 
-# -------------------------------------------------------------------------------------------------
 # A surface over the numeric factors of a study, for one response.
 
 

@@ -61,10 +61,7 @@ class SurfaceAnalysis:
         return replace(self, notes=(*notes, *self.notes))
 
     def predict(self, at: Mapping[str, ArrayLike]) -> Prediction:
-        """Predict at settings that were not run, inside those that were.
-
-        Shapes: at (m,).
-        """
+        """Predict at settings that were not run, inside those that were. Shapes: at (m,)."""
         value, half = self.model.predict(self.runs.points(at))
         return Prediction(value, value - half, value + half)
 
