@@ -38,11 +38,9 @@ _UNMAPPED = 65534
 
 @functools.cache
 def private_folder() -> Path | None:
-    """Folder of this user for caches of this package; None where there is none to be trusted.
-
-    It is ``study`` in XDG_CACHE_HOME or ``~/.cache``; where neither can be written, or others
-    could write there, one in the folder for temporary files.
-    """
+    """Folder of this user for caches of this package; None where there is none to be trusted."""
+    # It is ``study`` in XDG_CACHE_HOME or ``~/.cache``; where neither can be written, or others
+    # could write there, one in the folder for temporary files.
     cache = os.environ.get("XDG_CACHE_HOME", "")
     home = os.path.expanduser(os.path.join("~", ".cache"))
     temporary = os.environ.get("TMPDIR", "")
@@ -114,11 +112,9 @@ def cache_folder() -> Path | None:
 
 @contextmanager
 def only_process(work: str) -> Iterator[None]:
-    """Context in which no other process does the same work on the kernels of this package.
-
-    Each work has a byte of one file, which the operating system locks for a process and frees
-    when that process ends. Where a folder cannot be written or locked, work is done twice.
-    """
+    """Context in which no other process does the same work on the kernels of this package."""
+    # Each work has a byte of one file, which the operating system locks for a process and frees
+    # when that process ends. Where a folder cannot be written or locked, work is done twice.
     handle = _lock_file()
     place = int.from_bytes(hashlib.sha256(f"{_PACKAGE} {work}".encode()).digest()[:6], "big")
     locked = handle is not None and _lock_byte(handle, place)
@@ -200,11 +196,9 @@ class _Dispatcher(Protocol):
 
 
 def _compile_once(dispatcher: _Dispatcher) -> None:
-    """Let one process compile a signature of a kernel: others wait, and find it on disk.
-
-    Numba lets each process that starts on an empty cache compile all of it, and of two that
-    add to a kernel's index at once one loses its entry.
-    """
+    """Let one process compile a signature of a kernel: others wait, and find it on disk."""
+    # Numba lets each process that starts on an empty cache compile all of it, and of two that add
+    # to a kernel's index at once one loses its entry.
     name = f"{dispatcher.py_func.__module__}.{dispatcher.py_func.__qualname__}"
     compile_signature, save = dispatcher.compile, dispatcher._cache.save_overload
 
@@ -225,10 +219,8 @@ carray: Any = numba.carray  # type: ignore[attr-defined]
 
 
 def callback(signature: str) -> Callable[[_Function], Any]:
-    """Decorate a function that a C library calls; its ``ctypes`` is what to hand over.
-
-    It is compiled or found on disk at once, so decorate it where it is first needed.
-    """
+    """Decorate a function that a C library calls; its ``ctypes`` is what to hand over."""
+    # It is compiled or found on disk at once, so decorate it where it is first needed.
     return _kept_on_disk(functools.partial(numba.cfunc, signature))
 
 
@@ -250,10 +242,8 @@ _AWAKE_MS = 1
 
 
 def smallest(phases: Sequence[Sequence[Elements]], loop: Callable[[Elements], float]) -> float:
-    """Smallest result of a loop over all parts: those of a phase at once, phases in turn.
-
-    The first share of a phase is done here, every other in a thread.
-    """
+    """Smallest result of a loop over all parts: those of a phase at once, phases in turn."""
+    # The first share of a phase is done here, every other in a thread.
     found = []
     for parts in phases:
         count = min(len(parts), max(int(_CONFIG.NUMBA_NUM_THREADS), 1))
@@ -268,19 +258,15 @@ def _in_turn(parts: Sequence[Elements], loop: Callable[[Elements], float]) -> fl
 
 
 def vectors_alone() -> AbstractContextManager[Any]:
-    """Context in which NumPy and SciPy add up vectors without threads.
-
-    Those of OpenBLAS go on spinning after a sum and take the time of what comes next.
-    """
+    """Context in which NumPy and SciPy add up vectors without threads."""
+    # Those of OpenBLAS go on spinning after a sum and take the time of what comes next.
     limited: AbstractContextManager[Any] = _openblas().limit(limits=1)
     return limited
 
 
 def threads_sleep_after_work() -> None:
-    """Let MKL's threads sleep after a millisecond.
-
-    By default they keep a core busy for a fifth of a second, in which the next assembly runs.
-    """
+    """Let MKL's threads sleep after a millisecond."""
+    # By default they keep a core busy for a fifth of a second, in which the next assembly runs.
     for library in ThreadpoolController().select(internal_api="openmp").lib_controllers:
         if library.prefix == "libiomp":
             library.dynlib.kmp_set_blocktime(_AWAKE_MS)

@@ -94,11 +94,9 @@ class Curve:
         return off
 
     def _missed_by_a_parabola(self) -> float:
-        """Mean force that a parabola from the origin lacks of the first interval's work, N.
-
-        The work of this interval gives the slope at the origin, so that nothing is left over to
-        tell how good its cubic is; what the cubic mends in the parabola tells that.
-        """
+        """Mean force that a parabola from the origin lacks of the first interval's work, N."""
+        # The work of this interval gives the slope at the origin, so that nothing is left over to
+        # tell how good its cubic is; what the cubic mends in the parabola tells that.
         d, f = float(self.displacement_mm[0]), float(self.force_N[0])
         slope = 0.0 if self.stiffness_N_per_mm is None else float(self.stiffness_N_per_mm[0])
         parabola = hermite_work(
@@ -185,10 +183,8 @@ class Curve:
         return self._splined(self._gradients(names), d)
 
     def smooth_at(self, names: Sequence[str], displacement_mm: ArrayLike) -> tuple[Array, Array]:
-        """Force and dF/dtheta, without the corners of chords between few points.
-
-        Shapes: displacement_mm (n,); returns (n,); returns (n, p).
-        """
+        """Force and dF/dtheta, without the corners of chords between few points."""
+        # Shapes: displacement_mm (n,); returns (n,); returns (n, p).
         d = np.asarray(displacement_mm, dtype=float)
         is_course = self.time_s is not None
         if self.stiffness_N_per_mm is not None or is_course or len(self) < 3:
@@ -266,10 +262,8 @@ class Curve:
         return np.r_[0.0, d], np.r_[0.0, f], np.r_[self.slope_at_origin(), s]
 
     def slope_at_origin(self) -> float:
-        """dF/dd with which the first interval's cubic does its work.
-
-        Where the work is not known, the one that makes it a parabola.
-        """
+        """dF/dd with which the first interval's cubic does its work."""
+        # Where the work is not known, the one that makes it a parabola.
         d, f = float(self.displacement_mm[0]), float(self.force_N[0])
         slope = 0.0 if self.stiffness_N_per_mm is None else float(self.stiffness_N_per_mm[0])
         if self.work_Nmm is None:

@@ -9,11 +9,9 @@ from contextlib import contextmanager
 
 @contextmanager
 def uncollected() -> Iterator[None]:
-    """Context in which nobody looks for reference cycles.
-
-    Records and drawings are made of hundreds of thousands of objects that are all in use: walking
-    through them again and again took a fifth of the time of a report and a tenth of a resume.
-    """
+    """Context in which nobody looks for reference cycles."""
+    # Records and drawings are made of hundreds of thousands of objects that are all in use: walking
+    # through them again and again took a fifth of the time of a report and a tenth of a resume.
     was_on = gc.isenabled()
     gc.disable()
     try:

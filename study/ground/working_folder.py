@@ -103,10 +103,8 @@ def is_working_folder(path: str) -> bool:
 
 
 def leave() -> None:
-    """Take the working folder off the path of this process, and its files out of its variables.
-
-    For the command, whose process imports nothing for a user.
-    """
+    """Take the working folder off the path of this process, and its files out of its variables."""
+    # For the command, whose process imports nothing for a user.
     sys.path[:] = [path for path in sys.path if not is_working_folder(path)]
     for name in PATH_VARIABLES:
         value = os.environ.get(name)

@@ -174,10 +174,8 @@ def _start(
     progress: Progress | None,
     checkpoint: Checkpoint,
 ) -> tuple[tuple[str, ...], Array]:
-    """Find the start: the given constants, or those of a simpler fit of one fitted test.
-
-    A homogeneous test is preferred: its closed form costs nothing.
-    """
+    """Find the start: the given constants, or those of a simpler fit of one fitted test."""
+    # A homogeneous test is preferred: its closed form costs nothing.
     fitted = list(dict.fromkeys(c.test for c in in_order(curves)))
     problems = {number: problem_of(tests[number].tables) for number in fitted}
     closed = [number for number in fitted if problems[number].method == "closed-form"]

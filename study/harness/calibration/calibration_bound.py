@@ -95,10 +95,8 @@ class NumericalBound:
 def numerical_bound(
     config: CalibrationDesign, root: Path, known: Fit, progress: Progress | None = None
 ) -> NumericalBound:
-    """Fit again on other meshes and with more load steps, and judge every constant.
-
-    Nuisance parameters stay at what is expected of them in all of these fits.
-    """
+    """Fit again on other meshes and with more load steps, and judge every constant."""
+    # Nuisance parameters stay at what is expected of them in all of these fits.
     names, start = known.names, known.values
     bounds = bounds_of(config, names)
     parts = parts_of(config.tests, in_order(read_tests(config.tests, root)[0]))

@@ -381,11 +381,9 @@ def _at_least_squares(
 def _of_one_sign(
     groups: Mapping[str, CalibrationDesign], fits: Mapping[str, CalibrationResult]
 ) -> dict[str, CalibrationResult]:
-    """Give exponents whose sign a test cannot tell the sign that the others find.
-
-    The stress of Ogden's terms is even in the exponent where one principal stretch is the
-    inverse of another: in simple shear and in planar tension. A fit ends at either sign.
-    """
+    """Give exponents whose sign a test cannot tell the sign that the others find."""
+    # The stress of Ogden's terms is even in the exponent where one principal stretch is the inverse
+    # of another: in simple shear and in planar tension. A fit ends at either sign.
     names = next(iter(fits.values())).fit.names
     out = dict(fits)
     for k, name in enumerate(names):

@@ -214,10 +214,8 @@ class Predictions:
         self._made: dict[tuple[int, str, str, int], _Homogeneous | _Simulated] = {}
 
     def __call__(self, values: Array, asked: Sequence[NuisanceParameter]) -> list[Curve]:
-        """Predict all curves, with their derivatives by the constants and what is asked.
-
-        Shapes: values (p + k,), MPa.
-        """
+        """Predict all curves, with their derivatives by the constants and what is asked."""
+        # Shapes: values (p + k,), MPa.
         constants = values[: len(self._names)]
         given = {one.name: v for one, v in zip(asked, values[len(self._names) :], strict=True)}
         out: list[Curve] = []

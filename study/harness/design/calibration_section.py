@@ -103,11 +103,9 @@ def nuisance_from(
 def of_test(
     shared: Mapping[str, NuisanceInput], own: Mapping[str, NuisanceInput]
 ) -> dict[str, NuisanceInput]:
-    """Nuisance parameters of one test: its own, and those of the file that it does not replace.
-
-    What all tests share is common to the tests that take it from the file; a test's own
-    parameter is at most common to its curves.
-    """
+    """Nuisance parameters of one test: its own, and those of the file that it does not replace."""
+    # What all tests share is common to the tests that take it from the file; a test's own parameter
+    # is at most common to its curves.
     within = {
         key: replace(one, each="curve" if one.each == "curve" else "test")
         for key, one in own.items()
@@ -193,7 +191,6 @@ class CalibratedTest:
 
     #: Document of its problem, in mm, N, MPa and deg: what is hashed and sent to a worker.
     tables: Tables
-    #: Where its measured curves are.
     measurements: MeasurementSpec
     #: Whether its curves enter the fit, or are only predicted.
     role: Role = "fit"

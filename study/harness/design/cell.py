@@ -135,15 +135,10 @@ SELDOM = ("speed_mm_per_s", "hold_s", "cycles", "prestretch")
 class CellProblem:
     """One test of a cell: what is pressed, how, and how it is discretized."""
 
-    #: Sections of the study file.
     specimen: Specimen
-    #: Sections of the study file.
     test: TestSection
-    #: Sections of the study file.
     material: MaterialSection
-    #: Sections of the study file.
     model: Model
-    #: Where its measured curves are.
     measurements: MeasurementSpec | None = None
     #: What predicts its curves; None for the built-in finite elements.
     forward: ForwardModel | None = None
@@ -162,10 +157,8 @@ class CellProblem:
 
     @property
     def is_homogeneous(self) -> bool:
-        """Whether the deformation is the same everywhere: compression, both faces frictionless.
-
-        The closed form is then exact, and space, mesh, order and element shape cannot matter.
-        """
+        """Whether the deformation is the same everywhere: compression, both faces frictionless."""
+        # The closed form is then exact, and space, mesh, order and element shape cannot matter.
         weight = self.test.gravity
         test = Test(self.test.kind, None, self.test.interface, self.test.held_below, gravity=weight)
         return setup.is_homogeneous(test, self.specimen.shape)
@@ -196,11 +189,9 @@ class CellProblem:
         } | beside
 
     def physical(self) -> Config:
-        """Part of the document that can change a curve.
-
-        In homogeneous compression the closed form is exact: of the specimen its area and
-        height count, and nothing of the discretisation.
-        """
+        """Part of the document that can change a curve."""
+        # In homogeneous compression the closed form is exact: of the specimen its area and height
+        # count, and nothing of the discretisation.
         kept, specimen = self.document(), self.specimen
         if isinstance(specimen, Enclosed) or not self.has_closed_form:
             return kept
@@ -237,7 +228,6 @@ def _model(model: Model) -> Config:
 class Cell:
     """What a cell of a design computes."""
 
-    #: What is predicted.
     problem: CellProblem
     #: How the constants are found.
     method: str

@@ -42,11 +42,9 @@ class Faults(list[Fault]):
 def read_table(
     kind: type[Kind], table: object, path: str, faults: Faults, also: Collection[str] = ()
 ) -> Kind:
-    """Read one table and the tables in it; every fault is noted, and a faulty value is None.
-
-    A section with None where it must not be lives as long as the file is checked: whoever
-    loads one raises the faults.
-    """
+    """Read one table and the tables in it; every fault is noted, and a faulty value is None."""
+    # A section with None where it must not be lives as long as the file is checked: whoever loads
+    # one raises the faults.
     if not isinstance(table, Mapping):
         faults.add(path, f"must be a table, got {shown(table)}", f"write [{path}]")
         return _partial(kind, {}, {key.written for key in keys_of(kind) if key.must_be_written})
@@ -204,7 +202,6 @@ def all_about(faults: Faults, table: str) -> bool:
 
 # TOML in and out: size caps, positions of errors, overrides, canonical dump.
 
-#: nested tables of a file
 Tables = dict[str, object]
 MAX_BYTES = 256 * 1024
 MAX_LINE = 4096

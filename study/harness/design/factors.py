@@ -31,10 +31,8 @@ Presets = Mapping[str, Mapping[str, Table]]
 
 
 def presets_from(table: object, faults: Faults) -> Presets:
-    """Read ``[presets.SET.LEVEL]``: dotted keys of the whole file for every level.
-
-    A set named like a table of the file is laid over that table.
-    """
+    """Read ``[presets.SET.LEVEL]``: dotted keys of the whole file for every level."""
+    # A set named like a table of the file is laid over that table.
     presets: dict[str, dict[str, Table]] = {}
     for set_name, levels in entries(table, "presets", faults).items():
         where = f"presets.{quoted(set_name)}"

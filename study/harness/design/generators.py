@@ -45,31 +45,25 @@ def fractional(
 
 
 def by_resolution(count: int, resolution: int) -> Array:
-    """Smallest two-level fraction of a number of factors with at least a resolution.
-
-    Shapes: returns (runs, count).
-    """
+    """Smallest two-level fraction of a number of factors with at least a resolution."""
+    # Shapes: returns (runs, count).
     from pydoe import fracfact_by_res
 
     return _ordered(np.asarray(fracfact_by_res(count, resolution), dtype=float))
 
 
 def plackett_burman(count: int) -> Array:
-    """Plackett-Burman screening design (Plackett and Burman 1946, Biometrika 33, 305).
-
-    Shapes: returns (runs, count).
-    """
+    """Plackett-Burman screening design (Plackett and Burman 1946, Biometrika 33, 305)."""
+    # Shapes: returns (runs, count).
     from pydoe import pbdesign
 
     return np.asarray(pbdesign(count), dtype=float)
 
 
 def central_composite(count: int, star: str = "inscribed") -> Array:
-    """Rotatable central composite design, or the face-centered one (Box and Wilson 1951).
-
-    The center stands once: a simulation repeated is the same simulation. The runs are scaled
-    so that none leaves -1 to 1, for the ends of a range are its true limits.
-    """
+    """Rotatable central composite design, or the face-centered one (Box and Wilson 1951)."""
+    # The center stands once: a simulation repeated is the same simulation. The runs are scaled so
+    # that none leaves -1 to 1, for the ends of a range are its true limits.
     from pydoe import ccdesign
 
     runs = ccdesign(count, center=(0, 1), alpha="rotatable", face=star)
@@ -116,10 +110,8 @@ def box_behnken(count: int) -> Array:
 
 
 def latin_hypercube(count: int, runs: int, seed: int) -> Array:
-    """Latin hypercube sample in 0 to 1: every factor has one run in each of ``runs`` slices.
-
-    Shapes: returns (runs, count).
-    """
+    """Latin hypercube sample in 0 to 1: every factor has one run in each of ``runs`` slices."""
+    # Shapes: returns (runs, count).
     from scipy.stats import qmc
 
     rng = np.random.default_rng(seed)
@@ -191,11 +183,7 @@ def efficiency(rows: Sequence[Row], sizes: Sequence[int], words: Sequence[Word])
 
 
 def d_optimal(
-    sizes: Sequence[int],
-    words: Sequence[Word],
-    runs: int,
-    seed: int,
-    given: Sequence[Row] = (),
+    sizes: Sequence[int], words: Sequence[Word], runs: int, seed: int, given: Sequence[Row] = ()
 ) -> tuple[Row, ...]:
     """Choose cells for given terms."""
     random = np.random.default_rng(seed)
@@ -296,10 +284,8 @@ def resolution(runs: Array) -> int | None:
 
 
 def aliases(runs: Array) -> tuple[Alias, ...]:
-    """Pairs of main effects and two-way interactions with correlated columns.
-
-    Shapes: runs (runs, factors).
-    """
+    """Pairs of main effects and two-way interactions with correlated columns."""
+    # Shapes: runs (runs, factors).
     terms = [w for w in _words(runs.shape[1], 2) if len(w) <= 2]
     columns = np.array([_column(runs, word) for word in terms])
     products = columns @ columns.T / len(runs)
@@ -325,10 +311,8 @@ def term_name(word: GeneratorWord, names: Sequence[str]) -> str:
 
 
 def defining_relation(runs: Array, names: Sequence[str]) -> str:
-    """Write the defining relation, such as ``"I = A:B:C"``; empty for a full factorial.
-
-    Shapes: runs (runs, factors).
-    """
+    """Write the defining relation, such as ``"I = A:B:C"``; empty for a full factorial."""
+    # Shapes: runs (runs, factors).
     words = defining_words(runs)
     if not words:
         return ""
@@ -337,10 +321,8 @@ def defining_relation(runs: Array, names: Sequence[str]) -> str:
 
 
 def sentences(runs: Array, names: Sequence[str]) -> list[str]:
-    """Alias table in words: what cannot be told from what, main effects first.
-
-    Shapes: runs (runs, factors).
-    """
+    """Alias table in words: what cannot be told from what, main effects first."""
+    # Shapes: runs (runs, factors).
     partners: dict[GeneratorWord, list[Alias]] = {}
     for alias in aliases(runs):
         partners.setdefault(alias.term, []).append(alias)

@@ -289,10 +289,8 @@ def _term(value: object, factors: Sequence[str]) -> str:
 def _check_told_apart(
     model: Model, factors: Sequence[Factor], scheme: Scheme, faults: Faults
 ) -> None:
-    """Refuse terms that no analysis of a fraction can tell apart.
-
-    Each would be judged by what the others leave of it, which is nothing.
-    """
+    """Refuse terms that no analysis of a fraction can tell apart."""
+    # Each would be judged by what the others leave of it, which is nothing.
     if scheme.rows is None or scheme.kind not in _FRACTIONS:
         return
     names = [factor.name for factor in factors]
@@ -319,10 +317,8 @@ def _words(model: Model, names: Sequence[str]) -> list[tuple[int, ...]]:
 
 
 def terms_of(scheme: Scheme, factors: Sequence[Factor]) -> tuple[str, ...] | None:
-    """Terms of zipped and nested factors; None for a full factorial.
-
-    Of zipped factors the first stands for all; a nested factor stands only beside its parent.
-    """
+    """Terms of zipped and nested factors; None for a full factorial."""
+    # Of zipped factors the first stands for all; a nested factor stands only beside its parent.
     if scheme.rows is None:
         return None
     columns = {f.name: c for f, c in zip(factors, zip(*scheme.rows, strict=True), strict=True)}

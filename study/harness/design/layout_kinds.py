@@ -50,7 +50,6 @@ from study.mechanics.setup.declaration import (
 class DOptimal:
     """Cells that tell given terms apart best."""
 
-    #: Number of cells.
     runs: Annotated[int, Reads(integer(2, 1024), mend="say how many, for example 12")]
     kind: Literal["d-optimal"] = "d-optimal"
     #: Highest order of interaction, or a list of terms such as ``["material", "material:mesh"]``;
@@ -248,10 +247,9 @@ def share_of(index: int, count: int) -> float:
 def _placed(
     factors: Sequence[Factor], shares: Array
 ) -> tuple[tuple[Factor, ...], tuple[tuple[int, ...], ...]]:
-    """Levels of every factor and the rows of the cells.
-
-    A level is written by its own share alone, so that a cell stays what it is when more are added.
-    """
+    """Levels of every factor and the rows of the cells."""
+    # A level is written by its own share alone, so that a cell stays what it is when more are
+    # added.
     made, columns = [], []
     for factor, column in zip(factors, shares.T, strict=True):
         if factor.span is None:

@@ -538,7 +538,6 @@ _Seed = Annotated[int | None, Reads(integer(0, 2**32 - 1))]
 class LatinHypercube:
     """Every range in as many slices as runs, each with one run."""
 
-    #: Number of cells.
     runs: _Runs
     kind: Literal["latin-hypercube"] = "latin-hypercube"
     #: Of the draw; that of ``[study]`` by default.
@@ -570,11 +569,7 @@ class Sobol:
 
 
 def _filled(
-    request: Request,
-    kind: str,
-    runs: int,
-    seed: int | None,
-    draw: Callable[[int, int, int], Array],
+    request: Request, kind: str, runs: int, seed: int | None, draw: Callable[[int, int, int], Array]
 ) -> Made:
     if all(factor.span is None for factor in request.factors):
         mend = 'write one as { low = "28 mm", high = "32 mm" }'

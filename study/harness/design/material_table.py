@@ -123,9 +123,7 @@ _MOST_TERMS = 9
 class MaterialTable:
     """Keys of a material that do not depend on its energy."""
 
-    #: Name of the energy.
     model: Annotated[str, Reads(choice(*MODELS), mend=f"one of {', '.join(MODELS)}")]
-    #: Number of its terms.
     order: Annotated[int | None, Reads(integer(1, 9))] = None
     #: As written; see :func:`study.harness.design.material_table.relaxation_from`.
     relaxation: AsWritten = None
@@ -262,7 +260,6 @@ PARAMETERS: Mapping[str, tuple[str, ...]] = {
     "triangular": ("low", "mode", "high"),
     "lognormal": ("median", "factor"),
 }
-#: all keys of a distribution
 DISTRIBUTION_KEYS = ("distribution", *dict.fromkeys(k for own in PARAMETERS.values() for k in own))
 
 
@@ -275,9 +272,7 @@ class InputDistribution:
     #: Its numbers in the order of `PARAMETERS`, in the unit of the range; the factor of a lognormal
     #: distribution is exp(sd of the logarithm).
     numbers: tuple[float, ...]
-    #: Ends of the range.
     low: float
-    #: Ends of the range.
     high: float
 
     def below(self, value: float) -> float:

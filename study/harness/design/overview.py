@@ -31,11 +31,9 @@ def _calibration(cell: Cell) -> str | None:
 
 
 def equivalent_groups(design: Design) -> Groups:
-    """Cells that must agree physically, grouped: one group is one distinct computation.
-
-    In compression with both faces frictionless the deformation is the same everywhere, so
-    that space, order, mesh and element shape cannot matter: those cells are controls.
-    """
+    """Cells that must agree physically, grouped: one group is one distinct computation."""
+    # In compression with both faces frictionless the deformation is the same everywhere, so that
+    # space, order, mesh and element shape cannot matter: those cells are controls.
     return _grouped(design.treatments, _physical)
 
 
@@ -77,11 +75,9 @@ def _separated(design: Design, factor: str, key: Key) -> int:
 
 
 def _changes(design: Design, treatment: Treatment, factor: str, key: Key) -> bool:
-    """Whether another level of one factor alone changes the key of a cell.
-
-    A part of the full factorial may hold no two cells that differ in one factor only, so the
-    other cell is made for the comparison.
-    """
+    """Whether another level of one factor alone changes the key of a cell."""
+    # A part of the full factorial may hold no two cells that differ in one factor only, so the
+    # other cell is made for the comparison.
     own, place = key(treatment.cell), [f.name for f in design.factors].index(factor)
     levels = [f.levels[f.labels.index(treatment.levels[f.name])] for f in design.factors]
     for other in _compared(design.factors[place]):
@@ -108,15 +104,12 @@ def inert_cells(design: Design, factor: str) -> int:
 class FactorOverview:
     """What a factor can tell."""
 
-    #: Of the factor.
     name: str
-    #: Its labels.
     levels: tuple[str, ...]
     #: Whether it enters the calibration problem of some cell.
     calibrates: bool
     #: Cells in which it cannot change a force.
     inert_cells: int
-    #: Both in words.
     note: str
 
 
@@ -124,7 +117,6 @@ class FactorOverview:
 class CellOverview:
     """One row of the design matrix."""
 
-    #: Of the cell.
     label: str
     #: Label by factor.
     levels: Mapping[str, str]
@@ -149,7 +141,6 @@ class Replication:
 class Overview:
     """What a design can and cannot tell."""
 
-    #: The study.
     design: Design
     #: Computations and calibration problems that differ.
     distinct: int
@@ -157,11 +148,9 @@ class Overview:
     calibrations: int
     #: What each of them can tell.
     factors: tuple[FactorOverview, ...]
-    #: Every cell that is run.
     matrix: tuple[CellOverview, ...]
     #: Cells left out, and why.
     excluded: tuple[tuple[Combination, str], ...]
-    #: What is computed several times.
     replicates: Replication | None
     #: Cells with different labels and the same content.
     duplicates: Groups

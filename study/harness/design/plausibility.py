@@ -213,10 +213,8 @@ def _check_indenter(problem: CellProblem, indenter: Indenter, faults: Faults, wh
 
 
 def check_stability(problem: CellProblem, faults: Faults) -> None:
-    """Refuse given constants that Drucker's criterion refutes on the way to full compression.
-
-    Only what is solved as it stands is judged: constants that start a fit may be worse.
-    """
+    """Refuse given constants that Drucker's criterion refutes on the way to full compression."""
+    # Only what is solved as it stands is judged: constants that start a fit may be worse.
     depth, height = problem.test.displacement_mm, problem.height_mm
     given = tuple(problem.material.constants.items())
     mu0 = initial_shear_modulus(problem.material)
@@ -254,11 +252,9 @@ def half_width(specimen: Specimen) -> float | None:
 
 
 def footprint(indenter: Indenter, depth: float | None) -> float | None:
-    """Radius of the indenter in the plane of the undeformed top face, at full depth, mm.
-
-    A cone with a spherical tip of radius r touches the sphere at r (1 - sin a) above its
-    lowest point, where it is r cos a wide; above, its width grows with tan a up to the shaft.
-    """
+    """Radius of the indenter in the plane of the undeformed top face, at full depth, mm."""
+    # A cone with a spherical tip of radius r touches the sphere at r (1 - sin a) above its lowest
+    # point, where it is r cos a wide; above, its width grows with tan a up to the shaft.
     if isinstance(indenter, Flat):
         return indenter.radius_mm
     if depth is None:

@@ -63,10 +63,7 @@ def resolve(tables: Table, faults: Faults, ratio: float = 1.5) -> Cell:
 
 
 def resolve_problem(
-    tables: Table,
-    faults: Faults,
-    ratio: float = 1.5,
-    places: Mapping[str, str] | None = None,
+    tables: Table, faults: Faults, ratio: float = 1.5, places: Mapping[str, str] | None = None
 ) -> CellProblem:
     """Resolve specimen, test, material, model and measurements."""
     at = {name: name for name in TABLES} | dict(places or {})

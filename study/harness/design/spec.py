@@ -88,11 +88,9 @@ class Factor:
 class Scheme:
     """Which combinations of levels are run."""
 
-    #: Name of the design.
     kind: str = "full"
     #: Index of the level of every factor, one tuple a cell; None for the full factorial.
     rows: tuple[tuple[int, ...], ...] | None = None
-    #: The design in a sentence.
     summary: str = ""
     #: What it cannot tell apart, in words.
     aliases: tuple[str, ...] = ()
@@ -160,9 +158,7 @@ class Expected:
 class Design:
     """A validated study."""
 
-    #: Of the study.
     name: str
-    #: Of the study.
     question: str
     #: The file's tables as written (strings with their units), overrides applied, dotted keys of
     #: ``[factors]`` and ``[uncertainty]`` joined; :func:`study.design.dump` writes it.
@@ -177,17 +173,12 @@ class Design:
     seed: int
     #: Inputs that nobody measured.
     assumed: tuple[str, ...]
-    #: The tables of these names.
     measurements: MeasurementSpec | None
-    #: The tables of these names.
     calibration: Calibration
-    #: The tables of these names.
     analysis: Analysis
-    #: The tables of these names.
     converge: Converge
     #: Standard uncertainty of inputs, in internal units, by dotted key.
     uncertainty: Mapping[str, float]
-    #: The tables of these names.
     report: Report
     #: Distributions of inputs that are ranges, by dotted key.
     inputs: Mapping[str, InputDistribution] = field(default_factory=dict)
@@ -315,9 +306,7 @@ class Treatment(Combination):
 class Case:
     """One treatment in one block."""
 
-    #: Cell of the design.
     treatment: Treatment
-    #: Label of the block.
     block: str | None
     #: Document that is computed: of the cell, or with files found and meshes seeded.
     config: Config

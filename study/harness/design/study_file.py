@@ -40,13 +40,7 @@ from study.mechanics.setup.setup import MESH_LEVELS
 # Responses of a predicted curve alone, by their names in a study file.
 
 #: responses of a predicted curve alone, with their units; those at a displacement name it, too
-SIMULATED = {
-    "peak_force": "N",
-    "work": "N mm",
-    "force_at": "N",
-    "stiffness_at": "N/mm",
-    "dofs": "",
-}
+SIMULATED = {"peak_force": "N", "work": "N mm", "force_at": "N", "stiffness_at": "N/mm", "dofs": ""}
 
 AT_DISPLACEMENT = ("force_at", "stiffness_at")
 
@@ -290,7 +284,6 @@ class Sequential:
     until: str
     #: Leave-one-out Q2 that is enough.
     q2: float
-    #: Of the candidates.
     seed: int
 
 
@@ -357,14 +350,10 @@ class TestTable:
 
 
 _Schema = Annotated[int, Reads(_schema, mend=f"write schema = {SCHEMA} on the first line")]
-_Responses = Annotated[
-    tuple[ResponseTable, ...],
-    Rows(1, MAX_RESPONSES, RESPONSES_MEND),
-]
+_Responses = Annotated[tuple[ResponseTable, ...], Rows(1, MAX_RESPONSES, RESPONSES_MEND)]
 _Exclusions = Annotated[tuple[ExclusionTable, ...], Rows(0, MAX_EXCLUSIONS, "write [[exclude]]")]
 _Tests = Annotated[
-    tuple[TestTable, ...],
-    Rows(1, MAX_TESTS, "write [[tests]]", f"must be 1 to {MAX_TESTS} tables"),
+    tuple[TestTable, ...], Rows(1, MAX_TESTS, "write [[tests]]", f"must be 1 to {MAX_TESTS} tables")
 ]
 
 
@@ -430,7 +419,6 @@ class Analysis:
     type: str = "II"
     #: What effects are compared with.
     error: str = "auto"
-    #: Level of significance.
     alpha: float = 0.05
     #: Factors and what they are to the question (:data:`study.harness.design.study_file.ROLES`).
     roles: tuple[tuple[str, str], ...] = ()

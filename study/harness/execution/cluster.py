@@ -304,7 +304,6 @@ def _watched(
             return answer
 
 
-#: those of this machine
 HERE = Processes()
 
 

@@ -188,11 +188,9 @@ class Slot(Protocol):
     def start(
         self, text: str, done: queue.SimpleQueue[tuple[object, Answer]], ticket: object
     ) -> bool | None:
-        """Begin a task given as JSON, at once: whatever blocks does so elsewhere.
-
-        Puts ``(ticket, answer)`` on the queue when it ends. Returns whether it also does so when
-        it begins, for a worker that is still to come up.
-        """
+        """Begin a task given as JSON, at once: whatever blocks does so elsewhere."""
+        # Puts ``(ticket, answer)`` on the queue when it ends. Returns whether it also does so when
+        # it begins, for a worker that is still to come up.
         ...
 
     def kill(self) -> None:

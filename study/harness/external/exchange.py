@@ -124,10 +124,8 @@ def answer(files: Text, displacement_mm: Array) -> Answer:
 def at_points(
     columns: Mapping[str, Array], displacement_mm: Array, facts: Mapping[str, int]
 ) -> Answer:
-    """Curve of some columns at the displacements asked for.
-
-    Shapes: columns (m,), MPa; displacement_mm (n,).
-    """
+    """Curve of some columns at the displacements asked for."""
+    # Shapes: columns (m,), MPa; displacement_mm (n,).
     reached, force = _checked(columns, float(displacement_mm[-1]))
     known = {k.removeprefix(GRADIENT): v for k, v in columns.items() if k.startswith(GRADIENT)}
     try:
@@ -141,10 +139,8 @@ def at_points(
 
 
 def between(knots: Array, values: Array, at: Array) -> Array:
-    """Cubic spline from the unloaded origin; the very values where points are asked for.
-
-    Shapes: knots, values (m,); at (n,); returns (n,).
-    """
+    """Cubic spline from the unloaded origin; the very values where points are asked for."""
+    # Shapes: knots, values (m,); at (n,); returns (n,).
     from scipy.interpolate import CubicSpline
 
     x, y = (knots, values) if knots[0] <= 0 else (np.r_[0.0, knots], np.r_[0.0, values])

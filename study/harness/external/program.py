@@ -149,10 +149,8 @@ def _excess_of(folder: Path) -> str:
 
 
 def _remove(home: Path) -> None:
-    """Remove a folder of any depth: folders in it are moved to its top before they are emptied.
-
-    ``shutil.rmtree`` calls itself for every level, and ends in a RecursionError at a thousand.
-    """
+    """Remove a folder of any depth: folders in it are moved to its top before they are emptied."""
+    # ``shutil.rmtree`` calls itself for every level, and ends in a RecursionError at a thousand.
     waiting = [home]
     while waiting:
         path = waiting.pop()

@@ -75,10 +75,8 @@ def write_atomic(
     *,
     flush: bool = True,
 ) -> None:
-    """Write ``data`` to ``path`` so that a crash leaves the old content or the new.
-
-    A link that stands at ``path`` is replaced, not followed.
-    """
+    """Write ``data`` to ``path`` so that a crash leaves the old content or the new."""
+    # A link that stands at ``path`` is replaced, not followed.
     system = system or FileSystem()
     part = _part(path)
     try:

@@ -175,11 +175,9 @@ class SealedFolder:
             raise StoreError(f"{folder}: cannot be made ({error.strerror or error})") from error
 
     def _set_aside(self, path: Path, why: str) -> None:
-        """Rename a damaged file; a reader without the lock leaves it to the next runner.
-
-        Without the lock, a runner could replace the file by a good one between our reading
-        and our renaming.
-        """
+        """Rename a damaged file; a reader without the lock leaves it to the next runner."""
+        # Without the lock, a runner could replace the file by a good one between our reading and
+        # our renaming.
         if not self._locked:
             self._say(f"{why}; it is not used, and the next run replaces it")
             return
@@ -253,10 +251,8 @@ class ManifestFolder(SealedFolder):
             self.write_json(_UNFINISHED, {**meta, "finished": False})
 
     def finish_run(self, meta: ManifestDocument) -> None:
-        """Make a run the one that is read from, with what it found besides its records.
-
-        A crash anywhere leaves one of the two readable, and running again finishes.
-        """
+        """Make a run the one that is read from, with what it found besides its records."""
+        # A crash anywhere leaves one of the two readable, and running again finishes.
         done: ManifestDocument = {**meta, "finished": True}
         runs = self.read_runs()
         if not runs or _essence(runs[0]) != _essence(done):

@@ -105,7 +105,6 @@ class FileStamp:
         return cls(found.st_size, found.st_mtime_ns, found.st_ctime_ns)
 
 
-#: stamp of no file
 NOWHERE = FileStamp(0, 0, 0)
 
 

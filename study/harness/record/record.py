@@ -151,10 +151,8 @@ class Record:
         return next(found, None)
 
     def to_json(self) -> str:
-        """Text of the record with its checksum; never holds a bare NaN.
-
-        Of a record that was read it is the text itself, where this version wrote it.
-        """
+        """Text of the record with its checksum; never holds a bare NaN."""
+        # Of a record that was read it is the text itself, where this version wrote it.
         known = self.__dict__.get(_READ)
         if known is not None:
             return str(known)

@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from study.mechanics.solver.solution import Solution
 
 
-#: Version of the JSON document.
 SCHEMA = 1
 #: Columns of a comment.
 WIDTH = 90
@@ -89,10 +88,8 @@ def _range(law: ForceLaw, k: int) -> str:
 
 
 def document(law: ForceLaw) -> dict[str, object]:
-    """Document of ``study export --as force-law --json``: plain values, units in the names.
-
-    Units: law mm, N, MPa.
-    """
+    """Document of ``study export --as force-law --json``: plain values, units in the names."""
+    # Units: law mm, N, MPa.
     return {
         "schema": SCHEMA,
         "kind": "force-law",

@@ -50,10 +50,8 @@ def monotone_slopes(knots: Array, values: Array, slopes: Array) -> Array:
 
 
 def is_monotone(chords: Array, slopes: Array) -> NDArray[np.bool_]:
-    """Whether the cubic of every interval is monotone.
-
-    Shapes: chords (n - 1,); slopes (n,); returns (n - 1,).
-    """
+    """Whether the cubic of every interval is monotone."""
+    # Shapes: chords (n - 1,); slopes (n,); returns (n - 1,).
     flat = chords == 0
     safe = np.where(flat, 1.0, chords)
     a, b = slopes[:-1] / safe, slopes[1:] / safe
@@ -222,10 +220,8 @@ class ForceLaw:
 
 
 def force_table(step_mm: float, force_N: Array, stiffness_N_per_mm: Array) -> Table:  # noqa: N803
-    """Tabulate a force, its slopes limited where it would not be monotone.
-
-    Shapes: force_N, stiffness_N_per_mm (n + 1,).
-    """
+    """Tabulate a force, its slopes limited where it would not be monotone."""
+    # Shapes: force_N, stiffness_N_per_mm (n + 1,).
     slopes = np.r_[_first_slope(force_N, stiffness_N_per_mm), stiffness_N_per_mm[1:]]
     knots = np.asarray(step_mm * np.arange(force_N.size), float)
     return Table(step_mm, force_N, monotone_slopes(knots, force_N, slopes))
@@ -237,10 +233,8 @@ def _first_slope(force: Array, slopes: Array) -> float:
 
 
 def gradient_table(step_mm: float, gradient: Array) -> Table:
-    """Tabulate a derivative by a constant; its slopes are those of the spline through it.
-
-    Shapes: gradient (n + 1,).
-    """
+    """Tabulate a derivative by a constant; its slopes are those of the spline through it."""
+    # Shapes: gradient (n + 1,).
     from scipy.interpolate import CubicSpline
 
     knots = step_mm * np.arange(gradient.size)

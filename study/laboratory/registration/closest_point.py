@@ -75,10 +75,8 @@ class TriangleSurface:
 
     @cached_property
     def edge_normals(self) -> Array:
-        """Pseudo-normal of the edge across from every corner, shape (m, 3, 3).
-
-        It is the sum of the normals on both sides; an open edge has that of its only triangle.
-        """
+        """Pseudo-normal of the edge across from every corner, shape (m, 3, 3)."""
+        # It is the sum of the normals on both sides; an open edge has that of its only triangle.
         across = self.triangles[:, [1, 2, 2, 0, 0, 1]].reshape(-1, 2)
         _, edge = np.unique(np.sort(across, axis=1), axis=0, return_inverse=True)
         edge = edge.ravel()
@@ -99,11 +97,9 @@ class TriangleSurface:
 
     @cached_property
     def _classes(self) -> tuple[tuple[Ints, cKDTree, float], ...]:
-        """Triangles of about one size: their numbers, a tree of their centers, their radius.
-
-        One large triangle would make every ball large that is searched for candidates, so those
-        beyond twice the median form classes of their own; small ones do no harm.
-        """
+        """Triangles of about one size: their numbers, a tree of their centers, their radius."""
+        # One large triangle would make every ball large that is searched for candidates, so those
+        # beyond twice the median form classes of their own; small ones do no harm.
         from scipy.spatial import cKDTree
 
         centers = self.corners.mean(axis=1)
@@ -136,12 +132,10 @@ class TriangleSurface:
         radius: float,
         best: tuple[Array, Ints, Array],
     ) -> None:
-        """Improve the best triangles by those of one class.
-
-        A triangle is no nearer than its center less its radius, so a point is done when the
-        farthest center that was looked at is beyond the best distance by a radius (which is
-        minus infinity where one round is enough).
-        """
+        """Improve the best triangles by those of one class."""
+        # A triangle is no nearer than its center less its radius, so a point is done when the
+        # farthest center that was looked at is beyond the best distance by a radius (which is minus
+        # infinity where one round is enough).
         distance, triangle, weights = best
         left, count = np.arange(len(points)), FIRST_CANDIDATES
         while left.size:

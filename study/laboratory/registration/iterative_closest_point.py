@@ -57,10 +57,8 @@ class Sliding:
 
 
 def motion_slopes(away: Array) -> Array:
-    """Differentiate moved points by a rotation vector and a translation, shape (n, 3, 6).
-
-    Shapes: away (n, 3), mm; returns mm.
-    """
+    """Differentiate moved points by a rotation vector and a translation, shape (n, 3, 6)."""
+    # Shapes: away (n, 3), mm; returns mm.
     slopes = np.zeros((len(away), 3, 6))
     x, y, z = away.T
     slopes[:, 0, 1], slopes[:, 0, 2] = z, -y
@@ -109,10 +107,8 @@ class NormalEquations:
 
 
 def normal_equations(moved: Array, found: Closest, weights: Array) -> NormalEquations:
-    """Linearize the distances from moved points to their closest ones about their center.
-
-    Shapes: moved (n, 3), mm; weights (n,).
-    """
+    """Linearize the distances from moved points to their closest ones about their center."""
+    # Shapes: moved (n, 3), mm; weights (n,).
     center = np.average(moved, axis=0, weights=weights) if weights.any() else moved.mean(axis=0)
     away = moved - center
     arm = float(np.sqrt(np.average((away**2).sum(axis=1), weights=weights + 1e-300)))
@@ -131,7 +127,6 @@ def normal_equations(moved: Array, found: Closest, weights: Array) -> NormalEqua
 #: Share of the nearest pairs that count while it is still far: leaves room for 30 % outliers
 #: and for a tenth of the cloud on parts that the surface has not.
 TRIM = 0.6
-#: Points used from every start.
 COARSE_POINTS = 400
 #: Steps between points from every start, then most steps along the normals.
 POINT_STEPS = 4
@@ -220,10 +215,8 @@ def register(
 
 
 def usual_starts(surface: TriangleSurface, cloud: Array) -> list[RigidMotion]:
-    """Motions to begin from: none, centers together, and principal axes together, four ways.
-
-    Shapes: surface mm; cloud (n, 3), mm.
-    """
+    """Motions to begin from: none, centers together, and principal axes together, four ways."""
+    # Shapes: surface mm; cloud (n, 3), mm.
     vertices = surface.points[np.unique(surface.triangles)]
     target, own = np.median(vertices, axis=0), np.median(cloud, axis=0)
     starts = [identity(), RigidMotion(np.eye(3), target - own)]
@@ -239,10 +232,8 @@ def usual_starts(surface: TriangleSurface, cloud: Array) -> list[RigidMotion]:
 def coarse_registration(
     surface: TriangleSurface, cloud: Array, starts: Sequence[RigidMotion] | None = None
 ) -> tuple[float, RigidMotion]:
-    """Find the best trimmed registration; only the first few starts go all the way.
-
-    Shapes: cloud (n, 3), mm.
-    """
+    """Find the best trimmed registration; only the first few starts go all the way."""
+    # Shapes: cloud (n, 3), mm.
     starts = starts or usual_starts(surface, cloud)
     some = _thinned(cloud, COARSE_POINTS)
     first = [_trimmed(surface, some, start, POINT_STEPS, COMPARED) for start in starts]
@@ -266,10 +257,8 @@ def _trimmed(
     settled: float,
     share: float = TRIM,
 ) -> tuple[float, RigidMotion]:
-    """Trimmed registration from one start: its residual, RMS in mm, and the motion.
-
-    Far away a step between points goes the right way, one along normals may not.
-    """
+    """Trimmed registration from one start: its residual, RMS in mm, and the motion."""
+    # Far away a step between points goes the right way, one along normals may not.
     motion, count, last = start, max(int(share * len(cloud)), 3), np.inf
     for number in range(point_steps + NORMAL_STEPS):
         moved = motion(cloud)
@@ -290,11 +279,9 @@ def _trimmed(
 
 
 def _likelier(surface: TriangleSurface, cloud: Array, motion: RigidMotion) -> RigidMotion:
-    """Motion near a given one under which a cloud is likelier.
-
-    The nearest three fifths of a body that is larger all around meet the surface best where it
-    is pushed to one side. Nearly all of it meet it best in the middle.
-    """
+    """Motion near a given one under which a cloud is likelier."""
+    # The nearest three fifths of a body that is larger all around meet the surface best where it is
+    # pushed to one side. Nearly all of it meet it best in the middle.
     _, other = _trimmed(surface, cloud, motion, 0, SETTLED, NEARLY_ALL)
     return min((motion, other), key=lambda one: _surprise(surface, one(cloud)))
 
@@ -347,21 +334,17 @@ def _refined(surface: TriangleSurface, cloud: Array, motion: RigidMotion) -> Reg
 
 
 def _shortened(step: Array, last: Array) -> Array:
-    """Return a step, shorter where it goes back on the last one.
-
-    The linear distances leave out that a body which is larger all around turns with a bend of its
-    own: steps of twice the right length then go to and fro for ever (Aitken's extrapolation).
-    """
+    """Return a step, shorter where it goes back on the last one."""
+    # The linear distances leave out that a body which is larger all around turns with a bend of its
+    # own: steps of twice the right length then go to and fro for ever (Aitken's extrapolation).
     back = -float(step @ last) / max(float(last @ last), 1e-300)
     return step / (1 + back) if back > 0 else step
 
 
 def _fixing_scale(moved: Array, found: Closest, scale: float) -> float:
-    """Return the least scale, from a given one up, whose weights free no motion that is fixed.
-
-    Where half of a body is met exactly (flat ends) and the rest to the sag of its facets, the
-    robust scale is that of the exact half, and all that fixes the others would be outliers.
-    """
+    """Return the least scale, from a given one up, whose weights free no motion that is fixed."""
+    # Where half of a body is met exactly (flat ends) and the rest to the sag of its facets, the
+    # robust scale is that of the exact half, and all that fixes the others would be outliers.
     every = np.ones(len(moved))
     fixed = normal_equations(moved, found, every).fixed(every)
     while scale < np.abs(found.distance).max():

@@ -85,10 +85,8 @@ def rotation_vector(rotation: Array) -> Array:
 
 
 def turned_about(center: Array, vector: Array, shift: Array) -> RigidMotion:
-    """Motion that turns about a center, then shifts.
-
-    Shapes: center (3,), mm; vector (3,), rad; shift (3,), mm.
-    """
+    """Motion that turns about a center, then shifts."""
+    # Shapes: center (3,), mm; vector (3,), rad; shift (3,), mm.
     rotation = rotation_of(vector)
     return RigidMotion(rotation, center - rotation @ center + shift)
 
@@ -133,10 +131,8 @@ def on_a_line(points: Array) -> bool:
 
 
 def check_places(points: Array, where: str) -> None:
-    """Refuse coordinates that are no numbers, or farther away than any instrument sees.
-
-    Shapes: points (n, 3), mm.
-    """
+    """Refuse coordinates that are no numbers, or farther away than any instrument sees."""
+    # Shapes: points (n, 3), mm.
     wrong = int(np.count_nonzero(~(np.abs(points) < FARTHEST_MM).all(axis=1)))
     if wrong:
         rule = f"{wrong} of {len(points)} points have a coordinate that is no number, or "
@@ -145,10 +141,8 @@ def check_places(points: Array, where: str) -> None:
 
 
 def fit_pairs(moving: Array, fixed: Array, where: str = "points") -> PairedFit:
-    """Rigid motion that carries points onto those they pair with, in the least-squares sense.
-
-    Shapes: moving, fixed (n, 3), mm.
-    """
+    """Rigid motion that carries points onto those they pair with, in the least-squares sense."""
+    # Shapes: moving, fixed (n, 3), mm.
     if len(moving) != len(fixed):
         rule = f"{len(moving)} points do not pair with {len(fixed)}"
         raise InputError(Fault(where, rule, "give every point in both frames"))
@@ -218,10 +212,8 @@ def biweight(standardized: Array) -> Array:
 
 
 def inlier_scale(residuals: Array, start: float | None = None) -> float:
-    """Estimate the standard deviation of those residuals that the biweight gives weight.
-
-    The median of all would grow by half where three in ten points are outliers.
-    """
+    """Estimate the standard deviation of those residuals that the biweight gives weight."""
+    # The median of all would grow by half where three in ten points are outliers.
     scale = scale_of(residuals) if start is None else start
     for _ in range(SCALE_STEPS):
         inside = residuals[np.abs(residuals) < BIWEIGHT * scale]

@@ -55,10 +55,8 @@ class ErrorSource:
 def sources_of(
     position: PositionAccuracy, force: ForceAccuracy, at: ForceAt, displacement_mm: Array
 ) -> tuple[ErrorSource, ...]:
-    """List all errors of both sensors, with what they do to the rows of a test.
-
-    Shapes: displacement_mm (n,).
-    """
+    """List all errors of both sensors, with what they do to the rows of a test."""
+    # Shapes: displacement_mm (n,).
     slope, ones = at.stiffness_N_per_mm, np.ones(displacement_mm.size)
     return (
         ErrorSource("position", "offset", "mm", position.offset_mm, -slope, True),
@@ -144,10 +142,8 @@ def propagate(
     sources: tuple[ErrorSource, ...],
     predicted: ForceAt,
 ) -> Propagation:
-    """Propagate sensor errors to the constants of an unweighted fit, and to a predicted force.
-
-    Shapes: names, values, units (p,).
-    """
+    """Propagate sensor errors to the constants of an unweighted fit, and to a predicted force."""
+    # Shapes: names, values, units (p,).
     inverse, rank = scaled_inverse(at.jacobian)
     if rank < len(names):
         raise RefusedError(
@@ -181,10 +177,8 @@ def propagate(
 
 
 def _covariance_root(pseudo_inverse: Array, source: ErrorSource) -> Array:
-    """Root of the constants' covariance by one unit of a source, shape (p, n).
-
-    A shared error has one column and is filled up with zeros.
-    """
+    """Root of the constants' covariance by one unit of a source, shape (p, n)."""
+    # A shared error has one column and is filled up with zeros.
     moved = pseudo_inverse * source.response
     if not source.is_shared:
         return moved
@@ -200,7 +194,6 @@ CHUNK = 25
 STEP = 1e-3
 #: The same over the constant itself, which is no smaller: forces are solved to about 1e-8.
 SMALLEST_STEP = 1e-7
-#: How often progress is told.
 TOLD = 10
 #: Largest share by which the scatter may differ from first order where that is said to hold.
 LINEAR = 0.05

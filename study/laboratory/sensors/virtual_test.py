@@ -61,10 +61,8 @@ class Sampling:
 
 
 def rows_mm(depth_mm: float, points: int) -> Array:
-    """Displacements of the rows of a test, even, the last one at its depth.
-
-    Shapes: returns (points,), mm.
-    """
+    """Displacements of the rows of a test, even, the last one at its depth."""
+    # Shapes: returns (points,), mm.
     return np.asarray(depth_mm * np.arange(1, points + 1) / points)
 
 

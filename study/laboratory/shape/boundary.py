@@ -110,11 +110,9 @@ class BodySurface:
 
 
 def symmetry_of(mesh: DeformedMesh) -> Symmetry:
-    """Find out what part of a body a mesh is.
-
-    A specimen stands on z = 0; a plane that no node crosses, in which sides lie and out of
-    which nothing moves, is one of symmetry.
-    """
+    """Find out what part of a body a mesh is."""
+    # A specimen stands on z = 0; a plane that no node crosses, in which sides lie and out of which
+    # nothing moves, is one of symmetry.
     size = float(np.ptp(mesh.points, axis=0).max())
     axis = mesh.axis
     lowest = float(mesh.points[:, axis].min())
@@ -326,11 +324,9 @@ class SimulatedBody:
         )
 
     def displacement_at(self, points: Array) -> Array:
-        """Displacement of material points, shape (n, 3), mm; nan outside the body.
-
-        Between nodes it is linear on tetrahedra of Delaunay, whose error is of the second order
-        in the element size, as that of linear elements.
-        """
+        """Displacement of material points, shape (n, 3), mm; nan outside the body."""
+        # Between nodes it is linear on tetrahedra of Delaunay, whose error is of the second order
+        # in the element size, as that of linear elements.
         interpolate, symmetry = (
             self._interpolator,
             self.symmetry or Symmetry(False, (False,) * 3, 0),

@@ -81,19 +81,16 @@ def two_files(value: object) -> tuple[str, str]:
 class RecordingTable:
     """``[recording]``: what the tracker wrote, one row a sample."""
 
-    #: CSV below the data root.
     file: Annotated[str, Reads(csv_path, mend='for example file = "samples.csv"')]
     #: Columns of the coordinates of every marker.
     markers: Annotated[
         dict[str, Triple], Reads(triples, mend='for example markers = { tip = ["x", "y", "z"] }')
     ]
-    #: Unit of the coordinates.
     unit: Annotated[str, Reads(unit_of_length, mend='for example unit = "mm"')]
     #: Column of the time stamps, in s.
     time: Annotated[str | None, Reads(label)] = None
     #: Column that says in which stage of the motion, or at which pose, a sample was taken.
     stage: Annotated[str | None, Reads(label)] = None
-    #: Decimal mark.
     decimal: Annotated[str, Reads(choice(".", ","))] = "."
 
 
@@ -101,7 +98,6 @@ class RecordingTable:
 class DistanceTable:
     """``[distance]``: two markers on one rigid body, and how far apart they are known to be."""
 
-    #: The markers.
     markers: Annotated[tuple[str, str], Reads(pair, mend='for example ["tip", "tail"]')]
     #: Known distance, mm.
     reference: Length | None = None
@@ -109,9 +105,7 @@ class DistanceTable:
     uncertainty: LengthOrZero = 0.0
     #: Instead: CSV files of points scanned on the spheres of both markers.
     spheres: Annotated[tuple[str, str] | None, Reads(two_files)] = None
-    #: Columns of these points.
     columns: Annotated[Triple, Reads(triple)] = ("x", "y", "z")
-    #: Unit of these points.
     unit: Annotated[str, Reads(unit_of_length)] = "mm"
     #: Smallest difference of distances that matters, mm.
     practical: Length | None = None
@@ -121,11 +115,9 @@ class DistanceTable:
 class DisplacementTable:
     """``[displacement]``: a marker on a stage that was told where to go."""
 
-    #: The marker.
     marker: Annotated[str, Reads(label, mend="name a marker of [recording]")]
     #: Column of the commanded position along the axis.
     commanded: Annotated[str, Reads(label, mend="name the column of the commanded position")]
-    #: Its unit.
     unit: Annotated[str, Reads(unit_of_length)] = "mm"
     #: Standard uncertainty of a commanded position, mm; 0 for an exact stage.
     uncertainty: LengthOrZero = 0.0
@@ -137,7 +129,6 @@ class ReferenceTable:
 
     #: CSV with one row a pose.
     file: Annotated[str, Reads(csv_path, mend='for example file = "laser.csv"')]
-    #: The marker that was measured.
     marker: Annotated[str, Reads(label, mend="name a marker of [recording]")]
     #: Column of the pose; its labels pair with those of the recording.
     stage: Annotated[str, Reads(label, mend="name the column of the pose")]
@@ -146,7 +137,6 @@ class ReferenceTable:
     #: Columns of two more points on the body, beside the first one: they show how it is turned, so
     #: that the lever arm between marker and reference point can be estimated.
     axes: Annotated[tuple[Triple, Triple] | None, Reads(two_triples)] = None
-    #: Unit of these columns.
     unit: Annotated[str, Reads(unit_of_length)] = "mm"
 
 
@@ -166,9 +156,7 @@ class TrackingTable:
 class TrackingFile:
     """A file of ``study tracking``, read."""
 
-    #: Always there.
     tracking: TrackingTable
-    #: Always there.
     recording: RecordingTable
     #: What the tracker is compared with; at least one is there.
     distance: DistanceTable | None

@@ -39,7 +39,6 @@ BIASED = "retract"
 _APART_MM = 80.0
 #: radius of scanned spheres, mm
 _RADIUS_MM = 6.0
-#: points scanned on a sphere
 _SCANNED = 400
 #: their noise, mm
 _SCAN_SD_MM = 0.02
@@ -131,10 +130,8 @@ def recorded(errors: Errors, markers: int, apart_mm: float) -> Iterator[Sample]:
 
 
 def scanned_sphere(center: Array, random: np.random.Generator) -> Array:
-    """Points on the part of a sphere that a scanner above it sees, shape (n, 3), mm.
-
-    Shapes: center (3,).
-    """
+    """Points on the part of a sphere that a scanner above it sees, shape (n, 3), mm."""
+    # Shapes: center (3,).
     z = 1 - 2 * _SEEN * random.random(_SCANNED)
     turn = 2 * np.pi * random.random(_SCANNED)
     flat = np.sqrt(1 - z**2)

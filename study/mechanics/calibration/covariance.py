@@ -47,10 +47,8 @@ class Uncertainty:
 def uncertainty(
     jacobian: Array, residual: Array, values: Array, free: NDArray[np.bool_] | None = None
 ) -> Uncertainty:
-    """Covariance, standard errors, 95 % intervals and correlation at a minimum.
-
-    Shapes: jacobian (n, p); residual (n,); values (p,); free (p,).
-    """
+    """Covariance, standard errors, 95 % intervals and correlation at a minimum."""
+    # Shapes: jacobian (n, p); residual (n,); values (p,); free (p,).
     n, p = jacobian.shape
     free = np.ones(p, bool) if free is None else free
     dof = n - int(free.sum())
@@ -77,19 +75,15 @@ def uncertainty(
 
 
 def influence(jacobian: Array, force: Array) -> Array:
-    """Largest change of a force by every parameter, over the largest force; both weighted.
-
-    Shapes: jacobian (n, p); force (n,); returns (p,).
-    """
+    """Largest change of a force by every parameter, over the largest force; both weighted."""
+    # Shapes: jacobian (n, p); force (n,); returns (p,).
     largest = np.abs(jacobian).max(axis=0, initial=0.0)
     return np.asarray(largest / np.abs(force).max())
 
 
 def scaled_inverse(jacobian: Array) -> tuple[Array, int]:
-    """``(J'J)^-1`` by QR of the column-scaled Jacobian, and its rank; NaN if deficient.
-
-    Shapes: jacobian (n, p); returns (p, p).
-    """
+    """``(J'J)^-1`` by QR of the column-scaled Jacobian, and its rank; NaN if deficient."""
+    # Shapes: jacobian (n, p); returns (p, p).
     p = jacobian.shape[1]
     norms = np.linalg.norm(jacobian, axis=0)
     if p == 0 or jacobian.shape[0] < p or not np.all(norms > 0):
@@ -104,10 +98,8 @@ def scaled_inverse(jacobian: Array) -> tuple[Array, int]:
 
 
 def scaled_condition(jacobian: Array, values: Array) -> float:
-    """cond(J diag(theta)): sensitivity to relative changes; a zero constant counts as one.
-
-    Shapes: jacobian (n, p); values (p,).
-    """
+    """cond(J diag(theta)): sensitivity to relative changes; a zero constant counts as one."""
+    # Shapes: jacobian (n, p); values (p,).
     if jacobian.size == 0:
         return 1.0
     scaled = jacobian * np.where(values == 0, 1.0, values)
@@ -154,11 +146,7 @@ def identifiability(names: Sequence[str], values: Array, known: Uncertainty) -> 
 
 
 def verdict_at_end(
-    names: Sequence[str],
-    values: Array,
-    known: Uncertainty,
-    free: NDArray[np.bool_],
-    ended: str,
+    names: Sequence[str], values: Array, known: Uncertainty, free: NDArray[np.bool_], ended: str
 ) -> tuple[bool, str]:
     """Verdict on a fit that ended at a kink, at an edge or at a bound. Shapes: free (p,)."""
     identifiable, reason = identifiability(names, values, known)

@@ -12,11 +12,7 @@ from numpy.typing import ArrayLike
 from study.ground.arrays import Array
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
-from study.mechanics.calibration.covariance import (
-    influence,
-    uncertainty,
-    verdict_at_end,
-)
+from study.mechanics.calibration.covariance import influence, uncertainty, verdict_at_end
 from study.mechanics.calibration.levenberg_marquardt import (
     Iteration,
     LMResult,

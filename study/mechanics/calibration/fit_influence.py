@@ -41,10 +41,8 @@ from study.mechanics.calibration.serial_correlation import (
 def with_serial_correlation(
     found: Fit, measured: Sequence[MeasuredCurve], known: Array | None = None
 ) -> Fit:
-    """Errors, intervals, AICc and verdict of a fit from its recorded rows and their correlation.
-
-    Shapes: known (p, p).
-    """
+    """Errors, intervals, AICc and verdict of a fit from its recorded rows and their correlation."""
+    # Shapes: known (p, p).
     free = np.isfinite(found.standard_error)
     if not found.converged or not free.any() or found.rss == 0:
         return found

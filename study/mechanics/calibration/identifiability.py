@@ -130,10 +130,8 @@ def identify(found: Fit, measured: Sequence[MeasuredCurve]) -> Identifiability |
 
 
 def fitted_rows(found: Fit, measured: Sequence[MeasuredCurve]) -> tuple[Array, Array, Array]:
-    """Slopes of the forces, weights and residuals of the fitted points.
-
-    Shapes: returns (n, p), MPa; returns (n,), N.
-    """
+    """Slopes of the forces, weights and residuals of the fitted points."""
+    # Shapes: returns (n, p), MPa; returns (n,), N.
     slopes, weights, left = [], [], []
     for one, curve in zip(measured, found.curves, strict=True):
         used = one.weights > 0

@@ -21,7 +21,6 @@ from study.ground.noncentral_f import noncentral_f_cdf
 from study.mechanics.calibration.fit import Fit
 from study.mechanics.calibration.serial_correlation import Mixture
 
-#: significance of the verdicts here
 ALPHA = 0.05
 
 
@@ -148,7 +147,6 @@ def same_constants(
 # Biometrics 10, 101; denominator by Fai and Cornelius 1996, J. Stat. Comput. Simul. 54, 363). p
 # is averaged over the correlations of rows that each test allows.
 
-#: significance of the test
 WALD_ALPHA = 0.05
 #: power that a test should have against a difference that matters (Cohen 1988)
 USUAL_POWER = 0.80
@@ -278,10 +276,8 @@ def _inverse(matrix: Array) -> Array:
 
 
 def _distances(values: Array, weights: Array) -> tuple[Array, Array]:
-    """Distances of the rows of ``values`` from their weighted mean, and the mean.
-
-    Shapes: values (k, p); weights (k, m, p, p); returns (k, m, p).
-    """
+    """Distances of the rows of ``values`` from their weighted mean, and the mean."""
+    # Shapes: values (k, p); weights (k, m, p, p); returns (k, m, p).
     total = weights.sum(axis=0)
     scale = 1 / np.sqrt(np.diagonal(total, axis1=-2, axis2=-1))
     right = np.einsum("kmij,kj->mi", weights, values) * scale

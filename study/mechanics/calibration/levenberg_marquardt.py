@@ -303,10 +303,8 @@ class State:
         return None
 
     def trusted(self, status: Status, linear: Linearization, held: NDArray[np.bool_]) -> Status:
-        """No success where a parameter, or a combination, lost the influence it once had.
-
-        Nor where none has any: the residual is then orthogonal to nothing.
-        """
+        """No success where a parameter, or a combination, lost the influence it once had."""
+        # Nor where none has any: the residual is then orthogonal to nothing.
         first = np.abs(self.history[0].x)
         if status is Status.no_decrease and np.any((np.abs(self.x) > FAR * first) & (first > 0)):
             return Status.running_away

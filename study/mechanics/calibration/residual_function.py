@@ -17,10 +17,8 @@ Function = Callable[[Array], tuple[Array, Array]]
 
 
 def evaluate(function: Function, x: Array) -> tuple[Array, Array] | None:
-    """Call a function for its residual and Jacobian; None where there is no finite answer.
-
-    Shapes: function, x (p,).
-    """
+    """Call a function for its residual and Jacobian; None where there is no finite answer."""
+    # Shapes: function, x (p,).
     if not np.all(np.isfinite(x)):
         return None
     try:
@@ -70,10 +68,8 @@ def finite_difference(
     relative_step: float | None = None,
     base: Array | None = None,
 ) -> Array:
-    """Jacobian of a function that has no gradient, by differences, shape (n, p).
-
-    Shapes: x (p,); base (n,).
-    """
+    """Jacobian of a function that has no gradient, by differences, shape (n, p)."""
+    # Shapes: x (p,); base (n,).
     point = np.asarray(x, dtype=float)
     eps = float(np.finfo(float).eps)
     power = 1 / 3 if scheme == "central" else 1 / 2
@@ -197,10 +193,8 @@ def pseudo_jacobian(priors: Sequence[Prior], names: Sequence[str]) -> Array:
 
 
 def known_covariance(priors: Sequence[Prior], names: Sequence[str], inverse: Array) -> Array:
-    """Covariance of the estimates by the errors of the priors alone.
-
-    Shapes: inverse (p, p); returns (p, p).
-    """
+    """Covariance of the estimates by the errors of the priors alone."""
+    # Shapes: inverse (p, p); returns (p, p).
     total = np.zeros_like(inverse)
     for one in priors:
         moved = inverse[:, list(names).index(one.name)] * one.weight**2 * one.uncertainty

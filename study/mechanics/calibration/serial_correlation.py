@@ -218,10 +218,8 @@ class _Moments:
         )  # fmt: skip
 
     def generalized(self, rho: Array) -> tuple[Array, Array]:
-        """Residual sum of squares by generalized least squares, and the log determinants.
-
-        Shapes: rho (k,); returns (k,).
-        """
+        """Residual sum of squares by generalized least squares, and the log determinants."""
+        # Shapes: rho (k,); returns (k,).
         r = rho[:, None, None]
         product = self.all_rows - r * self.neighbors + r**2 * self.interior
         product = product + (1 - r**2) * self.pseudo
@@ -252,10 +250,8 @@ def _log_weight(moments: _Moments, z: Array, freedom: float) -> Array:
 
 
 def _propagated(series: Sequence[Series], rho: Array) -> Array:
-    """Covariance of the estimates for unit noise, shape (k, p, p): influence R influence'.
-
-    R has the elements rho^|i - j| / (1 - rho^2), so that lagged products are all it takes.
-    """
+    """Covariance of the estimates for unit noise, shape (k, p, p): influence R influence'."""
+    # R has the elements rho^|i - j| / (1 - rho^2), so that lagged products are all it takes.
     p, rows = series[0].influence.shape[0], max(one.residual.size for one in series)
     # the lags of all recordings are added up before rho weighs them; twice the rows, so that
     # the ends of a recording do not meet

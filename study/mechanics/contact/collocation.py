@@ -159,12 +159,10 @@ def _points_of(
 def _collocation(
     space: Discretization, chosen: NDArray[np.bool_], *, nodal: bool = False
 ) -> tuple[Ints, Array, Array]:
-    """Contact points of some facets: as many conditions as their surface can satisfy.
-
-    Quadratic edges carry two Gauss points (unless ``nodal``: then all nodes but that on the
-    axis, which a uniform pressure does not load), everything else its nodes. More points than
-    the surface has normal displacements over-constrain it.
-    """
+    """Contact points of some facets: as many conditions as their surface can satisfy."""
+    # Quadratic edges carry two Gauss points (unless ``nodal``: then all nodes but that on the axis,
+    # which a uniform pressure does not load), everything else its nodes. More points than the
+    # surface has normal displacements over-constrain it.
     facets, areas = space.facets[chosen], space.facet_weights[chosen]
     k = facets.shape[1]
     if space.dim == 2 and k == 3 and not nodal:

@@ -131,17 +131,11 @@ class ContactPoints:
         return Meeting(gap + self.allowance_mm, direction, hessian)
 
     def evaluate(
-        self,
-        met: Meeting,
-        multiplier: Array,
-        closed: Flags | None = None,
-        glue: Glue | None = None,
+        self, met: Meeting, multiplier: Array, closed: Flags | None = None, glue: Glue | None = None
     ) -> ContactState:
-        """Active set and pressure.
-
-        ``closed`` imposes the active set; without it every point decides for itself, but for
-        those that ``glue`` holds by other means.
-        """
+        """Active set and pressure."""
+        # ``closed`` imposes the active set; without it every point decides for itself, but for
+        # those that ``glue`` holds by other means.
         urge = multiplier - self.c * met.gap
         held = np.zeros(self.size, dtype=bool) if glue is None else glue.held
         wanted, led = self._decided((urge > 0) | held)
@@ -154,12 +148,10 @@ class ContactPoints:
         )
 
     def _decided(self, own: Flags) -> tuple[Flags, Flags]:
-        """Who is to be closed by the points' own decision, and which corners are led.
-
-        A uniform pressure loads only the mid-sides of six-node triangles, so that the sign of
-        a corner's force says nothing. Amid closed mid-sides a corner is closed as well,
-        whichever way it is pulled; amid open ones it is open.
-        """
+        """Who is to be closed by the points' own decision, and which corners are led."""
+        # A uniform pressure loads only the mid-sides of six-node triangles, so that the sign of a
+        # corner's force says nothing. Amid closed mid-sides a corner is closed as well, whichever
+        # way it is pulled; amid open ones it is open.
         if self.middles is None:
             return own, np.zeros(own.shape, dtype=bool)
         around = np.diff(self.middles.indptr)
@@ -381,10 +373,8 @@ def hold(
     displacement_mm: float,
     rates: Mapping[str, Array],
 ) -> tuple[Glue, tuple[Array, ...]]:
-    """Take hold of every point that is closed, in the same equilibrium.
-
-    Shapes: nodes, u (n_nodes, dim), mm; rates (n_nodes, dim).
-    """
+    """Take hold of every point that is closed, in the same equilibrium."""
+    # Shapes: nodes, u (n_nodes, dim), mm; rates (n_nodes, dim).
     points, pressure = contact[0], touching[0].pressure
     new = touching[0].active
     place = in_its_frame(points.interpolated(nodes + u), displacement_mm)
@@ -437,10 +427,8 @@ def constraints(setup: Setup, space: Nodes, mesh: Mesh) -> Constraints:
 
 
 def prescribed_rates(setup: Setup, space: Nodes, mesh: Mesh) -> dict[int, float]:
-    """Unknowns that the test's faces and the clamp of a surface prescribe.
-
-    A face that a surface does not have, as it is round there, is left to contact.
-    """
+    """Unknowns that the test's faces and the clamp of a surface prescribe."""
+    # A face that a surface does not have, as it is round there, is left to contact.
     specimen, dim, rate = setup.specimen, space.dim, dict[int, float]()
     for face in setup.faces:
         rate |= _face_rates(face, space, mesh)
@@ -489,10 +477,8 @@ def _motion(face: FaceCondition) -> Array:
 
 
 def face_motions(space: Nodes, nodes: Ints) -> Array:
-    """Displacements of nodes of a face for a unit of each motion besides that along the axis.
-
-    Shapes: nodes (n,); returns (n, dim, 6), mm, rad.
-    """
+    """Displacements of nodes of a face for a unit of each motion besides that along the axis."""
+    # Shapes: nodes (n,); returns (n, dim, 6), mm, rad.
     dim, places = space.dim, space.nodes[nodes]
     motions = np.zeros((len(nodes), dim, BESIDES))
     motions[:, : dim - 1, 5] = places[:, : dim - 1]
@@ -509,10 +495,8 @@ _HELD = 1e-6
 
 
 def rigid_motions(places: Array) -> Array:
-    """List translations and rotations about the middle of some points, shape (3 n, 6).
-
-    Shapes: places (n, 3), mm.
-    """
+    """List translations and rotations about the middle of some points, shape (3 n, 6)."""
+    # Shapes: places (n, 3), mm.
     middle = (places.min(axis=0) + places.max(axis=0)) / 2
     x, y, z = (places - middle).T / float(np.ptp(places, axis=0).max())
     zero = np.zeros(len(places))

@@ -183,10 +183,8 @@ def nodal_volumes(mesh: Mesh, model: Model) -> Array:
 
 
 def interpolation(mesh: Mesh, model: Model, places: Array) -> Callable[[Array], Array]:
-    """Make the function that takes values at the nodes to places within the elements.
-
-    Shapes: places (m, dim), mm.
-    """
+    """Make the function that takes values at the nodes to places within the elements."""
+    # Shapes: places (m, dim), mm.
     from skfem import Basis
 
     axisymmetric = model.space == "axisymmetric"
@@ -337,10 +335,8 @@ class Pattern:
         return cls(free, number, indptr, indices, positions)
 
     def locate(self, dofs: NDArray[np.int64]) -> NDArray[np.int32]:
-        """Positions of the packed upper entries of small blocks, shape (n_blocks, m(m+1)/2).
-
-        Every pair must already share an element, as the nodes of a face do.
-        """
+        """Positions of the packed upper entries of small blocks, shape (n_blocks, m(m+1)/2)."""
+        # Every pair must already share an element, as the nodes of a face do.
         m = dofs.shape[1]
         rows, columns = np.triu_indices(m)
         a, b = self.number[dofs[:, rows]], self.number[dofs[:, columns]]
@@ -453,12 +449,10 @@ _COUNTS = (16, 8, 4)
 
 
 def slabs(space: Discretization) -> tuple[Slabs, ...]:
-    """Elements in phases, each of them slabs across the body that share no unknown.
-
-    Of the ways across the body that one is taken along which elements are numbered, as far as
-    they are: memory is then read in a row. Where a mesh is too coarse somewhere for slabs, two
-    halves come first and the elements between them afterwards.
-    """
+    """Elements in phases, each of them slabs across the body that share no unknown."""
+    # Of the ways across the body that one is taken along which elements are numbered, as far as
+    # they are: memory is then read in a row. Where a mesh is too coarse somewhere for slabs, two
+    # halves come first and the elements between them afterwards.
     places = space.nodes[space.element_nodes].mean(axis=1).T
     for count in _COUNTS:
         if space.weights.size >= count * _WORTH:

@@ -68,11 +68,9 @@ def indentation(
 
 
 def _half_space(indenter: Indenter, depth: Array) -> tuple[Array, Array]:
-    """Contact radius and force over the plane-strain modulus, each of shape (n,).
-
-    d = a int f'(a sin t) dt and F = 2 E* a^2 int sin(t)^2 f'(a sin t) dt, t from 0 to pi/2, for
-    the profile f and the contact radius a.
-    """
+    """Contact radius and force over the plane-strain modulus, each of shape (n,)."""
+    # d = a int f'(a sin t) dt and F = 2 E* a^2 int sin(t)^2 f'(a sin t) dt, t from 0 to pi/2, for
+    # the profile f and the contact radius a.
     deepest = float(depth.max(initial=0.0))
     first, widest = _contact(indenter, deepest)
     # closer where contact begins: the force is interpolated, and rises from there as a power
@@ -160,10 +158,8 @@ def homogeneous(
 
 
 def over_time(setup: Setup, material: Material, displacement_mm: Array, time_s: Array) -> Curve:
-    """Force of a specimen that deforms the same everywhere and relaxes.
-
-    Shapes: displacement_mm, time_s (n,); returns N, MPa.
-    """
+    """Force of a specimen that deforms the same everywhere and relaxes."""
+    # Shapes: displacement_mm, time_s (n,); returns N, MPa.
     # it loads compiled kernels
     from study.mechanics.material.viscoelasticity import relaxing
 
@@ -247,10 +243,8 @@ def _check_height(height: float, d: Array, sense: float) -> None:
 
 
 def compression(specimen: Specimen, material: Material, displacement_mm: Array) -> Curve:
-    """Force of a cylinder or block compressed between frictionless plates.
-
-    Shapes: displacement_mm (n,); returns MPa.
-    """
+    """Force of a cylinder or block compressed between frictionless plates."""
+    # Shapes: displacement_mm (n,); returns MPa.
     return homogeneous(specimen, material, displacement_mm)
 
 

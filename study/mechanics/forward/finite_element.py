@@ -75,11 +75,7 @@ class Anchors:
 
 
 def _cold(
-    config: Tables,
-    constants: Mapping[str, float] | None,
-    depth_mm: float,
-    *,
-    gradients: bool,
+    config: Tables, constants: Mapping[str, float] | None, depth_mm: float, *, gradients: bool
 ) -> Prediction:
     problem = problem_of(config, constants, depth_mm)
     load_compiled(problem)
@@ -93,10 +89,8 @@ _LOADED: set[tuple[str, ...]] = set()
 
 
 def load_compiled(problem: Problem) -> None:
-    """Solve a small relative of a problem, once for each kind.
-
-    The compiled loops are then in memory, so that the time of the problem itself is its own.
-    """
+    """Solve a small relative of a problem, once for each kind."""
+    # The compiled loops are then in memory, so that the time of the problem itself is its own.
     if problem.setup.has_no_elements:
         return
     key = (problem.model.space, problem.material.law().kind.name, problem.test.kind)
@@ -134,10 +128,8 @@ def at_steps(
     options: Options | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Solution:
-    """Forward solution at the load steps of the problem, however far apart they are.
-
-    In closed form of a gauge section, else by elements.
-    """
+    """Forward solution at the load steps of the problem, however far apart they are."""
+    # In closed form of a gauge section, else by elements.
     if problem.setup.has_no_elements:
         return closed_form.solution(problem)
     from study.mechanics.solver.finite_element_solution import solve as by_elements

@@ -111,10 +111,8 @@ class Layer:
         return not np.isfinite(self.height_mm)
 
     def coupling(self, places_mm: Array, others_mm: Array) -> Array:
-        """Kernel of the integral equation, 1/mm, shape (n, m).
-
-        2/(pi h) int (1 - K(x)) cos(x s/h) cos(x t/h) dx for places s and t, in mm from the axis.
-        """
+        """Kernel of the integral equation, 1/mm, shape (n, m)."""
+        # 2/(pi h) int (1 - K(x)) cos(x s/h) cos(x t/h) dx for places s and t, in mm from the axis.
         if self.is_half_space:
             return np.zeros((places_mm.size, others_mm.size))
         waves, weights = _missing(self.poisson_ratio, self.bonded)

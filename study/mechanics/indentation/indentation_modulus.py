@@ -29,7 +29,6 @@ from study.mechanics.measurement.recording import read_recordings
 from study.mechanics.setup.calibration_table import Theory
 from study.mechanics.setup.geometry import Indenter
 
-#: level of every interval
 LEVEL = 0.95
 #: units from which order statistics hold the median in 95 %: 1 - 2 / 2^6
 _MEDIAN_FROM = 6
@@ -126,10 +125,8 @@ def fit_modulus(
     deepest_mm: float,
     find_contact: bool = False,
 ) -> CurveModulus:
-    """Fit Young's modulus to the rows of one curve that lie within the limits.
-
-    Shapes: displacement_mm, force_N (n,).
-    """
+    """Fit Young's modulus to the rows of one curve that lie within the limits."""
+    # Shapes: displacement_mm, force_N (n,).
     contact = 0.0
     used: Flags = np.zeros(displacement_mm.shape, dtype=bool)
     for _ in range(_ROUNDS if find_contact else 1):
@@ -210,11 +207,9 @@ def _judged(
 
 
 def _covariance(jacobian: Array, residual: Array) -> tuple[Array, float, float]:
-    """Covariance under AR(1) errors, their coefficient, and degrees of freedom.
-
-    With R_ij = r^|i-j| and B = (J'J)^-1 J'RJ the expected residual sum of squares is
-    sigma^2 (n - tr B), and the covariance sigma^2 B (J'J)^-1.
-    """
+    """Covariance under AR(1) errors, their coefficient, and degrees of freedom."""
+    # With R_ij = r^|i-j| and B = (J'J)^-1 J'RJ the expected residual sum of squares is sigma^2 (n -
+    # tr B), and the covariance sigma^2 B (J'J)^-1.
     n, p = jacobian.shape
     size = float(residual @ residual)
     lag = float(residual[1:] @ residual[:-1]) / size if size > 0 else 0.0

@@ -55,10 +55,8 @@ def first_piola(material: Material, F: Array) -> Array:
 
 
 def first_piola_gradient(material: Material, F: Array) -> dict[str, Array]:
-    """Differentiate :func:`first_piola` by every constant, K(nu) included.
-
-    Shapes: returns (3, 3, ...), MPa.
-    """
+    """Differentiate :func:`first_piola` by every constant, K(nu) included."""
+    # Shapes: returns (3, 3, ...), MPa.
     dbulk = material.bulk_gradient()
     if material.small_strain:
         dmu = material.mu0_gradient()
@@ -185,10 +183,8 @@ def confined(material: Material, stretch: ArrayLike) -> Array:
 
 
 def uniaxial_gradient(material: Material, stretch: ArrayLike) -> dict[str, Array]:
-    """Total derivative of :func:`uniaxial` with respect to every constant, K(nu) included.
-
-    Units: returns MPa.
-    """
+    """Total derivative of :func:`uniaxial` with respect to every constant, K(nu) included."""
+    # Units: returns MPa.
     gradient = response(material, UNIAXIAL, stretch).gradient
     return {name: _shaped(value, stretch) for name, value in gradient.items()}
 
@@ -205,10 +201,8 @@ def simple_shear(material: Material, shear: ArrayLike) -> tuple[Array, Array, Ar
 
 
 def response(material: Material, mode: Mode | str, stretch: ArrayLike) -> Response:
-    """Stress, its slope, the free stretch and the gradient of one homogeneous test.
-
-    Shapes: stretch (n,).
-    """
+    """Stress, its slope, the free stretch and the gradient of one homogeneous test."""
+    # Shapes: stretch (n,).
     if isinstance(mode, str):
         if mode not in MODES:
             raise InputError(f"no homogeneous test {mode!r}: {nearest(mode, MODES)}")
@@ -331,10 +325,8 @@ _LAST_STEP = 1e-9
 def _safeguarded_newton(
     function: Callable[[Array], tuple[Array, Array]], start: Array, width: float = 0.02
 ) -> Array:
-    """Root of an elementwise function that rises through zero near ``start``; NaN if none.
-
-    Shapes: function (n,).
-    """
+    """Root of an elementwise function that rises through zero near ``start``; NaN if none."""
+    # Shapes: function (n,).
     low, high = start - width, start + width
     for _ in range(8):  # widen until the root is bracketed, to 0.02 * 2^8 = 5 in log stretch
         ends = function(np.concatenate([low, high]))[0]
@@ -454,10 +446,8 @@ def _simple_shear(material: Material, shear: Array, prestretch: float = 1.0) -> 
 
 
 def _sheared(material: Material, shear: Array, prestretch: float) -> Array:
-    """P_12 = shear (tau_1 - tau_3) / (l_1^2 - l_3^2), through the principal stretches.
-
-    Without a pre-stretch these are l and 1/l with l - 1/l = shear.
-    """
+    """P_12 = shear (tau_1 - tau_3) / (l_1^2 - l_3^2), through the principal stretches."""
+    # Without a pre-stretch these are l and 1/l with l - 1/l = shear.
     if material.small_strain:
         return np.asarray(material.mu0 * shear)
     longest, across, shortest = sheared_stretches(shear, prestretch)
@@ -517,7 +507,6 @@ def loading_in(mode: str, prestretch: float | None = None) -> Loading:
     return Loading(partial(_simple_shear, prestretch=prestretch), is_shear=True)
 
 
-#: every loading by its name
 LOADINGS: Mapping[str, Loading] = {
     "uniaxial": _principal(UNIAXIAL),
     "equibiaxial": _principal(EQUIBIAXIAL),

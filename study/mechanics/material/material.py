@@ -60,7 +60,6 @@ ENERGIES: dict[str, Energy] = {
         OgdenHill(),
     )
 }
-#: Names of all energies.
 MODELS: tuple[str, ...] = tuple(ENERGIES)
 
 

@@ -197,10 +197,8 @@ def _phi_slope(z: Array) -> Array:
 def _series_or(
     z: Array, weight: Callable[[int], float], formula: Callable[[Array], Array]
 ) -> Array:
-    """Power series sum weight(k) z^k / k! where |z| < 0.5, the formula elsewhere.
-
-    Below 0.5 the formulas lose digits to cancellation; 18 terms reach rounding there.
-    """
+    """Power series sum weight(k) z^k / k! where |z| < 0.5, the formula elsewhere."""
+    # Below 0.5 the formulas lose digits to cancellation; 18 terms reach rounding there.
     z = np.asarray(z, dtype=float)
     small = np.abs(z) < 0.5
     near, total, power = np.where(small, z, 0.0), np.zeros_like(z), np.ones_like(z)

@@ -283,22 +283,18 @@ class PolynomialEnergy(TableEnergy):
         return float(2.0 * constants.get("C10", 0.0) + 2.0 * constants.get("C01", 0.0))
 
     def always_elliptic(self, constants: Constants) -> bool:
-        """Positive constants of the first invariant alone and of the second invariant itself.
-
-        A sum of strongly elliptic energies is strongly elliptic.
-        """
+        """Positive constants of the first invariant alone and of the second invariant itself."""
+        # A sum of strongly elliptic energies is strongly elliptic.
         table = coefficient_table(constants)
         convex = table.copy()
         convex[:, 0] = convex[0, 1:2] = 0.0
         return bool((table >= 0).all() and not convex.any() and table.any())
 
     def always_stable(self, constants: Constants) -> bool:
-        """Positive constants of the first invariant alone and of the second invariant itself.
-
-        By logarithmic stretches the second derivatives of I1 are 4 diag(b), those of I2 are
-        4 diag(1 / b), with squares b of stretches: both positive, and a growing convex function
-        of I1 adds a square.
-        """
+        """Positive constants of the first invariant alone and of the second invariant itself."""
+        # By logarithmic stretches the second derivatives of I1 are 4 diag(b), those of I2 are 4
+        # diag(1 / b), with squares b of stretches: both positive, and a growing convex function of
+        # I1 adds a square.
         resists = constants.get("C10", 0.0) + constants.get("C01", 0.0) > 0
         return resists and self.always_elliptic(constants)
 
@@ -461,10 +457,8 @@ def _rank(name: str) -> tuple[int, int]:
 
 
 def _derivative(table: Array, axis: int) -> Array:
-    """Coefficients of the derivative of a polynomial by one of its two variables.
-
-    That of a constant is one zero, however many coefficients there are of the other variable.
-    """
+    """Coefficients of the derivative of a polynomial by one of its two variables."""
+    # That of a constant is one zero, however many coefficients there are of the other variable.
     size = table.shape[axis]
     if size == 1:
         return np.zeros((1, 1))
@@ -473,10 +467,8 @@ def _derivative(table: Array, axis: int) -> Array:
 
 
 def _columns(table: Array) -> Coefficients:
-    """Coefficients of a polynomial in two variables by columns, from the highest power down.
-
-    Those of the highest powers that are zero are left out.
-    """
+    """Coefficients of a polynomial in two variables by columns, from the highest power down."""
+    # Those of the highest powers that are zero are left out.
     columns = [_trimmed(column) for column in table.T[::-1].tolist()]
     while len(columns) > 1 and columns[0] == (0.0,):
         columns.pop(0)
@@ -490,11 +482,9 @@ def _trimmed(column: list[float]) -> tuple[float, ...]:
 
 
 def _value(columns: Coefficients, x: Array, y: Array) -> Array | float:
-    """Value of a polynomial in two variables by Horner's rule; a plain number if it is constant.
-
-    Of numpy's ``polyval2d``, which does the same, nine tenths of the time are checks: a fit in
-    closed form asks for some thousand values of a few points each.
-    """
+    """Value of a polynomial in two variables by Horner's rule; a plain number if it is constant."""
+    # Of numpy's ``polyval2d``, which does the same, nine tenths of the time are checks: a fit in
+    # closed form asks for some thousand values of a few points each.
     total = _horner(columns[0], x)
     for column in columns[1:]:
         total = _horner(column, x) + total * y

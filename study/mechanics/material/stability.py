@@ -158,10 +158,8 @@ def _limit(material: Material, mode: Mode, low: float, high: float) -> float | N
 
 
 def _first_unstable(material: Material, mode: Mode, good: float, bad: float) -> float:
-    """Narrow the place where a mode becomes unstable down to neighboring numbers.
-
-    Many places at once cost as much as one, and divide the interval by as many.
-    """
+    """Narrow the place where a mode becomes unstable down to neighboring numbers."""
+    # Many places at once cost as much as one, and divide the interval by as many.
     for _ in range(9):  # 64^9 = 2^54: more than the digits of a number
         places = np.linspace(good, bad, 65)
         first = int(np.argmin(np.append(_stable(material, mode, places[1:-1]), False))) + 1

@@ -57,10 +57,8 @@ _COLUMNS = 65
 
 
 def punched(specimen: Cylinder | Block, field: SizeField) -> tuple[Array, Ints]:
-    """Hexahedra of a quarter specimen, one ring of nodes on the circle of radius ``ring_mm``.
-
-    Shapes: field mm; returns (n, 3), mm; returns (m, 8).
-    """
+    """Hexahedra of a quarter specimen, one ring of nodes on the circle of radius ``ring_mm``."""
+    # Shapes: field mm; returns (n, 3), mm; returns (m, 8).
     depth = line_from(field.top_mm, partial(_below, field, field.ring_mm))
     core, rings = _rings(specimen, field, depth)
     beyond = _beyond(specimen, field, rings[0, -1])
@@ -80,10 +78,8 @@ def punched(specimen: Cylinder | Block, field: SizeField) -> tuple[Array, Ints]:
 
 
 def has_room(specimen: Specimen, ring: float) -> bool:
-    """Whether a circle lies inside a cross-section, so that cells fit in around it.
-
-    Units: ring mm.
-    """
+    """Whether a circle lies inside a cross-section, so that cells fit in around it."""
+    # Units: ring mm.
     if isinstance(specimen, Cylinder):
         return 0 < ring < specimen.radius_mm * (1 - 1e-6)
     if isinstance(specimen, Block):
@@ -92,10 +88,8 @@ def has_room(specimen: Specimen, ring: float) -> bool:
 
 
 def around(field: SizeField) -> int:
-    """Cells on half the quarter circle, as large as those in the middle of the face.
-
-    The solution hardly changes along the circle.
-    """
+    """Cells on half the quarter circle, as large as those in the middle of the face."""
+    # The solution hardly changes along the circle.
     return max(2, int(np.ceil(np.pi / 4 * field.ring_mm / field.zone_mm - 1e-9)))
 
 
@@ -146,10 +140,8 @@ def _core(ring: float, ray: Array) -> Array:
 
 
 def _sides(specimen: Cylinder | Block, ray: Array) -> Array:
-    """Outer ends of the rays: on the side of a cylinder, or on a square that fits in a block.
-
-    The polygon of a cylinder has the exact area of the quarter disc.
-    """
+    """Outer ends of the rays: on the side of a cylinder, or on a square that fits in a block."""
+    # The polygon of a cylinder has the exact area of the quarter disc.
     if isinstance(specimen, Cylinder):
         step = np.arctan2(ray[1, 1], ray[1, 0])
         return np.asarray(specimen.radius_mm * np.sqrt(step / np.sin(step)) * ray)
@@ -327,10 +319,8 @@ def _grid(
 
 
 def _outline(specimen: Cylinder | Block, field: SizeField) -> Array:
-    """Quarter cross-section as a polygon from the x axis to the y axis, shape (n, 2).
-
-    The polygon of a cylinder has the exact area of the quarter disc.
-    """
+    """Quarter cross-section as a polygon from the x axis to the y axis, shape (n, 2)."""
+    # The polygon of a cylinder has the exact area of the quarter disc.
     if isinstance(specimen, Block):
         w, d = specimen.width_mm / 2, specimen.depth_mm / 2
         return np.array([[w, 0.0], [w, d], [0.0, d]])

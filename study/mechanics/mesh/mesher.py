@@ -53,11 +53,9 @@ def mesh_size(setup: Setup) -> float:
 
 
 def build_mesh(setup: Setup) -> Mesh:
-    """Mesh of a setup; with a ``mesh_seed`` another of the same size.
-
-    A seed moves nodes at random, and has a specimen given as a surface meshed anew: with the
-    topology of one mesh, forces on a round body scatter by 1.5 %, over all meshes by 5 %.
-    """
+    """Mesh of a setup; with a ``mesh_seed`` another of the same size."""
+    # A seed moves nodes at random, and has a specimen given as a surface meshed anew: with the
+    # topology of one mesh, forces on a round body scatter by 1.5 %, over all meshes by 5 %.
     if isinstance(setup.specimen, Enclosed):  # not kept: its file may have changed
         return surface_mesh(setup)
     mesh, seed = _regular_mesh(setup), setup.model.mesh_seed

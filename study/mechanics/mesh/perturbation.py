@@ -55,10 +55,8 @@ _CORNERS: Table = {
 
 
 def jittered(mesh: Mesh, seed: int, fixed: NDArray[np.bool_] | None = None) -> Mesh:
-    """Move the nodes of a mesh at random; element size, boundary and topology stay.
-
-    Shapes: fixed (n_points,).
-    """
+    """Move the nodes of a mesh at random; element size, boundary and topology stay."""
+    # Shapes: fixed (n_points,).
     nodes, neighbors = _steps_allowed(mesh)
     if fixed is not None:
         kept = ~fixed[nodes]

@@ -156,11 +156,9 @@ def _sizes(rho: Array, z: Array, numbers: Array) -> Array:
 
 @functools.cache
 def size_callback(dim: int) -> CFunction:
-    """C function of a mesh generator's size: it asks at tens of thousands of places.
-
-    Its arguments are those of gmsh (dimension, tag, x, y, z, size otherwise) and the address
-    of :meth:`SizeField.numbers`.
-    """
+    """C function of a mesh generator's size: it asks at tens of thousands of places."""
+    # Its arguments are those of gmsh (dimension, tag, x, y, z, size otherwise) and the address of
+    # :meth:`SizeField.numbers`.
     plane = dim == 2
 
     @callback("float64(int32, int32, float64, float64, float64, float64, voidptr)")
@@ -322,11 +320,9 @@ def graded_table(found: Body, size_mm: float, plates: tuple[float, ...]) -> Size
 
 
 def expected_cubes(found: Body, size_mm: float, plates: tuple[float, ...]) -> float:
-    """Cubes of the sizes that gmsh is told, in a body as if it were a prism.
-
-    At a distance s from the side, a prism of volume V and lateral area A has the part
-    (1 - s A / 2V)^2 of its cross-section left.
-    """
+    """Cubes of the sizes that gmsh is told, in a body as if it were a prism."""
+    # At a distance s from the side, a prism of volume V and lateral area A has the part (1 - s A /
+    # 2V)^2 of its cross-section left.
     height = found.height_mm
     z = np.unique(np.concatenate([np.abs(p - _away(height)) for p in (0.0, height)]))
     high = float(np.trapezoid(1 / _spacing(_from_plates(z, plates), size_mm), z))

@@ -75,10 +75,8 @@ class StandardFrame:
 
 @functools.lru_cache(maxsize=8)
 def standard_frame(body: Body, seed: int | None = None) -> StandardFrame:
-    """Turn, round and sort a body; a seed turns it further by an angle drawn at random.
-
-    The meshes of two seeds are equally good, and differ as those of two generators would.
-    """
+    """Turn, round and sort a body; a seed turns it further by an angle drawn at random."""
+    # The meshes of two seeds are equally good, and differ as those of two generators would.
     further = 0.0 if seed is None else np.random.default_rng(seed).uniform(0.0, 2 * np.pi)
     frames = [_turned(body, angle + further) for angle in _orientations(body)[:_COMPARED]]
     return min(frames, key=lambda frame: frame.body.triangles.tolist())
@@ -116,11 +114,9 @@ def _rounded(points: Array) -> Array:
 
 
 def _orientations(body: Body) -> Array:
-    """Angles of the body about its loading axis (rad): several where its shape is symmetric.
-
-    The first angular moment that is not small gives the angle up to a part of a turn. Which part,
-    the place of the loading axis and the other moments tell.
-    """
+    """Angles of the body about its loading axis (rad): several where its shape is symmetric."""
+    # The first angular moment that is not small gives the angle up to a part of a turn. Which part,
+    # the place of the loading axis and the other moments tell.
     middle = body.points[:, :2].mean(axis=0)
     away = (body.points[:, :2] - middle) @ np.array([1.0, 1.0j])
     size, weight = float(np.abs(away).max()), np.abs(away) * (1 + body.points[:, 2])
@@ -203,10 +199,8 @@ def surface_mesh_size(setup: Setup) -> float:
 
 
 def expected_unknowns(setup: Setup) -> float:
-    """Unknowns that the mesh of a problem will have, from volume, surface and sizes alone.
-
-    Right within a factor of 1.5, of 1.3 under an indenter; of 3 in a body thinner than elements.
-    """
+    """Unknowns that the mesh of a problem will have, from volume, surface and sizes alone."""
+    # Right within a factor of 1.5, of 1.3 under an indenter; of 3 in a body thinner than elements.
     found = standard_frame(_body_of(setup)).body
     field = _field(setup, found)
     plates, finest = _bonded(setup, found), field.size_mm

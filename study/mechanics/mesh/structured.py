@@ -25,10 +25,8 @@ GROWTH = 0.35
 
 
 def graded_line(length: float, h: float, *, towards_end: bool) -> Array:
-    """Points from 0 to ``length``, ``h`` apart, closer towards the end where asked.
-
-    Units: length, h mm.
-    """
+    """Points from 0 to ``length``, ``h`` apart, closer towards the end where asked."""
+    # Units: length, h mm.
     if not towards_end:
         return np.linspace(0, length, max(1, round(length / h)) + 1)
     distance = np.linspace(0, length, 4001)
@@ -37,10 +35,8 @@ def graded_line(length: float, h: float, *, towards_end: bool) -> Array:
 
 
 def points_by_density(s: Array, size: Callable[[Array], Array]) -> Array:
-    """Points along ``s`` whose spacing follows ``size(s)``: equal steps of its integral.
-
-    Shapes: s (n,), mm; size mm.
-    """
+    """Points along ``s`` whose spacing follows ``size(s)``: equal steps of its integral."""
+    # Shapes: s (n,), mm; size mm.
     density = 1 / size(s)
     count = np.concatenate([[0], np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(s))])
     n = max(2, int(np.ceil(count[-1] - 1e-9)))
@@ -50,10 +46,8 @@ def points_by_density(s: Array, size: Callable[[Array], Array]) -> Array:
 
 
 def line_by_size(length: float, size: Callable[[Array], Array], through: float = 0.0) -> Array:
-    """Points from 0 to ``length`` spaced by ``size(s)``, one of them at ``through``.
-
-    Units: through mm.
-    """
+    """Points from 0 to ``length`` spaced by ``size(s)``, one of them at ``through``."""
+    # Units: through mm.
     if not 0.0 < through < length:
         return points_by_density(np.linspace(0, length, 4001), size)
     inner = points_by_density(np.linspace(0, through, 4001), size)
@@ -62,11 +56,9 @@ def line_by_size(length: float, size: Callable[[Array], Array], through: float =
 
 
 def line_from(length: float, size: Callable[[Array], Array]) -> Array:
-    """Points from 0 to ``length`` with a spacing of ``size(0)`` at 0, however many fit in.
-
-    A whole number of steps is off by up to half a step; that is laid where the steps are
-    many, with the square of their number, so that a series of sizes is alike at the start.
-    """
+    """Points from 0 to ``length`` with a spacing of ``size(0)`` at 0, however many fit in."""
+    # A whole number of steps is off by up to half a step; that is laid where the steps are many,
+    # with the square of their number, so that a series of sizes is alike at the start.
     s, count = counted(length, size)
     return spread(s, count, max(2, round(float(count[-1]))))
 
@@ -74,10 +66,8 @@ def line_from(length: float, size: Callable[[Array], Array]) -> Array:
 def counted(
     length: float, size: Callable[[Array], Array], places: int = 8001
 ) -> tuple[Array, Array]:
-    """Places from 0 to ``length``, and how many steps of ``size`` lead to each of them.
-
-    Units: length mm; size mm.
-    """
+    """Places from 0 to ``length``, and how many steps of ``size`` lead to each of them."""
+    # Units: length mm; size mm.
     s = length * np.linspace(0.0, 1.0, places) ** 2  # sizes may jump next to the start
     density = 1 / size(s)
     return s, np.concatenate([[0], np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(s))])
@@ -98,20 +88,16 @@ def spread(s: Array, count: Array, n: int) -> Array:
 
 
 def line_about(length: float, size: Callable[[Array], Array], place: float) -> Array:
-    """Points from 0 to ``length``, one at ``place``, where their spacing is ``size(place)``.
-
-    Units: place mm.
-    """
+    """Points from 0 to ``length``, one at ``place``, where their spacing is ``size(place)``."""
+    # Units: place mm.
     inner = line_from(place, lambda s: size(place - s))
     outer = line_from(length - place, lambda s: size(place + s))
     return np.concatenate([place - inner[::-1], place + outer[1:]])
 
 
 def half_hexagon(side: float, halvings: int) -> tuple[Array, Ints, Ints]:
-    """Triangles of a half hexagon around the middle of its upper side, smaller towards it.
-
-    Shapes: returns (n_points, 2); returns (12 + 12 halvings, 3); returns (7,).
-    """
+    """Triangles of a half hexagon around the middle of its upper side, smaller towards it."""
+    # Shapes: returns (n_points, 2); returns (12 + 12 halvings, 3); returns (7,).
     corner = np.array([[1, 0], [0.5, -np.sqrt(0.75)], [-0.5, -np.sqrt(0.75)], [-1, 0]])
     double = np.vstack([corner[:1], *((a + b, b * 2) for a, b in pairwise(corner))])
     double[0] *= 2
@@ -130,10 +116,8 @@ def half_hexagon(side: float, halvings: int) -> tuple[Array, Ints, Ints]:
 
 
 def layers(height: float, h: float, *, half: bool, top: bool, base: bool) -> Array:
-    """Heights of the layers, closer at bonded plates; of the upper half only where asked.
-
-    Units: height, h mm.
-    """
+    """Heights of the layers, closer at bonded plates; of the upper half only where asked."""
+    # Units: height, h mm.
     if half:
         return height / 2 + graded_line(height / 2, h, towards_end=top)
     upper = height / 2 + graded_line(height / 2, h, towards_end=top)
@@ -149,10 +133,8 @@ def equivalent_radius(specimen: Specimen) -> float:
 
 
 def rectangle(r: Array, z: Array, shape: str) -> tuple[Array, Ints]:
-    """Grid of (r, z), each cell cut from its outer upper corner (the bonded one) inwards.
-
-    Shapes: r, z (nr,), mm.
-    """
+    """Grid of (r, z), each cell cut from its outer upper corner (the bonded one) inwards."""
+    # Shapes: r, z (nr,), mm.
     nr, nz = r.size, z.size
     points = np.column_stack([np.tile(r, nz), np.repeat(z, nr)])
     corner = (np.arange(nz - 1)[:, None] * nr + np.arange(nr - 1)).ravel()
@@ -273,10 +255,8 @@ def _stitch(inner: Ints, outer: Ints) -> list[tuple[int, int, int]]:
 
 
 def extrude(plane: Array, faces: Ints, z: Array) -> tuple[Array, Ints]:
-    """Prisms (cut into three tetrahedra each) or hexahedra over a plane mesh.
-
-    Shapes: plane (n, 2), mm; faces (m, 3); z (k,), mm.
-    """
+    """Prisms (cut into three tetrahedra each) or hexahedra over a plane mesh."""
+    # Shapes: plane (n, 2), mm; faces (m, 3); z (k,), mm.
     n = len(plane)
     points = np.column_stack([np.tile(plane, (z.size, 1)), np.repeat(z, n)])
     shift = n * np.arange(z.size - 1)[:, None, None]

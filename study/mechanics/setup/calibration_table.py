@@ -61,7 +61,6 @@ class Fitting:
     bounds: AsWritten = None
     #: Starts of the fit: its own, and others that are drawn.
     starts: Annotated[int, Reads(integer(1, 1000))] = 1
-    #: Of the draws.
     seed: Annotated[int, Reads(integer(0, 2**32 - 1))] = 0
     #: ``"analytic"``: Young's modulus of indentations in closed form, curve
     #: by curve.

@@ -324,7 +324,6 @@ def unit_of_length(value: object) -> str:
     return value.strip()
 
 
-#: a length above 0
 Length = Annotated[float, measured("length")]
 #: a length that may be 0, as that of a rounding
 LengthOrZero = Annotated[float, measured("length", closed=True)]
@@ -388,11 +387,9 @@ def text(value: object) -> str:
 
 
 def name(value: object) -> str:
-    """Read a name that may stand in a table, a page or a CSV file.
-
-    A leading ``=``, ``+``, ``-`` or ``@`` is a formula for a spreadsheet (CWE-1236), and no
-    quoting survives its next save.
-    """
+    """Read a name that may stand in a table, a page or a CSV file."""
+    # A leading ``=``, ``+``, ``-`` or ``@`` is a formula for a spreadsheet (CWE-1236), and no
+    # quoting survives its next save.
     if not isinstance(value, str):
         raise Bad(f"must be a text, got {shown(value)}", "put it in quotes")
     stripped = value.strip()

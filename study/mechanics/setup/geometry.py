@@ -100,7 +100,6 @@ class Surface(Enclosed):
 
     #: STL, PLY or OBJ file.
     file: Annotated[str, Reads(relative_path, mend=_SURFACE)]
-    #: Unit of its coordinates.
     unit: Annotated[str, Reads(unit_of_length, mend=_SURFACE)] = "mm"
     #: Axis of the file that points up, against the loading.
     axis: Annotated[str, word("z", "-z", "x", "-x", "y", "-y")] = "z"
@@ -179,10 +178,8 @@ class Flat:
         return self.radius_mm
 
     def step_length_mm(self, depth_mm: float) -> float:
-        """Length that load steps are measured by.
-
-        The rounded edge takes part within the first fractions of its radius.
-        """
+        """Length that load steps are measured by."""
+        # The rounded edge takes part within the first fractions of its radius.
         return max(self.edge_radius_mm, 0.1 * self.radius_mm)
 
     def faults(self) -> Iterator[Fault]:
@@ -278,9 +275,7 @@ _TURN = measured("angle", -MOST_TURNED, MOST_TURNED)
 class FaceMotion:
     """Motion of a loaded plate besides that along the axis: small rotations, and slip."""
 
-    #: Across the axis.
     x_mm: Coordinate = Field(default=0.0, validation_alias="x")
-    #: Across the axis.
     y_mm: Coordinate = Field(default=0.0, validation_alias="y")
     #: Rotations about x, y and the axis through the middle of the face.
     tilt_x_deg: Annotated[float, _TURN] = Field(default=0.0, validation_alias="tilt_x")
@@ -305,7 +300,6 @@ STANDARD_GRAVITY = 9.80665
 class Gravity:
     """Weight of the specimen, which sags (or hangs from its base) before it is touched."""
 
-    #: Of the specimen.
     density_kg_m3: Annotated[
         float, measured("density", mend='for example density = "980 kg/m^3"')
     ] = Field(validation_alias="density")

@@ -76,13 +76,11 @@ class RelaxationKey:
 class MaterialSection:
     """A material whose constants may have to be calibrated."""
 
-    #: Name of the energy.
     model: str
     #: Number of terms; None for an energy that has no choice.
     order: int | None
     #: In MPa, exponents plain; empty where a calibration finds them.
     constants: Mapping[str, float]
-    #: Of the material.
     compressibility: Compressibility
     #: How its stress fades; empty where it does not.
     relaxation: tuple[RelaxationKey, ...] = ()

@@ -74,17 +74,13 @@ class Model:
     #: Axisymmetric for a cylinder unless the file says 3d, and 3d for all
     #: others.
     space: Annotated[Space, word("axisymmetric", "3d")] = "axisymmetric"
-    #: Of the elements.
     element_order: Annotated[Order, word("linear", "quadratic")] = "quadratic"
-    #: Of the elements.
     element_shape: Annotated[Shape, word("simplex", "tensor", synonyms=_ELEMENTS)] = "simplex"
-    #: Of the elements.
     formulation: Annotated[Formulation, word("mixed", "displacement")] = "mixed"
     #: Size relative to a reference size of the problem.
     mesh: Annotated[MeshName, word(*MESH_LEVELS)] = "medium"
     #: Size of a named mesh over that of the next finer one; ``converge.ratio`` of the file.
     mesh_ratio: Annotated[float, DERIVED] = 1.5
-    #: Element size.
     mesh_size_mm: Length | None = Field(default=None, validation_alias="mesh_size")
     #: Moves the nodes of the mesh at random (see :mod:`study.mechanics.mesh.perturbation`).
     mesh_seed: Annotated[int | None, DERIVED] = None
@@ -106,11 +102,8 @@ class Model:
 class Setup:
     """What is tested and how it is discretized; the material is not part of it."""
 
-    #: Sections of the study file.
     specimen: Specimen
-    #: Sections of the study file.
     test: Test
-    #: Sections of the study file.
     model: Model
     #: Of the specimen; None for a surface whose file has not been looked for.
     height_mm: float | None = None
@@ -168,12 +161,10 @@ class Setup:
 
     @property
     def has_close_equilibria(self) -> bool:
-        """Whether the discretized contact is known to have several equilibria close together.
-
-        Measured on a needle in linear tetrahedra, 4 mm deep: started from the load steps of
-        another specimen, four of five solutions of one cell ended on a neighbouring equilibrium,
-        0.2 to 0.8 % away in force. The one that a load path from zero reaches is the answer.
-        """
+        """Whether the discretized contact is known to have several equilibria close together."""
+        # Measured on a needle in linear tetrahedra, 4 mm deep: started from the load steps of
+        # another specimen, four of five solutions of one cell ended on a neighbouring equilibrium,
+        # 0.2 to 0.8 % away in force. The one that a load path from zero reaches is the answer.
         linear_solid = self.model.space == "3d" and self.model.element_order == "linear"
         return linear_solid and self.kind.strains_locally
 
@@ -202,10 +193,8 @@ class Problem:
 
 
 def is_homogeneous(test: Test, shape: str) -> bool:
-    """Whether a deformation is the same everywhere, as between frictionless plates.
-
-    The closed form is then exact, and space, mesh, order and element shape cannot matter.
-    """
+    """Whether a deformation is the same everywhere, as between frictionless plates."""
+    # The closed form is then exact, and space, mesh, order and element shape cannot matter.
     weightless = not test.weight_N_mm3
     return weightless and shape in HOMOGENEOUS_SHAPES and TEST_KINDS[test.kind].is_homogeneous(test)
 
@@ -327,7 +316,6 @@ class ForwardModel:
     failure: Annotated[str, Reads(text)] = ""
     #: What installs the program, for the message where it is missing.
     install: Annotated[str, Reads(text)] = ""
-    #: Wall-clock limit of one solution.
     timeout_s: Duration | None = Field(default=None, validation_alias="timeout")
     #: What one solution takes, for the plan.
     seconds_s: Duration = Field(default=USUAL_SECONDS, validation_alias="seconds")

@@ -25,10 +25,8 @@ _DEEPEST = 0.15
 
 
 def brain_surface(brain: Brain) -> tuple[Array, Ints]:
-    """Vertices and triangles of a brain-shaped phantom.
-
-    Shapes: brain mm; returns (n, 3), mm; returns (m, 3).
-    """
+    """Vertices and triangles of a brain-shaped phantom."""
+    # Shapes: brain mm; returns (n, 3), mm; returns (m, 3).
     deepest = _DEEPEST * min(brain.height_mm, brain.width_mm)
     if brain.fissure_mm > deepest:
         rule = f"{brain.fissure_mm:g} mm is too deep for a body of this height and width"

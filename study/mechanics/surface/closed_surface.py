@@ -79,10 +79,8 @@ class Edges:
 
 
 def volume(points: Array, triangles: Ints) -> float:
-    """Volume enclosed by triangles that face outward; negative where they face inward.
-
-    Shapes: points, triangles (n, 3).
-    """
+    """Volume enclosed by triangles that face outward; negative where they face inward."""
+    # Shapes: points, triangles (n, 3).
     corners = points[triangles]
     # from the middle: about a far origin the sum is of products that cancel to their last digits
     corners = corners - corners.mean(axis=(0, 1))
@@ -98,10 +96,8 @@ def area(points: Array, triangles: Ints) -> float:
 
 
 def inspect(points: Array, triangles: Ints, name: str, unit: str) -> Inspected:
-    """Check a surface and turn its triangles outward; one InputError tells all of its faults.
-
-    Shapes: points, triangles (n, 3).
-    """
+    """Check a surface and turn its triangles outward; one InputError tells all of its faults."""
+    # Shapes: points, triangles (n, 3).
     where = f"specimen.file: {name}"
     bad = ~np.isfinite(points[triangles]).all(axis=(1, 2))
     if bad.any() or np.abs(points[triangles]).max() > 1e15:
@@ -604,10 +600,8 @@ def read_triangles(path: Path) -> tuple[Array, Ints]:
 
 
 def read_mesh(path: Path, where: str) -> tuple[Array, Ints]:
-    """Read the points and triangles of an STL, PLY or OBJ file; there may be points alone.
-
-    Shapes: returns (n, 3); returns (m, 3).
-    """
+    """Read the points and triangles of an STL, PLY or OBJ file; there may be points alone."""
+    # Shapes: returns (n, 3); returns (m, 3).
     try:
         stream = open_regular(path, sys.maxsize)
     except UnreadableError as error:

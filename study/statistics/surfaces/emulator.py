@@ -115,10 +115,8 @@ class SobolIndex:
 
 
 def jansen(values: Callable[[Array], Array], k: int, seed: int) -> tuple[Array, Array]:
-    """First-order and total indices by Jansen's estimators (Saltelli et al. 2010, table 2).
-
-    Shapes: values (m, p); returns (k, p).
-    """
+    """First-order and total indices by Jansen's estimators (Saltelli et al. 2010, table 2)."""
+    # Shapes: values (m, p); returns (k, p).
     from scipy.stats import qmc
 
     sample = qmc.Sobol(2 * k, seed=seed).random(SAMPLE)
@@ -142,10 +140,8 @@ def jansen(values: Callable[[Array], Array], k: int, seed: int) -> tuple[Array, 
 def sobol_indices(
     values: Callable[[Array], Array], k: int, q2: float, seed: int
 ) -> tuple[SobolIndex, ...]:
-    """Estimate indices of the posterior mean, with intervals from its paths.
-
-    Shapes: values (m, 1 + paths).
-    """
+    """Estimate indices of the posterior mean, with intervals from its paths."""
+    # Shapes: values (m, 1 + paths).
     first, total = jansen(values, k, seed)
     margin = 1.0 - q2 + SAMPLE_ERROR
     return tuple(
@@ -221,10 +217,8 @@ class Emulator:
         return _among(unit, self.combination)
 
     def paths(self, seed: int) -> Callable[[Array], Array]:
-        """Draw posterior paths: the mean and functions, shape (m, 1 + paths), of points (m, k).
-
-        Points lie in the unit box; values are those of standardized responses.
-        """
+        """Draw posterior paths: the mean and functions, shape (m, 1 + paths), of points (m, k)."""
+        # Points lie in the unit box; values are those of standardized responses.
         drawn = draw_paths(self.process, seed)
         return lambda unit: drawn.values(self.points(unit))
 
@@ -550,10 +544,8 @@ class Unsure:
     power: float = 1.0
 
     def gains(self, x: Array, at: Array, made: Array) -> Array:
-        """Drop of the summed variance that a run at each candidate would bring, shape (m,).
-
-        Shapes: x (m, k); at (r, k); made (n, k).
-        """
+        """Drop of the summed variance that a run at each candidate would bring, shape (m,)."""
+        # Shapes: x (m, k); at (r, k); made (n, k).
         found = self.process.found
         kernel, nugget = found.kernel, found.nugget
         matrix = kernel.correlation(made, made)

@@ -281,10 +281,8 @@ class GaussianProcess:
 def fit_process(
     x: Array, y: Array, noise: Array, family: Family, seed: int = 0, sizes: Sequence[int] = ()
 ) -> GaussianProcess:
-    """Fit length scales, distances of categories, variance and nugget.
-
-    Shapes: x (n, k); y (n,); noise (n,).
-    """
+    """Fit length scales, distances of categories, variance and nugget."""
+    # Shapes: x (n, k); y (n,); noise (n,).
     rng = np.random.default_rng(seed)
     k, p, tail = x.shape[1] - bool(sizes), fitted(sizes), [1.0, FIRST_NUGGET]
     starts = [np.log([FIRST_LENGTH * np.sqrt(k)] * k + [FIRST_DISTANCE] * p + tail)]
@@ -343,10 +341,8 @@ def _projected(factor: Array, constants: Array) -> Array:
 def log_likelihood(
     theta: Array, x: Array, y: Array, noise: Array, family: Family, sizes: Sequence[int] = ()
 ) -> tuple[float, Array]:
-    """Restricted log likelihood without its constant, and its gradient.
-
-    Shapes: theta (k + p + 2,); returns (k + p + 2,).
-    """
+    """Restricted log likelihood without its constant, and its gradient."""
+    # Shapes: theta (k + p + 2,); returns (k + p + 2,).
     found = hyperparameters(theta, family, sizes)
     correlation, shared = found.kernel.with_slope(x)
     matrix = found.variance * correlation

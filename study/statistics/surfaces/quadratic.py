@@ -221,10 +221,8 @@ class FTest:
 
 
 def against_blocks(columns: Array, response: Array) -> FTest | None:
-    """Test columns against their own interaction with the blocks (Greenhouse and Geisser 1959).
-
-    Shapes: columns (n, k); response (n, b).
-    """
+    """Test columns against their own interaction with the blocks (Greenhouse and Geisser 1959)."""
+    # Shapes: columns (n, k); response (n, b).
     from scipy import stats
 
     parts = response.T @ columns  # (b, k): what every block says of each column
@@ -243,10 +241,8 @@ def against_blocks(columns: Array, response: Array) -> FTest | None:
 
 
 def lack_of_fit(columns: ModelColumns, response: Array, which: Ints) -> FTest | None:
-    """Classical test of the model against pure error (Montgomery 2017, section 11.2).
-
-    Shapes: response (n,); which (n,).
-    """
+    """Classical test of the model against pure error (Montgomery 2017, section 11.2)."""
+    # Shapes: response (n,); which (n,).
     from scipy import stats
 
     counts = np.bincount(which)
@@ -329,10 +325,8 @@ def _kind(eigenvalues: Array) -> Kind:
 
 
 def in_region(surfaces: Sequence[Polynomial], coded: Array, level: float = 0.95) -> Flags:
-    """Whether the blocks' gradients at each point may have the mean zero (Hotelling's T^2).
-
-    Shapes: coded (n, k).
-    """
+    """Whether the blocks' gradients at each point may have the mean zero (Hotelling's T^2)."""
+    # Shapes: coded (n, k).
     from scipy import stats
 
     b, k = len(surfaces), surfaces[0].k

@@ -156,10 +156,8 @@ def _same(column: Array) -> bool:
 
 
 def change_together(runs: Runs) -> tuple[str, ...]:
-    """Name the factors of which one follows from the others in every run; empty if none does.
-
-    Shapes: runs (n, k).
-    """
+    """Name the factors of which one follows from the others in every run; empty if none does."""
+    # Shapes: runs (n, k).
     centred = runs.coded - runs.coded.mean(axis=0)
     _, sizes, directions = np.linalg.svd(centred, full_matrices=len(centred) < centred.shape[1])
     if len(runs.factors) < 2 or (sizes.size == len(directions)

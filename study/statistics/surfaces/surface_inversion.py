@@ -211,11 +211,9 @@ class _Search:
     def combinations(
         self, at: Array, rms: float, largest: float, loose: Ints
     ) -> tuple[Combination, ...]:
-        """Products of powers of the inputs that by themselves are not determined.
-
-        In logarithms the curve is nearly linear about the best setting; along the directions in
-        which it changes much, the set is narrow.
-        """
+        """Products of powers of the inputs that by themselves are not determined."""
+        # In logarithms the curve is nearly linear about the best setting; along the directions in
+        # which it changes much, the set is narrow.
         factors = [self.model.runs.factors[j] for j in loose]
         if not factors or any(one.low <= 0 for one in factors):
             return ()

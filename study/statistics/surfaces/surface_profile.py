@@ -171,10 +171,8 @@ class CurveEmulator:
 
 
 def fit_curves(runs: Runs, curves: Array, seed: int = 0) -> CurveEmulator:
-    """Emulate curves by their principal components (Higdon et al. 2008, JASA 103, 570).
-
-    Shapes: curves (n, m).
-    """
+    """Emulate curves by their principal components (Higdon et al. 2008, JASA 103, 570)."""
+    # Shapes: curves (n, m).
     settings, which = runs.distinct()
     own = np.zeros((len(settings), curves.shape[1]))
     np.add.at(own, which, curves)

@@ -190,11 +190,9 @@ def _numbers(values: Array) -> Array:
 
 
 def _own(model: Model, inputs: _Inputs, seed: int) -> Array:
-    """Half widths for the surface's own error, shape (2 + percentiles,), in the response's unit.
-
-    Left-out runs are missed by that much on average: a number that belongs to one place of the
-    distribution may be, too. The mean and the spread average over places.
-    """
+    """Half widths for the surface's own error, shape (2 + percentiles,), in the response's unit."""
+    # Left-out runs are missed by that much on average: a number that belongs to one place of the
+    # distribution may be, too. The mean and the spread average over places.
     if isinstance(model, QuadraticSurface):
         rms = 0.0 if model.loo is None else model.loo.rms
         return np.full(2 + PERCENTILES.size, 2.0 * rms)
