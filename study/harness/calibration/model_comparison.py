@@ -535,7 +535,12 @@ def choose(
     """Fit every candidate to the tests of a calibration."""
     found: dict[str, CalibrationResult] = {}
     failures: dict[str, str] = {}
-    for model, order, label in (*CANDIDATES, *(FOAMS if _may_be_foam(config) else ())):
+    problems = (problem_of(test.tables) for test in config.tests)
+    compressible = config.material.compressibility.poisson_ratio is not None
+    for model, order, label in (
+        *CANDIDATES,
+        *(FOAMS if (compressible and all(one.method == "closed-form" for one in problems)) else ()),
+    ):
         try:
             changes: dict[str, object] = {"model": model, "order": order, "constants": {}}
             tests = tuple(
@@ -552,10 +557,3 @@ def choose(
             failures[label] = f"{result.status}: {result.message}"
     weights = akaike_weights({label: one.fit.aicc for label, one in found.items()})
     return EnergyChoice(found, weights, failures)
-
-
-def _may_be_foam(config: CalibrationDesign) -> bool:
-    """Whether Poisson's ratio is given and no test asks for elements, which foams lack."""
-    problems = (problem_of(test.tables) for test in config.tests)
-    compressible = config.material.compressibility.poisson_ratio is not None
-    return compressible and all(one.method == "closed-form" for one in problems)

@@ -41,7 +41,7 @@ def case_id(content: object) -> str:
     >>> case_id({"a": 1, "b": 2.5}) == case_id({"b": 2.5, "a": 1.0})
     True
     """
-    return _name(canonical_json(content))
+    return _name(_text(without_places(plain(content))))
 
 
 def block_ids(content: Mapping[str, object], blocks: Sequence[str | None]) -> list[str]:
@@ -59,17 +59,6 @@ def block_ids(content: Mapping[str, object], blocks: Sequence[str | None]) -> li
 
 def _name(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:ID_LENGTH]
-
-
-def canonical_json(content: object) -> str:
-    """One spelling of JSON for equal content.
-
-    Examples
-    --------
-    >>> canonical_json({"b": (1.0, 2), "a": None})
-    '{"a":null,"b":[1,2]}'
-    """
-    return _text(without_places(plain(content)))
 
 
 def _text(named: Json) -> str:

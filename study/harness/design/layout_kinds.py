@@ -312,21 +312,7 @@ LAYOUTS: Mapping[str, type[Layout]] = {
 def scheme_from(
     table: object, factors: tuple[Factor, ...], seed: int, excluding: bool, faults: Faults
 ) -> Made:
-    """Read ``[design]`` and give every factor the levels that it needs.
-
-    Parameters
-    ----------
-    table : mapping or None
-        The table as written; None where it is left out.
-    factors : tuple of Factor
-        As listed; a range has its two ends as levels.
-    seed : int
-        Of the study, for designs that draw.
-    excluding : bool
-        Whether the file excludes cells.
-    faults : Faults
-        Where faults go.
-    """
+    """Read ``[design]`` (None where it is left out) and give every factor the levels it needs."""
     written = {} if table is None else table
     asked = written.get("kind", "full") if isinstance(written, Mapping) else "full"
     kind = noted(choice(*LAYOUTS), asked, "design.kind", faults)

@@ -39,20 +39,13 @@ MAX_CELLS = 4096
 
 @dataclass(frozen=True)
 class Request:
-    """What a design is made of.
+    """What a design is made of."""
 
-    Parameters
-    ----------
-    factors : tuple of Factor
-        As listed; a range has its two ends as levels.
-    seed : int
-        Of the study, for designs that draw.
-    faults : Faults
-        Where faults go.
-    """
-
+    #: As listed; a range has its two ends as levels.
     factors: tuple[Factor, ...]
+    #: Of the study, for designs that draw.
     seed: int
+    #: Where faults go.
     faults: Faults
 
     def fault(self, key: str, rule: str, mend: str = "") -> None:

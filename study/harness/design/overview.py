@@ -264,14 +264,12 @@ def warnings(design: Design) -> tuple[str, ...]:
     for group in duplicates(design):
         labels = " = ".join(one.label for one in group)
         found[f"cells with the same content are one computation, no replicates: {labels}"] = None
-    unused = set(_preset_sets(design)) - {factor.name for factor in design.factors}
+    presets = design.config.get("presets")
+    unused = set(list(presets) if isinstance(presets, dict) else []) - {
+        factor.name for factor in design.factors
+    }
     for name in sorted(unused):
         found[f"the preset set {name!r} is no factor and is not used"] = None
     if design.converge.ratio < 1.3:
         found[f"converge.ratio {design.converge.ratio:g} is below 1.3: orders will be noise"] = None
     return tuple(found)
-
-
-def _preset_sets(design: Design) -> Sequence[str]:
-    presets = design.config.get("presets")
-    return list(presets) if isinstance(presets, dict) else []

@@ -21,30 +21,19 @@ Results = Mapping[str, Document]
 
 @dataclass(frozen=True)
 class Task:
-    """One unit of work.
+    """One unit of work."""
 
-    Parameters
-    ----------
-    key : str
-        Name, unlike that of every other task of a run.
-    payload : callable
-        Makes the plain data of the task from the results of the tasks it needs; called only
-        when all of them are finished.
-    needs : tuple of str
-        Keys of tasks that must be finished first.
-    group : str
-        Tasks of one group share something that a worker keeps: one worker does them all.
-    seconds : float
-        How long it is predicted to take: what keeps the others waiting longest comes first.
-    memory_MB : float
-        Memory that it is predicted to take: no more run at once than there is room for.
-    """
-
+    #: Unlike that of every other task of a run.
     key: str
+    #: Makes the plain data of the task from the results of those that it needs, once all are there.
     payload: Callable[[Results], Document]
+    #: Keys of tasks that must be finished first.
     needs: tuple[str, ...] = ()
+    #: Tasks of one group share something that a worker keeps: one worker does them all.
     group: str = ""
+    #: Predicted duration: what keeps the others waiting longest comes first.
     seconds: float = 0.0
+    #: Predicted memory: no more run at once than there is room for.
     memory_MB: float = 0.0  # noqa: N815
 
 
@@ -80,22 +69,9 @@ class Executor(Protocol):
 
 
 def answer(perform: Perform, text: str) -> str:
-    """Do one task given as JSON, or a list of them, and answer in JSON; a bug is an answer too.
-
-    Parameters
-    ----------
-    perform : callable
-        Does the task.
-    text : str
-        The task's plain data as JSON, or those of several.
-
-    Returns
-    -------
-    str
-        JSON of the result, or of the list of them; its ``status`` is ``failed`` with the traceback
-        where ``perform`` raised or gave something that JSON cannot hold, ``out-of-memory`` where
-        memory was short.
-    """
+    """JSON of the result of one task, or of the list of them, given as JSON."""
+    # ``status``: ``failed`` with the traceback where ``perform`` raised or gave something that JSON
+    # cannot hold, ``out-of-memory`` where memory was short.
     asked = json.loads(text)
     if isinstance(asked, list):
         return f"[{','.join(_answer(perform, one) for one in asked)}]"
@@ -118,18 +94,7 @@ def _answer(perform: Perform, asked: dict[str, object]) -> str:
 
 
 def check_limit(seconds: float | None) -> float | None:
-    """Wall-clock limit of one task in seconds, if it is one.
-
-    Parameters
-    ----------
-    seconds : float or None
-        None for no limit.
-
-    Raises
-    ------
-    InputError
-        If the limit is not a positive number.
-    """
+    """Wall-clock limit of one task in seconds; None for no limit."""
     if seconds is None or seconds > 0 and seconds != float("inf"):
         return seconds
     rule = f"must be a positive number of seconds, got {seconds:g}"
@@ -137,17 +102,6 @@ def check_limit(seconds: float | None) -> float | None:
 
 
 def stopped_late(limit_s: float) -> Document:
-    """Say that a task was stopped at its wall-clock limit.
-
-    Parameters
-    ----------
-    limit_s : float
-        The limit, s.
-
-    Returns
-    -------
-    dict
-        ``status``, which is ``timeout``, and ``message``.
-    """
+    """Return the result of a task stopped at its wall-clock limit: ``status`` and ``message``."""
     message = f"stopped after {limit_s:g} s, the limit of one computation"
     return {"status": "timeout", "message": message}

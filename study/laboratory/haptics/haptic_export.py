@@ -90,6 +90,7 @@ def _range(law: ForceLaw, k: int) -> str:
 def document(law: ForceLaw) -> dict[str, object]:
     """Document of ``study export --as force-law --json``: plain values, units in the names."""
     # Units: law mm, N, MPa.
+    found = law.standard_uncertainty_at(law.displacement_mm)
     return {
         "schema": SCHEMA,
         "kind": "force-law",
@@ -118,7 +119,9 @@ def document(law: ForceLaw) -> dict[str, object]:
             {"name": r.name, "low": r.low, "high": r.high, "largest_N": _finite(r.largest_N)}
             for r in law.ranges
         ],
-        "standard_uncertainty_N": _uncertainty(law),
+        "standard_uncertainty_N": None
+        if found is None or not np.isfinite(found).all()
+        else found.tolist(),
         "sentences": sentences(law),
         "version": study.__version__,
     }
@@ -130,23 +133,6 @@ def _table(table: Table) -> dict[str, list[float]]:
 
 def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
-
-
-def _uncertainty(law: ForceLaw) -> list[float] | None:
-    found = law.standard_uncertainty_at(law.displacement_mm)
-    return None if found is None or not np.isfinite(found).all() else found.tolist()
-
-
-def csv_text(law: ForceLaw) -> str:
-    """Knots as CSV: displacement, force, stiffness, gradients. Units: law mm, N, N/mm, MPa."""
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    gradients = [f"dF_d{name}" for name in law.gradients]
-    writer.writerow(["displacement_mm", "force_N", "stiffness_N_per_mm", *gradients])
-    columns = [law.displacement_mm, law.force.values, law.force.slopes]
-    columns += [table.values for table in law.gradients.values()]
-    writer.writerows([repr(float(v)) for v in row] for row in zip(*columns, strict=True))
-    return stream.getvalue()
 
 
 def python_text(law: ForceLaw) -> str:
@@ -163,7 +149,14 @@ def files(law: ForceLaw, folder: Path) -> dict[Path, str]:
     """Text of every file of a law, by its path in a folder; nothing is written."""
     stem = stem_of(law.name)
     text = json.dumps(document(law), indent=2, allow_nan=False) + "\n"
-    made = {"json": text, "csv": csv_text(law), "py": python_text(law), "h": c_text(law)}
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    gradients = [f"dF_d{name}" for name in law.gradients]
+    writer.writerow(["displacement_mm", "force_N", "stiffness_N_per_mm", *gradients])
+    columns = [law.displacement_mm, law.force.values, law.force.slopes]
+    columns += [table.values for table in law.gradients.values()]
+    writer.writerows([repr(float(v)) for v in row] for row in zip(*columns, strict=True))
+    made = {"json": text, "csv": stream.getvalue(), "py": python_text(law), "h": c_text(law)}
     return {folder / f"{stem}.{suffix}": content for suffix, content in made.items()}
 
 

@@ -45,7 +45,10 @@ def monotone_slopes(knots: Array, values: Array, slopes: Array) -> Array:
         if not outside.size:
             break
         for k in outside:
-            found[k : k + 2] = _limited(chords[k], found[k : k + 2])
+            chord = chords[k]
+            found[k : k + 2] = np.asarray(
+                np.sign(chord) * np.minimum(np.abs(found[k : k + 2]), STEEPEST * abs(chord))
+            )
     return found
 
 
@@ -61,11 +64,6 @@ def is_monotone(chords: Array, slopes: Array) -> NDArray[np.bool_]:
     inside = (sums <= 0) | (2 * a + b <= 3) | (a + 2 * b <= 3) | (lowest >= 0)
     still = (slopes[:-1] == 0) & (slopes[1:] == 0)
     return np.asarray(np.where(flat, still, (a >= 0) & (b >= 0) & inside))
-
-
-def _limited(chord: float, pair: Array) -> Array:
-    """Slopes at both ends of an interval, none steeper than a multiple of the chord's."""
-    return np.asarray(np.sign(chord) * np.minimum(np.abs(pair), STEEPEST * abs(chord)))
 
 
 @dataclass(frozen=True)

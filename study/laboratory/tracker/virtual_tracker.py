@@ -97,7 +97,13 @@ def write_recording(declared: TrackingFile, out: Path, errors: Errors | None = N
         random = np.random.default_rng([errors.seed, 1])
         factor = unit_factor(distance.unit, "length")
         for file, along in zip(distance.spheres, (0.0, apart), strict=True):
-            cloud = scanned_sphere(_HOME_MM + along * _AXIS, random) / factor
+            center = _HOME_MM + along * _AXIS
+            z = 1 - 2 * _SEEN * random.random(_SCANNED)
+            turn = 2 * np.pi * random.random(_SCANNED)
+            flat = np.sqrt(1 - z**2)
+            normals = np.column_stack([flat * np.cos(turn), flat * np.sin(turn), z])
+            radii = _RADIUS_MM + _SCAN_SD_MM * random.standard_normal((_SCANNED, 1))
+            cloud = np.asarray(center + radii * normals) / factor
             texts[file] = _csv(distance.columns, [[f"{v:.6g}" for v in row] for row in cloud])
     return [_write(out / name, text) for name, text in texts.items()]
 
@@ -127,17 +133,6 @@ def recorded(errors: Errors, markers: int, apart_mm: float) -> Iterator[Sample]:
                     noise = errors.correlation * noise + fresh * random.standard_normal(noise.shape)
                     yield Sample(time, stage, told, _HOME_MM + spots[:, None] * _AXIS + noise)
                     time += errors.interval_s
-
-
-def scanned_sphere(center: Array, random: np.random.Generator) -> Array:
-    """Points on the part of a sphere that a scanner above it sees, shape (n, 3), mm."""
-    # Shapes: center (3,).
-    z = 1 - 2 * _SEEN * random.random(_SCANNED)
-    turn = 2 * np.pi * random.random(_SCANNED)
-    flat = np.sqrt(1 - z**2)
-    normals = np.column_stack([flat * np.cos(turn), flat * np.sin(turn), z])
-    radii = _RADIUS_MM + _SCAN_SD_MM * random.standard_normal((_SCANNED, 1))
-    return np.asarray(center + radii * normals)
 
 
 def _recording(declared: TrackingFile, recording: RecordingTable, samples: Sequence[Sample]) -> str:

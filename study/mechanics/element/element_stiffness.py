@@ -22,20 +22,8 @@ from study.mechanics.element.point_law import first_invariant_coefficients
 def add_stiffness(dN: Array, hoop: Array, A: Array, w: float, m: int, K: Array) -> None:
     """Add w dF/du : A : dF/du to the packed tangent of an element with ``m`` unknowns.
 
-    Parameters
-    ----------
-    dN : ndarray, shape (n_nodes, dim)
-        Reference gradients of the shape functions, 1/mm.
-    hoop : ndarray, shape (n_nodes,)
-        N / R (axisymmetric), 1/mm.
-    A : ndarray, shape (9, 9)
-        dP/dF, N/mm^2.
-    w : float
-        Volume of the quadrature point, mm^3.
-    m : int
-        Unknowns of the element, pressures included.
-    K : ndarray, shape (m (m + 1) / 2,)
-        Added to.
+    Shapes: dN (n_nodes, dim), hoop N / R (n_nodes,), 1/mm; A = dP/dF (9, 9), MPa; w mm^3;
+    K (m (m + 1) / 2,).
     """
     if dN.shape[1] == 3:
         _add_stiffness_3d(dN, A, w, m, K)
@@ -50,18 +38,8 @@ def add_first_invariant_stiffness(
 ) -> None:  # fmt: skip
     """Add what ``point_law.invariant_tangent`` and ``add_stiffness`` would.
 
-    Parameters
-    ----------
-    dN, hoop, w, m, K
-        As for :func:`add_stiffness`.
-    f : ndarray, shape (9,)
-        Deformation gradient.
-    bend, stiff : float
-        As for :func:`study.mechanics.element.point_law.full_tangent`.
-    work : ndarray, shape (7 or more, 9)
-        As :func:`study.mechanics.element.point_law.invariant_stress` left it at ``f``.
-    nodal : ndarray, shape (n_nodes, 12)
-        Scratch: F, G, P, Q of each node; in axisymmetric space also S, G_33 N / R and G_33.
+    Shapes: f (9,); work (7 or more, 9), as ``point_law.invariant_stress`` left it at ``f``; nodal
+    (n_nodes, 12), scratch: F, G, P, Q of each node; axisymmetric also S, G_33 N / R and G_33.
     """
     c_1, c_x, c_FF, c_FG, c_GG = first_invariant_coefficients(work, bend, stiff, w)
     if dN.shape[1] == 3:

@@ -286,7 +286,9 @@ def force_law(
         if not isinstance(indenter, Sphere):
             raise ValueError(f"the published series is for spheres, got {indenter}")
         return _by_series(indenter, layer, deepest_mm)
-    support = layer if theory == "integral-equation" else _far(layer)
+    support = (
+        layer if theory == "integral-equation" else Layer(np.inf, layer.poisson_ratio, layer.bonded)
+    )
     radii = _radii(indenter, support, deepest_mm, paraboloid)
     states = [contact_state(support, indenter, a, paraboloid=paraboloid) for a in radii]
     if isinstance(indenter, Flat) and indenter.is_sharp_edged:
@@ -294,10 +296,6 @@ def force_law(
     columns = ([s.depth_mm, s.force_mm2, s.stiffness_mm] for s in states)
     depth, force, stiffness = np.array(list(columns)).T
     return ForceLaw(depth, force, stiffness, radii)
-
-
-def _far(layer: Layer) -> Layer:
-    return Layer(np.inf, layer.poisson_ratio, layer.bonded)
 
 
 def _flat(state: ContactState, radius: float, deepest: float) -> ForceLaw:

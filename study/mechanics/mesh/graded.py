@@ -104,9 +104,23 @@ def _rings(specimen: Cylinder | Block, field: SizeField, depth: Array) -> tuple[
     angles = np.linspace(0, np.pi / 2, 2 * n + 1)
     ray = np.column_stack([np.cos(angles), np.sin(angles)])
     ray[0, 1] = ray[-1, 0] = 0.0
-    core, sides = _core(ring, ray), _sides(specimen, ray)
+    # 0 on the axes, 1 at the corner of a square
+    corner = (1 / ray.max(axis=1) - 1) / (np.sqrt(2) - 1)
+    core, sides = (
+        np.asarray(CORE * ring * (1 + (BULGE - 1) * corner)[:, None] * ray),
+        _sides(specimen, ray),
+    )
     inner = _rays(ring - np.hypot(*core.T), lambda s: inward(field).at(ring - s, field.top_mm))
-    outer = _outer(np.hypot(*sides.T) - ring, field, depth)
+    lengths = np.hypot(*sides.T) - ring
+    straight = _rays(lengths, partial(_beside, field, 0.0))
+    steps = straight.shape[1] - 1
+    asked = np.array(
+        [
+            [_even(length, steps, partial(_beside, field, down)) for length in lengths]
+            for down in depth
+        ]
+    )
+    outer = np.asarray((1 - _BENT) * straight + _BENT * asked)
     inside = np.broadcast_to(ring - inner[:, ::-1], (depth.size, *inner.shape))
     radii = np.concatenate([inside, ring + outer[:, :, 1:]], axis=2).swapaxes(1, 2)
     rings = radii[..., None] * ray
@@ -119,24 +133,6 @@ def _rays(lengths: Array, size: Size) -> Array:
     found = [counted(length, size) for length in lengths]
     n = max(2, round(float(np.mean([count[-1] for _, count in found]))))
     return np.array([spread(s, count, n) for s, count in found])
-
-
-def _outer(lengths: Array, field: SizeField, depth: Array) -> Array:
-    """Points along rays from the circle outward at each depth, (n_depths, n_rays, n_points)."""
-    straight = _rays(lengths, partial(_beside, field, 0.0))
-    steps = straight.shape[1] - 1
-    asked = np.array(
-        [[_even(length, steps, partial(_beside, field, down)) for length in lengths]
-         for down in depth]
-    )  # fmt: skip
-    return np.asarray((1 - _BENT) * straight + _BENT * asked)
-
-
-def _core(ring: float, ray: Array) -> Array:
-    """Border of the middle block along unit vectors, shape (n, 2)."""
-    # 0 on the axes, 1 at the corner of a square
-    corner = (1 / ray.max(axis=1) - 1) / (np.sqrt(2) - 1)
-    return np.asarray(CORE * ring * (1 + (BULGE - 1) * corner)[:, None] * ray)
 
 
 def _sides(specimen: Cylinder | Block, ray: Array) -> Array:

@@ -166,62 +166,40 @@ class Test:
 
 @dataclass(frozen=True)
 class FaceCondition:
-    """Motion that a test prescribes for the nodes of a face.
+    """Motion that a test prescribes for the nodes of a face."""
 
-    Parameters
-    ----------
-    face : {"top", "base"}
-        Highest or lowest plane of the specimen.
-    axial : float
-        Motion along the axis, upwards, per unit of the test's displacement.
-    is_held : bool
-        Whether nodes keep their place across the axis; they slide otherwise.
-    within_mm : float, optional
-        Only nodes within this radius of the axis.
-    besides : FaceMotion, optional
-        Final motion, besides that along the axis, of nodes that are held. A face that has one, be
-        it zero, follows no symmetry: the whole specimen is meshed.
-    share_per_mm : float
-        Part of that motion per unit of the test's displacement.
-    """
-
+    #: {"top", "base"}: highest or lowest plane of the specimen.
     face: Face
+    #: Motion along the axis, upwards, per unit of the test's displacement.
     axial: float
+    #: Whether nodes keep their place across the axis; they slide otherwise.
     is_held: bool
+    #: Only nodes within this radius of the axis.
     within_mm: float | None = None
+    #: Final motion, besides that along the axis, of nodes that are held. A face that has one, be
+    #: it zero, follows no symmetry: the whole specimen is meshed.
     besides: FaceMotion | None = None
+    #: Part of that motion per unit of the test's displacement.
     share_per_mm: float = 0.0
 
 
 @dataclass(frozen=True)
 class PlateContact:
-    """Free surface that may fold onto, or come to lie in, the plane of a plate.
+    """Free surface that may fold onto, or come to lie in, the plane of a plate."""
 
-    Parameters
-    ----------
-    face : {"top", "base"}
-        Where the plate is.
-    is_bonded : bool
-        Whether the plate holds the face that lies in it from the start.
-    """
-
+    #: {"top", "base"}: where the plate is.
     face: Face
+    #: Whether the plate holds the face that lies in it from the start.
     is_bonded: bool
 
 
 @dataclass(frozen=True)
 class IndenterContact:
-    """Loaded surface that a rigid body of revolution may meet.
+    """Loaded surface that a rigid body of revolution may meet."""
 
-    Parameters
-    ----------
-    indenter : Flat, Cone or Sphere
-        Comes down along the axis by the test's displacement.
-    is_bonded : bool
-        Whether it keeps hold of every point that it has touched.
-    """
-
+    #: Comes down along the axis by the test's displacement.
     indenter: Indenter
+    #: Whether it keeps hold of every point that it has touched.
     is_bonded: bool
 
 
@@ -230,31 +208,20 @@ Contact = PlateContact | IndenterContact
 
 @dataclass(frozen=True)
 class TowardsPlates:
-    """Elements of one size, smaller towards the rims of bonded faces.
+    """Elements of one size, smaller towards the rims of bonded faces."""
 
-    Parameters
-    ----------
-    top, base : bool
-        Whether the face is bonded.
-    """
-
+    #: Whether the face is bonded.
     top: bool
     base: bool
 
 
 @dataclass(frozen=True)
 class AroundContact:
-    """Elements that grow from the contact with an indenter outwards.
+    """Elements that grow from the contact with an indenter outwards."""
 
-    Parameters
-    ----------
-    indenter : Flat, Cone or Sphere
-        At whose contact elements are smallest.
-    depth_mm : float
-        Depth that the sizes are made for.
-    """
-
+    #: At whose contact elements are smallest.
     indenter: Indenter
+    #: Depth that the sizes are made for.
     depth_mm: float
 
 
@@ -268,27 +235,17 @@ class ClampedCorner:
 
 @dataclass(frozen=True)
 class SharpEdge:
-    """Edge of a rigid face, where the pressure goes as the inverse root of the distance.
+    """Edge of a rigid face, where the pressure goes as the inverse root of the distance."""
 
-    Parameters
-    ----------
-    name : str
-        As a sentence calls it.
-    """
-
+    #: As a sentence calls it.
     name: str
 
 
 @dataclass(frozen=True)
 class RoundedEdge:
-    """Edge of a rigid face that looks sharp to elements as large as its radius.
+    """Edge of a rigid face that looks sharp to elements as large as its radius."""
 
-    Parameters
-    ----------
-    radius_mm : float
-        Of the rounding.
-    """
-
+    #: Of the rounding.
     radius_mm: float
 
 

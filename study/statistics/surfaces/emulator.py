@@ -298,7 +298,12 @@ def fit_emulator(runs: Runs, seed: int = 0) -> Emulator:
 def fit_together(runs: Sequence[Runs], sizes: Sequence[int], seed: int = 0) -> tuple[Emulator, ...]:
     """Fit one process to the runs of all combinations of categories together."""
     for one in runs:
-        _check_own(one)
+        n = len(one.distinct()[0])
+        if n < FEWEST_OWN:
+            rule = (
+                f"{n} different runs at one combination of levels, at least {FEWEST_OWN} are needed"
+            )
+            raise RefusedError(str(Fault("emulator", rule, "add runs, or leave a level out")))
     first = runs[0]
     coded, response = (np.concatenate([getattr(r, n) for r in runs]) for n in ("coded", "response"))
     _check(Runs(first.name, first.factors, coded, response))
@@ -346,13 +351,6 @@ def _emulator_averaged(runs: Runs) -> tuple[Runs, Array]:
     if runs.u_num is not None:
         u = np.sqrt(np.bincount(which, weights=runs.u_num**2) / counts)
     return Runs(runs.name, runs.factors, settings, response), u
-
-
-def _check_own(runs: Runs) -> None:
-    n = len(runs.distinct()[0])
-    if n < FEWEST_OWN:
-        rule = f"{n} different runs at one combination of levels, at least {FEWEST_OWN} are needed"
-        raise RefusedError(str(Fault("emulator", rule, "add runs, or leave a level out")))
 
 
 def _check(runs: Runs) -> None:

@@ -77,7 +77,9 @@ class Runs:
             rule = "none has an answer, so no surface is fitted"
             raise InputError(Fault("runs", rule, "study status says what failed"))
         constant = [
-            f for f, column in zip(self.factors, self.coded.T, strict=True) if _same(column)
+            f
+            for f, column in zip(self.factors, self.coded.T, strict=True)
+            if bool(np.ptp(column) <= SAME_SETTING)
         ]
         if constant:
             mend = "leave it out of --numeric, or run other settings"
@@ -149,10 +151,6 @@ class Runs:
         first = settings[~inside][0]
         rule = f"{first:g} lies outside the settings that were run, {low:g} to {high:g}"
         return Fault(factor.name, rule, "ask inside this range, or run settings beyond it")
-
-
-def _same(column: Array) -> bool:
-    return bool(np.ptp(column) <= SAME_SETTING)
 
 
 def change_together(runs: Runs) -> tuple[str, ...]:
