@@ -298,9 +298,9 @@ def judge(series: Series, formal: FormalOrder, tolerance: float | None = None) -
             pair = judged(
                 representative_sizes(kept, series.setup), curve_values(kept), formal.order
             )
-            main = pair[series.spec.qoi]
-            verdict = f"{facts.main.verdict}; {main.verdict}"
-            facts = replace(facts, main=replace(main, verdict=verdict))
+            of_two = pair[series.spec.qoi]
+            verdict = f"{facts.main.verdict}; {of_two.verdict}"
+            facts = replace(facts, main=replace(of_two, verdict=verdict))
         return facts.warned(*said)
     fraction, coarsest = SOLVER_TOLERANCE, kept[0]
     if tolerance and (main := function(kept[-1].curve)):
