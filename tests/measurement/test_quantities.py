@@ -101,5 +101,5 @@ def test_a_file_without_a_header(tmp_path: Path, text: str) -> None:
 
 
 def test_a_layout_leaves_a_plain_file_alone() -> None:
-    assert Layout().plain("a,b\n# 1,2\n", ".") == "a,b\n# 1,2\n"
-    assert Layout(delimiter="semicolon").plain("a;b\n1,5;2,5", ",") == "a;b\n1,5;2,5"
+    assert Layout().plain("a,b\n# 1,2\n", ".")[0] == "a,b\n# 1,2\n"
+    assert Layout(delimiter="semicolon").plain("a;b\n1,5;2,5", ",")[0] == "a;b\n1,5;2,5"
