@@ -18,7 +18,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from study.api.analyzing import Source, analyze, write_page
+from study.api.analyzing import AnalysisSource as Source
+from study.api.analyzing import analyze, write_page
 
 #: rows, kind, seconds asked of the analysis
 CASES = (

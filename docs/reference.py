@@ -26,7 +26,7 @@ from study.mechanics.setup.test_section import TestSection
 HERE = Path(__file__).parent
 #: Header of a table in a file, and the class that declares its keys.
 TABLES: tuple[tuple[str, type], ...] = (
-    ("[study]", study_file.Study),
+    ("[study]", study_file.StudyTable),
     *((f'[specimen] with shape = "{name}"', kind) for name, kind in SPECIMENS.items()),
     ("[test]", TestSection),
     *((f'indenter with shape = "{name}"', kind) for name, kind in INDENTERS.items()),

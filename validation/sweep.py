@@ -181,11 +181,7 @@ def _uncertainty(
     problem: Problem, values: Sequence[float], sizes: Sequence[float]
 ) -> tuple[str, float | None]:
     """Behaviour of a series and uncertainty on its coarsest mesh; it rests on the public GCI."""
-    from study.harness.runner.case_series import (
-        ratio_of,
-        series_uncertainty,
-        two_mesh_uncertainty,
-    )
+    from study.harness.runner.case_series import ratio_of, series_uncertainty, two_mesh_uncertainty
     from study.harness.runner.refinement import formal_order
 
     if len(values) < 2:

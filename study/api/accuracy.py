@@ -12,7 +12,7 @@ from study.ground.errors import Fault, InputError
 from study.harness.design.load import default_name
 from study.laboratory.shape.boundary import DeformedMesh, SimulatedBody, body_of_mesh, read_body
 from study.laboratory.shape.scan import read_markers, read_scan
-from study.laboratory.shape.shape_deviation import Options, ShapeDeviation, judge_shape
+from study.laboratory.shape.shape_deviation import ShapeDeviation, ShapeOptions, judge_shape
 from study.laboratory.tracker.tracker_error import TrackerAccuracy, judge_tracker
 from study.laboratory.tracker.tracker_recording import load_tracking
 from study.reporting.figures.registry import slug
@@ -26,7 +26,7 @@ def shape(
     markers: str | Path | None = None,
     unit: str = "mm",
     surface_unit: str = "mm",
-    options: Options | None = None,
+    options: ShapeOptions | None = None,
     overrides: Sequence[str] = (),
     reports: str | Path | None = None,
 ) -> ShapeDeviation:
@@ -71,7 +71,7 @@ def shape(
     cloud = read_scan(Path(scan), unit, body.deformed.size)
     marked = None if markers is None else read_markers(Path(markers), unit)
     name = default_name(str(simulation))
-    found = judge_shape(name, body, cloud, marked, options or Options())
+    found = judge_shape(name, body, cloud, marked, options or ShapeOptions())
     if reports is None:
         return found
     return replace(found, report=str(write_accuracy(shape_page(found), Path(reports) / slug(name))))

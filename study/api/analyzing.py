@@ -57,7 +57,7 @@ from study.statistics.analysis.post_hoc import (
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.harness.design.spec import Design, Response
+    from study.harness.design.spec import Design, ResponseSpec
     from study.harness.design.study_file import Analysis as analysis_Analysis
     from study.harness.record.record import Record
     from study.reporting.figures.axes import Drawing
@@ -115,7 +115,7 @@ _PACKAGES = ("numpy", "scipy", "pandas", "statsmodels")
 
 
 @dataclass(frozen=True)
-class Source:
+class AnalysisSource:
     """Where the rows of an analysis come from, and how it was asked for."""
 
     #: The CSV; None for a table in memory.
@@ -149,13 +149,13 @@ def write_page(
     found: AnalysisResult,
     out_dir: str | Path,
     *,
-    source: Source | None = None,
+    source: AnalysisSource | None = None,
     reference: str | None = None,
     formats: Sequence[str] = ("html",),
 ) -> Path:
     """Write the page of an analysis, with the CSV of its tables and figures beside it."""
     check_taken(found.request.factors)
-    given = source or Source()
+    given = source or AnalysisSource()
     report = AnalysisReport(
         found,
         report_data(found, given),
@@ -177,7 +177,7 @@ def check_taken(factors: Sequence[str]) -> None:
         raise InputError([Fault(f"column {name!r}", rule, mend) for name in taken])
 
 
-def report_data(found: AnalysisResult, source: Source) -> ReportData:
+def report_data(found: AnalysisResult, source: AnalysisSource) -> ReportData:
     """Gather what a report shows of one analysis: levels, rows, provenance."""
     request = found.request
     rows = found.data.residuals
@@ -236,7 +236,7 @@ def _report_table(found: AnalysisResult) -> pd.DataFrame:
     return frame
 
 
-def provenance(source: Source) -> dict[str, str]:
+def provenance(source: AnalysisSource) -> dict[str, str]:
     """List versions, and the hash of the file."""
     out = {"version of study": study.__version__, "version of python": platform.python_version()}
     for package in _PACKAGES:
@@ -253,11 +253,11 @@ def provenance(source: Source) -> dict[str, str]:
 
 
 @dataclass(frozen=True, repr=False)
-class Analysis(Shown, AnalysisResult):
+class TableAnalysis(Shown, AnalysisResult):
     """What :func:`study.analyze` returns: an :class:`AnalysisResult` that can be shown."""
 
     @classmethod
-    def of(cls, found: AnalysisResult) -> Analysis:
+    def of(cls, found: AnalysisResult) -> TableAnalysis:
         """Give a result the ways to be shown."""
         return cls(**{item.name: getattr(found, item.name) for item in fields(AnalysisResult)})
 
@@ -283,7 +283,7 @@ class Analysis(Shown, AnalysisResult):
 
     def plot(self) -> Drawing:
         """Draw the largest difference of every term with its interval against what matters."""
-        data = report_data(self, Source())
+        data = report_data(self, AnalysisSource())
         (item,) = facts(data)
         return shown_effect_sizes(item, data.labels)
 
@@ -409,7 +409,7 @@ def analyze(
     results: str | Path = Path("results"),
     decimal: str = ".",
     **options: Unpack[AnovaOptions],
-) -> Analysis:
+) -> TableAnalysis:
     """Analyze one response of a finished study, of a CSV file or of a table.
 
     Parameters
@@ -442,13 +442,13 @@ def analyze(
         If the answer would be meaningless.
     """
     if not isinstance(source, (str, Path)):
-        return Analysis.of(_analysis_table(source, response, factors, options))
+        return TableAnalysis.of(_analysis_table(source, response, factors, options))
     if _is_csv(Path(source)):
         _check_named(response, factors)
         blocks, unit = options.get("block"), options.get("unit")
         frame = read_tidy_csv(Path(source), str(response), list(factors), blocks, unit, decimal)
-        return Analysis.of(_analysis_table(frame, response, factors, options))
-    return Analysis.of(_study(source, response, factors, results, options))
+        return TableAnalysis.of(_analysis_table(frame, response, factors, options))
+    return TableAnalysis.of(_study(source, response, factors, results, options))
 
 
 # The same analysis over less of the test, to see whether the answer depends on its depth.
@@ -511,7 +511,7 @@ def _points(records: Sequence[Record], depth_mm: float) -> int:
     )
 
 
-def _effects(study: StudyResult, response: Response, depth_mm: float) -> Iterator[DepthEffect]:
+def _effects(study: StudyResult, response: ResponseSpec, depth_mm: float) -> Iterator[DepthEffect]:
     records = [_rescored(record, response.name, depth_mm) for record in study.records]
     try:
         found = effects_of_records(study.design, records, response, study.numerical)

@@ -95,7 +95,7 @@ _COSTS = ("seconds", "dofs")
 _SEARCHING = 2.0
 
 
-class Step(TypedDict):
+class AugmentStep(TypedDict):
     """What was known with so many cells: Q2 by response, what was not known, why it ended."""
 
     cells: int
@@ -151,7 +151,7 @@ def run_adaptive(
         )
 
 
-def next_cells(design: Design, records: Sequence[Record]) -> tuple[list[list[float]], Step]:
+def next_cells(design: Design, records: Sequence[Record]) -> tuple[list[list[float]], AugmentStep]:
     """Choose the cells that make the emulators of a design surest."""
     rule = design.scheme.sequential
     if rule is None:
@@ -163,13 +163,13 @@ def next_cells(design: Design, records: Sequence[Record]) -> tuple[list[list[flo
     for one in fitted:
         for name, model in one.responses.items():
             found[name] = min(found.get(name, 1.0), float(model.q2))
-    step: Step = {"cells": size, "q2": found, "open": _open(fitted), "stopped": ""}
+    step: AugmentStep = {"cells": size, "q2": found, "open": _open(fitted), "stopped": ""}
     free = min(rule.batch, rule.budget - size)
     step["stopped"] = _end(rule, step, free, any(record.converged for record in records))
     return ([] if step["stopped"] else _chosen(design, rule, places, fitted, free)), step
 
 
-def _end(rule: Sequential, step: Step, free: int, answered: bool) -> str:
+def _end(rule: Sequential, step: AugmentStep, free: int, answered: bool) -> str:
     """Say why no cell is added; nothing where some are."""
     if not answered:
         return "no cell has an answer"

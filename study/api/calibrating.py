@@ -28,7 +28,7 @@ from study.mechanics.indentation.contact_law import Layer
 from study.mechanics.indentation.indentation_modulus import AnalyticCalibration, IndentationTest
 from study.mechanics.indentation.indentation_modulus import indentation_modulus as modulus_of
 from study.mechanics.setup.geometry import Block, Cylinder, Sphere
-from study.mechanics.setup.material_section import Compressibility, MaterialSection
+from study.mechanics.setup.material_section import CompressibilityTable, MaterialSection
 from study.reporting.figures.axes import shown
 from study.reporting.figures.curve_figures import FitPanel, draw_fit, fit_figure
 from study.reporting.output.notebook import Shown
@@ -36,9 +36,9 @@ from study.reporting.output.notebook import Shown
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.harness.calibration.model_comparison import Comparison, EnergyChoice
+    from study.harness.calibration.model_comparison import EnergyChoice, ModelComparison
     from study.harness.design.calibration_section import CalibratedTest, CalibrationDesign
-    from study.harness.runner.staged_fit import Step
+    from study.harness.runner.staged_fit import FitStep
     from study.mechanics.indentation.indentation_modulus import FittedCurve
     from study.mechanics.setup.calibration_table import Fitting
     from study.reporting.figures.axes import Drawing
@@ -105,7 +105,7 @@ def calibrate(
     data: str | Path | None = None,
     overrides: Sequence[str] = (),
     results: str | Path | None = None,
-    progress: Callable[[Step], None] | None = None,
+    progress: Callable[[FitStep], None] | None = None,
     profiles: bool = False,
     numerics: bool = False,
     resamples: int = 0,
@@ -171,7 +171,7 @@ def choose_energy(
     *,
     data: str | Path | None = None,
     overrides: Sequence[str] = (),
-    progress: Callable[[Step], None] | None = None,
+    progress: Callable[[FitStep], None] | None = None,
 ) -> EnergyChoice:
     """Fit every energy to the tests of a calibration and weigh them by AICc.
 
@@ -208,8 +208,8 @@ def compare_tests(
     overrides: Sequence[str] = (),
     difference: float = 0.05,
     zero: float = 0.0,
-    progress: Callable[[Step], None] | None = None,
-) -> Comparison:
+    progress: Callable[[FitStep], None] | None = None,
+) -> ModelComparison:
     """Fit every test of a calibration for itself; Wald test that all have the same constants.
 
     Parameters
@@ -440,7 +440,7 @@ def _test_of(test: CalibratedTest, asked: Fitting, where: str) -> IndentationTes
     )
 
 
-def _poisson_ratio(volume: Compressibility) -> float:
+def _poisson_ratio(volume: CompressibilityTable) -> float:
     if volume.incompressible:
         return 0.5
     if volume.poisson_ratio is None:

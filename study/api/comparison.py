@@ -28,7 +28,7 @@ _HOLDS = {_MATTERS: study_answers.MATTERS, _NO_DIFFERENCE: study_answers.NO_DIFF
 
 
 @dataclass(frozen=True)
-class Comparison:
+class StudyComparison:
     """Two opened studies and what they say beside each other."""
 
     studies: tuple[StudyResult, StudyResult]
@@ -52,7 +52,9 @@ class Comparison:
         return {"studies": studies, **document(self.beside), "warnings": list(self.warnings)}
 
 
-def diff(first: str | Path, second: str | Path, *, results: str | Path = RESULTS) -> Comparison:
+def diff(
+    first: str | Path, second: str | Path, *, results: str | Path = RESULTS
+) -> StudyComparison:
     """Compare two finished studies: which of their conclusions hold under both.
 
     Parameters
@@ -75,7 +77,7 @@ def diff(first: str | Path, second: str | Path, *, results: str | Path = RESULTS
     folders = [results_folder(path, results) for path in (first, second)]
     _refuse_same(folders[0], folders[1])
     studies = open_study(folders[0], results), open_study(folders[1], results)
-    return Comparison(studies, compare(*studies))
+    return StudyComparison(studies, compare(*studies))
 
 
 def compare(first: StudyResult, second: StudyResult) -> Beside:

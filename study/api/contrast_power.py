@@ -16,7 +16,7 @@ from study.api.folders import RESULTS, design_root
 from study.ground.canonical import plain
 from study.ground.errors import Fault, InputError, MissingDataError, StudyError
 from study.harness.design.load import load
-from study.harness.design.spec import Design, Response
+from study.harness.design.spec import Design, ResponseSpec
 from study.harness.runner.cost import Costs
 from study.harness.runner.expansion import expand
 from study.harness.runner.tasks import default_jobs
@@ -26,7 +26,7 @@ from study.statistics.analysis.analysis_result import AnalysisResult
 from study.statistics.analysis.effects import Scale
 from study.statistics.analysis.incomplete_blocks import mixed_cells
 from study.statistics.analysis.linear_contrast import Cells, Contrast
-from study.statistics.analysis.linear_model import Layout
+from study.statistics.analysis.linear_model import CellLayout
 from study.statistics.analysis.power import PlannedVerdicts, fewest_blocks, planned_verdicts
 
 
@@ -79,7 +79,12 @@ def _cells(found: AnalysisResult) -> Cells:
              for name in of_all}  # fmt: skip
     terms = [tuple(e.term.split(":")) for e in found.effects]
     model, _ = mixed_cells(
-        Layout(of_all, codes), terms, "block", table["y"].to_numpy(), request.alpha, request.seed
+        CellLayout(of_all, codes),
+        terms,
+        "block",
+        table["y"].to_numpy(),
+        request.alpha,
+        request.seed,
     )
     return cells if model is None else replace(cells, estimate=model.between)
 
@@ -102,7 +107,7 @@ ASSUMED = (0.1, 0.3, 1.0)
 
 
 @dataclass(frozen=True)
-class Detection:
+class ContrastDetection:
     """What specimens can show of one response."""
 
     #: Of the response and of its differences.
@@ -128,7 +133,7 @@ class Power:
 
     study: str
     blocks: int
-    detections: tuple[Detection, ...]
+    detections: tuple[ContrastDetection, ...]
     warnings: tuple[str, ...]
 
     def to_json(self) -> dict[str, Any]:
@@ -178,7 +183,7 @@ def power(
         raise InputError(Fault("--sd", f"must be a positive number, got {sd!r}"))
     warnings: list[str] = []
     blocks, seconds = _planned(loaded, design_root(loaded, data), warnings)
-    found: list[Detection] = []
+    found: list[ContrastDetection] = []
     for response in loaded.responses:
         if response.practical is None:
             warnings.append(f"{response.name}: nothing says which difference matters")
@@ -204,13 +209,13 @@ def _planned(design: Design, root: Path, warnings: list[str]) -> tuple[int, floa
 
 def _detections(
     design: Design,
-    response: Response,
+    response: ResponseSpec,
     sd: float | None,
     results: str | Path,
     seconds: float | None,
     counts: Sequence[int],
     warnings: list[str],
-) -> list[Detection]:
+) -> list[ContrastDetection]:
     known = _known(design, response, results)
     practical = _practical(response, known)
     if practical is None:
@@ -226,7 +231,7 @@ def _detections(
     cells = len(design.treatments)
     wanted = (0.8, 0.9)
     return [
-        Detection(
+        ContrastDetection(
             response.name,
             "pp" if response.unit == "%" else response.unit,
             response.transform == "log",
@@ -242,7 +247,7 @@ def _detections(
     ]
 
 
-def _practical(response: Response, known: tuple[float, float, float] | None) -> float | None:
+def _practical(response: ResponseSpec, known: tuple[float, float, float] | None) -> float | None:
     limit = threshold(response.practical)
     if limit is None or (known is None and limit.relative and response.transform != "log"):
         return None
@@ -252,7 +257,7 @@ def _practical(response: Response, known: tuple[float, float, float] | None) -> 
 
 
 def _known(
-    design: Design, response: Response, results: str | Path
+    design: Design, response: ResponseSpec, results: str | Path
 ) -> tuple[float, float, float] | None:
     """Scatter of a difference over specimens, numerical bound and mean, from stored results."""
     folder = Path(results) / design.name

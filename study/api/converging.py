@@ -36,7 +36,7 @@ from study.harness.runner.judgement import SeriesJudgement, judge, series_of, wi
 from study.harness.runner.refinement import (
     QUANTITIES,
     FormalOrder,
-    Series,
+    RefinementSeries,
     budget_of,
     formal_order,
     refine,
@@ -336,7 +336,7 @@ def _with_page(
 
 
 def cost_fronts(
-    cells: Sequence[Series], judged: Sequence[SeriesJudgement], accuracy: float
+    cells: Sequence[RefinementSeries], judged: Sequence[SeriesJudgement], accuracy: float
 ) -> list[CostFront]:
     """Error against seconds of every mesh, and which cell reaches the accuracy first."""
     groups: dict[str, list[int]] = {}
@@ -352,7 +352,7 @@ def cost_fronts(
 
 
 def _front(
-    members: Sequence[tuple[str, Series, SeriesJudgement]], accuracy: float
+    members: Sequence[tuple[str, RefinementSeries, SeriesJudgement]], accuracy: float
 ) -> CostFront | None:
     value, u = reference_value(
         [(found.main.extrapolated, found.main.u_num) for *_, found in members]
@@ -377,11 +377,13 @@ def _front(
     )
 
 
-def _label(one: Series, number: int) -> str:
+def _label(one: RefinementSeries, number: int) -> str:
     return " / ".join(one.levels_of.values()) or f"cell {number + 1}"
 
 
-def _points(name: str, one: Series, found: SeriesJudgement, reference: float) -> list[FrontPoint]:
+def _points(
+    name: str, one: RefinementSeries, found: SeriesJudgement, reference: float
+) -> list[FrontPoint]:
     function = QUANTITIES[found.main.qoi][0]
     return [
         FrontPoint(

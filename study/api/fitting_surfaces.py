@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from study.api.analyzing import Source, check_taken, provenance
+from study.api.analyzing import AnalysisSource, check_taken, provenance
 from study.ground import tabular
 from study.ground.arrays import Array, Flags
 from study.ground.errors import Fault, InputError, RefusedError, StudyError, nearest
@@ -54,7 +54,7 @@ from study.statistics.surfaces.surface_result import (
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.harness.design.spec import Design, Response
+    from study.harness.design.spec import Design, ResponseSpec
     from study.harness.record.record import Record
     from study.statistics.convergence.grid_convergence import NumericalUncertainty
     from study.statistics.surfaces.surface_propagation import Propagated
@@ -546,7 +546,7 @@ class _Asked:
     """
 
     design: Design
-    response: Response
+    response: ResponseSpec
     half_width: float | None
     factors: tuple[NumericFactor, ...]
     ends: tuple[str, ...]
@@ -720,7 +720,7 @@ def write_surface_page(
     found: Sequence[FittedSurface],
     out_dir: str | Path,
     *,
-    source: Source,
+    source: AnalysisSource,
     formats: Sequence[str] = ("html",),
 ) -> Path:
     """Write the page of the surfaces of one response, with the CSV of its tables and figures."""
@@ -729,7 +729,7 @@ def write_surface_page(
     return write(_report_data(found, runs, source), out_dir, formats)
 
 
-def _report_data(found: Sequence[FittedSurface], runs: Runs, source: Source) -> ReportData:
+def _report_data(found: Sequence[FittedSurface], runs: Runs, source: AnalysisSource) -> ReportData:
     practical = found[0].practical
     table = _table(found)
     ends = {f.name: (f.low, f.high) for f in runs.factors}

@@ -112,7 +112,7 @@ LARGEST_SHARE = 0.5
 
 
 @dataclass(frozen=True)
-class Source:
+class ForceLawSource:
     """A problem, and what is known of its constants."""
 
     #: Of the file, the calibration, or the study and its case.
@@ -124,7 +124,7 @@ class Source:
     covariance: Array | None = None
 
 
-def source_of(path: Path, case: str, test: int, overrides: Sequence[str]) -> Source:
+def source_of(path: Path, case: str, test: int, overrides: Sequence[str]) -> ForceLawSource:
     """Read a problem from whatever holds it; its name and content show what that is."""
     if path.suffix == ".json":
         return _calibrated(path, test)
@@ -144,7 +144,7 @@ def material_of(path: Path, case: str, test: int, overrides: Sequence[str]) -> t
     return str(document["name"]), MaterialSection.of(tables).material(values)
 
 
-def _written(path: Path, overrides: Sequence[str]) -> Source:
+def _written(path: Path, overrides: Sequence[str]) -> ForceLawSource:
     """Problem of a file."""
     kind = load.file_kind(path)
     if kind == "calibration":
@@ -156,10 +156,10 @@ def _written(path: Path, overrides: Sequence[str]) -> Source:
         raise InputError(Fault(str(path), "is a design of many cases", mend))
     config = load.load_problem(path, overrides)
     config = provenance.located(config, provenance.folders(path, data_root(path)))
-    return Source(load.default_name(str(path)), problem_of(config))
+    return ForceLawSource(load.default_name(str(path)), problem_of(config))
 
 
-def _calibrated(path: Path, number: int) -> Source:
+def _calibrated(path: Path, number: int) -> ForceLawSource:
     """Test of a finished calibration, with the constants and their covariance."""
     found = _document(path)
     tables = _test_of(found, path, number)
@@ -169,7 +169,7 @@ def _calibrated(path: Path, number: int) -> Source:
     size = np.array(list(errors.values()))
     covariance = np.outer(size, size) * correlation
     name = str(found["name"])
-    return Source(
+    return ForceLawSource(
         f"{name}-test-{number}" if len(cast("list[object]", found["tests"])) > 1 else name,
         problem_of(tables, values),
         _half_ranges(values, errors),
@@ -238,7 +238,7 @@ def _document(path: Path) -> Mapping[str, object]:
     return found
 
 
-def _recorded(path: Path, case: str) -> Source:
+def _recorded(path: Path, case: str) -> ForceLawSource:
     """Case of a study that was run, with the constants of its fit."""
     folder = results_folder(path)
     if not case:
@@ -255,7 +255,9 @@ def _recorded(path: Path, case: str) -> Source:
     fitted = {n: v for n, v in values.items() if n != "mu0"}
     config = provenance.located(config, provenance.folders(design.source, folder))
     problem = problem_of(config, fitted or None)
-    return Source(f"{design.name}-{record.case_id[:8]}", problem, _half_ranges(fitted, errors))
+    return ForceLawSource(
+        f"{design.name}-{record.case_id[:8]}", problem, _half_ranges(fitted, errors)
+    )
 
 
 #: What a result can be exported as.

@@ -20,7 +20,7 @@ from study.harness.record.store import Store
 from study.mechanics.calibration.serial_correlation import effective_rows
 from study.reporting.results.study_answers import Checked, Determined, InputSet, Inverted
 from study.statistics.surfaces.surface_factors import NumericFactor, Runs
-from study.statistics.surfaces.surface_inversion import Agreement, agreeing
+from study.statistics.surfaces.surface_inversion import InversionAgreement, agreeing
 from study.statistics.surfaces.surface_profile import CurveEmulator, fit_curves
 
 if TYPE_CHECKING:
@@ -129,7 +129,7 @@ class _Found:
     """A set, and the emulator that it comes from."""
 
     model: CurveEmulator
-    set: Agreement
+    set: InversionAgreement
     residual: Array
 
 

@@ -22,9 +22,9 @@ from study.harness.design.response_tables import usual_value
 from study.reporting.results.study_answers import Bound, Confirmed, Recommendation
 from study.statistics.surfaces.surface_optimum import (
     Goal,
-    Limit,
     Optimum,
-    Spread,
+    ResponseLimit,
+    ResponseSpread,
     check_carries,
     optimum,
     spread_over,
@@ -217,14 +217,14 @@ def _of_table(
 
 def _best(
     models: Mapping[str, SurfaceAnalysis], question: _Question
-) -> tuple[Optimum, Spread | None]:
+) -> tuple[Optimum, ResponseSpread | None]:
     """Optimize over the ranges that are free."""
     own = models[question.response]
     runs = own.runs
     every = [own, *(models[one.response] for one in question.bounds)]
     for one in every:
         check_carries(one.model)
-    limits = [Limit(m.model, one.sign, one.value)
+    limits = [ResponseLimit(m.model, one.sign, one.value)
               for m, one in zip(every[1:], question.bounds, strict=True)]  # fmt: skip
     held = np.full(len(runs.factors), np.nan)
     for j, factor in enumerate(runs.factors):
@@ -245,7 +245,7 @@ def _recommendation(
     models: Mapping[str, SurfaceAnalysis],
     question: _Question,
     best: Optimum,
-    spread: Spread | None,
+    spread: ResponseSpread | None,
     unit: str,
     chosen: Mapping[str, str],
     fixed: Mapping[str, str],

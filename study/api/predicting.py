@@ -39,7 +39,7 @@ Setting = str | ArrayLike
 
 
 @dataclass(frozen=True)
-class Predicted:
+class PredictedAnswer:
     """A response at settings that were not run."""
 
     response: str
@@ -63,7 +63,7 @@ def predict(
     *,
     response: str | None = None,
     results: str | Path = RESULTS,
-) -> tuple[Predicted, ...]:
+) -> tuple[PredictedAnswer, ...]:
     """Predict the responses of a study with numeric factors.
 
     Parameters
@@ -134,12 +134,12 @@ def number_in_unit(factor: Factor, setting: Setting) -> Array:
     return np.array([units.parse(setting, kind) / units.parse(f"1 {unit}", kind)])
 
 
-def _predicted(one: FittedSurface, at: Mapping[str, Array]) -> Predicted:
+def _predicted(one: FittedSurface, at: Mapping[str, Array]) -> PredictedAnswer:
     if one.found is None:
         rule = f"{one.response} has no surface: {one.refused}"
         raise InputError(Fault("predict", rule, "add runs, or ask another --response"))
     told = one.found.predict(at)
-    return Predicted(one.response, one.unit, told.value, told.low, told.high)
+    return PredictedAnswer(one.response, one.unit, told.value, told.low, told.high)
 
 
 # Runs of the true model at settings that a surface has named; they join the study's surfaces.

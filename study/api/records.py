@@ -24,7 +24,7 @@ from study.statistics.analysis.strata import SeedRole, seed_design
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.harness.design.spec import Design, Response
+    from study.harness.design.spec import Design, ResponseSpec
     from study.harness.record.record import Record
     from study.statistics.analysis.analysis_result import AnalysisResult
     from study.statistics.analysis.anova_table import Effect
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 def analyze_records(
     design: Design,
     records: Sequence[Record],
-    response: Response,
+    response: ResponseSpec,
     numerical: Sequence[NumericalUncertainty] = (),
 ) -> AnalysisResult:
     """Analyze one response of a study as its design says."""
@@ -45,7 +45,7 @@ def analyze_records(
 def effects_of_records(
     design: Design,
     records: Sequence[Record],
-    response: Response,
+    response: ResponseSpec,
     numerical: Sequence[NumericalUncertainty] = (),
 ) -> tuple[Effect, ...]:
     """Effects alone of :func:`analyze_records`, which is given the same.
@@ -59,7 +59,7 @@ def effects_of_records(
 def _asked(
     design: Design,
     records: Sequence[Record],
-    response: Response,
+    response: ResponseSpec,
     numerical: Sequence[NumericalUncertainty],
 ) -> tuple[pd.DataFrame, AnalysisRequest, tuple[str, ...]]:
     """Rows to analyze, what is asked of them, and what was left out of them."""
@@ -105,7 +105,7 @@ _MESH = "mesh_seed"
 
 
 @dataclass(frozen=True)
-class Rows:
+class RecordRows:
     """Rows to analyze, and what they are."""
 
     table: pd.DataFrame
@@ -120,55 +120,55 @@ class Rows:
 
 def rows_for(
     table: pd.DataFrame, response: str, factors: Sequence[str], error: str, block: str | None
-) -> Rows:
+) -> RecordRows:
     """Rows of a study's table for one response."""
     asked = error == "replicates"
     how = "auto" if asked else error
     if _NOISE in table:
         return _noise_rows(table, response, factors, error, block)
     if _MESH not in table:
-        return Rows(table, block, how)
+        return RecordRows(table, block, how)
     cells = [*factors, *([block] if block else [])]
     groups = table.groupby(cells, sort=False, dropna=False)[response]
     widest = (groups.max() - groups.min()).max()
     if not bool(widest > _SAME * table[response].abs().max()):
         first = table[table[_MESH] == table[_MESH].min()].drop(columns=_MESH)
         note = f"the mesh does not enter {response}: it is the same on every mesh, no E3"
-        return Rows(first, block, how, notes=(note,))
+        return RecordRows(first, block, how, notes=(note,))
     if block and asked:
         table, block = _over(table, response, [*factors, _MESH]), None
     if block:
-        return Rows(table, block, how)
+        return RecordRows(table, block, how)
     labels = table[list(factors)].astype(str).itertuples(index=False, name=None)
     found = seed_design(list(labels), table[_MESH].tolist())
     if found.role is not SeedRole.BLOCKS or how == "pooled":
-        return Rows(table, None, how)
+        return RecordRows(table, None, how)
     kept = table[table[_MESH].astype(str).isin(found.common)]
-    return Rows(kept, _MESH, how, "mesh-seeds", (found.reason,))
+    return RecordRows(kept, _MESH, how, "mesh-seeds", (found.reason,))
 
 
 def _noise_rows(
     table: pd.DataFrame, response: str, factors: Sequence[str], error: str, block: str | None
-) -> Rows:
+) -> RecordRows:
     """Rows of the refits to resampled noise, or of the fits to the measured curves."""
     asked = error == "replicates"
     how = "auto" if asked else error
     fits = table[table[_NOISE] == 0].drop(columns=_NOISE)
     if not is_constant(response):
         note = f"resampled noise is fitted, not predicted with: no E2 for {response}"
-        return Rows(fits, block, how, notes=(note,))
+        return RecordRows(fits, block, how, notes=(note,))
     if block and not asked:
         note = (
             "several blocks are a better error term than resampled noise (E1 before E2): the fits "
             'to the measured curves are analyzed; [analysis] error = "replicates" asks for E2'
         )
-        return Rows(fits, block, how, notes=(note,))
+        return RecordRows(fits, block, how, notes=(note,))
     again = table[table[_NOISE] > 0]
     if block:
         again = _over(again, response, [*factors, _NOISE])
     # pooled takes cells for independent, and has no resample in common
     common = None if how == "pooled" else _NOISE
-    return Rows(again, common, how, "noise")
+    return RecordRows(again, common, how, "noise")
 
 
 def _over(table: pd.DataFrame, response: str, keys: list[str]) -> pd.DataFrame:

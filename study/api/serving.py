@@ -27,7 +27,7 @@ from study.harness.record.index import CURRENT, FileStamp
 from study.harness.record.record import CONVERGED, unseal
 from study.reporting.content.text import clean
 from study.reporting.figures.registry import slug
-from study.reporting.output.overview_page import Progress, StudyState, render_overview
+from study.reporting.output.overview_page import StudyProgress, StudyState, render_overview
 from study.reporting.output.page import policy_hash, table_script
 
 # State of every study, read from its folders without changing a byte of them.
@@ -129,15 +129,15 @@ def _names(folder: Path) -> set[str]:
         return set()
 
 
-def progress_of(folder: Path) -> Progress | None:
+def progress_of(folder: Path) -> StudyProgress | None:
     """Read what the runner in a results folder said last; None where none is at work."""
     if not atomic_files.is_locked(folder):
         return None
     note = atomic_files.holder(folder)
     done, total = note.get("done"), note.get("total")
     if not isinstance(done, int) or not isinstance(total, int):
-        return Progress(0, 0, "started")
-    return Progress(done, total, clean(note.get("counted", "at work"), _LONGEST))
+        return StudyProgress(0, 0, "started")
+    return StudyProgress(done, total, clean(note.get("counted", "at work"), _LONGEST))
 
 
 def _read_study(path: Path) -> tuple[str, dict[str, str] | None]:

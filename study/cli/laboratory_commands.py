@@ -249,7 +249,7 @@ def shape(
 ) -> None:
     """Compare a simulated, deformed body with a scan of the real one."""
     from study import api
-    from study.laboratory.shape.shape_deviation import Options
+    from study.laboratory.shape.shape_deviation import ShapeOptions as Options
     from study.reporting.output.accuracy_page import scan_answers as answers
 
     found = api.shape(

@@ -19,7 +19,7 @@ from study.ground.errors import Fault, InputError
 
 if TYPE_CHECKING:
     from study.harness.calibration.calibration_result import CalibrationResult
-    from study.harness.runner.staged_fit import Step
+    from study.harness.runner.staged_fit import FitStep
     from study.mechanics.solver.solution import Solution
 
 
@@ -209,7 +209,7 @@ class _Line:
     def __init__(self) -> None:
         self.width = 0
 
-    def show(self, step: Step) -> None:
+    def show(self, step: FitStep) -> None:
         """Show an accepted iteration."""
         from study.harness.runner.staged_fit import LAST
         from study.mechanics.material.material import is_dimensionless, unit_shown

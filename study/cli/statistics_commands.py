@@ -17,7 +17,7 @@ from study.ground.errors import Fault, InputError
 
 if TYPE_CHECKING:
     from study.api.analyzing import MixedOptions
-    from study.api.contrast_power import Detection
+    from study.api.contrast_power import ContrastDetection
     from study.api.fitting_surfaces import Surface as SurfaceKind
     from study.api.predicting import Permission
     from study.statistics.analysis.analysis_request import AnovaOptions
@@ -373,7 +373,8 @@ def _check_report(source: Path, report: Path | None, formats: str) -> None:
 
 
 def _write_page(found: AnalysisResult, source: Path, report: Path, flags: Flags) -> Path:
-    from study.api.analyzing import Source, write_page
+    from study.api.analyzing import AnalysisSource as Source
+    from study.api.analyzing import write_page
 
     given = {flag: value for flag, value in flags.items() if value and flag != "--contrast"}
     at = Source(source, given, tuple(one.name for one in found.contrasts))
@@ -524,7 +525,7 @@ def power(
         _print(one, found.blocks)
 
 
-def _print(one: Detection, blocks: int) -> None:
+def _print(one: ContrastDetection, blocks: int) -> None:
     output.paragraph(
         f"{one.response}: {_size(one.practical, one)} matters; between specimens a difference "
         f"scatters by {_size(one.sd, one)} ({one.source})"
@@ -554,6 +555,6 @@ def _print(one: Detection, blocks: int) -> None:
     )
 
 
-def _size(value: float, one: Detection) -> str:
+def _size(value: float, one: ContrastDetection) -> str:
     """Return a difference with its unit, or a ratio."""
     return f"x {math.exp(value):.3g}" if one.ratio else f"{value:.3g} {one.unit}".rstrip()

@@ -12,9 +12,9 @@ from study.ground.errors import Fault, InputError
 
 if TYPE_CHECKING:
     from study.api.fitting_surfaces import Surface
-    from study.api.predicting import Predicted
+    from study.api.predicting import PredictedAnswer
     from study.reporting.results.study_answers import Checked, Inverted, Recommendation
-    from study.statistics.surfaces.quadratic import FTest, QuadraticSurface
+    from study.statistics.surfaces.quadratic import QuadraticSurface, SurfaceFTest
     from study.statistics.surfaces.surface_factors import Extreme
     from study.statistics.surfaces.surface_profile import FittedSurface
     from study.statistics.surfaces.surface_result import SurfaceAnalysis
@@ -82,7 +82,7 @@ def _page(
     folder = flags["--report"]
     if folder is None:
         return None
-    from study.api.analyzing import Source
+    from study.api.analyzing import AnalysisSource as Source
     from study.api.fitting_surfaces import write_surface_page
 
     given = {flag: value for flag, value in flags.items() if value} | asked
@@ -138,7 +138,7 @@ def settings(text: str) -> dict[str, str]:
     return found
 
 
-def print_predictions(found: Sequence[Predicted]) -> None:
+def print_predictions(found: Sequence[PredictedAnswer]) -> None:
     """Print a row for every response."""
     rows = [["Response", "Prediction", "95 % interval"]]
     for one in found:
@@ -256,7 +256,7 @@ def _print_sensitivity(found: SurfaceAnalysis, units: Mapping[str, str]) -> None
             print(f"confirm {item.factor}: run {ends[0]}\n    and {ends[1]}")
 
 
-def _test(test: FTest) -> str:
+def _test(test: SurfaceFTest) -> str:
     return f"F({test.df:.3g}, {test.df_error:.3g}) = {test.f:.3g}, p = {test.p:.3g}"
 
 

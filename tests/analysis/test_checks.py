@@ -9,7 +9,8 @@ import pytest
 
 from study.statistics.analysis.comparisons import studentized_range_quantile
 from study.statistics.analysis.equal_variance import bartlett, levene
-from study.statistics.analysis.linear_model import Layout, terms_of
+from study.statistics.analysis.linear_model import CellLayout as Layout
+from study.statistics.analysis.linear_model import terms_of
 from study.statistics.analysis.normality import anderson_darling, ryan_joiner, shapiro_wilk
 from study.statistics.analysis.sums_of_squares import epsilon_gg, sphericity
 from study.statistics.analysis.unreplicated import half_normal_scores, lenth, orthonormal_contrasts

@@ -9,9 +9,9 @@ import pytest
 
 from study.ground.arrays import Array
 from study.statistics.analysis.comparisons import ASYMPTOTIC_BLOCKS, block_multiplier
+from study.statistics.analysis.linear_model import CellLayout as Layout
 from study.statistics.analysis.linear_model import (
     Factorization,
-    Layout,
     complement,
     factorize,
     model_matrix,

@@ -17,7 +17,8 @@ from study.statistics.analysis.anova import anova
 from study.statistics.analysis.comparisons import games_howell
 from study.statistics.analysis.data import resolution
 from study.statistics.analysis.effects import cell_welch
-from study.statistics.analysis.linear_model import Layout, model_matrix
+from study.statistics.analysis.linear_model import CellLayout as Layout
+from study.statistics.analysis.linear_model import model_matrix
 from study.statistics.analysis.simple_effects import (
     CANNOT_TELL,
     MATTERS,

@@ -19,7 +19,8 @@ from study.statistics.analysis.analysis_request import (
 )
 from study.statistics.analysis.anova import effects
 from study.statistics.analysis.incomplete_blocks import Sandwich
-from study.statistics.analysis.linear_model import Layout, model_matrix
+from study.statistics.analysis.linear_model import CellLayout as Layout
+from study.statistics.analysis.linear_model import model_matrix
 from study.statistics.analysis.restricted_likelihood import fit_restricted
 from study.statistics.analysis.sums_of_squares import factor
 

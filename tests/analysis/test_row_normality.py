@@ -11,7 +11,8 @@ from scipy.stats import rankdata
 from study.ground.arrays import Array
 from study.ground.errors import InputError
 from study.statistics.analysis.equal_variance import _levene_statistic, _normal_draws, levene
-from study.statistics.analysis.linear_model import Layout, grid, terms_of
+from study.statistics.analysis.linear_model import CellLayout as Layout
+from study.statistics.analysis.linear_model import grid, terms_of
 from study.statistics.analysis.normality import (
     block_share,
     helmert,

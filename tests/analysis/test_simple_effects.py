@@ -24,7 +24,8 @@ from study.statistics.analysis.comparisons import (
     study_family,
 )
 from study.statistics.analysis.effects import over_blocks
-from study.statistics.analysis.linear_model import Layout, grid, model_matrix, terms_of
+from study.statistics.analysis.linear_model import CellLayout as Layout
+from study.statistics.analysis.linear_model import grid, model_matrix, terms_of
 from study.statistics.analysis.simple_effects import (
     MATTERS,
     NO_DIFFERENCE,

@@ -18,7 +18,8 @@ import pandas as pd
 import pytest
 
 from study.statistics.analysis.anova import anova
-from study.statistics.analysis.linear_model import Layout, grid, model_matrix, span, terms_of
+from study.statistics.analysis.linear_model import CellLayout as Layout
+from study.statistics.analysis.linear_model import grid, model_matrix, span, terms_of
 from study.statistics.analysis.normality import (
     default_simulations,
     null_rj,

@@ -12,7 +12,8 @@ from scipy.stats import ttest_1samp, ttest_ind
 from study.ground.arrays import Array
 from study.ground.errors import InputError
 from study.statistics.analysis.comparisons import holm, response_family
-from study.statistics.analysis.linear_model import Layout, grid, terms_of
+from study.statistics.analysis.linear_model import CellLayout as Layout
+from study.statistics.analysis.linear_model import grid, terms_of
 from study.statistics.analysis.normality import helmert, helmert_contrasts
 from study.statistics.analysis.split_plot import welch_box, welch_interval
 from study.statistics.analysis.strata import SeedRole, seed_design

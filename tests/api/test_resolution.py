@@ -12,7 +12,8 @@ import pytest
 from study.api.records import analyze_records
 from study.api.uncertainty import numerical_bound
 from study.harness.design.load import loads
-from study.harness.design.spec import Design, Practical, Response
+from study.harness.design.spec import Design, Practical
+from study.harness.design.spec import ResponseSpec as Response
 from study.harness.record.record import Record, table
 from study.harness.runner.case_series import half_width
 from study.statistics.analysis.analysis_result import AnalysisResult

@@ -9,13 +9,8 @@ import numpy as np
 import pytest
 
 from study.mechanics.indentation import contact_law
-from study.mechanics.indentation.contact_law import (
-    ForceLaw,
-    Layer,
-    contact_state,
-    force_law,
-    transform,
-)
+from study.mechanics.indentation.contact_law import ContactForceLaw as ForceLaw
+from study.mechanics.indentation.contact_law import Layer, contact_state, force_law, transform
 from study.mechanics.setup.geometry import Cone, Flat, Indenter, Sphere
 
 LAYERS = Path(__file__).resolve().parents[2] / "validation" / "layers.csv"

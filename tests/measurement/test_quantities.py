@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from study.ground.errors import InputError
-from study.mechanics.measurement.column_text import Gauge, Layout, displacement_and_force
+from study.mechanics.measurement.column_text import ColumnLayout as Layout
+from study.mechanics.measurement.column_text import Gauge, displacement_and_force
 from study.mechanics.measurement.measurement_section import Columns, MeasurementSpec, Units
 from study.mechanics.measurement.reading import read_measurements
 

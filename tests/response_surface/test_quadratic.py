@@ -8,8 +8,8 @@ from scipy import stats
 
 from study.ground.arrays import Array
 from study.ground.errors import InputError, RefusedError
+from study.statistics.surfaces.quadratic import QuadraticPolynomial as Polynomial
 from study.statistics.surfaces.quadratic import (
-    Polynomial,
     against_blocks,
     factorize,
     fit_quadratic,

@@ -9,7 +9,8 @@ import pytest
 
 from study.ground.curve import Curve
 from study.harness.runner import fit_task
-from study.harness.runner.staged_fit import TOLERANCES, Part, staged_fit
+from study.harness.runner.staged_fit import TOLERANCES, staged_fit
+from study.harness.runner.staged_fit import FitPart as Part
 from study.mechanics.calibration.fit import Fit, fit
 from study.mechanics.calibration.residual_function import MeasuredCurve
 from study.mechanics.forward import finite_element

@@ -12,7 +12,8 @@ from study.harness.design import load
 from study.harness.runner import fit_task
 from study.harness.runner.expansion import expand
 from study.harness.runner.job import FitJob, Work
-from study.harness.runner.staged_fit import Part, staged_fit
+from study.harness.runner.staged_fit import FitPart as Part
+from study.harness.runner.staged_fit import staged_fit
 from study.harness.runner.virtual_specimens import ECOFLEX_00_10, Generator, write_virtual
 from study.mechanics.calibration.fit import Fit
 from study.mechanics.calibration.lack_of_fit import agreement

@@ -14,7 +14,8 @@ from study.harness.design.load import load
 from study.harness.runner import expansion, fit_task
 from study.harness.runner.fit_summary import FitResult
 from study.harness.runner.job import Work
-from study.harness.runner.staged_fit import Checkpoint, Part, Staged, gentler, staged_fit
+from study.harness.runner.staged_fit import Checkpoint, Staged, gentler, staged_fit
+from study.harness.runner.staged_fit import FitPart as Part
 from study.mechanics.calibration.levenberg_marquardt import Status
 from study.mechanics.calibration.residual_function import EvaluationFailed, MeasuredCurve
 

@@ -17,7 +17,8 @@ from study.harness.runner import provenance
 from study.harness.runner.expansion import expand
 from study.harness.runner.fit_problem import fit_problem
 from study.harness.runner.job import CaseJob
-from study.harness.runner.staged_fit import Part, cheaper
+from study.harness.runner.staged_fit import FitPart as Part
+from study.harness.runner.staged_fit import cheaper
 from study.harness.runner.study_refinement import chosen_series, refinement_work
 from study.mechanics.setup.setup import Setup, specimen_of
 from tests.fem.surfaces import box, write

@@ -14,7 +14,7 @@ from study.ground.arrays import Array
 from study.ground.errors import InputError, RefusedError
 from study.laboratory.registration.closest_point import TriangleSurface
 from study.laboratory.registration.rigid import RigidMotion, turned_about
-from study.laboratory.shape.shape_deviation import Options
+from study.laboratory.shape.shape_deviation import ShapeOptions as Options
 from tests.registration.bodies import egg, scan
 
 #: Lubricated compression of an incompressible cylinder: stretch 0.8 along, 0.8^-1/2 across.

@@ -53,7 +53,7 @@ from study.mechanics.setup.declaration import table_of
 
 if TYPE_CHECKING:
     from study.mechanics.calibration.fit import Fit
-    from study.mechanics.calibration.identifiability import Profile
+    from study.mechanics.calibration.identifiability import LikelihoodProfile
     from study.mechanics.calibration.residual_function import MeasuredCurve
 
 
@@ -328,7 +328,9 @@ def _same_constants(found: Fit, specimens: Sequence[PartialFit]) -> float | None
     return same_constants(found.rss, own, rows, len(found.names), len(specimens))
 
 
-def _profiles(setting: Setting, curves: Sequence[FitCurve], found: Fit) -> dict[str, Profile]:
+def _profiles(
+    setting: Setting, curves: Sequence[FitCurve], found: Fit
+) -> dict[str, LikelihoodProfile]:
     own = in_order(curves)
     parts = parts_of(setting.tests, own)
     models = [

@@ -24,7 +24,7 @@ from study.harness.runner import fit_task
 from study.harness.runner.problem_tables import on_mesh
 from study.harness.runner.refinement import formal_order
 from study.harness.runner.response import scale_of
-from study.harness.runner.staged_fit import Checkpoint, Part, Progress, single_stage
+from study.harness.runner.staged_fit import Checkpoint, FitPart, Progress, single_stage
 from study.mechanics.setup.declaration import with_table
 from study.mechanics.setup.setup import MESH_LEVELS, Setup, problem_of
 from study.statistics.convergence.grid_convergence import grid_convergence
@@ -42,7 +42,7 @@ _SEARCH = 1e-6
 
 
 @dataclass(frozen=True)
-class NumericalBound:
+class ConstantBound:
     """Constants on several meshes, and how far discretization may move them."""
 
     names: tuple[str, ...]
@@ -94,7 +94,7 @@ class NumericalBound:
 
 def numerical_bound(
     config: CalibrationDesign, root: Path, known: Fit, progress: Progress | None = None
-) -> NumericalBound:
+) -> ConstantBound:
     """Fit again on other meshes and with more load steps, and judge every constant."""
     # Nuisance parameters stay at what is expected of them in all of these fits.
     names, start = known.names, known.values
@@ -103,7 +103,7 @@ def numerical_bound(
     zero = np.zeros(len(names))
     simulated = [part for part in parts if part.method == "inverse-fem"]
     if not simulated:
-        return NumericalBound(names, (), np.zeros((0, len(names))), zero, zero)
+        return ConstantBound(names, (), np.zeros((0, len(names))), zero, zero)
     model = Setup.of(simulated[0].tables).model
     own, levels = (0, (1, 0, -1)) if model.mesh_size_mm is not None else (model.level, (2, 1, 0))
     # from coarse to fine, and the own mesh again with more steps
@@ -118,7 +118,7 @@ def numerical_bound(
         if not done.converged:
             nothing = np.full(len(names), np.nan)
             why = f"{stage}, gave no constants ({done.message})"
-            return NumericalBound(names, (), np.zeros((0, len(names))), nothing, nothing, why)
+            return ConstantBound(names, (), np.zeros((0, len(names))), nothing, nothing, why)
         found.append(done.values)
     *series, stepped = found
     values, sizes = np.array(series), tuple(_RATIO ** float(step - own) for step in levels)
@@ -129,10 +129,10 @@ def numerical_bound(
     again = values[levels.index(own)]
     reference = start if known.joint is None else again
     steps = np.maximum(np.abs(stepped - reference), np.abs(again - reference))
-    return NumericalBound(names, sizes, values, mesh, steps)
+    return ConstantBound(names, sizes, values, mesh, steps)
 
 
-def _on_level(part: Part, level: int) -> Part:
+def _on_level(part: FitPart, level: int) -> FitPart:
     """Put a part on a mesh; a given size is multiplied, a name is replaced."""
     if part.method != "inverse-fem":
         return part
@@ -144,12 +144,12 @@ def _on_level(part: Part, level: int) -> Part:
     return replace(part, tables=on_mesh(part.tables, **changes))
 
 
-def _with_more_steps(part: Part) -> Part:
+def _with_more_steps(part: FitPart) -> FitPart:
     steps = _MORE_STEPS * Setup.of(part.tables).test.steps
     return replace(part, tables=with_table(part.tables, "test", steps=steps))
 
 
-def _order(part: Part, names: tuple[str, ...], values: Array) -> float:
+def _order(part: FitPart, names: tuple[str, ...], values: Array) -> float:
     """Order that the elements promise for the force of a test, and so for its constants."""
     depth = max(float(one.curve.displacement_mm.max()) for one in part.measured)
     constants = dict(zip(names, values.tolist(), strict=True))

@@ -25,8 +25,12 @@ if TYPE_CHECKING:
     from study.harness.calibration.resampling import Bootstrap
     from study.mechanics.calibration.fit import Fit
     from study.mechanics.calibration.fit_influence import Population
-    from study.mechanics.calibration.identifiability import Direction, Identifiability, Profile
-    from study.mechanics.calibration.lack_of_fit import LackOfFit, Pattern
+    from study.mechanics.calibration.identifiability import (
+        Direction,
+        Identifiability,
+        LikelihoodProfile,
+    )
+    from study.mechanics.calibration.lack_of_fit import LackOfFit, ResidualPattern
     from study.mechanics.calibration.residual_function import NuisanceEstimate
     from study.mechanics.material.energy import Converted
 
@@ -113,7 +117,7 @@ class CalibrationResult:
     evaluations: int
     seconds: float
     lack_of_fit: LackOfFit | None = None
-    pattern: Pattern | None = None
+    pattern: ResidualPattern | None = None
     #: Each specimen for itself; each specimen or test left out in turn.
     specimens: tuple[PartialFit, ...] = ()
     cross_validation: tuple[PartialFit, ...] = ()
@@ -121,7 +125,7 @@ class CalibrationResult:
     same_constants_p: float | None = None
     #: Each constant's mean, scatter and intervals, specimens as the unit.
     population: tuple[Population, ...] = ()
-    profiles: Mapping[str, Profile] = field(default_factory=dict)
+    profiles: Mapping[str, LikelihoodProfile] = field(default_factory=dict)
     #: Cautions, and what was done to the measured rows.
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
@@ -320,7 +324,7 @@ def _serial(fit: Fit) -> dict[str, object] | None:
     }
 
 
-def _profile(scale: float, found: Profile) -> dict[str, object]:
+def _profile(scale: float, found: LikelihoodProfile) -> dict[str, object]:
     return {
         "interval": [scale * v for v in found.interval],
         "values": scale * np.asarray(found.values),

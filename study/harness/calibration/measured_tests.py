@@ -14,7 +14,7 @@ from study.ground.errors import Fault, InputError
 from study.harness.design.calibration_section import CalibratedTest, Role
 from study.harness.runner.fit_problem import FitProblem, fit_problem
 from study.harness.runner.problem_tables import gauge_of
-from study.harness.runner.staged_fit import Part
+from study.harness.runner.staged_fit import FitPart
 from study.mechanics.calibration.lack_of_fit import Repeated
 from study.mechanics.calibration.residual_function import MeasuredCurve
 from study.mechanics.measurement import conditioning
@@ -99,7 +99,7 @@ def problem_of(tables: Tables) -> FitProblem:
     return fit_problem({**tables, "calibration": {"method": "auto"}})
 
 
-def parts_of(tests: Sequence[CalibratedTest], curves: Sequence[FitCurve]) -> list[Part]:
+def parts_of(tests: Sequence[CalibratedTest], curves: Sequence[FitCurve]) -> list[FitPart]:
     """Parts of a fit to the given curves, one for each test that has any."""
     parts = []
     for number, test in enumerate(tests):
@@ -110,7 +110,7 @@ def parts_of(tests: Sequence[CalibratedTest], curves: Sequence[FitCurve]) -> lis
                 MeasuredCurve(c.label, c.measured.curve, c.weight, "fit", c.measured.recordings)
                 for c in own
             )
-            parts.append(Part(problem.method, problem.tables, measured))
+            parts.append(FitPart(problem.method, problem.tables, measured))
     return parts
 
 

@@ -28,7 +28,7 @@ from study.mechanics.calibration.fit_influence import with_serial_correlation
 from study.mechanics.calibration.lack_of_fit import (
     USUAL_POWER,
     WALD_ALPHA,
-    Agreement,
+    FitAgreement,
     agreement,
     akaike_weights,
 )
@@ -158,7 +158,7 @@ class Systematic:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class ModelComparison:
     """Constants of every test for itself, and whether one material explains them all."""
 
     #: Of the calibration and of the energy.
@@ -166,7 +166,7 @@ class Comparison:
     model: str
     #: By test, in the order of the file.
     fits: Mapping[str, CalibrationResult]
-    test: Agreement
+    test: FitAgreement
     #: By test: what moves its constants besides the scatter of its points.
     systematic: Mapping[str, Systematic]
     #: Share by which the moduli of one test are off in what the power is stated for.
@@ -282,7 +282,7 @@ def compare(
     difference: float = 0.05,
     zero: float = 0.0,
     progress: Progress | None = None,
-) -> Comparison:
+) -> ModelComparison:
     """Fit every test of a calibration for itself, and test whether the constants are equal."""
     fitted = [(i, test) for i, test in enumerate(config.tests) if test.role == "fit"]
     if len(fitted) < 2:
@@ -314,7 +314,7 @@ def compare(
     for i, label in enumerate(fits):
         unit = _off(test.common, next(iter(fits.values())).fit.names, i, len(fits))
         power[label], detectable[label] = test.power(difference * unit), test.detectable(unit)
-    return Comparison(
+    return ModelComparison(
         config.name, config.material.model, fits, test, systematic, difference, power,
         detectable, form,
     )  # fmt: skip

@@ -15,7 +15,7 @@ from study.harness.calibration.measured_tests import FitCurve, problem_of
 from study.harness.design.calibration_section import CalibratedTest
 from study.harness.runner import fit_task
 from study.harness.runner.problem_tables import value_named
-from study.harness.runner.staged_fit import TOLERANCES, Part
+from study.harness.runner.staged_fit import TOLERANCES, FitPart
 from study.mechanics.calibration.covariance import scaled_inverse
 from study.mechanics.calibration.fit import Fit, fit
 from study.mechanics.calibration.fit_influence import with_serial_correlation
@@ -199,12 +199,12 @@ def reach_of(one: NuisanceParameter, depth_mm: float) -> float:
     return _FAR * depth_mm if one.uncertainty is None else REACH * one.uncertainty
 
 
-class Predictions:
+class NuisancePredictions:
     """Curves of all parts of a fit for constants and nuisance parameters together."""
 
     def __init__(
         self,
-        parts: Sequence[Part],
+        parts: Sequence[FitPart],
         tests: Sequence[CalibratedTest],
         names: Sequence[str],
         parameters: Sequence[NuisanceParameter],
@@ -226,7 +226,12 @@ class Predictions:
         return out
 
     def _of_part(
-        self, number: int, part: Part, constants: Array, places: range, given: Mapping[str, float]
+        self,
+        number: int,
+        part: FitPart,
+        constants: Array,
+        places: range,
+        given: Mapping[str, float],
     ) -> list[Curve]:
         own = [[one for one in self._parameters if place in one.curves] for place in places]
         value = {one.name: given.get(one.name, one.expected) for one in self._parameters}
@@ -255,7 +260,7 @@ class Predictions:
         ]
 
     def _model(
-        self, number: int, part: Part, plate: str, one: NuisanceParameter | None, sign: int
+        self, number: int, part: FitPart, plate: str, one: NuisanceParameter | None, sign: int
     ) -> _Homogeneous | _Simulated:
         name = (number, plate, "" if one is None else one.key, sign)
         if name not in self._made:
@@ -272,7 +277,7 @@ class Predictions:
                 self._made[name] = _Simulated(problem.tables, self._names, self._depth(part))
         return self._made[name]
 
-    def _depth(self, part: Part) -> float:
+    def _depth(self, part: FitPart) -> float:
         """Depth that a simulation must reach, offsets included, mm."""
         depth = max(float(m.curve.displacement_mm.max()) for m in part.measured)
         offsets = [one for one in self._parameters if one.key == OFFSET]
@@ -377,7 +382,7 @@ _NOISELESS = 1e-9
 class _Task:
     """What the fits of one calibration share."""
 
-    predictions: Predictions
+    predictions: NuisancePredictions
     measured: Sequence[MeasuredCurve]
     names: tuple[str, ...]
     bounds: Sequence[tuple[float, float]] | None
@@ -413,7 +418,7 @@ class _Task:
 
 def with_nuisance(
     found: Fit,
-    parts: Sequence[Part],
+    parts: Sequence[FitPart],
     tests: Sequence[CalibratedTest],
     curves: Sequence[FitCurve],
     bounds: Sequence[tuple[float, float]] | None = None,
@@ -423,7 +428,7 @@ def with_nuisance(
     if not parameters or not found.converged:
         return found
     own = [tests[number] for number in sorted({c.test for c in curves})]
-    predictions = Predictions(parts, own, found.names, parameters)
+    predictions = NuisancePredictions(parts, own, found.names, parameters)
     measured = [one for part in parts for one in part.measured]
     simulated = any(p.method == "inverse-fem" for p in parts)
     simulated = simulated or any(one.key == "friction" for one in parameters)
@@ -443,7 +448,7 @@ def with_nuisance(
 
 
 def predicted(
-    parts: Sequence[Part],
+    parts: Sequence[FitPart],
     tests: Sequence[CalibratedTest],
     curves: Sequence[FitCurve],
     names: Sequence[str],
@@ -453,7 +458,7 @@ def predicted(
     parameters = parameters_of(tests, curves)
     own = [tests[number] for number in sorted({c.test for c in curves})]
     asked = [one for one in parameters if one.is_fitted]
-    return Predictions(parts, own, names, parameters)(values, asked)
+    return NuisancePredictions(parts, own, names, parameters)(values, asked)
 
 
 def _settled(task: _Task, fitted: Sequence[NuisanceParameter], found: Fit) -> tuple[Fit, Fit]:

@@ -186,7 +186,7 @@ def next_tests(
     error = np.sqrt(np.diag(now))
     bad = ~(error <= KNOWN * np.abs(found.values))
     sought = bad if bad.any() else np.ones_like(bad)
-    search = _Search(found.values, material, known, sought, conditions)
+    search = _TestSearch(found.values, material, known, sought, conditions)
     # a test that leaves a badly known constant undetermined comes last
     ranked = sorted(search.tests(), key=lambda pair: pair[0])
     if not ranked:
@@ -232,7 +232,7 @@ class _Conditions:
 
 
 @dataclass(frozen=True)
-class _Search:
+class _TestSearch:
     """Tests to weigh beside what is known (information matrix) of constants (values)."""
 
     values: Array

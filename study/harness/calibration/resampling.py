@@ -22,7 +22,7 @@ from study.harness.design.calibration_section import CalibratedTest, Calibration
 from study.harness.runner import fit_task
 from study.harness.runner.fit_task import Residuals, fitted_model, resampled, residuals_of
 from study.harness.runner.response import scale_of
-from study.harness.runner.staged_fit import Checkpoint, Part, Staged, single_stage
+from study.harness.runner.staged_fit import Checkpoint, FitPart, Staged, single_stage
 from study.mechanics.calibration.fit import residual_function
 from study.mechanics.calibration.residual_function import EvaluationFailed
 from study.mechanics.material.energy import Energy
@@ -132,7 +132,7 @@ def bootstrap(
     )
 
 
-def _residuals(found: Fit, parts: Sequence[Part]) -> tuple[Residuals, ...]:
+def _residuals(found: Fit, parts: Sequence[FitPart]) -> tuple[Residuals, ...]:
     """Residuals of every curve, in the order of the parts."""
     share = found.n / max(1, found.n - len(found.names))
     curves = [one.curve for part in parts for one in part.measured]
@@ -143,8 +143,8 @@ def _residuals(found: Fit, parts: Sequence[Part]) -> tuple[Residuals, ...]:
 
 
 def _of_rows(
-    parts: Sequence[Part], blocks: Sequence[Residuals], rng: np.random.Generator
-) -> list[Part]:
+    parts: Sequence[FitPart], blocks: Sequence[Residuals], rng: np.random.Generator
+) -> list[FitPart]:
     """Put drawn residuals around the curves of the fit."""
     left = iter(blocks)
     return [
@@ -163,7 +163,7 @@ def _of_rows(
 
 def _of_specimens(
     tests: Sequence[CalibratedTest], specimens: dict[str, list[FitCurve]], rng: np.random.Generator
-) -> list[Part]:
+) -> list[FitPart]:
     """Draw as many specimens as there are, with replacement; each brings all its curves."""
     labels = list(specimens)
     drawn = rng.integers(0, len(labels), len(labels))
@@ -208,7 +208,7 @@ def scattered(
     name: str,
     names: Sequence[str],
     start: Array,
-    parts: Sequence[Part],
+    parts: Sequence[FitPart],
     bounds: Sequence[tuple[float, float]] | None,
     rng: np.random.Generator,
 ) -> Array:
@@ -236,7 +236,7 @@ def _inside(values: Array, bounds: Sequence[tuple[float, float]] | None) -> Arra
 
 
 def _with_moduli(
-    energy: Energy, names: Sequence[str], values: Array, parts: Sequence[Part]
+    energy: Energy, names: Sequence[str], values: Array, parts: Sequence[FitPart]
 ) -> Array:
     """Moduli that fit best beside these plain numbers; unchanged where the model has no answer."""
     moduli = [k for k, n in enumerate(names)

@@ -12,7 +12,7 @@ import numpy as np
 from study.ground.errors import nearest
 from study.harness.design.diagnostics import Faults, flatten, noted, read_table
 from study.harness.design.generators import clear_order, model_columns
-from study.harness.design.spec import Expected, Factor, Response, Scheme
+from study.harness.design.spec import Expected, Factor, ResponseSpec, Scheme
 from study.harness.design.study_file import Analysis, AnalysisTable
 from study.mechanics.setup.declaration import (
     AsWritten,
@@ -112,7 +112,7 @@ _MEND = 'for example matters = "material", or larger = "material" with than = "m
 
 
 def expected_from(
-    value: object, factors: Sequence[Factor], responses: Sequence[Response], faults: Faults
+    value: object, factors: Sequence[Factor], responses: Sequence[ResponseSpec], faults: Faults
 ) -> tuple[Expected, ...]:
     """Read every ``[[expected]]``: one kind of :data:`KINDS` each, ``source`` and ``response``."""
     if value is None:

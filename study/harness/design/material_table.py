@@ -32,7 +32,11 @@ from study.mechanics.setup.declaration import (
     shown,
     written_keys,
 )
-from study.mechanics.setup.material_section import Compressibility, MaterialSection, RelaxationKey
+from study.mechanics.setup.material_section import (
+    CompressibilityTable,
+    MaterialSection,
+    RelaxationKey,
+)
 
 # The key ``material.relaxation``: terms by which the stress fades, or a grid of their times.
 
@@ -113,7 +117,7 @@ def _grid(value: Table, faults: Faults, path: str) -> tuple[RelaxationKey, ...]:
 
 
 #: keys of which a material has one
-_COMPRESSIBILITY = written_keys(Compressibility)
+_COMPRESSIBILITY = written_keys(CompressibilityTable)
 #: value of a constant that could not be read: mu0 and all that follows from it are unknown then
 _UNREAD = math.nan
 _MOST_TERMS = 9
@@ -157,7 +161,7 @@ def material_from(table: object, faults: Faults, path: str = "material") -> Mate
     return MaterialSection(energy.name, order, values, volume, fading)
 
 
-def _compressibility(written: Table, faults: Faults, path: str) -> Compressibility:
+def _compressibility(written: Table, faults: Faults, path: str) -> CompressibilityTable:
     own = {key: value for key, value in written.items() if key in _COMPRESSIBILITY}
     given = [key for key, value in own.items() if value is not False]
     mend = f"give one of {', '.join(_COMPRESSIBILITY)}"
@@ -166,7 +170,7 @@ def _compressibility(written: Table, faults: Faults, path: str) -> Compressibili
     first, *others = [key for key in _COMPRESSIBILITY if key in given] or [""]
     if others:
         faults.add(f"{path}.{first}", f"stands beside {' and '.join(others)}", mend)
-    return read_table(Compressibility, own, path, faults)
+    return read_table(CompressibilityTable, own, path, faults)
 
 
 def _moduli(energy: Energy, given: Table, faults: Faults, path: str) -> dict[str, float]:

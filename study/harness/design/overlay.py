@@ -16,7 +16,7 @@ from study.mechanics.measurement.measurement_section import MarkerSpec, Measurem
 from study.mechanics.setup.calibration_table import Calibration
 from study.mechanics.setup.declaration import MAX_NAME, keys_of, written_keys
 from study.mechanics.setup.geometry import INDENTERS, SPECIMENS, FaceMotion, Gravity
-from study.mechanics.setup.material_section import Compressibility
+from study.mechanics.setup.material_section import CompressibilityTable
 from study.mechanics.setup.setup import ForwardModel, Model
 from study.mechanics.setup.test_section import TestSection
 
@@ -41,7 +41,7 @@ class Place:
         return self.varying or tuple(dict.fromkeys(declared))
 
 
-_COMPRESSIBILITY = written_keys(Compressibility)
+_COMPRESSIBILITY = written_keys(CompressibilityTable)
 _MEASURED = ("file", "files", "range", "points", "zero", "toe", "sign")
 #: keys of the constants that the energies declare, those of two terms where there is a choice;
 #: a key of one letter is near to every misspelt one, and is not suggested
@@ -61,7 +61,7 @@ PLACES: Mapping[str, Place] = {
     "test.indenter": Place(tuple(INDENTERS.values()), "shape"),
     "test.motion": Place((FaceMotion,)),
     "test.gravity": Place((Gravity,)),
-    "material": Place((MaterialTable, Compressibility), "model", _COMPRESSIBILITY),
+    "material": Place((MaterialTable, CompressibilityTable), "model", _COMPRESSIBILITY),
     "model": Place((Model,), alternatives=("mesh", "mesh_size")),
     "measurements": Place((MeasurementSpec,), "", ("file", "files"), _MEASURED),
     "markers": Place((MarkerSpec,), varying=("plate",)),

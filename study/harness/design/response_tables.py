@@ -10,7 +10,7 @@ from study.ground.errors import UnitError, nearest
 from study.harness.design import overlay
 from study.harness.design.diagnostics import Faults, Table, entries, noted
 from study.harness.design.material_table import DISTRIBUTION_KEYS, PARAMETERS, InputDistribution
-from study.harness.design.spec import Factor, Practical, Response, Span
+from study.harness.design.spec import Factor, Practical, ResponseSpec, Span
 from study.harness.design.study_file import AT_DISPLACEMENT, ResponseTable, response_unit
 from study.mechanics.setup.declaration import Bad, choice, number, quantity, shown
 
@@ -24,7 +24,7 @@ _DIMENSION = {
 }
 
 
-def responses_from(tables: Sequence[ResponseTable], faults: Faults) -> tuple[Response, ...]:
+def responses_from(tables: Sequence[ResponseTable], faults: Faults) -> tuple[ResponseSpec, ...]:
     """Responses with their units; a faulty one has no name."""
     found = [_response(table, f"response[{i}]", faults) for i, table in enumerate(tables)]
     given = [response.name for response in found if response.name]
@@ -33,13 +33,13 @@ def responses_from(tables: Sequence[ResponseTable], faults: Faults) -> tuple[Res
     return tuple(found)
 
 
-def _response(table: ResponseTable, where: str, faults: Faults) -> Response:
+def _response(table: ResponseTable, where: str, faults: Faults) -> ResponseSpec:
     name = _name(table, where, faults)
     unit, practical = (response_unit(name) if name else None) or "", None
     if name and table.practical is not None:
         read = partial(_practical, unit)
         practical = noted(read, table.practical, f"{where}.practical", faults)
-    return Response(name, unit, practical, table.transform or "none")
+    return ResponseSpec(name, unit, practical, table.transform or "none")
 
 
 def _name(table: ResponseTable, where: str, faults: Faults) -> str:

@@ -126,7 +126,7 @@ class Practical:
 
 
 @dataclass(frozen=True)
-class Response:
+class ResponseSpec:
     """One scalar answer of a case, with its own analysis."""
 
     name: str
@@ -168,7 +168,7 @@ class Design:
     #: What varies, what is left out, what is answered.
     exclusions: tuple[Exclusion, ...]
     #: What varies, what is left out, what is answered.
-    responses: tuple[Response, ...]
+    responses: tuple[ResponseSpec, ...]
     #: Of every random draw of the study.
     seed: int
     #: Inputs that nobody measured.

@@ -242,7 +242,7 @@ def _reason(value: object) -> str:
 
 
 @section
-class Study:
+class StudyTable:
     """Name, question, seed and what is assumed; the name is by default that of the file."""
 
     name: Annotated[str, Reads(slug)] = ""
@@ -362,7 +362,7 @@ class ProblemFile:
     """A file for one forward simulation."""
 
     schema: _Schema
-    study: Study = Study()
+    study: StudyTable = StudyTable()
     specimen: AsWritten = None
     test: AsWritten = None
     material: AsWritten = None
@@ -397,7 +397,7 @@ class CalibrationFile:
     """A file for the constants of one material."""
 
     schema: _Schema
-    study: Study = Study()
+    study: StudyTable = StudyTable()
     specimen: AsWritten = None
     material: AsWritten = None
     model: AsWritten = None

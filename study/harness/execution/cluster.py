@@ -363,7 +363,7 @@ FAREWELL_S = 5.0
 
 
 @dataclass(eq=False)
-class Worker:
+class ClusterWorker:
     """Worker of the cluster with the versions of this machine."""
 
     address: str
@@ -382,7 +382,7 @@ class RemoteSlot:
 
     crew: Crew
     number: int
-    worker: Worker | None = None
+    worker: ClusterWorker | None = None
     future: Pending | None = None
     waiting: tuple[str, Done, object] | None = None
     end: Callable[[Answer], None] | None = None
@@ -447,7 +447,7 @@ class Crew:
     limit_s: float | None
     files: Sequence[Path] = ()
     name: str = field(default_factory=lambda: uuid.uuid4().hex)
-    workers: dict[str, Worker] = field(default_factory=dict)
+    workers: dict[str, ClusterWorker] = field(default_factory=dict)
     slots: list[RemoteSlot] = field(default_factory=list)
     #: slots whose future was cancelled, for a reason that is still to be found
     dropped: queue.SimpleQueue[RemoteSlot] = field(default_factory=queue.SimpleQueue)
@@ -498,7 +498,7 @@ class Crew:
             best.load, slot.worker = best.load + 1, best
         return slot.worker is not None
 
-    def send(self, number: int, worker: Worker | None, text: str) -> Pending:
+    def send(self, number: int, worker: ClusterWorker | None, text: str) -> Pending:
         """Submit a task to one worker."""
         if worker is None:
             raise RuntimeError("a slot without a worker sends no task")
@@ -547,10 +547,10 @@ class Crew:
             contents = {str(path): read_existing(path, MAX_BYTES) for path in self.files}
             self.client.run(keep_files, self.name, contents, workers=known, on_error="ignore")
         for address in known:
-            self.workers[address] = Worker(address, max(there[address], 1))
+            self.workers[address] = ClusterWorker(address, max(there[address], 1))
         return different
 
-    def _lost_worker(self, worker: Worker) -> None:
+    def _lost_worker(self, worker: ClusterWorker) -> None:
         for slot in self.slots:
             if slot.worker is worker and slot.future is not None:
                 slot.lose(f"lost with its worker {worker.address}")

@@ -20,7 +20,7 @@ from study.ground.canonical import digest
 from study.ground.errors import Fault, RefusedError
 from study.ground.working_folder import environment
 from study.harness.external import exchange, program
-from study.harness.external.exchange import Answer, NoAnswer, PythonFunction
+from study.harness.external.exchange import NoAnswer, ProgramAnswer, PythonFunction
 from study.mechanics.setup.declaration import section_of
 from study.mechanics.setup.setup import ForwardModel, Problem
 
@@ -33,7 +33,7 @@ _VERSION_BYTES = 65_536
 _FILE_TOO_LARGE = -25  # SIGXFSZ
 
 
-class StepDocument(TypedDict):
+class StepReport(TypedDict):
     """One command of a solution, for the record."""
 
     argv: list[str]
@@ -41,12 +41,12 @@ class StepDocument(TypedDict):
     output: str
 
 
-class ProgramDocument(TypedDict):
+class ProgramReport(TypedDict):
     """What ran, for the record."""
 
     version: str
     digest: str
-    steps: list[StepDocument]
+    steps: list[StepReport]
 
 
 @dataclass(frozen=True)
@@ -68,9 +68,9 @@ class Command:
 
 def solve_by_command(
     command: Command, problem: Problem, displacement_mm: Array
-) -> tuple[Answer, ProgramDocument]:
+) -> tuple[ProgramAnswer, ProgramReport]:
     """Run the commands for one problem. Shapes: displacement_mm (n,)."""
-    document: ProgramDocument = {
+    document: ProgramReport = {
         "version": said_version(command.version, command.contents),
         "digest": command.digest,
         "steps": [],
@@ -120,9 +120,7 @@ def _write(folder: Path, contents: Mapping[str, str]) -> None:
         (folder / file).write_text(text, encoding="utf-8")
 
 
-def _step(
-    argv: tuple[str, ...], folder: Path, command: Command, limit: float | None
-) -> StepDocument:
+def _step(argv: tuple[str, ...], folder: Path, command: Command, limit: float | None) -> StepReport:
     path = path_of(argv[0])
     if path is None:
         raise NoAnswer("failed", f"{argv[0]}: there is no such program on this machine")
@@ -134,7 +132,7 @@ def _step(
     return {"argv": list(argv), "code": ended.code, "output": ended.output}
 
 
-def _check(step: StepDocument, command: Command) -> None:
+def _check(step: StepReport, command: Command) -> None:
     name, said = step["argv"][0], step["output"]
     if step["code"] is None:
         raise NoAnswer("timeout", f"{name}: stopped after {command.timeout_s:g} s")
@@ -180,9 +178,9 @@ STEP = 1e-3
 class Solved:
     """Curve of an external forward model, and how it was found."""
 
-    answer: Answer
+    answer: ProgramAnswer
     seconds: float
-    program: ProgramDocument | None = None
+    program: ProgramReport | None = None
 
 
 @dataclass(frozen=True)

@@ -59,7 +59,7 @@ class NoAnswer(Exception):
 
 
 @dataclass(frozen=True)
-class Answer:
+class ProgramAnswer:
     """What a program found."""
 
     #: Forces at the displacements that were asked for, with the gradients that it knows.
@@ -112,7 +112,7 @@ def _mesh_size(problem: Problem) -> float | None:
     return float(mesh_size(problem.setup))
 
 
-def answer(files: Text, displacement_mm: Array) -> Answer:
+def answer(files: Text, displacement_mm: Array) -> ProgramAnswer:
     """Read what a program wrote. Shapes: displacement_mm (n,)."""
     if CURVE_FILE not in files:
         raise NoAnswer("failed", f"the program wrote no {CURVE_FILE}")
@@ -123,7 +123,7 @@ def answer(files: Text, displacement_mm: Array) -> Answer:
 
 def at_points(
     columns: Mapping[str, Array], displacement_mm: Array, facts: Mapping[str, int]
-) -> Answer:
+) -> ProgramAnswer:
     """Curve of some columns at the displacements asked for."""
     # Shapes: columns (m,), MPa; displacement_mm (n,).
     reached, force = _checked(columns, float(displacement_mm[-1]))
@@ -135,7 +135,7 @@ def at_points(
         curve = Curve(displacement_mm, forces, force_gradient=gradient)
     except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
         raise NoAnswer("failed", f"no spline goes through the curve: {error}") from error
-    return Answer(curve, facts.get("dofs", 0), facts.get("elements", 0), tuple(known))
+    return ProgramAnswer(curve, facts.get("dofs", 0), facts.get("elements", 0), tuple(known))
 
 
 def between(knots: Array, values: Array, at: Array) -> Array:
@@ -238,7 +238,7 @@ class PythonFunction:
             ) from error
         return cls(text, version.strip())
 
-    def solve(self, problem: Problem, displacement_mm: Array) -> Answer:
+    def solve(self, problem: Problem, displacement_mm: Array) -> ProgramAnswer:
         """Curve of a problem; whatever the function raises is a case without an answer."""
         import cloudpickle
 

@@ -26,7 +26,7 @@ from study.harness.record.document import (
 )
 from study.harness.record.record import STATUSES, Record
 from study.harness.runner import response
-from study.harness.runner.fit_summary import Predicted, external_curve
+from study.harness.runner.fit_summary import PredictedCurve, external_curve
 from study.harness.runner.job import CaseTask, ScoreTask
 from study.harness.runner.plate_fit import plate_fits
 from study.mechanics.forward import closed_form
@@ -43,7 +43,7 @@ from study.mechanics.setup.setup import Setup, Tables, problem_of
 
 def predicted_markers(
     tables: Tables, constants: Mapping[str, float] | None, label: str, depth_mm: float
-) -> Predicted:
+) -> PredictedCurve:
     """Predict a state of a marked specimen and compare all markers.
 
     Units: constants MPa.
@@ -68,7 +68,7 @@ def predicted_markers(
         "floor_mm": markers.localization_floor(label),
         "fits": [fit.to_json(markers.layers) for fit in fits],
     }
-    found = Predicted.of(solution, time.perf_counter() - began)
+    found = PredictedCurve.of(solution, time.perf_counter() - began)
     return replace(found, markers=document)
 
 
@@ -192,7 +192,7 @@ def _wanted(
     return wanted
 
 
-def _predict(task: CaseTask, direction: ScoreTask) -> Predicted:
+def _predict(task: CaseTask, direction: ScoreTask) -> PredictedCurve:
     """Predicted curve of the scored test with the constants of the fit."""
     fit = direction.fit
     if task.forward == "fit" and fit is not None and fit.prediction is not None:
@@ -209,10 +209,12 @@ def _predict(task: CaseTask, direction: ScoreTask) -> Predicted:
     solution = found.solution
     if solution.status != "converged":
         raise Stopped(solution.status, f"{solution.message} (reached {solution.reached_mm:g} mm)")
-    return Predicted.of(solution, found.cold_seconds)
+    return PredictedCurve.of(solution, found.cold_seconds)
 
 
-def _marked(task: CaseTask, constants: Mapping[str, float] | None, depth_mm: float) -> Predicted:
+def _marked(
+    task: CaseTask, constants: Mapping[str, float] | None, depth_mm: float
+) -> PredictedCurve:
     """Curve of a specimen with markers, and what these say of it."""
     try:
         return predicted_markers(task.tables, constants, str(task.frame.block), depth_mm)
@@ -222,7 +224,7 @@ def _marked(task: CaseTask, constants: Mapping[str, float] | None, depth_mm: flo
 
 def _external(
     tables: Tables, constants: Mapping[str, float] | None, direction: ScoreTask
-) -> Predicted:
+) -> PredictedCurve:
     """Curve of another program, at the measured displacements or at the load steps."""
     if direction.measured is not None:
         at = direction.measured.displacement_mm
@@ -242,7 +244,7 @@ _STEPS = 50
 
 def _closed_form(
     task: CaseTask, constants: Mapping[str, float] | None, direction: ScoreTask
-) -> Predicted:
+) -> PredictedCurve:
     """Curve at the measured displacements, or at the load steps."""
     problem, measured = problem_of(task.tables, constants, direction.depth_mm), direction.measured
     if measured is None:
@@ -250,7 +252,7 @@ def _closed_form(
         found = closed_form.solution(replace(problem, test=test))
         if found.status != "converged":
             raise Stopped(found.status, found.message)
-        return Predicted(found.curve.without_gradients(), solver={"name": found.solver})
+        return PredictedCurve(found.curve.without_gradients(), solver={"name": found.solver})
     setup, material = problem.setup, problem.material
     if measured.time_s is None and response.of_prediction(task.frame.units):
         curve = closed_form.between_rows(setup, material, measured.displacement_mm)
@@ -258,10 +260,10 @@ def _closed_form(
         curve = closed_form.at_rows(setup, material, measured)
     if not np.all(np.isfinite(curve.force_N)):
         raise Stopped("unstable", "the material has no equilibrium state in this range")
-    return Predicted(curve.without_gradients(), solver={"name": "closed form"})
+    return PredictedCurve(curve.without_gradients(), solver={"name": "closed form"})
 
 
-def _step_uncertainty(task: CaseTask, predictions: Sequence[Predicted]) -> dict[str, float]:
+def _step_uncertainty(task: CaseTask, predictions: Sequence[PredictedCurve]) -> dict[str, float]:
     """Return what half the load steps change in every response, as a mean over directions."""
     if External.of(task.tables) is not None:
         each = [response.splined_uncertainty(one.curve, task.frame.units) for one in predictions]
@@ -275,7 +277,7 @@ def _step_uncertainty(task: CaseTask, predictions: Sequence[Predicted]) -> dict[
     return {name: float(np.mean([u[name] for u in each])) for name in known}
 
 
-def _solver(predictions: Sequence[Predicted]) -> SolverDocument:
+def _solver(predictions: Sequence[PredictedCurve]) -> SolverDocument:
     """Facts of the last direction's solver, with the worst energy balance of all directions."""
     every = [prediction.solver for prediction in predictions]
     found: SolverDocument = {**every[-1]}
@@ -290,7 +292,7 @@ def _solver(predictions: Sequence[Predicted]) -> SolverDocument:
     return found
 
 
-def _seconds(task: CaseTask, predictions: Sequence[Predicted]) -> dict[str, float]:
+def _seconds(task: CaseTask, predictions: Sequence[PredictedCurve]) -> dict[str, float]:
     """Add up what this cell would cost alone: its fits (shared or not) and its predictions."""
     fits = [direction.fit for direction in task.directions if direction.fit is not None]
     fitted = sum(fit.seconds + fit.start_seconds for fit in fits)
@@ -341,7 +343,7 @@ def _fits(directions: Sequence[ScoreTask]) -> dict[str, FitDocument] | None:
 
 
 def _curves(
-    predictions: Sequence[Predicted], directions: Sequence[ScoreTask]
+    predictions: Sequence[PredictedCurve], directions: Sequence[ScoreTask]
 ) -> dict[CurveKey, Curve]:
     out: dict[CurveKey, Curve] = {}
     for prediction, direction in zip(predictions, directions, strict=True):

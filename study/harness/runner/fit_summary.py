@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Predicted:
+class PredictedCurve:
     """A predicted curve."""
 
     curve: Curve
@@ -43,7 +43,7 @@ class Predicted:
     markers: MarkerDocument | None = None
 
     @classmethod
-    def of(cls, solution: Solution, seconds: float = 0.0) -> Predicted:
+    def of(cls, solution: Solution, seconds: float = 0.0) -> PredictedCurve:
         """Prediction of a solution, without the gradients that nobody reads from the store."""
         curve = solution.curve.without_gradients()
         return cls(curve, mesh_document(solution), solver_document(solution), seconds)
@@ -53,7 +53,7 @@ class Predicted:
         return {"curve": self.curve.as_dict(), "mesh": self.mesh, "solver": self.solver}
 
     @classmethod
-    def from_json(cls, document: Mapping[str, object]) -> Predicted:
+    def from_json(cls, document: Mapping[str, object]) -> PredictedCurve:
         """Inverse of :meth:`to_json`."""
         return cls(
             Curve.from_dict(cast("Mapping[str, object]", document["curve"])),
@@ -114,7 +114,7 @@ class FitResult:
     #: What is known of it; of a fit without constants its message alone.
     fit: FitDocument
     #: Last solution of an inverse fit of one test: the curve of the final constants.
-    prediction: Predicted | None = None
+    prediction: PredictedCurve | None = None
     #: What the fit took that gave the start.
     start_seconds: float = 0.0
 
@@ -161,7 +161,7 @@ class FitResult:
         return cls(
             str(document["status"]),
             cast(FitDocument, known),
-            Predicted.from_json(document) if "curve" in document else None,
+            PredictedCurve.from_json(document) if "curve" in document else None,
             cast(float, document.get("start_seconds", 0.0)),
         )
 
@@ -290,14 +290,14 @@ class InverseExternal:
         return Curve(grid, curve.force_N[here],
                      force_gradient={k: v[here] for k, v in gradient.items()})  # fmt: skip
 
-    def predicted(self, values: Array) -> Predicted:
+    def predicted(self, values: Array) -> PredictedCurve:
         """Curve at the final constants; solved again where the last one was another."""
         key = np.asarray(values).tobytes()
         solved = self._last[1] if self._last and self._last[0] == key else self._solved(values)
         return predicted_of(solved, self._external)
 
 
-def predicted_of(solved: Solved, external: External) -> Predicted:
+def predicted_of(solved: Solved, external: External) -> PredictedCurve:
     """Prediction of an external forward model, for the record."""
     answer = solved.answer
     solver: SolverDocument = {"name": _name(solved, external)}
@@ -306,7 +306,7 @@ def predicted_of(solved: Solved, external: External) -> Predicted:
     mesh: MeshDocument = {}
     if answer.dofs or answer.elements:
         mesh = {"dofs": answer.dofs, "elements": answer.elements}
-    return Predicted(answer.curve.without_gradients(), mesh, solver, solved.seconds)
+    return PredictedCurve(answer.curve.without_gradients(), mesh, solver, solved.seconds)
 
 
 def _name(solved: Solved, external: External) -> str:
@@ -318,7 +318,7 @@ def _name(solved: Solved, external: External) -> str:
 
 def external_curve(
     tables: Tables, constants: Mapping[str, float] | None, displacement_mm: Array
-) -> Predicted:
+) -> PredictedCurve:
     """Curve of a case by its external forward model.
 
     Shapes: constants MPa; displacement_mm (n,).

@@ -24,11 +24,11 @@ from study.harness.runner.fit_problem import FitProblem
 from study.harness.runner.fit_summary import (
     FitResult,
     InverseExternal,
-    Predicted,
+    PredictedCurve,
     described,
     status_of,
 )
-from study.harness.runner.staged_fit import Checkpoint, Part, Predict, single_stage, staged_fit
+from study.harness.runner.staged_fit import Checkpoint, FitPart, Predict, single_stage, staged_fit
 from study.mechanics.calibration.fit import Fit
 from study.mechanics.calibration.fit_influence import with_serial_correlation
 from study.mechanics.calibration.residual_function import EvaluationFailed, MeasuredCurve
@@ -121,7 +121,7 @@ def fitted(task: FitTask) -> FitResult:
     return FitResult(status_of(done.fit), found, predicted, 0.0 if start is None else start.seconds)
 
 
-def parts_of(task: FitTask) -> list[Part]:
+def parts_of(task: FitTask) -> list[FitPart]:
     """Parts of a fit, each with the measured curves that belong to it."""
     tests = task.problem.tests
     data = [
@@ -129,8 +129,8 @@ def parts_of(task: FitTask) -> list[Part]:
         for k, curve in enumerate(task.measured)
     ]
     if len(tests) == 1:
-        return [Part(*tests[0], tuple(data))]
-    return [Part(*test, (one,)) for test, one in zip(tests, data, strict=True)]
+        return [FitPart(*tests[0], tuple(data))]
+    return [FitPart(*test, (one,)) for test, one in zip(tests, data, strict=True)]
 
 
 def start_values(
@@ -247,11 +247,13 @@ class InverseFem:
         }
         return Curve(grid, base.force_at(grid) + added, force_gradient=gradient)
 
-    def predicted(self, values: Array) -> Predicted | None:
+    def predicted(self, values: Array) -> PredictedCurve | None:
         """Curve at the final constants, with mesh and solver of the last solution."""
         if self._last is None:
             return None
-        return replace(Predicted.of(self._last), curve=self.curves[np.asarray(values).tobytes()])
+        return replace(
+            PredictedCurve.of(self._last), curve=self.curves[np.asarray(values).tobytes()]
+        )
 
 
 def _spline(knots: Array, values: Array, at: Array) -> Array:
@@ -389,11 +391,11 @@ def _random(seed: int, measured: Curve, number: int) -> np.random.Generator:
     return np.random.default_rng([seed, int(name, 16), number])
 
 
-def _curves(part: Part) -> list[Curve]:
+def _curves(part: FitPart) -> list[Curve]:
     return [one.curve for one in part.measured]
 
 
-def _with_forces(parts: Sequence[Part], drawn: Sequence[Curve]) -> list[Part]:
+def _with_forces(parts: Sequence[FitPart], drawn: Sequence[Curve]) -> list[FitPart]:
     """Put resampled curves, in order, in place of the measured ones."""
     left = iter(drawn)
     return [

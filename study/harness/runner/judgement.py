@@ -13,9 +13,9 @@ from study.harness.runner.refinement import (
     QUANTITIES,
     Budget,
     FormalOrder,
-    Level,
+    MeshLevel,
     Outlook,
-    Series,
+    RefinementSeries,
     curve_values,
     quantity,
     representative_sizes,
@@ -171,7 +171,7 @@ def within(results: Mapping[str, ConvergenceResult], accuracy: float) -> dict[st
 
 
 def outlook(
-    levels: Sequence[Level], setup: Setup, wanted: float | None, formal: float | None
+    levels: Sequence[MeshLevel], setup: Setup, wanted: float | None, formal: float | None
 ) -> Outlook:
     """Whether every quantity has the accuracy that its problem asks for, else the size it takes."""
     kept, _ = usable(levels)
@@ -190,13 +190,13 @@ def series_of(
     formal: FormalOrder,
     budget: Budget | None = None,
     levels_of: Mapping[str, str] | None = None,
-) -> Series:
+) -> RefinementSeries:
     """Make the series of a problem, from its own mesh size."""
     from study.mechanics.mesh.mesher import mesh_size
 
     first = float(mesh_size(problem_of(tables).setup))
     seen = partial(outlook, setup=Setup.of(tables), wanted=spec.tolerance, formal=formal.order)
-    return Series(tables, spec, first, budget or Budget(), seen, levels_of or {})
+    return RefinementSeries(tables, spec, first, budget or Budget(), seen, levels_of or {})
 
 
 @dataclass(frozen=True)
@@ -224,7 +224,7 @@ class SeriesJudgement:
     #: The mesh as it was asked for.
     given: GivenMesh | None = None
     #: Every mesh of a problem, the finest first, and why no further one was solved.
-    meshes: tuple[Level, ...] = ()
+    meshes: tuple[MeshLevel, ...] = ()
     stopped: str = ""
     #: Errors of mesh, load steps and solver side by side.
     sources: tuple[ErrorSource, ...] = ()
@@ -275,7 +275,9 @@ class SeriesJudgement:
         }
 
 
-def judge(series: Series, formal: FormalOrder, tolerance: float | None = None) -> SeriesJudgement:
+def judge(
+    series: RefinementSeries, formal: FormalOrder, tolerance: float | None = None
+) -> SeriesJudgement:
     """Judge the series of a problem."""
     function, unit = quantity(series.spec.qoi)
     kept, said = usable(series.levels)
@@ -312,7 +314,9 @@ def judge(series: Series, formal: FormalOrder, tolerance: float | None = None) -
     return replace(found, given=replace(given, mesh_size=coarsest.mesh_size_mm))
 
 
-def with_sources(found: SeriesJudgement, series: Series, solve: Solver) -> SeriesJudgement:
+def with_sources(
+    found: SeriesJudgement, series: RefinementSeries, solve: Solver
+) -> SeriesJudgement:
     """Add the errors of load steps and solver on the coarsest mesh to those of the meshes."""
     rows, said = other_sources(series.tables, series.good[0].mesh_size_mm, solve)
     table = one_table(found.quantities, rows)

@@ -92,7 +92,7 @@ class PlannedMesh:
 
 
 @dataclass(frozen=True)
-class Level:
+class MeshLevel:
     """One mesh of a series: what was predicted and what came out."""
 
     mesh_size_mm: float
@@ -157,7 +157,7 @@ class Outlook:
 
 
 @dataclass
-class Series:
+class RefinementSeries:
     """Refinement of one problem, coarse to fine."""
 
     tables: Tables
@@ -167,10 +167,10 @@ class Series:
     first_mm: float
     budget: Budget
     #: What its meshes so far say.
-    outlook: Callable[[Sequence[Level]], Outlook]
+    outlook: Callable[[Sequence[MeshLevel]], Outlook]
     #: Levels of the factors, where the problem is a cell.
     levels_of: Mapping[str, str] = field(default_factory=dict)
-    levels: list[Level] = field(default_factory=list)
+    levels: list[MeshLevel] = field(default_factory=list)
     stopped: str = ""
 
     @cached_property
@@ -179,7 +179,7 @@ class Series:
         return Setup.of(self.tables)
 
     @property
-    def good(self) -> list[Level]:
+    def good(self) -> list[MeshLevel]:
         """Meshes with an answer."""
         return [level for level in self.levels if level.converged]
 
@@ -193,7 +193,7 @@ class Series:
 
     def add(self, step: PlannedMesh, found: SolveResult) -> None:
         """Take a solution."""
-        self.levels.append(Level(step.mesh_size_mm, found, step.predicted))
+        self.levels.append(MeshLevel(step.mesh_size_mm, found, step.predicted))
 
     def _end(self) -> str:
         """Why no further mesh is solved; empty while one is wanted."""
@@ -328,7 +328,7 @@ def quantity(name: str) -> tuple[Callable[[Curve], float], str]:
     return QUANTITIES[name]
 
 
-def curve_values(levels: Sequence[Level]) -> dict[str, tuple[list[float], str]]:
+def curve_values(levels: Sequence[MeshLevel]) -> dict[str, tuple[list[float], str]]:
     """Every quantity of the curves of a series, in the order of the meshes."""
     return {
         name: ([function(level.curve) for level in levels], unit)
@@ -506,9 +506,9 @@ def _in_mind(job: CaseJob) -> Problem:
 # Meshes of a series that can be judged, and the sizes by which they are.
 
 
-def usable(levels: Sequence[Level]) -> tuple[list[Level], list[str]]:
+def usable(levels: Sequence[MeshLevel]) -> tuple[list[MeshLevel], list[str]]:
     """Meshes with an answer and with elements of their own, and what is wrong with the others."""
-    kept: list[Level] = []
+    kept: list[MeshLevel] = []
     said = [
         f"the mesh of {level.mesh_size_mm:.4g} mm gave no answer: {level.result.message}"
         for level in levels
@@ -529,7 +529,7 @@ def usable(levels: Sequence[Level]) -> tuple[list[Level], list[str]]:
     return kept, said
 
 
-def representative_sizes(levels: Sequence[Level], setup: Setup) -> list[float]:
+def representative_sizes(levels: Sequence[MeshLevel], setup: Setup) -> list[float]:
     """Sizes of solved meshes, scaled to the finest mesh's own size."""
     sizes = [level.mesh_size_mm for level in levels]
     return series_sizes(sizes, [level.elements for level in levels], setup)

@@ -23,7 +23,7 @@ SPACES = ("axisymmetric", "3d")
 
 
 @dataclass(frozen=True)
-class Pair:
+class SpacePair:
     """One kind of element on its finest mesh: tasks of two solutions, in the order of SPACES."""
 
     #: Levels of the factors of the discretization, space left out.
@@ -31,13 +31,13 @@ class Pair:
     tasks: tuple[SolveTask, SolveTask]
 
 
-def pairs(work: Work, records: Mapping[str, Record]) -> list[Pair]:
+def pairs(work: Work, records: Mapping[str, Record]) -> list[SpacePair]:
     """List what to solve for a study that holds both spaces and a block; empty elsewhere."""
     known = [job for job in in_blocks(work) if _constants(records.get(job.case.case_id))]
     found = []
     for levels, chosen in _chosen(known):
         first, second = (_task(job, _constants(records[job.case.case_id])) for job in chosen)
-        found.append(Pair(levels, (first, second)))
+        found.append(SpacePair(levels, (first, second)))
     return found
 
 
@@ -133,7 +133,7 @@ class SpaceComparison:
     message: str = ""
 
 
-def compared(pair: Pair, flat: SolveResult, solid: SolveResult) -> SpaceComparison:
+def compared(pair: SpacePair, flat: SolveResult, solid: SolveResult) -> SpaceComparison:
     """Compare the forces of the two spaces."""
     row = SpaceComparison(
         pair.levels,

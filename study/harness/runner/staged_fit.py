@@ -149,7 +149,7 @@ _FEW = 4.0
 
 
 @dataclass(frozen=True)
-class Part:
+class FitPart:
     """One test of a fit: how it is predicted, and the curves measured in it."""
 
     method: str
@@ -159,7 +159,7 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Step:
+class FitStep:
     """An accepted iteration of a stage; what a progress line shows."""
 
     stage: str
@@ -167,7 +167,7 @@ class Step:
     iteration: Iteration
 
 
-Progress = Callable[[Step], None]
+Progress = Callable[[FitStep], None]
 
 #: method, tables, measured curves and names -> model
 MakeModel = Callable[[str, Tables, Sequence[Curve], Sequence[str]], Predict]
@@ -199,7 +199,7 @@ class Staged:
 
 
 def staged_fit(
-    parts: Sequence[Part],
+    parts: Sequence[FitPart],
     names: tuple[str, ...],
     start: Array,
     make: MakeModel,
@@ -235,7 +235,7 @@ def staged_fit(
 
 def begun_stage(
     stage: str,
-    parts: Sequence[Part],
+    parts: Sequence[FitPart],
     names: tuple[str, ...],
     starts: Sequence[Start],
     make: MakeModel,
@@ -274,7 +274,7 @@ def _told(stage: str, tried: Sequence[Start], in_vain: bool) -> str:
 
 def single_stage(
     stage: str,
-    parts: Sequence[Part],
+    parts: Sequence[FitPart],
     names: tuple[str, ...],
     start: Array,
     make: MakeModel,
@@ -291,7 +291,7 @@ def single_stage(
     def accepted(iteration: Iteration) -> None:
         checkpoint.keep(stage, iteration)
         if progress is not None:
-            progress(Step(stage, names, iteration))
+            progress(FitStep(stage, names, iteration))
 
     resume = checkpoint.last(stage)
     if resume is not None:
@@ -315,7 +315,7 @@ def single_stage(
     return Staged(found, tuple(models))
 
 
-def cheaper(part: Part) -> Part | None:
+def cheaper(part: FitPart) -> FitPart | None:
     """Make the same part axisymmetric, or on a coarse mesh; None where nothing is cheaper."""
     if part.method != "inverse-fem":
         return None

@@ -33,7 +33,7 @@ class Input(TypedDict):
     log: bool
 
 
-class Part(TypedDict):
+class SurfacePart(TypedDict):
     """A sum of weights times correlations with points of the unit box."""
 
     kernel: str
@@ -60,7 +60,7 @@ class SurfaceFunction:
     #: What is added to all sums, in the response's unit.
     constant: float
     #: Of an emulator, one a block.
-    parts: tuple[Part, ...]
+    parts: tuple[SurfacePart, ...]
     products: tuple[Product, ...]
     #: Largest half width of the 95 % intervals in the ranges, in the response's unit.
     bound: float
@@ -147,7 +147,7 @@ def surface_function(study_name: str, one: FittedSurface) -> SurfaceFunction:
     return SurfaceFunction(name, one, inputs, constant, tuple(p for _, p in made), (), bound)
 
 
-def _part(emulator: Emulator, blocks: int) -> tuple[float, Part]:
+def _part(emulator: Emulator, blocks: int) -> tuple[float, SurfacePart]:
     """Level and weights of a process, over the number of blocks."""
     process = emulator.process
     kernel = process.found.kernel
@@ -156,7 +156,7 @@ def _part(emulator: Emulator, blocks: int) -> tuple[float, Part]:
     if kernel.categories is not None:
         weights = weights * kernel.categories.matrix[own, kernel.combination(process.x)]
     scale = emulator.scale / blocks
-    part = Part(
+    part = SurfacePart(
         kernel=kernel.family,
         lengths=kernel.lengths.tolist(),
         points=kernel.numbers(process.x).tolist(),

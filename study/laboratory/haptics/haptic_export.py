@@ -24,7 +24,7 @@ from study.laboratory.haptics.tabulated_force import (
     ConstantRange,
     ForceLaw,
     HeldOut,
-    Table,
+    TabulatedFunction,
     force_table,
     gradient_table,
 )
@@ -127,7 +127,7 @@ def document(law: ForceLaw) -> dict[str, object]:
     }
 
 
-def _table(table: Table) -> dict[str, list[float]]:
+def _table(table: TabulatedFunction) -> dict[str, list[float]]:
     return {"value": table.values.tolist(), "slope_per_mm": table.slopes.tolist()}
 
 

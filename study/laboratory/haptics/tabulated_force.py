@@ -67,7 +67,7 @@ def is_monotone(chords: Array, slopes: Array) -> NDArray[np.bool_]:
 
 
 @dataclass(frozen=True)
-class Table:
+class TabulatedFunction:
     """A function tabulated at evenly spaced displacements from 0, with its slopes.
 
     Between two of them it is the cubic with their values and slopes, so that it is smooth (C1).
@@ -159,9 +159,9 @@ class ForceLaw:
 
     name: str
     #: N over mm, monotone where the simulation is.
-    force: Table
+    force: TabulatedFunction
     #: dF/dconstant, N per MPa (N for a plain exponent).
-    gradients: Mapping[str, Table]
+    gradients: Mapping[str, TabulatedFunction]
     #: Those of the table, MPa (exponents plain).
     constants: Mapping[str, float]
     #: Knots at which the slope is smaller than that of the simulation.
@@ -217,12 +217,12 @@ class ForceLaw:
         return np.asarray(np.sqrt(np.maximum(square, 0.0)))
 
 
-def force_table(step_mm: float, force_N: Array, stiffness_N_per_mm: Array) -> Table:  # noqa: N803
+def force_table(step_mm: float, force_N: Array, stiffness_N_per_mm: Array) -> TabulatedFunction:  # noqa: N803
     """Tabulate a force, its slopes limited where it would not be monotone."""
     # Shapes: force_N, stiffness_N_per_mm (n + 1,).
     slopes = np.r_[_first_slope(force_N, stiffness_N_per_mm), stiffness_N_per_mm[1:]]
     knots = np.asarray(step_mm * np.arange(force_N.size), float)
-    return Table(step_mm, force_N, monotone_slopes(knots, force_N, slopes))
+    return TabulatedFunction(step_mm, force_N, monotone_slopes(knots, force_N, slopes))
 
 
 def _first_slope(force: Array, slopes: Array) -> float:
@@ -230,12 +230,12 @@ def _first_slope(force: Array, slopes: Array) -> float:
     return max(float(slopes[0]), 0.0) if force[1] >= 0 else min(float(slopes[0]), 0.0)
 
 
-def gradient_table(step_mm: float, gradient: Array) -> Table:
+def gradient_table(step_mm: float, gradient: Array) -> TabulatedFunction:
     """Tabulate a derivative by a constant; its slopes are those of the spline through it."""
     # Shapes: gradient (n + 1,).
     from scipy.interpolate import CubicSpline
 
     knots = step_mm * np.arange(gradient.size)
     if gradient.size < 4:  # as many as a cubic has coefficients
-        return Table(step_mm, gradient, np.gradient(gradient, knots))
-    return Table(step_mm, gradient, np.asarray(CubicSpline(knots, gradient)(knots, 1)))
+        return TabulatedFunction(step_mm, gradient, np.gradient(gradient, knots))
+    return TabulatedFunction(step_mm, gradient, np.asarray(CubicSpline(knots, gradient)(knots, 1)))

@@ -23,7 +23,7 @@ LIMIT = 1.959963984540054
 
 
 @dataclass(frozen=True)
-class Agreement:
+class MethodAgreement:
     """Differences of two methods."""
 
     bias: float
@@ -45,7 +45,7 @@ class Agreement:
 
 def limits_of_agreement(
     first: Array, second: Array, alpha: float = 0.05, where: str = "agreement"
-) -> Agreement:
+) -> MethodAgreement:
     """Bias and limits of agreement of ``first - second``. Shapes: first, second (n,)."""
     from scipy.stats import linregress, nct, t
 
@@ -61,7 +61,7 @@ def limits_of_agreement(
     mean = (first + second) / 2
     varies = bool(np.ptp(mean) > 0) and sd > 0
     slope = linregress(mean, difference) if varies else None
-    return Agreement(
+    return MethodAgreement(
         bias=bias,
         bias_interval=(bias - half, bias + half),
         sd=sd,
@@ -80,7 +80,7 @@ FEWEST_POINTS = 4
 
 
 @dataclass(frozen=True)
-class Line:
+class DemingLine:
     """Line ``y = offset + scale x`` with its uncertainty."""
 
     #: Slope, and value at x = 0 in the unit of y.
@@ -98,7 +98,7 @@ class Line:
 
 def deming_line(
     x: Array, y: Array, variance_ratio: float, alpha: float = 0.05, where: str = "regression"
-) -> Line:
+) -> DemingLine:
     """Line between two quantities that both have errors. Shapes: x, y (n,)."""
     from scipy.stats import t
 
@@ -119,7 +119,7 @@ def deming_line(
     errors = pseudo.std(axis=0, ddof=1) / np.sqrt(n)
     half = float(t.ppf(1 - alpha / 2, n - 2)) * errors
     residual = y - offset - scale * x
-    return Line(
+    return DemingLine(
         scale=scale,
         offset=offset,
         scale_uncertainty=float(errors[1]),

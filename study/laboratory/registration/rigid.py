@@ -293,7 +293,7 @@ LARGEST_UNCERTAINTY = 0.5
 
 
 @dataclass(frozen=True)
-class Sphere:
+class FittedSphere:
     """Sphere with the uncertainty of its center and radius."""
 
     #: shape (3,); center, mm.
@@ -334,7 +334,7 @@ class Sphere:
         }
 
 
-def fit_sphere(points: Array, where: str = "sphere") -> Sphere:
+def fit_sphere(points: Array, where: str = "sphere") -> FittedSphere:
     """Sphere through scanned points, with its uncertainty. Shapes: points (n, 3), mm."""
     if len(points) < FEWEST_SPHERE_POINTS:
         rule = f"has {len(points)} points, a sphere needs {FEWEST_SPHERE_POINTS}"
@@ -453,13 +453,13 @@ def _distances(points: Array, values: Array) -> tuple[Array, Array]:
     return length - values[3], slope
 
 
-def _described(points: Array, values: Array, scale: float) -> Sphere:
+def _described(points: Array, values: Array, scale: float) -> FittedSphere:
     residual, slope = _distances(points, values)
     weight = biweight(residual / scale)
     directions = -slope[weight > 0, :3]
     mean = directions.mean(axis=0)
     axis = mean / max(float(np.linalg.norm(mean)), 1e-300)
-    return Sphere(
+    return FittedSphere(
         center=values[:3].copy(),
         radius_mm=float(values[3]),
         covariance=sandwich(slope, residual, scale),

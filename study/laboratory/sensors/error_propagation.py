@@ -37,7 +37,7 @@ UNLIMITED = 1e6
 
 
 @dataclass(frozen=True)
-class ErrorSource:
+class SensorErrorSource:
     """One error of one sensor."""
 
     #: ``position`` or ``force``; ``offset``, ``zero``, ``scale`` or ``noise``.
@@ -54,22 +54,22 @@ class ErrorSource:
 
 def sources_of(
     position: PositionAccuracy, force: ForceAccuracy, at: ForceAt, displacement_mm: Array
-) -> tuple[ErrorSource, ...]:
+) -> tuple[SensorErrorSource, ...]:
     """List all errors of both sensors, with what they do to the rows of a test."""
     # Shapes: displacement_mm (n,).
     slope, ones = at.stiffness_N_per_mm, np.ones(displacement_mm.size)
     return (
-        ErrorSource("position", "offset", "mm", position.offset_mm, -slope, True),
-        ErrorSource("position", "scale", "", position.scale, -slope * displacement_mm, True),
-        ErrorSource("position", "noise", "mm", position.noise_mm, -slope, False),
-        ErrorSource("force", "zero", "N", force.zero_N, ones, True),
-        ErrorSource("force", "scale", "", force.scale, at.force_N, True),
-        ErrorSource("force", "noise", "N", force.noise_N, ones, False),
+        SensorErrorSource("position", "offset", "mm", position.offset_mm, -slope, True),
+        SensorErrorSource("position", "scale", "", position.scale, -slope * displacement_mm, True),
+        SensorErrorSource("position", "noise", "mm", position.noise_mm, -slope, False),
+        SensorErrorSource("force", "zero", "N", force.zero_N, ones, True),
+        SensorErrorSource("force", "scale", "", force.scale, at.force_N, True),
+        SensorErrorSource("force", "noise", "N", force.noise_N, ones, False),
     )
 
 
 @dataclass(frozen=True)
-class Quantity:
+class PropagatedQuantity:
     """A constant, or the force that is predicted with the constants."""
 
     #: Unit of ``value``: MPa, N, or empty.
@@ -119,17 +119,17 @@ class Quantity:
 class Propagation:
     """Constants and predicted force, to first order of the errors."""
 
-    sources: tuple[ErrorSource, ...]
-    constants: tuple[Quantity, ...]
+    sources: tuple[SensorErrorSource, ...]
+    constants: tuple[PropagatedQuantity, ...]
     #: Predicted at the end of the predicted test.
-    force: Quantity
+    force: PropagatedQuantity
     #: shape (p, n); change of the constants by that of every row.
     pseudo_inverse: Array
     #: shape (p,); change of the predicted force by the constants.
     gradient: Array
 
     @property
-    def worst(self) -> Quantity:
+    def worst(self) -> PropagatedQuantity:
         """Constant with the largest relative uncertainty."""
         return max(self.constants, key=lambda one: one.relative)
 
@@ -139,7 +139,7 @@ def propagate(
     values: Array,
     units: Sequence[str],
     at: ForceAt,
-    sources: tuple[ErrorSource, ...],
+    sources: tuple[SensorErrorSource, ...],
     predicted: ForceAt,
 ) -> Propagation:
     """Propagate sensor errors to the constants of an unweighted fit, and to a predicted force."""
@@ -160,10 +160,12 @@ def propagate(
     return Propagation(
         sources,
         tuple(
-            Quantity(name, unit, float(value), np.sqrt(variance[:, k]), given, of_position)
+            PropagatedQuantity(
+                name, unit, float(value), np.sqrt(variance[:, k]), given, of_position
+            )
             for k, (name, value, unit) in enumerate(zip(names, values, units, strict=True))
         ),
-        Quantity(
+        PropagatedQuantity(
             "force",
             "N",
             float(predicted.force_N[0]),
@@ -176,7 +178,7 @@ def propagate(
     )
 
 
-def _covariance_root(pseudo_inverse: Array, source: ErrorSource) -> Array:
+def _covariance_root(pseudo_inverse: Array, source: SensorErrorSource) -> Array:
     """Root of the constants' covariance by one unit of a source, shape (p, n)."""
     # A shared error has one column and is filled up with zeros.
     moved = pseudo_inverse * source.response
@@ -322,7 +324,7 @@ def _simulation(
     return Simulation(multiple, samples, samples - answered, scatters, message)
 
 
-def _scatter(one: Quantity, fitted: Array, linear: Array, multiple: float) -> Scatter:
+def _scatter(one: PropagatedQuantity, fitted: Array, linear: Array, multiple: float) -> Scatter:
     """Compare the scatter of changes with that of first order from the same errors."""
     ratios = _without_each(fitted) / _without_each(linear)
     ratio = float(np.std(fitted, ddof=1) / np.std(linear, ddof=1))

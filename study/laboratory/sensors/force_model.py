@@ -17,7 +17,7 @@ from study.ground.errors import Fault, InputError
 from study.harness.design import diagnostics
 from study.harness.design.diagnostics import Faults, read_table
 from study.harness.design.load import default_name, loads_problem
-from study.harness.design.study_file import Study
+from study.harness.design.study_file import StudyTable
 from study.mechanics.calibration.residual_function import EvaluationFailed
 from study.mechanics.forward import finite_element
 from study.mechanics.forward.closed_form import height_and_area
@@ -338,7 +338,7 @@ def load_requirement(path: str | Path, overrides: Sequence[str] = ()) -> Require
     predicted = _predicted(tables, own["predict"], source, rest, found) if fitted else None
     if found or fitted is None or predicted is None:
         raise InputError(dict.fromkeys(found))
-    study = read_table(Study, tables.get("study", {}), "study", Faults())
+    study = read_table(StudyTable, tables.get("study", {}), "study", Faults())
     name = study.name or default_name(source)
     return RequirementFile(
         name, study.question, study.seed, fitted, predicted, position, force, asked

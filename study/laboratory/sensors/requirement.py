@@ -11,9 +11,9 @@ import numpy as np
 from study.ground.arrays import Array
 from study.ground.errors import Fault, InputError
 from study.laboratory.sensors.error_propagation import (
-    ErrorSource,
+    PropagatedQuantity,
     Propagation,
-    Quantity,
+    SensorErrorSource,
     Simulation,
     propagate,
     simulate,
@@ -52,7 +52,7 @@ class SensorRequirement:
         return self.accuracy / self.coverage
 
     @property
-    def quantities(self) -> tuple[Quantity, ...]:
+    def quantities(self) -> tuple[PropagatedQuantity, ...]:
         """Constants and the predicted force."""
         return (*self.propagation.constants, self.propagation.force)
 
@@ -180,7 +180,7 @@ def percent(share: float) -> str:
     return f"{100 * share:.3g} %"
 
 
-def size(source: ErrorSource, value: float) -> str:
+def size(source: SensorErrorSource, value: float) -> str:
     """Write an error with its unit. Units: source mm."""
     if math.isinf(value):
         return "any"
@@ -219,7 +219,9 @@ def _allowed(found: SensorRequirement) -> Sequence[tuple[float, float]]:
     return [found.allowed(k) for k in range(len(found.propagation.sources))]
 
 
-def _quantity(one: Quantity, sources: Sequence[ErrorSource], coverage: float) -> dict[str, object]:
+def _quantity(
+    one: PropagatedQuantity, sources: Sequence[SensorErrorSource], coverage: float
+) -> dict[str, object]:
     factor = 1e3 if one.unit == "MPa" else 1.0
     return {
         "name": one.name,

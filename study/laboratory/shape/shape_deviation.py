@@ -131,7 +131,7 @@ class ShapeDeviation:
 
 
 @dataclass(frozen=True)
-class Options:
+class ShapeOptions:
     """How a scan is compared."""
 
     #: Whether the scan is moved onto the surface; else the frames agree already.
@@ -141,7 +141,7 @@ class Options:
 
 
 def judge_shape(
-    name: str, body: SimulatedBody, scan: Scan, markers: Markers | None, options: Options
+    name: str, body: SimulatedBody, scan: Scan, markers: Markers | None, options: ShapeOptions
 ) -> ShapeDeviation:
     """Compare a simulated body with a scan of the real one."""
     surface, registration, motion = body.deformed, None, identity()

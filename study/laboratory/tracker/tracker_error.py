@@ -17,12 +17,17 @@ from study.ground.canonical import plain
 from study.ground.errors import Fault, InputError
 from study.ground.tabular import read_csv
 from study.ground.units import unit_factor
-from study.laboratory.registration.deming import Agreement, Line, deming_line, limits_of_agreement
-from study.laboratory.registration.rigid import Sphere, fit_sphere
+from study.laboratory.registration.deming import (
+    DemingLine,
+    MethodAgreement,
+    deming_line,
+    limits_of_agreement,
+)
+from study.laboratory.registration.rigid import FittedSphere, fit_sphere
 from study.laboratory.tracker.tracker_recording import (
     DisplacementTable,
     DistanceTable,
-    Recording,
+    TrackerRecording,
     TrackingFile,
     Visit,
     coordinates,
@@ -54,12 +59,12 @@ class DisplacementResult:
     commanded_mm: Array
     measured_mm: Array
     #: Regression of measured on commanded displacement: scale and offset (mm).
-    line: Line
+    line: DemingLine
     #: Distances of the stops from the straight line through them.
     straightness_rms_mm: float
     straightness_max_mm: float
     #: Measured less commanded displacement, mm.
-    agreement: Agreement
+    agreement: MethodAgreement
     #: Standard deviation of stops at the same position; None where none repeats.
     repeatability_mm: float | None
     #: Standard uncertainty of the home position, which every displacement shares: it is in the
@@ -71,7 +76,7 @@ class DisplacementResult:
 
 
 def analyze_displacement(
-    declared: DisplacementTable, recording: Recording, alpha: float
+    declared: DisplacementTable, recording: TrackerRecording, alpha: float
 ) -> DisplacementResult:
     """Judge how a tracker follows a commanded displacement."""
     commanded = unit_factor(declared.unit, "length") * recording.table.numbers(declared.commanded)
@@ -206,7 +211,7 @@ class Standard:
     distance_mm: float
     uncertainty_mm: float
     #: Spheres from whose centers it comes; empty where it was given.
-    spheres: tuple[Sphere, ...] = ()
+    spheres: tuple[FittedSphere, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -233,7 +238,7 @@ class DistanceResult:
 
 
 def analyze_distance(
-    declared: DistanceTable, recording: Recording, root: Path, alpha: float
+    declared: DistanceTable, recording: TrackerRecording, root: Path, alpha: float
 ) -> DistanceResult:
     """Judge the distance between two markers."""
     first, second = (recording.positions[m] for m in declared.markers)
@@ -283,7 +288,7 @@ def _check_unit(seen: float, standard: Standard) -> None:
         raise InputError(Fault("recording.unit", rule, mend))
 
 
-def _stage(recording: Recording, samples: Array, stage: str, alpha: float) -> StageDistance:
+def _stage(recording: TrackerRecording, samples: Array, stage: str, alpha: float) -> StageDistance:
     from scipy.stats import t
 
     parts = [samples[visit.rows] for visit in recording.visits_of(stage)]
@@ -311,7 +316,7 @@ def _stage(recording: Recording, samples: Array, stage: str, alpha: float) -> St
 
 
 def _compared(
-    recording: Recording, means: Array, practical: float | None, alpha: float
+    recording: TrackerRecording, means: Array, practical: float | None, alpha: float
 ) -> tuple[AnalysisResult | None, str]:
     """Analysis of variance of the visit means with the stage as factor."""
     import pandas as pd
@@ -341,7 +346,7 @@ def _compared(
     return analyze(table, request), "stages are compared against the scatter between visits"
 
 
-def _drift(recording: Recording, samples: Array, means: Array, alpha: float) -> Drift | None:
+def _drift(recording: TrackerRecording, samples: Array, means: Array, alpha: float) -> Drift | None:
     """Slope over time of visit means less their stage's mean, or of blocks of one visit."""
     place = np.arange(len(samples)) / 1000 if recording.time_s is None else recording.time_s / 3600
     unit = "mm per 1000 samples" if recording.time_s is None else "mm/h"
@@ -388,7 +393,7 @@ def _blocks(visit: Visit, samples: Array) -> tuple[Visit, ...]:
 
 
 def _bias(
-    recording: Recording, means: Array, standard: Standard | None, alpha: float
+    recording: TrackerRecording, means: Array, standard: Standard | None, alpha: float
 ) -> tuple[float | None, tuple[float, float] | None]:
     """Compare the mean over visits with the standard; give the interval that visits tell."""
     from scipy.stats import t

@@ -247,7 +247,7 @@ class Visit:
 
 
 @dataclass(frozen=True)
-class Recording:
+class TrackerRecording:
     """Positions of markers, sample by sample."""
 
     #: shape (n, 3); of every marker, mm.
@@ -268,7 +268,7 @@ class Recording:
         return tuple(visit for visit in self.visits if visit.stage == stage)
 
 
-def read_recording(declared: RecordingTable, root: Path) -> Recording:
+def read_recording(declared: RecordingTable, root: Path) -> TrackerRecording:
     """Read what a tracker wrote."""
     columns = [c for triple in declared.markers.values() for c in triple]
     columns += [c for c in (declared.time, declared.stage) if c]
@@ -292,7 +292,7 @@ def read_recording(declared: RecordingTable, root: Path) -> Recording:
             mend = "sort the rows by time; was the clock set, or were two recordings joined?"
             raise InputError(Fault(f"{table.source}:{table.lines[first]}", rule, mend))
     labels = table.text(declared.stage) if declared.stage else (WHOLE,) * len(table.lines)
-    return Recording(positions, time, visits_to(labels), table)
+    return TrackerRecording(positions, time, visits_to(labels), table)
 
 
 def coordinates(table: CsvTable, columns: Triple) -> Array:

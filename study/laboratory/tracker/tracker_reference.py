@@ -26,7 +26,7 @@ from study.laboratory.registration.rigid import (
     rotation_vector,
     target_registration_error,
 )
-from study.laboratory.tracker.tracker_recording import Recording, ReferenceTable, coordinates
+from study.laboratory.tracker.tracker_recording import ReferenceTable, TrackerRecording, coordinates
 
 #: Scale between both sets beyond which one is in another unit.
 UNIT_RATIO = 2.0
@@ -84,7 +84,7 @@ class ReferenceResult:
 
 
 def analyze_reference(
-    declared: ReferenceTable, recording: Recording, root: Path
+    declared: ReferenceTable, recording: TrackerRecording, root: Path
 ) -> ReferenceResult:
     """Judge a tracker by a reference that measured the same poses."""
     wanted = [declared.stage, *declared.position, *(c for t in declared.axes or () for c in t)]
@@ -140,7 +140,7 @@ def analyze_reference(
 
 
 def _paired(
-    declared: ReferenceTable, recording: Recording, table: CsvTable
+    declared: ReferenceTable, recording: TrackerRecording, table: CsvTable
 ) -> tuple[tuple[str, ...], list[int]]:
     """Poses of both, and the row of each in the reference's table."""
     labels, poses = table.text(declared.stage), recording.stages

@@ -71,7 +71,7 @@ class Errors:
 
 
 @dataclass(frozen=True)
-class Sample:
+class TrackerSample:
     """One row of a recording: time, stage, commanded position and places of markers, mm."""
 
     time_s: float
@@ -108,7 +108,7 @@ def write_recording(declared: TrackingFile, out: Path, errors: Errors | None = N
     return [_write(out / name, text) for name, text in texts.items()]
 
 
-def recorded(errors: Errors, markers: int, apart_mm: float) -> Iterator[Sample]:
+def recorded(errors: Errors, markers: int, apart_mm: float) -> Iterator[TrackerSample]:
     """Give samples in their order.
 
     Shapes: returns (markers, 3).
@@ -131,11 +131,15 @@ def recorded(errors: Errors, markers: int, apart_mm: float) -> Iterator[Sample]:
                 spots = along + np.arange(markers) * (apart_mm + wrong)
                 for _ in range(errors.samples):
                     noise = errors.correlation * noise + fresh * random.standard_normal(noise.shape)
-                    yield Sample(time, stage, told, _HOME_MM + spots[:, None] * _AXIS + noise)
+                    yield TrackerSample(
+                        time, stage, told, _HOME_MM + spots[:, None] * _AXIS + noise
+                    )
                     time += errors.interval_s
 
 
-def _recording(declared: TrackingFile, recording: RecordingTable, samples: Sequence[Sample]) -> str:
+def _recording(
+    declared: TrackingFile, recording: RecordingTable, samples: Sequence[TrackerSample]
+) -> str:
     """CSV of the recording, with the columns that the file names."""
     moved, mark = declared.displacement, recording.decimal
     columns = [name for name in (recording.time, recording.stage) if name]

@@ -176,7 +176,7 @@ def _effect(
 
 
 @dataclass(frozen=True)
-class Profile:
+class LikelihoodProfile:
     """Smallest sum of squares for given values of one constant."""
 
     name: str
@@ -196,7 +196,7 @@ def profile(
     name: str,
     *,
     bounds: Sequence[tuple[float, float]] | None = None,
-) -> Profile:
+) -> LikelihoodProfile:
     """Profile-likelihood interval at 95 % of one constant (Bates and Watts 1988, sec. 6.1)."""
     index = result.names.index(name)
     error = float(result.standard_error[index])
@@ -213,7 +213,7 @@ def profile(
         sides.append(_crossing(rss_at, float(result.values[index]), sign * error, limit))
     order = sorted(tried)
     rss = np.array([tried[v] for v in order])
-    return Profile(name, np.array(order), rss, (sides[0], sides[1]))
+    return LikelihoodProfile(name, np.array(order), rss, (sides[0], sides[1]))
 
 
 def _profiled(

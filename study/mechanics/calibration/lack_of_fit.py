@@ -53,7 +53,7 @@ class LackOfFit:
 
 
 @dataclass(frozen=True)
-class Pattern:
+class ResidualPattern:
     """Order in the residuals along the curves."""
 
     #: Correlation of neighboring residuals; near 0 where only noise is left.
@@ -83,7 +83,7 @@ def lack_of_fit(curves: Sequence[Repeated], parameters: int) -> LackOfFit | None
     return LackOfFit(statistic, df, df_error, many, few, clear if agree else "undecided")
 
 
-def pattern(residuals: Sequence[Array]) -> Pattern | None:
+def pattern(residuals: Sequence[Array]) -> ResidualPattern | None:
     """Pattern of the residuals along each curve; None below eight points."""
     kept = [r for r in residuals if r.size > 1]
     n = sum(r.size for r in kept)
@@ -97,7 +97,7 @@ def pattern(residuals: Sequence[Array]) -> Pattern | None:
     from scipy.special import erfc
 
     p = float(erfc(abs(runs - expected) / math.sqrt(2 * variance))) if variance > 0 else math.nan
-    return Pattern(lag1, runs, expected, p)
+    return ResidualPattern(lag1, runs, expected, p)
 
 
 def _runs_expected(above: Sequence[NDArray[np.bool_]]) -> tuple[float, float]:
@@ -159,7 +159,7 @@ _LARGE = 1e3
 
 
 @dataclass(frozen=True)
-class Agreement:
+class FitAgreement:
     """Test of the hypothesis that all fits estimate the same constants."""
 
     #: shape (p,); common estimate, weighted by the inverse covariances, MPa (exponents plain).
@@ -205,7 +205,7 @@ class Agreement:
         return float(_sum(_distances(differences, weights)[0], weights)[0])
 
 
-def agreement(fits: Sequence[Fit], extra: Sequence[Array] = ()) -> Agreement:
+def agreement(fits: Sequence[Fit], extra: Sequence[Array] = ()) -> FitAgreement:
     """Test whether fits to different data give the same constants. Shapes: extra (p, p)."""
     from scipy.special import chdtrc, fdtrc
 
@@ -219,7 +219,7 @@ def agreement(fits: Sequence[Fit], extra: Sequence[Array] = ()) -> Agreement:
     weights = inverses.mean(axis=1)
     distances, common = _distances(values, weights[:, None])
     df_error = _denominator(total, own, freedom)
-    return Agreement(
+    return FitAgreement(
         common=common[0],
         covariance=_inverse(weights.sum(axis=0)),
         statistic=float(_sum(distances, weights[:, None])[0]),

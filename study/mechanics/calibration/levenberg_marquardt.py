@@ -173,7 +173,7 @@ class Iteration:
 
 
 @dataclass
-class State:
+class IterationState:
     """The search in progress."""
 
     #: shape (p,); best parameters so far, each in its unit.
@@ -214,7 +214,7 @@ class State:
     @classmethod
     def at_start(
         cls, x: Array, residual: Array, jacobian: Array, resume: Iteration | None
-    ) -> State:
+    ) -> IterationState:
         """State at the start, or where an earlier search stopped."""
         norms = np.linalg.norm(jacobian, axis=0)
         if resume is not None:
@@ -468,7 +468,7 @@ def levenberg_marquardt(
         empty = np.zeros((0, first.size))
         none = np.zeros(first.size, bool)
         return LMResult(first, np.inf, empty[:, 0], empty, Status.start_failed, 1, 0, np.inf, none)
-    state = State.at_start(first, *evaluated, resume)
+    state = IterationState.at_start(first, *evaluated, resume)
     with np.errstate(over="ignore"):  # a full step can be infinite: it is damped then
         status, offset, held = _search(
             function, state, low, high, max_evaluations, (ftol, xtol, gtol, edge), callback
@@ -502,7 +502,7 @@ def updated_radius(radius: float, length: float, gain: float, damping: float) ->
 
 def _search(
     function: Function,
-    state: State,
+    state: IterationState,
     low: Array,
     high: Array,
     max_evaluations: int,
@@ -530,7 +530,7 @@ def _search(
 
 def _advance(
     function: Function,
-    state: State,
+    state: IterationState,
     held: NDArray[np.bool_],
     linear: Linearization,
     limits: tuple[Array, Array, int],
@@ -573,7 +573,7 @@ def _advance(
 
 
 def _no_step(
-    state: State,
+    state: IterationState,
     linear: Linearization,
     held: NDArray[np.bool_],
     answered: bool,
@@ -601,7 +601,7 @@ def _is_near_enough(linear: Linearization, edge: float) -> bool:
 
 def _moved_along(
     function: Function,
-    state: State,
+    state: IterationState,
     held: NDArray[np.bool_],
     jump: Array,
     limits: tuple[Array, Array, int],

@@ -140,7 +140,7 @@ def intervals(
     rows = sum(one.residual.size for one in series)
     beside = pseudo or Pseudo.none(series[0].jacobian.shape[1])
     freedom = rows - series[0].jacobian.shape[1] + beside.leverage(series)
-    moments = _Moments.of(series, beside)
+    moments = _LagMoments.of(series, beside)
     if freedom <= 0 or moments is None:
         return None
     rho, weight = np.zeros(1), np.ones(1)
@@ -180,7 +180,7 @@ def effective_rows(rows: int, correlation: float) -> float:
 
 
 @dataclass(frozen=True)
-class _Moments:
+class _LagMoments:
     """Sums of products of rows, lag 0 and 1, from which any rho's likelihood follows."""
 
     #: shape (p + 1, p + 1); sums over rows, over pairs of neighbors (both ways), and over rows that
@@ -195,7 +195,7 @@ class _Moments:
     rows: int
 
     @classmethod
-    def of(cls, series: Sequence[Series], pseudo: Pseudo) -> _Moments | None:
+    def of(cls, series: Sequence[Series], pseudo: Pseudo) -> _LagMoments | None:
         """Moments of all series; None where the residual or a constant leaves nothing."""
         jacobian = np.concatenate([one.jacobian for one in series] + [pseudo.jacobian])
         residual = np.concatenate([one.residual for one in series] + [pseudo.residual])
@@ -230,7 +230,7 @@ class _Moments:
         return squares, 0.5 * (log_normal - self.series * np.log1p(-(rho**2)))
 
 
-def _posterior(moments: _Moments, freedom: float) -> tuple[Array, Array]:
+def _posterior(moments: _LagMoments, freedom: float) -> tuple[Array, Array]:
     """Values of rho, even in Fisher's z, and the weight of each; shapes (81,)."""
     look = _log_weight(moments, _FIRST_LOOK, freedom)
     counts = np.flatnonzero(look > look.max() - _NEGLIGIBLE)
@@ -241,7 +241,7 @@ def _posterior(moments: _Moments, freedom: float) -> tuple[Array, Array]:
     return np.tanh(z), weight / weight.sum()
 
 
-def _log_weight(moments: _Moments, z: Array, freedom: float) -> Array:
+def _log_weight(moments: _LagMoments, z: Array, freedom: float) -> Array:
     """Log of restricted likelihood x reference prior x d rho / d z."""
     rho = np.tanh(z)
     squares, determinant = moments.generalized(rho)

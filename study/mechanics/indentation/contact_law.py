@@ -183,7 +183,7 @@ _POINTS = 48
 
 
 @dataclass(frozen=True)
-class ContactState:
+class ContactCondition:
     """One contact of a given radius."""
 
     #: Depth at which the radius is reached; 0 on the face of a flat punch.
@@ -196,7 +196,7 @@ class ContactState:
 
 def contact_state(
     layer: Layer, indenter: Indenter, radius_mm: float, *, paraboloid: bool = False
-) -> ContactState:
+) -> ContactCondition:
     """Depth, force and stiffness of the contact of a given radius."""
     points, weights = np.polynomial.legendre.leggauss(_POINTS)
     t, w = 0.5 * radius_mm * (points + 1), 0.5 * radius_mm * weights
@@ -207,7 +207,7 @@ def contact_state(
     onto = (layer.coupling(rim, t) * w)[0]
     at_rim = float(transform(indenter, rim, paraboloid=paraboloid)[0] + onto @ shaped)
     depth = at_rim / float(1 + onto @ plain)
-    return ContactState(depth, float(2 * w @ (depth * plain - shaped)), float(2 * w @ plain))
+    return ContactCondition(depth, float(2 * w @ (depth * plain - shaped)), float(2 * w @ plain))
 
 
 # Force of an indenter on a layer over its depth: solved at radii that grow by even ratios,
@@ -221,7 +221,7 @@ WIDEST = 5.0
 
 
 @dataclass(frozen=True)
-class ForceLaw:
+class ContactForceLaw:
     """Force over E* and contact radius, by depth."""
 
     #: shape (n,); tabulated contacts, rising; all above zero.
@@ -271,7 +271,7 @@ def force_law(
     *,
     theory: Theory = "integral-equation",
     paraboloid: bool = False,
-) -> ForceLaw:
+) -> ContactForceLaw:
     """Tabulate the force of an indenter up to a depth.
 
     Examples
@@ -295,14 +295,14 @@ def force_law(
         return _flat(states[0], indenter.radius_mm, deepest_mm)
     columns = ([s.depth_mm, s.force_mm2, s.stiffness_mm] for s in states)
     depth, force, stiffness = np.array(list(columns)).T
-    return ForceLaw(depth, force, stiffness, radii)
+    return ContactForceLaw(depth, force, stiffness, radii)
 
 
-def _flat(state: ContactState, radius: float, deepest: float) -> ForceLaw:
+def _flat(state: ContactCondition, radius: float, deepest: float) -> ContactForceLaw:
     """Sharp-edged punch: force in proportion to depth."""
     depth = deepest * np.array([1e-3, 1.0])
     stiffness = np.full(2, state.stiffness_mm)
-    return ForceLaw(depth, stiffness * depth, stiffness, np.full(2, radius))
+    return ContactForceLaw(depth, stiffness * depth, stiffness, np.full(2, radius))
 
 
 def _radii(indenter: Indenter, layer: Layer, deepest: float, paraboloid: bool) -> Array:
@@ -320,7 +320,7 @@ def _radii(indenter: Indenter, layer: Layer, deepest: float, paraboloid: bool) -
     return np.asarray(first + spread * np.logspace(-_DECADES, 0, _RADII))
 
 
-def _by_series(sphere: Sphere, layer: Layer, deepest: float) -> ForceLaw:
+def _by_series(sphere: Sphere, layer: Layer, deepest: float) -> ContactForceLaw:
     """Force of the published series; its contact radius is Hertz's."""
     depth = deepest * np.logspace(-2 * _DECADES, 0, _RADII)
     size, step = sphere.radius_mm, 1e-6
@@ -330,7 +330,7 @@ def _by_series(sphere: Sphere, layer: Layer, deepest: float) -> ForceLaw:
         return np.asarray(hertz * correction(layer, size, d))
 
     slope = (force(depth * (1 + step)) - force(depth * (1 - step))) / (2 * step * depth)
-    return ForceLaw(depth, force(depth), slope, np.sqrt(size * depth))
+    return ContactForceLaw(depth, force(depth), slope, np.sqrt(size * depth))
 
 
 # Depths at which the assumptions of the closed form end: the built-in finite elements
@@ -352,7 +352,7 @@ _DEPTHS = 400
 
 
 @dataclass(frozen=True)
-class Limit:
+class ValidityLimit:
     """Depth at which one assumption ends."""
 
     what: str
@@ -368,30 +368,30 @@ class Limit:
 def limits(
     indenter: Indenter,
     layer: Layer,
-    law: ForceLaw,
+    law: ContactForceLaw,
     *,
     area_mm2: float | None = None,
     is_series: bool = False,
-) -> tuple[Limit, ...]:
+) -> tuple[ValidityLimit, ...]:
     """Depths at which the assumptions of the closed form end, the least first."""
-    found = [Limit(f"d/h <= {LAYER_DEPTH:g}", LAYER_DEPTH * layer.height_mm)]
+    found = [ValidityLimit(f"d/h <= {LAYER_DEPTH:g}", LAYER_DEPTH * layer.height_mm)]
     if isinstance(indenter, Sphere):
-        found.append(Limit(f"d/R <= {SPHERE_DEPTH:g}", SPHERE_DEPTH * indenter.radius_mm))
+        found.append(ValidityLimit(f"d/R <= {SPHERE_DEPTH:g}", SPHERE_DEPTH * indenter.radius_mm))
     if isinstance(indenter, Flat):
-        found.append(Limit(f"d/a <= {PUNCH_DEPTH:g}", PUNCH_DEPTH * indenter.radius_mm))
+        found.append(ValidityLimit(f"d/a <= {PUNCH_DEPTH:g}", PUNCH_DEPTH * indenter.radius_mm))
     if isinstance(indenter, Cone) and indenter.shaft_radius_mm is not None:
-        found.append(Limit("a below the shaft", _depth_at(law, indenter.shaft_radius_mm)))
+        found.append(ValidityLimit("a below the shaft", _depth_at(law, indenter.shaft_radius_mm)))
     if is_series and isinstance(indenter, Sphere):
         depth = (SERIES_CHI * layer.height_mm) ** 2 / indenter.radius_mm
-        found.append(Limit(f"sqrt(R d)/h <= {SERIES_CHI:g}", depth))
+        found.append(ValidityLimit(f"sqrt(R d)/h <= {SERIES_CHI:g}", depth))
     else:
-        found.append(Limit(f"a/h <= {WIDEST:g}", _depth_at(law, WIDEST * layer.height_mm)))
+        found.append(ValidityLimit(f"a/h <= {WIDEST:g}", _depth_at(law, WIDEST * layer.height_mm)))
     if area_mm2 is not None:
         found.append(_column(layer, law, area_mm2))
     return tuple(sorted(found, key=lambda one: one.depth_mm))
 
 
-def _depth_at(law: ForceLaw, radius_mm: float) -> float:
+def _depth_at(law: ContactForceLaw, radius_mm: float) -> float:
     """Depth at which contact reaches a radius; infinite beyond the table, 0 before it."""
     if radius_mm <= law.radius_mm[0]:
         return 0.0
@@ -401,14 +401,16 @@ def _depth_at(law: ForceLaw, radius_mm: float) -> float:
     return float(np.exp(log))
 
 
-def _column(layer: Layer, law: ForceLaw, area_mm2: float) -> Limit:
+def _column(layer: Layer, law: ContactForceLaw, area_mm2: float) -> ValidityLimit:
     """Depth up to which a narrow specimen yields as a whole by little."""
     depths = law.depth_mm[-1] * np.logspace(-4, 0, _DEPTHS)
     per_modulus = law.force(depths) / (1 - layer.poisson_ratio**2)
     share = per_modulus * layer.height_mm / (area_mm2 * depths)
     above = np.flatnonzero(share > COLUMN_SHARE)
     depth = float("inf") if not above.size else float(depths[above[0] - 1]) if above[0] else 0.0
-    return Limit(f"shortening of the whole specimen <= {100 * COLUMN_SHARE:g} % of d", depth)
+    return ValidityLimit(
+        f"shortening of the whole specimen <= {100 * COLUMN_SHARE:g} % of d", depth
+    )
 
 
 def caution(indenter: Indenter) -> str:

@@ -16,9 +16,9 @@ from scipy.special import bdtr, stdtrit
 from study.ground.arrays import Array, Flags
 from study.ground.errors import Fault, InputError
 from study.mechanics.indentation.contact_law import (
-    ForceLaw,
+    ContactForceLaw,
     Layer,
-    Limit,
+    ValidityLimit,
     caution,
     force_law,
     limits,
@@ -119,7 +119,7 @@ class CurveModulus:
 def fit_modulus(
     displacement_mm: Array,
     force_N: Array,
-    law: ForceLaw,
+    law: ContactForceLaw,
     *,
     poisson_ratio: float,
     deepest_mm: float,
@@ -149,7 +149,7 @@ def _touching(displacement: Array, contact: float) -> int:
     return int(np.count_nonzero(displacement > contact))
 
 
-def _contact(d: Array, force: Array, law: ForceLaw) -> float:
+def _contact(d: Array, force: Array, law: ContactForceLaw) -> float:
     """Displacement at contact that leaves the least sum of squares."""
     span = float(np.ptp(d))
     tried = d[0] + span * np.linspace(_EARLIEST, _LATEST, _TRIED)
@@ -173,7 +173,7 @@ def _explained(shapes: Array, force: Array) -> Array:
 def _judged(
     depth: Array,
     force: Array,
-    law: ForceLaw,
+    law: ContactForceLaw,
     poisson_ratio: float,
     rows: tuple[int, int],
     contact: float,
@@ -316,7 +316,7 @@ class IndentationModulus:
     poisson_ratio: float
     height_mm: float
     #: Depths at which assumptions end, the least first.
-    limits: tuple[Limit, ...]
+    limits: tuple[ValidityLimit, ...]
     curves: tuple[FittedCurve, ...]
     #: Column of the units; every curve is one where it is None.
     block: str | None
@@ -471,7 +471,10 @@ def indentation_modulus(
 
 
 def _fitted(
-    test: IndentationTest, curve: RecordedCurve, law: ForceLaw, found: Sequence[Limit]
+    test: IndentationTest,
+    curve: RecordedCurve,
+    law: ContactForceLaw,
+    found: Sequence[ValidityLimit],
 ) -> CurveModulus:
     if curve.fault:
         return CurveModulus("unreadable", curve.fault)
@@ -495,8 +498,8 @@ def _estimate(fitted: Sequence[FittedCurve], units: Mapping[str, float]) -> Medi
 def _warnings(
     test: IndentationTest,
     fitted: Sequence[FittedCurve],
-    found: Sequence[Limit],
-    law: ForceLaw,
+    found: Sequence[ValidityLimit],
+    law: ContactForceLaw,
     deepest_mm: float,
 ) -> list[str]:
     said = []
@@ -517,7 +520,7 @@ def _warnings(
     return [*said, *_support(test, law, min(found[0].depth_mm, deepest_mm))]
 
 
-def _support(test: IndentationTest, law: ForceLaw, depth_mm: float) -> list[str]:
+def _support(test: IndentationTest, law: ContactForceLaw, depth_mm: float) -> list[str]:
     """Say by how much another treatment of the support is off at the deepest row that counts."""
     if test.theory == "integral-equation" or depth_mm <= 0:
         return []

@@ -146,7 +146,7 @@ MODES: dict[str, Mode] = {m.name: m for m in (UNIAXIAL, EQUIBIAXIAL, PLANAR, CON
 
 
 @dataclass(frozen=True)
-class Response:
+class StressResponse:
     """State of a homogeneous test at every stretch."""
 
     #: shape (n,); nominal stress in the loaded direction, MPa; NaN where the material has no
@@ -200,7 +200,7 @@ def simple_shear(material: Material, shear: ArrayLike) -> tuple[Array, Array, Ar
     return s12, s11, s22
 
 
-def response(material: Material, mode: Mode | str, stretch: ArrayLike) -> Response:
+def response(material: Material, mode: Mode | str, stretch: ArrayLike) -> StressResponse:
     """Stress, its slope, the free stretch and the gradient of one homogeneous test."""
     # Shapes: stretch (n,).
     if isinstance(mode, str):
@@ -223,7 +223,7 @@ def response(material: Material, mode: Mode | str, stretch: ArrayLike) -> Respon
 
 def _compressible(
     material: Material, energy: CompressibleEnergy, mode: Mode, stretch: Array
-) -> Response:
+) -> StressResponse:
     """Test of an energy whose volume change belongs to all of it."""
     x, t = np.log(stretch), 0 if mode is CONFINED else mode.free_axis
     a, v = np.array(mode.loaded, float), np.array(mode.free, float)
@@ -248,10 +248,10 @@ def _compressible(
     gives = np.zeros_like(x) if mode is CONFINED else along_z[0] / along_z[t]
     gradient = {n: (g[0] - gives * g[t]) / stretch for n, g in partial.items()}
     slope = (along_x[0] - gives * along_x[t] - tau[0]) / stretch**2
-    return Response(tau[0] / stretch, slope, np.exp(z), sides.prod(0), gradient)
+    return StressResponse(tau[0] / stretch, slope, np.exp(z), sides.prod(0), gradient)
 
 
-def _hyperelastic(material: Material, mode: Mode, stretch: Array) -> Response:
+def _hyperelastic(material: Material, mode: Mode, stretch: Array) -> StressResponse:
     x = np.log(stretch)
     a, v = np.array(mode.loaded, float), np.array(mode.free, float)
     z = _free_log_stretch(material, mode, x)
@@ -268,14 +268,14 @@ def _hyperelastic(material: Material, mode: Mode, stretch: Array) -> Response:
         tau = kirchhoff[0] + bulk * J * (J - 1)
         dtau = along_x[0] + bulk * (2 * J - 1) * J
         gradient = {n: (g[0] + dbulk[n] * J * (J - 1)) / stretch for n, g in partial.items()}
-        return Response(tau / stretch, (dtau - tau) / stretch**2, np.exp(z), J, gradient)
+        return StressResponse(tau / stretch, (dtau - tau) / stretch**2, np.exp(z), J, gradient)
     # the free direction's total stress is zero, so K (J-1) J = -kirchhoff[t] without cancelling
     t = mode.free_axis
     tau, tau_x, tau_z = (q[0] - q[t] for q in (kirchhoff, along_x, along_z))
     dz_dx, dz_dc = _free_rates(material, mode, J, along_x[t], along_z[t], partial)
     gradient = {n: (g[0] - g[t] + tau_z * dz_dc[n]) / stretch for n, g in partial.items()}
     slope = (tau_x + tau_z * dz_dx - tau) / stretch**2
-    return Response(tau / stretch, slope, np.exp(z), J, gradient)
+    return StressResponse(tau / stretch, slope, np.exp(z), J, gradient)
 
 
 def _free_rates(
@@ -354,7 +354,7 @@ def _safeguarded_newton(
     return np.where(below & above & (step <= _LAST_STEP), z, np.nan)
 
 
-def _linear(material: Material, mode: Mode, stretch: Array) -> Response:
+def _linear(material: Material, mode: Mode, stretch: Array) -> StressResponse:
     """Small strain: nominal stress is a modulus times (l - 1)."""
     mu, bulk = material.mu0, material.bulk
     modulus = _modulus(mode, mu, bulk).real
@@ -367,7 +367,7 @@ def _linear(material: Material, mode: Mode, stretch: Array) -> Response:
     free = 1 + lateral.get(mode.name, 0.0) * strain
     J = stretch ** sum(mode.loaded) * free ** sum(mode.free)
     gradient = {n: (by_mu * dmu[n] + by_bulk * dbulk[n]) * strain for n in material.names}
-    return Response(modulus * strain, np.full_like(strain, modulus), free, J, gradient)
+    return StressResponse(modulus * strain, np.full_like(strain, modulus), free, J, gradient)
 
 
 def _modulus(mode: Mode, mu: complex, bulk: complex) -> complex:

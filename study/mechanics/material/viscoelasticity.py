@@ -356,7 +356,7 @@ def _sheared(material: Material, memory: Memory) -> Loaded:
 
 
 @dataclass(frozen=True)
-class _State:
+class _MemoryState:
     """Stresses of a test along principal directions, all at every node."""
 
     #: shape (3, nodes); isochoric stretches.
@@ -371,7 +371,7 @@ class _State:
     left: Array
 
     @classmethod
-    def at(cls, memory: Memory, mode: Mode, z: Array) -> _State:
+    def at(cls, memory: Memory, mode: Mode, z: Array) -> _MemoryState:
         """State where the logarithm of the free stretch is z."""
         material = memory.material
         a, v = np.array(mode.loaded, float), np.array(mode.free, float)
@@ -399,7 +399,7 @@ class _Condition:
     side: Array
 
     @classmethod
-    def at(cls, memory: Memory, mode: Mode, state: _State) -> _Condition:
+    def at(cls, memory: Memory, mode: Mode, state: _MemoryState) -> _Condition:
         """Linearize at a state."""
         material, v = memory.material, np.array(mode.free, float)
         turn = deviator(v)
@@ -428,7 +428,7 @@ class _Condition:
 def _stretched(material: Material, mode: Mode, memory: Memory) -> Loaded:
     """Stress where principal directions stay: uniaxial, equibiaxial, planar, confined."""
     z, is_free = _free(material, mode, memory)
-    state = _State.at(memory, mode, z)
+    state = _MemoryState.at(memory, mode, z)
     stretch = memory.measure
     # of a stress-free side, or in a rigid box of the mean with the pressure
     taken = np.eye(3)[0] - (1 / 3 if mode is CONFINED else np.eye(3)[mode.free_axis])
@@ -466,7 +466,7 @@ def _free(material: Material, mode: Mode, memory: Memory) -> tuple[Array, bool]:
     z = np.log(response(material, mode, memory.measure).free_stretch)
     last = math.inf
     for _ in range(_MOST_ITERATIONS):
-        step = _Condition.at(memory, mode, _State.at(memory, mode, z)).steps()
+        step = _Condition.at(memory, mode, _MemoryState.at(memory, mode, z)).steps()
         z = z + step
         moved = float(np.nanmax(np.abs(step), initial=0.0))
         # rounding of the stress leaves the last digits of z moving to and fro

@@ -23,7 +23,7 @@ DELIMITERS: Mapping[str, str | None] = {
 
 
 @dataclass(frozen=True)
-class Layout:
+class ColumnLayout:
     """How a text differs from a plain CSV file."""
 
     skip_lines: int = 0
@@ -50,7 +50,7 @@ class Layout:
             for k, line in enumerate(lines, 1)
             if k > self.skip_lines and not (self.comment and line.lstrip().startswith(self.comment))
         ]
-        if self == Layout():
+        if self == ColumnLayout():
             return text, at
         lines = [lines[k - 1] for k in at]
         mark, own = ";" if decimal == "," else ",", self.delimiter
@@ -78,7 +78,7 @@ def _shown_by(line: str, mark: str) -> str:
 
 
 def read_table(
-    path: Path, layout: Layout, required: Sequence[str], decimal: str, source: str
+    path: Path, layout: ColumnLayout, required: Sequence[str], decimal: str, source: str
 ) -> CsvTable:
     """Read a measured file; see :func:`study.ground.tabular.read_csv`."""
     raw = read_bytes(path, source)

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from study.ground import units
 from study.ground.errors import Fault, InputError, UnitError
-from study.mechanics.measurement.column_text import DELIMITERS, KINEMATIC, KINETIC, Layout
+from study.mechanics.measurement.column_text import DELIMITERS, KINEMATIC, KINETIC, ColumnLayout
 from study.mechanics.setup.declaration import (
     Bad,
     Force,
@@ -302,9 +302,9 @@ class MeasurementSpec:
     header: Annotated[bool, Reads(flag)] = True
 
     @property
-    def layout(self) -> Layout:
+    def layout(self) -> ColumnLayout:
         """How its files differ from CSV."""
-        return Layout(self.skip_lines, self.comment, self.delimiter, self.header)
+        return ColumnLayout(self.skip_lines, self.comment, self.delimiter, self.header)
 
     def as_dict(self) -> dict[str, object]:
         """Plain values, for JSON; what a file of displacement and force does not say stays out."""
@@ -411,9 +411,9 @@ class MarkerSpec:
     citation: Annotated[str, Reads(text)] = ""
 
     @property
-    def layout(self) -> Layout:
+    def layout(self) -> ColumnLayout:
         """How the file differs from plain CSV."""
-        return Layout(self.skip_lines)
+        return ColumnLayout(self.skip_lines)
 
     @property
     def labels(self) -> tuple[str, ...]:

@@ -31,7 +31,7 @@ def _poisson_ratio(value: object) -> float:
 
 
 @section
-class Compressibility:
+class CompressibilityTable:
     """How a material resists a change of volume; one of the three."""
 
     poisson_ratio: Annotated[float, Reads(_poisson_ratio, "number")] | None = None
@@ -81,7 +81,7 @@ class MaterialSection:
     order: int | None
     #: In MPa, exponents plain; empty where a calibration finds them.
     constants: Mapping[str, float]
-    compressibility: Compressibility
+    compressibility: CompressibilityTable
     #: How its stress fades; empty where it does not.
     relaxation: tuple[RelaxationKey, ...] = ()
 
@@ -89,7 +89,7 @@ class MaterialSection:
     def of(cls, resolved: Mapping[str, object]) -> MaterialSection:
         """Material of resolved tables, in MPa and s."""
         table = table_of(resolved, "material")
-        resistance = section_of("material", Compressibility, table)
+        resistance = section_of("material", CompressibilityTable, table)
         order = cast("int | None", table.get("order"))
         constants = cast("Mapping[str, float]", table.get("constants") or {})
         terms = cast("list[Mapping[str, object]]", table.get("relaxation") or [])

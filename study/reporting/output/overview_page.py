@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Progress:
+class StudyProgress:
     """How many computations of how many a runner has done, and the same in words."""
 
     done: int
@@ -29,7 +29,7 @@ class StudyState:
     name: str
     question: str
     cases: str
-    progress: Progress | None
+    progress: StudyProgress | None
     page: str
 
 

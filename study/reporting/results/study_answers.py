@@ -13,7 +13,7 @@ from study.harness.design.spec import Factor
 from study.harness.record.record import Record
 import numpy as np
 from study.statistics.surfaces.surface_optimum import Goal
-from study.statistics.surfaces.surface_optimum import Spread
+from study.statistics.surfaces.surface_optimum import ResponseSpread
 
 
 def document(beside: Beside) -> dict[str, object]:
@@ -255,7 +255,7 @@ class Recommendation:
     #: Choices that stand at an end of what was run: a better setting may lie beyond.
     at_end: tuple[str, ...] = ()
     #: What the factors that nobody chooses do there, over what was run of them.
-    spread: Spread | None = None
+    spread: ResponseSpread | None = None
     #: Other levels of the choices that are no numbers, and their best values, the best first.
     rivals: tuple[tuple[Mapping[str, str], float], ...] = ()
     #: The true model's run there; None where none was made.

@@ -14,12 +14,12 @@ import numpy as np
 from study.ground.arrays import Array, Ints
 from study.ground.errors import Fault, InputError, nearest
 from study.statistics.analysis.anova_table import (
+    AnalysisSensitivity,
     Anova,
     BoxCoxResult,
     Effect,
     ErrorTerm,
     ModelSummary,
-    Sensitivity,
 )
 from study.statistics.analysis.data import Crossed, Data, Structure
 from study.statistics.analysis.effects import MOST_LEVELS, Scale
@@ -287,7 +287,7 @@ _NO_ERROR = ErrorTerm("E7", "no p: nothing varies", 0.0, "constant response")
 
 
 @dataclass(frozen=True)
-class Outcome:
+class AnalysisOutcome:
     """Inputs and findings of one analysis; grows by ``replace``.
 
     ``u_raw`` is the largest numerical uncertainty of an effect, ``u_cells`` that within which
@@ -316,10 +316,10 @@ class Outcome:
     replicates: str = "runs"
     structure: Structure = field(default_factory=Structure)
     summary: ModelSummary | None = None
-    robustness: Sensitivity | None = None
+    robustness: AnalysisSensitivity | None = None
     box_cox: BoxCoxResult | None = None
 
-    def warn(self, *messages: str) -> Outcome:
+    def warn(self, *messages: str) -> AnalysisOutcome:
         """Copy with more warnings."""
         return replace(self, warnings=(*self.warnings, *messages))
 
@@ -329,7 +329,7 @@ class Outcome:
             return 10 * self.tolerance / float(np.abs(self.data.y).min())
         return 10 * self.tolerance
 
-    def constant(self) -> Outcome:
+    def constant(self) -> AnalysisOutcome:
         """Outcome of a response that does not vary."""
         message = (
             f"{self.request.response} is constant ({self.data.y[0]:.6g} in all "
@@ -344,7 +344,9 @@ class Outcome:
         )
 
 
-def kind_of(out: Outcome, even: bool, why: str = "unbalanced") -> tuple[str, Outcome]:
+def kind_of(
+    out: AnalysisOutcome, even: bool, why: str = "unbalanced"
+) -> tuple[str, AnalysisOutcome]:
     """Type of the sums; unbalanced data take Type III with sum contrasts, and say so."""
     kind = out.request.sums
     if even:
@@ -358,7 +360,7 @@ def kind_of(out: Outcome, even: bool, why: str = "unbalanced") -> tuple[str, Out
     return kind, out.warn(f"{why}: Type {kind} as asked")
 
 
-def scale_of(out: Outcome, y: Array) -> Scale:
+def scale_of(out: AnalysisOutcome, y: Array) -> Scale:
     """Scale of a response: its practical difference and numerical bound as was asked.
 
     Shapes: y (n,).
@@ -384,7 +386,7 @@ def scale_of(out: Outcome, y: Array) -> Scale:
     )
 
 
-def range_of_bounds(out: Outcome, scale: Scale) -> tuple[float | None, float | None]:
+def range_of_bounds(out: AnalysisOutcome, scale: Scale) -> tuple[float | None, float | None]:
     """Smallest and largest bound of a difference of two levels, in the unit of the response.
 
     A difference without a numerical error, such as one between meshes, does not count.

@@ -14,10 +14,10 @@ from study.ground.tabular import names_of
 from study.statistics.analysis import error_ledger, failures, strata
 from study.statistics.analysis.analysis_request import (
     _NO_ERROR,
+    AnalysisOutcome,
     AnalysisRequest,
     Blocking,
     NumericalUncertainty,
-    Outcome,
     Practical,
     ResponseScale,
     range_of_bounds,
@@ -78,7 +78,7 @@ if TYPE_CHECKING:
 # What an analysis found becomes its result, with every check beside it.
 
 
-def assemble(out: Outcome) -> AnalysisResult:
+def assemble(out: AnalysisOutcome) -> AnalysisResult:
     """Check assumptions and freeze the result."""
     found = diagnose(out)
     out = out.warn(*found.warnings, *_inestimable(out.effects))
@@ -104,11 +104,11 @@ def assemble(out: Outcome) -> AnalysisResult:
     )
 
 
-def _variation(out: Outcome) -> Variation:
+def _variation(out: AnalysisOutcome) -> Variation:
     return Variation(_shares(out), out.lenth, out.summary)
 
 
-def _summary_of_data(out: Outcome, model_matrix: Array | None) -> DataSummary:
+def _summary_of_data(out: AnalysisOutcome, model_matrix: Array | None) -> DataSummary:
     names = out.data.cell_names()
     return DataSummary(
         int(out.data.y.size),
@@ -136,7 +136,7 @@ def _inestimable(effects: Sequence[Effect]) -> list[str]:
     return found
 
 
-def _power(out: Outcome) -> dict[str, tuple[PowerRow, ...]]:
+def _power(out: AnalysisOutcome) -> dict[str, tuple[PowerRow, ...]]:
     """Tell what other numbers of blocks or replicates would find, by factor."""
     counts = np.bincount(out.data.cell)
     cells = counts[counts > 0]
@@ -154,7 +154,7 @@ def _power(out: Outcome) -> dict[str, tuple[PowerRow, ...]]:
     return planned(terms, n, cells.size, blocked=blocked, alpha=asked.alpha, ratio=ratio)
 
 
-def _copies_sentence(out: Outcome) -> str:
+def _copies_sentence(out: AnalysisOutcome) -> str:
     total = sum(len(group) for group in out.copies.groups)
     return (
         f"{total} cells hold {len(out.copies.groups)} distinct computations (the others agree "
@@ -162,18 +162,18 @@ def _copies_sentence(out: Outcome) -> str:
     )
 
 
-def _back(out: Outcome, value: float | None) -> float | None:
+def _back(out: AnalysisOutcome, value: float | None) -> float | None:
     if value is None or not out.request.scale.is_log:
         return value
     return float(np.exp(value))
 
 
-def _grand_mean(out: Outcome) -> float:
+def _grand_mean(out: AnalysisOutcome) -> float:
     mean = out.y[0] + float(np.mean(out.y - out.y[0]))
     return float(np.exp(mean)) if out.request.scale.is_log else float(mean)
 
 
-def _shares(out: Outcome) -> dict[str, float]:
+def _shares(out: AnalysisOutcome) -> dict[str, float]:
     """Functional-ANOVA shares of the cell means, where every cell exists."""
     data = out.data
     if out.error is _NO_ERROR:
@@ -187,7 +187,7 @@ def _shares(out: Outcome) -> dict[str, float]:
     return functional_shares(data.layout, data.factors, means, terms_of(data.factors))
 
 
-def _cell_means(out: Outcome) -> pd.DataFrame:
+def _cell_means(out: AnalysisOutcome) -> pd.DataFrame:
     """One row a cell: levels, n, mean and sd of the response."""
     import pandas as pd
 
@@ -216,7 +216,7 @@ def _cell_means(out: Outcome) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def _residual_frame(out: Outcome) -> pd.DataFrame:
+def _residual_frame(out: AnalysisOutcome) -> pd.DataFrame:
     """One row a run: fitted, residual, cell, block, and whether it represents its copies."""
     import pandas as pd
 
@@ -527,7 +527,7 @@ def _with_units(table: pd.DataFrame, request: AnalysisRequest, unit: str) -> Ana
     return replace(result, data=replace(result.data, nested=found)).noted(*notes)
 
 
-def _found(table: pd.DataFrame, request: AnalysisRequest) -> Outcome:
+def _found(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisOutcome:
     """Table and effects of one analysis, before the checks of its assumptions."""
     out = _start(table, request)
     _require_positive(out.data, request)
@@ -569,7 +569,7 @@ def _found(table: pd.DataFrame, request: AnalysisRequest) -> Outcome:
     return pooled(out)
 
 
-def _start(table: pd.DataFrame, request: AnalysisRequest) -> Outcome:
+def _start(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisOutcome:
     """Check the data and gather terms and tolerances."""
     data = prepare(table, request.response, request.factors, request.layout.block)
     terms = terms_of(data.factors, request.model)
@@ -588,7 +588,7 @@ def _start(table: pd.DataFrame, request: AnalysisRequest) -> Outcome:
     tol = request.scale.tolerance
     if tol is None:
         tol = _DEFAULT_TOLERANCE * float(np.abs(data.y).max()) if request.records else 0.0
-    return Outcome(
+    return AnalysisOutcome(
         request,
         data,
         terms,
@@ -672,7 +672,7 @@ def _repeats_in_blocks(data: Data) -> bool:
     return bool(counts.max() > 1)
 
 
-def _averaged(out: Outcome, table: pd.DataFrame) -> Outcome:
+def _averaged(out: AnalysisOutcome, table: pd.DataFrame) -> AnalysisOutcome:
     """Outcome of the means of the cells in each block; missing rows stay counted."""
     first, *others = out.data.blocks
     means = strata.average_units(table, out.request, first, others)
@@ -681,7 +681,7 @@ def _averaged(out: Outcome, table: pd.DataFrame) -> Outcome:
     return replace(start, data=data, tolerance=out.tolerance, structure=out.structure)
 
 
-def _refuse_undeclared(out: Outcome) -> None:
+def _refuse_undeclared(out: AnalysisOutcome) -> None:
     """Refuse several records of a cell that nobody declared to be replicates."""
     data = out.data
     counts = np.bincount(data.cell)

@@ -268,7 +268,7 @@ class BoxCoxResult:
 
 
 @dataclass(frozen=True)
-class Sensitivity:
+class AnalysisSensitivity:
     """p of every term in each defensible analysis, and in how many it is below alpha."""
 
     p: dict[str, dict[str, float | None]]

@@ -13,8 +13,8 @@ from study.ground.arrays import Array, Flags
 from study.ground.canonical import plain
 from study.ground.errors import Fault, InputError
 from study.statistics.analysis import error_ledger
-from study.statistics.analysis.analysis_request import Outcome
-from study.statistics.analysis.anova_table import BoxCoxResult, Sensitivity, WaldTest
+from study.statistics.analysis.analysis_request import AnalysisOutcome
+from study.statistics.analysis.anova_table import AnalysisSensitivity, BoxCoxResult, WaldTest
 from study.statistics.analysis.data import Crossed, Data, prepare
 from study.statistics.analysis.equal_variance import (
     BartlettResult,
@@ -80,7 +80,7 @@ class Assumptions:
     shapiro_wilk: NormalityResult | None = None
     #: Rows that the fit leans on.
     influence: Influential | None = None
-    robustness: Sensitivity | None = None
+    robustness: AnalysisSensitivity | None = None
     box_cox: BoxCoxResult | None = None
 
     @property
@@ -106,7 +106,7 @@ class Assumptions:
         }
 
 
-def assumptions_of(out: Outcome, found: Diagnostics) -> Assumptions:
+def assumptions_of(out: AnalysisOutcome, found: Diagnostics) -> Assumptions:
     """Gather what the analysis assumes and how it was tested."""
     fit = out.fit if out.fit is not None and out.fit.df_residual > 0 else None
     residual = None if fit is None else fit.residual
@@ -153,7 +153,7 @@ class Diagnostics:
     rows: tuple[RowTest, ...] = ()
 
 
-def diagnose(out: Outcome) -> Diagnostics:
+def diagnose(out: AnalysisOutcome) -> Diagnostics:
     """Check the assumptions that the tests of an analysis rest on."""
     if out.crossed is not None and out.replicates != "noise":
         return _by_contrast(out, out.crossed)
@@ -163,7 +163,7 @@ def diagnose(out: Outcome) -> Diagnostics:
     return Diagnostics(normality, equal, spread, warnings)
 
 
-def _by_contrast(out: Outcome, table: Crossed) -> Diagnostics:
+def _by_contrast(out: AnalysisOutcome, table: Crossed) -> Diagnostics:
     """Test each contrast over the blocks, and find the block that carries most of them."""
     unequal = (
         BartlettResult(None, None, None, False, _OWN),
@@ -200,7 +200,7 @@ def _by_contrast(out: Outcome, table: Crossed) -> Diagnostics:
 
 
 def _heavy_block(
-    contrasts: dict[str, Array], tolerance: float, blocks: tuple[str, ...], out: Outcome
+    contrasts: dict[str, Array], tolerance: float, blocks: tuple[str, ...], out: AnalysisOutcome
 ) -> list[str]:
     share = block_share(contrasts, tolerance=tolerance, seed=out.request.seed)
     if share is None or share.p >= SHARE_P:
@@ -211,7 +211,7 @@ def _heavy_block(
     ]
 
 
-def is_representative(out: Outcome) -> Flags:
+def is_representative(out: AnalysisOutcome) -> Flags:
     """Whether each row belongs to the cell that stands for its copies.
 
     Shapes: returns (n,).
@@ -228,7 +228,7 @@ def _inapplicable(**tests: BartlettResult | LeveneResult | None) -> list[str]:
 
 
 def _spread_tests(
-    out: Outcome, groups: error_ledger.CellGroups | None
+    out: AnalysisOutcome, groups: error_ledger.CellGroups | None
 ) -> tuple[BartlettResult | None, LeveneResult | None]:
     if groups is None:
         return None, None
@@ -252,7 +252,9 @@ def _spread_tests(
     )
 
 
-def _ryan_joiner(out: Outcome, fit: Factored | TwoWayFit) -> tuple[Outcome, RyanJoinerResult]:
+def _ryan_joiner(
+    out: AnalysisOutcome, fit: Factored | TwoWayFit
+) -> tuple[AnalysisOutcome, RyanJoinerResult]:
     """Ryan-Joiner of the residuals; of many a random sample, which is said."""
     asked, n = out.request, fit.residual.size
     if n <= MOST_TESTED:
@@ -275,8 +277,8 @@ def _ryan_joiner(out: Outcome, fit: Factored | TwoWayFit) -> tuple[Outcome, Ryan
 
 
 def _of_residuals(
-    out: Outcome,
-) -> tuple[Outcome, RyanJoinerResult | None, error_ledger.CellGroups | None]:
+    out: AnalysisOutcome,
+) -> tuple[AnalysisOutcome, RyanJoinerResult | None, error_ledger.CellGroups | None]:
     """Ryan-Joiner on one representative of each computation, and the groups for Bartlett."""
     rows = np.flatnonzero(is_representative(out))
     if out.fit is None or out.fit.df_residual == 0:
@@ -466,7 +468,7 @@ def sensitivity(
     *,
     model: Model = "full",
     alpha: float = 0.05,
-) -> Sensitivity:
+) -> AnalysisSensitivity:
     """P of every term in the defensible analyses of a replicated factorial.
 
     Ordinary F (Type III), HC3 Wald, Welch-James, and the F of the log response where it is
@@ -477,7 +479,9 @@ def sensitivity(
     return sensitivity_of(data, terms, factor(model_matrix(data.layout, terms), data.y), alpha)
 
 
-def sensitivity_of(data: Data, terms: Sequence[Term], fit: Factored, alpha: float) -> Sensitivity:
+def sensitivity_of(
+    data: Data, terms: Sequence[Term], fit: Factored, alpha: float
+) -> AnalysisSensitivity:
     """As :func:`sensitivity`, of checked data without blocks and the fit of their response."""
     found: dict[str, Mapping[str, float | None]] = {
         "ordinary F": _ordinary(fit),
@@ -491,10 +495,10 @@ def sensitivity_of(data: Data, terms: Sequence[Term], fit: Factored, alpha: floa
 
 def side_by_side(
     terms: Sequence[str], found: Mapping[str, Mapping[str, float | None]], alpha: float
-) -> Sensitivity:
+) -> AnalysisSensitivity:
     """Table of p, terms against analyses, and in how many each is below alpha."""
     p = {term: {method: ps.get(term) for method, ps in found.items()} for term in terms}
-    return Sensitivity(p, {term: _agreement(row, alpha) for term, row in p.items()})
+    return AnalysisSensitivity(p, {term: _agreement(row, alpha) for term, row in p.items()})
 
 
 def _ordinary(fit: Factored) -> dict[str, float | None]:
@@ -518,7 +522,7 @@ def _agreement(found: Mapping[str, float | None], alpha: float) -> str:
 _MOST_CELLS = 600
 
 
-def add_robustness(out: Outcome) -> Outcome:
+def add_robustness(out: AnalysisOutcome) -> AnalysisOutcome:
     """Outcome with Box-Cox and the table of defensible analyses, where there is an error."""
     if out.fit is None or out.plots is not None or out.data.also:
         return out
@@ -537,7 +541,7 @@ def add_robustness(out: Outcome) -> Outcome:
     return replace(out, robustness=table, box_cox=box_cox(out.data.y, out.fit.matrix.columns))
 
 
-def _blocked(out: Outcome, table: Crossed) -> Sensitivity:
+def _blocked(out: AnalysisOutcome, table: Crossed) -> AnalysisSensitivity:
     """Own interactions (three corrections), interactions pooled, and the log of the response."""
     kind = out.anova.type
     model = out.cell_model or factorize(model_matrix(table.layout, out.terms))
@@ -553,7 +557,7 @@ def _blocked(out: Outcome, table: Crossed) -> Sensitivity:
     return side_by_side([term_name(t) for t in out.terms], found, out.request.alpha)
 
 
-def _tests(out: Outcome, model: Factorization, table: Crossed, kind: str) -> list[OwnTerm]:
+def _tests(out: AnalysisOutcome, model: Factorization, table: Crossed, kind: str) -> list[OwnTerm]:
     y = table.y
     floor = max(out.working_tolerance(), ulp_floor(y))
     total = float(np.sum((y - y[0, 0] - (y - y[0, 0]).mean()) ** 2))

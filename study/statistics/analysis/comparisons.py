@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Pair:
+class LevelPair:
     """Difference ``first - second``, or ratio ``first / second``.
 
     With its simultaneous interval and adjusted p.
@@ -43,7 +43,7 @@ class Comparisons:
 
     method: str
     alpha: float
-    pairs: tuple[Pair, ...]
+    pairs: tuple[LevelPair, ...]
     letters: dict[str, str]
     is_ratio: bool = False
 
@@ -110,7 +110,7 @@ def _all_pairs(
     found = tukey_hsd(*shifted, equal_var=equal_var)
     ends = found.confidence_interval(1 - alpha)
     pairs = [
-        Pair(
+        LevelPair(
             names[i],
             names[j],
             float(found.statistic[i, j]),
@@ -142,7 +142,7 @@ def dunnett(
     )  # fmt: skip
     reference = float(np.mean(np.asarray(groups[control], float)))
     pairs = tuple(
-        Pair(
+        LevelPair(
             name,
             control,
             float(np.mean(np.asarray(groups[name], float))) - reference,
@@ -200,7 +200,7 @@ def holm(p: ArrayLike) -> Array:
 
 
 def _family(
-    method: str, alpha: float, names: Sequence[str], pairs: Sequence[Pair], mean: Array
+    method: str, alpha: float, names: Sequence[str], pairs: Sequence[LevelPair], mean: Array
 ) -> Comparisons:
     different = {frozenset((x.first, x.second)) for x in pairs if x.p < alpha}
     ordered = [names[i] for i in np.argsort(-mean, kind="stable")]
@@ -595,7 +595,7 @@ def blocked_dunnett(
     error = contrasts.std(axis=1, ddof=1) / math.sqrt(contrasts.shape[1])
     half = block_multiplier(contrasts, alpha, seed) * error
     pairs = tuple(
-        Pair(name, reference, float(d), float(d - h), float(d + h), _p(contrasts, d, s, seed))
+        LevelPair(name, reference, float(d), float(d - h), float(d + h), _p(contrasts, d, s, seed))
         for name, d, h, s in zip(others, centre, half, error, strict=True)
     )
     return Comparisons("Dunnett over blocks", alpha, pairs, {})

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from study.ground.arrays import Array, Flags, Ints
 from study.ground.errors import Fault, InputError, RefusedError
 from study.ground.tabular import _NUMBER, _check_names, names_of
-from study.statistics.analysis.linear_model import Layout, Term
+from study.statistics.analysis.linear_model import CellLayout, Term
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -29,7 +29,7 @@ class Data:
     """One checked response: rows without a response are counted, never lost silently."""
 
     y: Array
-    layout: Layout
+    layout: CellLayout
     factors: tuple[str, ...]
     block: str | None
     rows: Ints
@@ -93,7 +93,7 @@ def prepare(
         raise InputError(faults)
     return Data(
         raw[keep],
-        Layout(levels, codes),
+        CellLayout(levels, codes),
         tuple(factors),
         blocks[0] if blocks else None,
         np.flatnonzero(keep),
@@ -211,7 +211,7 @@ class Crossed:
     y: Array
     #: shape (cells,); index of each cell in the full grid.
     cells: Ints
-    layout: Layout
+    layout: CellLayout
     blocks: tuple[str, ...]
     warnings: tuple[str, ...]
 
@@ -247,7 +247,7 @@ def crossed(data: Data, y: Array) -> Crossed:
     layout = data.layout.take(first) if first.size else data.layout
     # a level without a cell left would make its siblings impossible to compare
     present = {f: np.unique(layout.codes[f], return_inverse=True) for f in data.factors}
-    only = Layout(
+    only = CellLayout(
         {f: tuple(layout.levels[f][i] for i in present[f][0]) for f in data.factors},
         {f: present[f][1].astype(np.int64) for f in data.factors},
     )

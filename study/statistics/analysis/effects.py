@@ -20,7 +20,7 @@ from study.statistics.analysis.comparisons import (
     studentized_range_quantile,
 )
 from study.statistics.analysis.comparisons import holm as adjusted_p
-from study.statistics.analysis.linear_model import Layout, Term, grid, model_matrix, term_name
+from study.statistics.analysis.linear_model import CellLayout, Term, grid, model_matrix, term_name
 from study.statistics.analysis.simple_effects import (
     CANNOT_TELL,
     MATTERS,
@@ -65,7 +65,9 @@ class TermEstimate:
     settings: tuple[tuple[str, ...], ...] = ()
 
 
-def term_rows(layout: Layout, fit: Factored, term: Term) -> tuple[tuple[str, ...], Array, Array]:
+def term_rows(
+    layout: CellLayout, fit: Factored, term: Term
+) -> tuple[tuple[str, ...], Array, Array]:
     """Linear combinations of the coefficients that give a term's components and means.
 
     Shapes: returns (k, p).
@@ -88,7 +90,7 @@ def term_rows(layout: Layout, fit: Factored, term: Term) -> tuple[tuple[str, ...
     return labels, component, mean
 
 
-def over_complete_settings(layout: Layout, fit: Factored, term: Term, rows: Array) -> Array:
+def over_complete_settings(layout: CellLayout, fit: Factored, term: Term, rows: Array) -> Array:
     """Rows of a main effect; where cells are empty, over the settings that have all its levels.
 
     Shapes: rows (k, p); returns (k, p).
@@ -103,16 +105,16 @@ def over_complete_settings(layout: Layout, fit: Factored, term: Term, rows: Arra
     return np.asarray(centred[complete].mean(axis=0)) if complete.any() else rows
 
 
-def _padded(cells: Layout, layout: Layout) -> Layout:
+def _padded(cells: CellLayout, layout: CellLayout) -> CellLayout:
     """Cells of some factors with the other factors held at their first level."""
     codes = {
         name: cells.codes.get(name, np.zeros(cells.n, dtype=np.int64)) for name in layout.levels
     }
-    return Layout(layout.levels, codes)
+    return CellLayout(layout.levels, codes)
 
 
 def pooled_estimate(
-    layout: Layout,
+    layout: CellLayout,
     fit: Factored,
     term: Term,
     df: float,
@@ -147,12 +149,12 @@ def pooled_estimate(
     )
 
 
-def settings_of(layout: Layout, term: Term) -> tuple[tuple[str, ...], ...]:
+def settings_of(layout: CellLayout, term: Term) -> tuple[tuple[str, ...], ...]:
     """Levels of the factors of a term in every combination, in the order of its components."""
     return tuple(product(*(layout.levels[name] for name in term)))
 
 
-def _df_of(layout: Layout, term: Term) -> int:
+def _df_of(layout: CellLayout, term: Term) -> int:
     return int(np.prod([len(layout.levels[name]) - 1 for name in term]))
 
 

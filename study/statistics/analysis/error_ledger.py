@@ -9,7 +9,7 @@ import numpy as np
 
 from study.ground.arrays import Array, Ints
 from study.statistics.analysis import unreplicated
-from study.statistics.analysis.analysis_request import Outcome, kind_of
+from study.statistics.analysis.analysis_request import AnalysisOutcome, kind_of
 from study.statistics.analysis.anova_table import Anova, ErrorTerm, Row
 from study.statistics.analysis.data import Data
 from study.statistics.analysis.effects import (
@@ -21,7 +21,7 @@ from study.statistics.analysis.effects import (
 )
 from study.statistics.analysis.gate import judge_factors, refusal, rivals_of_rows
 from study.statistics.analysis.linear_model import (
-    Layout,
+    CellLayout,
     Term,
     balanced,
     model_matrix,
@@ -213,7 +213,7 @@ def _replicates(s: Situation) -> Choice:
     )
 
 
-def pooled(out: Outcome, untested: str = "") -> Outcome:
+def pooled(out: AnalysisOutcome, untested: str = "") -> AnalysisOutcome:
     """E0, E1 pooled, E2, E3, E5 with one residual; or E4, E6, E7 without."""
     data = out.data
     extra: list[Term] = [(name,) for name in data.blocks]
@@ -290,7 +290,7 @@ def pooled(out: Outcome, untested: str = "") -> Outcome:
     )
 
 
-def _resamples(out: Outcome) -> float:
+def _resamples(out: AnalysisOutcome) -> float:
     """Factor of the residual sum: resamples of one curve do not average its noise.
 
     The scatter over refits is the standard error of the cell itself, however many there are
@@ -302,7 +302,7 @@ def _resamples(out: Outcome) -> float:
     return float(1 / np.mean(1 / counts[counts > 0]))
 
 
-def _why_uneven(out: Outcome) -> str:
+def _why_uneven(out: AnalysisOutcome) -> str:
     if not out.data.blocks:
         return "unbalanced"
     if balanced(out.data.layout, out.data.factors):
@@ -310,7 +310,7 @@ def _why_uneven(out: Outcome) -> str:
     return "unbalanced"
 
 
-def _sparse_ready(out: Outcome, fit: Factored) -> bool:
+def _sparse_ready(out: AnalysisOutcome, fit: Factored) -> bool:
     """One row in every cell of the full grid or of a saturated orthogonal fraction, no copies."""
     data = out.data
     # copies are no separate contrasts: Lenth's limits would not hold
@@ -322,7 +322,7 @@ def _sparse_ready(out: Outcome, fit: Factored) -> bool:
     )
 
 
-def _situation(out: Outcome, fit: Factored, sums: list[TermSum]) -> Situation:
+def _situation(out: AnalysisOutcome, fit: Factored, sums: list[TermSum]) -> Situation:
     return Situation(
         out.request.records,
         " and ".join(out.data.blocks) or None,
@@ -389,7 +389,7 @@ def additive_fit(
         codes[f"block {i}"] = at.astype(np.int64)
         extra += [(f"block {i}",)] if present.size > 1 else []
     terms: list[Term] = [("cell",)] if cells.size > 1 else []
-    return factor(model_matrix(Layout(levels, codes), terms, extra=extra), y[keep])
+    return factor(model_matrix(CellLayout(levels, codes), terms, extra=extra), y[keep])
 
 
 def within_fit(

@@ -15,7 +15,7 @@ from functools import lru_cache, partial
 import numpy as np
 
 from study.ground.arrays import Array, Ints
-from study.statistics.analysis.analysis_request import Outcome
+from study.statistics.analysis.analysis_request import AnalysisOutcome
 from study.statistics.analysis.effects import (
     DOUBT,
     UNEQUAL,
@@ -28,7 +28,7 @@ from study.statistics.analysis.effects import (
     with_pseudo_error,
 )
 from study.statistics.analysis.linear_model import (
-    Layout,
+    CellLayout,
     ModelMatrix,
     Term,
     balanced,
@@ -93,7 +93,7 @@ def refusal(why: str) -> Rival:
 
 
 def judge_factors(
-    out: Outcome, layout: Layout, fit: Factored, sample: Sample, rivals: Sequence[Rival]
+    out: AnalysisOutcome, layout: CellLayout, fit: Factored, sample: Sample, rivals: Sequence[Rival]
 ) -> dict[str, SimpleEffects]:
     """Judge every factor of a model by its simple effects, and let the rivals withdraw claims."""
     found = {}
@@ -142,7 +142,7 @@ def _agreed(printed: SimpleEffects, other: SimpleEffects | None, rival: Rival) -
     return replace(printed, verdict=CANNOT_TELL, why=rival.why, effects=effects, always=())
 
 
-def reading_error(out: Outcome) -> float:
+def reading_error(out: AnalysisOutcome) -> float:
     """Return the standard deviation that rounding alone gives a reading, on the working scale."""
     step = out.structure.resolution
     if out.request.records or not step:
@@ -152,7 +152,7 @@ def reading_error(out: Outcome) -> float:
     return step / math.sqrt(12)
 
 
-def limit_rivals(out: Outcome, sample: Sample, means: Array) -> list[Rival]:
+def limit_rivals(out: AnalysisOutcome, sample: Sample, means: Array) -> list[Rival]:
     """Hold claims against both ends of a practical difference that is a share of the mean.
 
     Shapes: means (n,).
@@ -175,14 +175,14 @@ def limit_rivals(out: Outcome, sample: Sample, means: Array) -> list[Rival]:
     ]
 
 
-def block_means(out: Outcome) -> Array:
+def block_means(out: AnalysisOutcome) -> Array:
     """Mean of the response in each block, on the working scale."""
     block = out.data.layout.codes[str(out.data.block)]
     return np.asarray(out.y[0] + np.bincount(block, out.y - out.y[0]) / np.bincount(block))
 
 
 def rivals_over_blocks(
-    out: Outcome, cells: Layout, y: Array, fit: Factored, sample: Sample
+    out: AnalysisOutcome, cells: CellLayout, y: Array, fit: Factored, sample: Sample
 ) -> tuple[list[Rival], list[str]]:
     """Rivals where each effect is tested over blocks, and what was seen of the declared model.
 
@@ -216,7 +216,7 @@ def rivals_over_blocks(
 
 
 def rivals_over_groups(
-    out: Outcome, fit: Factored, added: Array, groups: Sequence[Ints], sample: Sample
+    out: AnalysisOutcome, fit: Factored, added: Array, groups: Sequence[Ints], sample: Sample
 ) -> list[Rival]:
     """Rivals where blocks lie in groups with variances of their own.
 
@@ -232,7 +232,7 @@ def rivals_over_groups(
 
 
 def rivals_of_rows(
-    out: Outcome, fit: Factored, rss: float, df: float, sample: Sample
+    out: AnalysisOutcome, fit: Factored, rss: float, df: float, sample: Sample
 ) -> tuple[list[Rival], list[str]]:
     """Rivals where one pooled variance serves all rows, and what was seen of the declared model."""
     alpha, seed = out.request.alpha, out.request.interval_seed
@@ -256,7 +256,7 @@ def rivals_of_rows(
     return rivals, notes
 
 
-def _every_term(out: Outcome, layout: Layout) -> tuple[Term, ...] | None:
+def _every_term(out: AnalysisOutcome, layout: CellLayout) -> tuple[Term, ...] | None:
     """Terms of the full model, where fewer were declared and the full one is no giant."""
     full = terms_of(out.data.factors)
     if set(full) <= set(out.terms) or np.prod([len(v) for v in layout.levels.values()]) > 4096:
@@ -293,7 +293,7 @@ def _lack_of_fit_over_blocks(fit: Factored, whole: Factored, y: Array) -> tuple[
 
 
 def _lack_of_fit_of_rows(
-    out: Outcome, fit: Factored, whole: Factored
+    out: AnalysisOutcome, fit: Factored, whole: Factored
 ) -> tuple[float, str, Sample | None]:
     """P of the terms left out, what is said of it, and the sample of the full model."""
     from scipy.special import fdtrc
@@ -330,7 +330,9 @@ def _lack_of_fit_of_rows(
 LEAST_CONTRASTS = 7
 
 
-def _rivals_of_cells(out: Outcome, fit: Factored, sample: Sample, reading: float) -> list[Rival]:
+def _rivals_of_cells(
+    out: AnalysisOutcome, fit: Factored, sample: Sample, reading: float
+) -> list[Rival]:
     """Welch's intervals of each difference, and bootstrap-t where a cell is skewed."""
     alpha, seed = out.request.alpha, out.request.interval_seed
     _, index, counts = np.unique(out.data.cell, return_inverse=True, return_counts=True)

@@ -19,9 +19,9 @@ from scipy.special import fdtrc
 
 from study.ground.arrays import Array, Ints
 from study.statistics.analysis import error_ledger
-from study.statistics.analysis.analysis_request import Outcome
+from study.statistics.analysis.analysis_request import AnalysisOutcome
 from study.statistics.analysis.anova_table import Anova, ErrorTerm
-from study.statistics.analysis.linear_model import Layout, Term, model_matrix, term_name
+from study.statistics.analysis.linear_model import CellLayout, Term, model_matrix, term_name
 from study.statistics.analysis.mixed_model import MixedCells
 from study.statistics.analysis.restricted_likelihood import (
     RestrictedFit,
@@ -43,7 +43,7 @@ _AT_ONCE = 5_000_000
 _MOST_PRODUCTS = 20_000_000
 
 
-def incomplete_blocks(out: Outcome) -> Outcome | None:
+def incomplete_blocks(out: AnalysisOutcome) -> AnalysisOutcome | None:
     """E1 by a mixed model; None where every block has all cells, or none can be fitted."""
     data, block = out.data, str(out.data.block)
     cell = np.unique(data.cell, return_inverse=True)[1]
@@ -100,7 +100,7 @@ def incomplete_blocks(out: Outcome) -> Outcome | None:
 
 
 def mixed_cells(
-    layout: Layout, terms: Sequence[Term], block: str, y: Array, alpha: float, seed: int | None
+    layout: CellLayout, terms: Sequence[Term], block: str, y: Array, alpha: float, seed: int | None
 ) -> tuple[MixedCells | None, list[Term]]:
     """Mixed model of one row a cell and block, and its random terms; None where none can be fitted.
 

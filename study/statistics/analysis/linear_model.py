@@ -25,7 +25,7 @@ Model = str | int | Sequence[str | Sequence[str]]
 
 
 @dataclass(frozen=True)
-class Layout:
+class CellLayout:
     """Which level of every factor each row has."""
 
     #: Labels of the levels of each factor, in order.
@@ -38,9 +38,9 @@ class Layout:
         """Number of rows."""
         return int(next(iter(self.codes.values())).size)
 
-    def take(self, rows: Ints) -> Layout:
+    def take(self, rows: Ints) -> CellLayout:
         """Return the same layout for some of the rows."""
-        return Layout(self.levels, {name: codes[rows] for name, codes in self.codes.items()})
+        return CellLayout(self.levels, {name: codes[rows] for name, codes in self.codes.items()})
 
     def cell(self, names: Sequence[str]) -> Ints:
         """Index of the combination of levels of ``names`` in each row (row-major)."""
@@ -118,7 +118,7 @@ def _parse_term(item: str | Sequence[str], factors: Sequence[str]) -> Term:
 
 
 def model_matrix(
-    layout: Layout, terms: Sequence[Term], *, extra: Sequence[Term] = ()
+    layout: CellLayout, terms: Sequence[Term], *, extra: Sequence[Term] = ()
 ) -> ModelMatrix:
     """Build the model matrix of an intercept, ``extra`` terms (blocks) and ``terms``.
 
@@ -151,7 +151,7 @@ def nested_in(terms: Sequence[Term]) -> dict[str, tuple[str, ...]]:
     return {name: parents for name, parents in found.items() if not set(parents) & set(found)}
 
 
-def number_within(layout: Layout, nested: Mapping[str, tuple[str, ...]]) -> Layout:
+def number_within(layout: CellLayout, nested: Mapping[str, tuple[str, ...]]) -> CellLayout:
     """Return the layout with nested levels numbered within each combination of their parents.
 
     Labels that are unique over all parents (``s1`` to ``s12``) would leave most combinations
@@ -167,10 +167,10 @@ def number_within(layout: Layout, nested: Mapping[str, tuple[str, ...]]) -> Layo
         if int(code.max()) + 1 < len(levels[name]):
             levels[name] = tuple(str(i + 1) for i in range(int(code.max()) + 1))
             codes[name] = code
-    return Layout(levels, codes)
+    return CellLayout(levels, codes)
 
 
-def _term_columns(layout: Layout, term: Term, present: set[frozenset[str]]) -> Array:
+def _term_columns(layout: CellLayout, term: Term, present: set[frozenset[str]]) -> Array:
     columns = np.ones((layout.n, 1))
     for name in term:
         k = len(layout.levels[name])
@@ -181,16 +181,16 @@ def _term_columns(layout: Layout, term: Term, present: set[frozenset[str]]) -> A
     return columns
 
 
-def grid(layout: Layout, names: Sequence[str]) -> Layout:
+def grid(layout: CellLayout, names: Sequence[str]) -> CellLayout:
     """Every combination of the levels of ``names`` once (row-major)."""
     combos = np.array(
         list(product(*(range(len(layout.levels[name])) for name in names))), dtype=np.int64
     ).reshape(-1, len(names))
     codes = {name: combos[:, i] for i, name in enumerate(names)}
-    return Layout({name: layout.levels[name] for name in names}, codes)
+    return CellLayout({name: layout.levels[name] for name in names}, codes)
 
 
-def balanced(layout: Layout, names: Sequence[str]) -> bool:
+def balanced(layout: CellLayout, names: Sequence[str]) -> bool:
     """Whether every combination of levels occurs, equally often."""
     size = int(np.prod([len(layout.levels[name]) for name in names]))
     counts = np.bincount(layout.cell(names), minlength=size)

@@ -35,7 +35,7 @@ from study.statistics.analysis.effects import (
 from study.statistics.analysis.linear_contrast import Cells, Contrast
 from study.statistics.analysis.linear_contrast import contrasts as contrasts_of
 from study.statistics.analysis.linear_model import (
-    Layout,
+    CellLayout,
     Model,
     ModelMatrix,
     Term,
@@ -283,7 +283,7 @@ class MixedCells:
     fixed: Factored
     #: Columns of the factors alone, without covariates.
     factors: ModelMatrix
-    layout: Layout
+    layout: CellLayout
     #: What was taken off the response.
     shift: float
     #: Of the intervals, and of simulated multipliers.

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from study.ground.arrays import Array, Ints
 from study.ground.errors import Fault, InputError
 from study.statistics.analysis.comparisons import holm
-from study.statistics.analysis.linear_model import Layout, Term, balanced, span, term_name
+from study.statistics.analysis.linear_model import CellLayout, Term, balanced, span, term_name
 from study.statistics.analysis.sums_of_squares import one_thread
 
 SCORES = "Phi^-1((r - 3/8)/(n + 1/4)), tied values share the average rank"
@@ -396,7 +396,7 @@ def helmert(k: int) -> Array:
     return np.asarray(raw / np.sqrt(j * (j + 1.0)))
 
 
-def helmert_contrasts(layout: Layout, terms: Sequence[Term], y: Array) -> dict[str, Array]:
+def helmert_contrasts(layout: CellLayout, terms: Sequence[Term], y: Array) -> dict[str, Array]:
     """Contrasts of every term in every block.
 
     Shapes: y (cells, blocks); returns (df, blocks).

@@ -16,9 +16,15 @@ import numpy as np
 
 from study.ground.arrays import Array, Ints
 from study.statistics.analysis.anova_table import Effect, PairDifference, Row
-from study.statistics.analysis.comparisons import Comparisons, Pair, studentized_range_cdf
+from study.statistics.analysis.comparisons import Comparisons, LevelPair, studentized_range_cdf
 from study.statistics.analysis.effects import own_critical, pooled_critical, t_quantile
-from study.statistics.analysis.linear_model import Layout, Term, model_matrix, nested_in, terms_of
+from study.statistics.analysis.linear_model import (
+    CellLayout,
+    Term,
+    model_matrix,
+    nested_in,
+    terms_of,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -85,7 +91,7 @@ def coefficient_table(found: AnalysisResult) -> CoefficientTable:
     return CoefficientTable(reason="the strata of the table have different errors")
 
 
-def column_names(layout: Layout, terms: tuple[Term, ...]) -> tuple[str, ...]:
+def column_names(layout: CellLayout, terms: tuple[Term, ...]) -> tuple[str, ...]:
     """Names of the coefficients: the constant, then every level of a term but the last ones."""
     names = ["Constant"]
     for term in terms:
@@ -94,7 +100,7 @@ def column_names(layout: Layout, terms: tuple[Term, ...]) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _layout(found: AnalysisResult) -> Layout | None:
+def _layout(found: AnalysisResult) -> CellLayout | None:
     """Levels of every row that was fitted; None where a factor has no effect to list them."""
     rows = found.data.residuals
     levels: dict[str, tuple[str, ...]] = {}
@@ -107,7 +113,7 @@ def _layout(found: AnalysisResult) -> Layout | None:
             return None
         levels[name] = own
         codes[name] = np.array([index[label] for label in labels], dtype=np.int64)
-    return Layout(levels, codes)
+    return CellLayout(levels, codes)
 
 
 def _pooled(found: AnalysisResult, names: tuple[str, ...]) -> CoefficientTable:
@@ -136,7 +142,7 @@ def _inflation(matrix: Array, spread: Array) -> Array:
 
 
 def _own(
-    found: AnalysisResult, layout: Layout, terms: tuple[Term, ...], names: tuple[str, ...]
+    found: AnalysisResult, layout: CellLayout, terms: tuple[Term, ...], names: tuple[str, ...]
 ) -> CoefficientTable:
     """Mean of the blocks' own coefficients, and its standard error."""
     cells, values = _by_block(found, layout)
@@ -153,7 +159,7 @@ def _own(
     return _table(names, beta.mean(axis=1), error, blocks - 1.0, None)
 
 
-def _by_block(found: AnalysisResult, layout: Layout) -> tuple[Layout, Array]:
+def _by_block(found: AnalysisResult, layout: CellLayout) -> tuple[CellLayout, Array]:
     """Means of the cells in every complete block, shape (cells, blocks), and their levels."""
     rows = found.data.residuals
     names = tuple(layout.levels)
@@ -220,7 +226,7 @@ def dunnett_of_model(
     p = [(1 + int(np.sum(largest >= abs(t)))) / (largest.size + 1) for t in means / own]
     ends = zip(means, means - half, means + half, strict=True)
     pairs = tuple(
-        Pair(name, reference, float(d), float(low), float(high), float(one))
+        LevelPair(name, reference, float(d), float(low), float(high), float(one))
         for name, (d, low, high), one in zip(others, ends, p, strict=True)
     )
     compared = Comparisons("Dunnett", alpha, pairs, {})

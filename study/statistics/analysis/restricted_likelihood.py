@@ -55,7 +55,7 @@ class SingularError(ValueError):
 
 
 @dataclass(frozen=True)
-class _Batch:
+class _RowBatch:
     """Sets of rows that share no level, each with the same number of columns.
 
     Shapes: ``at`` columns of all sets in a row, viewed as (sets, size); ``entry`` their part of
@@ -83,7 +83,7 @@ class _Crossed:
     columns: Ints
     #: shape (q,); factor of every column.
     factor: Ints
-    batches: tuple[_Batch, ...]
+    batches: tuple[_RowBatch, ...]
     #: Entry of Z'Z that each pair of factors has in each group.
     position: Ints
     #: shape (k, q); ones.
@@ -122,7 +122,7 @@ def _crossed(codes: Sequence[Ints], groups: int) -> _Crossed:
         here = np.flatnonzero(size == s)
         offset[here] = entry + (np.arange(here.size) // s) * s * s
         batches.append(
-            _Batch(slice(here[0], here[-1] + 1), slice(entry, entry + here.size * s), int(s))
+            _RowBatch(slice(here[0], here[-1] + 1), slice(entry, entry + here.size * s), int(s))
         )
         entry += here.size * int(s)
     columns = place[raw]
@@ -311,7 +311,7 @@ class Likelihood:
         )
 
     def _add_traces(
-        self, batch: _Batch, h: Array, k: Array, fine_grams: Sequence[Array], fine: float,
+        self, batch: _RowBatch, h: Array, k: Array, fine_grams: Sequence[Array], fine: float,
         trace: Array, traces: Array,
     ) -> None:  # fmt: skip
         """Add the traces of v_i V^-1 G_i and of their products that a batch holds."""

@@ -20,7 +20,7 @@ import numpy as np
 from study.ground.arrays import Array, Ints
 from study.ground.errors import Fault, InputError, StudyError
 from study.statistics.analysis.anova_table import Effect, SimpleEffect
-from study.statistics.analysis.linear_model import Layout, ModelMatrix, Term, model_matrix
+from study.statistics.analysis.linear_model import CellLayout, ModelMatrix, Term, model_matrix
 from study.statistics.convergence.contrast_bound import NumericalBound
 
 if TYPE_CHECKING:
@@ -224,7 +224,7 @@ def partners(factor: str, terms: Sequence[Term]) -> tuple[str, ...]:
 
 def simple_effects(
     factor: str,
-    layout: Layout,
+    layout: CellLayout,
     matrix: ModelMatrix,
     sample: Sample,
     practical: float | None,
@@ -250,7 +250,7 @@ def simple_effects(
 
 
 def _settings(
-    layout: Layout, others: Sequence[str], only: Mapping[str, str]
+    layout: CellLayout, others: Sequence[str], only: Mapping[str, str]
 ) -> Iterator[tuple[int, ...]]:
     choices = [
         [layout.levels[name].index(only[name])]
@@ -263,7 +263,7 @@ def _settings(
 
 def _differences(
     factor: str,
-    layout: Layout,
+    layout: CellLayout,
     matrix: ModelMatrix,
     others: Sequence[str],
     settings: Sequence[tuple[int, ...]],
@@ -279,7 +279,7 @@ def _differences(
 
 def columns_at(
     factor: str,
-    layout: Layout,
+    layout: CellLayout,
     matrix: ModelMatrix,
     others: Sequence[str],
     settings: Sequence[tuple[int, ...]],
@@ -293,7 +293,7 @@ def columns_at(
     codes[factor] = np.tile(np.arange(k), len(settings))
     for i, name in enumerate(others):
         codes[name] = np.repeat([setting[i] for setting in settings], k)
-    cells = model_matrix(Layout(layout.levels, codes), [t for t in matrix.terms if t])
+    cells = model_matrix(CellLayout(layout.levels, codes), [t for t in matrix.terms if t])
     columns = np.zeros((len(settings) * k, matrix.columns.shape[1]))
     for term in matrix.terms:
         if factor in term:
@@ -303,7 +303,7 @@ def columns_at(
 
 def _effects(
     factor: str,
-    layout: Layout,
+    layout: CellLayout,
     others: Sequence[str],
     settings: Sequence[tuple[int, ...]],
     pairs: Sequence[tuple[int, int]],

@@ -15,7 +15,7 @@ import numpy as np
 from study.ground.arrays import Array, Ints
 from study.ground.errors import Fault, InputError, nearest
 from study.statistics.analysis import error_ledger
-from study.statistics.analysis.analysis_request import Outcome, kind_of
+from study.statistics.analysis.analysis_request import AnalysisOutcome, kind_of
 from study.statistics.analysis.anova_table import Anova, ErrorTerm, Row
 from study.statistics.analysis.comparisons import bonferroni
 from study.statistics.analysis.data import Data
@@ -97,7 +97,7 @@ def _constant(codes: Ints, block: Ints) -> bool:
     return bool(pairs.shape[0] == np.unique(block).size > np.unique(codes).size)
 
 
-def split_plot(out: Outcome, plots: Plots) -> Outcome:
+def split_plot(out: AnalysisOutcome, plots: Plots) -> AnalysisOutcome:
     """Analysis of a split plot with one pooled error in each stratum."""
     data = out.data
     matrix = model_matrix(data.layout, out.terms)
@@ -146,7 +146,7 @@ def split_plot(out: Outcome, plots: Plots) -> Outcome:
 
 
 def _over_strata(
-    out: Outcome,
+    out: AnalysisOutcome,
     whole: Factored,
     bases: Sequence[Array],
     strata: Sequence[Stratum],
@@ -208,7 +208,7 @@ def _beyond(before: Array, columns: Array) -> Array:
 
 
 def _strata(
-    out: Outcome, matrix: ModelMatrix, plots: Plots, bases: list[tuple[str, Array]]
+    out: AnalysisOutcome, matrix: ModelMatrix, plots: Plots, bases: list[tuple[str, Array]]
 ) -> list[Stratum]:
     n = out.y.size
     shifted = out.y - out.y[0]

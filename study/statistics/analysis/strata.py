@@ -20,7 +20,7 @@ from scipy.special import fdtrc
 from study.ground.arrays import Array, Ints
 from study.ground.errors import Fault, InputError, nearest
 from study.statistics.analysis import error_ledger
-from study.statistics.analysis.analysis_request import AnalysisRequest, Outcome, kind_of
+from study.statistics.analysis.analysis_request import AnalysisOutcome, AnalysisRequest, kind_of
 from study.statistics.analysis.anova_table import (
     Anova,
     Effect,
@@ -45,7 +45,7 @@ from study.statistics.analysis.effects import (
 )
 from study.statistics.analysis.gate import judge_factors, rivals_over_blocks, rivals_over_groups
 from study.statistics.analysis.linear_model import (
-    Layout,
+    CellLayout,
     Term,
     complement,
     model_matrix,
@@ -80,7 +80,7 @@ class _Part:
     df: int
 
 
-def own_groups(out: Outcome, plots: Plots) -> Outcome | None:
+def own_groups(out: AnalysisOutcome, plots: Plots) -> AnalysisOutcome | None:
     """E1 with own interactions, blocks nested in groups; None where groups have no replicates."""
     block = str(out.data.block)
     within = tuple(f for f in out.data.factors if f not in plots.between)
@@ -130,7 +130,9 @@ def own_groups(out: Outcome, plots: Plots) -> Outcome | None:
     )
 
 
-def _table(out: Outcome, within: tuple[str, ...], plots: Plots) -> tuple[Crossed, Layout]:
+def _table(
+    out: AnalysisOutcome, within: tuple[str, ...], plots: Plots
+) -> tuple[Crossed, CellLayout]:
     """Cells of the factors within blocks against blocks, and the group of each block kept."""
     data = out.data
     block = str(data.block)
@@ -139,11 +141,11 @@ def _table(out: Outcome, within: tuple[str, ...], plots: Plots) -> tuple[Crossed
     kept = [index[name] for name in table.blocks]
     first = np.array([int(np.flatnonzero(data.layout.codes[block] == k)[0]) for k in kept])
     codes = {f: data.layout.codes[f][first] for f in plots.between}
-    return table, Layout({f: data.layout.levels[f] for f in plots.between}, codes)
+    return table, CellLayout({f: data.layout.levels[f] for f in plots.between}, codes)
 
 
 def _parts(
-    out: Outcome, table: Crossed, within: tuple[str, ...], block: str, fit: Factored
+    out: AnalysisOutcome, table: Crossed, within: tuple[str, ...], block: str, fit: Factored
 ) -> dict[Term, _Part]:
     cells = table.y.shape[0]
     bases: dict[Term, Array] = {(): np.ones((cells, 1)) / np.sqrt(cells)}
@@ -237,7 +239,7 @@ def _sphere(part: _Part, fit: Factored) -> SphericityResult:
 
 
 def _welch_effects(
-    out: Outcome, rows: dict[Term, Row], table: Crossed, groups: Sequence[Ints]
+    out: AnalysisOutcome, rows: dict[Term, Row], table: Crossed, groups: Sequence[Ints]
 ) -> tuple[Effect, ...]:
     """Effects with variances of their own in each group of blocks, and simple effects."""
     data, asked = out.data, out.request
@@ -245,7 +247,7 @@ def _welch_effects(
     names = data.layout.levels[str(data.block)]
     of_row = np.array([index.get(names[c], -1) for c in data.layout.codes[str(data.block)]])
     kept = of_row >= 0
-    layout = Layout(data.layout.levels, {f: c[kept] for f, c in data.layout.codes.items()})
+    layout = CellLayout(data.layout.levels, {f: c[kept] for f, c in data.layout.codes.items()})
     fit = factor(model_matrix(layout, out.terms), out.y[kept])
     per_row = (fit.model.inverse @ fit.q.T) * (out.y[kept] - fit.shift)
     added = per_row @ np.eye(len(table.blocks))[of_row[kept]]
@@ -259,7 +261,7 @@ def _welch_effects(
 
 
 def _welch_estimate(
-    out: Outcome,
+    out: AnalysisOutcome,
     fit: Factored,
     term: Term,
     rows: dict[Term, Row],
@@ -299,7 +301,7 @@ def sum_of_covariances(value: Array, groups: Sequence[Ints]) -> Array:
     return np.asarray(np.sum(parts, axis=0))
 
 
-def _effects(out: Outcome, rows: dict[Term, Row], errors: list[Row]) -> tuple[Effect, ...]:
+def _effects(out: AnalysisOutcome, rows: dict[Term, Row], errors: list[Row]) -> tuple[Effect, ...]:
     """Effects with the pooled error of their stratum."""
     whole = factor(model_matrix(out.data.layout, out.terms), out.y)
     by_error = {row.term: row for row in errors}
@@ -494,7 +496,7 @@ def block_coefficients(table: Crossed, fit: Factored) -> tuple[float, Array]:
     return shift, fit.model.inverse @ (fit.q.T @ (table.y - shift))
 
 
-def own(out: Outcome) -> Outcome | None:
+def own(out: AnalysisOutcome) -> AnalysisOutcome | None:
     """E1: every effect against its own interaction with the blocks.
 
     E2 where the blocks are resamples of the noise, which all cells have in common.

@@ -14,7 +14,7 @@ from study.ground.arrays import Array, Ints
 from study.ground.canonical import plain
 from study.ground.errors import RefusedError
 from study.statistics.analysis.data import Data
-from study.statistics.analysis.linear_model import Layout, Term, balanced, term_name, terms_of
+from study.statistics.analysis.linear_model import CellLayout, Term, balanced, term_name, terms_of
 from study.statistics.analysis.sums_of_squares import Factored, TwoWayFit
 
 if TYPE_CHECKING:
@@ -156,7 +156,7 @@ def half_normal_scores(values: ArrayLike) -> Array:
     return np.asarray(ndtri(0.5 + 0.5 * (rankdata(size) - 0.5) / size.size))
 
 
-def orthonormal_contrasts(layout: Layout, terms: Sequence[Term]) -> tuple[list[str], Array]:
+def orthonormal_contrasts(layout: CellLayout, terms: Sequence[Term]) -> tuple[list[str], Array]:
     """One-df orthonormal contrasts of the terms of a full factorial with one row a cell.
 
     Shapes: returns (n, m).
@@ -189,7 +189,7 @@ def _one_df_contrasts(levels: Sequence[str]) -> Array:
     return np.asarray((q * np.sign(np.diag(r)))[:, 1:])
 
 
-def two_level_effects(layout: Layout, y: Array, terms: Sequence[Term]) -> dict[str, float]:
+def two_level_effects(layout: CellLayout, y: Array, terms: Sequence[Term]) -> dict[str, float]:
     """Classical effects (mean at high minus mean at low) of a two-level factorial.
 
     Shapes: y (n,).
@@ -224,7 +224,7 @@ def non_additivity(fit: Factored | TwoWayFit) -> NonAdditivityResult:
 
 
 def functional_shares(
-    layout: Layout, factors: Sequence[str], y: Array, terms: Sequence[Term]
+    layout: CellLayout, factors: Sequence[str], y: Array, terms: Sequence[Term]
 ) -> dict[str, float]:
     """Exact functional-ANOVA shares of a full factorial (Hooker 2007); they sum to one.
 

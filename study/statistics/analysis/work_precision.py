@@ -14,7 +14,7 @@ from study.ground.arrays import Array, Flags
 from study.statistics.analysis.data import crossed, prepare
 from study.statistics.analysis.effects import term_rows
 from study.statistics.analysis.linear_model import (
-    Layout,
+    CellLayout,
     Model,
     Term,
     model_matrix,
@@ -181,7 +181,7 @@ def mesh_series(
 
 def _cells(
     table: pd.DataFrame, response: str, factors: Sequence[str], block: str | None, transform: str
-) -> tuple[Layout, Array]:
+) -> tuple[CellLayout, Array]:
     """Levels and mean of every cell, over the blocks that are analyzed, on the working scale."""
     data = prepare(table, response, factors, block)
     y = np.log(data.y) if transform == "log" else data.y
@@ -195,7 +195,7 @@ def _cells(
     return data.layout.take(first), y[0] + total / np.bincount(index)
 
 
-def _complete(layout: Layout, others: Sequence[str], mesh: str, codes: Sequence[int]) -> Flags:
+def _complete(layout: CellLayout, others: Sequence[str], mesh: str, codes: Sequence[int]) -> Flags:
     """Whether the column of each cell has all meshes."""
     column = layout.cell(others)
     full = set(column.tolist())
@@ -204,7 +204,7 @@ def _complete(layout: Layout, others: Sequence[str], mesh: str, codes: Sequence[
     return np.isin(column, list(full))
 
 
-def _effects(layout: Layout, fit: Factored, term: Term) -> Array:
+def _effects(layout: CellLayout, fit: Factored, term: Term) -> Array:
     """Pure effect of each level of a term, NaN where it is not estimable."""
     _, rows, _ = term_rows(layout, fit, term)
     if not fit.estimable(rows).all():

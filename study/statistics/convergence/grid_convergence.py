@@ -609,7 +609,7 @@ class NumericalUncertainty:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class ValidationComparison:
     """E with its parts along a curve; arrays have one entry a displacement, forces in N."""
 
     #: shape (n,); curve and E = S - D.
@@ -653,7 +653,7 @@ def compare(
     u_num_N: ArrayLike | None = None,  # noqa: N803
     u_input_N: ArrayLike | None = None,  # noqa: N803
     u_data_N: ArrayLike | None = None,  # noqa: N803
-) -> Comparison:
+) -> ValidationComparison:
     """E +- u_val along a curve.
 
     Shapes: displacement_mm (n,); simulated_N, measured_N (n,); u_num_N, u_input_N, u_data_N (n,).
@@ -671,4 +671,6 @@ def compare(
              for v in parts.values()]  # fmt: skip
     total = np.sqrt(sum(u**2 for u in known))
     unknown = tuple(name for name, v in parts.items() if v is None)
-    return Comparison(d, s, m, s - m, known[0], known[1], known[2], np.asarray(total), unknown)
+    return ValidationComparison(
+        d, s, m, s - m, known[0], known[1], known[2], np.asarray(total), unknown
+    )

@@ -56,7 +56,7 @@ def model_matrix(terms: Sequence[Term], coded: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Polynomial:
+class QuadraticPolynomial:
     """Terms with their coefficients."""
 
     terms: tuple[Term, ...]
@@ -209,7 +209,7 @@ ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
-class FTest:
+class SurfaceFTest:
     """An F test."""
 
     f: float
@@ -220,7 +220,7 @@ class FTest:
     p: float
 
 
-def against_blocks(columns: Array, response: Array) -> FTest | None:
+def against_blocks(columns: Array, response: Array) -> SurfaceFTest | None:
     """Test columns against their own interaction with the blocks (Greenhouse and Geisser 1959)."""
     # Shapes: columns (n, k); response (n, b).
     from scipy import stats
@@ -237,10 +237,10 @@ def against_blocks(columns: Array, response: Array) -> FTest | None:
     epsilon = trace**2 / (k * float((covariance**2).sum()))
     f = blocks * float(mean @ mean) / trace
     df = epsilon * k
-    return FTest(f, df, df * (blocks - 1), float(stats.f.sf(f, df, df * (blocks - 1))))
+    return SurfaceFTest(f, df, df * (blocks - 1), float(stats.f.sf(f, df, df * (blocks - 1))))
 
 
-def lack_of_fit(columns: ModelColumns, response: Array, which: Ints) -> FTest | None:
+def lack_of_fit(columns: ModelColumns, response: Array, which: Ints) -> SurfaceFTest | None:
     """Classical test of the model against pure error (Montgomery 2017, section 11.2)."""
     # Shapes: response (n,); which (n,).
     from scipy import stats
@@ -254,7 +254,7 @@ def lack_of_fit(columns: ModelColumns, response: Array, which: Ints) -> FTest | 
         return None
     residual = float((columns.residuals(response) ** 2).sum())
     f = max(residual - pure, 0.0) / df / (pure / df_pure)
-    return FTest(f, float(df), float(df_pure), float(stats.f.sf(f, df, df_pure)))
+    return SurfaceFTest(f, float(df), float(df_pure), float(stats.f.sf(f, df, df_pure)))
 
 
 # Where the surface is level, and what it is there (canonical analysis).
@@ -303,7 +303,7 @@ class Region:
     leaves: bool
 
 
-def stationary_point(surface: Polynomial) -> StationaryPoint | None:
+def stationary_point(surface: QuadraticPolynomial) -> StationaryPoint | None:
     """Canonical analysis of a surface (Box and Wilson 1951)."""
     matrix = surface.quadratic()
     eigenvalues, vectors = np.linalg.eigh(matrix)
@@ -324,7 +324,7 @@ def _kind(eigenvalues: Array) -> Kind:
     return "minimum" if eigenvalues.min() > 0 else "saddle"
 
 
-def in_region(surfaces: Sequence[Polynomial], coded: Array, level: float = 0.95) -> Flags:
+def in_region(surfaces: Sequence[QuadraticPolynomial], coded: Array, level: float = 0.95) -> Flags:
     """Whether the blocks' gradients at each point may have the mean zero (Hotelling's T^2)."""
     # Shapes: coded (n, k).
     from scipy import stats
@@ -339,7 +339,7 @@ def in_region(surfaces: Sequence[Polynomial], coded: Array, level: float = 0.95)
     return np.asarray(t2 <= limit)
 
 
-def region_of(surfaces: Sequence[Polynomial], points: Array) -> Region | None:
+def region_of(surfaces: Sequence[QuadraticPolynomial], points: Array) -> Region | None:
     """Confidence region over the box. Shapes: points (n, k)."""
     k = surfaces[0].k
     if len(surfaces) <= k:
@@ -350,7 +350,7 @@ def region_of(surfaces: Sequence[Polynomial], points: Array) -> Region | None:
     return Region(low, high, _touches(surfaces, points))
 
 
-def _touches(surfaces: Sequence[Polynomial], points: Array) -> bool:
+def _touches(surfaces: Sequence[QuadraticPolynomial], points: Array) -> bool:
     """Whether the region reaches a face of the box."""
     for j in range(points.shape[1]):
         for side in (-1.0, 1.0):
@@ -370,7 +370,7 @@ Error = Literal["none", "blocks", "replicates"]
 
 
 @dataclass(frozen=True)
-class TermEstimate:
+class SurfaceTerm:
     """A coefficient of a coded term; interval and p only where there is an error to judge by."""
 
     term: str
@@ -384,18 +384,18 @@ class QuadraticSurface:
     """A fitted surface."""
 
     runs: Runs
-    polynomial: Polynomial
+    polynomial: QuadraticPolynomial
     #: The same with intervals and p.
-    terms: tuple[TermEstimate, ...]
+    terms: tuple[SurfaceTerm, ...]
     #: With blocks: all terms of a factor together.
-    factor_tests: dict[str, FTest]
+    factor_tests: dict[str, SurfaceFTest]
     #: {"none", "blocks", "replicates"}: what tests rest on: nothing (a deterministic surface),
     #: blocks or replicates.
     error: Error
     #: Leave-one-out errors; None where no run can be left out.
     loo: LeaveOneOut | None
     #: What the model leaves open, against blocks or pure error.
-    lack_of_fit: FTest | None
+    lack_of_fit: SurfaceFTest | None
     #: None where the surface is level nowhere.
     stationary: StationaryPoint | None
     #: In the box, with twice the rms leave-one-out error around.
@@ -430,7 +430,7 @@ def fit_quadratic(runs: Runs, alpha: float = 0.05) -> QuadraticSurface:
     columns = factorize(second_order(single.levels()), settings)
     b = columns.coefficients(means)
     terms = [
-        TermEstimate(label, float(c)) for label, c in zip(_labels(runs, columns), b, strict=True)
+        SurfaceTerm(label, float(c)) for label, c in zip(_labels(runs, columns), b, strict=True)
     ]
     notes = ["no p: a deterministic surface has misfit, not noise"]
     copies = runs.response.size - means.size
@@ -482,7 +482,7 @@ def _with_blocks(runs: Runs, alpha: float) -> QuadraticSurface:
         runs, columns, table.mean(axis=1), terms, "blocks",
         lack=against_blocks(columns.complement(), table), notes=notes,
     )  # fmt: skip
-    surfaces = [Polynomial(columns.terms, c, len(runs.factors)) for c in each.T]
+    surfaces = [QuadraticPolynomial(columns.terms, c, len(runs.factors)) for c in each.T]
     return replace(
         found,
         factor_tests=_factor_tests(runs, columns, table),
@@ -491,7 +491,7 @@ def _with_blocks(runs: Runs, alpha: float) -> QuadraticSurface:
 
 
 def _with_region(
-    point: StationaryPoint | None, surfaces: list[Polynomial]
+    point: StationaryPoint | None, surfaces: list[QuadraticPolynomial]
 ) -> StationaryPoint | None:
     if point is None:
         return None
@@ -499,7 +499,7 @@ def _with_region(
     return replace(point, region=region_of(surfaces, points))
 
 
-def _factor_tests(runs: Runs, columns: ModelColumns, table: Array) -> dict[str, FTest]:
+def _factor_tests(runs: Runs, columns: ModelColumns, table: Array) -> dict[str, SurfaceFTest]:
     found = {}
     for j, name in enumerate(runs.names):
         own = [i for i, term in enumerate(columns.terms) if j in term.factors]
@@ -515,14 +515,14 @@ def _labels(runs: Runs, columns: ModelColumns) -> list[str]:
 
 def _estimates(
     labels: list[str], b: Array, errors: Array, df: int, alpha: float
-) -> tuple[TermEstimate, ...]:
+) -> tuple[SurfaceTerm, ...]:
     from scipy import stats
 
     if df < 1:
-        return tuple(TermEstimate(label, float(c)) for label, c in zip(labels, b, strict=True))
+        return tuple(SurfaceTerm(label, float(c)) for label, c in zip(labels, b, strict=True))
     t = float(stats.t.ppf(1.0 - alpha / 2.0, df))
     return tuple(
-        TermEstimate(
+        SurfaceTerm(
             label,
             float(c),
             (float(c - t * se), float(c + t * se)),
@@ -536,13 +536,15 @@ def _surface(
     runs: Runs,
     columns: ModelColumns,
     response: Array,
-    terms: tuple[TermEstimate, ...],
+    terms: tuple[SurfaceTerm, ...],
     error: Error,
     *,
-    lack: FTest | None = None,
+    lack: SurfaceFTest | None = None,
     notes: list[str],
 ) -> QuadraticSurface:
-    polynomial = Polynomial(columns.terms, columns.coefficients(response), len(runs.factors))
+    polynomial = QuadraticPolynomial(
+        columns.terms, columns.coefficients(response), len(runs.factors)
+    )
     loo = leave_one_out(columns, response)
     half_width = float("nan") if loo is None else 2.0 * loo.rms
     smallest, largest = extremes(polynomial.value, polynomial.k, half_width)

@@ -30,7 +30,7 @@ LEVEL = 0.95
 
 
 @dataclass(frozen=True)
-class Combination:
+class FactorCombination:
     """A product of powers of the inputs that a curve determines."""
 
     #: shape (k,); powers, the first one that counts is 1; 0 for an input that was held or is
@@ -43,7 +43,7 @@ class Combination:
 
 
 @dataclass(frozen=True)
-class Agreement:
+class InversionAgreement:
     """Settings whose curves agree with a measured one."""
 
     #: shape (k,); coded settings of the best curve.
@@ -64,7 +64,7 @@ class Agreement:
     #: shape (2, k); members where the least determined input is smallest and largest.
     ends: Array
     #: What is determined where an input by itself is not; empty where all inputs are.
-    combinations: tuple[Combination, ...]
+    combinations: tuple[FactorCombination, ...]
 
 
 def agreeing(
@@ -74,7 +74,7 @@ def agreeing(
     *,
     rows_worth: float | None = None,
     largest: float | None = None,
-) -> Agreement:
+) -> InversionAgreement:
     """Find the set of settings whose curves agree with a measured one.
 
     A curve agrees where its sum of squares lies in the joint 95 % region of least squares (Bates
@@ -108,7 +108,7 @@ def agreeing(
     alone = ~(is_open[0] | is_open[1])
     loose_ones = np.array([j for j in search.free if not alone[j]], dtype=np.int64)
     told = search.combinations(at, rms, largest, loose_ones)
-    return Agreement(
+    return InversionAgreement(
         at, rms, largest, low, high, is_open[0], is_open[1], np.array(points), whole, told
     )
 
@@ -210,7 +210,7 @@ class _Search:
 
     def combinations(
         self, at: Array, rms: float, largest: float, loose: Ints
-    ) -> tuple[Combination, ...]:
+    ) -> tuple[FactorCombination, ...]:
         """Products of powers of the inputs that by themselves are not determined."""
         # In logarithms the curve is nearly linear about the best setting; along the directions in
         # which it changes much, the set is narrow.
@@ -235,11 +235,11 @@ class _Search:
 
     def _combination(
         self, direction: Array, half: float, settings: Array, loose: Ints
-    ) -> Combination:
+    ) -> FactorCombination:
         counts = np.abs(direction) >= COUNTS * float(np.abs(direction).max())
         unit = direction[int(np.flatnonzero(counts)[0])]
         own = np.where(counts, direction / unit, 0.0)
         exponents = np.zeros(self.held.size)
         exponents[loose] = own
         value = float(np.prod(settings**own))
-        return Combination(exponents, value, float(np.exp(half / abs(unit))))
+        return FactorCombination(exponents, value, float(np.exp(half / abs(unit))))

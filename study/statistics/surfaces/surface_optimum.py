@@ -27,7 +27,7 @@ ROUNDING = 1e-7
 
 
 @dataclass(frozen=True)
-class Limit:
+class ResponseLimit:
     """Another response that may not pass a limit."""
 
     #: Its surface, over the same factors.
@@ -96,7 +96,7 @@ def run_box(runs: Runs) -> tuple[Array, Array]:
     return np.maximum(low, -1.0), np.minimum(high, 1.0)
 
 
-def optimum(model: Model, goal: Goal, limits: Sequence[Limit], held: Array) -> Optimum:
+def optimum(model: Model, goal: Goal, limits: Sequence[ResponseLimit], held: Array) -> Optimum:
     """Find the best predicted setting inside what was run.
 
     The limits are asked of the unfavourable ends of the intervals first. Where no setting keeps
@@ -150,7 +150,7 @@ class _Space:
 
 
 def _searched(
-    model: Model, sign: float, limits: Sequence[Limit], space: _Space, share: float
+    model: Model, sign: float, limits: Sequence[ResponseLimit], space: _Space, share: float
 ) -> Array | None:
     """Best free settings, shape (f,), that keep the limits; None where none do."""
     sample = space.sample()
@@ -170,7 +170,12 @@ def _searched(
 
 
 def _polished(
-    model: Model, sign: float, limits: Sequence[Limit], space: _Space, share: float, start: Array
+    model: Model,
+    sign: float,
+    limits: Sequence[ResponseLimit],
+    space: _Space,
+    share: float,
+    start: Array,
 ) -> Array:
     """Free settings, shape (1, f), where sequential quadratic programming ends."""
     if not start.size:
@@ -179,7 +184,7 @@ def _polished(
     def each(function: Callable[[Array], Array]) -> Callable[[Array], float]:
         return lambda x: float(function(space.whole(x[None, :]))[0])
 
-    def rule(one: Limit) -> dict[str, object]:
+    def rule(one: ResponseLimit) -> dict[str, object]:
         # kept by a hair more than is asked, so that rounding does not lose the limit
         return {"type": "ineq", "fun": each(lambda p: one.room(p, share) - 0.1 * ROUNDING)}
 
@@ -198,7 +203,7 @@ def _value(model: Model, coded: Array) -> Array:
     return model.value(coded)
 
 
-def _rooms(limits: Sequence[Limit], coded: Array, share: float) -> Array:
+def _rooms(limits: Sequence[ResponseLimit], coded: Array, share: float) -> Array:
     """Smallest distance to a limit, shape (m,); zero without limits."""
     if not limits:
         return np.zeros(len(coded))
@@ -206,7 +211,7 @@ def _rooms(limits: Sequence[Limit], coded: Array, share: float) -> Array:
 
 
 def _told(
-    model: Model, limits: Sequence[Limit], space: _Space, own: Array, said: Assurance
+    model: Model, limits: Sequence[ResponseLimit], space: _Space, own: Array, said: Assurance
 ) -> Optimum:
     at = space.whole(own[None, :])
     value, half = model.predict(at)
@@ -217,7 +222,7 @@ def _told(
     return Optimum(at[0], float(value[0]), float(half[0]), limited, said, ends)
 
 
-def _infeasible(model: Model, limits: Sequence[Limit], space: _Space) -> Fault:
+def _infeasible(model: Model, limits: Sequence[ResponseLimit], space: _Space) -> Fault:
     """Say how near to the limits the surfaces come."""
     points = space.whole(space.sample())
     at = points[int(np.argmax(_rooms(limits, points, 0.0)))]
@@ -232,7 +237,7 @@ def _infeasible(model: Model, limits: Sequence[Limit], space: _Space) -> Fault:
 
 
 @dataclass(frozen=True)
-class Spread:
+class ResponseSpread:
     """What the factors that nobody chooses do at a best setting."""
 
     #: Smallest and largest prediction over their ranges, in the response's unit.
@@ -243,8 +248,8 @@ class Spread:
 
 
 def spread_over(
-    model: Model, limits: Sequence[Limit], found: Optimum, others: Sequence[int]
-) -> Spread | None:
+    model: Model, limits: Sequence[ResponseLimit], found: Optimum, others: Sequence[int]
+) -> ResponseSpread | None:
     """Vary the factors that nobody chooses over what was run, the others at their best."""
     if not others:
         return None
@@ -254,4 +259,4 @@ def spread_over(
     points = space.whole(space.sample())
     value = _value(model, points)
     kept = float((_rooms(limits, points, 0.0) >= -ROUNDING).mean())
-    return Spread(float(value.min()), float(value.max()), kept)
+    return ResponseSpread(float(value.min()), float(value.max()), kept)

@@ -35,7 +35,7 @@ GRID = 31
 
 
 @dataclass(frozen=True)
-class Profile:
+class SurfaceProfile:
     """The response along one factor, the others in the middle of their ranges."""
 
     factor: str
@@ -67,14 +67,14 @@ class Contour:
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class LeftOutRun:
     """Every run, and what all the others predict of it; shape (n,) each."""
 
     observed: Array
     predicted: Array
 
 
-def profiles(found: SurfaceAnalysis) -> tuple[Profile, ...]:
+def profiles(found: SurfaceAnalysis) -> tuple[SurfaceProfile, ...]:
     """Profile of every factor, in the order of the factors."""
     return tuple(_profile(found, j) for j in range(len(found.runs.factors)))
 
@@ -107,7 +107,7 @@ def contour(found: SurfaceAnalysis, factors: Sequence[str]) -> Contour:
     )
 
 
-def left_out(found: SurfaceAnalysis) -> LeftOut | None:
+def left_out(found: SurfaceAnalysis) -> LeftOutRun | None:
     """Leave-one-out predictions; None where no run can be left out."""
     model = found.model
     if isinstance(model, QuadraticSurface):
@@ -115,20 +115,20 @@ def left_out(found: SurfaceAnalysis) -> LeftOut | None:
             return None
         known = np.isfinite(model.loo.errors)
         observed = model.loo.observed[known]
-        return LeftOut(observed, observed - model.loo.errors[known])
+        return LeftOutRun(observed, observed - model.loo.errors[known])
     each = model.each if isinstance(model, BlockedEmulator) else (model,)
     observed = np.concatenate([one.runs.response for one in each])
-    return LeftOut(observed, observed - model.loo_errors)
+    return LeftOutRun(observed, observed - model.loo_errors)
 
 
-def _profile(found: SurfaceAnalysis, j: int) -> Profile:
+def _profile(found: SurfaceAnalysis, j: int) -> SurfaceProfile:
     runs = found.runs
     coded = np.zeros((POINTS, len(runs.factors)))
     coded[:, j] = _coded(runs.coded[:, j], POINTS)
     value, half = found.model.predict(coded)
     factor = runs.factors[j]
     setting = np.array([factor.setting(float(x)) for x in coded[:, j]])
-    return Profile(factor.name, setting, value, value - half, value + half)
+    return SurfaceProfile(factor.name, setting, value, value - half, value + half)
 
 
 def _coded(column: Array, points: int) -> Array:

@@ -10,14 +10,14 @@ from numpy.typing import ArrayLike
 
 from study.ground.arrays import Array
 from study.statistics.surfaces.emulator import BlockedEmulator, EffectRange, Emulator, SobolIndex
-from study.statistics.surfaces.quadratic import FTest, QuadraticSurface, StationaryPoint
+from study.statistics.surfaces.quadratic import QuadraticSurface, StationaryPoint, SurfaceFTest
 from study.statistics.surfaces.surface_factors import Extreme, Runs, extremes
 
 Document = dict[str, object]
 
 
 @dataclass(frozen=True)
-class Prediction:
+class SurfacePrediction:
     """Predictions with their 95 % intervals, shape (m,) each, in the response's unit."""
 
     value: Array
@@ -60,10 +60,10 @@ class SurfaceAnalysis:
         """Copy with notes before its own."""
         return replace(self, notes=(*notes, *self.notes))
 
-    def predict(self, at: Mapping[str, ArrayLike]) -> Prediction:
+    def predict(self, at: Mapping[str, ArrayLike]) -> SurfacePrediction:
         """Predict at settings that were not run, inside those that were. Shapes: at (m,)."""
         value, half = self.model.predict(self.runs.points(at))
-        return Prediction(value, value - half, value + half)
+        return SurfacePrediction(value, value - half, value + half)
 
     def to_json(self) -> Document:
         """Plain values, with the keys ``surface`` and ``sensitivity``."""
@@ -229,7 +229,7 @@ def _with_interval(found: Emulator | BlockedEmulator, extreme: Extreme) -> Extre
     return Extreme(extreme.at, extreme.value, float(half[0]))
 
 
-def _test(test: FTest | None) -> Document | None:
+def _test(test: SurfaceFTest | None) -> Document | None:
     if test is None:
         return None
     return {"F": test.f, "df": test.df, "df_error": test.df_error, "p": test.p}

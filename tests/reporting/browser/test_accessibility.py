@@ -19,7 +19,7 @@ import pandas as pd
 import pytest
 
 from study import api
-from study.api.analyzing import Source
+from study.api.analyzing import AnalysisSource as Source
 from study.api.fitting_surfaces import write_surface_page
 from study.api.serving import Folders, StudyServer
 from study.harness.record.store import Store
