@@ -47,6 +47,10 @@ def label_of(cell: Document) -> str:
     return " / ".join(str(v) for v in (cell.get("levels") or {}).values()) or str(cell["qoi"])
 
 
+#: behaviour whose bound is a scatter and no interval of a limit
+DIVERGENT = "divergent"
+
+
 def value_points(cells: Sequence[Document]) -> pd.DataFrame:
     """One row a mesh: size, value, and what the series says of it.
 
@@ -60,7 +64,7 @@ def value_points(cells: Sequence[Document]) -> pd.DataFrame:
             "mesh_size": h, "value": v, "behaviour": cell["behaviour"],
             "observed_order": cell["observed_order"], "formal_order": cell["formal_order"],
             "order_used": cell.get("order_used"), "extrapolated": cell["extrapolated"],
-            "u_num": cell["u_num"] if k == 0 else None,
+            "u_num": cell["u_num"] if k == 0 and cell["behaviour"] != DIVERGENT else None,
         }
         for cell, title in zip(cells, _titles(cells), strict=True)
         for k, (h, v) in enumerate(zip(cell["mesh_size"], cell["value"], strict=True))
@@ -249,7 +253,7 @@ def _legend(ax: Axes) -> None:
 
 def value_caption(cells: Sequence[Document]) -> str:
     """State how many cells converge, and what the marks are."""
-    good = [c for c in cells if c["u_num"] is not None]
+    good = [c for c in cells if c["u_num"] is not None and c["behaviour"] != DIVERGENT]
     shares = [c["u_num"] / abs(c["value"][0]) for c in good if c["value"][0]]
     text = f"{len(good)} of {len(cells)} series have an interval"
     if shares:
