@@ -111,7 +111,7 @@ def test_display_units() -> None:
 
 
 def test_common_units_do_not_load_pint() -> None:
-    code = "import sys; from study import units; units.parse('5 kPa', 'pressure')"
+    code = "import sys; from study.ground import units; units.parse('5 kPa', 'pressure')"
     done = subprocess.run(
         [sys.executable, "-c", code + "; sys.exit('pint' in sys.modules)"], check=False
     )

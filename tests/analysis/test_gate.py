@@ -346,3 +346,11 @@ def test_contrasts_asked_for_by_name_pass_the_gate() -> None:
     uneven, even = contrasts(found, ["a=0 - a=2", "a=0 - a=1"])
     assert (uneven.verdict, even.verdict) == (CANNOT_TELL, NO_DIFFERENCE)
     assert "Welch" in uneven.why
+
+
+def test_differences_of_rounding_are_no_skewed_sample() -> None:
+    """Cells that compute the same differ in their last digits alone, all to one side."""
+    table = crossed(s=8, a=2)
+    table["y"] = 3.0 + table["s"] + 4e-16 * (table["a"] * (1 + table["s"] ** 3))
+    found = anova(table, "y", ["a"], block="s", records=True, practical=0.5, exact=False)
+    assert found.effect("a").verdict == NO_DIFFERENCE

@@ -148,12 +148,8 @@ def test_how_many_specimens_a_claim_needs(capsys: pytest.CaptureFixture[str]) ->
 def test_a_claim_that_rests_on_one_block_names_it(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    """Differences 0, 2.8 (five times): the interval reaches 1.16 with s0 and 2.8 without it.
-
-    With practical 2.6 only the five equal ones would make a claim; with practical 1 all do, and
-    without any one of the five the interval of the others reaches below 1.
-    """
-    differences = [0.0, 2.79, 2.80, 2.81, 2.80, 2.80]
+    """All six blocks put the interval beyond 1; without any one of the larger five it is not."""
+    differences = [0.4, 1.9, 2.6, 3.2, 2.2, 2.9]
     rows = ["m,specimen,y"]
     for k, d in enumerate(differences):
         rows += [f"x,s{k},{10 + k}", f"y,s{k},{10 + k + d}"]

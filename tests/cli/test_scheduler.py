@@ -189,6 +189,7 @@ def test_a_scheduler_that_is_not_there_is_refused_and_nothing_is_written(
     assert not (folder / "results").exists()
 
 
+@pytest.mark.usefixtures("processes")
 def test_a_surface_goes_to_workers_that_do_not_see_its_file(tmp_path: Path) -> None:
     """The file is gone as soon as something is computed: workers read the copies that they got."""
     designs, data, place = (tmp_path / name for name in ("designs", "data", "cluster"))

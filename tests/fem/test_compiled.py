@@ -64,7 +64,7 @@ def ask(folder: Path) -> tuple[int, int]:
 
 def test_a_change_in_another_file_is_seen(tmp_path: Path) -> None:
     """Numba alone would go on with the old answer: only the callee's file is new."""
-    source = Path(study.compilation.__file__)
+    source = Path(study.ground.compilation.__file__)
     shutil.copy(source, tmp_path / "compiled.py")
     (tmp_path / "caller.py").write_text(CALLER)
     (tmp_path / "callee.py").write_text(CALLEE.format(answer=41))
@@ -91,7 +91,7 @@ def together(folder: Path, dimensions: str) -> list[str]:
 
 def test_of_processes_at_once_one_compiles(tmp_path: Path) -> None:
     """The others wait, and no process loses the entry of another in a kernel's index."""
-    shutil.copy(study.compilation.__file__, tmp_path / "compiled.py")
+    shutil.copy(study.ground.compilation.__file__, tmp_path / "compiled.py")
     (tmp_path / "total.py").write_text(SIGNATURES)
     assert sorted(together(tmp_path, "1123")) == ["0", "0", "0", "1"]
     assert together(tmp_path, "123") == ["1", "1", "1"]
@@ -101,10 +101,10 @@ def test_a_folder_that_cannot_be_locked_is_used_without(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "file").touch()
-    monkeypatch.setattr(study.compilation, "cache_folder", lambda: tmp_path / "file")
-    lock_file = study.compilation._lock_file.__wrapped__
-    monkeypatch.setattr(study.compilation, "_lock_file", lock_file)
-    with study.compilation.only_process("work"):
+    monkeypatch.setattr(study.ground.compilation, "cache_folder", lambda: tmp_path / "file")
+    lock_file = study.ground.compilation._lock_file.__wrapped__
+    monkeypatch.setattr(study.ground.compilation, "_lock_file", lock_file)
+    with study.ground.compilation.only_process("work"):
         assert lock_file() is None
 
 
@@ -116,7 +116,7 @@ def test_the_folder_is_named_after_the_kernels_wherever_their_files_are(
         for file, text in files.items():
             (root / file).parent.mkdir(parents=True, exist_ok=True)
             (root / file).write_text(text)
-        monkeypatch.setattr(study.compilation, "_PACKAGE", root)
+        monkeypatch.setattr(study.ground.compilation, "_PACKAGE", root)
         folder = cache_folder.__wrapped__()
         assert folder is not None
         return str(folder.name)
@@ -141,7 +141,7 @@ for index in pathlib.Path(sys.argv[1]).rglob("*.nbi"):
 
 def test_a_cache_that_others_can_write_is_not_read(tmp_path: Path) -> None:
     """Its files are run: a planted one would have the rights of whoever starts a study."""
-    shutil.copy(study.compilation.__file__, tmp_path / "compiled.py")
+    shutil.copy(study.ground.compilation.__file__, tmp_path / "compiled.py")
     (tmp_path / "caller.py").write_text(CALLER.replace("callee import answer", "callee import *"))
     (tmp_path / "callee.py").write_text(CALLEE.format(answer=41))
     temporary = tmp_path / "temporary"

@@ -71,7 +71,8 @@ def test_the_order_under_a_sharp_edge_is_one(interface: str) -> None:
     assert found["observed_order"] == pytest.approx(1.0, abs=0.15)
     assert found["formal_order"] == 1.0
     assert "inverse square root" in found["formal_reason"]
-    assert "asymptotic range" in found["verdict"]
+    # within a twentieth of the formal order it counts as known, above it as less so
+    assert any(word in found["verdict"] for word in ("asymptotic range", "above the formal order"))
     assert found["mesh_size"] == pytest.approx([0.05 / 1.5**k for k in (3, 2, 1, 0)], rel=1e-12)
     truth = KAPPA[0.499] if interface == "frictionless" else BONDED
     assert abs(found["kappa"][0] - truth) <= found["u_kappa"]

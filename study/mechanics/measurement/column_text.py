@@ -39,9 +39,9 @@ class ColumnLayout:
 
         Examples
         --------
-        >>> Layout(1, "#", "space").plain("of 1944\nl  P\n# first row\n1.02   0.0255", ".")
+        >>> ColumnLayout(1, "#", "space").plain("of 1944\nl  P\n# first row\n1.02   0.0255", ".")
         ('l,P\n1.02,0.0255', [2, 4])
-        >>> Layout(header=False).plain("1.02, 0.0255\n1.1, 0.12", ".")
+        >>> ColumnLayout(header=False).plain("1.02, 0.0255\n1.1, 0.12", ".")
         ('1,2\n1.02,0.0255\n1.1,0.12', [1, 1, 2])
         """
         lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")

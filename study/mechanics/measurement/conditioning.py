@@ -470,7 +470,12 @@ def _check_zero(d: Array, f: Array, way: float, rules: Rules, where: str) -> Non
     first, x, y = float(d.min()), d[order], f[order]
     slope, _ = _slope(x, y)
     start = float(y.mean()) + slope * (first - float(x.mean()))
-    is_late = first > _STARTS_LATE * travel and start < _AT_ZERO * slope * first
+    # two standard errors of a straight line through these rows, at the first of them
+    scatter = float(np.std(y - slope * x)) * np.sqrt(count / max(count - 2, 1))
+    lever = 1 / count + (first - float(x.mean())) ** 2 / max(count * float(np.var(x)), 1e-300)
+    surely = start + 2.0 * float(scatter * np.sqrt(lever))
+    # nearer to zero than the rows that tell the slope, a convex law is as flat as a late start
+    is_late = first > ZERO_FIT_SHARE / 2 * travel and surely < _AT_ZERO * slope * first
     at_zero = float(np.interp(0.0, d[order := np.argsort(d, kind="stable")], f[order]))
     is_early = first < -_STARTS_LATE * travel and _RISEN * largest < min(
         _rises(d[d <= 0], f[d <= 0]), at_zero

@@ -54,6 +54,11 @@ from study.statistics.analysis.unreplicated import lenth, orthonormal_contrasts
 FEWEST_FOR_SHAPE = 5
 #: chance that all differences have one sign, below which their logarithms are analyzed as well
 ONE_SIGN = 0.07
+#: multiple of the largest value seen beyond which no mean is looked for: draws of one block alone,
+#: and logarithms of values that are all but zero, scatter without bound
+_FARTHEST = 3.0
+#: share of the largest response below which a difference is rounding
+_ROUNDING = 1e-12
 #: size of the test that declares a sample skewed
 SKEWED = 0.05
 #: resamples of the bootstrap
@@ -200,7 +205,12 @@ def rivals_over_blocks(
     if out.replicates != "noise":
         blocks = [np.arange(y.shape[1])]
         rivals.append(
-            Rival(SKEW, _any_shape(sample, coefficients / y.shape[1], blocks, alpha, seed))
+            Rival(
+                SKEW,
+                _any_shape(
+                    sample, coefficients / y.shape[1], blocks, alpha, seed, float(np.abs(y).max())
+                ),
+            )
         )
         rivals += limit_rivals(out, sample, y.mean(axis=0))
     full = _every_term(out, cells)
@@ -227,7 +237,9 @@ def rivals_over_groups(
     reading = reading_error(out)
     if reading:
         rivals.append(Rival(COARSE, over_groups(fit, added, groups, alpha, seed, reading)))
-    rivals.append(Rival(SKEW, _any_shape(sample, added, groups, alpha, seed)))
+    rivals.append(
+        Rival(SKEW, _any_shape(sample, added, groups, alpha, seed, float(np.abs(out.y).max())))
+    )
     return rivals
 
 
@@ -346,7 +358,11 @@ def _rivals_of_cells(
         groups = np.split(np.argsort(index, kind="stable"), np.cumsum(counts)[:-1])
         if counts.min() >= 2:
             added = (fit.model.inverse @ fit.q.T) * (out.y - fit.shift)
-            rivals.append(Rival(SKEW, _any_shape(sample, added, groups, alpha, seed)))
+            rivals.append(
+                Rival(
+                    SKEW, _any_shape(sample, added, groups, alpha, seed, float(np.abs(out.y).max()))
+                )
+            )
     return rivals
 
 
@@ -364,7 +380,12 @@ def _with_scatter(sample: Sample, largest: float) -> Sample:
 
 
 def _any_shape(
-    sample: Sample, added: Array, groups: Sequence[Ints], alpha: float, seed: int | None
+    sample: Sample,
+    added: Array,
+    groups: Sequence[Ints],
+    alpha: float,
+    seed: int | None,
+    largest: float,
 ) -> Sample:
     """Intervals that assume no normal distribution, where the values show that they have none.
 
@@ -380,13 +401,15 @@ def _any_shape(
             return known
         value = asked.rows @ added
         m = len(value)
+        # equal but for rounding: the last digits of what was subtracted have no distribution
+        differs = np.abs(value).sum(axis=1) > _ROUNDING * largest
         ends = {
             i: _bootstrap_t(value[i], groups, alpha, m, seed or 0)
-            for i in np.flatnonzero(_skewed(value, groups))
+            for i in np.flatnonzero(differs & _skewed(value, groups))
         }
         b = value.shape[1]
         if len(groups) == 1 and b >= FEWEST_FOR_SHAPE and m * 2.0 ** (1 - b) <= ONE_SIGN:
-            same = np.abs(np.sign(value).sum(axis=1)) == b
+            same = differs & (np.abs(np.sign(value).sum(axis=1)) == b)
             for i in np.flatnonzero(same):
                 end = _lognormal_end(value[i] * b, alpha)
                 low, high, wide = ends.get(i, (end, end, 0.0))
@@ -397,6 +420,8 @@ def _any_shape(
                          for k in (known.single, known.simultaneous))  # fmt: skip
         centre, error = known.value.copy(), known.error.copy()
         for i, (low, high, widest) in ends.items():
+            farthest = _FARTHEST * b * float(np.abs(value[i]).max())
+            low, high, widest = max(low, -farthest), min(high, farthest), min(widest, farthest)
             low = min(low, centre[i] - error[i] * single[i])
             high = max(high, centre[i] + error[i] * single[i])
             wide = max(widest, error[i] * every[i])
@@ -470,4 +495,5 @@ def _lognormal_end(value: Array, alpha: float) -> float:
     n, variance = log.size, float(log.var(ddof=1))
     error = math.sqrt(variance / n + variance**2 / (2 * (n - 1)))
     end = float(log.mean()) + variance / 2 + t_quantile(alpha / 4, n - 1) * error
-    return float(np.sign(value[0])) * math.exp(min(end, 700.0))
+    largest = float(np.abs(value).max())
+    return float(np.sign(value[0])) * min(math.exp(min(end, 700.0)), _FARTHEST * largest)
