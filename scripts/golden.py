@@ -25,8 +25,9 @@ one thread. What may differ otherwise:
 - with more than one thread of BLAS or MKL: solids under a cone repeat to 1e-9.
 
 Left out are times and what follows from them (the front of accuracy against seconds, the cell that
-is recommended because it is faster, the count of numbers on a page), memory, versions, dates, hashes of the code and of files; folders and the
-repository are written as ``<folder>`` and ``<root>``.
+is recommended because it is faster, the count of numbers on a page), memory, versions, dates,
+hashes of the code and of files; folders and the repository are written as ``<folder>`` and
+``<root>``.
 """
 
 from __future__ import annotations
