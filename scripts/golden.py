@@ -22,7 +22,8 @@ one thread. What may differ otherwise:
   LLVM; kernels from a cache of another version): the last digits of forces, gradients, fits and of
   whatever follows from them. Compare with ``--rtol 1e-9``; numbers inside texts are compared as
   texts, hence differ where rounding does.
-- with more than one thread of BLAS or MKL: solids under a cone repeat to 1e-9.
+- with more than one thread of BLAS, MKL or numba, which the script therefore sets to one: forces
+  repeat to their last digits only, solids under a cone to 1e-9.
 
 Left out are times and what follows from them (the front of accuracy against seconds, the cell that
 is recommended because it is faster, the count of numbers on a page), memory, versions, dates,
@@ -56,6 +57,7 @@ import study
 
 ROOT = Path(__file__).resolve().parents[1]
 TABLES = ROOT / "validation" / "statistics"
+THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 #: keys that name a time, a version or a hash of the code
 VOLATILE = re.compile(
     r".*seconds.*|.*_s|timings|.*checksum|versions?|input_hash|key|memory.*|.*_MB|code|started"
@@ -666,8 +668,9 @@ PARTS: dict[str, Callable[[Path], Iterator[tuple[str, Any]]]] = {
 
 def golden(parts: list[str]) -> dict[str, Any]:
     """Everything that must stay."""
-    # what the terminal is, and how many threads there are, must not matter
+    # neither the terminal nor the number of threads may matter; numpy is not loaded yet
     os.environ.update(COLUMNS="100", NO_COLOR="1", TERM="dumb")
+    os.environ.update(dict.fromkeys(THREADS, "1"))
     answers = {}
     for part in parts:
         start = time.process_time()
