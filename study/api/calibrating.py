@@ -265,7 +265,6 @@ def _located(config: CalibrationDesign, source: str | Path, root: Path) -> Calib
 
 def save_calibration(found: CalibrationResult, folder: Path) -> tuple[Path, Path]:
     """Write the document and the figure of a calibration; returns both paths."""
-    folder.mkdir(parents=True, exist_ok=True)
     document, figure = folder / "calibration.json", folder / "calibration.svg"
     text = json.dumps(found.to_json(), indent=2, allow_nan=False)
     write_atomic(document, text.encode())
@@ -455,7 +454,6 @@ def save_moduli(found: AnalyticCalibration, folder: Path) -> tuple[Path, Path]:
 
     Units: found MPa, kPa.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     document, table = folder / "analytic.json", folder / "moduli.csv"
     text = json.dumps(found.to_json(), indent=2, allow_nan=False)
     write_atomic(document, text.encode())
