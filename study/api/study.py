@@ -34,7 +34,7 @@ from study.harness.runner.expansion import expand
 from study.harness.runner.fit_problem import Allowed, externals
 from study.harness.runner.provenance import surface_files, versions
 from study.harness.runner.tasks import computing_on, default_jobs, memory_of, processes
-from study.harness.runner.virtual_specimens import write_virtual
+from study.harness.runner.virtual_specimens import usual_generator, write_virtual
 from study.reporting.figures.axes import load_libraries
 from study.reporting.output import write as provenance
 from study.reporting.output.write import checked_formats, main_file, write
@@ -387,5 +387,5 @@ def demo(
     if spec is None or spec.file is None:
         raise RuntimeError("the embedded design names no measurement file")
     if not (folder / spec.file).is_file():
-        write_virtual(design, folder)
+        write_virtual(design, folder, usual_generator(design, truth_name="humphrey"))
     return run(design, data=folder, jobs=jobs, results=results, reports=reports, progress=progress)
