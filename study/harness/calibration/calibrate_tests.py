@@ -44,7 +44,13 @@ from study.harness.runner.staged_fit import (
 )
 from study.mechanics.calibration.fit_influence import population, with_serial_correlation
 from study.mechanics.calibration.identifiability import identify, profile
-from study.mechanics.calibration.lack_of_fit import lack_of_fit, pattern, same_constants
+from study.mechanics.calibration.lack_of_fit import (
+    Verdict,
+    adequacy,
+    lack_of_fit,
+    pattern,
+    same_constants,
+)
 from study.mechanics.calibration.residual_function import EvaluationFailed
 from study.mechanics.material.material import Material
 from study.mechanics.material.stability import check, stability
@@ -215,8 +221,8 @@ def _simpler(problem: FitProblem) -> list[FitProblem]:
     return chain
 
 
-#: correlation of neighboring rows from which a misfit is more likely than noise
-_ORDERED = 0.5
+#: largest stretch that soft materials are tested to; a strain in per cent read as a ratio is beyond
+_LARGEST_STRETCH = 20.0
 
 
 def calibrate(
@@ -360,6 +366,25 @@ def _measured(setting: Setting, curves: Sequence[FitCurve]) -> list[MeasuredCurv
     return [one for part in parts for one in part.measured]
 
 
+def _implausible_stretches(
+    tests: Sequence[CalibratedTest], curves: Sequence[FitCurve]
+) -> list[tuple[Verdict, str]]:
+    """Stretches that no soft material reaches: a unit is wrong."""
+    out: list[tuple[Verdict, str]] = []
+    for one in in_order(curves):
+        setup, places = tests[one.test].setup, one.measured.curve.displacement_mm
+        if setup.height_mm is None or setup.kind.compresses or setup.test.indenter is not None:
+            continue
+        stretch = 1 + float(np.abs(places).max()) / setup.height_mm
+        if stretch > _LARGEST_STRETCH:
+            why = (
+                f"{one.label}: a stretch of {stretch:.4g} is not plausible: check units, strain = "
+                '"%" may be meant'
+            )
+            out.append(("does not describe", why))
+    return list(dict.fromkeys(out))
+
+
 def _result(setting: Setting, curves: Sequence[FitCurve], done: Staged) -> CalibrationResult:
     found, section = done.fit, setting.config.material
     predictions = _predictions(setting, curves, found)
@@ -374,13 +399,11 @@ def _result(setting: Setting, curves: Sequence[FitCurve], done: Staged) -> Calib
         stable, stability = range_stability(setting.tests, curves, material)
     judged = list(zip(in_order(curves), found.curves, strict=False))
     repeated = [r for c, p in judged if (r := c.repeated(p)) is not None]
-    order = pattern([c.residual(p) for c, p in judged])
-    if found.serial is not None and found.serial.correlation > _ORDERED:
-        cautions.append(
-            f"neighboring rows are correlated by {found.serial.correlation:.2f}, which is "
-            "misfit rather than noise: intervals and AICc allow for a drift, not for an energy "
-            "that is wrong"
-        )
+    lack = lack_of_fit(repeated, len(found.names)) if found.converged else None
+    judgement = adequacy(
+        found, _measured(setting, curves), tests=[c.test for c in in_order(curves)], lack=lack,
+        more=_implausible_stretches(setting.tests, curves),
+    )  # fmt: skip
     if setting.config.asked.specimens == "pooled" and len(of_specimens(curves)) > 1:
         cautions.append(
             "specimens are pooled: intervals are those of these specimens, not of the population; "
@@ -398,12 +421,13 @@ def _result(setting: Setting, curves: Sequence[FitCurve], done: Staged) -> Calib
         curves=predictions,
         evaluations=done.evaluations,
         seconds=0.0,
-        lack_of_fit=lack_of_fit(repeated, len(found.names)) if found.converged else None,
-        pattern=order,
+        adequacy=judgement,
+        lack_of_fit=lack,
+        pattern=pattern([c.residual(p) for c, p in judged]),
         identified=identify(found, _measured(setting, curves)) if found.converged else None,
         next_tests=(
             next_tests(found, curves, material, setting.tests)
-            if found.converged and material is not None
+            if found.converged and material is not None and judgement.describes
             else None
         ),
         warnings=(*warnings_of(curves), *cautions),

@@ -15,6 +15,7 @@ from study.harness.record.document import ParameterDocument
 from study.harness.record.record import plain
 from study.harness.runner.fit_summary import WITH_CONSTANTS, status_of
 from study.harness.runner.response import CURVE_RESPONSES, ConstantResponse, scale_of
+from study.mechanics.calibration.lack_of_fit import Adequacy
 from study.mechanics.material import material as conversions
 from study.mechanics.material.material import Material
 from study.mechanics.measurement.measured_test import MeasuredTest
@@ -116,6 +117,8 @@ class CalibrationResult:
     #: Calls of the model, those of the cheaper stage included.
     evaluations: int
     seconds: float
+    #: Whether the model describes the data, beside the word of the optimizer.
+    adequacy: Adequacy = field(default_factory=lambda: Adequacy("doubtful"))
     lack_of_fit: LackOfFit | None = None
     pattern: ResidualPattern | None = None
     #: Each specimen for itself; each specimen or test left out in turn.
@@ -149,8 +152,8 @@ class CalibrationResult:
 
     @property
     def usable(self) -> bool:
-        """Whether there are constants, if without intervals."""
-        return self.status in WITH_CONSTANTS
+        """Whether there are constants, if without intervals, of a model that describes its data."""
+        return self.status in WITH_CONSTANTS and self.adequacy.describes
 
     def converted(self, convention: str) -> Converted:
         """Constants in another code's convention."""
@@ -164,6 +167,7 @@ class CalibrationResult:
         content = {
             "status": self.status,
             "message": self.message,
+            "fit": self.adequacy.as_dict(),
             "model": self.model,
             "parameters": parameters(found),
             "nuisance": nuisance(found),
