@@ -371,7 +371,9 @@ def _trend_of_one(found: Fit, one: _Recording) -> tuple[float, Array]:
     if n < FEWEST_ROWS or not free.any():
         return 1.0, np.zeros(0)
     noise = row_noise(one.residual, one.rows.places, one.predicted_N)
-    size = one.weight if noise is None or noise.power == 0 else 1 / noise.relative
+    # half of the growth: rows of small force would hide a misfit of the larger ones
+    grows = noise is not None and noise.power > 0
+    size = one.weight if noise is None or not grows else 1 / np.sqrt(noise.relative)
     jacobian = size[:, None] * one.slopes[:, free]
     if not np.all(np.linalg.norm(jacobian, axis=0) > 0):
         return 1.0, np.zeros(0)
