@@ -234,7 +234,8 @@ def test_misfit_is_told_from_noise(tmp_path: Path) -> None:
     assert found.lack_of_fit.verdict == "lack-of-fit"
     assert found.pattern is not None
     assert found.pattern.lag1 > 0.5
-    assert any("misfit rather than noise" in warning for warning in found.warnings)
+    assert found.adequacy.verdict != "describes"
+    assert found.to_json()["fit"]["verdict"] == found.adequacy.verdict
 
 
 def test_uneven_tests_with_equal_weights_are_told(tmp_path: Path) -> None:
