@@ -7,7 +7,8 @@ from study.ground.curve import Curve
 from study.mechanics.calibration.fit import fit
 from study.mechanics.calibration.fit_influence import with_serial_correlation
 from study.mechanics.calibration.lack_of_fit import adequacy
-from study.mechanics.calibration.residual_function import MeasuredCurve
+from study.mechanics.calibration.residual_function import LOSS_LIMIT, MeasuredCurve
+from study.mechanics.calibration.serial_correlation import row_noise
 from tests.calibration.cylinder import predictor
 
 TRUTH = {"C10": 15e-3, "C20": 3e-3}
@@ -111,3 +112,43 @@ def test_data_that_a_mean_describes_better():
     found = judged([force.max() * np.linspace(1.0, 1.2, 40)])
     assert found.verdict == "does not describe"
     assert "displacement_zero" in found.sentence
+
+
+@pytest.mark.parametrize("loss", ["soft-l1", "huber"])
+def test_a_robust_loss_leaves_a_misread_row_aside(loss):
+    """The minimum is that of scipy's least_squares, and the row is listed, not held against it."""
+    from scipy.optimize import least_squares
+
+    rng, force = np.random.default_rng(5), true_force(50)
+    read = force + errors("white", force, 0.002, rng)
+    read[30] *= 5
+    predict, d = predictor("reduced-polynomial", ("C10", "C20"), 30.0, sign=1.0, points=50)
+    noise = row_noise(read, d, read)
+    limit = LOSS_LIMIT * float(np.median(noise.deviation))
+    measured = [MeasuredCurve("one", Curve(d, read), loss=loss, limit_N=limit)]
+    found = with_serial_correlation(fit(predict, measured, ("C10", "C20"), [1e-2, 1e-3]), measured)
+    other = least_squares(
+        lambda v: predict(v)[0].force_N - read, [1e-2, 1e-3], loss=loss.replace("-", "_"),
+        f_scale=limit, x_scale="jac", xtol=1e-14, ftol=1e-14, gtol=1e-14,
+    )  # fmt: skip
+    assert found.values == pytest.approx(other.x, rel=1e-5)
+    # within four standard errors of the truth, which are those of the other rows
+    assert np.all(np.abs(found.values - list(TRUTH.values())) < 4 * found.standard_error)
+    assert found.standard_error[0] < 0.01 * TRUTH["C10"]
+    told = adequacy(found, measured)
+    assert told.verdict == "describes"
+    assert [row.row for row in told.rows] == [31]
+
+
+@pytest.mark.parametrize("power", [0.0, 1.0])
+def test_noise_of_rows_and_its_power_of_the_force(power):
+    rng, force = np.random.default_rng(4), true_force(200)
+    true = 0.01 * force.max() * (force / force.max()) ** power
+    powers, ratios = [], []
+    for _ in range(40):
+        noise = row_noise(force + true * rng.normal(size=200), np.arange(200.0), force)
+        powers.append(noise.power)
+        ratios.append(np.median(noise.deviation / true))
+    assert np.mean(powers) == pytest.approx(power, abs=0.1)
+    # a mean of 40 medians of 200 rows scatters by 1 to 2 %
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.06)

@@ -237,7 +237,7 @@ def calibrate(
 ) -> CalibrationResult:
     """Fit one material to all tests of a calibration at once. Units: begin MPa."""
     began = time.perf_counter()
-    curves, notes = read_tests(config.tests, root)
+    curves, notes = read_tests(config.tests, root, config.asked.loss)
     own, left = _splits(config, curves)
     checkpoint = _checkpoint(folder, config, curves)
     setting = setting_of(config, curves, progress, checkpoint, begin)

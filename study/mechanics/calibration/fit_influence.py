@@ -46,6 +46,7 @@ def with_serial_correlation(
     free = np.isfinite(found.standard_error)
     if not found.converged or not free.any() or found.rss == 0:
         return found
+    measured = [m.reweighted(c) for m, c in zip(measured, found.curves, strict=True)]
     names = [name for name, is_free in zip(found.names, free, strict=True) if is_free]
     series, beside = _series(found, measured, names)
     if known is not None:

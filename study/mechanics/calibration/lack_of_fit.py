@@ -8,7 +8,7 @@ verdict is given for both ends: as many as points, and one a curve.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -231,6 +231,8 @@ def adequacy(
         return Adequacy("does not describe", (f"the search has no minimum: {found.message}",))
     findings: list[_Finding] = [(_GRADES.index(grade), why, ()) for grade, why in more]
     findings += _of_bounds(found)
+    robust = {one.label for one in measured if one.loss != "linear"}
+    measured = [m.reweighted(c) for m, c in zip(measured, found.curves, strict=True)]
     recordings = [
         _Recording(one.label, number, rows, force, weight, slopes)
         for one, curve, number in zip(
@@ -242,7 +244,7 @@ def adequacy(
         [r for r in recordings if r.test == t] for t in dict.fromkeys(r.test for r in recordings)
     ]
     findings += _of_size(found, groups)
-    findings += [finding for one in recordings for finding in _of_rows(one)]
+    findings += [finding for one in recordings for finding in _of_rows(one, robust)]
     findings += _of_trend(found, groups)
     if lack is not None and max(lack.p_independent, lack.p_dependent) < _CLEAR:
         why = f"repeats scatter less than the model misses them (p = {lack.p_dependent:.2g})"
@@ -307,7 +309,7 @@ def _on_one_grid(group: Sequence[_Recording]) -> tuple[Array, Array]:
     return grid, np.array([np.interp(grid, r.rows.places, r.weight * r.residual) for r in group])
 
 
-def _of_rows(one: _Recording) -> list[_Finding]:
+def _of_rows(one: _Recording, robust: Collection[str]) -> list[_Finding]:
     """Single rows far from their neighbors."""
     noise = row_noise(one.residual, one.rows.places, one.predicted_N)
     if noise is None:
@@ -321,13 +323,16 @@ def _of_rows(one: _Recording) -> list[_Finding]:
     rows = tuple(_suspect(one, k) for k in places)
     listed = ", ".join(str(row.row) for row in rows[:8]) + (", ..." if len(rows) > 8 else "")
     gone = float(np.sum(one.residual[places] ** 2) / np.sum(one.residual**2))
-    grade = 2 if gone > 0.5 and size.max() > 0.2 * largest else 1
+    mend = 'leave out what was misread, or write calibration.loss = "soft-l1"'
+    if one.label in robust:
+        mend = "the loss lets them count for little"
+    grade = 0 if one.label in robust else 2 if gone > 0.5 and size.max() > 0.2 * largest else 1
     is_one = places.size == 1
     why = (
         f"{one.label}: {'row' if is_one else 'rows'} {listed} of {one.rows.places.size} "
         f"{'is' if is_one else 'are'} off by up to {size.max():.3g} N where neighbors scatter by "
         f"{float(np.median(noise.deviation)):.2g} N, {100 * gone:.2g} % of the sum of squares: "
-        'leave out what was misread, or write calibration.loss = "soft-l1"'
+        f"{mend}"
     )
     return [(grade, why, rows)]
 

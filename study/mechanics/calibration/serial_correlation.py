@@ -78,12 +78,13 @@ class RowNoise:
 
 
 def row_noise(
-    values: Array, places: Array, force: Array, power: float | None = None
+    values: Array, places: Array, force: Array, power: float | None = None, grows: float = _GROWS
 ) -> RowNoise | None:
     """Noise of rows (residuals or forces); None below 8 rows, or where they hold none.
 
     The power is estimated by the regression of log distances on log forces (Carroll and Ruppert
-    1988, Transformation and Weighting in Regression, sec. 3.3) unless it is given.
+    1988, Transformation and Weighting in Regression, sec. 3.3) unless it is given; below ``grows``
+    standard errors it is zero.
 
     Shapes: values, places, force (n,).
     """
@@ -105,13 +106,13 @@ def row_noise(
     if not (np.median(np.abs(distance)) > _ROUNDING * np.abs(values).max() and size.max() > 0):
         return None
     if power is None:
-        power = _power_of(distance, size)
+        power = _power_of(distance, size, grows)
     shape = (size / size.max()) ** power
     deviation = _BY_MEDIAN * float(np.median(np.abs(distance) / shape)) * shape
     return RowNoise(deviation, distance / deviation, power)
 
 
-def _power_of(distance: Array, size: Array) -> float:
+def _power_of(distance: Array, size: Array, grows: float) -> float:
     """Power of the force with which distances grow; 0 where growth is not significant."""
     x = np.log(size)
     spread = float(x.std())
@@ -120,7 +121,7 @@ def _power_of(distance: Array, size: Array) -> float:
         return 0.0
     slope = float((x - x.mean()) @ (y - y.mean())) / (x.size * spread**2)
     error = _SHARED * _LOG_SCATTER / (math.sqrt(x.size) * spread)
-    return min(slope, _LARGEST_POWER) if slope > _GROWS * error else 0.0
+    return min(slope, _LARGEST_POWER) if slope > grows * error else 0.0
 
 
 @dataclass(frozen=True)
