@@ -136,6 +136,8 @@ class CalibrationResult:
     tests: tuple[Mapping[str, Tables], ...] = ()
     #: What fits from other starts found, where asked.
     starts: Starts | None = None
+    #: The fit and the minima that its rows cannot be told from.
+    minima: tuple[Fit, ...] = ()
     #: What the tests know of the constants, in the units of their curves.
     identified: Identifiability | None = None
     #: Tests that could be made next, by what they would tell of the constants.
@@ -174,6 +176,7 @@ class CalibrationResult:
             "mu0": None if self.material is None else 1e3 * self.material.mu0,
             **_moduli(self.material),
             "rss": found.rss,
+            "minima": [_minimum(one) for one in self.minima],
             "r_squared": found.r_squared,
             "aicc": found.aicc,
             "n": found.n,
@@ -226,6 +229,12 @@ def parameters(fit: Fit) -> dict[str, ParameterDocument]:
         }
         for i, name in enumerate(fit.names)
     }
+
+
+def _minimum(fit: Fit) -> dict[str, object]:
+    """Constants of one minimum, kPa, and its sum of squares."""
+    values = {name: scale_of(name) * value for name, value in fit.constants().items()}
+    return {"parameters": values, "rss": fit.rss}
 
 
 def _identified(found: Identifiability | None) -> dict[str, object] | None:

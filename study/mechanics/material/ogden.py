@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Collection
+from itertools import combinations
 
 import numpy as np
 
@@ -29,6 +30,8 @@ from study.mechanics.material.limiting_chain import FiniteExtensibilityEnergy
 
 #: Bounds of an exponent: beyond, powers of a stretch of 0.5 only overfit.
 EXPONENT: Bounds = (-30.0, 30.0)
+#: Sizes of exponents from which minima are looked for, of either sign.
+LOOKS = (1.5, 3.0, 6.0, 11.0, 18.0)
 #: Exponents a fit starts from. They alternate: equal ones would make the terms
 #: indistinguishable.
 STARTING_EXPONENTS = (2.0, -2.0, 4.0, -4.0, 6.0, -6.0)
@@ -80,6 +83,14 @@ class OgdenSeries(Energy):
         return values | {
             f"alpha{k}": exponents[(k - 1) % len(exponents)] for k in range(1, terms + 1)
         }
+
+    def looks(self, names: Collection[str]) -> list[dict[str, float]]:
+        """Exponents of either sign: a sum of squares has minima on both sides of zero."""
+        terms, signed = self.order_of(names), (*LOOKS, *(-size for size in LOOKS))
+        return [
+            {f"alpha{k}": alpha for k, alpha in enumerate(chosen, 1)}
+            for chosen in combinations(signed, terms)
+        ]
 
     def scattered(self, start: Constants, rng: np.random.Generator) -> dict[str, float]:
         """Draw exponents of either sign in turn, of 1 to 4 in the first pair and 4 to 10 in others.
