@@ -263,17 +263,21 @@ def looked_for(
     plain = {n for n in names if energy.is_dimensionless(n) and not is_of_relaxation(n)}
     looks = [one for one in energy.looks(names) if set(one) == plain] if plain else []
     free = [one for part in parts if (one := _at_equal_strain(part)) is not None]
-    ranked: dict[tuple[bool, ...], tuple[float, Array]] = {}
+    seen: list[tuple[float, Array]] = []
     for one in looks:
-        values = _inside(np.array([{**own, **one}[n] for n in names]), bounds)
-        squares = np.inf
+        values, squares = _inside(np.array([{**own, **one}[n] for n in names]), bounds), np.inf
         if free:
             values, squares = _with_moduli(energy, names, values, free)
-            values = _inside(values, bounds)
-        side = tuple(sorted(value > 0 for value in one.values()))
-        if side not in ranked or squares < ranked[side][0]:
-            ranked[side] = (squares, values)
-    return [values for _, values in sorted(ranked.values(), key=lambda pair: pair[0])][:_LOOKED]
+        seen.append((squares, _inside(values, bounds)))
+    if len(plain) == 1 and free:  # every dip of the sum of squares along the exponent
+        sums = [np.inf, *(squares for squares, _ in seen), np.inf]
+        seen = [one for k, one in enumerate(seen) if one[0] <= min(sums[k], sums[k + 2])]
+        return [values for _, values in sorted(seen, key=lambda pair: pair[0])[:_LOOKED]]
+    places = [k for k, name in enumerate(names) if name in plain]
+    best_of: dict[tuple[bool, ...], Array] = {}
+    for _, values in sorted(seen, key=lambda pair: pair[0]):
+        best_of.setdefault(tuple(sorted(values[places] > 0)), values)
+    return list(best_of.values())[:_LOOKED]
 
 
 def _at_equal_strain(part: FitPart) -> FitPart | None:
