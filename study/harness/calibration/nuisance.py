@@ -374,7 +374,7 @@ def _weighed(
 #: change of the noise, relative, at which pseudo-observations have their weight
 _SETTLED = 1e-3
 #: fits in which they find it
-_ROUNDS = 8
+_ROUNDS = 16
 #: standard uncertainties beside the expected offset at which a fit begins, too
 _STARTS = (-1.5, 1.5, -3.0, 3.0)
 #: noise over the largest force of data that have none
@@ -472,11 +472,12 @@ def _settled(task: _Task, fitted: Sequence[NuisanceParameter], found: Fit) -> tu
     """
     noise = _row_noise(found, task.measured)
     plain, joint = _from_all(task, fitted, found.values, noise)
-    for _ in range(_ROUNDS):
+    for number in range(_ROUNDS):
         now = _noise(joint, task.measured)
         if not joint.converged or abs(now - noise) <= _SETTLED * noise:
             break
-        noise = now
+        # more weight, less misfit, less weight: a round trip ends in its middle
+        noise = now if number < _ROUNDS // 4 else float(np.sqrt(noise * now))
         plain, joint = task.fitted(fitted, plain.values, noise)
     else:
         why = f"the weight of the pseudo-observations has not settled in {_ROUNDS} fits"
