@@ -373,6 +373,8 @@ def _weighed(
 
 #: change of the noise, relative, at which pseudo-observations have their weight
 _SETTLED = 1e-3
+#: the same where the correlation of rows, which stands on a grid, goes to and fro by a step
+_A_STEP = 0.03
 #: fits in which they find it
 _ROUNDS = 16
 #: standard uncertainties beside the expected offset at which a fit begins, too
@@ -474,7 +476,8 @@ def _settled(task: _Task, fitted: Sequence[NuisanceParameter], found: Fit) -> tu
     plain, joint = _from_all(task, fitted, found.values, noise)
     for number in range(_ROUNDS):
         now = _noise(joint, task.measured)
-        if not joint.converged or abs(now - noise) <= _SETTLED * noise:
+        near = _SETTLED if number < _ROUNDS // 2 else _A_STEP
+        if not joint.converged or abs(now - noise) <= near * noise:
             break
         # more weight, less misfit, less weight: a round trip ends in its middle
         noise = now if number < _ROUNDS // 4 else float(np.sqrt(noise * now))
