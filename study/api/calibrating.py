@@ -91,7 +91,7 @@ class Calibrated(Shown, CalibrationResult):
 
     def plot(self) -> Drawing:
         """Draw every measured curve with its fit or prediction, and the residuals below."""
-        title = f"{self.name}: {self.model}, {self.status}"
+        title = _title(self)
         return shown(lambda: draw_fit(panels_of(self), title), "calibration", title)
 
     def tables(self) -> Sequence[pd.DataFrame]:
@@ -273,9 +273,13 @@ def save_calibration(found: CalibrationResult, folder: Path) -> tuple[Path, Path
     return document, figure
 
 
+def _title(found: CalibrationResult) -> str:
+    return f"{found.name}: {found.model}, {found.status}, {found.adequacy.verdict} the data"
+
+
 def calibration_figure(found: CalibrationResult) -> str:
     """Every measured curve with its fit, as SVG."""
-    return fit_figure(panels_of(found), f"{found.name}: {found.model}, {found.status}")
+    return fit_figure(panels_of(found), _title(found))
 
 
 # How a calibration file wants its constants found.

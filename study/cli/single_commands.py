@@ -265,6 +265,7 @@ def _print_calibration(found: Document) -> None:
             f"if every point is independent, {lack['p_dependent']:.3g} if every curve is"
         )
     print(f"{found['status']}: {found['message']} ({found['evaluations']} evaluations)")
+    print(f"{found['fit']['verdict']}: {found['fit']['sentence']}")
     verdict = "identifiable" if found["identifiable"] else "not identifiable"
     print(f"{verdict}{': ' + found['reason'] if found['reason'] else ''}")
     if found["identifiability"] and found["identifiability"]["sentence"]:
