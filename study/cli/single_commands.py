@@ -172,7 +172,8 @@ def _show(found: CalibrationResult, convention: str, folder: Path, as_json: bool
         output.print_json(document)
     else:
         _print_calibration(document)
-        print(f"written: {folder / 'calibration.json'}, {folder / 'calibration.svg'}")
+        names = ("calibration.json", "calibration.svg", "recording.svg")
+        print(f"written: {', '.join(str(folder / name) for name in names)}")
 
 
 def _chosen(file: Path, data: Path | None, settings: Sequence[str] | None) -> Document:
@@ -349,7 +350,8 @@ def _print_curves(indent: str, curves: Sequence[Document]) -> None:
             print(f"{indent}{curve['role']}: {name}: no prediction: {curve['message']}")
             continue
         print(f"{indent}{curve['role']}: {name}: RMS error {curve['relative_rms_force_error']:.3g} "
-              f"% of the RMS force ({curve['rms_force_error']:.3g} N)")  # fmt: skip
+              f"% of the RMS force ({curve['rms_force_error']:.3g} N)"
+              + ("" if curve["r_squared"] is None else f", R2 {curve['r_squared']:.4g}"))  # fmt: skip
 
 
 def _print_comparison(found: Document) -> None:

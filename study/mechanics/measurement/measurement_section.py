@@ -236,6 +236,12 @@ def _displacement_zero(value: object) -> str | float:
         raise Bad(error.faults[0].rule, mend) from error
 
 
+def _branch(value: object) -> str | int:
+    if isinstance(value, int) and not isinstance(value, bool):
+        return integer(1, MAX_POINTS)(value)
+    return choice("auto", "loading", "unloading", "all")(value)
+
+
 def _mark(value: object) -> str:
     mark = text(value)
     if len(mark) > 3 or mark.strip() != mark:
@@ -245,6 +251,14 @@ def _mark(value: object) -> str:
 
 #: keys that say how a file is written
 _LAYOUT = ("skip_lines", "comment", "delimiter")
+#: keys that stay out of documents where they say what is usual
+_USUAL = {
+    "header": True,
+    "displacement_zero": None,
+    "direction": "auto",
+    "branch": "auto",
+    "cycle": "loading",
+}
 
 
 @section
@@ -285,6 +299,10 @@ class MeasurementSpec:
     displacement_zero: Annotated[str | float | None, Reads(_displacement_zero)] = None
     #: Whether the recorded displacement rises or falls as the specimen is loaded.
     direction: Annotated[str, Reads(choice("auto", "rising", "falling"))] = "auto"
+    #: Rows of a test that was also unloaded that count: a branch, a cycle, or all.
+    branch: Annotated[str | int, Reads(_branch)] = "auto"
+    #: Branch of a cycle that is given by its number.
+    cycle: Annotated[str, Reads(choice("loading", "unloading"))] = "loading"
     #: Rule of the load cell's zero, sign of a resisting force, decimal mark of the file.
     decimal: Annotated[str, Reads(choice(".", ","))] = "."
     #: Printed in the report.
@@ -311,7 +329,7 @@ class MeasurementSpec:
         found = asdict(self)
         for key in ("columns", "units"):
             found[key] = {k: v for k, v in found[key].items() if v is not None}
-        for key, usual in (("header", True), ("displacement_zero", None), ("direction", "auto")):
+        for key, usual in _USUAL.items():
             if found[key] == usual:
                 del found[key]
         return {k: v for k, v in found.items() if k not in _LAYOUT or v}

@@ -144,6 +144,10 @@ class Recording:
     kinetic: Array
     #: shape (n,); when, increasing; None where the file does not say.
     time_s: Array | None = None
+    #: Line of the file on which each row stands; none where they were made.
+    lines: tuple[int, ...] = ()
+    #: What the columns hold.
+    quantities: tuple[str, str] = ("displacement", "force")
 
 
 @dataclass(frozen=True)
@@ -263,7 +267,9 @@ def _split(
         else:
             _check_time(table, members, time, where)
         when = None if time is None else time[members]
-        yield Recording(where, ordered, d[members], f[members], when)
+        lines = tuple(table.lines[k] for k in members)
+        held = (spec.columns.kinematic, spec.columns.kinetic)
+        yield Recording(where, ordered, d[members], f[members], when, lines, held)
 
 
 def _check_time(table: CsvTable, members: Sequence[int], time: Array, where: str) -> None:
