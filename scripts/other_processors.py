@@ -19,7 +19,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 
-#: results of each setting, and kernels where they are others
+#: results of each setting
 FOLDER = ROOT / ".venv" / "other-processors"
 
 #: hides PARDISO in every process of a run: a module that is None is not found
@@ -49,9 +49,8 @@ def environment(setting: str) -> dict[str, str]:
     hidden = FOLDER / "without-pardiso" / "sitecustomize.py"
     hidden.parent.mkdir(parents=True, exist_ok=True)
     hidden.write_text(WITHOUT_PARDISO, encoding="utf-8")
-    compiled = any(name.startswith("NUMBA") for name in SETTINGS[setting])
-    cache = {"NUMBA_CACHE_DIR": str(FOLDER / setting)} if compiled else {}
-    return {**os.environ, **ONE_THREAD, **cache, **SETTINGS[setting]}
+    # kernels of another processor do not mix with these: numba keeps them by its name
+    return {**os.environ, **ONE_THREAD, **SETTINGS[setting]}
 
 
 def outcomes(report: str) -> dict[str, str]:

@@ -55,7 +55,7 @@ def test_every_setting_reaches_what_it_is_about(
 
     code = "import importlib.util as u; print(u.find_spec('pypardiso') is None)"
     assert printed("superlu", code) == "True"
-    code = "import numba; c = numba.config; print(c.CPU_NAME, repr(c.CPU_FEATURES), c.CACHE_DIR)"
-    assert printed("numba-generic", code) == f"generic '' {tmp_path / 'numba-generic'}"
+    code = "import numba; c = numba.config; print(c.CPU_NAME, repr(c.CPU_FEATURES))"
+    assert printed("numba-generic", code) == "generic ''"
     code = "import numpy; from threadpoolctl import threadpool_info as t; print(t())"
     assert "'architecture': 'Haswell'" in printed("openblas-haswell", code)

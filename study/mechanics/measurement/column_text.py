@@ -167,7 +167,8 @@ def displacement_and_force(
         turned = np.where(shear < 0, -1.0, 1.0)
         if in_order or (turned > 0).all():
             return shear * known.length_mm, force
-        return np.abs(shear) * known.length_mm, turned * force
+        order = np.argsort(np.abs(shear), kind="stable")
+        return np.abs(shear)[order] * known.length_mm, (turned * force)[order]
     stretch = _stretch(kinematic, deformed, known)
     if not (stretch > 0).all():
         rule = f"{kinematic} of {deformed[np.argmin(stretch)]:g} leaves nothing of the specimen"

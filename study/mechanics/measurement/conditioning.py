@@ -400,8 +400,11 @@ def _way(d: Array, f: Array) -> float:
 
 #: share of the largest force that falls away at once, for good, where a specimen tears
 _TORN = 0.5
-#: share of the travel from zero at which a recording may begin without another look
-_STARTS_LATE = 0.02
+#: share of the travel from zero at which a recording may begin without another look: nearer than
+#: half of the rows that tell the slope, a convex law is as flat as a late start
+_STARTS_LATE = ZERO_FIT_SHARE / 2
+#: the same on the other side of zero
+_STARTS_EARLY = 0.02
 #: least force of a late start, over that of the straight line from zero to it
 _AT_ZERO = 0.05
 #: share of the largest force by which the force may rise before zero
@@ -429,9 +432,8 @@ def placed(displacement_mm: Array, resisted: Array, rules: Rules, where: str) ->
     elif isinstance(zero, str):
         zero = _contact(d, f, way, where)
     chosen = "" if isinstance(rules.displacement_zero, float) else f" ({rules.displacement_zero})"
-    return way * (
-        d - zero
-    ) + 0.0, f"{where}: displacement counts from {zero:.6g} mm{chosen}, {word}"
+    done = f"{where}: displacement counts from {zero:.6g} mm{chosen}, {word}"
+    return way * (d - zero) + 0.0, done
 
 
 def _contact(d: Array, f: Array, way: float, where: str) -> float:
@@ -471,16 +473,13 @@ def _check_zero(d: Array, f: Array, way: float, rules: Rules, where: str) -> Non
     count = max(int(np.count_nonzero(d <= d.min() + ZERO_FIT_SHARE * travel)), MIN_ROWS)
     order = np.argsort(d, kind="stable")[:count]
     first, x, y = float(d.min()), d[order], f[order]
-    slope, _ = _slope(x, y)
-    start = float(y.mean()) + slope * (first - float(x.mean()))
-    # two standard errors of a straight line through these rows, at the first of them
-    scatter = float(np.std(y - slope * x)) * np.sqrt(count / max(count - 2, 1))
-    lever = 1 / count + (first - float(x.mean())) ** 2 / max(count * float(np.var(x)), 1e-300)
-    surely = start + 2.0 * float(scatter * np.sqrt(lever))
-    # nearer to zero than the rows that tell the slope, a convex law is as flat as a late start
-    is_late = first > ZERO_FIT_SHARE / 2 * travel and surely < _AT_ZERO * slope * first
+    slope, scatter = _slope(x, y)
+    arm = first - float(x.mean())
+    # of a straight line through these rows, at the first of them, with two standard errors
+    most = float(y.mean()) + slope * arm + 2.0 * scatter * math.hypot(float(np.std(x)), arm)
+    is_late = first > _STARTS_LATE * travel and most < _AT_ZERO * slope * first
     at_zero = float(np.interp(0.0, d[order := np.argsort(d, kind="stable")], f[order]))
-    is_early = first < -_STARTS_LATE * travel and _RISEN * largest < min(
+    is_early = first < -_STARTS_EARLY * travel and _RISEN * largest < min(
         _rises(d[d <= 0], f[d <= 0]), at_zero
     )
     if not is_late and not is_early:
@@ -522,7 +521,7 @@ def _is_through_zero(d: Array, f: Array, rules: Rules) -> bool:
     """Whether one test was loaded both ways, so that rows on either side of zero count."""
     if not rules.is_signed or rules.toe_N is not None:
         return False
-    before = d < -_STARTS_LATE * float(np.ptp(d))
+    before = d < -_STARTS_EARLY * float(np.ptp(d))
     return bool(before.any()) and float(f[before].min()) <= -_AT_ZERO * float(f.max())
 
 

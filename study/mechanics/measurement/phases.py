@@ -45,7 +45,9 @@ class Phase:
     @property
     def words(self) -> str:
         """How a sentence calls it."""
-        return f"{self.kind} of cycle {self.cycle}" if self.cycle else "unloading before any loading"
+        return (
+            f"{self.kind} of cycle {self.cycle}" if self.cycle else "unloading before any loading"
+        )
 
 
 def phases_of(displacement_mm: Array) -> tuple[Phase, ...]:

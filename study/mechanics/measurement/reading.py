@@ -66,9 +66,7 @@ def read_measurements(
         told += did
         own = tuple(f"{one.where}: {n} {what}" for what, n in result.counts.items())
         tests.append(
-            SingleTest(
-                dict(one.groups), result.force_N, own, result.recorded, result.specimen
-            )
+            SingleTest(dict(one.groups), result.force_N, own, result.recorded, result.specimen)
         )
     _check_distinct(tests, faults)
     if faults:
@@ -119,7 +117,7 @@ def specimens(
             for p in chosen[:3]
         )
         asked = rules.branch.which
-        how = "" if asked == "auto" else f', branch = {asked if isinstance(asked, int) else asked}'
+        how = "" if asked == "auto" else f", branch = {asked if isinstance(asked, int) else asked}"
         notes.append(f"{one.where}: {words}{how}")
     return made, notes
 
@@ -130,9 +128,7 @@ def _folded(one: Recording) -> Recording:
         return one
     order = np.argsort(np.abs(one.kinematic), kind="stable")
     lines = tuple(one.lines[k] for k in order) if one.lines else ()
-    return replace(
-        one, kinematic=one.kinematic[order], kinetic=one.kinetic[order], lines=lines
-    )
+    return replace(one, kinematic=one.kinematic[order], kinetic=one.kinetic[order], lines=lines)
 
 
 def _in_place(one: Recording, spec: MeasurementSpec, rules: Rules) -> tuple[Recording, list[str]]:

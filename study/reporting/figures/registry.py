@@ -365,7 +365,9 @@ def of_recordings(frame: pd.DataFrame) -> Figure:
 
     def compute() -> Drawn:
         aside = frame[frame["set_aside"] != ""]
-        why = [f"{n} {reason}" for reason, n in aside.groupby("set_aside", sort=False).size().items()]
+        why = [
+            f"{n} {reason}" for reason, n in aside.groupby("set_aside", sort=False).size().items()
+        ]
         caption = f"{len(frame)} recorded rows, {len(frame) - len(aside)} used"
         caption += f"; set aside: {listing(why)}" if why else ""
         return frame, lambda: curve_figures.draw_recordings(frame), sentence(caption)

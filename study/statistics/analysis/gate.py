@@ -59,6 +59,8 @@ ONE_SIGN = 0.07
 _FARTHEST = 3.0
 #: share of the largest response below which a difference is rounding
 _ROUNDING = 1e-12
+#: contrasts that Lenth's method needs
+LEAST_CONTRASTS = 7
 #: size of the test that declares a sample skewed
 SKEWED = 0.05
 #: resamples of the bootstrap
@@ -203,15 +205,8 @@ def rivals_over_blocks(
             coarse = over_blocks(fit, coefficients, alpha, seed, reading)
             rivals.append(Rival(COARSE, coarse))
     if out.replicates != "noise":
-        blocks = [np.arange(y.shape[1])]
-        rivals.append(
-            Rival(
-                SKEW,
-                _any_shape(
-                    sample, coefficients / y.shape[1], blocks, alpha, seed, float(np.abs(y).max())
-                ),
-            )
-        )
+        added, blocks = coefficients / y.shape[1], [np.arange(y.shape[1])]
+        rivals.append(_any_shape(out, sample, added, blocks, y))
         rivals += limit_rivals(out, sample, y.mean(axis=0))
     full = _every_term(out, cells)
     if full is not None:
@@ -237,9 +232,7 @@ def rivals_over_groups(
     reading = reading_error(out)
     if reading:
         rivals.append(Rival(COARSE, over_groups(fit, added, groups, alpha, seed, reading)))
-    rivals.append(
-        Rival(SKEW, _any_shape(sample, added, groups, alpha, seed, float(np.abs(out.y).max())))
-    )
+    rivals.append(_any_shape(out, sample, added, groups, out.y))
     return rivals
 
 
@@ -338,31 +331,21 @@ def _lack_of_fit_of_rows(
     return p, note, with_pseudo_error(whole, every, alpha, seed, out.y)
 
 
-#: contrasts that Lenth's method needs
-LEAST_CONTRASTS = 7
-
-
 def _rivals_of_cells(
     out: AnalysisOutcome, fit: Factored, sample: Sample, reading: float
 ) -> list[Rival]:
     """Welch's intervals of each difference, and bootstrap-t where a cell is skewed."""
-    alpha, seed = out.request.alpha, out.request.interval_seed
     _, index, counts = np.unique(out.data.cell, return_inverse=True, return_counts=True)
     if counts.max() < 2:
         return []
-    welch = cell_welch(fit, out.y, index, alpha, reading)
     rivals = []
     if needs_welch(out.y, index):
-        rivals.append(Rival(UNEQUAL, welch))
+        rivals.append(Rival(UNEQUAL, cell_welch(fit, out.y, index, out.request.alpha, reading)))
     if counts.max() >= FEWEST_FOR_SHAPE and fit.q.shape[0] * fit.matrix.columns.shape[1] < 2e6:
         groups = np.split(np.argsort(index, kind="stable"), np.cumsum(counts)[:-1])
         if counts.min() >= 2:
             added = (fit.model.inverse @ fit.q.T) * (out.y - fit.shift)
-            rivals.append(
-                Rival(
-                    SKEW, _any_shape(sample, added, groups, alpha, seed, float(np.abs(out.y).max()))
-                )
-            )
+            rivals.append(_any_shape(out, sample, added, groups, out.y))
     return rivals
 
 
@@ -380,20 +363,17 @@ def _with_scatter(sample: Sample, largest: float) -> Sample:
 
 
 def _any_shape(
-    sample: Sample,
-    added: Array,
-    groups: Sequence[Ints],
-    alpha: float,
-    seed: int | None,
-    largest: float,
-) -> Sample:
-    """Intervals that assume no normal distribution, where the values show that they have none.
+    out: AnalysisOutcome, sample: Sample, added: Array, groups: Sequence[Ints], y: Array
+) -> Rival:
+    """Rival without a normal distribution, where the values show that they have none.
 
     A contrast whose values (one a block, or one a row of each cell) are skewed beyond chance gets
     the interval of bootstrap-t (Efron and Tibshirani 1993, section 12.5). One whose values in all
     blocks have one sign, beyond chance, may be as large as the mean of a lognormal (upper limit by
     Cox's method; Zhou and Gao 1997, Statist. Med. 16, 783-790).
     """
+    alpha, seed = out.request.alpha, out.request.interval_seed
+    rounding = _ROUNDING * float(np.abs(y).max())
 
     def estimate(asked: Differences) -> Estimates:
         known = sample(asked)
@@ -402,7 +382,7 @@ def _any_shape(
         value = asked.rows @ added
         m = len(value)
         # equal but for rounding: the last digits of what was subtracted have no distribution
-        differs = np.abs(value).sum(axis=1) > _ROUNDING * largest
+        differs = np.abs(value).sum(axis=1) > rounding
         ends = {
             i: _bootstrap_t(value[i], groups, alpha, m, seed or 0)
             for i in np.flatnonzero(differs & _skewed(value, groups))
@@ -429,7 +409,7 @@ def _any_shape(
             single[i], every[i] = (high - low) / 2, wide
         return Estimates(centre, error, single, every)
 
-    return estimate
+    return Rival(SKEW, estimate)
 
 
 def _skewed(value: Array, groups: Sequence[Ints]) -> Array:
@@ -441,13 +421,16 @@ def _skewed(value: Array, groups: Sequence[Ints]) -> Array:
         if n < FEWEST_FOR_SHAPE:
             continue
         centred = value[:, group] - value[:, group].mean(axis=1, keepdims=True)
-        square = np.mean(centred**2, axis=1)
-        third = np.mean(centred**3, axis=1)
         size = np.abs(value[:, group]).max(axis=1, initial=1e-60)
-        varies = square > 1e-24 * size**2
-        skewness = np.abs(third) / np.where(varies, square, 1.0) ** 1.5
-        found |= varies & (skewness > _limit_of_skewness(n, min(m, 1000)))
+        varies = np.mean(centred**2, axis=1) > (_ROUNDING * size) ** 2
+        centred[~varies] = 1.0
+        found |= varies & (_skewness(centred) > _limit_of_skewness(n, min(m, 1000)))
     return found
+
+
+def _skewness(centred: Array) -> Array:
+    """Size of the skewness of samples about their means, shape (m,)."""
+    return np.asarray(np.abs(np.mean(centred**3, axis=1)) / np.mean(centred**2, axis=1) ** 1.5)
 
 
 @lru_cache(maxsize=256)
@@ -459,8 +442,7 @@ def _limit_of_skewness(n: int, tests: int) -> float:
         return float(-ndtri(SKEWED / (2 * tests)) * math.sqrt(6 * (n - 2) / ((n + 1) * (n + 3))))
     z = np.random.default_rng(2011).standard_normal((20_000, n))
     z -= z.mean(axis=1, keepdims=True)
-    skewness = np.abs(np.mean(z**3, axis=1)) / np.mean(z**2, axis=1) ** 1.5
-    return float(np.quantile(skewness, 1 - SKEWED / tests))
+    return float(np.quantile(_skewness(z), 1 - SKEWED / tests))
 
 
 def _bootstrap_t(
@@ -495,5 +477,4 @@ def _lognormal_end(value: Array, alpha: float) -> float:
     n, variance = log.size, float(log.var(ddof=1))
     error = math.sqrt(variance / n + variance**2 / (2 * (n - 1)))
     end = float(log.mean()) + variance / 2 + t_quantile(alpha / 4, n - 1) * error
-    largest = float(np.abs(value).max())
-    return float(np.sign(value[0])) * min(math.exp(min(end, 700.0)), _FARTHEST * largest)
+    return float(np.sign(value[0])) * math.exp(min(end, 700.0))

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.special import fdtrc
@@ -53,13 +54,12 @@ def incomplete_blocks(out: AnalysisOutcome) -> AnalysisOutcome | None:
     if not lacking or out.replicates in ("noise", "mesh-seeds"):
         return None
     asked = out.request
-    model, sources = mixed_cells(
+    model, sandwich, sources = mixed_cells(
         data.layout, out.terms, block, out.y, asked.alpha, asked.interval_seed
     )
-    if model is None:
+    if model is None or sandwich is None:
         return None
     fit, fixed = model.fit, model.fixed
-    sandwich = Sandwich(fit, fixed, out.y - model.shift, code)
     # sums of squares within blocks: shares of what varies there
     within = factor(model_matrix(data.layout, out.terms, extra=[(block,)]), out.y)
     sums = term_sums(within, "III")
@@ -101,8 +101,10 @@ def incomplete_blocks(out: AnalysisOutcome) -> AnalysisOutcome | None:
 
 def mixed_cells(
     layout: CellLayout, terms: Sequence[Term], block: str, y: Array, alpha: float, seed: int | None
-) -> tuple[MixedCells | None, list[Term]]:
-    """Mixed model of one row a cell and block, and its random terms; None where none can be fitted.
+) -> tuple[MixedCells | None, Sandwich | None, list[Term]]:
+    """Mixed model of one row a cell and block, its sandwich and its random terms.
+
+    None where no model can be fitted.
 
     Shapes: y (n,).
     """
@@ -123,9 +125,10 @@ def mixed_cells(
                 break
             random.pop(min(error.which, len(random) - 1))
             continue
-        robust = Sandwich(fit, fixed, y - shift, layout.codes[block]).errors
-        return MixedCells(fit, fixed, bare, layout, shift, alpha, seed, robust), random
-    return None, []
+        sandwich = Sandwich(fit, fixed, y - shift, layout.codes[block])
+        model = MixedCells(fit, fixed, bare, layout, shift, alpha, seed, sandwich.errors)
+        return model, sandwich, random
+    return None, None, []
 
 
 @dataclass(frozen=True)
@@ -157,17 +160,15 @@ class Sandwich:
         df2 = df1 * float(np.diag(covariance) @ df) / trace
         return df1 / basis.shape[1], float(fdtrc(df1, df2, float(value @ value) / trace))
 
-    def parts(self, rows: Array) -> tuple[Array, Array]:
-        """Find what each block adds, squared, to the variances; and their degrees of freedom."""
+    @cached_property
+    def _blocks(self) -> list[tuple[Ints, Array, Array]]:
+        """Rows of each block, CR2's weights of its residuals, and these times the covariance.
+
+        Shapes: rows (n_k,), the others (n_k, p).
+        """
         x, phi, v = self.fixed.q, self.fit.covariance, self.fit.v
-        residual = self.y - x @ self.fit.moments.beta
-        blocks = int(self.block.max()) + 1
-        root = np.linalg.cholesky(phi)
-        lever = phi @ rows.T
-        parts = np.zeros((blocks, len(rows)))
-        diagonal = np.zeros((blocks, len(rows)))
-        inner = np.zeros((blocks, phi.shape[0], len(rows)))
-        for k in range(blocks):
+        found = []
+        for k in range(int(self.block.max()) + 1):
             here = np.flatnonzero(self.block == k)
             cov = v[-1] * np.eye(here.size)
             for variance, code in zip(v, self.fit.likelihood.codes, strict=False):
@@ -177,10 +178,23 @@ class Sandwich:
             values, vectors = np.linalg.eigh(upper @ left @ upper.T)
             ok = values > 1e-9 * max(values.max(), 0.0)
             inverse = (vectors[:, ok] / np.sqrt(values[ok])) @ vectors[:, ok].T
-            adjust = upper.T @ inverse @ upper
-            g = adjust @ np.linalg.solve(cov, x[here] @ lever)
+            weight = upper.T @ (inverse @ (upper @ np.linalg.solve(cov, x[here])))
+            found.append((here, weight, cov @ weight))
+        return found
+
+    def parts(self, rows: Array) -> tuple[Array, Array]:
+        """Find what each block adds, squared, to the variances; and their degrees of freedom."""
+        x, phi, blocks = self.fixed.q, self.fit.covariance, len(self._blocks)
+        residual = self.y - x @ self.fit.moments.beta
+        root = np.linalg.cholesky(phi)
+        lever = phi @ rows.T
+        parts = np.zeros((blocks, len(rows)))
+        diagonal = np.zeros((blocks, len(rows)))
+        inner = np.zeros((blocks, phi.shape[0], len(rows)))
+        for k, (here, weight, spread) in enumerate(self._blocks):
+            g = weight @ lever
             parts[k] = residual[here] @ g
-            diagonal[k] = np.einsum("im,im->m", g, cov @ g)
+            diagonal[k] = np.einsum("im,im->m", g, spread @ lever)
             inner[k] = root.T @ (x[here].T @ g)
         df = np.ones(len(rows))
         step = max(1, _AT_ONCE // blocks**2)
