@@ -350,8 +350,8 @@ def _print_curves(indent: str, curves: Sequence[Document]) -> None:
             print(f"{indent}{curve['role']}: {name}: no prediction: {curve['message']}")
             continue
         print(f"{indent}{curve['role']}: {name}: RMS error {curve['relative_rms_force_error']:.3g} "
-              f"% of the RMS force ({curve['rms_force_error']:.3g} N)"
-              + ("" if curve["r_squared"] is None else f", R2 {curve['r_squared']:.4g}"))  # fmt: skip
+              f"% of the RMS force ({curve['rms_force_error']:.3g} N), "
+              f"R2 {output.number(curve['r_squared'], 4)}")  # fmt: skip
 
 
 def _print_comparison(found: Document) -> None:

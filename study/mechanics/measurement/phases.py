@@ -96,7 +96,7 @@ def _turns(d: Array, least: float) -> list[int]:
 
 @dataclass(frozen=True)
 class Branch:
-    """Which phases of a test count: those that were declared, or the only ones that can be meant."""
+    """Which phases of a test count: those that are declared, or the only ones there can be."""
 
     #: {"auto", "loading", "unloading", "all"} or the number of a cycle.
     which: str | int = "auto"
