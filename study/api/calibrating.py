@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from study.harness.design.calibration_section import CalibratedTest, CalibrationDesign
     from study.harness.runner.staged_fit import FitStep
     from study.mechanics.indentation.indentation_modulus import FittedCurve
+    from study.mechanics.measurement.inspection import Inspection
     from study.mechanics.setup.calibration_table import Fitting
     from study.reporting.figures.axes import Drawing
 
@@ -313,6 +314,35 @@ def save_calibration(found: CalibrationResult, folder: Path) -> tuple[Path, Path
 def calibration_figure(found: CalibrationResult) -> str:
     """Every measured curve with its fit, as SVG."""
     return fit_figure(panels_of(found), f"{found.name}: {found.model}, {found.status}")
+
+
+# What a recorded file holds.
+
+
+def inspect(source: str | Path, *, sheet: str = "") -> Inspection:
+    """Look at a recorded file: how it is written, what its columns hold, how it is read.
+
+    Parameters
+    ----------
+    source : str or Path
+        Recorded file: text or workbook, plain or gzip.
+    sheet : str
+        Sheet of a workbook; the one with the most numbers if it is empty.
+
+    Returns
+    -------
+    Inspection
+        Encoding, marks, columns, phases, and the table ``[measurements]`` that reads the file:
+        ``print(found.toml)``.
+
+    Raises
+    ------
+    InputError
+        For a file that cannot be read, or holds no rows of numbers.
+    """
+    from study.mechanics.measurement.inspection import inspect as look_at
+
+    return look_at(Path(source), sheet)
 
 
 # How a calibration file wants its constants found.

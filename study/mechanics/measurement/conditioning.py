@@ -142,7 +142,9 @@ SORTED = "rows out of order sorted by displacement"
 UNLOADED = "rows after the first loading left out: the loading branch is used"
 #: and one that asks for a rule
 OFFSET = "a load-cell offset?"
-_CAUTIONS = (SORTED, UNLOADED, OFFSET, IMPLAUSIBLE)
+#: and one that asks for a unit
+PERCENT = "is it in per cent?"
+_CAUTIONS = (SORTED, UNLOADED, OFFSET, IMPLAUSIBLE, PERCENT)
 
 
 @dataclass(frozen=True)

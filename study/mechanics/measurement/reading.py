@@ -17,6 +17,7 @@ from study.ground.errors import Fault, InputError, nearest
 from study.mechanics.measurement.column_text import Gauge, displacement_and_force
 from study.mechanics.measurement.conditioning import (
     OFFSET,
+    PERCENT,
     SIGNS,
     ZERO_RULES,
     Conditioned,
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
     from study.mechanics.measurement.measurement_section import MeasurementSpec
 
 
+#: stretch from which a strain may be one in per cent
+_UNUSUAL = 8.0
 #: notes on single tests that are shown
 _MOST_NOTES = 6
 
@@ -109,6 +112,12 @@ def specimens(
         made = condition_course(d, f, one.time_s, rules, one.where)
     else:
         made = condition(d, f, rules, one.where)
+    longest = _longest(d, gauge)
+    if "strain" in spec.columns.kinematic and longest > _UNUSUAL:
+        notes.append(
+            f"{one.where}: a stretch of {longest:.4g} is unusual: {spec.columns.kinematic}, "
+            f'{PERCENT} Then write units = {{ {spec.columns.kinematic} = "%" }}'
+        )
     made = replace(made, specimen=replace(made.specimen, recording=one))
     chosen = [p for p in made.specimen.phases if made.specimen.fate[p.rows].min() == 0]
     if one.time_s is None and (rules.branch.which != "auto" or len(made.specimen.phases) > 1):
@@ -120,6 +129,13 @@ def specimens(
         how = "" if asked == "auto" else f", branch = {asked if isinstance(asked, int) else asked}"
         notes.append(f"{one.where}: {words}{how}")
     return made, notes
+
+
+def _longest(d: Array, gauge: Gauge | None) -> float:
+    """Largest stretch of a gauge section that is stretched or shortened."""
+    if gauge is None or gauge.mode == "simple-shear":
+        return 1.0
+    return 1 + float((gauge.sense * d).max()) / gauge.length_mm
 
 
 def _folded(one: Recording) -> Recording:
