@@ -329,7 +329,8 @@ def _with_names(
     if header is not None:
         names = split[0]
     names = names + [""] * (width - len(names)) if names else [str(k + 1) for k in range(width)]
-    others = [k for k in range(rows[0], rows[-1]) if lines[k].strip() and k not in set(rows)]
+    held = set(rows)
+    others = [k for k in range(rows[0], rows[-1]) if lines[k].strip() and k not in held]
     marks = [
         m for m in _COMMENTS if others and all(lines[k].lstrip().startswith(m) for k in others)
     ]
