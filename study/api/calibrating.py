@@ -300,7 +300,6 @@ def save_calibration(found: CalibrationResult, folder: Path) -> tuple[Path, Path
 
     The paths of the first two are returned.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     drawn = of_recordings(recording_points(found))
     if drawn.svg:
         write_atomic(folder / "recording.svg", drawn.svg.encode())
@@ -526,7 +525,6 @@ def save_moduli(found: AnalyticCalibration, folder: Path) -> tuple[Path, Path]:
 
     Units: found MPa, kPa.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     document, table = folder / "analytic.json", folder / "moduli.csv"
     text = json.dumps(found.to_json(), indent=2, allow_nan=False)
     write_atomic(document, text.encode())

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import nullcontext
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,7 +19,7 @@ from study.api.manifest import WARN, check_choice, check_stale, manifest_of, mix
 from study.api.opened_study import Study, count_cases, open_study
 from study.api.planning import control_seconds, controls_of, refinement_seconds, with_time_left
 from study.api.uncertainty import validate
-from study.ground.errors import InputError, RefusedError, StudyError
+from study.ground.errors import InputError, RefusedError, StoppedError, StudyError, WriteError
 from study.ground.memory import uncollected
 from study.harness.design.load import from_tables, load, loads
 from study.harness.design.spec import Design
@@ -196,15 +196,26 @@ def run(
     with store.lock():
         warnings += check_stale(work, store, stale)
         store.begin_run(manifest_of(work))
-        work, summary = _compute(
-            work, store, clock, jobs, progress, timeout_s, refine, executor,
-            lambda design: expand(design, root, allowed),
-        )  # fmt: skip
-        _finish(store, work, clock.parts, summary)
-        warnings += mixed_meshes(work, store)
-    return report(
-        store.path, reports=reports, formats=formats, extra_warnings=warnings, began=clock
-    )
+        with _records_written():
+            work, summary = _compute(
+                work, store, clock, jobs, progress, timeout_s, refine, executor,
+                lambda design: expand(design, root, allowed),
+            )  # fmt: skip
+            _finish(store, work, clock.parts, summary)
+            warnings += mixed_meshes(work, store)
+    with _records_written():
+        return report(
+            store.path, reports=reports, formats=formats, extra_warnings=warnings, began=clock
+        )
+
+
+@contextmanager
+def _records_written() -> Iterator[None]:
+    """Context in which a file that cannot be written stops a run that has written others."""
+    try:
+        yield
+    except WriteError as error:
+        raise error if isinstance(error, StoppedError) else StoppedError(str(error)) from error
 
 
 def _compute(
