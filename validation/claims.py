@@ -66,6 +66,17 @@ def one_way(counts: tuple[int, ...], sds: tuple[float, ...], shift: float) -> Dr
     return draw
 
 
+def many(b: int, k: int) -> Draw:
+    """Levels in b blocks, the first of which is larger by skewed differences."""
+
+    def draw(random: np.random.Generator) -> pd.DataFrame:
+        table = crossed({"s": b, "a": k})
+        size = np.repeat(skewed(random, b), k) * (table["a"] == 0)
+        return table.assign(y=table["s"] + size + random.normal(0, 0.05, b * k))
+
+    return draw
+
+
 def blocks(b: int, noise: Callable[[np.random.Generator, int], Array], step: float = 0.0) -> Draw:
     """Two levels in b blocks; ``noise`` draws their differences or, with a step, readings."""
 
@@ -201,12 +212,15 @@ def tables() -> Iterator[Table]:
         yield Table(f"rounded, {b} blocks", blocks(b, rough, 1.0), ("a",), 0.95, block=("s",))
     for b in (5, 6, 8, 10):
         yield Table(f"skewed, {b} blocks", blocks(b, skewed), ("a",), 1.0, block=("s",))
+    for b, k in ((5, 3), (5, 4), (6, 4), (8, 4)):
+        yield Table(f"skewed, {b} blocks of {k}", many(b, k), ("a",), 1.0, block=("s",))
     yield Table("rows copied", repeated, ("a",), 0.2)
     for b in (3, 5, 9):
         yield Table(f"share of the mean, {b} blocks", share(b), ("a",), "5 % of mean", block=("s",))
     for levels, sd in (
         ({"s": 5, "a": 2}, 0.2), ({"s": 3, "a": 2}, 0.2), ({"s": 6, "a": 3, "b": 2}, 0.2),
-        ({"s": 9, "a": 2, "b": 2}, 0.3), ({"r": 5, "a": 3}, 0.3), ({"r": 10, "a": 3}, 0.45),
+        ({"s": 9, "a": 2, "b": 2}, 0.3), ({"s": 5, "a": 4}, 0.2),
+        ({"r": 5, "a": 3}, 0.3), ({"r": 10, "a": 3}, 0.45),
         ({"r": 3, "a": 2, "b": 2}, 0.22), ({"r": 2, "a": 2, "b": 2, "c": 2}, 0.22),
     ):  # fmt: skip
         factors = tuple(f for f in levels if f not in ("s", "r"))

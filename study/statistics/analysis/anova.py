@@ -567,7 +567,7 @@ def _found(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisOutcome:
             return pooled(out, untested=lacking)
     if plots is not None:
         return split_plot(out, plots)
-    return pooled(out)
+    return error_ledger.welch(out) if request.error == "welch" else pooled(out)
 
 
 def _start(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisOutcome:

@@ -149,6 +149,31 @@ def pooled_estimate(
     )
 
 
+def sampled_estimate(
+    layout: CellLayout, fit: Factored, term: Term, p: float | None, sample: Sample
+) -> TermEstimate:
+    """Estimate of a term whose differences and means have standard errors of their own each."""
+    estimate = pooled_estimate(layout, fit, term, 0, p, 0.05, 0.0)
+    _, component_rows, mean_rows = term_rows(layout, fit, term)
+    component_rows = over_complete_settings(layout, fit, term, component_rows)
+    k = len(mean_rows)
+    first, second = np.triu_indices(k, 1)
+    pairs = sample(Differences(component_rows, first, second))
+    none = np.zeros((1, mean_rows.shape[1]))
+    means = sample(
+        Differences(np.vstack([none, mean_rows]), np.arange(1, k + 1), np.zeros(k, dtype=np.int64))
+    )
+    if pairs.error is None or means.error is None:
+        return estimate
+    half = np.zeros((k, k))
+    half[first, second] = pairs.error * pairs.simultaneous
+    # of which a difference of two levels has the variance 1
+    unit = np.eye(k) / 2
+    return replace(
+        estimate, covariance=unit, critical=half + half.T, mean_half=means.error * means.single
+    )
+
+
 def settings_of(layout: CellLayout, term: Term) -> tuple[tuple[str, ...], ...]:
     """Levels of the factors of a term in every combination, in the order of its components."""
     return tuple(product(*(layout.levels[name] for name in term)))
