@@ -353,7 +353,7 @@ def doubted_variances(y: Array, cell: Ints) -> tuple[Array, Array] | None:
     counts = np.bincount(cell)
     if counts.max() >= ENOUGH_ROWS or _bartlett_p(y, cell, counts) < UNEVEN:
         return own_variances(y, cell)
-    return own_variances(y, cell, HALF) if counts.max() > 2 else None
+    return own_variances(y, cell, SHRUNK) if counts.max() > 2 else None
 
 
 def cell_welch(
@@ -445,8 +445,10 @@ ENOUGH_ROWS = 5
 #: p of Bartlett's test below which cells of fewer rows are judged by their own variances alone
 UNEVEN = 0.10
 #: weight of the pooled variance beside the own one of a cell of three or four rows: the test has
-#: too little power there, and the own variances alone lose a fifth of the right claims
-HALF = 1.0
+#: too little power there. Simulated, 3 rows of 4 cells, one of which scatters 3.3 times as much:
+#: false claims .05 (with 1: .06; by the test alone, at .25: .07), of right ones .95 stand (by
+#: their own variances alone: .81)
+SHRUNK = 0.7
 UNEQUAL = (
     "cells scatter unequally or too few rows tell their scatter: with variances of their own "
     "(Welch) the interval does not allow the claim"
