@@ -184,12 +184,13 @@ class Flat:
         face of radius b (Popov, Hess and Willert 2019, Handbook of Contact Mechanics, 2.5.6).
         """
         b, e = self.face_radius_mm, self.edge_radius_mm
-        low, high = b, b + e
+        low, high = 0.0, e
         for _ in range(60 if e > 0 else 0):  # bisection of a rising function
-            a = (low + high) / 2
+            width = (low + high) / 2
+            a = b + width
             reached = a * (math.sqrt(a * a - b * b) - b * math.acos(b / a)) / e
-            low, high = (low, a) if reached > depth_mm else (a, high)
-        return high - b
+            low, high = (low, width) if reached > depth_mm else (width, high)
+        return high
 
     def step_length_mm(self, depth_mm: float) -> float:
         """Length that load steps are measured by."""
