@@ -21,7 +21,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 
-#: results of each setting, and kernels where they are others
+#: results of each setting
 FOLDER = ROOT / ".venv" / "other-processors"
 
 #: hides PARDISO in every process of a run: a module that is None is not found

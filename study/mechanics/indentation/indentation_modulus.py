@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -23,8 +23,9 @@ from study.mechanics.indentation.contact_law import (
     force_law,
     limits,
 )
-from study.mechanics.measurement.conditioning import Rules, condition, placed
 from study.mechanics.measurement.measurement_section import MeasurementSpec
+from study.mechanics.measurement.phases import RowCount
+from study.mechanics.measurement.reading import first_notes, rules_of, specimens
 from study.mechanics.measurement.recording import read_recordings
 from study.mechanics.setup.calibration_table import Theory
 from study.mechanics.setup.geometry import Indenter
@@ -267,29 +268,28 @@ def read_curves(
         rule = f"an indentation needs displacement and force, got {' and '.join(columns)}"
         mend = 'columns = { displacement = "...", force = "..." }'
         raise InputError(Fault("measurements.columns", rule, mend))
-    low, high = 0.0, np.inf if displacement_mm is None else displacement_mm
-    if spec.range is not None:
-        low, high = spec.range.in_mm(height_mm)
-    rules = Rules(
-        low, high, 0, spec.sign or "positive", spec.zero or "none", spec.toe, height_mm,
-        spec.direction, spec.displacement_zero,
-    )  # fmt: skip
+    rules = rules_of(replace(spec, points="raw"), height_mm, displacement_mm)
     recorded = read_recordings(spec, root)
     found: list[RecordedCurve] = []
     faults: list[Fault] = []
+    told: list[str] = []
+    counts: list[RowCount] = []
     for one in recorded.tests:
         try:
-            moved, _ = placed(one.kinematic, one.kinetic, rules, one.where)
-            kept = condition(moved, one.kinetic, rules, one.where)
+            test, did = specimens(one, spec, rules)
         except InputError as error:
             faults += error.faults
             nothing = np.empty(0)
             found.append(RecordedCurve(one.where, one.groups, nothing, nothing, str(error)))
+            counts.append(RowCount(one.kinetic.size, 0, {"of unreadable curves": one.kinetic.size}))
             continue
-        found.append(RecordedCurve(one.where, one.groups, kept.displacement_mm, kept.force_N))
+        told += did
+        counts.append(test.specimen.count)
+        found.append(RecordedCurve(one.where, one.groups, test.displacement_mm, test.force_N))
     if all(one.fault for one in found):
         raise InputError(faults)
-    return tuple(found), recorded.notes
+    notes = (*recorded.notes, *first_notes(told))
+    return tuple(found), (*notes, RowCount.sum_of(counts).sentence)
 
 
 # Moduli of the curves of a test, gathered by unit, and what is wrong with them.

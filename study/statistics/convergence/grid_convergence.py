@@ -160,13 +160,11 @@ def series_bounds(
     carried = (high - low) / 2 <= RESOLVED_ORDER
     safe = ~limited & (np.abs(order - top) <= AGREEMENT) & (formal is not None)
     factor = np.where(safe, np.where(order > top + ABOVE, SAFE_ABOVE, SAFE), CAUTIOUS)
-    error = _larger_error(h, change, used)
     if formal is None:
-        error = change[..., 0] / ((h[1] / h[0]) ** used - 1)
-    u = factor * error
-    if formal is not None:
-        u = np.where(safe, u, np.maximum(u, spread))
-    u = np.where(carried, u, np.maximum(u, spread))
+        u = factor * change[..., 0] / ((h[1] / h[0]) ** used - 1)
+    else:
+        u = factor * _larger_error(h, change, used)
+    u = np.where(carried & (safe | (formal is None)), u, np.maximum(u, spread))
     u = np.where(kind == "monotone", u, CAUTIOUS * spread)
     return MeshBounds(kind, np.maximum(u, tolerance), order, low, high, used, factor, limited)
 

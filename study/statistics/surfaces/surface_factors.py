@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from itertools import product
+from itertools import combinations, product
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -163,6 +163,28 @@ def change_together(runs: Runs) -> tuple[str, ...]:
         return ()
     last = np.abs(directions[-1])
     return tuple(n for n, c in zip(runs.names, last, strict=True) if c > 1e-3 * last.max())
+
+
+#: coded setting of two factors from which a quarter of their ranges counts as run
+QUARTER = 0.1
+
+
+def never_run(runs: Runs) -> list[str]:
+    """Name the quarters of the ranges of two factors in which no run lies."""
+    found = []
+    for i, j in combinations(range(len(runs.factors)), 2):
+        for side in product((1.0, -1.0), repeat=2):
+            if not ((runs.coded[:, [i, j]] * side) > QUARTER).all(axis=1).any():
+                ends = [
+                    f"{runs.factors[m].name} {'above' if end > 0 else 'below'} "
+                    f"{runs.factors[m].setting(0.0):.4g}"
+                    for m, end in zip((i, j), side, strict=True)
+                ]
+                found.append(" with ".join(ends))
+    if not found:
+        return []
+    more = f" and {len(found) - 4} more" if len(found) > 4 else ""
+    return [f"never run: {'; '.join(found[:4])}{more}: what is predicted there is extrapolated"]
 
 
 # Largest and smallest prediction in the box of coded factors.
