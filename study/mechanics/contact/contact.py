@@ -417,7 +417,7 @@ class Constraints:
 def constraints(setup: Setup, space: Nodes, mesh: Mesh) -> Constraints:
     """Held and driven unknowns of a test, the planes of symmetry (or the axis) included."""
     rate = prescribed_rates(setup, space, mesh)
-    if setup.is_whole:  # what is left may move
+    if setup.is_whole or mesh.is_whole:  # what is left may move
         return Constraints.of(rate, pins(space.nodes, len(mesh.points), rate))
     tol = _SAME * mesh.height_mm
     for i in range(space.dim - 1):

@@ -11,6 +11,7 @@ from study.ground.arrays import Array
 from study.ground.curve import Curve, hermite_work
 from study.mechanics.setup.geometry import Enclosed
 from study.mechanics.setup.setup import Problem
+from study.mechanics.solver.buckling import Instability
 from study.mechanics.solver.internal_force import StoredEnergy
 from study.mechanics.solver.sensitivity import Rate, StepGradients
 from study.mechanics.solver.system import Assembly, State, System
@@ -190,6 +191,8 @@ class Solution:
     cells: NDArray[np.int64]
     displacement: Array
     warm: Warm | None = None
+    #: Where the equilibrium becomes unstable; the curve ends before.
+    instability: Instability | None = None
 
     @property
     def converged(self) -> bool:
@@ -251,6 +254,22 @@ class Logbook:
     #: Displacements at which the surface snapped to another equilibrium, mm.
     snaps: list[float] = field(default_factory=list)
     pinned: float = 0.0
+
+    @property
+    def last(self) -> State | None:
+        """State of the last step."""
+        return self.warm_steps[-1].state if self.warm_steps else None
+
+    def drop_from(self, displacement_mm: float) -> None:
+        """Forget the steps from a displacement on."""
+        kept = int(np.searchsorted(self.reached, displacement_mm * (1 - 1e-12)))
+        steps = np.array(self.reached[kept:]) * self.problem.test.steps / self._whole_mm
+        self.requested -= int((np.abs(steps - np.round(steps)) < 1e-6).sum())
+        for column in (
+            self.rows, self.states, self.reached, self.reactions, self.iterations, self.warm_steps
+        ):  # fmt: skip
+            del column[kept:]
+        self.snaps = [place for place in self.snaps if place < displacement_mm]
 
     @property
     def complete(self) -> bool:
@@ -342,7 +361,13 @@ class Logbook:
         )
 
     def solution(
-        self, state: State, min_j: float, lost: str, reason: str, seconds: float
+        self,
+        state: State,
+        min_j: float,
+        lost: str,
+        reason: str,
+        seconds: float,
+        instability: Instability | None = None,
     ) -> Solution:
         """Solution of a run that ended at ``state``.
 
@@ -352,8 +377,10 @@ class Logbook:
         system, kept = self.system, self._kept()
         vertices = system.mesh.points.shape[0]
         balance, work = balanced(self.states, tuple(self.snaps), self._whole_mm, self._share)
+        gave_way = bool(lost) or instability is not None
+        status = "converged" if self.complete else "unstable" if gave_way else "not-converged"
         return Solution(
-            status="converged" if self.complete else "unstable" if lost else "not-converged",
+            status=status,
             message=self._message(state, lost, reason),
             curve=self.curve(work).at_points(kept),
             energy=balance.at_points(kept),
@@ -375,6 +402,7 @@ class Logbook:
                 dict(self.problem.material.constants),
                 tuple(self.warm_steps[k] for k in kept),
             ),
+            instability=instability,
         )
 
     def _kept(self) -> NDArray[np.int64]:
