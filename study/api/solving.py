@@ -190,7 +190,7 @@ def solution_json(solution: Solution) -> dict[str, object]:
             "mismatch": solution.energy.mismatch.tolist(),
             "snaps_mm": list(solution.energy.jumps_mm),
         },
-        "instability": None if solution.instability is None else solution.instability.to_json(),
+        **solution.equilibria.to_json(),
         "mesh_hash": solution.mesh_hash,
         "mesh_size_mm": solution.mesh_size_mm,
     }

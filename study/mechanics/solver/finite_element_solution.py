@@ -179,7 +179,7 @@ def follow(
         f"{bent.sentence}; followed on the whole body in elements of {mesh.size_mm:.3g} mm, "
         f"bent by {100 * share:g} % of its thickness into that mode: {found.message}"
     )
-    return replace(found, message=said, instability=bent)
+    return replace(found, message=said, equilibria=replace(found.equilibria, instability=bent))
 
 
 def _system(problem: Problem, warm: Solution | None, options: Options, mesh: Mesh | None) -> System:

@@ -447,7 +447,7 @@ class KeptFactors:
         #: displacement of the tangent that the factors are of, mm
         self.factorized_at_mm = np.nan
 
-    def renewed(self, touching: NDArray[np.bool_], displacement_mm: float) -> None:
+    def renewed(self, touching: NDArray[np.bool_], displacement_mm: float = np.nan) -> None:
         """Say that the solver has just factorized, with these contact points closed."""
         self._spent, self._touching, self._change = [], touching, 0.0
         self.factorized_at_mm = displacement_mm
