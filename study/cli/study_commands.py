@@ -182,7 +182,7 @@ def report(
 
     wanted = tuple(part.strip() for part in formats.split(",") if part.strip())
     found = api.report(path, reports=reports, results=results, formats=wanted, beside=beside)
-    _finish(found, as_json, _folders(results, reports))
+    _finish(found, as_json, _folders(found.folder.parent, reports))
 
 
 def diff(
