@@ -102,12 +102,14 @@ def virtual(
     if source is not None and is_tracking(source):
         where = None if data_root(source).resolve() == out.resolve() else out
         command = written("tracking", source, options={"--data": where})
-        output.next_step("what the tracker is worth", command, beside=True)
+        output.next_step("what the tracker is worth", command, is_optional=True)
     elif source is not None:
-        found = design_root(load(source, settings or ())).resolve() == out.resolve()
-        told = {"--data": None if found else out, "-s": settings}
+        is_beside_design = design_root(load(source, settings or ())).resolve() == out.resolve()
+        options = {"--data": None if is_beside_design else out, "-s": settings}
         output.next_step(
-            "what a study of them computes", written("plan", source, options=told), beside=True
+            "what a study of them computes",
+            written("plan", source, options=options),
+            is_optional=True,
         )
 
 
@@ -127,9 +129,9 @@ app = typer.Typer(
 )
 
 
-def _say_version(asked: bool) -> None:
+def _say_version(is_asked: bool) -> None:
     """Print the version and leave."""
-    if asked:
+    if is_asked:
         from study import __version__
 
         print(f"study {__version__}")

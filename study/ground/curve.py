@@ -153,15 +153,15 @@ class Curve:
         """Return the curve of half as many load steps, the last one kept."""
         return self.at_points(np.arange(len(self))[::-2][::-1])
 
-    def at_points(self, kept: NDArray[np.int64]) -> Curve:
+    def at_points(self, rows: NDArray[np.int64]) -> Curve:
         """Return the curve of some of its points, given by their places."""
         return Curve(
-            self.displacement_mm[kept],
-            self.force_N[kept],
-            None if self.stiffness_N_per_mm is None else self.stiffness_N_per_mm[kept],
-            {name: slope[kept] for name, slope in self.force_gradient.items()},
-            None if self.work_Nmm is None else self.work_Nmm[kept],
-            None if self.time_s is None else self.time_s[kept],
+            self.displacement_mm[rows],
+            self.force_N[rows],
+            None if self.stiffness_N_per_mm is None else self.stiffness_N_per_mm[rows],
+            {name: slope[rows] for name, slope in self.force_gradient.items()},
+            None if self.work_Nmm is None else self.work_Nmm[rows],
+            None if self.time_s is None else self.time_s[rows],
         )
 
     def without_gradients(self) -> Curve:
@@ -189,8 +189,8 @@ class Curve:
         is_course = self.time_s is not None
         if self.stiffness_N_per_mm is not None or is_course or len(self) < 3:
             return self.force_at(d), self.gradients_at(names, d)
-        found = self._splined(np.column_stack([self.force_N, self._gradients(names)]), d)
-        return found[:, 0], found[:, 1:]
+        smoothed = self._splined(np.column_stack([self.force_N, self._gradients(names)]), d)
+        return smoothed[:, 0], smoothed[:, 1:]
 
     def _gradients(self, names: Sequence[str]) -> Array:
         """DF/dtheta at the points, shape (len, p)."""
@@ -228,7 +228,7 @@ class Curve:
         if self.force_gradient:
             out["force_gradient"] = {k: v.tolist() for k, v in self.force_gradient.items()}
         if recorded and self.recorded:
-            out["recorded"] = [one.as_dict() for one in self.recorded]
+            out["recorded"] = [curve.as_dict() for curve in self.recorded]
         return out
 
     @classmethod
@@ -243,14 +243,16 @@ class Curve:
             {k: np.asarray(v, float) for k, v in data.get("force_gradient", {}).items()},
             None if work is None else np.asarray(work, float),
             None if time is None else np.asarray(time, float),
-            tuple(cls.from_dict(one) for one in data.get("recorded", ())),
+            tuple(cls.from_dict(curve) for curve in data.get("recorded", ())),
         )
 
     def _check_rows(self, d: Array) -> None:
         """Refuse places that are not the rows of this course."""
-        own = self.displacement_mm
-        span = float(np.abs(own).max(initial=0.0))
-        if d.shape != own.shape or not np.allclose(d, own, rtol=0, atol=1e-6 * span):
+        displacement = self.displacement_mm
+        span = float(np.abs(displacement).max(initial=0.0))
+        if d.shape != displacement.shape or not np.allclose(
+            d, displacement, rtol=0, atol=1e-6 * span
+        ):
             raise ValueError("a course in time has forces at its own rows alone")
 
     def _with_origin(self) -> tuple[Array, Array, Array | None]:

@@ -265,18 +265,18 @@ def _argv(value: object) -> tuple[tuple[str, ...], ...]:
     mend = 'for example argv = [["ccx", "-i", "model"]]'
     if not isinstance(value, list) or not value:
         raise Bad(f"must be a list of words, or of such lists, got {shown(value)}", mend)
-    steps = [value] if all(isinstance(one, str) for one in value) else value
+    steps = [value] if all(isinstance(item, str) for item in value) else value
     if len(steps) > MAX_STEPS:
         raise Bad(f"has {len(steps)} commands, the limit is {MAX_STEPS}")
     return tuple(_words(step, mend) for step in steps)
 
 
 def _words(value: object, mend: str) -> tuple[str, ...]:
-    if not isinstance(value, list) or not value or not all(isinstance(one, str) for one in value):
+    if not isinstance(value, list) or not value or not all(isinstance(item, str) for item in value):
         raise Bad(f"a command must be a list of words, got {shown(value)}", mend)
     if len(value) > MAX_WORDS:
         raise Bad(f"a command has {len(value)} words, the limit is {MAX_WORDS}")
-    words = tuple(text(one) for one in value)
+    words = tuple(text(item) for item in value)
     if not words[0]:
         raise Bad("a command has no program", mend)
     return words
@@ -290,11 +290,11 @@ def _files(value: object) -> tuple[str, ...]:
     items = value if isinstance(value, list) else [value]
     if len(items) > MAX_FILES:
         raise Bad(f"lists {len(items)} files, the limit is {MAX_FILES}")
-    found = tuple(dict.fromkeys(relative_path(item) for item in items))
-    names = [path.replace("\\", "/").rpartition("/")[2] for path in found]
+    files = tuple(dict.fromkeys(relative_path(item) for item in items))
+    names = [path.replace("\\", "/").rpartition("/")[2] for path in files]
     if len(set(names)) < len(names):
         raise Bad("names two files alike, which would lie on one another", "rename one of them")
-    return found
+    return files
 
 
 @section
