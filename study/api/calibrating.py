@@ -11,6 +11,8 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
+import numpy as np
+
 from study.api.folders import calibration_root
 from study.ground.errors import Fault, InputError
 from study.harness.calibration.calibrate_tests import calibrate as run_calibration
@@ -31,6 +33,7 @@ from study.mechanics.setup.geometry import Block, Cylinder, Sphere
 from study.mechanics.setup.material_section import CompressibilityTable, MaterialSection
 from study.reporting.figures.axes import shown
 from study.reporting.figures.curve_figures import FitPanel, draw_fit, fit_figure
+from study.reporting.figures.registry import of_recordings
 from study.reporting.output.notebook import Shown
 
 if TYPE_CHECKING:
@@ -40,6 +43,7 @@ if TYPE_CHECKING:
     from study.harness.design.calibration_section import CalibratedTest, CalibrationDesign
     from study.harness.runner.staged_fit import FitStep
     from study.mechanics.indentation.indentation_modulus import FittedCurve
+    from study.mechanics.measurement.inspection import Inspection
     from study.mechanics.setup.calibration_table import Fitting
     from study.reporting.figures.axes import Drawing
 
@@ -47,7 +51,7 @@ if TYPE_CHECKING:
 # Curves of a calibration as the panels of its figure.
 
 
-def panels_of(result: CalibrationResult) -> list[FitPanel]:
+def panels_of(found: CalibrationResult) -> list[FitPanel]:
     """Every measured curve with its prediction."""
     return [
         FitPanel(
@@ -61,8 +65,36 @@ def panels_of(result: CalibrationResult) -> list[FitPanel]:
             curve.measured.scatter_N,
             curve.measured.curve.time_s is not None,
         )
-        for curve in result.curves
+        for curve in found.curves
     ]
+
+
+def recording_points(found: CalibrationResult) -> pd.DataFrame:
+    """Every recorded row of the tests of a calibration, its branch and why it is set aside."""
+    import pandas as pd
+
+    frames = []
+    for number, curve in enumerate(found.curves, 1):
+        for k, test in enumerate(curve.measured.tests, 1):
+            rows = test.specimen
+            if rows is None or rows.recording is None:
+                continue
+            branch = np.empty(rows.fate.size, dtype=object)
+            for phase in rows.phases:
+                branch[phase.rows] = phase.words
+            title = f"{number}: {curve.file}" + (f", {curve.specimen}" if curve.specimen else "")
+            shown = {
+                "test": title if len(curve.measured.tests) == 1 else f"{title}, {k}",
+                "line": rows.recording.lines or np.arange(1, rows.fate.size + 1),
+                "far": rows.recording.kinematic,
+                "hard": rows.recording.kinetic,
+                "branch": branch,
+                "set_aside": np.array(rows.reasons, dtype=object)[rows.fate],
+                "far_name": rows.recording.quantities[0],
+                "hard_name": rows.recording.quantities[1],
+            }
+            frames.append(pd.DataFrame(shown))
+    return pd.concat(frames, ignore_index=True)
 
 
 @dataclass(frozen=True, repr=False)
@@ -72,9 +104,9 @@ class Calibrated(Shown, CalibrationResult):
     digits: ClassVar[int] = 5
 
     @classmethod
-    def of(cls, result: CalibrationResult) -> Calibrated:
+    def of(cls, found: CalibrationResult) -> Calibrated:
         """Give a calibration the ways to be shown."""
-        return cls(**{item.name: getattr(result, item.name) for item in fields(CalibrationResult)})
+        return cls(**{item.name: getattr(found, item.name) for item in fields(CalibrationResult)})
 
     def to_frame(self) -> pd.DataFrame:
         """Constants with one row each."""
@@ -82,16 +114,16 @@ class Calibrated(Shown, CalibrationResult):
 
         document = self.to_json()["parameters"]
         rows = [
-            {"constant": name, "value": entry["value"], "unit": entry["unit"],
-             "standard_error": entry["standard_error"], "low": entry["ci95"][0],
-             "high": entry["ci95"][1]}
-            for name, entry in (document.items() if isinstance(document, dict) else ())
+            {"constant": name, "value": one["value"], "unit": one["unit"],
+             "standard_error": one["standard_error"], "low": one["ci95"][0],
+             "high": one["ci95"][1]}
+            for name, one in (document.items() if isinstance(document, dict) else ())
         ]  # fmt: skip
         return pd.DataFrame(rows)
 
     def plot(self) -> Drawing:
         """Draw every measured curve with its fit or prediction, and the residuals below."""
-        title = f"{self.name}: {self.model}, {self.status}"
+        title = _title(self)
         return shown(lambda: draw_fit(panels_of(self), title), "calibration", title)
 
     def tables(self) -> Sequence[pd.DataFrame]:
@@ -150,7 +182,7 @@ def calibrate(
     root = calibration_root(config, source, data)
     config = _located(config, source, root)
     folder = None if results is None else own_folder(Path(results), config.name)
-    result = run_calibration(
+    found = run_calibration(
         config,
         root,
         progress=progress,
@@ -158,12 +190,12 @@ def calibrate(
         resamples=resamples,
         folder=folder,
     )
-    if numerics and result.converged:
-        bound = numerical_bound(config, root, result.fit, progress)
-        result = replace(result, numerics=bound.as_dict())
+    if numerics and found.converged:
+        bound = numerical_bound(config, root, found.fit, progress)
+        found = replace(found, numerics=bound.as_dict())
     if folder is not None:
-        save_calibration(result, folder)
-    return Calibrated.of(result)
+        save_calibration(found, folder)
+    return Calibrated.of(found)
 
 
 def choose_energy(
@@ -259,23 +291,61 @@ def compare_tests(
 def _located(config: CalibrationDesign, source: str | Path, root: Path) -> CalibrationDesign:
     """Copy a calibration with the surface of every test found."""
     places = provenance.folders(source, root)
-    tests_located = (replace(t, tables=provenance.located(t.tables, places)) for t in config.tests)
-    return replace(config, tests=tuple(tests_located))
+    found = (replace(t, tables=provenance.located(t.tables, places)) for t in config.tests)
+    return replace(config, tests=tuple(found))
 
 
-def save_calibration(result: CalibrationResult, folder: Path) -> tuple[Path, Path]:
-    """Write the document and the figure of a calibration; returns both paths."""
-    folder.mkdir(parents=True, exist_ok=True)
+def save_calibration(found: CalibrationResult, folder: Path) -> tuple[Path, Path]:
+    """Write the document of a calibration, its figure and that of the recordings.
+
+    The paths of the first two are returned.
+    """
+    drawn = of_recordings(recording_points(found))
+    if drawn.svg:
+        write_atomic(folder / "recording.svg", drawn.svg.encode())
     document, figure = folder / "calibration.json", folder / "calibration.svg"
-    text = json.dumps(result.to_json(), indent=2, allow_nan=False)
+    text = json.dumps(found.to_json(), indent=2, allow_nan=False)
     write_atomic(document, text.encode())
-    write_atomic(figure, calibration_figure(result).encode())
+    write_atomic(figure, calibration_figure(found).encode())
     return document, figure
 
 
-def calibration_figure(result: CalibrationResult) -> str:
+def _title(found: CalibrationResult) -> str:
+    return f"{found.name}: {found.model}, {found.status}, {found.adequacy.verdict} the data"
+
+
+def calibration_figure(found: CalibrationResult) -> str:
     """Every measured curve with its fit, as SVG."""
-    return fit_figure(panels_of(result), f"{result.name}: {result.model}, {result.status}")
+    return fit_figure(panels_of(found), _title(found))
+
+
+# What a recorded file holds.
+
+
+def inspect(source: str | Path, *, sheet: str = "") -> Inspection:
+    """Look at a recorded file: how it is written, what its columns hold, how it is read.
+
+    Parameters
+    ----------
+    source : str or Path
+        Recorded file: text or workbook, plain or gzip.
+    sheet : str
+        Sheet of a workbook; the one with the most numbers if it is empty.
+
+    Returns
+    -------
+    Inspection
+        Encoding, marks, columns, phases, and the table ``[measurements]`` that reads the file:
+        ``print(found.toml)``.
+
+    Raises
+    ------
+    InputError
+        For a file that cannot be read, or holds no rows of numbers.
+    """
+    from study.mechanics.measurement.inspection import inspect as look_at
+
+    return look_at(Path(source), sheet)
 
 
 # How a calibration file wants its constants found.
@@ -399,16 +469,16 @@ def indentation_modulus(
             faults += error.faults
     if faults:
         raise InputError([Fault(f"{source}: {f.where}", f.rule, f.mend) for f in faults])
-    moduli_and_notes = [modulus_of(test, root, number) for number, test in enumerate(tests)]
-    notes = tuple(dict.fromkeys(note for _, test_notes in moduli_and_notes for note in test_notes))
-    moduli = tuple(modulus for modulus, _ in moduli_and_notes)
+    found = [modulus_of(one, root, number) for number, one in enumerate(tests)]
+    notes = tuple(dict.fromkeys(note for _, own in found for note in own))
+    moduli = tuple(one for one, _ in found)
     result = AnalyticCalibration(config.name, moduli, notes, time.perf_counter() - began)
     if results is not None:
         save_moduli(result, own_folder(Path(results), result.name))
     return result
 
 
-def _test_of(test: CalibratedTest, fitting: Fitting, where: str) -> IndentationTest:
+def _test_of(test: CalibratedTest, asked: Fitting, where: str) -> IndentationTest:
     """Gather what the closed form needs of one test."""
     setup = test.setup
     specimen, pressed = setup.specimen, setup.test.indenter
@@ -423,7 +493,7 @@ def _test_of(test: CalibratedTest, fitting: Fitting, where: str) -> IndentationT
         rule = "analytic takes the indenter for frictionless, got bonded"
         mend = 'write interface = "frictionless", or leave calibration.method out'
         raise InputError(Fault(f"{where}.test.interface", rule, mend))
-    if fitting.theory == "dimitriadis" and not isinstance(pressed, Sphere):
+    if asked.theory == "dimitriadis" and not isinstance(pressed, Sphere):
         rule = f"dimitriadis is a series for spheres, got {pressed.shape}"
         mend = 'write theory = "integral-equation"'
         raise InputError(Fault("calibration.theory", rule, mend))
@@ -434,9 +504,9 @@ def _test_of(test: CalibratedTest, fitting: Fitting, where: str) -> IndentationT
         area_mm2=specimen.area_mm2,
         spec=test.measurements,
         displacement_mm=setup.test.displacement_mm,
-        theory=fitting.theory,
-        paraboloid=fitting.profile == "paraboloid",
-        find_contact=fitting.contact == "fitted",
+        theory=asked.theory,
+        paraboloid=asked.profile == "paraboloid",
+        find_contact=asked.contact == "fitted",
     )
 
 
@@ -450,29 +520,28 @@ def _poisson_ratio(volume: CompressibilityTable) -> float:
     return volume.poisson_ratio
 
 
-def save_moduli(calibration: AnalyticCalibration, folder: Path) -> tuple[Path, Path]:
+def save_moduli(found: AnalyticCalibration, folder: Path) -> tuple[Path, Path]:
     """Write the document, and a table with one row a curve; returns both paths.
 
     Units: found MPa, kPa.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     document, table = folder / "analytic.json", folder / "moduli.csv"
-    text = json.dumps(calibration.to_json(), indent=2, allow_nan=False)
+    text = json.dumps(found.to_json(), indent=2, allow_nan=False)
     write_atomic(document, text.encode())
     out = io.StringIO(newline="")
     writer = csv.writer(out, lineterminator="\n")
     columns = ("E_kPa", "standard_error_kPa", "low_kPa", "high_kPa", "contact_mm")
     writer.writerow(["test", "curve", "status", *columns, "rows", "rows_outside"])
-    for test in calibration.tests:
-        writer.writerows([test.test, *_row(curve)] for curve in test.curves)
+    for test in found.tests:
+        writer.writerows([test.test, *_row(one)] for one in test.curves)
     write_atomic(table, out.getvalue().encode())
     return document, table
 
 
 def _row(curve: FittedCurve) -> list[object]:
-    modulus = curve.found
-    low, high = modulus.interval_MPa or (None, None)
-    moduli = [modulus.modulus_MPa, modulus.error_MPa, low, high]
+    one = curve.found
+    low, high = one.interval_MPa or (None, None)
+    moduli = [one.modulus_MPa, one.error_MPa, low, high]
     shown = ["" if v is None else f"{1e3 * v:.10g}" for v in moduli]
-    contact = "" if modulus.contact_mm is None else f"{modulus.contact_mm:.10g}"
-    return [curve.label, modulus.status, *shown, contact, modulus.rows, modulus.rows_outside]
+    contact = "" if one.contact_mm is None else f"{one.contact_mm:.10g}"
+    return [curve.label, one.status, *shown, contact, one.rows, one.rows_outside]

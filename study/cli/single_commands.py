@@ -40,6 +40,9 @@ def solve(
     vtu: Annotated[
         Path | None, typer.Option(help="VTU file for the deformed fields, for ParaView.")
     ] = None,
+    follow: Annotated[
+        bool, typer.Option("--follow", help="Go on behind an instability, on the whole body.")
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Simulate one test."""
@@ -49,7 +52,7 @@ def solve(
     if picture or vtu:
         _writable(picture, vtu)
     output.warn(cautions(file, settings or ()))
-    solution = api.solve(file, overrides=settings or ())
+    solution = api.solve(file, overrides=settings or (), follow=follow)
     curve = solution.curve
     if picture or vtu:
         _write_fields(solution, picture, vtu)
@@ -86,14 +89,14 @@ def doctor(as_json: Json = False) -> None:
     """Check the installation."""
     from study.api.solving import examine
 
-    report = examine()
+    found = examine()
     if as_json:
-        output.print_json(report)
+        output.print_json(found)
     else:
         rows = [["check", "outcome", "finding"]]
-        rows += [[c["name"], c["outcome"], c["finding"]] for c in report["checks"]]
+        rows += [[c["name"], c["outcome"], c["finding"]] for c in found["checks"]]
         output.table(rows)
-    if not report["ok"]:
+    if not found["ok"]:
         raise typer.Exit(1)
 
 
@@ -133,55 +136,56 @@ def calibrate(
     from study import api
     from study.api.calibrating import is_analytic
 
-    changes = [*(settings or ()), *([f'calibration.method="{method}"'] if method else ())]
+    asked = [*(settings or ()), *([f'calibration.method="{method}"'] if method else ())]
     alone = not (profiles or numerics or bootstrap)
-    if is_analytic(file, changes):
+    if is_analytic(file, asked):
         if not (alone and by is None and not energies and convention == "study"):
             rule = "takes no --energies, --profile, --numerics, --bootstrap, --by or --convention"
             raise InputError(Fault("method analytic", rule, "leave them out, or the method"))
-        closed_form(file, data, changes, results, as_json)
+        closed_form(file, data, asked, results, as_json)
         return
     if by is not None:
         if by != "test" or not (alone and not energies):
             mend = "write --by test, without --energies, --profile, --numerics and --bootstrap"
             raise InputError(Fault("--by", f"cannot compare by {by!r} with these options", mend))
-        compared = _compared(file, data, changes, difference, zero)
+        compared = _compared(file, data, asked, difference, zero)
         output.print_json(compared) if as_json else _print_comparison(compared)
         return
     if energies:
-        choice = _chosen(file, data, changes)
+        choice = _chosen(file, data, asked)
         output.print_json(choice) if as_json else _print_energies(choice)
         return
     line = _Line()
-    result = api.calibrate(
-        file, data=data, overrides=changes, results=results, progress=line.show, profiles=profiles,
+    found = api.calibrate(
+        file, data=data, overrides=asked, results=results, progress=line.show, profiles=profiles,
         numerics=numerics, resamples=bootstrap,
     )  # fmt: skip
     line.end()
-    _show(result, convention, results / result.name, as_json)
-    if not result.usable:
+    _show(found, convention, results / found.name, as_json)
+    if not found.usable:
         raise typer.Exit(1)
 
 
-def _show(result: CalibrationResult, convention: str, folder: Path, as_json: bool) -> None:
-    document = result.to_json()
+def _show(found: CalibrationResult, convention: str, folder: Path, as_json: bool) -> None:
+    document = found.to_json()
     if convention != "study":
-        converted = result.converted(convention)
+        converted = found.converted(convention)
         document["converted"] = {**vars(converted), "constants": dict(converted.constants)}
     if as_json:
         output.print_json(document)
     else:
         _print_calibration(document)
-        print(f"written: {folder / 'calibration.json'}, {folder / 'calibration.svg'}")
+        names = ("calibration.json", "calibration.svg", "recording.svg")
+        print(f"written: {', '.join(str(folder / name) for name in names)}")
 
 
 def _chosen(file: Path, data: Path | None, settings: Sequence[str] | None) -> Document:
     from study import api
 
     line = _Line()
-    choice = api.choose_energy(file, data=data, overrides=settings or (), progress=line.show)
+    found = api.choose_energy(file, data=data, overrides=settings or (), progress=line.show)
     line.end()
-    document: Document = choice.to_json()
+    document: Document = found.to_json()
     return document
 
 
@@ -191,16 +195,52 @@ def _compared(
     from study import api
 
     line = _Line()
-    comparison = api.compare_tests(
+    found = api.compare_tests(
         file, data=data, overrides=settings or (), difference=units.parse(difference, "ratio"),
         zero=units.parse(zero, "ratio"), progress=line.show,
     )  # fmt: skip
     line.end()
-    document: Document = comparison.to_json()
+    document: Document = found.to_json()
     return document
 
 
-VERBS: tuple[Callable[..., None], ...] = (solve, calibrate, converge, doctor)
+def inspect(
+    file: Annotated[Path, typer.Argument(help="Recorded file: text or workbook, also .gz.")],
+    sheet: Annotated[str, typer.Option(help="Sheet of a workbook that has several.")] = "",
+    as_json: Json = False,
+) -> None:
+    """Show what a recorded file holds, and the table [measurements] that reads it."""
+    from study import api
+
+    found = api.inspect(file, sheet=sheet)
+    if as_json:
+        output.print_json(found.to_json())
+        return
+    names = "" if found.header_line is None else f", names in line {found.header_line}"
+    names += "" if found.unit_line is None else f", units in line {found.unit_line}"
+    print(f"{found.file}: {found.encoding}, delimiter {found.delimiter}, decimal mark "
+          f"{found.decimal!r}{names}, {found.rows} rows in lines {found.lines[0]} to "
+          f"{found.lines[1]}")  # fmt: skip
+    if found.sheets:
+        print(f"sheets: {', '.join(found.sheets)}")
+    for line in found.preamble:
+        print(f"  before the names: {line}")
+    rows = [["column", "unit", "taken for", "from", "to"]]
+    for one in found.columns:
+        ends = [output.number(one.low, 6), output.number(one.high, 6)]
+        held = one.quantity or (f"labels {', '.join(one.labels[:3])}" if one.labels else "-")
+        rows.append([one.name, one.unit or "-", held, *ends])
+    output.table(rows, "columns")
+    for phase in found.phases:
+        far, hard = (f"{a:.6g} to {b:.6g}" for a, b in zip(phase.start, phase.end, strict=True))
+        print(f"{phase.phase}: lines {phase.lines[0]} to {phase.lines[1]}, "
+              f"{far} {found.units[0]}, {hard} {found.units[1]}")  # fmt: skip
+    for note in found.notes:
+        print(f"note: {note}")
+    print(f"\n{found.toml}")
+
+
+VERBS: tuple[Callable[..., None], ...] = (solve, calibrate, inspect, converge, doctor)
 
 
 class _Line:
@@ -235,88 +275,89 @@ class _Line:
             print(file=sys.stderr)
 
 
-def _print_calibration(document: Document) -> None:
-    _print_constants(document)
-    output.print_nuisance(document["nuisance"])
-    if "shear_moduli" in document:
-        both = document["shear_moduli"]
+def _print_calibration(found: Document) -> None:
+    _print_constants(found)
+    output.print_nuisance(found["nuisance"])
+    if "shear_moduli" in found:
+        both = found["shear_moduli"]
         print(f"shear modulus at small strain: {both['instantaneous']:.5g} kPa at once, "
               f"{both['long_term']:.5g} kPa after all relaxation")  # fmt: skip
-    if "converted" in document:
-        _print_converted(document["converted"])
-    _print_further_bounds(document)
-    if document["serial_correlation"]:
-        print(_rows_sentence(document["serial_correlation"]))
-    _print_curves("", document["curves"])
+    if "converted" in found:
+        _print_converted(found["converted"])
+    _print_further_bounds(found)
+    if found["serial_correlation"]:
+        print(_rows_sentence(found["serial_correlation"]))
+    _print_curves("", found["curves"])
     for kind, title in (("specimens", "alone"), ("cross_validation", "left out")):
-        for entry in document[kind]:
+        for one in found[kind]:
             values = ", ".join(f"{n} {output.number(e['value'], 5)} {e['unit']}".rstrip()
-                               for n, e in entry["parameters"].items())  # fmt: skip
-            print(f"{entry['label']} {title}: {values} ({entry['status']})")
-            _print_curves("  ", entry["curves"])
-    if document["population"]:
-        _print_population(document["population"])
-    if document["same_constants_p"] is not None:
-        print(f"all specimens share their constants: p = {document['same_constants_p']:.3g}")
-    if document["lack_of_fit"]:
-        lack = document["lack_of_fit"]
+                               for n, e in one["parameters"].items())  # fmt: skip
+            print(f"{one['label']} {title}: {values} ({one['status']})")
+            _print_curves("  ", one["curves"])
+    if found["population"]:
+        _print_population(found["population"])
+    if found["same_constants_p"] is not None:
+        print(f"all specimens share their constants: p = {found['same_constants_p']:.3g}")
+    if found["lack_of_fit"]:
+        lack = found["lack_of_fit"]
         print(
             f"{lack['verdict']}: F = {lack['statistic']:.4g}, p = {lack['p_independent']:.3g} "
             f"if every point is independent, {lack['p_dependent']:.3g} if every curve is"
         )
-    print(f"{document['status']}: {document['message']} ({document['evaluations']} evaluations)")
-    verdict = "identifiable" if document["identifiable"] else "not identifiable"
-    print(f"{verdict}{': ' + document['reason'] if document['reason'] else ''}")
-    if document["identifiability"] and document["identifiability"]["sentence"]:
-        print(document["identifiability"]["sentence"])
-    if document["next_test"] and document["next_test"]["sentence"]:
-        print(document["next_test"]["sentence"])
-    print(document["stability"])
-    for note in document["notes"]:
+    print(f"{found['status']}: {found['message']} ({found['evaluations']} evaluations)")
+    print(f"{found['fit']['verdict']}: {found['fit']['sentence']}")
+    verdict = "identifiable" if found["identifiable"] else "not identifiable"
+    print(f"{verdict}{': ' + found['reason'] if found['reason'] else ''}")
+    if found["identifiability"] and found["identifiability"]["sentence"]:
+        print(found["identifiability"]["sentence"])
+    if found["next_test"] and found["next_test"]["sentence"]:
+        print(found["next_test"]["sentence"])
+    print(found["stability"])
+    for note in found["notes"]:
         print(f"data: {note}")
-    output.warn(document["warnings"])
+    output.warn(found["warnings"])
 
 
-def _print_constants(document: Document) -> None:
+def _print_constants(found: Document) -> None:
     rows = [["constant", "value", "unit", "standard error", "95 % interval", "numerics",
              "profile interval"]]  # fmt: skip
-    bound = document.get("numerics")
-    for name, entry in document["parameters"].items():
+    bound = found.get("numerics")
+    for name, entry in found["parameters"].items():
         u = "-" if bound is None else f"+-{output.number(bound['u'][name], 2)}"
-        profile = document["profiles"].get(name, {}).get("interval")
+        profile = found["profiles"].get(name, {}).get("interval")
         rows.append(
             [name, output.number(entry["value"], 6), entry["unit"],
              output.number(entry["standard_error"]), _between(entry["ci95"]), u, _between(profile)]
         )  # fmt: skip
-    if not document["profiles"]:
+    if not found["profiles"]:
         rows = [row[:-1] for row in rows]
     if bound is None:
         rows = [[*row[:5], *row[6:]] for row in rows]
-    output.table(rows, document["model"])
+    output.table(rows, found["model"])
 
 
-def _print_further_bounds(document: Document) -> None:
+def _print_further_bounds(found: Document) -> None:
     """Say how the numerical bound was had, and what the bootstrap gives."""
-    bound = document.get("numerics")
+    bound = found.get("numerics")
     if bound is not None:
         print(bound["sentence"])
-    if "bootstrap" in document:
-        drawn = document["bootstrap"]
-        bounds_text = "; ".join(
-            f"{n} {_between(pair)} {document['parameters'][n]['unit']}".rstrip()
+    if "bootstrap" in found:
+        drawn = found["bootstrap"]
+        said = "; ".join(
+            f"{n} {_between(pair)} {found['parameters'][n]['unit']}".rstrip()
             for n, pair in drawn["interval"].items()
         )
-        print(f"{drawn['sentence']}: {bounds_text}")
+        print(f"{drawn['sentence']}: {said}")
 
 
-def _print_population(document: Document) -> None:
+def _print_population(found: Document) -> None:
     rows = [["constant", "specimens", "mean", "unit", "scatter", "95 % of the mean",
              "95 % of the next specimen"]]  # fmt: skip
-    for name, entry in document.items():
+    for name, one in found.items():
         rows.append(
-            [name, str(entry["specimens"]), output.number(entry["mean"], 5), entry["unit"],
-             output.number(entry["standard_deviation"]), _between(entry["mean_ci95"]),
-             _between(entry["next_ci95"])]
+            [name, str(one["specimens"]), output.number(one["mean"], 5), one["unit"],
+             output.number(one["standard_deviation"]), _between(one["mean_ci95"]),
+             _between(one["next_ci95"])]
         )  # fmt: skip
     output.table(rows, "population of specimens")
 
@@ -336,10 +377,10 @@ def _between(pair: Sequence[float | None] | None) -> str:
     return " to ".join("-" if v is None else f"{v:.5g}" for v in pair)
 
 
-def _print_converted(document: Document) -> None:
-    values = ", ".join(f"{name} = {value:.6g}" for name, value in document["constants"].items())
-    note = f" ({document['note']})" if document["note"] else ""
-    print(f"{document['convention']}: {document['keyword']}: {values} in MPa{note}")
+def _print_converted(found: Document) -> None:
+    values = ", ".join(f"{name} = {value:.6g}" for name, value in found["constants"].items())
+    note = f" ({found['note']})" if found["note"] else ""
+    print(f"{found['convention']}: {found['keyword']}: {values} in MPa{note}")
 
 
 def _print_curves(indent: str, curves: Sequence[Document]) -> None:
@@ -349,41 +390,41 @@ def _print_curves(indent: str, curves: Sequence[Document]) -> None:
             print(f"{indent}{curve['role']}: {name}: no prediction: {curve['message']}")
             continue
         print(f"{indent}{curve['role']}: {name}: RMS error {curve['relative_rms_force_error']:.3g} "
-              f"% of the RMS force ({curve['rms_force_error']:.3g} N)")  # fmt: skip
+              f"% of the RMS force ({curve['rms_force_error']:.3g} N), "
+              f"R2 {output.number(curve['r_squared'], 4)}")  # fmt: skip
 
 
-def _print_comparison(document: Document) -> None:
-    names = list(document["common"])
-    heads = [f"{n} [{entry['unit']}]".replace(" []", "") for n, entry in document["common"].items()]
+def _print_comparison(found: Document) -> None:
+    names = list(found["common"])
+    heads = [f"{n} [{one['unit']}]".replace(" []", "") for n, one in found["common"].items()]
     rows = [["test", "n", *heads, "mu0 [kPa]",
-             f"power, {100 * document['difference']:.3g} % off",
-             "seen with power 0.8"]]  # fmt: skip
-    for group in document["groups"]:
-        seen = "-" if group["detectable"] is None else f"{100 * group['detectable']:.3g} %"
+             f"power, {100 * found['difference']:.3g} % off", "seen with power 0.8"]]  # fmt: skip
+    for one in found["groups"]:
+        seen = "-" if one["detectable"] is None else f"{100 * one['detectable']:.3g} %"
         rows.append(
-            [group["label"], str(group["n"]), *(_with_error(group["parameters"][n]) for n in names),
-             output.number(group["mu0"], 5), output.number(group["power"], 3), seen]
+            [one["label"], str(one["n"]), *(_with_error(one["parameters"][n]) for n in names),
+             output.number(one["mu0"], 5), output.number(one["power"], 3), seen]
         )  # fmt: skip
-    common = [_with_error(document["common"][n]) for n in names]
+    common = [_with_error(found["common"][n]) for n in names]
     rows.append(["common", "", *common, "", "", ""])
-    output.table(rows, document["model"])
-    print(f"{document['verdict']}: {document['sentence']}")
-    output.warn(document["warnings"])
+    output.table(rows, found["model"])
+    print(f"{found['verdict']}: {found['sentence']}")
+    output.warn(found["warnings"])
 
 
 def _with_error(entry: Document) -> str:
     return f"{output.number(entry['value'], 5)} +- {output.number(entry['standard_error'], 2)}"
 
 
-def _print_energies(document: Document) -> None:
+def _print_energies(found: Document) -> None:
     rows = [["energy", "constants", "AICc - best", "weight", "mu0 [kPa]", "identifiable"]]
-    for energy in document["energies"]:
+    for one in found["energies"]:
         rows.append(
-            [energy["energy"], str(energy["constants"]), output.number(energy["delta_aicc"]),
-             output.number(energy["weight"]), output.number(energy["mu0"], 5),
-             "yes" if energy["identifiable"] else f"no: {energy['reason']}"]
+            [one["energy"], str(one["constants"]), output.number(one["delta_aicc"]),
+             output.number(one["weight"]), output.number(one["mu0"], 5),
+             "yes" if one["identifiable"] else f"no: {one['reason']}"]
         )  # fmt: skip
     output.table(rows)
-    for name, why in document["failures"].items():
+    for name, why in found["failures"].items():
         print(f"{name}: {why}")
-    print(document["sentence"])
+    print(found["sentence"])

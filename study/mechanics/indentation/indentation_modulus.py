@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -14,7 +14,7 @@ from scipy.optimize import minimize_scalar
 from scipy.special import bdtr, stdtrit
 
 from study.ground.arrays import Array, Flags
-from study.ground.errors import Fault, InputError
+from study.ground.errors import Fault, InputError, settled
 from study.mechanics.indentation.contact_law import (
     ContactForceLaw,
     Layer,
@@ -23,8 +23,9 @@ from study.mechanics.indentation.contact_law import (
     force_law,
     limits,
 )
-from study.mechanics.measurement.conditioning import Rules, condition, placed
 from study.mechanics.measurement.measurement_section import MeasurementSpec
+from study.mechanics.measurement.phases import RowCount
+from study.mechanics.measurement.reading import first_notes, rules_of, specimens
 from study.mechanics.measurement.recording import read_recordings
 from study.mechanics.setup.calibration_table import Theory
 from study.mechanics.setup.geometry import Indenter
@@ -87,8 +88,6 @@ _TRIED = 41
 #: share of the travel up to which contact may begin, and before its start that it may have begun
 _LATEST = 0.9
 _EARLIEST = -0.2
-#: rounds of fitting and of choosing the rows within the limits of the depth so found
-_ROUNDS = 8
 #: largest correlation of neighboring residuals that is told from a trend
 _MOST_CORRELATED = 0.99
 
@@ -127,15 +126,9 @@ def fit_modulus(
 ) -> CurveModulus:
     """Fit Young's modulus to the rows of one curve that lie within the limits."""
     # Shapes: displacement_mm, force_N (n,).
-    contact = 0.0
-    used: Flags = np.zeros(displacement_mm.shape, dtype=bool)
-    for _ in range(_ROUNDS if find_contact else 1):
-        if find_contact:
-            chosen = used if used.any() else np.ones_like(used)
-            contact = _contact(displacement_mm[chosen], force_N[chosen], law)
-        before, used = used, displacement_mm - contact <= deepest_mm
-        if np.array_equal(before, used) or _touching(displacement_mm[used], contact) < MIN_ROWS:
-            break
+    contact, used = 0.0, displacement_mm <= deepest_mm
+    if find_contact:
+        contact, used = _contact_and_rows(displacement_mm, force_N, law, deepest_mm)
     rows = _touching(displacement_mm, contact)
     outside = int(np.count_nonzero(~used))
     if _touching(displacement_mm[used], contact) < MIN_ROWS:
@@ -143,6 +136,26 @@ def fit_modulus(
         return CurveModulus("outside", rule, rows, outside)
     d, f = displacement_mm[used], force_N[used]
     return _judged(d - contact, f, law, poisson_ratio, (rows, outside), contact, find_contact)
+
+
+def _contact_and_rows(
+    d: Array, force: Array, law: ContactForceLaw, deepest: float
+) -> tuple[float, Flags]:
+    """Displacement at contact, and the rows within the limit of depth that give it."""
+    # Often no rows give a contact that chooses just them: with one row more contact is so early
+    # that this row lies too deep. The choices then come round, for there are no more than rows, and
+    # the fewest rows of such a circle are those that are all within the limit.
+    choices = [np.ones(d.shape, dtype=bool)]
+    while True:
+        contact = _contact(d[choices[-1]], force[choices[-1]], law)
+        used: Flags = d - contact <= deepest
+        if _touching(d[used], contact) < MIN_ROWS or np.array_equal(used, choices[-1]):
+            return contact, used
+        for k, before in enumerate(choices):
+            if np.array_equal(used, before):
+                fewest = min(choices[k:], key=np.count_nonzero)
+                return _contact(d[fewest], force[fewest], law), fewest
+        choices.append(used)
 
 
 def _touching(displacement: Array, contact: float) -> int:
@@ -161,7 +174,8 @@ def _contact(d: Array, force: Array, law: ContactForceLaw) -> float:
         return -float(_explained(law.force(d - contact)[None, :], force)[0])
 
     ends = (tried[best] - step, tried[best] + step)
-    return float(minimize_scalar(loss, bounds=ends, options={"xatol": 1e-6 * span}).x)
+    search = minimize_scalar(loss, bounds=ends, options={"xatol": 1e-6 * span})
+    return float(settled(search, "contact of an indentation curve").x)
 
 
 def _explained(shapes: Array, force: Array) -> Array:
@@ -254,31 +268,28 @@ def read_curves(
         rule = f"an indentation needs displacement and force, got {' and '.join(columns)}"
         mend = 'columns = { displacement = "...", force = "..." }'
         raise InputError(Fault("measurements.columns", rule, mend))
-    low, high = 0.0, np.inf if displacement_mm is None else displacement_mm
-    if spec.range is not None:
-        low, high = spec.range.in_mm(height_mm)
-    rules = Rules(
-        low, high, 0, spec.sign or "positive", spec.zero or "none", spec.toe, height_mm,
-        spec.direction, spec.displacement_zero,
-    )  # fmt: skip
+    rules = rules_of(replace(spec, points="raw"), height_mm, displacement_mm)
     recorded = read_recordings(spec, root)
-    curves: list[RecordedCurve] = []
+    found: list[RecordedCurve] = []
     faults: list[Fault] = []
-    for test in recorded.tests:
+    told: list[str] = []
+    counts: list[RowCount] = []
+    for one in recorded.tests:
         try:
-            moved, _ = placed(test.kinematic, test.kinetic, rules, test.where)
-            conditioned = condition(moved, test.kinetic, rules, test.where)
+            test, did = specimens(one, spec, rules)
         except InputError as error:
             faults += error.faults
             nothing = np.empty(0)
-            curves.append(RecordedCurve(test.where, test.groups, nothing, nothing, str(error)))
+            found.append(RecordedCurve(one.where, one.groups, nothing, nothing, str(error)))
+            counts.append(RowCount(one.kinetic.size, 0, {"of unreadable curves": one.kinetic.size}))
             continue
-        curves.append(
-            RecordedCurve(test.where, test.groups, conditioned.displacement_mm, conditioned.force_N)
-        )
-    if all(curve.fault for curve in curves):
+        told += did
+        counts.append(test.specimen.count)
+        found.append(RecordedCurve(one.where, one.groups, test.displacement_mm, test.force_N))
+    if all(one.fault for one in found):
         raise InputError(faults)
-    return tuple(curves), recorded.notes
+    notes = (*recorded.notes, *first_notes(told))
+    return tuple(found), (*notes, RowCount.sum_of(counts).sentence)
 
 
 # Moduli of the curves of a test, gathered by unit, and what is wrong with them.
@@ -294,15 +305,15 @@ class FittedCurve:
 
     def to_json(self) -> dict[str, object]:
         """Plain values, moduli in kPa."""
-        document = asdict(self.found)
-        low_high = document.pop("interval_MPa")
+        found = asdict(self.found)
+        low_high = found.pop("interval_MPa")
         return {
             "label": self.label,
             "groups": dict(self.groups),
-            "modulus_kPa": _kilo(document.pop("modulus_MPa")),
-            "standard_error_kPa": _kilo(document.pop("error_MPa")),
+            "modulus_kPa": _kilo(found.pop("modulus_MPa")),
+            "standard_error_kPa": _kilo(found.pop("error_MPa")),
             "ci95_kPa": None if low_high is None else [_kilo(v) for v in low_high],
-            **document,
+            **found,
         }
 
 
@@ -331,17 +342,17 @@ class IndentationModulus:
     @property
     def rows(self) -> int:
         """Rows in contact."""
-        return sum(curve.found.rows for curve in self.curves)
+        return sum(one.found.rows for one in self.curves)
 
     @property
     def rows_outside(self) -> int:
         """Rows beyond a limit, which no fit uses."""
-        return sum(curve.found.rows_outside for curve in self.curves)
+        return sum(one.found.rows_outside for one in self.curves)
 
     @property
     def fitted(self) -> int:
         """Curves that have a modulus."""
-        return sum(curve.found.status == "fitted" for curve in self.curves)
+        return sum(one.found.status == "fitted" for one in self.curves)
 
     def to_json(self) -> dict[str, object]:
         """Plain values, moduli in kPa."""
@@ -352,7 +363,7 @@ class IndentationModulus:
             "theory": self.theory,
             "poisson_ratio": self.poisson_ratio,
             "height_mm": self.height_mm,
-            "limits": [limit.to_json() for limit in self.limits],
+            "limits": [one.to_json() for one in self.limits],
             "youngs_modulus": self._estimate(1.0),
             "shear_modulus": self._estimate(1 / (2 * (1 + self.poisson_ratio))),
             "block": self.block,
@@ -361,21 +372,21 @@ class IndentationModulus:
             "curves_fitted": self.fitted,
             "rows": self.rows,
             "rows_outside": self.rows_outside,
-            "curves": [curve.to_json() for curve in self.curves],
+            "curves": [one.to_json() for one in self.curves],
             "warnings": list(self.warnings),
         }
 
     def _estimate(self, factor: float) -> dict[str, object] | None:
-        estimate = self.estimate
-        if estimate is None:
+        found = self.estimate
+        if found is None:
             return None
-        interval = estimate.interval_MPa
+        interval = found.interval_MPa
         return {
-            "median_kPa": _kilo(factor * estimate.value_MPa),
+            "median_kPa": _kilo(factor * found.value_MPa),
             "ci95_kPa": None if interval is None else [_kilo(factor * v) for v in interval],
-            "interval": estimate.kind,
-            "units": estimate.units,
-            "quartiles_kPa": [_kilo(factor * v) for v in estimate.quartiles_MPa],
+            "interval": found.kind,
+            "units": found.units,
+            "quartiles_kPa": [_kilo(factor * v) for v in found.quartiles_MPa],
         }
 
 
@@ -393,14 +404,14 @@ class AnalyticCalibration:
     @property
     def is_complete(self) -> bool:
         """Whether every test has a modulus."""
-        return all(test.estimate is not None for test in self.tests)
+        return all(one.estimate is not None for one in self.tests)
 
     def to_json(self) -> dict[str, object]:
         """Document of ``study calibrate --method analytic --json``."""
         return {
             "name": self.name,
             "method": "analytic",
-            "tests": [test.to_json() for test in self.tests],
+            "tests": [one.to_json() for one in self.tests],
             "notes": list(self.notes),
             "seconds": self.seconds,
         }
@@ -447,13 +458,13 @@ def indentation_modulus(
         test.indenter, test.layer, _DEEPER * deepest, theory=test.theory, paraboloid=test.paraboloid
     )
     series = test.theory == "dimitriadis"
-    validity = limits(test.indenter, test.layer, law, area_mm2=test.area_mm2, is_series=series)
-    fitted = tuple(FittedCurve(c.label, c.groups, _fitted(test, c, law, validity)) for c in curves)
+    found = limits(test.indenter, test.layer, law, area_mm2=test.area_mm2, is_series=series)
+    fitted = tuple(FittedCurve(c.label, c.groups, _fitted(test, c, law, found)) for c in curves)
     moduli: dict[str, list[float]] = {}
-    for curve in fitted:
-        if curve.found.modulus_MPa is not None:
-            unit = curve.label if test.spec.block is None else curve.groups[test.spec.block]
-            moduli.setdefault(unit, []).append(curve.found.modulus_MPa)
+    for one in fitted:
+        if one.found.modulus_MPa is not None:
+            unit = one.label if test.spec.block is None else one.groups[test.spec.block]
+            moduli.setdefault(unit, []).append(one.found.modulus_MPa)
     units = {unit: float(np.median(values)) for unit, values in moduli.items()}
     result = IndentationModulus(
         test=number,
@@ -462,12 +473,12 @@ def indentation_modulus(
         theory=test.theory,
         poisson_ratio=test.layer.poisson_ratio,
         height_mm=height,
-        limits=validity,
+        limits=found,
         curves=fitted,
         block=test.spec.block,
         unit_moduli_MPa=units,
         estimate=_estimate(fitted, units),
-        warnings=tuple(_warnings(test, fitted, validity, law, deepest)),
+        warnings=tuple(_warnings(test, fitted, found, law, deepest)),
     )
     return result, notes
 
@@ -476,7 +487,7 @@ def _fitted(
     test: IndentationTest,
     curve: RecordedCurve,
     law: ContactForceLaw,
-    validity: Sequence[ValidityLimit],
+    found: Sequence[ValidityLimit],
 ) -> CurveModulus:
     if curve.fault:
         return CurveModulus("unreadable", curve.fault)
@@ -485,7 +496,7 @@ def _fitted(
         curve.force_N,
         law,
         poisson_ratio=test.layer.poisson_ratio,
-        deepest_mm=validity[0].depth_mm,
+        deepest_mm=found[0].depth_mm,
         find_contact=test.find_contact,
     )
 
@@ -493,35 +504,33 @@ def _fitted(
 def _estimate(fitted: Sequence[FittedCurve], units: Mapping[str, float]) -> MedianEstimate | None:
     if not units:
         return None
-    intervals = [
-        curve.found.interval_MPa for curve in fitted if curve.found.interval_MPa is not None
-    ]
-    return median_estimate(list(units.values()), intervals[0] if len(intervals) == 1 else None)
+    own = [one.found.interval_MPa for one in fitted if one.found.interval_MPa is not None]
+    return median_estimate(list(units.values()), own[0] if len(own) == 1 else None)
 
 
 def _warnings(
     test: IndentationTest,
     fitted: Sequence[FittedCurve],
-    validity: Sequence[ValidityLimit],
+    found: Sequence[ValidityLimit],
     law: ContactForceLaw,
     deepest_mm: float,
 ) -> list[str]:
-    lines = []
-    rows = sum(curve.found.rows for curve in fitted)
-    outside = sum(curve.found.rows_outside for curve in fitted)
+    said = []
+    rows = sum(one.found.rows for one in fitted)
+    outside = sum(one.found.rows_outside for one in fitted)
     if outside:
-        lines.append(
+        said.append(
             f"{100 * outside / rows:.3g} % of the rows in contact ({outside} of {rows}) lie deeper "
-            f"than {validity[0].depth_mm:.4g} mm ({validity[0].what}) and are not fitted"
+            f"than {found[0].depth_mm:.4g} mm ({found[0].what}) and are not fitted"
         )
-    for status, count in Counter(curve.found.status for curve in fitted).items():
+    for status, count in Counter(one.found.status for one in fitted).items():
         if status != "fitted":
-            first = next(curve for curve in fitted if curve.found.status == status)
-            lines.append(f"{count} of {len(fitted)} curves are {status}: {first.label}: "
+            first = next(one for one in fitted if one.found.status == status)
+            said.append(f"{count} of {len(fitted)} curves are {status}: {first.label}: "
                         f"{first.found.message}")  # fmt: skip
     if words := caution(test.indenter):
-        lines.append(words)
-    return [*lines, *_support(test, law, min(validity[0].depth_mm, deepest_mm))]
+        said.append(words)
+    return [*said, *_support(test, law, min(found[0].depth_mm, deepest_mm))]
 
 
 def _support(test: IndentationTest, law: ContactForceLaw, depth_mm: float) -> list[str]:

@@ -259,6 +259,22 @@ def verdicts(all_facts: Sequence[Facts], data: ReportData) -> Table:
                     "scale": "ratio" if effect.is_ratio else "difference",
                 }
             )
+    for row in (row for one in data.surfaces for row in one.verdicts):
+        at, ends = dict(row["at"]), row["ci95"] or (None, None)
+        raw.append(
+            {
+                "response": row["response"],
+                "factor": row["factor"],
+                "verdict": row["verdict"],
+                "effect": row["effect"],
+                "low": ends[0],
+                "high": ends[1],
+                "practical": row["practical"],
+                "u_num": row["u_num"],
+                "scale": "range",
+                "at": ", ".join(f"{name}={level}" for name, level in at.items()),
+            }
+        )
     columns = (
         "response",
         "factor",
