@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -199,9 +199,6 @@ def _print_requirement(answer: Required) -> None:
     print(f"report: {answer.page}")
 
 
-HAPTIC_VERBS: tuple[Callable[..., None], ...] = (export, require)
-
-
 # Verbs that compare with an instrument: tracking, shape.
 
 
@@ -263,6 +260,3 @@ def shape(
     for line in answers(deviation):
         output.paragraph(line)
     print(f"report: {deviation.report}")
-
-
-ACCURACY_VERBS: tuple[Callable[..., None], ...] = (tracking, shape)

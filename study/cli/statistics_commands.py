@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
@@ -529,9 +529,6 @@ def _permission(data: Path | None, allow_commands: bool) -> Permission:
     from study.harness.runner.fit_problem import Allowed
 
     return Permission(data, Allowed(allow_commands))
-
-
-VERBS: tuple[Callable[..., None], ...] = (analyze, optimize, invert)
 
 
 def _hint_practical(practical: str | None) -> None:

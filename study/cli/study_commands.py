@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -277,9 +276,6 @@ def predict(
     surface_tables.print_predictions(predictions)
 
 
-VERBS: tuple[Callable[..., None], ...] = (demo, plan, run, status, report, diff, why, predict)
-
-
 def _running(runner: Document | None, seconds_left: float | None) -> str:
     """Who is at work, and for how long."""
     if runner is None:
@@ -431,6 +427,3 @@ def _show(verification: Verification) -> None:
     if len(verification.differences) > TOLD:
         print(f"and {len(verification.differences) - TOLD} more")
     print("all agree" if verification.agrees else f"{len(verification.differences)} differences")
-
-
-VERIFICATION_VERBS: tuple[Callable[..., None], ...] = (verify,)
