@@ -50,6 +50,8 @@ def _print_overview(told: Overview) -> None:
         [row.label, str(row.group), "-" if row.calibration is None else str(row.calibration)]
         for row in told.matrix
     ]
+    if not told.calibrations:
+        rows = [row[:2] for row in rows]
     more = len(told.matrix) - FIRST_ROWS if len(told.matrix) > ROWS else 0
     shown = rows[: 1 + FIRST_ROWS] if more else rows
     output.table(shown, f"{len(told.matrix)} cells, {told.distinct} distinct computations")
