@@ -24,6 +24,7 @@ from study.harness.design.forward_section import (
     ValueFile,
     target_and_source,
 )
+from study.harness.external.template import rendered
 
 #: bytes of a file that is read, and characters of a line of it
 MOST_BYTES = 20_000_000
@@ -55,8 +56,6 @@ def files_of(
     for file in section.files:
         target, source = target_and_source(file)
         if not isinstance(file, str) and source.endswith(TEMPLATE):
-            from study.harness.external.template import rendered
-
             made[target] = found[target] = rendered(contents[target], context, source)
     return made, found
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterator, Mapping
-
-from jinja2 import StrictUndefined, Template, TemplateSyntaxError
-from jinja2.exceptions import SecurityError, TemplateError, UndefinedError
-from jinja2.sandbox import ImmutableSandboxedEnvironment
-from jinja2.utils import missing
+from typing import TYPE_CHECKING
 
 from study.ground.errors import Fault, InputError, nearest
+
+if TYPE_CHECKING:
+    from jinja2 import Environment, Template
 
 #: characters of a rendered file, and of a text that a template repeats
 MOST_RENDERED = 20_000_000
@@ -41,43 +40,59 @@ class Names:
         return len(self._table)
 
 
-class _Unknown(StrictUndefined):
-    """A name that is not there, and what is near to it."""
+@functools.cache
+def _sandbox() -> Environment:
+    """Sandbox that names what is unknown, and whose products stay small."""
+    # loaded where a template is: most studies have none
+    from jinja2 import StrictUndefined
+    from jinja2.exceptions import SecurityError
+    from jinja2.sandbox import ImmutableSandboxedEnvironment
+    from jinja2.utils import missing
 
-    __slots__ = ()
+    class Unknown(StrictUndefined):
+        """A name that is not there, and what is near to it."""
 
-    @property
-    def _undefined_message(self) -> str:
-        name, owner = str(self._undefined_name), self._undefined_obj
-        if isinstance(owner, Names):
-            near = nearest(name, owner)
-            return f"unknown name {owner._title}.{name}{_NEAR}{near}"
-        return f"unknown name {name}" if owner is missing else super()._undefined_message
+        __slots__ = ()
 
+        @property
+        def _undefined_message(self) -> str:
+            name, owner = str(self._undefined_name), self._undefined_obj
+            if isinstance(owner, Names):
+                near = nearest(name, owner)
+                return f"unknown name {owner._title}.{name}{_NEAR}{near}"
+            return f"unknown name {name}" if owner is missing else super()._undefined_message
 
-class _Sandbox(ImmutableSandboxedEnvironment):
-    """Sandbox whose products stay small."""
+    class Sandbox(ImmutableSandboxedEnvironment):
+        """Sandbox that does not repeat texts and lists without end."""
 
-    intercepted_binops = frozenset(["*", "**"])
+        intercepted_binops = frozenset(["*", "**"])
 
-    def call_binop(self, context: object, operator: str, left: object, right: object) -> object:
-        """Multiply and raise numbers; texts and lists are not repeated without end."""
-        sizes = [len(one) for one in (left, right) if isinstance(one, str | list | tuple)]
-        counts = [one for one in (left, right) if isinstance(one, int | float)]
-        large = operator == "**" and any(abs(one) > 1000 for one in counts)
-        if large or (sizes and counts and max(sizes) * max(counts) > _MOST_REPEATED):
-            raise SecurityError("makes a text or a number of more than 100,000 digits")
-        return self.binop_table[operator](left, right)
+        def call_binop(self, context: object, operator: str, left: object, right: object) -> object:
+            """Multiply and raise numbers."""
+            sizes = [len(one) for one in (left, right) if isinstance(one, str | list | tuple)]
+            counts = [one for one in (left, right) if isinstance(one, int | float)]
+            large = operator == "**" and any(abs(one) > 1000 for one in counts)
+            if large or (sizes and counts and max(sizes) * max(counts) > _MOST_REPEATED):
+                raise SecurityError("makes a text or a number of more than 100,000 digits")
+            return self.binop_table[operator](left, right)
+
+    return Sandbox(undefined=Unknown, keep_trailing_newline=True, autoescape=False)
 
 
 @functools.lru_cache(maxsize=256)
 def _template(text: str) -> Template:
-    sandbox = _Sandbox(undefined=_Unknown, keep_trailing_newline=True, autoescape=False)
-    return sandbox.from_string(text)
+    return _sandbox().from_string(text)
 
 
 def rendered(text: str, context: Mapping[str, object], source: str) -> str:
     """Text of a template over a case; an unknown name is an :class:`InputError` with its line."""
+    from jinja2.exceptions import (
+        SecurityError,
+        TemplateError,
+        TemplateSyntaxError,
+        UndefinedError,
+    )
+
     names = {k: Names(k, v) if isinstance(v, Mapping) else v for k, v in context.items()}
     size, parts = 0, []
     try:
