@@ -37,7 +37,7 @@ CONTROL_TOLERANCE = 1e-5
 ALIASES = 6
 _HIDDEN = ("schema", "study", "presets", "factors", "exclude", "response", "analysis", "report",
            "measurements", "markers", "calibration", "converge", "uncertainty", "replicates",
-           "execution",
+           "execution", "constraint",
            "expected")  # fmt: skip
 
 

@@ -567,7 +567,10 @@ def converge(
         )  # fmt: skip
         return SeriesDocument(convergence.to_json())
 
-    root = design_root(load(source, overrides), data)
+    design = load(source, overrides)
+    if design.is_alone:  # its series are those of its run, which alone may start a program
+        return SeriesDocument(stored(source, results))
+    root = design_root(design, data)
     every = design_series(
         source, overrides, root, jobs=jobs, results=results, reports=reports,
         progress=say, memory_MB=memory_MB,
@@ -582,6 +585,7 @@ def stored(source: str | Path, results: Path = RESULTS) -> dict[str, object]:
     if not cells:
         rule = "no refinement is stored of this study"
         mend = (
+            'name what refines a program of your own: [converge] key = "parameters.h"; '
             "run it without --no-refine; between frictionless plates the deformation is the same "
             "everywhere and no mesh matters: `study converge DESIGN` shows that"
         )

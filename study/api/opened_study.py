@@ -17,7 +17,8 @@ from study.api.records import analyze_records
 from study.api.uncertainty import stored_numerical
 from study.ground.errors import Fault, InputError, StudyError, nearest
 from study.harness.design.load import loads
-from study.harness.design.plausibility import cautions
+from study.harness.design.overview import duplicates
+from study.harness.design.plausibility import cautions_of
 from study.harness.design.spec import Design
 from study.harness.record.document import (
     AdaptiveStep,
@@ -114,9 +115,8 @@ def open_study(
     if later is not None:
         warnings.append(unfinished_note(store, later))
     problems = [treatment.cell.problem for treatment in design.treatments]
-    warnings += dict.fromkeys(
-        caution for problem in problems for caution in cautions(problem.setup, problem.material)
-    )
+    warnings += dict.fromkeys(caution for problem in problems for caution in cautions_of(problem))
+    warnings += different_answers(design, records)
     warnings += [note for note in manifest["notes"] if is_caution(note)]
     if missing:
         warnings.append(f"{missing} of {len(manifest['cases'])} cases are not computed yet")
@@ -145,6 +145,28 @@ def open_study(
         validation=tuple(comparisons),
         spaces=tuple(spaces), surfaces=fitted, adaptive=tuple(steps),
     )  # fmt: skip
+
+
+def different_answers(design: Design, records: Sequence[Record]) -> list[str]:
+    """Say which cells have equal inputs and different answers: the simulation is stochastic."""
+    if design.replicates.key is not None:
+        return []
+    answered = {tuple(r.levels.values()): r for r in records if r.converged and r.block is None}
+    found = []
+    for group in duplicates(design):
+        own = [r for one in group if (r := answered.get(tuple(one.levels.values()))) is not None]
+        for response in (r.name for r in design.responses if r.name != "seconds"):
+            values = {record.value(response): record for record in own}
+            if len(values) > 1:
+                said = " and ".join(
+                    f"{v:.6g} in {' / '.join(r.levels.values())} (case {r.case_id})"
+                    for v, r in list(values.items())[:2]
+                )
+                found.append(
+                    f"cells with equal inputs have different answers: {response} is {said}; make "
+                    "the program repeatable, or give it a seed with [replicates] key and n"
+                )
+    return found
 
 
 def count_cases(study: Path | StudyResult) -> int:

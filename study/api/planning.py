@@ -142,6 +142,12 @@ class Plan:
     most_seconds: float | None = None
 
     @property
+    def calls_function(self) -> bool:
+        """Whether a Python function predicts, which only Python can give."""
+        forwards = (one.cell.problem.forward for one in self.design.treatments)
+        return any(one is not None and one.model == "python" for one in forwards)
+
+    @property
     def counts(self) -> dict[str, int]:
         """Cases: all, and those that are done, failed and missing."""
         return {

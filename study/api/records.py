@@ -102,6 +102,7 @@ def specimens_of(design: Design, records: Sequence[Record]) -> int | None:
 _SAME = 1e-12
 _NOISE = "noise_seed"
 _MESH = "mesh_seed"
+_RUN = "replicate"
 
 
 @dataclass(frozen=True)
@@ -124,6 +125,9 @@ def rows_for(
     """Rows of a study's table for one response."""
     by_replicates = error == "replicates"
     how = "auto" if by_replicates else error
+    if _RUN in table:
+        kept = table.drop(columns=_RUN)
+        return RecordRows(kept, block, how, "runs")
     if _NOISE in table:
         return _noise_rows(table, response, factors, error, block)
     if _MESH not in table:

@@ -252,7 +252,7 @@ def _compute(
         lambda part: store.begin_run(manifest_of(part)),
     )  # fmt: skip
     plain = work.plain()
-    clock.mark("calibration and simulation")
+    clock.mark("simulation" if work.design.is_alone else "calibration and simulation")
     if not refine:
         return work, summary
     noted = with_time_left(store, progress, spaces)

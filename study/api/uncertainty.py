@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from study.ground.curve import Curve
-    from study.harness.design.spec import Design, Treatment
+    from study.harness.design.spec import Design
     from study.harness.execution.task import Executor
     from study.harness.record.record import Record
     from study.harness.record.store import Store
@@ -264,8 +264,6 @@ MESH_FACTORS = ("model.mesh", "model.mesh_size")
 
 #: meshes that a series needs
 _NEEDED = 3
-#: keys of a discretization whose errors share an order
-_ELEMENT = ("space", "element_order", "element_shape", "formulation")
 Cell = tuple[str, ...]
 
 
@@ -287,15 +285,9 @@ def numerical_bound(
     rows = [row for row in numerical if row.response == response]
     if not rows:
         return None
-    cells = [
-        (
-            dict(treatment.levels),
-            "" if treatment.cell.problem.is_homogeneous else _element(treatment),
-        )
-        for treatment in design.treatments
-    ]
+    cells = [(dict(one.levels), one.cell.problem.discretization) for one in design.treatments]
     mesh = mesh_factor(design)
-    meshes = None if mesh is None else _ordered(records, mesh)
+    meshes = None if mesh is None else _ordered(design, records, mesh)
     names = [f.name for f in design.factors]
     if mesh is not None and meshes is not None and set(meshes) <= set(table[mesh].astype(str)):
         names.remove(mesh)
@@ -314,11 +306,6 @@ def numerical_bound(
         if elements.get(cell)
     }
     return SeriesBounds(tuple(names), combinations, named, elements, more, mesh, finest)
-
-
-def _element(treatment: Treatment) -> str:
-    model = treatment.cell.problem.model
-    return " ".join(str(getattr(model, key)) for key in _ELEMENT)
 
 
 def _own_series(
@@ -396,12 +383,18 @@ def u_of_steps(records: Sequence[Record], response: str, transform: str) -> floa
 
 def mesh_factor(design: Design) -> str | None:
     """Name of the factor whose levels are meshes; None without, or with several."""
-    mesh_factors = [f.name for f in design.factors if f.name in MESH_FACTORS and len(f.levels) > 1]
-    return mesh_factors[0] if len(mesh_factors) == 1 else None
+    names = (*MESH_FACTORS, design.converge.key)
+    found = [f.name for f in design.factors if f.name in names and len(f.levels) > 1]
+    return found[0] if len(found) == 1 else None
 
 
-def _ordered(records: Sequence[Record], mesh: str) -> list[str] | None:
+def _ordered(design: Design, records: Sequence[Record], mesh: str) -> list[str] | None:
     """Meshes from coarse to fine; None where that order differs between columns."""
+    if mesh == design.converge.key:
+        sizes = {t.levels[mesh]: t.cell.problem.parameters[mesh.partition(".")[2]]
+                 for t in design.treatments}  # fmt: skip
+        ordered = sorted(sizes, key=lambda label: -float(sizes[label]))
+        return ordered if len(ordered) >= _NEEDED else None
     columns: dict[tuple[tuple[str, str], ...], dict[str, float]] = {}
     for record in records:
         size = record.mesh.get("mesh_size_mm")

@@ -210,8 +210,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     gc.set_threshold(50_000, 20, 20)
     typed = list(sys.argv[1:] if arguments is None else arguments)
     try:
-        words = None if arguments is None else list(arguments)
-        code = app(words, prog_name="study", standalone_mode=False)
+        code = app([_with_digest(word) for word in typed], prog_name="study", standalone_mode=False)
     except StudyError as error:
         complain(error)
         if not isinstance(error, StoppedError) or not is_resumable(typed):
@@ -234,6 +233,18 @@ def run(arguments: Sequence[str] | None = None) -> int:
         with suppress(OSError):  # a terminal that was closed cannot be written to
             print(interrupted(typed), file=sys.stderr)
     return code if isinstance(code, int) else 0
+
+
+def _with_digest(word: str) -> str:
+    """Option of a digest, where one is written as the value of --allow-commands.
+
+    Examples
+    --------
+    >>> _with_digest("--allow-commands=0d084f8cc87a"), _with_digest("--allow-commands")
+    ('--allow-digest=0d084f8cc87a', '--allow-commands')
+    """
+    option, equals, digest = word.partition("=")
+    return f"--allow-digest={digest}" if option == "--allow-commands" and equals else word
 
 
 def _interrupt(number: int, frame: object) -> None:

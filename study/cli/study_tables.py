@@ -50,6 +50,8 @@ def _print_overview(overview: Overview) -> None:
         [row.label, str(row.group), "-" if row.calibration is None else str(row.calibration)]
         for row in overview.matrix
     ]
+    if not overview.calibrations:
+        rows = [row[:2] for row in rows]
     more = len(overview.matrix) - FIRST_ROWS if len(overview.matrix) > ROWS else 0
     shown = rows[: 1 + FIRST_ROWS] if more else rows
     output.table(shown, f"{len(overview.matrix)} cells, {overview.distinct} distinct computations")
