@@ -63,9 +63,17 @@ def resolve(tables: Table, faults: Faults, ratio: float = 1.5) -> Cell:
 
 
 def resolve_problem(
-    tables: Table, faults: Faults, ratio: float = 1.5, places: Mapping[str, str] | None = None
+    tables: Table,
+    faults: Faults,
+    ratio: float = 1.5,
+    places: Mapping[str, str] | None = None,
+    *,
+    all_rows: bool = False,
 ) -> CellProblem:
-    """Resolve specimen, test, material, model and measurements."""
+    """Resolve specimen, test, material, model and measurements.
+
+    With ``all_rows`` measured rows count as they are, unless a number of points is written.
+    """
     at = {name: name for name in TABLES} | dict(places or {})
     specimen = specimen_from(tables.get("specimen", {}), faults, at["specimen"])
     written = tables.get("test", {})
@@ -79,7 +87,7 @@ def resolve_problem(
         table = tables["measurements"]
         spec = measurements_from(table, faults, at["measurements"])
         chosen = isinstance(table, Mapping) and "points" in table
-        if spec is not None and specimen.shape == "homogeneous" and not chosen:
+        if spec is not None and (all_rows or specimen.shape == "homogeneous") and not chosen:
             spec = replace(spec, points="raw")  # every row of a test of material counts
     forward = forward_from(tables.get("forward"), faults, at["forward"])
     markers = markers_from(tables.get("markers"), faults, at["markers"])
@@ -217,7 +225,7 @@ def _test(tables: Table, test: TestTable, where: str, faults: Faults) -> CellPro
     own = ("test", "measurements", "specimen", "model")
     given = {key: value for key in own if (value := getattr(test, key)) is not None}
     places = {key: f"{where}.{key}" for key in given}
-    return resolve_problem({"test": {}, **tables, **given}, faults, places=places)
+    return resolve_problem({"test": {}, **tables, **given}, faults, places=places, all_rows=True)
 
 
 def _bounds(asked: Fitting, material: MaterialSection | None, faults: Faults) -> Bounds:

@@ -184,7 +184,8 @@ def inspect(path: Path, sheet: str = "") -> Inspection:
     """Look at a recorded file; its numbers are read as ``[measurements]`` would read them."""
     source = path.name
     raw = read_bytes(path, source)
-    data, sheets = unzipped(raw, source), ()
+    data = unzipped(raw, source)
+    sheets: tuple[str, ...] = ()
     if is_workbook(data):
         held = sheets_of(data, source)
         sheets = tuple(held)
@@ -275,11 +276,11 @@ def _block_of(lines: Sequence[str], source: str) -> _Block:
     best: tuple[tuple[int, float, int], str, str] | None = None
     for delimiter in DELIMITERS:
         for decimal in (mark for mark in (".", ",") if mark != DELIMITERS[delimiter]):
-            counts = [_numbers_in(_split(line, delimiter), decimal) for line in lines[:_LOOKED_AT]]
-            width, start = _width_and_start([n for n, _ in counts])
+            pairs = [_numbers_in(_split(line, delimiter), decimal) for line in lines[:_LOOKED_AT]]
+            width, start = _width_and_start([n for n, _ in pairs])
             if not width:
                 continue
-            shares = [n / cells for n, cells in counts[start:] if n == width]
+            shares = [n / cells for n, cells in pairs[start:] if n == width]
             # what splits the same rows into more numbers and fewer other cells is meant
             score = (len(shares), round(float(np.mean(shares)), 2), width)
             if best is None or score > best[0]:
@@ -365,7 +366,9 @@ def _known_unit(word: str) -> tuple[str, str] | None:
 
 def _columns(block: _Block) -> tuple[list[InspectedColumn], list[Array], list[str]]:
     """Columns, their numbers (empty for labels), and notes."""
-    columns, numbers, notes = [], [], []
+    columns: list[InspectedColumn] = []
+    numbers: list[Array] = []
+    notes: list[str] = []
     for k, name in enumerate(block.names):
         cells = tuple(row[k] if k < len(row) else "" for row in block.rows)
         values = parsed_numbers(cells, block.decimal, _thousands(block.decimal))

@@ -47,8 +47,13 @@ def read_measurements(
     displacement_mm: float | None = None,
     gauge: Gauge | None = None,
     recordings: Recordings | None = None,
+    *,
+    own_rows: bool = False,
 ) -> Measurements:
-    """Read, check and condition all tests that a specification names."""
+    """Read, check and condition all tests that a specification names.
+
+    With ``own_rows``, raw rows of each test may lie at other displacements.
+    """
     rules = usual = rules_of(spec, height_mm, displacement_mm)
     recorded = recordings or read_recordings(spec, Path(root))
     told: list[str] = []
@@ -77,7 +82,12 @@ def read_measurements(
     notes = [*recorded.notes, *first_notes(told), *_summary(done, rules)]
     if rules != usual:
         notes.append(f"the range begins at {rules.low_mm:.4g} mm, where the last test begins")
-    displacement, time = _common_grid(done, rules)
+    own_rows = own_rows and rules.is_raw
+    displacement, time = (
+        (done[0].displacement_mm, done[0].recorded.time_s)
+        if own_rows
+        else _common_grid(done, rules)
+    )
     found = Measurements(
         tuple(tests),
         displacement,
@@ -89,6 +99,7 @@ def read_measurements(
         tuple(notes),
         dict(recorded.files),
         time,
+        own_rows,
     )
     _check_selections(found)
     return found
