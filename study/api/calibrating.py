@@ -123,7 +123,7 @@ class Calibrated(Shown, CalibrationResult):
 
     def plot(self) -> Drawing:
         """Draw every measured curve with its fit or prediction, and the residuals below."""
-        title = f"{self.name}: {self.model}, {self.status}"
+        title = _title(self)
         return shown(lambda: draw_fit(panels_of(self), title), "calibration", title)
 
     def tables(self) -> Sequence[pd.DataFrame]:
@@ -300,7 +300,6 @@ def save_calibration(found: CalibrationResult, folder: Path) -> tuple[Path, Path
 
     The paths of the first two are returned.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     drawn = of_recordings(recording_points(found))
     if drawn.svg:
         write_atomic(folder / "recording.svg", drawn.svg.encode())
@@ -311,9 +310,13 @@ def save_calibration(found: CalibrationResult, folder: Path) -> tuple[Path, Path
     return document, figure
 
 
+def _title(found: CalibrationResult) -> str:
+    return f"{found.name}: {found.model}, {found.status}, {found.adequacy.verdict} the data"
+
+
 def calibration_figure(found: CalibrationResult) -> str:
     """Every measured curve with its fit, as SVG."""
-    return fit_figure(panels_of(found), f"{found.name}: {found.model}, {found.status}")
+    return fit_figure(panels_of(found), _title(found))
 
 
 # What a recorded file holds.
@@ -522,7 +525,6 @@ def save_moduli(found: AnalyticCalibration, folder: Path) -> tuple[Path, Path]:
 
     Units: found MPa, kPa.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     document, table = folder / "analytic.json", folder / "moduli.csv"
     text = json.dumps(found.to_json(), indent=2, allow_nan=False)
     write_atomic(document, text.encode())

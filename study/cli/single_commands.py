@@ -40,6 +40,9 @@ def solve(
     vtu: Annotated[
         Path | None, typer.Option(help="VTU file for the deformed fields, for ParaView.")
     ] = None,
+    follow: Annotated[
+        bool, typer.Option("--follow", help="Go on behind an instability, on the whole body.")
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Simulate one test."""
@@ -49,7 +52,7 @@ def solve(
     if picture or vtu:
         _writable(picture, vtu)
     output.warn(cautions(file, settings or ()))
-    solution = api.solve(file, overrides=settings or ())
+    solution = api.solve(file, overrides=settings or (), follow=follow)
     curve = solution.curve
     if picture or vtu:
         _write_fields(solution, picture, vtu)
@@ -302,6 +305,7 @@ def _print_calibration(found: Document) -> None:
             f"if every point is independent, {lack['p_dependent']:.3g} if every curve is"
         )
     print(f"{found['status']}: {found['message']} ({found['evaluations']} evaluations)")
+    print(f"{found['fit']['verdict']}: {found['fit']['sentence']}")
     verdict = "identifiable" if found["identifiable"] else "not identifiable"
     print(f"{verdict}{': ' + found['reason'] if found['reason'] else ''}")
     if found["identifiability"] and found["identifiability"]["sentence"]:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import gzip
 import hashlib
 import io
+import lzma
 import os
 import stat
 import zipfile
@@ -136,6 +137,28 @@ def unzip(raw: bytes, source: str | Path, limit: int = MAX_BYTES) -> bytes:
     if unpacked.tell() > limit:
         raise NotRegularError(source, f"unpacked, {_larger(limit)}")
     return unpacked.getvalue()
+
+
+class Unpacker:
+    """Stands for the modules zlib and lzma where others unpack: all parts together are limited."""
+
+    def __init__(self, source: str | Path, limit: int = MAX_BYTES) -> None:
+        self._source, self._limit, self._left = source, limit, limit
+
+    def decompress(self, data: bytes) -> bytes:
+        """Unpack a part, packed by zlib or lzma."""
+        is_lzma = data[:6] == b"\xfd7zXZ\0"
+        stream = lzma.LZMADecompressor(memlimit=MAX_BYTES) if is_lzma else zlib.decompressobj()
+        try:
+            part: bytes = stream.decompress(data, self._left + 1)
+        except (zlib.error, lzma.LZMAError) as error:
+            raise UnreadableError(self._source, f"is broken ({error})") from error
+        self._left -= len(part)
+        if self._left < 0:
+            raise NotRegularError(self._source, f"unpacked, {_larger(self._limit)}")
+        if not stream.eof:
+            raise UnreadableError(self._source, "is broken (a part ends too early)")
+        return part
 
 
 def sha256_of(path: str | Path) -> str:

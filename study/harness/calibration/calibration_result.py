@@ -15,6 +15,7 @@ from study.harness.record.document import ParameterDocument
 from study.harness.record.record import plain
 from study.harness.runner.fit_summary import WITH_CONSTANTS, status_of
 from study.harness.runner.response import CURVE_RESPONSES, ConstantResponse, scale_of
+from study.mechanics.calibration.lack_of_fit import Adequacy
 from study.mechanics.material import material as conversions
 from study.mechanics.material.material import Material
 from study.mechanics.measurement.measured_test import MeasuredTest
@@ -123,6 +124,8 @@ class CalibrationResult:
     #: Calls of the model, those of the cheaper stage included.
     evaluations: int
     seconds: float
+    #: Whether the model describes the data, beside the word of the optimizer.
+    adequacy: Adequacy = field(default_factory=lambda: Adequacy("doubtful"))
     lack_of_fit: LackOfFit | None = None
     pattern: ResidualPattern | None = None
     #: Each specimen for itself; each specimen or test left out in turn.
@@ -140,6 +143,8 @@ class CalibrationResult:
     tests: tuple[Mapping[str, Tables], ...] = ()
     #: What fits from other starts found, where asked.
     starts: Starts | None = None
+    #: The fit and the minima that its rows cannot be told from.
+    minima: tuple[Fit, ...] = ()
     #: What the tests know of the constants, in the units of their curves.
     identified: Identifiability | None = None
     #: Tests that could be made next, by what they would tell of the constants.
@@ -156,8 +161,8 @@ class CalibrationResult:
 
     @property
     def usable(self) -> bool:
-        """Whether there are constants, if without intervals."""
-        return self.status in WITH_CONSTANTS
+        """Whether there are constants, if without intervals, of a model that describes its data."""
+        return self.status in WITH_CONSTANTS and self.adequacy.describes
 
     def converted(self, convention: str) -> Converted:
         """Constants in another code's convention."""
@@ -171,12 +176,14 @@ class CalibrationResult:
         content = {
             "status": self.status,
             "message": self.message,
+            "fit": self.adequacy.as_dict(),
             "model": self.model,
             "parameters": parameters(found),
             "nuisance": nuisance(found),
             "mu0": None if self.material is None else 1e3 * self.material.mu0,
             **_moduli(self.material),
             "rss": found.rss,
+            "minima": [_minimum(one) for one in self.minima],
             "r_squared": found.r_squared,
             "aicc": found.aicc,
             "n": found.n,
@@ -230,6 +237,12 @@ def parameters(fit: Fit) -> dict[str, ParameterDocument]:
         }
         for i, name in enumerate(fit.names)
     }
+
+
+def _minimum(fit: Fit) -> dict[str, object]:
+    """Constants of one minimum, kPa, and its sum of squares."""
+    values = {name: scale_of(name) * value for name, value in fit.constants().items()}
+    return {"parameters": values, "rss": fit.rss}
 
 
 def _identified(found: Identifiability | None) -> dict[str, object] | None:
