@@ -64,6 +64,11 @@ def panels_of(found: CalibrationResult) -> list[FitPanel]:
             else curve.predicted.force_at(curve.measured.curve.displacement_mm),
             curve.measured.scatter_N,
             curve.measured.curve.time_s is not None,
+            any(
+                one.specimen.recording.directions > 1
+                for one in curve.measured.tests
+                if one.specimen is not None and one.specimen.recording is not None
+            ),
         )
         for curve in found.curves
     ]

@@ -138,6 +138,7 @@ def _check_displacement(
         or spec.range is not None
         or spec.points == "raw"
         or spec.columns.time is not None
+        or spec.columns.is_biaxial
     )
     unread = unread or "markers" in tables  # which say it, or are faulty themselves
     if high is None and not written and not unread:

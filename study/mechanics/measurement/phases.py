@@ -204,6 +204,8 @@ class SpecimenRows:
     @property
     def count(self) -> RowCount:
         """Rows by what became of them."""
-        numbers = np.bincount(self.fate, minlength=len(self.reasons)).tolist()
-        aside = {r: n for r, n in zip(self.reasons[1:], numbers[1:], strict=True) if n}
-        return RowCount(int(self.fate.size), numbers[0], aside)
+        directions = 1 if self.recording is None else self.recording.directions
+        numbers = np.bincount(self.fate, minlength=len(self.reasons)) // directions
+        used, *others = numbers.tolist()
+        aside = {r: n for r, n in zip(self.reasons[1:], others, strict=True) if n}
+        return RowCount(int(self.fate.size) // directions, used, aside)

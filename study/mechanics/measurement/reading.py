@@ -129,7 +129,8 @@ def specimens(
             f"{one.where}: a stretch of {longest:.4g} is unusual: {spec.columns.kinematic}, "
             f'{PERCENT} Then write units = {{ {spec.columns.kinematic} = "%" }}'
         )
-    made = replace(made, specimen=replace(made.specimen, recording=one))
+    rows = made.rows // one.directions
+    made = replace(made, rows=rows, specimen=replace(made.specimen, recording=one))
     chosen = [p for p in made.specimen.phases if made.specimen.fate[p.rows].min() == 0]
     if one.time_s is None and (rules.branch.which != "auto" or len(made.specimen.phases) > 1):
         words = " and ".join(

@@ -54,6 +54,8 @@ class FitPanel:
     scatter_N: Array | None
     #: Whether it is a course in time.
     over_time: bool = False
+    #: Whether the rows of two directions stand one after the other.
+    is_biaxial: bool = False
 
 
 def fit_figure(panels: Sequence[FitPanel], title: str) -> str:
@@ -91,6 +93,8 @@ def _draw(panels: Sequence[FitPanel], title: str, total: int) -> Canvas:
 def _axis(panels: Sequence[FitPanel]) -> str:
     """Label of the common axis."""
     kinds = {panel.over_time for panel in panels}
+    if any(panel.is_biaxial for panel in panels):
+        return "row, those of the second direction behind those of the first"
     if len(kinds) > 1:
         return "displacement (mm), or time (s) of a course"
     return "time (s)" if kinds == {True} else "displacement (mm)"
