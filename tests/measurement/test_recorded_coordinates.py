@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from study.ground.errors import InputError
+from study.harness.design.overlay import may_vary
 from study.mechanics.measurement.column_text import Gauge
 from study.mechanics.measurement.measurement_section import MeasurementSpec, Range
 from study.mechanics.measurement.reading import read_measurements
@@ -208,3 +209,31 @@ def test_keys_of_displacement_are_refused_for_a_stretch(tmp_path):
     )
     with pytest.raises(InputError, match="belongs to a column of displacement"):
         read_measurements(stretch, tmp_path, gauge=GAUGE)
+
+
+def test_repeats_at_other_places_share_a_grid_and_specimens_do_not(tmp_path):
+    """Two specimens of two runs each: no two runs were recorded at the same displacements."""
+    rows = []
+    for specimen, stiff in (("A", 3.0), ("B", 4.0)):
+        for run, size in ((1, 25), (2, 31)):
+            place = np.linspace(0.0, 6.0, size)
+            rows += [f"{specimen},{run},{d:.6f},{stiff * d:.6f}\n" for d in place]
+    (tmp_path / "a.csv").write_text("specimen,run,d,f\n" + "".join(rows))
+    several = spec(block="specimen", average=("run",))
+    with pytest.raises(InputError, match="raw rows lie at other displacements"):
+        read_measurements(several, tmp_path)
+    found = read_measurements(several, tmp_path, own_rows=True)
+    for specimen, stiff in (("A", 3.0), ("B", 4.0)):
+        curve = found.curve(specimen)
+        assert len(curve.curve) == 200
+        assert curve.curve.force_N == pytest.approx(stiff * curve.curve.displacement_mm, abs=1e-5)
+        assert (curve.rows.read, curve.rows.used) == (56, 56)
+    one = "".join(row for row in rows if row.split(",")[1] == "2")
+    (tmp_path / "a.csv").write_text("specimen,run,d,f\n" + one + "C,1,0,0\nC,1,1,3\nC,1,2,6\n")
+    found = read_measurements(spec(block="specimen"), tmp_path, own_rows=True)
+    assert [len(found.curve(label).curve) for label in "ABC"] == [31, 31, 3]
+
+
+def test_the_keys_of_a_recording_may_be_overridden_and_vary():
+    for key in ("displacement_zero", "direction", "branch", "cycle"):
+        assert may_vary(f"measurements.{key}")
