@@ -218,9 +218,12 @@ def condition(displacement_mm: Array, force_N: Array, rules: Rules, where: str) 
     every_d, every_f = _turned(displacement_mm, force_N, rules, where, counts)
     phases = phases_of(every_d)
     chosen = rules.branch.of(phases, every_d, every_f, where, is_signed=rules.is_signed)
-    first = chosen if rules.branch.which == "auto" else _first_loading(phases)
+    loadings = [p for p in phases if p.kind == "loading"] or list(phases)
+    first = chosen if rules.branch.which == "auto" else loadings[:1]
     before = _rows_of(first, every_d, every_f)
-    _check_begin(*before, _way_in(displacement_mm, every_d), rules, where)
+    far = int(np.argmax(np.abs(displacement_mm)))
+    way_in = math.copysign(1.0, float(displacement_mm[far] * every_d[far]))
+    _check_begin(*before, way_in, rules, where)
     rules = replace(rules, low_mm=-np.inf) if _is_through_zero(*before, rules) else rules
     d, f = _rows_of(chosen, every_d, every_f)
     if len(chosen) == 1 and chosen[0].kind == "unloading":
@@ -253,11 +256,6 @@ def _rows_of(phases: Sequence[Phase], d: Array, f: Array) -> tuple[Array, Array]
     """Rows of some phases, in order."""
     rows = np.concatenate([np.arange(p.first, p.last + 1) for p in phases])
     return d[rows], f[rows]
-
-
-def _first_loading(phases: Sequence[Phase]) -> tuple[Phase, ...]:
-    """Phase in which the specimen was first loaded, which tells the zeros of the recording."""
-    return tuple([p for p in phases if p.kind == "loading"][:1]) or tuple(phases[:1])
 
 
 def _fates(
@@ -360,12 +358,6 @@ def _turned(
         d = -d
         counts[f"displacement reversed (declared sign {rules.sign})"] += d.size
     return d, f
-
-
-def _way_in(recorded: Array, d: Array) -> float:
-    """Sign of the recorded displacement into the specimen."""
-    k = int(np.argmax(np.abs(recorded)))
-    return math.copysign(1.0, float(recorded[k] * d[k]))
 
 
 def _check_begin(d: Array, f: Array, way: float, rules: Rules, where: str) -> None:

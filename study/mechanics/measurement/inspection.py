@@ -189,7 +189,11 @@ def inspect(path: Path, sheet: str = "") -> Inspection:
     if is_workbook(data):
         held = sheets_of(data, source)
         sheets = tuple(held)
-        sheet = sheet or max(held, key=lambda name: _numeric_cells(held[name]), default="")
+        numbers = {
+            name: sum(isinstance(cell, float) for row in rows for cell in row)
+            for name, rows in held.items()
+        }
+        sheet = sheet or max(numbers, key=numbers.__getitem__, default="")
     text, encoding = table_text(raw, source, sheet=sheet)
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     if len(lines) > MAX_ROWS + 1000:
@@ -215,7 +219,13 @@ def inspect(path: Path, sheet: str = "") -> Inspection:
         first = _first_test(columns, block, groups)
         d, f, at = d[first], f[first], [block.at[k] for k in first]
         phases = _place(kinematic, d, f, table, notes)
-        words = [_phase(p, d, f, at) for p in phases]
+        words = [
+            InspectedPhase(
+                p.words, p.cycle, (at[p.first], at[p.last]),
+                (float(d[p.first]), float(f[p.first])), (float(d[p.last]), float(f[p.last])),
+            )
+            for p in phases
+        ]  # fmt: skip
     else:
         missing = "displacement or strain" if not kinematic else "force or stress"
         notes.append(f"no column is known to hold {missing}: name it in columns and units")
@@ -226,10 +236,6 @@ def inspect(path: Path, sheet: str = "") -> Inspection:
         tuple(columns), tuple(words), max((p.cycle for p in phases), default=0),
         table, tuple(notes),
     )  # fmt: skip
-
-
-def _numeric_cells(rows: Sequence[Sequence[object]]) -> int:
-    return sum(isinstance(cell, float) for row in rows for cell in row)
 
 
 # How the text is written: the longest block of lines whose cells are numbers.
@@ -552,8 +558,3 @@ def _approach(moved: Array, f: Array) -> bool:
         return False
     y = f[:peak][first] - f[0]
     return float(np.abs(y).max()) < NO_FORCE * TURN * abs(float(f[peak] - f[0]))
-
-
-def _phase(p: Phase, d: Array, f: Array, at: Sequence[int]) -> InspectedPhase:
-    start, end = (float(d[p.first]), float(f[p.first])), (float(d[p.last]), float(f[p.last]))
-    return InspectedPhase(p.words, p.cycle, (at[p.first], at[p.last]), start, end)

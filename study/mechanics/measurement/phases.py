@@ -122,7 +122,9 @@ class Branch:
             if fitting:
                 return (fitting[0],)
             of = "" if number is None else f" of cycle {number}"
-            rule = f"the recording has no {kind}{of}: it holds {_listed(phases)}"
+            held = ", ".join(p.words for p in phases[:6])
+            more = f" and {len(phases) - 6} more" if len(phases) > 6 else ""
+            rule = f"the recording has no {kind}{of}: it holds {held}{more}"
             raise InputError(Fault(where, rule, "write the branch that it has, in measurements"))
         # the only loading: of a specimen that was unloaded before it, and is not loaded backwards
         loadings = [p for p in phases if p.kind == "loading"]
@@ -143,11 +145,6 @@ class Branch:
         rule = f"which of its branches is meant is open: {readings}"
         mend = 'write branch = "loading", "unloading", "all", or the number of a cycle'
         raise InputError(Fault(where, rule, mend))
-
-
-def _listed(phases: Sequence[Phase]) -> str:
-    shown = ", ".join(p.words for p in phases[:6])
-    return shown + (f" and {len(phases) - 6} more" if len(phases) > 6 else "")
 
 
 @dataclass(frozen=True)
