@@ -211,6 +211,23 @@ def test_keys_of_displacement_are_refused_for_a_stretch(tmp_path):
         read_measurements(stretch, tmp_path, gauge=GAUGE)
 
 
+def test_rows_on_which_the_end_is_held_are_none_of_loading(tmp_path):
+    """The force relaxes to half while the machine stands at 6 mm."""
+    force = np.r_[3.0 * DEPTH, 9.0 + 9.0 * np.exp(-np.arange(1, 41) / 10.0)]
+    write(tmp_path, np.r_[DEPTH, np.full(40, 6.0)], force)
+    assert stiffness(tmp_path) == (pytest.approx(3.0, rel=1e-6), 25)
+    assert read(tmp_path).curve().rows.aside == {"hold of cycle 1": 40}
+    # readings that were repeated at every place are no hold
+    write(tmp_path, np.repeat(DEPTH, 5), np.repeat(3.0 * DEPTH, 5))
+    assert read(tmp_path).curve().rows.used == 125
+
+
+def test_a_recording_that_only_falls_is_turned_without_a_word(tmp_path):
+    write(tmp_path, DEPTH[::-1], 3.0 * DEPTH[::-1])
+    assert stiffness(tmp_path) == (pytest.approx(3.0, rel=1e-6), 25)
+    assert not any("out of order" in note for note in read(tmp_path).notes)
+
+
 def test_repeats_at_other_places_share_a_grid_and_specimens_do_not(tmp_path):
     """Two specimens of two runs each: no two runs were recorded at the same displacements."""
     rows = []

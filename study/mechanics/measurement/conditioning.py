@@ -226,7 +226,7 @@ def condition(displacement_mm: Array, force_N: Array, rules: Rules, where: str) 
     _check_begin(*before, way_in, rules, where)
     rules = replace(rules, low_mm=-np.inf) if _is_through_zero(*before, rules) else rules
     d, f = _rows_of(chosen, every_d, every_f)
-    if len(chosen) == 1 and chosen[0].kind == "unloading":
+    if len(chosen) == 1 and (chosen[0].kind == "unloading" or (np.diff(d) < 0).all()):
         d, f = d[::-1], f[::-1]
     _check_torn(d, f, rules, where)
     zero, offset = _zero(*before, rules.zero), _offset(*before, rules)

@@ -162,8 +162,8 @@ class Measurements:
             mend = "write a [[tests]] table for each of them"
             raise InputError(Fault("measurements.average", rule, mend))
         grid = np.linspace(low, high, AVERAGED_POINTS)
-        forces = [np.interp(grid, one.displacement_mm, one.force_N) for one in rows]
-        return grid, np.array(forces), None
+        shared = [np.interp(grid, one.displacement_mm, one.force_N) for one in rows]
+        return grid, np.array(shared), None
 
     def _row_count(self, block: str | None, chosen: Sequence[SingleTest]) -> RowCount:
         """Rows of the tests of a block, of which some were chosen."""
