@@ -38,8 +38,12 @@ def solve(
         Path | None, typer.Option(help="SVG file for a picture of the deformed mesh.")
     ] = None,
     vtu: Annotated[
-        Path | None, typer.Option(help="VTU file for the deformed fields, for ParaView.")
+        Path | None,
+        typer.Option(help="Fields for ParaView: .vtu of the last step, .pvd of all of them."),
     ] = None,
+    whole: Annotated[
+        bool, typer.Option("--whole", help="Mirror the fields at the planes of symmetry.")
+    ] = False,
     follow: Annotated[
         bool, typer.Option("--follow", help="Go on behind an instability, on the whole body.")
     ] = False,
@@ -55,7 +59,7 @@ def solve(
     solution = api.solve(file, overrides=settings or (), follow=follow)
     curve = solution.curve
     if picture or vtu:
-        _write_fields(solution, picture, vtu)
+        _write_fields(solution, picture, vtu, whole=whole)
     if as_json:
         output.print_json(solution_json(solution))
     else:
@@ -73,7 +77,9 @@ def _writable(*paths: Path | None) -> None:
     writable(*paths)
 
 
-def _write_fields(solution: Solution, picture: Path | None, vtu: Path | None) -> None:
+def _write_fields(
+    solution: Solution, picture: Path | None, vtu: Path | None, *, whole: bool
+) -> None:
     from study.api.solving import write_picture, write_vtu
 
     if not len(solution.curve.displacement_mm):
@@ -82,7 +88,7 @@ def _write_fields(solution: Solution, picture: Path | None, vtu: Path | None) ->
     if picture is not None:
         write_picture(solution, picture)
     if vtu is not None:
-        write_vtu(solution, vtu)
+        write_vtu(solution, vtu, whole=whole)
 
 
 def doctor(as_json: Json = False) -> None:
