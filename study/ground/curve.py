@@ -18,7 +18,8 @@ from study.ground.arrays import Array
 class Curve:
     """Force against displacement of a whole specimen."""
 
-    #: shape (n,); displacement of the plate or indenter, positive into the specimen, increasing.
+    #: shape (n,); displacement of the plate or indenter, positive into the specimen, increasing. Of
+    #: a specimen that was loaded both ways through zero it begins below zero.
     displacement_mm: Array
     #: shape (n,); force on the whole specimen, positive when it resists.
     force_N: Array
@@ -62,13 +63,15 @@ class Curve:
             self._check_rows(d)
             return self.force_N
         knots, force, slope = self._with_origin()
-        if d.size and (d.min() < -1e-12 or d.max() > knots[-1] * (1 + 1e-9) + 1e-12):
+        low, high = min(float(knots[0]), 0.0), float(knots[-1])
+        slack = 1e-12 + 1e-9 * max(high, -low)
+        if d.size and (d.min() < low - (slack if low < 0 else 1e-12) or d.max() > high + slack):
             raise ValueError(
-                f"the curve ends at {knots[-1]:.6g} mm, asked for {d.min():.6g} to {d.max():.6g} mm"
+                f"the curve ends at {high:.6g} mm, asked for {d.min():.6g} to {d.max():.6g} mm"
             )
         if slope is None:
             return np.asarray(np.interp(d, knots, force))
-        places = np.clip(d, 0, knots[-1])
+        places = np.clip(d, low, high)
         return _hermite(places, knots, force, slope) + self._bulge(places)
 
     def stiffness_at(self, displacement_mm: ArrayLike) -> Array:
@@ -209,7 +212,7 @@ class Curve:
         if knots[0] > 0:
             knots = np.r_[0.0, knots]
             values = np.concatenate([np.zeros((1, values.shape[1])), values])
-        places = np.clip(d, 0, knots[-1])
+        places = np.clip(d, min(float(knots[0]), 0.0), knots[-1])
         if not values.size:
             return np.empty((d.size, values.shape[1]))
         if knots.size < 3:

@@ -105,6 +105,9 @@ class ContactPoints:
     #: shape (n_points, n_points); row of a corner of six-node triangles: the mid-side points next
     #: to it.
     middles: sp.csr_matrix | None = None
+    #: shape (n_points,); which decide for themselves only until another one touches: the corners of
+    #: six-node triangles, and the node on the axis, a fifth of an edge from its first Gauss point.
+    first_touch: Flags | None = None
     _dofs: dict[int, Ints] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
@@ -146,23 +149,29 @@ class ContactPoints:
         held = np.zeros(self.size, dtype=bool) if glue is None else glue.held
         wanted, led = self._decided((urge > 0) | held)
         wanted &= ~held
-        active = wanted if closed is None else closed
-        pressure = np.where(active, multiplier - self.eps * met.gap, 0.0)
+        active, gap = wanted if closed is None else closed, met.gap
+        pressure = np.where(active, multiplier - self.eps * gap, 0.0)
         carried = np.where(active, multiplier, 0.0)
+        if self.middles is None and led.any():  # it has no condition of its own any more
+            gap = np.where(led, np.maximum(gap, 0.0), gap)
         return ContactState(
-            met.gap, active, pressure, carried, met.direction, met.hessian, wanted, urge, led
+            gap, active, pressure, carried, met.direction, met.hessian, wanted, urge, led
         )
 
     def _decided(self, own: Flags) -> tuple[Flags, Flags]:
         """Who is to be closed by the points' own decision, and which corners are led."""
         # A uniform pressure loads only the mid-sides of six-node triangles, so that the sign of a
         # corner's force says nothing. Amid closed mid-sides a corner is closed as well, whichever
-        # way it is pulled; amid open ones it is open.
+        # way it is pulled; amid open ones it is open. Until the first mid-side touches, corners are
+        # all that an indenter narrower than the triangles meets.
+        first = self.first_touch
+        touched = first is not None and bool(own[~first].any())
         if self.middles is None:
-            return own, np.zeros(own.shape, dtype=bool)
+            led = np.zeros(own.shape, dtype=bool) if first is None else first & touched
+            return own & ~led, led
         around = np.diff(self.middles.indptr)
         closed = self.middles @ own.astype(int)
-        led = (around > 0) & ((closed == around) | (closed == 0))
+        led = (around > 0) & ((closed == around) | ((closed == 0) & (touched | (first is None))))
         return np.where(led, closed > 0, own), led
 
     def admissible(self, multiplier: Array) -> Array:
