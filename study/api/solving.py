@@ -6,7 +6,7 @@ import importlib
 import platform
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -173,7 +173,7 @@ def solution_json(solution: Solution) -> dict[str, object]:
     content = {
         "status": solution.status,
         "message": solution.message,
-        **curve.as_dict(),
+        **replace(curve, quantities={}).as_dict(),
         "force_gradient": {k: v.tolist() for k, v in curve.force_gradient.items()},
         "parameters": {} if warm is None else dict(warm.values),
         "dofs": solution.dofs,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -65,6 +66,14 @@ def solve(
     else:
         output.table(output.curve_rows(curve))
         print(f"{solution.status}: {solution.message}")
+        if figures := solution.equilibria.contact:
+            last, above = figures[-1], solution.equilibria.plate[-1]
+            print(
+                f"at the last step: contact {last.area_mm2:.4g} mm^2, peak pressure "
+                f"{1e3 * last.peak_pressure_MPa:.4g} kPa, nodes up to {last.penetration_mm:.2g} mm "
+                f"inside and {last.gap_mm:.2g} mm off the surface; side force "
+                f"{math.hypot(*above.side):.4g} N"
+            )
         total = solution.seconds["total"]
         print(f"{solution.dofs} unknowns, {total:.2f} s, {solution.solver}")
     if solution.status != "converged":

@@ -21,6 +21,7 @@ _DIMENSION = {
     "mm": "length",
     "N/mm": "stiffness",
     "N mm": "work",
+    "mm^2": "area",
 }
 
 

@@ -380,6 +380,7 @@ class Logbook:
             {n: np.array([row.force_gradient[n] for row in self.rows]) for n in self.wanted},
             work_Nmm,
             is_conjugate=self.system.constraints.axial is None,
+            quantities=self.equilibria().quantities(),
         )
 
     def solution(
@@ -525,6 +526,14 @@ class Equilibria:
         """Return those of some of the points, given by their places."""
         plate, base = tuple(self.plate[k] for k in kept), tuple(self.base[k] for k in kept)
         return Equilibria(plate, base, tuple(self.contact[k] for k in kept), self.instability)
+
+    def quantities(self) -> dict[str, Array]:
+        """Responses of each point by their names: kPa, mm^2 and N."""
+        return {
+            "peak_contact_pressure": 1e3 * np.array([c.peak_pressure_MPa for c in self.contact]),
+            "contact_area": np.array([c.area_mm2 for c in self.contact]),
+            "side_force": np.array([float(np.hypot(*one.side)) for one in self.plate]),
+        }
 
     def to_json(self) -> dict[str, object]:
         """Document of ``study solve --json``: N, N mm, mm, MPa and mm^2."""
