@@ -320,7 +320,8 @@ def fields(solution: Solution, step: int = -1) -> Fields:
     means = space.weights / space.weights.sum(axis=1, keepdims=True)
 
     def mean(values: Array) -> Array:
-        return np.einsum("...eq,eq->e...", values, means).reshape(space.n_elements, -1)
+        each = np.einsum("...eq,eq->e...", values, means)
+        return np.asarray(each.reshape(space.n_elements, -1))
 
     tensors = {
         "cauchy_stress_MPa": mean(cauchy_stress(system, state, F, J)),
@@ -360,10 +361,11 @@ def _strains(F: Array, small: bool) -> tuple[Array, Array]:  # noqa: N803
     matrices = np.moveaxis(F, (0, 1), (-2, -1))
     if small:
         strain = (matrices + np.swapaxes(matrices, -2, -1)) / 2 - np.eye(3)
-        stretches = 1 + np.linalg.eigvalsh(strain)[..., ::-1]
+        stretches = np.asarray(1 + np.linalg.eigvalsh(strain)[..., ::-1], dtype=np.float64)
         return np.moveaxis(stretches, -1, 0), np.moveaxis(strain, (-2, -1), (0, 1))
     left, stretches, _ = np.linalg.svd(matrices)
     strain = np.einsum("...ik,...k,...jk->...ij", left, np.log(stretches), left)
+    stretches = np.asarray(stretches, dtype=np.float64)
     return np.moveaxis(stretches, -1, 0), np.moveaxis(strain, (-2, -1), (0, 1))
 
 

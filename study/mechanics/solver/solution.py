@@ -621,7 +621,7 @@ def _stretched_areas(system: System, u: Array) -> Array:
     areas = [_facet_areas(x[corners], dim == 2) for x in (space.nodes, space.nodes + u)]
     n, k = len(space.nodes), space.facets.shape[1]
     before, after = (np.bincount(space.facets.ravel(), np.repeat(a, k), n) for a in areas)
-    return np.divide(after, before, out=np.ones(n), where=before > 0)
+    return np.asarray(np.divide(after, before, out=np.ones(n), where=before > 0))
 
 
 def _corners(facet: int, dim: int) -> int:
@@ -635,7 +635,7 @@ def _meets(system: System) -> Flags:
     sets = [at_level(space, system.mesh, system.mesh.height_mm)]
     sets += [points.nodes for points in system.contact if points.surface.speed != 0]
     within = [np.isin(space.facets, nodes).all(axis=1) for nodes in sets]
-    return np.logical_or.reduce(within) & (space.facet_weights > 0)  # not along an axis
+    return np.asarray(np.any(within, axis=0) & (space.facet_weights > 0))  # not along an axis
 
 
 def contact_pressure(system: System, state: State, force: Array) -> Array:
@@ -668,9 +668,8 @@ def contact_pressure(system: System, state: State, force: Array) -> Array:
         between.append((nodes, facets[first][:, ends]))
         for corner in ends:
             np.add.at(hats, facets[first, corner], part * force[nodes])
-    pressure = np.divide(
-        np.linalg.norm(hats, axis=1), area, out=np.zeros(n), where=area > 0
-    )  # fmt: skip
+    pressure = np.zeros(n)
+    np.divide(np.linalg.norm(hats, axis=1), area, out=pressure, where=area > 0)
     for nodes, around in between:
         pressure[nodes] = pressure[around].mean(axis=1)
     return pressure
