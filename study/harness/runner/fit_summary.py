@@ -86,12 +86,15 @@ def solver_document(solution: Solution) -> SolverDocument:
 
     Units: solution mm.
     """
+    touching = solution.equilibria.contact
     return {
         "name": str(solution.solver),
         "min_j": float(solution.min_j),
         "energy_mismatch": float(solution.energy.largest_mismatch),
         "stabilization_share": float(solution.energy.stabilization_share),
         "snaps_mm": [float(place) for place in solution.energy.jumps_mm],
+        "penetration_mm": max((one.penetration_mm for one in touching), default=0.0),
+        "gap_mm": max((one.gap_mm for one in touching), default=0.0),
     }
 
 
