@@ -39,7 +39,7 @@ from study.harness.calibration.resampling import (
 from study.harness.design.calibration_section import CalibratedTest, CalibrationDesign
 from study.harness.runner import fit_task
 from study.harness.runner.fit_problem import FitProblem, start_problem
-from study.harness.runner.fit_summary import status_of
+from study.harness.runner.fit_summary import stability_over, status_of
 from study.harness.runner.provenance import code_version
 from study.harness.runner.staged_fit import (
     Checkpoint,
@@ -62,7 +62,7 @@ from study.mechanics.calibration.lack_of_fit import (
 from study.mechanics.calibration.levenberg_marquardt import Status
 from study.mechanics.calibration.residual_function import EvaluationFailed
 from study.mechanics.material.material import Material, is_dimensionless
-from study.mechanics.material.stability import check, stability
+from study.mechanics.material.stability import check
 from study.mechanics.measurement.conditioning import is_caution
 from study.mechanics.setup.declaration import table_of
 
@@ -87,21 +87,6 @@ def plausible(material: Material, message: str) -> tuple[str, str]:
     if found:
         return "implausible", found[0]
     return "converged", message
-
-
-def range_stability(
-    tests: Sequence[CalibratedTest], curves: Sequence[FitCurve], material: Material
-) -> tuple[bool, str]:
-    """Drucker's criterion over the compressions that were measured, else over the usual range."""
-    strains = [
-        float(c.measured.curve.displacement_mm.max()) / height
-        for c in curves
-        if (setup := tests[c.test].setup).kind.compresses
-        and (height := setup.height_mm) is not None
-    ]
-    range_of = [np.linspace(1 - max(strains), 1, 41)] if strains else []
-    judged = stability(material, *range_of)
-    return bool(judged.stable), judged.sentence
 
 
 # Where the search for the constants of a calibration begins, and within which bounds.
@@ -452,7 +437,9 @@ def _result(setting: Setting, curves: Sequence[FitCurve], done: Staged) -> Calib
         material = section.material(found.constants())
         judged_as, message = plausible(material, message)
         status = status if judged_as == "converged" else judged_as
-        stable, stability = range_stability(setting.tests, curves, material)
+        measured = [(setting.tests[c.test].setup, c.measured.curve.displacement_mm) for c in curves]
+        judged_stable = stability_over(material, measured)
+        stable, stability = judged_stable.stable, judged_stable.sentence
     judged = list(zip(in_order(curves), found.curves, strict=False))
     repeated = [r for c, p in judged if (r := c.repeated(p)) is not None]
     lack = lack_of_fit(repeated, len(found.names)) if found.converged else None
