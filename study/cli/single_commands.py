@@ -281,7 +281,7 @@ def _print_calibration(found: Document) -> None:
 def _print_constants(found: Document) -> None:
     rows = [["constant", "value", "unit", "standard error", "95 % interval", "numerics",
              "profile interval"]]  # fmt: skip
-    bound = found.get("numerics")
+    bound = found.get("numerics") or found.get("numerical")
     for name, entry in found["parameters"].items():
         u = "-" if bound is None else f"+-{output.number(bound['u'][name], 2)}"
         profile = found["profiles"].get(name, {}).get("interval")
@@ -298,9 +298,9 @@ def _print_constants(found: Document) -> None:
 
 def _print_further_bounds(found: Document) -> None:
     """Say how the numerical bound was had, and what the bootstrap gives."""
-    bound = found.get("numerics")
+    bound = found.get("numerics") or found.get("numerical")
     if bound is not None:
-        print(bound["sentence"])
+        print(f"{bound['sentence']}; the intervals hold it")
     if "bootstrap" in found:
         drawn = found["bootstrap"]
         said = "; ".join(

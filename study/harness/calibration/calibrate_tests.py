@@ -14,6 +14,7 @@ from study.ground.arrays import Array
 from study.ground.canonical import digest
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
+from study.harness.calibration.calibration_bound import estimated_bound, with_numerical
 from study.harness.calibration.calibration_result import CalibrationResult, CurveFit, PartialFit
 from study.harness.calibration.measured_tests import (
     FitCurve,
@@ -131,7 +132,7 @@ def setting_of(
         names, start = _start(tests, curves, progress, checkpoint)
     else:
         names, start = tuple(begin), np.array(list(begin.values()), float)
-    bounds = bounds_of(config, names)
+    bounds = config.bounds_of(names)
     low, high = np.array(bounds).T
     inside = np.clip(start, low, high)
     outside = [name for name, moved in zip(names, inside != start, strict=True) if moved]
@@ -143,11 +144,6 @@ def setting_of(
     )
     finite = np.isfinite(bounds).any()
     return Setting(config, tests, names, inside, bounds if finite else None, progress, moved)
-
-
-def bounds_of(config: CalibrationDesign, names: Sequence[str]) -> list[tuple[float, float]]:
-    """Bounds of the file; else those beyond which an energy is not defined. Units: returns MPa."""
-    return [config.bounds.get(n) or config.material.bounds(n) for n in names]
 
 
 def from_all_starts(
@@ -274,6 +270,12 @@ def calibrate(
     result = _result(setting, curves, done)
     if others:
         result = replace(result, fit=_open(found, others))
+    parts = parts_of(setting.tests, in_order(curves))
+    numerical = estimated_bound(found, parts, done.models) if found.converged else None
+    if numerical is not None:
+        result = replace(
+            result, fit=with_numerical(result.fit, numerical), numerical=numerical.as_dict()
+        )
     result = replace(
         result,
         specimens=specimens,

@@ -144,6 +144,8 @@ class CalibrationResult:
     next_tests: NextTests | None = None
     #: Document of how far meshes and load steps may move the constants, where asked.
     numerics: Mapping[str, object] | None = None
+    #: The same from one coarser mesh, which the intervals hold; None without elements.
+    numerical: Mapping[str, object] | None = None
     #: Intervals from resampled data, where asked.
     bootstrap: Bootstrap | None = None
 
@@ -199,6 +201,7 @@ class CalibrationResult:
             "population": {one.name: _population(one) for one in self.population},
             "cross_validation": [one.as_dict() for one in self.cross_validation],
             "profiles": {n: _profile(_scale(found, n), p) for n, p in self.profiles.items()},
+            **({} if self.numerical is None else {"numerical": self.numerical}),
             **({} if self.numerics is None else {"numerics": self.numerics}),
             **({} if self.bootstrap is None else {"bootstrap": self.bootstrap.as_dict()}),
             **({} if self.starts is None else {"starts": self.starts.as_dict()}),

@@ -35,6 +35,7 @@ from study.mechanics.calibration.serial_correlation import (
     Series,
     effective_rows,
     intervals,
+    row_noise,
 )
 
 
@@ -123,9 +124,13 @@ def _series(
         recorded = recorded_rows(one, predicted, names)
         for weight, rows_used, force, slopes in recorded:
             residual = weight * (force - rows_used.force_N)
+            noise = row_noise(residual, rows_used.places, force)
+            # rows count in units of a common deviation, in which noise that grows is even
+            even = np.ones_like(residual) if noise is None else noise.relative
             own = interpolation_transposed(by_point, places, rows_used.places)
             own /= len(one.recordings) or 1
-            out.append(Series(residual, weight[:, None] * slopes, own / weight))
+            scaled = (weight / even)[:, None] * slopes
+            out.append(Series(residual / even, scaled, own / weight * even))
     return out, known_covariance(priors, names, inverse)
 
 
