@@ -376,12 +376,17 @@ def _with_error(entry: Document) -> str:
 
 
 def _print_energies(found: Document) -> None:
-    rows = [["energy", "constants", "AICc - best", "weight", "mu0 [kPa]", "identifiable"]]
+    rows = [
+        ["energy", "constants", "AICc - best", "weight", "mu0 [kPa]", "the data", "may be chosen"]
+    ]
     for one in found["energies"]:
+        why = one["not_chosen_because"]
+        alike = one["energy"] in found["cannot_be_told_apart"]
+        may = "best" if one["energy"] == found["best"] else "not told apart" if alike else "yes"
         rows.append(
             [one["energy"], str(one["constants"]), output.number(one["delta_aicc"]),
-             output.number(one["weight"]), output.number(one["mu0"], 5),
-             "yes" if one["identifiable"] else f"no: {one['reason']}"]
+             output.number(one["weight"]), output.number(one["mu0"], 5), one["verdict"],
+             f"no: {why}" if why else may]
         )  # fmt: skip
     output.table(rows)
     for name, why in found["failures"].items():
