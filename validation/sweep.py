@@ -181,14 +181,12 @@ def _uncertainty(
     problem: Problem, values: Sequence[float], sizes: Sequence[float]
 ) -> tuple[str, float | None]:
     """Behaviour of a series and uncertainty on its coarsest mesh; it rests on the public GCI."""
-    from study.harness.runner.case_series import half_width
+    from study.harness.runner.case_series import half_width, steps
     from study.harness.runner.refinement import formal_order
 
     if len(values) < 2:
         return "one mesh", None
-    if len(set(sizes)) < len(values) or min(sizes) <= 0:  # meshes that do not say their size
-        sizes = [RATIO**-k for k in range(len(values))]
-    return half_width(values, sizes, formal_order(problem).order)
+    return half_width(values, steps(sizes, RATIO), formal_order(problem).order)
 
 
 def verdict(found: Mapping[str, Any]) -> str:

@@ -78,7 +78,7 @@ def _cells(found: AnalysisResult) -> Cells:
     codes = {name: pd.Categorical(table[name], of_all[name]).codes.astype(np.int64)
              for name in of_all}  # fmt: skip
     terms = [tuple(e.term.split(":")) for e in found.effects]
-    model, _ = mixed_cells(
+    model, *_ = mixed_cells(
         CellLayout(of_all, codes),
         terms,
         "block",

@@ -19,6 +19,7 @@ from study.mechanics.calibration.lack_of_fit import Adequacy
 from study.mechanics.material import material as conversions
 from study.mechanics.material.material import Material
 from study.mechanics.measurement.measured_test import MeasuredTest
+from study.mechanics.measurement.phases import RowCount
 from study.mechanics.setup.setup import Tables
 
 if TYPE_CHECKING:
@@ -51,21 +52,27 @@ class CurveFit:
     message: str = ""
 
     def as_dict(self) -> dict[str, object]:
-        """Errors of the prediction in N and in % of the RMS force."""
+        """Errors of the prediction in N, in % of the RMS force and as R2; rows."""
         errors: dict[str, float | None] = {
             "rms_force_error": None,
             "relative_rms_force_error": None,
+            "r_squared": None,
         }
         if self.predicted is not None:
-            for name in errors:
+            for name in ("rms_force_error", "relative_rms_force_error"):
                 one = CURVE_RESPONSES[name]
                 errors[name] = one.between(self.predicted, self.measured.curve)
+            force = self.measured.curve.force_N
+            left = self.predicted.force_at(self.measured.curve.displacement_mm) - force
+            total = float(((force - force.mean()) ** 2).sum())
+            errors["r_squared"] = 1 - float(left @ left) / total if total > 0 else None
         return {
             "file": self.file,
             "specimen": self.specimen,
             "role": self.role,
             "repeats": self.measured.n_repeats,
             **errors,
+            "rows": self.measured.rows.as_dict(),
             "message": self.message,
         }
 
@@ -182,6 +189,7 @@ class CalibrationResult:
             "r_squared": found.r_squared,
             "aicc": found.aicc,
             "n": found.n,
+            "rows": RowCount.sum_of(curve.measured.rows for curve in self.curves).as_dict(),
             "serial_correlation": _serial(found),
             "correlation": found.correlation,
             "condition": found.condition,

@@ -63,6 +63,13 @@ def half_width(
     return result.behaviour, math.inf if bound is None else bound
 
 
+def steps(sizes: Sequence[float], ratio: float) -> Sequence[float]:
+    """Mesh sizes, or powers of the ratio asked for where the meshes do not say theirs."""
+    if len(set(sizes)) < len(sizes) or min(sizes) <= 0:
+        return [ratio**-k for k in range(len(sizes))]
+    return sizes
+
+
 #: Relative error of a fitted constant or a score at the tolerances of fit and solver.
 TOLERANCE = 1e-6
 
@@ -138,9 +145,7 @@ class CaseSeries:
         self, values: Sequence[float], sizes: Sequence[float], formal: float
     ) -> tuple[str, float]:
         """Behaviour of some values from coarse to fine, and half-width on the study's mesh."""
-        if len(set(sizes)) < len(values) or min(sizes) <= 0:  # meshes that do not say their size
-            sizes = [self.ratio**-k for k in range(len(values))]
-        return half_width(values, sizes, formal, self.own)
+        return half_width(values, steps(sizes, self.ratio), formal, self.own)
 
     def uncertainty(self, response: str, unit: str) -> NumericalUncertainty:
         """Numerical uncertainty of a response on the study's mesh.

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.special import fdtrc
@@ -21,6 +22,18 @@ from study.ground.arrays import Array, Ints
 from study.statistics.analysis import error_ledger
 from study.statistics.analysis.analysis_request import AnalysisOutcome
 from study.statistics.analysis.anova_table import Anova, ErrorTerm
+from study.statistics.analysis.effects import DOUBT
+from study.statistics.analysis.gate import (
+    COARSE,
+    LACK_OF_FIT,
+    Rival,
+    any_shape,
+    block_means,
+    every_term,
+    judge_factors,
+    limit_rivals,
+    reading_error,
+)
 from study.statistics.analysis.linear_model import CellLayout, Term, model_matrix, term_name
 from study.statistics.analysis.mixed_model import MixedCells
 from study.statistics.analysis.restricted_likelihood import (
@@ -28,6 +41,7 @@ from study.statistics.analysis.restricted_likelihood import (
     SingularError,
     fit_restricted,
 )
+from study.statistics.analysis.simple_effects import Differences, Estimates
 from study.statistics.analysis.sums_of_squares import (
     Factored,
     alias_warnings,
@@ -53,13 +67,12 @@ def incomplete_blocks(out: AnalysisOutcome) -> AnalysisOutcome | None:
     if not lacking or out.replicates in ("noise", "mesh-seeds"):
         return None
     asked = out.request
-    model, sources = mixed_cells(
+    model, sandwich, sources = mixed_cells(
         data.layout, out.terms, block, out.y, asked.alpha, asked.interval_seed
     )
-    if model is None:
+    if model is None or sandwich is None:
         return None
     fit, fixed = model.fit, model.fixed
-    sandwich = Sandwich(fit, fixed, out.y - model.shift, code)
     # sums of squares within blocks: shares of what varies there
     within = factor(model_matrix(data.layout, out.terms, extra=[(block,)]), out.y)
     sums = term_sums(within, "III")
@@ -79,6 +92,9 @@ def incomplete_blocks(out: AnalysisOutcome) -> AnalysisOutcome | None:
         )  # fmt: skip
     rows.append(replace(rows[0], term="residual", df=within.df_residual, ss=within.rss, ms=None))
     out = out.warn(*alias_warnings([bases[term] for term in out.terms]))
+    rivals, notes = _rivals(out, model, sandwich)
+    out = out.warn(*notes)
+    simple = judge_factors(out, data.layout, model.of_factors, model.sample, rivals)
     b = cells.size
     question = (
         f"would the ranking change with another {block}? (mixed model by REML: interactions with "
@@ -93,16 +109,63 @@ def incomplete_blocks(out: AnalysisOutcome) -> AnalysisOutcome | None:
         out,
         error=ErrorTerm("E1", question, df_error, reason),
         anova=Anova("III", with_shares(rows, within.tss), out.y.size - 1, within.tss),
-        effects=model.effects(out.terms, p, out.scale),
+        effects=model.effects(out.terms, p, out.scale, simple),
         fit=error_ledger.within_fit(data, out.y),
         plots=code,
     )
 
 
+def _rivals(
+    out: AnalysisOutcome, model: MixedCells, sandwich: Sandwich
+) -> tuple[list[Rival], list[str]]:
+    """Rivals where blocks lack cells, and what was seen of the declared model."""
+    rivals, notes = limit_rivals(out, model.sample, block_means(out)), []
+    if reading := reading_error(out):
+
+        def coarse(asked: Differences) -> Estimates:
+            known = model.sample(asked)
+            least = reading * np.linalg.norm(model.along(asked.rows), axis=1)
+            return replace(known, error=np.maximum(known.error, least))
+
+        rivals.insert(0, Rival(COARSE, coarse))
+
+    def of_blocks(rows: Array) -> Array:
+        along = model.along(rows)
+        parts = sandwich.parts(along)[0]
+        return parts.T + (along @ model.fit.moments.beta)[:, None] / len(parts)
+
+    blocks = [np.arange(int(sandwich.block.max()) + 1)]
+    rivals.append(any_shape(out, model.sample, of_blocks, blocks, out.y))
+    full = every_term(out, out.data.layout)
+    if full is None:
+        return rivals, notes
+    asked, block = out.request, str(out.data.block)
+    whole, its_own, _ = mixed_cells(
+        out.data.layout, full, block, out.y, asked.alpha, asked.interval_seed
+    )
+    if whole is None or its_own is None:
+        return rivals, notes
+    bases = [s.basis for s in term_sums(whole.fixed, "III") if s.term not in out.terms and s.df]
+    if bases:
+        every = np.hstack(bases)
+        test = whole.fit.test(every)
+        p = min(test.p, *(len(bases) * its_own.test(basis)[1] for basis in bases))
+        note = (
+            f"lack of fit of the declared model: F({test.count:g}, {test.df:.4g}) = {test.f:.4g}, "
+            f"p = {test.p:.2g} by REML"
+        )
+        notes.append(note)
+        if p < DOUBT:
+            rivals.append(Rival(f"{LACK_OF_FIT} ({note})", whole.sample, matrix=whole.factors))
+    return rivals, notes
+
+
 def mixed_cells(
     layout: CellLayout, terms: Sequence[Term], block: str, y: Array, alpha: float, seed: int | None
-) -> tuple[MixedCells | None, list[Term]]:
-    """Mixed model of one row a cell and block, and its random terms; None where none can be fitted.
+) -> tuple[MixedCells | None, Sandwich | None, list[Term]]:
+    """Mixed model of one row a cell and block, its sandwich and its random terms.
+
+    None where no model can be fitted.
 
     Shapes: y (n,).
     """
@@ -123,9 +186,10 @@ def mixed_cells(
                 break
             random.pop(min(error.which, len(random) - 1))
             continue
-        robust = Sandwich(fit, fixed, y - shift, layout.codes[block]).errors
-        return MixedCells(fit, fixed, bare, layout, shift, alpha, seed, robust), random
-    return None, []
+        sandwich = Sandwich(fit, fixed, y - shift, layout.codes[block])
+        model = MixedCells(fit, fixed, bare, layout, shift, alpha, seed, sandwich.errors)
+        return model, sandwich, random
+    return None, None, []
 
 
 @dataclass(frozen=True)
@@ -157,17 +221,15 @@ class Sandwich:
         df2 = df1 * float(np.diag(covariance) @ df) / trace
         return df1 / basis.shape[1], float(fdtrc(df1, df2, float(value @ value) / trace))
 
-    def parts(self, rows: Array) -> tuple[Array, Array]:
-        """Find what each block adds, squared, to the variances; and their degrees of freedom."""
+    @cached_property
+    def _blocks(self) -> list[tuple[Ints, Array, Array]]:
+        """Rows of each block, CR2's weights of its residuals, and these times the covariance.
+
+        Shapes: rows (n_k,), the others (n_k, p).
+        """
         x, phi, v = self.fixed.q, self.fit.covariance, self.fit.v
-        residual = self.y - x @ self.fit.moments.beta
-        blocks = int(self.block.max()) + 1
-        root = np.linalg.cholesky(phi)
-        lever = phi @ rows.T
-        parts = np.zeros((blocks, len(rows)))
-        diagonal = np.zeros((blocks, len(rows)))
-        inner = np.zeros((blocks, phi.shape[0], len(rows)))
-        for k in range(blocks):
+        found = []
+        for k in range(int(self.block.max()) + 1):
             here = np.flatnonzero(self.block == k)
             cov = v[-1] * np.eye(here.size)
             for variance, code in zip(v, self.fit.likelihood.codes, strict=False):
@@ -177,10 +239,23 @@ class Sandwich:
             values, vectors = np.linalg.eigh(upper @ left @ upper.T)
             ok = values > 1e-9 * max(values.max(), 0.0)
             inverse = (vectors[:, ok] / np.sqrt(values[ok])) @ vectors[:, ok].T
-            adjust = upper.T @ inverse @ upper
-            g = adjust @ np.linalg.solve(cov, x[here] @ lever)
+            weight = upper.T @ (inverse @ (upper @ np.linalg.solve(cov, x[here])))
+            found.append((here, weight, cov @ weight))
+        return found
+
+    def parts(self, rows: Array) -> tuple[Array, Array]:
+        """Find what each block adds, squared, to the variances; and their degrees of freedom."""
+        x, phi, blocks = self.fixed.q, self.fit.covariance, len(self._blocks)
+        residual = self.y - x @ self.fit.moments.beta
+        root = np.linalg.cholesky(phi)
+        lever = phi @ rows.T
+        parts = np.zeros((blocks, len(rows)))
+        diagonal = np.zeros((blocks, len(rows)))
+        inner = np.zeros((blocks, phi.shape[0], len(rows)))
+        for k, (here, weight, spread) in enumerate(self._blocks):
+            g = weight @ lever
             parts[k] = residual[here] @ g
-            diagonal[k] = np.einsum("im,im->m", g, cov @ g)
+            diagonal[k] = np.einsum("im,im->m", g, spread @ lever)
             inner[k] = root.T @ (x[here].T @ g)
         df = np.ones(len(rows))
         step = max(1, _AT_ONCE // blocks**2)

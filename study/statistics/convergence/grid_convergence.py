@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from study.ground.arrays import Array, Flags
 from study.ground.canonical import plain
-from study.ground.errors import Fault, InputError
+from study.ground.errors import Fault, InputError, settled
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -160,13 +160,11 @@ def series_bounds(
     carried = (high - low) / 2 <= RESOLVED_ORDER
     safe = ~limited & (np.abs(order - top) <= AGREEMENT) & (formal is not None)
     factor = np.where(safe, np.where(order > top + ABOVE, SAFE_ABOVE, SAFE), CAUTIOUS)
-    error = _larger_error(h, change, used)
     if formal is None:
-        error = change[..., 0] / ((h[1] / h[0]) ** used - 1)
-    u = factor * error
-    if formal is not None:
-        u = np.where(safe, u, np.maximum(u, spread))
-    u = np.where(carried, u, np.maximum(u, spread))
+        u = factor * change[..., 0] / ((h[1] / h[0]) ** used - 1)
+    else:
+        u = factor * _larger_error(h, change, used)
+    u = np.where(carried & (safe | (formal is None)), u, np.maximum(u, spread))
     u = np.where(kind == "monotone", u, CAUTIOUS * spread)
     return MeshBounds(kind, np.maximum(u, tolerance), order, low, high, used, factor, limited)
 
@@ -226,7 +224,7 @@ def _weighted_fit(h: Array, f: Array, weight: Array) -> tuple[float, float, floa
     found = minimize_scalar(
         lambda p: solve(p)[1], bounds=(low, high), method="bounded", options={"xatol": 1e-13}
     )
-    p = float(found.x)
+    p = float(settled(found, "order of a refinement series").x)
     (limit, slope), rss = solve(p)
     scatter = math.sqrt(rss * h.size / (h.size - 3))
     return p, float(limit + f[0]), float(slope / h[-1] ** p), scatter
