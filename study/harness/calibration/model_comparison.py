@@ -517,8 +517,10 @@ class EnergyChoice:
             why = "; ".join(f"{label}: {_unfit(one)}" for label, one in self.fits.items())
             return f"no energy can be recommended: {why}" if why else "no energy could be fitted"
         held = _held_out_error(self.fits[self.best])
-        by = "AICc" if held is None else f"held-out tests ({held:.3g} % RMS error) and AICc"
-        said = f"{by}: {self.best} (weight {self.weights[self.best]:.3g})"
+        by = "AICc prefers"
+        if held is not None:
+            by = f"held-out tests ({held:.3g} % RMS error) and AICc prefer"
+        said = f"{by} {self.best} (weight {self.weights[self.best]:.3g})"
         others = self.alike[1:]
         if others:
             listed = ", ".join(others)
