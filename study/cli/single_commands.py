@@ -307,9 +307,9 @@ def _print_calibration(found: Document) -> None:
     print(f"{found['status']}: {found['message']} ({found['evaluations']} evaluations)")
     print(f"{found['fit']['verdict']}: {found['fit']['sentence']}")
     verdict = "identifiable" if found["identifiable"] else "not identifiable"
-    print(f"{verdict}{': ' + found['reason'] if found['reason'] else ''}")
-    if found["identifiability"] and found["identifiability"]["sentence"]:
-        print(found["identifiability"]["sentence"])
+    scaled = found["identifiability"]["sentence"] if found["identifiability"] else ""
+    whys = "; ".join(why for why in (found["reason"], scaled) if why)
+    print(f"{verdict}{': ' + whys if whys else ''}")
     if found["next_test"] and found["next_test"]["sentence"]:
         print(found["next_test"]["sentence"])
     print(found["stability"])
@@ -360,6 +360,9 @@ def _print_population(found: Document) -> None:
              _between(one["next_ci95"])]
         )  # fmt: skip
     output.table(rows, "population of specimens")
+    for name, one in found.items():
+        listed = ", ".join(f"{k} {output.number(v, 5)}" for k, v in one["shrunk"].items())
+        print(f"{name} of each specimen, shrunk to the mean by its own error: {listed}")
 
 
 def _rows_sentence(serial: Document) -> str:

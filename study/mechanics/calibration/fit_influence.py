@@ -210,6 +210,9 @@ class Population:
     #: 95 % intervals of the population's mean, and of the value found in the next specimen.
     mean_ci95: tuple[float, float]
     next_ci95: tuple[float, float]
+    #: Best linear unbiased prediction of each specimen's true value, NaN where its fit has none:
+    #: values are shrunk towards the mean by their own errors (Robinson 1991, Stat. Sci. 6, 15).
+    shrunk: tuple[float, ...] = ()
 
 
 def population(fits: Sequence[Fit]) -> tuple[Population, ...]:
@@ -229,12 +232,20 @@ def _of(name: str, k: int, fits: Sequence[Fit]) -> Population | None:
     mean, deviation = float(values.mean()), float(values.std(ddof=1))
     t = student_t(n - 1)
     of_mean, of_next = t * deviation / math.sqrt(n), t * deviation * math.sqrt(1 + 1 / n)
+    between = max(deviation**2 - within, 0.0)
+    shrunk = [
+        mean + between / (between + one.standard_error[k] ** 2) * (float(one.values[k]) - mean)
+        if any(one is other for other in used)
+        else math.nan
+        for one in fits
+    ]
     return Population(
         name,
         n,
         mean,
         deviation,
-        math.sqrt(max(deviation**2 - within, 0.0)),
+        math.sqrt(between),
         (mean - of_mean, mean + of_mean),
         (mean - of_next, mean + of_next),
+        tuple(map(float, shrunk)),
     )
