@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from study.cli import output
-from study.cli.converge_commands import converge
 from study.cli.laboratory_commands import closed_form
 from study.cli.output import Document, designs
 from study.cli.study_commands import RESULTS, Data, Json, Results, Set
@@ -38,8 +38,12 @@ def solve(
         Path | None, typer.Option(help="SVG file for a picture of the deformed mesh.")
     ] = None,
     vtu: Annotated[
-        Path | None, typer.Option(help="VTU file for the deformed fields, for ParaView.")
+        Path | None,
+        typer.Option(help="Fields for ParaView: .vtu of the last step, .pvd of all of them."),
     ] = None,
+    whole: Annotated[
+        bool, typer.Option("--whole", help="Mirror the fields at the planes of symmetry.")
+    ] = False,
     follow: Annotated[
         bool, typer.Option("--follow", help="Go on behind an instability, on the whole body.")
     ] = False,
@@ -55,12 +59,20 @@ def solve(
     solution = api.solve(file, overrides=settings or (), follow=follow)
     curve = solution.curve
     if picture or vtu:
-        _write_fields(solution, picture, vtu)
+        _write_fields(solution, picture, vtu, whole=whole)
     if as_json:
         output.print_json(solution_json(solution))
     else:
         output.table(output.curve_rows(curve))
         print(f"{solution.status}: {solution.message}")
+        if figures := solution.equilibria.contact:
+            last, above = figures[-1], solution.equilibria.plate[-1]
+            print(
+                f"at the last step: contact {last.area_mm2:.4g} mm^2, peak pressure "
+                f"{1e3 * last.peak_pressure_MPa:.4g} kPa, nodes up to {last.penetration_mm:.2g} mm "
+                f"inside and {last.gap_mm:.2g} mm off the surface; side force "
+                f"{math.hypot(*above.side):.4g} N"
+            )
         total = solution.seconds["total"]
         print(f"{solution.dofs} unknowns, {total:.2f} s, {solution.solver}")
     if solution.status != "converged":
@@ -73,7 +85,9 @@ def _writable(*paths: Path | None) -> None:
     writable(*paths)
 
 
-def _write_fields(solution: Solution, picture: Path | None, vtu: Path | None) -> None:
+def _write_fields(
+    solution: Solution, picture: Path | None, vtu: Path | None, *, whole: bool
+) -> None:
     from study.api.solving import write_picture, write_vtu
 
     if not len(solution.curve.displacement_mm):
@@ -82,7 +96,7 @@ def _write_fields(solution: Solution, picture: Path | None, vtu: Path | None) ->
     if picture is not None:
         write_picture(solution, picture)
     if vtu is not None:
-        write_vtu(solution, vtu)
+        write_vtu(solution, vtu, whole=whole)
 
 
 def doctor(as_json: Json = False) -> None:
@@ -238,9 +252,6 @@ def inspect(
     for note in found.notes:
         print(f"note: {note}")
     print(f"\n{found.toml}")
-
-
-VERBS: tuple[Callable[..., None], ...] = (solve, calibrate, inspect, converge, doctor)
 
 
 class _Line:
