@@ -16,7 +16,7 @@ import numpy as np
 from study.api.folders import calibration_root
 from study.ground.errors import Fault, InputError
 from study.harness.calibration.calibrate_tests import calibrate as run_calibration
-from study.harness.calibration.calibration_bound import numerical_bound
+from study.harness.calibration.calibration_bound import numerical_bound, with_numerical
 from study.harness.calibration.calibration_result import CalibrationResult
 from study.harness.calibration.model_comparison import choose, compare
 from study.harness.design.load import load, load_calibration, loads, template
@@ -197,7 +197,10 @@ def calibrate(
     )
     if numerics and found.converged:
         bound = numerical_bound(config, root, found.fit, progress)
-        found = replace(found, numerics=bound.as_dict())
+        document = bound.as_dict()
+        found = replace(
+            found, numerics=document, numerical=document, fit=with_numerical(found.fit, bound)
+        )
     if folder is not None:
         save_calibration(found, folder)
     return Calibrated.of(found)
