@@ -507,6 +507,16 @@ def _blamed(pattern: FailurePattern, labels: Mapping[str, str]) -> str:
         for test in pattern.tests
         if test.p_holm < _ALPHA
     ]
+    pairs = [rule for rule in pattern.rules if len(rule.settings) > 1]
+    joint = " and of ".join(
+        listing(
+            [f"{name_of(name, labels)} {clean(level)}" for name, level in rule.settings.items()]
+        )
+        for rule in pairs
+    )
+    if pairs:
+        alone = f"; {listing(blamed)} differ already by themselves" if blamed else ""
+        return f"What fails is the combination of {joint}{alone}."
     if not blamed:
         return (
             "No factor's levels differ in how often their cases fail by more than chance explains."
