@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from scipy.stats import qmc
 
+from study.api import inverting
+from study.statistics.surfaces import surface_inversion
 from study.statistics.surfaces.surface_factors import NumericFactor, Runs
 from study.statistics.surfaces.surface_inversion import agreeing
 from study.statistics.surfaces.surface_profile import fit_curves
@@ -77,6 +79,28 @@ def test_a_set_is_told_where_only_a_product_is_determined(
     members = answer.json["members"]
     products = [one["material.C10"] * one["specimen.radius"] ** 2 for one in members]
     np.testing.assert_allclose(products, 7.3 * 1.02**2, rtol=5e-3)
+
+
+def test_an_inversion_that_has_not_settled_says_so(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    asked = ("invert", "ranges", "--to", "m.csv", "--at", KNOWN)
+    with monkeypatch.context() as patch:
+        patch.setattr(surface_inversion, "EVALUATIONS", 1)
+        patch.setattr(surface_inversion, "SEARCHES", 1)
+        patch.setattr(surface_inversion, "NEGLIGIBLE", -1.0)
+        answer = study(*asked)
+        assert answer.code == 3
+        assert "nearest to the measured one: the search has not converged" in answer.err
+    # a true model that no emulator of these runs comes near
+    with monkeypatch.context() as patch:
+        force = inverting._force
+        patch.setattr(inverting, "_force", lambda record, curve: 1.2 * force(record, curve))
+        answer = study(*asked, "--json")
+    assert answer.code == 1, answer.err
+    (note,) = [one for one in answer.json["notes"] if one.startswith("after 4 runs")]
+    assert "the emulator still misses the true model there by" in note
 
 
 def test_what_cannot_be_inverted_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

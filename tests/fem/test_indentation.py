@@ -14,6 +14,7 @@ from study.mechanics.setup.geometry import Block, Cone, Cylinder, Flat, Indenter
 from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Test
 from study.mechanics.solver.finite_element_solution import solve
+from study.mechanics.solver.system import System
 
 #: material of the hard-contact forces: C10 = 5 kPa, C20 = 1 kPa, K = 10 MPa
 RUBBER = Material("reduced-polynomial", {"C10": 5e-3, "C20": 1e-3}, bulk_modulus=10.0)
@@ -258,3 +259,61 @@ def test_an_incompressible_body_without_diagonal_is_solved() -> None:
     solution = solve(problem, gradients=False)
     assert solution.curve.force_N[-1] / (4 * 0.2 * 2e-4 / 0.5) == pytest.approx(1.28064, rel=2e-3)
     assert sum(solution.newton_iterations) < 10
+
+
+@pytest.mark.parametrize("pressed", [Sphere(4.0), Cone(45.0, 0.5), Cone(60.0, 0.0)])
+@pytest.mark.parametrize("space", ["axisymmetric", "3d"])
+def test_a_first_contact_is_seen_by_meshes_as_coarse_as_the_contact(
+    space: str, pressed: Indenter
+) -> None:
+    """Elements of 3.5 mm: quadratic ones felt nothing, or let the tip pass and then stopped."""
+    problem = Problem(
+        Cylinder(10.0, 15.0),
+        Test("indentation", 1.0, "frictionless", "bonded", 10, pressed),
+        Material("neo-hookean", {"C10": 0.005}, poisson_ratio=0.4999),
+        Model(space, "quadratic", mesh_size_mm=3.5),  # type: ignore[arg-type]
+    )
+    found = solve(problem, gradients=False)
+    assert found.converged, found.message
+    assert (np.diff(found.curve.force_N, prepend=0.0) > 0).all()
+    # at this size linear elements are up to four times too stiff (0.24 N for 0.07 N)
+    linear = replace(problem, model=replace(problem.model, element_order="linear"))
+    other = solve(linear, gradients=False).curve.force_N[-1]
+    assert 0.2 * other < found.curve.force_N[-1] < 2 * other
+
+
+def test_the_point_on_the_axis_yields_to_the_first_that_touches() -> None:
+    """On meshes that see the contact it changes no digit: it is closed before the first touch."""
+    problem = indentation(Sphere(4.0), 0.5, mesh="coarse")
+    system = System.build(problem, build_mesh(problem.setup))
+    (points,), nodes = system.contact, system.space.nodes
+    assert points.first_touch is not None
+    assert np.flatnonzero(points.first_touch) == points.size - 1
+    for depth, alone in ((1e-6, True), (0.4, False)):
+        met = points.meet(nodes, np.zeros_like(nodes), depth)
+        closed = points.evaluate(met, np.zeros(points.size)).wanted
+        assert closed[-1] == alone
+        assert closed[:-1].any() != alone
+
+
+# --- CLOSED FORM: Hertz 1881: contact of a sphere with a half-space
+@pytest.mark.parametrize(("order", "off"), [("quadratic", 0.03), ("linear", 0.05)])
+def test_pressure_and_area_under_a_sphere_are_those_of_hertz(order: str, off: float) -> None:
+    nu, radius, depth = 0.3, 10.0, 0.1
+    problem = indentation(
+        Sphere(radius), depth, material=linear(nu), specimen=Cylinder(60, 60), steps=2,
+        mesh="fine", element_order=order,
+    )  # fmt: skip
+    found = solve(problem, gradients=False)
+    stiffness = 2 * (1 + nu) / (1 - nu**2)
+    force, area = 4 / 3 * stiffness * np.sqrt(radius * depth**3), np.pi * radius * depth
+    figures = found.equilibria.contact[-1]
+    assert found.curve.force_N[-1] == pytest.approx(force, rel=off)  # of a body, no half-space
+    assert figures.peak_pressure_MPa == pytest.approx(1.5 * force / area, rel=off)
+    ring = 2 * np.pi * np.sqrt(radius * depth) * found.mesh_size_mm  # at the rim, closed or not
+    assert figures.area_mm2 == pytest.approx(area, abs=ring)
+    chord = found.mesh_size_mm**2 / (8 * radius)  # of a straight facet under the sphere
+    assert 0 <= figures.penetration_mm <= 1.5 * chord
+    assert 0 <= figures.gap_mm < 1e-2 * depth
+    below = found.equilibria.base[-1]
+    assert found.equilibria.plate[-1].axial == pytest.approx(below.axial, rel=1e-7)

@@ -105,16 +105,36 @@ def meeting(
 ) -> ContactPoints:
     """Points of some facets that a surface may meet. Shapes: chosen (n_facets,)."""
     points = _points_of(problem, mesh, surface, *_collocation(space, chosen, nodal=nodal))
-    facets = space.facets[chosen]
+    facets, pressed = space.facets[chosen], problem.test.indenter
+    slips = pressed is not None and problem.test.interface != "bonded"
+    rounded = pressed is None or not pressed.has_face
+    if space.dim == 2 and facets.shape[1] == 3 and slips and rounded:
+        return _with_apex(space, points)
     if facets.shape[1] != 6:
         return points
-    pressed = problem.test.indenter
-    if pressed is None or not pressed.has_face:
-        return replace(points, middles=_middles(space, points, facets))
+    if rounded:
+        middles = _middles(space, points, facets)
+        first = np.diff(middles.indptr) > 0 if slips else None
+        return replace(points, middles=middles, first_touch=first)
     corners = np.isin(points.nodes[:, 0], facets[:, :3])
     # a corner of six facets of area A has the weight A / 2
     allowance = np.where(corners, CORNER_ALLOWANCE * np.sqrt(4 * points.weights), 0.0)
     return replace(points, allowance_mm=allowance)
+
+
+def _with_apex(space: Discretization, points: ContactPoints) -> ContactPoints:
+    """Points with one on the axis, which stands for the disc up to the first Gauss point."""
+    on_axis = np.abs(space.nodes[points.nodes, 0]) <= _SAME * np.ptp(space.nodes[:, 0])
+    row = int(np.flatnonzero(on_axis.any(axis=1))[0])
+    radii = points.interpolated(space.nodes)[:, 0]
+    return replace(
+        points,
+        nodes=np.vstack([points.nodes, points.nodes[row]]),
+        shape=np.vstack([points.shape, on_axis[row].astype(float)]),
+        weights=np.append(points.weights, np.pi * radii.min() ** 2),
+        eps=np.append(points.eps, points.eps[row]),
+        first_touch=np.arange(points.size + 1) == points.size,
+    )
 
 
 def only(points: ContactPoints, kept: NDArray[np.bool_]) -> ContactPoints:
@@ -128,6 +148,7 @@ def only(points: ContactPoints, kept: NDArray[np.bool_]) -> ContactPoints:
         weights=points.weights[kept],
         eps=points.eps[kept],
         middles=None if points.middles is None else points.middles[kept][:, kept],
+        first_touch=None if points.first_touch is None else points.first_touch[kept],
     )
 
 

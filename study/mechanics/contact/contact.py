@@ -105,6 +105,9 @@ class ContactPoints:
     #: shape (n_points, n_points); row of a corner of six-node triangles: the mid-side points next
     #: to it.
     middles: sp.csr_matrix | None = None
+    #: shape (n_points,); which decide for themselves only until another one touches: the corners of
+    #: six-node triangles, and the node on the axis, a fifth of an edge from its first Gauss point.
+    first_touch: Flags | None = None
     _dofs: dict[int, Ints] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
@@ -140,23 +143,29 @@ class ContactPoints:
         held = np.zeros(self.size, dtype=bool) if glue is None else glue.held
         wanted, led = self._decided((urge > 0) | held)
         wanted &= ~held
-        active = wanted if closed is None else closed
-        pressure = np.where(active, multiplier - self.eps * met.gap, 0.0)
+        active, gap = wanted if closed is None else closed, met.gap
+        pressure = np.where(active, multiplier - self.eps * gap, 0.0)
         carried = np.where(active, multiplier, 0.0)
+        if self.middles is None and led.any():  # it has no condition of its own any more
+            gap = np.where(led, np.maximum(gap, 0.0), gap)
         return ContactState(
-            met.gap, active, pressure, carried, met.direction, met.hessian, wanted, urge, led
+            gap, active, pressure, carried, met.direction, met.hessian, wanted, urge, led
         )
 
     def _decided(self, own: Flags) -> tuple[Flags, Flags]:
         """Who is to be closed by the points' own decision, and which corners are led."""
         # A uniform pressure loads only the mid-sides of six-node triangles, so that the sign of a
         # corner's force says nothing. Amid closed mid-sides a corner is closed as well, whichever
-        # way it is pulled; amid open ones it is open.
+        # way it is pulled; amid open ones it is open. Until the first mid-side touches, corners are
+        # all that an indenter narrower than the triangles meets.
+        first = self.first_touch
+        touched = first is not None and bool(own[~first].any())
         if self.middles is None:
-            return own, np.zeros(own.shape, dtype=bool)
+            led = np.zeros(own.shape, dtype=bool) if first is None else first & touched
+            return own & ~led, led
         around = np.diff(self.middles.indptr)
         closed = self.middles @ own.astype(int)
-        led = (around > 0) & ((closed == around) | (closed == 0))
+        led = (around > 0) & ((closed == around) | ((closed == 0) & (touched | (first is None))))
         return np.where(led, closed > 0, own), led
 
     def admissible(self, multiplier: Array) -> Array:
@@ -398,12 +407,14 @@ def hold(
 class Constraints:
     """Prescribed unknowns: ``x[dofs] = rate * displacement``.
 
-    ``pins`` are those that only keep the specimen in its place and should carry nothing.
+    ``pins`` are those that only keep the specimen in its place and should carry nothing; ``axial``
+    is the rate of the motion along the axis alone, where a plate has others besides.
     """
 
     dofs: Ints
     rate: Array
     pins: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    axial: Array | None = None
 
     @classmethod
     def of(cls, rate: Mapping[int, float], pins: Sequence[int] | Ints = ()) -> Constraints:
@@ -417,8 +428,13 @@ class Constraints:
 def constraints(setup: Setup, space: Nodes, mesh: Mesh) -> Constraints:
     """Held and driven unknowns of a test, the planes of symmetry (or the axis) included."""
     rate = prescribed_rates(setup, space, mesh)
-    if setup.is_whole:  # what is left may move
-        return Constraints.of(rate, pins(space.nodes, len(mesh.points), rate))
+    if setup.is_whole or mesh.is_whole:  # what is left may move
+        held = Constraints.of(rate, pins(space.nodes, len(mesh.points), rate))
+        if all(face.besides is None for face in setup.faces):
+            return held
+        straight = [replace(face, besides=None) for face in setup.faces]
+        alone = {d: v for face in straight for d, v in _face_rates(face, space, mesh).items()}
+        return replace(held, axial=np.array([alone.get(int(d), 0.0) for d in held.dofs]))
     tol = _SAME * mesh.height_mm
     for i in range(space.dim - 1):
         symmetric = np.flatnonzero(np.abs(space.nodes[:, i]) < tol)

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from study.ground.arrays import Array, Ints
 from study.ground.compilation import callback, carray, kernel, part
 from study.mechanics.mesh.structured import CORNER_FRACTION, GROWTH
-from study.mechanics.setup.geometry import Indenter
+from study.mechanics.setup.geometry import Flat, Indenter
 from study.mechanics.setup.setup import Model, Space, mesh_level
 from study.mechanics.setup.test_kind import AroundContact
 from study.mechanics.surface.closed_surface import Body, area
@@ -27,6 +27,8 @@ _PER_CONTACT = 7.0
 _PER_TIP = 4.0
 _PER_EDGE = 3.0
 _PER_SHARP_EDGE = 30.0
+#: smallest part of a rounded edge that sizes are made for: in 3D it is followed all around
+_LEAST_WIDTH = {"axisymmetric": 0.02, "3d": 0.4}
 #: part of a tip's radius within which sizes are the finest; for quadratic simplices they are finer
 #: still, within a smaller part: the surface is stretched three times there, five times if its
 #: energy softens in tension, and facets as wide as the tip let it snap (linear and tensor elements
@@ -173,27 +175,29 @@ def size_callback(dim: int) -> CFunction:
 
 
 def reference_field(
-    indenter: Indenter, depth_mm: float, top_mm: float, extent_mm: float
+    indenter: Indenter, depth_mm: float, top_mm: float, extent_mm: float, space: Space
 ) -> SizeField:
     """Sizes of the fine mesh."""
     a, round_mm = indenter.contact_radius_mm(depth_mm), indenter.rounding_mm
     zone, ring, feature = a / _PER_CONTACT, 0.0, 0.0
-    size, reach = zone, 1.3 * a
-    if indenter.has_face:
+    size, reach, touched = zone, 1.3 * a, 1.0
+    if isinstance(indenter, Flat):
         size = min(round_mm / _PER_EDGE if round_mm > 0 else a / _PER_SHARP_EDGE, zone)
-        ring, feature, reach = a - round_mm, 1.5 * round_mm, a
+        if round_mm > 0:  # pressed in but a little, a small part of the edge touches
+            touched = max(indenter.edge_width_mm(depth_mm) / round_mm, _LEAST_WIDTH[space])
+        ring, feature, reach = a - round_mm, 1.5 * touched * round_mm, a
     elif round_mm > 0:
         size = min(zone, round_mm / _PER_TIP)
         # pressed in but a little, a tip touches a small part of its own radius
         feature = min(_TIP_ZONE * round_mm, reach)
     largest = LARGEST * extent_mm
-    return SizeField(top_mm, size, size, largest, feature, ring, zone, reach, _GROWTH)
+    return SizeField(top_mm, size, touched * size, largest, feature, ring, zone, reach, _GROWTH)
 
 
 def size_field(model: Model, contact: AroundContact, top_mm: float, extent_mm: float) -> SizeField:
     """Sizes of a model: the reference scaled to its ``mesh_size_mm`` or named level."""
     indenter, depth_mm = contact.indenter, contact.depth_mm
-    reference = reference_field(indenter, depth_mm, top_mm, extent_mm)
+    reference = reference_field(indenter, depth_mm, top_mm, extent_mm, model.space)
     if indenter.is_sharp_edged and model.space == "axisymmetric":
         halvings = int(_is_shallow(contact))
         reference = replace(reference, even=_EVEN, growth=_EVEN_GROWTH, halvings=halvings)

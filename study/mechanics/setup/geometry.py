@@ -177,6 +177,21 @@ class Flat:
         """Largest radius that can be touched at a depth."""
         return self.radius_mm
 
+    def edge_width_mm(self, depth_mm: float) -> float:
+        """Width of the rounded edge that touches a half-space at a depth.
+
+        Its end, at the radius a, follows from a (sqrt(a^2 - b^2) - b arccos(b / a)) = d e around a
+        face of radius b (Popov, Hess and Willert 2019, Handbook of Contact Mechanics, 2.5.6).
+        """
+        b, e = self.face_radius_mm, self.edge_radius_mm
+        low, high = 0.0, e
+        for _ in range(60 if e > 0 else 0):  # bisection of a rising function
+            width = (low + high) / 2
+            a = b + width
+            reached = a * (math.sqrt(a * a - b * b) - b * math.acos(b / a)) / e
+            low, high = (low, width) if reached > depth_mm else (width, high)
+        return high
+
     def step_length_mm(self, depth_mm: float) -> float:
         """Length that load steps are measured by."""
         # The rounded edge takes part within the first fractions of its radius.

@@ -336,7 +336,7 @@ def _anova_notes(effects: Sequence[Row], data: ReportData, tested: bool) -> Iter
             "nearly zero; read the size of the effect, not its F."
         )
     if any(not row.df for row in effects):
-        yield "df 0: not estimable, because cells without any answer leave no such comparison."
+        yield "df 0: not estimable from the cells that have a response."
     if block and tested and any(row.f is None and row.df for row in effects):
         yield (
             f"{MISSING}: the effect is the same in every {block} to the tolerance of the solver, "

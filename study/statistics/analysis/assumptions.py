@@ -11,7 +11,7 @@ import numpy as np
 
 from study.ground.arrays import Array, Flags
 from study.ground.canonical import plain
-from study.ground.errors import Fault, InputError
+from study.ground.errors import Fault, InputError, settled
 from study.statistics.analysis import error_ledger
 from study.statistics.analysis.analysis_request import AnalysisOutcome
 from study.statistics.analysis.anova_table import AnalysisSensitivity, BoxCoxResult, WaldTest
@@ -377,6 +377,7 @@ def box_cox(y: Array, matrix: Array) -> BoxCoxResult:
     best = minimize_scalar(
         deviance, bounds=(-widest, widest), method="bounded", options={"xatol": 1e-9}
     )
+    settled(best, "exponent of Box and Cox")
     center, limit = float(best.x), float(best.fun) + 3.841458820694124
 
     def bound(step: float) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from study.ground.arrays import Array, Ints
-from study.ground.errors import Fault, InputError, nearest
+from study.ground.errors import Fault, InputError, RefusedError, nearest
 from study.statistics.analysis.simple_effects import Differences
 
 if TYPE_CHECKING:
@@ -197,7 +197,7 @@ def dunnett(
     return Comparisons("Dunnett", alpha, pairs, {})
 
 
-#: Seeds after which an interval of Dunnett's test is taken as it is found
+#: Seeds after which an interval of Dunnett's test is refused
 _DUNNETT_SEEDS = 8
 
 
@@ -218,8 +218,9 @@ def _dunnett(
             warnings.simplefilter("always")
             interval = found.confidence_interval(1 - alpha)
         if not told:
-            break
-    return np.asarray(found.pvalue), interval
+            return np.asarray(found.pvalue), interval
+    rule = f"Dunnett's intervals have not reached their level in {_DUNNETT_SEEDS} integrations"
+    raise RefusedError(f"{rule}: {told[-1].message}")
 
 
 def holm(p: ArrayLike) -> Array:

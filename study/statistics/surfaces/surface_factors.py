@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from scipy import optimize
 
 from study.ground.arrays import Array, Ints
-from study.ground.errors import Fault, InputError, nearest
+from study.ground.errors import Fault, InputError, nearest, settled
 
 #: part of the largest singular value of the settings below which factors change together
 COLLINEAR = 1e-7
@@ -240,6 +240,7 @@ def _polished(
         return sign * float(value(x[None, :])[0]) / scale
 
     bounds = [(-1.0, 1.0)] * starts.shape[1]
-    found = [optimize.minimize(goal, x, method="L-BFGS-B", bounds=bounds).x for x in starts]
-    best = min([*found, *starts], key=goal)
+    searches = (optimize.minimize(goal, x, method="L-BFGS-B", bounds=bounds) for x in starts)
+    ends = [settled(one, "extreme of a surface", by_lines=True).x for one in searches]
+    best = min([*ends, *starts], key=goal)
     return Extreme(np.asarray(best), float(value(best[None, :])[0]), half_width)

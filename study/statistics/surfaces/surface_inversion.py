@@ -8,6 +8,7 @@ import numpy as np
 from scipy import optimize, stats
 
 from study.ground.arrays import Array, Flags, Ints
+from study.ground.errors import settled
 from study.statistics.surfaces.surface_factors import box_points
 from study.statistics.surfaces.surface_optimum import run_box
 from study.statistics.surfaces.surface_profile import CurveEmulator
@@ -19,6 +20,11 @@ STARTS = 8
 APART = 0.35
 #: halvings between the best setting and an end of the range: 1e-4 of the range
 HALVINGS = 14
+#: curves that one search of the settings asks the emulator for, and searches after the first
+EVALUATIONS = 60
+SEARCHES = 20
+#: root mean square over the largest force that a search may gain and have settled before
+NEGLIGIBLE = 1e-7
 #: a coded coordinate this near to an end of what was run stands there
 NEAR_END = 1e-3
 #: a power below this part of the largest one does not count
@@ -178,12 +184,27 @@ class _Search:
             at[free] = x
             return at
 
-        found = optimize.least_squares(
-            lambda x: (self.model.value(whole(x)[None, :])[0] - self.measured) / scale,
-            inside,
-            jac=lambda x: self.slope(whole(x), free) / scale,
-            bounds=(low, high), xtol=1e-10, ftol=1e-12, gtol=1e-12, max_nfev=60,
-        )  # fmt: skip
+        def searched(x: Array) -> optimize.OptimizeResult:
+            return optimize.least_squares(
+                lambda x: (self.model.value(whole(x)[None, :])[0] - self.measured) / scale,
+                x,
+                jac=lambda x: self.slope(whole(x), free) / scale,
+                bounds=(low, high), xtol=1e-10, ftol=1e-12, gtol=1e-12, max_nfev=EVALUATIONS,
+            )  # fmt: skip
+
+        # Where only a product of settings is determined, steps along it never end, and change
+        # nothing: a search has settled as well where as many steps again do not matter.
+        found = searched(inside)
+        for _ in range(SEARCHES):
+            if found.success:
+                break
+            before, found = found, searched(np.asarray(found.x))
+            gain = np.sqrt(before.cost) - np.sqrt(found.cost)
+            if gain <= NEGLIGIBLE * np.sqrt(self.measured.size / 2):
+                found = before
+                break
+        else:
+            settled(found, "setting whose curve is nearest to the measured one")
         return whole(np.asarray(found.x, dtype=np.float64))
 
     def slope(self, at: Array, free: Ints) -> Array:
