@@ -226,7 +226,8 @@ _NOTE = (
 
 def verdicts(found: Sequence[Facts], data: ReportData) -> Table:
     """One row a factor and response, and interactions that are not negligible."""
-    rows, raw = [], []
+    rows: list[tuple[str, ...]] = []
+    raw: list[dict[str, object]] = []
     for facts in found:
         strong = [e for e in facts.interactions if e.strength == "matters"]
         for effect in (*facts.effects, *strong):
@@ -259,8 +260,8 @@ def verdicts(found: Sequence[Facts], data: ReportData) -> Table:
                     "scale": "ratio" if effect.is_ratio else "difference",
                 }
             )
-    for row in (row for one in data.surfaces for row in one.verdicts):
-        at, ends = dict(row["at"]), row["ci95"] or (None, None)
+    for one, row in ((surface, row) for surface in data.surfaces for row in surface.verdicts):
+        ends = row["ci95"] if isinstance(row["ci95"], list) else [None, None]
         raw.append(
             {
                 "response": row["response"],
@@ -272,7 +273,7 @@ def verdicts(found: Sequence[Facts], data: ReportData) -> Table:
                 "practical": row["practical"],
                 "u_num": row["u_num"],
                 "scale": "range",
-                "at": ", ".join(f"{name}={level}" for name, level in at.items()),
+                "at": ", ".join(f"{name}={level}" for name, level in one.labels.items()),
             }
         )
     columns = (

@@ -181,11 +181,11 @@ class Effect:
 
     def to_json(self) -> dict[str, object]:
         """Document of the effect; without a practical difference its verdicts are null."""
-        document: dict[str, object] = plain(self)
+        document: dict[str, object] = {**plain(self)}
         if self.practical is None:
             document["verdict"] = None
-            simple = [{**plain(e), "verdict": None} for e in self.simple_effects]
-            document["simple_effects"] = simple
+            every = [{**plain(e), "verdict": None} for e in self.simple_effects]
+            document["simple_effects"] = every
         return document
 
     @property
