@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from study.cli import output
-from study.cli.converge_commands import converge
 from study.cli.laboratory_commands import closed_form
 from study.cli.output import Document, designs
 from study.cli.study_commands import RESULTS, Data, Json, Results, Set
@@ -238,9 +237,6 @@ def inspect(
     for note in found.notes:
         print(f"note: {note}")
     print(f"\n{found.toml}")
-
-
-VERBS: tuple[Callable[..., None], ...] = (solve, calibrate, inspect, converge, doctor)
 
 
 class _Line:

@@ -122,7 +122,8 @@ def numerical_bound(
         found.append(done.values)
     *series, stepped = found
     values, sizes = np.array(series), tuple(_RATIO ** float(step - own) for step in levels)
-    order = min(_order(part, names, start) for part in simulated)
+    orders = [_order(part, names, start) for part in simulated]
+    order = min((one for one in orders if one is not None), default=None)
     mesh = np.array([_u(sizes, column, levels.index(own), order) for column in values.T])
     # forces between the load steps follow from where a search began, too; with nuisance
     # parameters the constants of the fit are not those of the same question
@@ -149,14 +150,14 @@ def _with_more_steps(part: FitPart) -> FitPart:
     return replace(part, tables=with_table(part.tables, "test", steps=steps))
 
 
-def _order(part: FitPart, names: tuple[str, ...], values: Array) -> float:
+def _order(part: FitPart, names: tuple[str, ...], values: Array) -> float | None:
     """Order that the elements promise for the force of a test, and so for its constants."""
     depth = max(float(one.curve.displacement_mm.max()) for one in part.measured)
     constants = dict(zip(names, values.tolist(), strict=True))
     return formal_order(problem_of(part.tables, constants, depth)).order
 
 
-def _u(sizes: Sequence[float], values: Array, own: int, order: float) -> float:
+def _u(sizes: Sequence[float], values: Array, own: int, order: float | None) -> float:
     """Half-width of one constant on one of the meshes."""
     noise = _SEARCH * float(np.abs(values).max())
     result = grid_convergence(sizes, values, formal_order=order, tolerance=noise)

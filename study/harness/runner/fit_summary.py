@@ -11,9 +11,10 @@ import numpy as np
 from study.ground.arrays import Array
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
-from study.harness.external.command import External, Solved, steps_of
-from study.harness.external.exchange import NoAnswer
+from study.harness.external.answers import NoAnswer
+from study.harness.external.command import External, ParameterAnswer, Solved, steps_of
 from study.harness.record.document import FitDocument, MarkerDocument, MeshDocument, SolverDocument
+from study.harness.runner.problem_tables import own_tables
 from study.mechanics.calibration.fit import Fit
 from study.mechanics.calibration.levenberg_marquardt import Status
 from study.mechanics.calibration.residual_function import EvaluationFailed
@@ -41,6 +42,12 @@ class PredictedCurve:
     seconds: float = 0.0
     #: What markers inside the specimen say of it.
     markers: MarkerDocument | None = None
+    #: Further numbers of another program, in the units of the study file.
+    values: Mapping[str, float] = field(default_factory=dict)
+    #: Zip of its folder, where that is kept.
+    folder: bytes = b""
+    #: Files that were rendered for it.
+    rendered: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def of(cls, solution: Solution, seconds: float = 0.0) -> PredictedCurve:
@@ -50,7 +57,8 @@ class PredictedCurve:
 
     def to_json(self) -> dict[str, object]:
         """Plain data, for the store and for workers."""
-        return {"curve": self.curve.as_dict(), "mesh": self.mesh, "solver": self.solver}
+        values = {"named_values": dict(self.values)} if self.values else {}
+        return {"curve": self.curve.as_dict(), "mesh": self.mesh, "solver": self.solver, **values}
 
     @classmethod
     def from_json(cls, document: Mapping[str, object]) -> PredictedCurve:
@@ -59,6 +67,7 @@ class PredictedCurve:
             Curve.from_dict(cast("Mapping[str, object]", document["curve"])),
             cast(MeshDocument, document.get("mesh", {})),
             cast(SolverDocument, document["solver"]),
+            values=cast("Mapping[str, float]", document.get("named_values", {})),
         )
 
 
@@ -268,7 +277,7 @@ class InverseExternal:
         self.solves += 1
         try:
             problem = problem_of(self._tables, constants, float(self._points[-1]))
-            return self._external.solve(problem, self._points)
+            return self._external.solve(problem, self._points, own_tables(self._tables))
         except (InputError, NoAnswer) as error:
             raise EvaluationFailed(str(error)) from error
 
@@ -306,14 +315,29 @@ def predicted_of(solved: Solved, external: External) -> PredictedCurve:
     mesh: MeshDocument = {}
     if answer.dofs or answer.elements:
         mesh = {"dofs": answer.dofs, "elements": answer.elements}
-    return PredictedCurve(answer.curve.without_gradients(), mesh, solver, solved.seconds)
+    return PredictedCurve(
+        answer.curve.without_gradients(), mesh, solver, solved.seconds,
+        values=answer.values, folder=solved.folder, rendered=solved.rendered,
+    )  # fmt: skip
 
 
-def _name(solved: Solved, external: External) -> str:
+def _name(solved: Solved | ParameterAnswer, external: External) -> str:
     if external.function is not None:
         return f"Python function, version {external.function.version}"
     said = "" if solved.program is None else solved.program["version"]
     return said or external.section.argv[0][0]
+
+
+def answer_of_parameters(tables: Tables, case_id: str) -> tuple[ParameterAnswer, SolverDocument]:
+    """Answer of a program or function for parameters alone, and how it was found."""
+    external = External.of(tables)
+    if external is None:
+        raise ValueError("these tables name no external forward model")
+    found = external.answer({"case_id": case_id, **own_tables(tables)})
+    solver: SolverDocument = {"name": _name(found, external)}
+    if found.program is not None:
+        solver["program"] = found.program
+    return found, solver
 
 
 def external_curve(
@@ -327,7 +351,8 @@ def external_curve(
     if external is None:
         raise ValueError("these tables name no external forward model")
     problem = problem_of(tables, constants, float(displacement_mm[-1]))
-    found = predicted_of(external.solve(problem, displacement_mm), external)
+    solved = external.solve(problem, displacement_mm, own_tables(tables))
+    found = predicted_of(solved, external)
     mesh = found.mesh
     if mesh and problem.model.mesh_size_mm is not None:
         mesh = {**mesh, "mesh_size_mm": problem.model.mesh_size_mm}

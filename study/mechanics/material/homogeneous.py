@@ -33,8 +33,8 @@ def strain_energy(material: Material, F: Array) -> Array:
         return np.asarray(mu * (dev**2).sum((0, 1)) + pressure / 2 * trace**2)
     stretch, _, J = _spectral(F)
     if (foam := material.compressible) is not None:
-        found = foam.energy_density(material.constants, material.compressibility, stretch)
-        return _reached(material, found)
+        foam_energy = foam.energy_density(material.constants, material.compressibility, stretch)
+        return _reached(material, foam_energy)
     bar = stretch / np.cbrt(J)
     energy = _reached(material, material.isochoric.energy_density(material.constants, bar))
     return energy + _finite(material.bulk) / 2 * (J - 1) ** 2
@@ -227,7 +227,7 @@ def _compressible(
     """Test of an energy whose volume change belongs to all of it."""
     x, t = np.log(stretch), 0 if mode is CONFINED else mode.free_axis
     a, v = np.array(mode.loaded, float), np.array(mode.free, float)
-    known = material.constants, material.compressibility
+    constants_given = material.constants, material.compressibility
 
     def at(z: Array) -> Array:
         log = np.tile(x, z.size // x.size)
@@ -235,16 +235,21 @@ def _compressible(
 
     def lateral(z: Array) -> tuple[Array, Array]:
         sides = at(z)
-        return energy.kirchhoff(*known, sides)[t], energy.kirchhoff_slope(*known, sides, v)[t]
+        return energy.kirchhoff(*constants_given, sides)[t], energy.kirchhoff_slope(
+            *constants_given, sides, v
+        )[t]
 
     nu = poisson_from_bulk(material.mu0, material.bulk)
     loaded = a.sum()  # one or two directions: the strain of small ones begins the search
     narrower = -nu * loaded / (1 - nu * (2 - v.sum()))
     z = np.zeros_like(x) if mode is CONFINED else _safeguarded_newton(lateral, narrower * x)
     sides = at(z)
-    tau, partial = energy.kirchhoff(*known, sides), energy.kirchhoff_gradient(*known, sides)
-    along_x = energy.kirchhoff_slope(*known, sides, a)
-    along_z = energy.kirchhoff_slope(*known, sides, v)
+    tau, partial = (
+        energy.kirchhoff(*constants_given, sides),
+        energy.kirchhoff_gradient(*constants_given, sides),
+    )
+    along_x = energy.kirchhoff_slope(*constants_given, sides, a)
+    along_z = energy.kirchhoff_slope(*constants_given, sides, v)
     gives = np.zeros_like(x) if mode is CONFINED else along_z[0] / along_z[t]
     gradient = {n: (g[0] - gives * g[t]) / stretch for n, g in partial.items()}
     slope = (along_x[0] - gives * along_x[t] - tau[0]) / stretch**2

@@ -149,12 +149,12 @@ def _limit(material: Material, mode: Mode, low: float, high: float) -> float | N
     stable = np.split(_stable(material, mode, np.concatenate(paths)), len(paths))
     if not stable[0][0]:
         return 1.0
-    found = []
+    limits = []
     for path, good in zip(paths, stable, strict=True):
         bad = np.flatnonzero(~good)
         if bad.size:
-            found.append(_first_unstable(material, mode, path[bad[0] - 1], path[bad[0]]))
-    return min(found, key=lambda s: abs(np.log(s))) if found else None
+            limits.append(_first_unstable(material, mode, path[bad[0] - 1], path[bad[0]]))
+    return min(limits, key=lambda s: abs(np.log(s))) if limits else None
 
 
 def _first_unstable(material: Material, mode: Mode, good: float, bad: float) -> float:
@@ -188,9 +188,9 @@ def _stable_in_volume(
             for unit in np.eye(3)
         ]
     hessian = np.moveaxis(np.array(slopes), -1, 0)
-    known = np.asarray(np.isfinite(hessian).all(axis=(1, 2)))
-    values = np.linalg.eigvalsh(np.where(known[:, None, None], hessian, 0.0))
-    return np.asarray(known & (values[:, 0] > 0))
+    is_finite = np.asarray(np.isfinite(hessian).all(axis=(1, 2)))
+    values = np.linalg.eigvalsh(np.where(is_finite[:, None, None], hessian, 0.0))
+    return np.asarray(is_finite & (values[:, 0] > 0))
 
 
 # Where an energy loses its ellipticity: deformation may then gather in bands of no width.
