@@ -288,9 +288,9 @@ def rival_of_every_term(
     by one, at that of doubt over their number.
     """
     places = [whole.matrix.of(term) for term in whole.matrix.terms if _is_left_out(term, out)]
-    columns = np.concatenate([np.arange(p.start, p.stop) for p in places]) if places else []
-    if not len(columns):
+    if not places:
         return [], []
+    columns = np.concatenate([np.arange(p.start, p.stop) for p in places])
     rows = np.vstack([np.zeros(whole.columns.shape[1]), np.eye(whole.columns.shape[1])[columns]])
     m = len(columns)
     found = at(DOUBT / m)(Differences(rows, np.arange(1, m + 1), np.zeros(m, dtype=np.int64)))
