@@ -194,7 +194,7 @@ def without_gaps(
     block: str | None,
     model: Model,
 ) -> tuple[pd.DataFrame, tuple[str, ...]]:
-    """Rows without the levels most of whose cells have no answer.
+    """Rows without the levels of which half of the cells or more have no answer.
 
     Such a level (an energy that is stretched beyond its ellipticity on every fine mesh) would
     leave all its siblings with few settings at which they can be compared. It is left out, and
@@ -238,6 +238,6 @@ def _worst(
             for place, level in zip(term, empty, strict=True):
                 if len({cell[place] for cell in designed}) > _FEWEST:
                     is_answered = [cell in answered for cell in designed if cell[place] == level]
-                    if 2 * sum(is_answered) < len(is_answered):
+                    if 2 * sum(is_answered) <= len(is_answered):
                         shares[place, level] = 1 - sum(is_answered) / len(is_answered)
     return max(sorted(shares), key=lambda key: shares[key], default=None)
