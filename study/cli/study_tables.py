@@ -50,11 +50,13 @@ def _print_overview(told: Overview) -> None:
         [row.label, str(row.group), "-" if row.calibration is None else str(row.calibration)]
         for row in told.matrix
     ]
-    if not told.calibrations:
+    title = f"{len(told.matrix)} cells, {told.distinct} distinct computations"
+    if told.design.is_alone:  # a title is wrapped to a narrow table
         rows = [row[:2] for row in rows]
+        print(title)
     more = len(told.matrix) - FIRST_ROWS if len(told.matrix) > ROWS else 0
     shown = rows[: 1 + FIRST_ROWS] if more else rows
-    output.table(shown, f"{len(told.matrix)} cells, {told.distinct} distinct computations")
+    output.table(shown, "" if told.design.is_alone else title)
     if more:
         print(f"and {more:,} more cells: --json lists all of them")
     if told.distinct < len(told.matrix):
