@@ -15,6 +15,7 @@ from typing import Annotated
 import typer
 
 from study.cli import (
+    converge_commands,
     laboratory_commands,
     output,
     single_commands,
@@ -102,16 +103,15 @@ def virtual(
     if source is not None and is_tracking(source):
         where = None if data_root(source).resolve() == out.resolve() else out
         command = written("tracking", source, options={"--data": where})
-        output.next_step("what the tracker is worth", command, beside=True)
+        output.next_step("what the tracker is worth", command, is_optional=True)
     elif source is not None:
-        found = design_root(load(source, settings or ())).resolve() == out.resolve()
-        told = {"--data": None if found else out, "-s": settings}
+        is_beside_design = design_root(load(source, settings or ())).resolve() == out.resolve()
+        options = {"--data": None if is_beside_design else out, "-s": settings}
         output.next_step(
-            "what a study of them computes", written("plan", source, options=told), beside=True
+            "what a study of them computes",
+            written("plan", source, options=options),
+            is_optional=True,
         )
-
-
-NEW_FILE_VERBS: tuple[Callable[..., None], ...] = (new, virtual)
 
 
 INTERRUPTED = 130
@@ -127,9 +127,9 @@ app = typer.Typer(
 )
 
 
-def _say_version(asked: bool) -> None:
+def _say_version(is_asked: bool) -> None:
     """Print the version and leave."""
-    if asked:
+    if is_asked:
         from study import __version__
 
         print(f"study {__version__}")
@@ -146,19 +146,47 @@ def root(
     """Design of experiments and honest statistics for simulations of soft materials."""
 
 
-VERBS: tuple[Callable[..., None], ...] = (
-    *study_commands.VERBS,
-    *study_commands.VERIFICATION_VERBS,
-    statistics_commands.power,
-    serve,
-    *statistics_commands.VERBS,
-    *NEW_FILE_VERBS,
-    *single_commands.VERBS,
-    *laboratory_commands.HAPTIC_VERBS,
-    *laboratory_commands.ACCURACY_VERBS,
-)
-for verb in VERBS:
-    app.command()(verb)
+#: verbs by the group that ``study --help`` shows them in, each with an example of its call
+GROUPS: dict[str, dict[Callable[..., None], str]] = {
+    "Studies": {
+        study_commands.demo: "study demo",
+        new: "study new study.toml",
+        virtual: "study virtual measurements --from study.toml",
+        study_commands.plan: "study plan study.toml",
+        study_commands.run: "study run study.toml --jobs 2",
+        study_commands.import_: "study import runs.csv --factors a,b --responses y",
+        study_commands.status: "study status STUDY",
+        study_commands.report: "study report STUDY --format html,tex",
+        study_commands.diff: "study diff FIRST SECOND",
+        study_commands.why: "study why CASE",
+        study_commands.verify: "study verify STUDY",
+        serve: "study serve",
+    },
+    "Analysis": {
+        statistics_commands.analyze: "study analyze runs.csv --response y --factors a,b",
+        statistics_commands.power: "study power study.toml --sd 0.4",
+        study_commands.predict: "study predict STUDY --at thickness='3 mm'",
+        statistics_commands.optimize: "study optimize STUDY --minimize error",
+        statistics_commands.invert: "study invert STUDY --to curve.csv",
+    },
+    "Materials and mechanics": {
+        single_commands.solve: "study solve problem.toml",
+        single_commands.calibrate: "study calibrate calibration.toml",
+        converge_commands.converge: "study converge --sizes 1,2,4 --values 0.9705,0.9685,0.9618",
+        laboratory_commands.export: "study export problem.toml --as abaqus",
+    },
+    "Laboratory": {
+        single_commands.inspect: "study inspect recorded.csv",
+        laboratory_commands.require: "study require sensors.toml",
+        laboratory_commands.tracking: "study tracking tracker.toml",
+        laboratory_commands.shape: "study shape problem.toml --scan scan.ply",
+    },
+    "Tools": {single_commands.doctor: "study doctor"},
+}
+VERBS = tuple(verb for verbs in GROUPS.values() for verb in verbs)
+for group, verbs in GROUPS.items():
+    for verb, example in verbs.items():
+        app.command(rich_help_panel=group, epilog=f"Example: {example}")(verb)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -265,9 +265,9 @@ def _factor(unit: str, dimension: str) -> Decimal:
         raise _fault(f"has no dimension {dimension!r}", nearest(dimension, _TABLE))
     table = _TABLE[dimension]
     plain = " ".join(unit.split())
-    found = table.get(plain.replace("²", "^2").replace("mm2", "mm^2"))
-    if found is not None:
-        return found
+    factor = table.get(plain.replace("²", "^2").replace("mm2", "mm^2"))
+    if factor is not None:
+        return factor
     other = next((d for d, units in _TABLE.items() if plain in units), None)
     if other is not None or dimension in ("angle", "ratio") or not _UNIT.fullmatch(plain):
         what = f"is a {other}" if other else "is no unit"
