@@ -462,7 +462,8 @@ class QuadraticSurface:
         """Half width of every difference of two settings of one factor together."""
         from scipy import stats
 
-        assert self.covariance is not None
+        if self.covariance is None:
+            raise RuntimeError("a surface without an error has no scatter")
         own = [i for i, term in enumerate(self.polynomial.terms) if j in term.factors]
         p, spread = len(own), self.covariance[np.ix_(own, own)]
         points = box_points(self.polynomial.k, 256)
