@@ -185,7 +185,7 @@ def report(
     written_study = api.report(
         path, reports=reports, results=results, formats=chosen_formats, beside=beside
     )
-    _finish(written_study, as_json, _folders(results, reports))
+    _finish(written_study, as_json, _folders(written_study.folder.parent, reports))
 
 
 def diff(

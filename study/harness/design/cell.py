@@ -17,7 +17,7 @@ from study.ground.errors import Fault, InputError
 from study.harness.design.diagnostics import Faults, Table, read_table, read_variant, with_values
 from study.harness.design.forward_model import ForwardCell, Refinement, Value
 from study.harness.design.forward_section import ForwardModel
-from study.mechanics.measurement.column_text import KINEMATIC, KINETIC
+from study.mechanics.measurement.column_text import KINEMATIC, KINETIC, SECOND
 from study.mechanics.measurement.measurement_section import MarkerSpec, MeasurementSpec, groups_of
 from study.mechanics.setup import setup
 from study.mechanics.setup.declaration import shown, table_of, values_of
@@ -364,6 +364,10 @@ def _check_columns(table: Table, fault: Callable[[str, str, str], None]) -> None
         wanted = given[0] if given else usual
         if isinstance(units, Mapping) and wanted not in units and table.get("unit_row") is not True:
             fault(f"units.{wanted}", "is missing", f'for example {wanted} = "{_UNITS[wanted]}"')
+    first = next((key for key in (*SECOND, *SECOND.values()) if key in columns), None)
+    for key in (*SECOND, *SECOND.values()) if first else ():
+        if key not in columns:
+            fault(f"columns.{key}", f"is missing beside {first}", "a biaxial test has all four")
     if isinstance(units, Mapping) and "time" in columns and "time" not in units:
         fault("units.time", "is missing", 'for example time = "s"')
 
@@ -379,16 +383,17 @@ _UNITS = {
 def _check_course(table: Table, fault: Callable[[str, str, str], None]) -> None:
     """Keep rules that take rows out, or move them, from tests whose course in time matters."""
     columns = table.get("columns")
-    if not isinstance(columns, Mapping) or "time" not in columns:
+    if not isinstance(columns, Mapping) or not {"time", *SECOND} & set(columns):
         return
     asked = {
         "points": table.get("points", "raw") != "raw",
         "range": "range" in table,
         "toe": "toe" in table,
-        "zero": table.get("zero") == "fit",
+        "zero": table.get("zero") == "fit" or ("zero" in table and "time" not in columns),
     }
     mends = {"points": 'write points = "raw"', "zero": 'write zero = "first"'}
-    rule = "has no meaning for a test with a column of time, whose rows all count"
+    what = "a column of time" if "time" in columns else "two directions"
+    rule = f"has no meaning for a test with {what}, whose rows all count"
     for key in (key for key, given in asked.items() if given):
         fault(key, rule, mends.get(key, "leave it out"))
 

@@ -103,9 +103,17 @@ def _of_parameters(
 
 
 def resolve_problem(
-    tables: Table, faults: Faults, ratio: float = 1.5, places: Mapping[str, str] | None = None
+    tables: Table,
+    faults: Faults,
+    ratio: float = 1.5,
+    places: Mapping[str, str] | None = None,
+    *,
+    all_rows: bool = False,
 ) -> CellProblem:
-    """Resolve specimen, test, material, model and measurements."""
+    """Resolve specimen, test, material, model and measurements.
+
+    With ``all_rows`` measured rows count as they are, unless a number of points is written.
+    """
     at = {name: name for name in TABLES} | dict(places or {})
     specimen = specimen_from(tables.get("specimen", {}), faults, at["specimen"])
     written = tables.get("test", {})
@@ -119,7 +127,7 @@ def resolve_problem(
         table = tables["measurements"]
         spec = measurements_from(table, faults, at["measurements"])
         chosen = isinstance(table, Mapping) and "points" in table
-        if spec is not None and specimen.shape == "homogeneous" and not chosen:
+        if spec is not None and (all_rows or specimen.shape == "homogeneous") and not chosen:
             spec = replace(spec, points="raw")  # every row of a test of material counts
     forward = forward_from(tables.get("forward"), faults, at["forward"])
     markers = markers_from(tables.get("markers"), faults, at["markers"])
@@ -170,6 +178,7 @@ def _check_displacement(
         or spec.range is not None
         or spec.points == "raw"
         or spec.columns.time is not None
+        or spec.columns.is_biaxial
     )
     unread = unread or "markers" in tables  # which say it, or are faulty themselves
     if high is None and not written and not unread:
@@ -257,7 +266,7 @@ def _test(tables: Table, test: TestTable, where: str, faults: Faults) -> CellPro
     own = ("test", "measurements", "specimen", "model")
     given = {key: value for key in own if (value := getattr(test, key)) is not None}
     places = {key: f"{where}.{key}" for key in given}
-    return resolve_problem({"test": {}, **tables, **given}, faults, places=places)
+    return resolve_problem({"test": {}, **tables, **given}, faults, places=places, all_rows=True)
 
 
 def _bounds(asked: Fitting, material: MaterialSection | None, faults: Faults) -> Bounds:

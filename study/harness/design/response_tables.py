@@ -30,6 +30,7 @@ _DIMENSION = {
     "mm": "length",
     "N/mm": "stiffness",
     "N mm": "work",
+    "mm^2": "area",
 }
 
 

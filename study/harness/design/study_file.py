@@ -42,7 +42,16 @@ from study.mechanics.setup.setup import MESH_LEVELS
 # Responses of a predicted curve alone, by their names in a study file.
 
 #: responses of a predicted curve alone, with their units; those at a displacement name it, too
-SIMULATED = {"peak_force": "N", "work": "N mm", "force_at": "N", "stiffness_at": "N/mm", "dofs": ""}
+SIMULATED = {
+    "peak_force": "N",
+    "work": "N mm",
+    "force_at": "N",
+    "stiffness_at": "N/mm",
+    "peak_contact_pressure": "kPa",
+    "contact_area": "mm^2",
+    "side_force": "N",
+    "dofs": "",
+}
 
 AT_DISPLACEMENT = ("force_at", "stiffness_at")
 

@@ -102,6 +102,8 @@ class SolverDocument(TypedDict, total=False):
     energy_mismatch: float
     stabilization_share: float
     snaps_mm: list[float]
+    penetration_mm: float
+    gap_mm: float
     program: ProgramDocument
 
 

@@ -18,7 +18,9 @@ from study.harness.runner.problem_tables import own_tables
 from study.mechanics.calibration.fit import Fit
 from study.mechanics.calibration.levenberg_marquardt import Status
 from study.mechanics.calibration.residual_function import EvaluationFailed
-from study.mechanics.material.stability import stability
+from study.mechanics.material.homogeneous import MODES, sheared_stretches
+from study.mechanics.material.material import Material
+from study.mechanics.material.stability import StabilityResult, stability
 from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import Setup, Tables, problem_of
 
@@ -86,12 +88,15 @@ def solver_document(solution: Solution) -> SolverDocument:
 
     Units: solution mm.
     """
+    touching = solution.equilibria.contact
     return {
         "name": str(solution.solver),
         "min_j": float(solution.min_j),
         "energy_mismatch": float(solution.energy.largest_mismatch),
         "stabilization_share": float(solution.energy.stabilization_share),
         "snaps_mm": [float(place) for place in solution.energy.jumps_mm],
+        "penetration_mm": max((one.penetration_mm for one in touching), default=0.0),
+        "gap_mm": max((one.gap_mm for one in touching), default=0.0),
     }
 
 
@@ -210,12 +215,7 @@ def _stability(
     if material.mu0 <= 0:
         raise InputError(Fault("fit", f"ended at a shear modulus of {material.mu0:g} MPa"))
     setup = Setup.of(tables)
-    height, is_pressed = setup.height_mm, setup.kind.compresses
-    depth = max(float(curve.displacement_mm.max()) for curve in measured)
-    if height is None or not is_pressed or depth >= height:
-        judged = stability(material)
-    else:
-        judged = stability(material, stretches=np.linspace(1 - depth / height, 1.0, 41))
+    judged = stability_over(material, [(setup, curve.displacement_mm) for curve in measured])
     # only uniaxial failure inside the range makes the answer itself meaningless; the other
     # modes are a warning about using the constants elsewhere
     return {
@@ -224,6 +224,29 @@ def _stability(
         "stability": str(judged.sentence),
         "usable": "uniaxial" not in judged.limits,
     }
+
+
+def stability_over(material: Material, tests: Sequence[tuple[Setup, Array]]) -> StabilityResult:
+    """Drucker's criterion over the stretches of tests, each in its loading, and in the others.
+
+    A loading that no test holds is judged over the stretches of all of them.
+    """
+    held: dict[str, tuple[float, float]] = {}
+    for setup, places in tests:
+        height, kind = setup.height_mm, setup.kind
+        mode = "planar" if kind.shears else kind.mode
+        if height is None or mode not in MODES or kind.takes_indenter:
+            continue
+        share = kind.sense * np.array([0.0, places.min(), places.max()]) / height
+        ends = sheared_stretches(share, setup.test.prestretch or 1.0) if kind.shears else 1 + share
+        low, high = float(np.min(ends)), float(np.max(ends))
+        if low <= 0:
+            continue
+        before = held.get(mode, (1.0, 1.0))
+        held[mode] = (min(low, before[0]), max(high, before[1]))
+    if not held:
+        return stability(material)
+    return stability(material, np.array(list(held.values())), held)
 
 
 def _finite(value: float) -> float | None:

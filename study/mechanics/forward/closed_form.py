@@ -322,6 +322,9 @@ def _prescribed(problem: Problem) -> Curve:
     """Curve at the steps of a test, over the course that it prescribes where that matters."""
     setup, material, test = problem.setup, problem.material, problem.test
     course = course_of(test)
+    if setup.kind.mode == "biaxial":
+        rule = "biaxial is a test of measured stretches, which no displacement prescribes"
+        raise InputError(Fault("test.kind", rule, 'calibrate it, or solve kind = "equibiaxial"'))
     if material.relaxation and course is None:
         raise InputError(_no_speed())
     if course is None:

@@ -479,5 +479,9 @@ def no_counterpart(convention: str, constants: Constants) -> InputError:
         Whose names the message lists.
     """
     return InputError(
-        Fault("convention", f"{convention} has no energy with {', '.join(constants)}")
+        Fault(
+            "convention",
+            f"{convention} has no energy with {', '.join(constants)}",
+            "fit an energy that it has, or give it this one as a user subroutine (Abaqus: UHYPER)",
+        )
     )

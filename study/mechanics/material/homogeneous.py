@@ -485,6 +485,50 @@ def sheared_stretches(shear: Array, prestretch: float = 1.0) -> tuple[Array, Arr
     return longest, np.full(shear.shape, free), prestretch * free / longest
 
 
+def _biaxial(material: Material, stretch: Array) -> Loaded:
+    """Two directions stretched as they like, the third free of stress.
+
+    Shapes: stretch (2 n,), the n of the first direction and the n of the second; stresses too.
+    """
+    if stretch.size % 2:
+        rule = "has stretches of two directions, as many of each"
+        raise InputError(Fault("test.kind", f"biaxial {rule}", "calibrate it to measured rows"))
+    if material.compressible is not None or material.small_strain:
+        rule = f"{material.model} has no closed form of unequal stretches here"
+        raise InputError(Fault("material.model", rule, "take an isochoric energy"))
+    x = np.log(stretch)
+    y = np.roll(x, stretch.size // 2)
+    energy, constants, bulk = material.isochoric, material.constants, material.bulk
+    z, sides = -x - y, deviator(np.array([0.0, 0.0, 1.0]))
+
+    def thickness(z: Array) -> tuple[Array, Array]:
+        times = z.size // x.size
+        log = np.stack([np.tile(x, times), np.tile(y, times), z])
+        J = np.exp(log.sum(0))
+        stress, along = energy.stress_and_slope(constants, np.exp(deviator(log)), sides)
+        return (
+            deviator(stress)[2] + bulk * J * (J - 1),
+            deviator(along)[2] + bulk * (2 * J - 1) * J,
+        )
+
+    with np.errstate(all="ignore"):  # unstable constants may have no equilibrium: NaN says so
+        if not material.incompressible:
+            z = _safeguarded_newton(thickness, z)
+        log = np.stack([x, y, z])
+        bar, J = np.exp(deviator(log)), np.exp(log.sum(0))
+        stress, along = energy.stress_and_slope(constants, bar, sides)
+        partial = energy.principal_stress_gradient(constants, bar)
+        gradient = {n: (g[0] - g[2]) / stretch for n, g in partial.items()}
+        if not material.incompressible:
+            change = deviator(along)
+            by_z = change[2] + bulk * (2 * J - 1) * J
+            dbulk = material.bulk_gradient()
+            for n, g in partial.items():
+                dz = -(deviator(g)[2] + dbulk[n] * J * (J - 1)) / by_z
+                gradient[n] = gradient[n] + (change[0] - change[2]) * dz / stretch
+        return Loaded((stress[0] - stress[2]) / stretch, gradient)
+
+
 def _volumetric(material: Material, stretch: Array) -> Loaded:
     """Equal stretches on all sides: P = K (J - 1) l^2, compression negative."""
     if material.incompressible:
@@ -516,6 +560,7 @@ LOADINGS: Mapping[str, Loading] = {
     "uniaxial": _principal(UNIAXIAL),
     "equibiaxial": _principal(EQUIBIAXIAL),
     "planar": _principal(PLANAR),
+    "biaxial": Loading(_biaxial),
     "confined": _principal(CONFINED, is_volumetric=True),
     "simple-shear": Loading(_simple_shear, is_shear=True),
     "volumetric": Loading(_volumetric, is_volumetric=True),

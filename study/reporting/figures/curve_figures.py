@@ -54,6 +54,8 @@ class FitPanel:
     scatter_N: Array | None
     #: Whether it is a course in time.
     over_time: bool = False
+    #: Whether the rows of two directions stand one after the other.
+    is_biaxial: bool = False
 
 
 def fit_figure(panels: Sequence[FitPanel], title: str) -> str:
@@ -91,6 +93,8 @@ def _draw(panels: Sequence[FitPanel], title: str, total: int) -> Canvas:
 def _axis(panels: Sequence[FitPanel]) -> str:
     """Label of the common axis."""
     kinds = {panel.over_time for panel in panels}
+    if any(panel.is_biaxial for panel in panels):
+        return "row, those of the second direction behind those of the first"
     if len(kinds) > 1:
         return "displacement (mm), or time (s) of a course"
     return "time (s)" if kinds == {True} else "displacement (mm)"
@@ -154,11 +158,11 @@ def _recording_panel(ax: Axes, rows: pd.DataFrame, title: str) -> None:
         ax.plot(part["far"], part["hard"], ".", color=color, markersize=2.4, label=label,
                 zorder=3 if used else 2)  # fmt: skip
     ax.set_title(clean(title, 44), fontsize=7.5)
-    for name, label in (("far_name", ax.set_xlabel), ("hard_name", ax.set_ylabel)):
-        quantity_name = str(rows[name].iloc[0])
+    for column, write in (("far_name", ax.set_xlabel), ("hard_name", ax.set_ylabel)):
+        quantity_name = str(rows[column].iloc[0])
         unit = _UNITS.get(quantity_name)
-        label(f"recorded {quantity_name.replace('_', ' ')}" + (f" ({unit})" if unit else ""),
-              fontsize=8)  # fmt: skip
+        words = f"recorded {quantity_name.replace('_', ' ')}" + (f" ({unit})" if unit else "")
+        write(words, fontsize=8)
     ax.grid(axis="y", color=RULE, linewidth=0.4)
     ax.legend(loc="best", fontsize=6.5)
 
