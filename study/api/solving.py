@@ -46,9 +46,9 @@ class SolvedProblem(Shown, Solution):
     digits: ClassVar[int] = 6
 
     @classmethod
-    def of(cls, found: Solution) -> SolvedProblem:
+    def of(cls, solution: Solution) -> SolvedProblem:
         """Give a solution the ways to be shown."""
-        return cls(**{item.name: getattr(found, item.name) for item in fields(Solution)})
+        return cls(**{item.name: getattr(solution, item.name) for item in fields(Solution)})
 
     def to_frame(self) -> pd.DataFrame:
         """Curve with one row a load step.
