@@ -126,15 +126,24 @@ def _runs_expected(above: Sequence[NDArray[np.bool_]]) -> tuple[float, float]:
 
 Verdict = Literal["describes", "doubtful", "does not describe"]
 _GRADES: tuple[Verdict, ...] = ("describes", "doubtful", "does not describe")
-#: shares of the root mean square force: a misfit to be named, one that condemns where it is a
-#: trend, and a root mean square error that condemns where rows scatter less
-_NAMED, _TREND, _LARGE_ERROR = 0.01, 0.1, 0.15
+#: misfit to be named, as a share of the root mean square force
+_NAMED = 0.01
+#: misfit that condemns where it is a trend, as a share of the same
+_TREND = 0.1
+#: root mean square error that condemns where rows scatter less, as a share of the same
+_LARGE_ERROR = 0.15
 #: root mean square error over the scatter of rows from which it is no noise
 _BEYOND_NOISE = 2.0
-#: p from which a trend, or a lack of fit, is named, and condemns
-_CLEAR, _CLEARER = 0.001, 0.0005
-#: coefficients of a trend (Legendre polynomials) at least and at most, and rows for each
-_FEWEST_TERMS, _MOST_TERMS, _ROWS_A_TERM = 3, 4, 5
+#: p below which a trend, or a lack of fit, is named
+_CLEAR = 0.001
+#: p below which it condemns
+_CLEARER = 0.0005
+#: coefficients of a trend (Legendre polynomials) at least
+_FEWEST_TERMS = 3
+#: coefficients of a trend at most
+_MOST_TERMS = 4
+#: rows for each coefficient of a trend
+_ROWS_A_TERM = 5
 #: share of the largest force by which a single row must be off to be named
 _OFF = 0.02
 
@@ -145,7 +154,7 @@ def _largest_distance(rows: int) -> float:
     Above the 99.9 % point of the largest distance in simulated noise: 14.3 of 8 rows, 9.6 of 10,
     6.7 of 20, 5.3 of 50 and 5.1 of 100 (2,000 to 6,000 draws each).
     """
-    return 6.0 + 400 / rows**1.8
+    return float(6.0 + 400 / rows**1.8)
 
 
 @dataclass(frozen=True)
@@ -320,7 +329,7 @@ def _of_rows(one: _Recording, robust: Collection[str]) -> list[_Finding]:
     (places,) = np.nonzero(far & (size > _OFF * float(np.abs(one.predicted_N).max())))
     if not places.size:
         return []
-    rows = tuple(_suspect(one, k) for k in places)
+    rows = tuple(_suspect(one, int(k)) for k in places)
     listed = ", ".join(str(row.row) for row in rows[:8]) + (", ..." if len(rows) > 8 else "")
     gone = float(np.sum(one.residual[places] ** 2) / np.sum(one.residual**2))
     mend = 'leave out what was misread, or write calibration.loss = "soft-l1"'
@@ -340,7 +349,7 @@ def _of_rows(one: _Recording, robust: Collection[str]) -> list[_Finding]:
 def _suspect(one: _Recording, place: int) -> SuspectRow:
     return SuspectRow(
         one.label,
-        int(place) + 1,
+        place + 1,
         float(one.rows.displacement_mm[place]),
         float(one.rows.force_N[place]),
         float(one.predicted_N[place]),
