@@ -241,6 +241,7 @@ def test_every_other_verb(hostile: Hostile, tmp_path: Path) -> None:
     small = ("small.toml", "--data", "data")
     tasks = [
         ["new", "mine.toml"],
+        ["inspect", "m.csv"],
         ["plan", *small],
         ["virtual", "made", "--from", *small[:1], "--specimens", "2"],
         ["power", *small],

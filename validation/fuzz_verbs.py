@@ -373,6 +373,8 @@ MAKERS: dict[str, Maker] = {
     "calibrate": lambda rng, p: ["calibrate", "calibration.toml", "--data", "data"],
     "converge": _converge,
     "doctor": lambda rng, p: ["doctor"],
+    "inspect": lambda rng, p: ["inspect", pick(rng, ("curve.csv", "data/tests.csv", "data/one.csv",
+                                                     "data/markers.csv", "data/laser.csv"))],
     "export": lambda rng, p: ["export", *pick(rng, (
         ["problem.toml", "-s", 'forward.model="closed-form"'], ["ranges", "--as", "emulator"],
         ["problem.toml", "--as", "abaqus"], ["problem.toml", "--as", "febio"]))],

@@ -310,9 +310,24 @@ def write_vtu(solution: Solution, path: str | Path, *, whole: bool = False) -> N
 
 
 def write_picture(solution: Solution, path: str | Path) -> None:
-    """Draw the mesh of a solution before and after its deformation."""
+    """Draw the mesh of a solution before and after its deformation.
+
+    Where a column buckles the whole of it is drawn, moved into the mode by a tenth of its height.
+    """
+    points, cells, moved = solution.points, solution.cells, solution.displacement
+    bent, warm = solution.instability, solution.warm
+    if bent is not None and warm is not None and not solution.converged:
+        from study.mechanics.solver.buckling import mirrored
+
+        mesh, height = warm.system.mesh, warm.system.height_mm
+        mode = bent.mode[: len(points)]
+        if points.shape[1] == 3 and warm.system.force_scale > 1:
+            whole, moved = mirrored(mesh, moved, (1, 1, 1), height)
+            _, mode = mirrored(mesh, mode, bent.parity, height)
+            points, cells = whole.points, whole.cells
+        moved = moved + 0.1 * height * mode
     try:
-        svg, _ = picture(solution.points, solution.cells, solution.displacement)
+        svg, _ = picture(points, cells, moved)
     except ValueError as error:
         raise InputError(Fault(str(path), f"no picture: {error}")) from None
     write_atomic(Path(path), f"{svg}\n".encode())

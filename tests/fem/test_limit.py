@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
+import meshio
 import numpy as np
 import pytest
 
+from study.api import solving
 from study.harness.design import plausibility
 from study.mechanics.material.material import Material
 from study.mechanics.mesh.mesher import build_mesh
@@ -177,3 +180,15 @@ def test_slender_columns_are_cautioned_about_before_solving() -> None:
     assert not said(20.0, 0.02, "frictionless")
     assert not said(10.0, 0.10, "bonded")
     assert not said(6.0, 0.30, "frictionless")
+
+
+def test_a_buckled_column_is_drawn_and_written_with_its_mode(tmp_path: Path) -> None:
+    found = solve(_column(4.0, 4, order="linear"), gradients=False)
+    solving.write_picture(found, tmp_path / "bent.svg")
+    assert "<svg" in (tmp_path / "bent.svg").read_text()
+    solving.write_vtu(found, tmp_path / "bent.vtu", whole=True)
+    read = meshio.read(tmp_path / "bent.vtu")
+    mode, z = read.point_data["buckling_mode"], read.points[:, 2]
+    middle = np.abs(z - 45.0) < 1e-9  # sways to one side, the ends stand
+    assert mode[middle, 1].min() > 0.9 or mode[middle, 1].max() < -0.9
+    np.testing.assert_allclose(mode[(z < 1e-9) | (z > 90 - 1e-9)], 0.0, atol=1e-12)

@@ -376,19 +376,19 @@ def read_body(path: Path, unit: str) -> SimulatedBody:
 
 def _read_vtu(path: Path) -> DeformedMesh:
     """Read cells, points and displacements of a VTU file."""
-    from meshio.vtu import _vtu
+    from meshio.vtu import _vtu as vtu
 
     where = f"simulation: {path.name}"
     try:
         stream = open_regular(path)
         if stream is not None:
             stream.close()
-        unbounded = _vtu.zlib, _vtu.lzma
-        _vtu.zlib = _vtu.lzma = Unpacker(path.name)
+        unbounded = vtu.zlib, vtu.lzma
+        vtu.zlib = vtu.lzma = Unpacker(path.name)
         try:
-            mesh = _vtu.read(str(path))
+            mesh = vtu.read(str(path))
         finally:
-            _vtu.zlib, _vtu.lzma = unbounded
+            vtu.zlib, vtu.lzma = unbounded
     except Exception as error:  # meshio's parsers raise whatever they stumble over
         reason = str(error).split("\n")[0][:120] or type(error).__name__
         raise InputError(Fault(where, f"cannot be read: {reason}", "write it again")) from error

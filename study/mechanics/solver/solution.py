@@ -693,7 +693,6 @@ def contact_figures(
     """How well the moving surface fits, and what it presses with. Shapes: force (n_nodes, dim)."""
     space, dim, u = system.space, system.space.dim, system.displacements(state.x)
     depth, gap, area, touches = 0.0, 0.0, 0.0, False
-    ratio = _stretched_areas(system, u)
     for points, touch in zip(system.contact, assembly.contact, strict=True):
         if isinstance(points, TiedPoints) or points.surface.speed == 0:
             continue
@@ -701,6 +700,7 @@ def contact_figures(
         if not closed.any():
             continue
         touches = True
+        ratio = _stretched_areas(system, u)
         stretched = np.einsum("ck,ck->c", points.shape, ratio[points.nodes])
         area += float((points.weights * stretched)[closed].sum())
         members = np.isin(space.facets, points.nodes).all(axis=1)
