@@ -126,15 +126,24 @@ def _runs_expected(above: Sequence[NDArray[np.bool_]]) -> tuple[float, float]:
 
 Verdict = Literal["describes", "doubtful", "does not describe"]
 _GRADES: tuple[Verdict, ...] = ("describes", "doubtful", "does not describe")
-#: shares of the root mean square force: a misfit to be named, one that condemns where it is a
-#: trend, and a root mean square error that condemns where rows scatter less
-_NAMED, _TREND, _LARGE_ERROR = 0.01, 0.1, 0.15
+#: share of the root mean square force from which a trend is named
+_NAMED = 0.01
+#: the same from which it condemns
+_TREND = 0.1
+#: the same of a root mean square error that condemns where rows scatter less
+_LARGE_ERROR = 0.15
 #: root mean square error over the scatter of rows from which it is no noise
 _BEYOND_NOISE = 2.0
-#: p from which a trend, or a lack of fit, is named, and condemns
-_CLEAR, _CLEARER = 0.001, 0.0005
-#: coefficients of a trend (Legendre polynomials) at least and at most, and rows for each
-_FEWEST_TERMS, _MOST_TERMS, _ROWS_A_TERM = 3, 4, 5
+#: p from which a trend, or a lack of fit, is named
+_CLEAR = 0.001
+#: p from which a trend condemns
+_CLEARER = 0.0005
+#: coefficients of a trend (Legendre polynomials) at least
+_FEWEST_TERMS = 3
+#: the same at most
+_MOST_TERMS = 4
+#: rows for each of them
+_ROWS_A_TERM = 5
 #: share of the largest force by which a single row must be off to be named
 _OFF = 0.02
 
