@@ -352,6 +352,7 @@ MAKERS: dict[str, Maker] = {
     "plan": lambda rng, p: ["plan", *pick(rng, (["small.toml", "--data", "data"], ["ranges.toml"],
                                                 ["programs.toml"]))],
     "run": _run,
+    "import": lambda rng, p: ["import", TABLE[0], "--factors", "a,b", "--responses", "y"],
     "status": lambda rng, p: ["status", _named(rng)],
     "report": lambda rng, p: ["report", _named(rng), "--format", pick(rng, ("csv", "csv", "tex"))],
     "diff": lambda rng, p: ["diff", _named(rng), pick(rng, ("results/second",) * 3 + ("ranges",))],

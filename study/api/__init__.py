@@ -13,6 +13,7 @@ _HOME = {
     "load_design": "study.api.study",
     "run": "study.api.study",
     "demo": "study.api.study",
+    "import_runs": "study.api.importing",
     "plan": "study.api.planning",
     "augment": "study.api.augmenting",
     "power": "study.api.contrast_power",

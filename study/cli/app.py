@@ -154,6 +154,7 @@ GROUPS: dict[str, dict[Callable[..., None], str]] = {
         virtual: "study virtual measurements --from study.toml",
         study_commands.plan: "study plan study.toml",
         study_commands.run: "study run study.toml --jobs 2",
+        study_commands.import_: "study import runs.csv --factors a,b --responses y",
         study_commands.status: "study status STUDY",
         study_commands.report: "study report STUDY --format html,tex",
         study_commands.diff: "study diff FIRST SECOND",

@@ -142,6 +142,36 @@ def run(
     _finish(study, as_json, _folders(results, reports))
 
 
+def import_(
+    file: Annotated[Path, typer.Argument(help="CSV or workbook, one row a run.")],
+    factors: Annotated[str, typer.Option(help="Columns of the factors, with commas.")],
+    responses: Annotated[str, typer.Option(help="Columns of the responses: peak=N,work.")],
+    failed: Annotated[
+        str | None, typer.Option(help="Column that says which runs have no answer, and why.")
+    ] = None,
+    block: Annotated[
+        str | None, typer.Option(help="Column of the unit that was replicated.")
+    ] = None,
+    name: Annotated[str | None, typer.Option(help="Name of the study; that of the file.")] = None,
+    decimal: Annotated[str, typer.Option(help="Mark of decimals.")] = ".",
+    results: Results = RESULTS,
+    reports: Reports = REPORTS,
+    as_json: Json = False,
+) -> None:
+    """Make a study of runs that were made elsewhere, and report it."""
+    from study import api
+
+    made = api.import_runs(
+        file, factors, responses, failed=failed, block=block, name=name, decimal=decimal,
+        results=results,
+    )  # fmt: skip
+    _finish(api.report(made.folder, reports=reports), as_json, _folders(results, reports))
+
+
+#: a word of Python, so that the function cannot bear the name of its verb
+import_.__name__ = "import"
+
+
 def status(
     path: Study,
     results: Results = RESULTS,

@@ -50,11 +50,13 @@ def _print_overview(overview: Overview) -> None:
         [row.label, str(row.group), "-" if row.calibration is None else str(row.calibration)]
         for row in overview.matrix
     ]
-    if not overview.calibrations:
+    title = f"{len(overview.matrix)} cells, {overview.distinct} distinct computations"
+    if overview.design.is_alone:  # a title is wrapped to a narrow table
         rows = [row[:2] for row in rows]
+        print(title)
     more = len(overview.matrix) - FIRST_ROWS if len(overview.matrix) > ROWS else 0
     shown = rows[: 1 + FIRST_ROWS] if more else rows
-    output.table(shown, f"{len(overview.matrix)} cells, {overview.distinct} distinct computations")
+    output.table(shown, "" if overview.design.is_alone else title)
     if more:
         print(f"and {more:,} more cells: --json lists all of them")
     if overview.distinct < len(overview.matrix):

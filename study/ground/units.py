@@ -235,18 +235,6 @@ def is_known(unit: str) -> bool:
     return True
 
 
-def format_value(value: float, dimension: str) -> str:
-    """Text with the internal unit, which :func:`parse` reads back exactly.
-
-    Examples
-    --------
-    >>> format_value(25.0, "length")
-    '25 mm'
-    """
-    number = repr(float(value))
-    return f"{number.removesuffix('.0')} {INTERNAL[dimension]}"
-
-
 def to_display(value: float, unit: str) -> tuple[float, str]:
     """Value and unit as people read them: MPa become kPa, others stay.
 

@@ -22,8 +22,8 @@ from tests.house import declared
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-TUTORIALS = ("tutorial-virtual", "tutorial-csv", "other-code")
-NAMED = re.compile(r"# ([\w.-]+\.(?:toml|csv))\n")
+TUTORIALS = ("tutorial-virtual", "tutorial-csv", "other-code", "your-own-solver")
+NAMED = re.compile(r"# ([\w.-]+\.(?:toml|csv|j2|py))\n")
 
 
 def blocks(page: str) -> list[tuple[str, str]]:

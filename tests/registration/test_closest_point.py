@@ -44,10 +44,3 @@ def test_the_distance_to_a_faceted_sphere_converges_with_the_square_of_the_side(
     errors = [np.abs(ball(10.0, n).closest(asked).distance - exact).max() for n in (500, 2000)]
     # four times the triangles have half the side
     assert np.log2(errors[0] / errors[1]) == pytest.approx(2, abs=0.3)
-
-
-def test_an_open_edge_is_told() -> None:
-    square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
-    surface = TriangleSurface(square, np.array([[0, 1, 2], [0, 2, 3]]))
-    found = surface.closest(np.array([[0.5, 0.5, 1.0], [2.0, 0.5, 0.0]]))
-    assert surface.on_rim(found).tolist() == [False, True]

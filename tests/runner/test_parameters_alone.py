@@ -296,3 +296,121 @@ def test_a_curve_of_a_function_has_the_responses_of_a_curve(tmp_path):
         stiffness = 0.8 if record.levels["parameters.stiffness"] == "800 N/m" else 1.2
         assert record.response("force_at_1_mm") == pytest.approx(stiffness)
         assert record.response("work") == pytest.approx(0.5 * stiffness * 4)
+
+
+def test_a_bound_covers_the_error_of_a_solver_of_second_order(tmp_path):
+    """200 random parameter sets; 95 % is the bar, and the error of each is known."""
+
+    def coefficients(i, j):
+        import random
+
+        draw = random.Random(f"{i}-{j}")
+        return draw.uniform(1, 10), draw.uniform(-3, 3), draw.uniform(-1.5, 1.5)
+
+    def solver(case):
+        p = case["parameters"]
+        exact, second, third = coefficients(p["i"], p["j"])
+        return {"y": exact + second * p["h"] ** 2 + third * p["h"] ** 3}
+
+    tables = {
+        "study": {"name": "second-order"},
+        "parameters": {"i": 1, "j": 1, "h": 0.5},
+        "factors": {"parameters.i": list(range(20)), "parameters.j": list(range(10))},
+        "converge": {"key": "parameters.h", "formal_order": 2},
+        "response": [{"name": "y", "practical": 0.5}],
+    }
+    found = api.run(
+        tables, forward=solver, version="1", jobs=1, reports=None, results=tmp_path / "results"
+    )
+    covered = [
+        abs(row.value - coefficients(*map(int, row.levels.values()))[0]) <= row.u_num
+        for row in found.numerical
+    ]
+    assert len(covered) == 200
+    assert sum(covered) >= 190
+    effect = next(v for v in found.verdicts if v["factor"] == "parameters.i")
+    assert effect["u_num"] > 0
+
+
+def test_the_step_as_a_factor_is_a_series_of_its_own(tmp_path):
+    def solver(case):
+        p = case["parameters"]
+        return {"y": p["a"] * (1 + p["h"] ** 2)}
+
+    tables = {
+        "study": {"name": "step-as-factor"},
+        "parameters": {"a": 1.0, "h": 0.5},
+        "factors": {"parameters.a": [1.0, 3.0], "parameters.h": [0.4, 0.2, 0.1]},
+        "converge": {"key": "parameters.h", "formal_order": 2},
+        "response": [{"name": "y", "practical": 0.5}],
+    }
+    found = api.run(
+        tables, forward=solver, version="1", jobs=1, reports=None, results=tmp_path / "results"
+    )
+    assert len(found.records) == 6
+    assert {row.behaviour for row in found.numerical} == {"monotone"}
+    for row in found.numerical:
+        exact = float(row.levels["parameters.a"])
+        assert abs(row.value - exact) <= row.u_num < 0.2
+
+
+def test_a_range_has_a_surface_and_is_asked_in_its_own_unit(tmp_path):
+    ranges = """
+[factors]
+parameters.stiffness = { low = "800 N/m", high = "1600 N/m" }
+parameters.damping = { low = "6 N s/m", high = "20 N s/m" }
+[design]
+kind = "latin-hypercube"
+runs = 16
+[uncertainty]
+parameters.stiffness = "30 N/m"
+"""
+    text = HEAD.replace('"800 N/m"', '"1200 N/m"') + ranges + RESPONSES
+    found = run(text, tmp_path)
+    assert [one.refused for one in found.surfaces] == ["", ""]
+    at = {"parameters.stiffness": "1.1 kN/m", "parameters.damping": "12 N s/m"}
+    told = api.predict(found.folder, at, response="peak")[0]
+    assert told.value == pytest.approx(overshoot(1100.0, 12.0), rel=0.02)
+
+
+RUNS = """
+element,mesh,batch,peak_force,ok
+linear,coarse,S1,10.9,
+linear,coarse,S2,11.8,
+linear,fine,S1,10.3,
+linear,fine,S2,11.1,
+quadratic,coarse,S1,10.2,
+quadratic,coarse,S2,11.0,
+quadratic,fine,S1,10.1,
+quadratic,fine,S2,,diverged
+"""
+
+
+def test_runs_of_elsewhere_become_a_study(tmp_path):
+    (tmp_path / "runs.csv").write_text(RUNS.lstrip())
+    asked = {"factors": "element,mesh", "responses": "peak_force=N", "failed": "ok"}
+    found = api.import_runs(tmp_path / "runs.csv", **asked, block="batch", results=tmp_path / "r")
+    assert (found.total, found.failed) == (8, 1)
+    assert sorted(set(found.table["batch" if "batch" in found.table else "block"])) == ["S1", "S2"]
+    assert [r.message for r in found.records if not r.converged] == [
+        "as the column ok says: diverged"
+    ]
+    again = api.report(found.folder, reports=tmp_path / "reports")
+    assert again.report.is_file()
+    assert api.verify("runs", results=tmp_path / "r", reports=tmp_path / "reports").agrees
+    copies = api.import_runs(tmp_path / "runs.csv", **asked, name="copies", results=tmp_path / "r")
+    assert copies.analyses[0].result.error_term.source == "E0"
+
+
+@pytest.mark.parametrize(
+    ("changed", "into", "said"),
+    [
+        ("peak_force", "peak force", "peak_force"),
+        ("10.9", "many", "must be a finite number"),
+        ("linear,coarse,S1", ",coarse,S1", "is empty"),
+    ],
+)
+def test_a_table_of_runs_that_is_wrong_is_told(tmp_path, changed, into, said):
+    (tmp_path / "runs.csv").write_text(RUNS.lstrip().replace(changed, into, 1))
+    with pytest.raises(errors.InputError, match=said):
+        api.import_runs(tmp_path / "runs.csv", "element,mesh", "peak_force", results=tmp_path / "r")

@@ -235,6 +235,11 @@ class ParameterAnswer:
     rendered: Mapping[str, str] = field(default_factory=dict)
 
 
+#: forward models by the identity of their table, which is kept so that it stays its own
+_READ: dict[int, tuple[Mapping[str, object], External | None]] = {}
+_MOST_READ = 1000
+
+
 @dataclass(frozen=True)
 class External:
     """Forward model of a resolved table."""
@@ -253,6 +258,17 @@ class External:
         table = tables.get("forward")
         if not isinstance(table, Mapping):
             return None
+        known = _READ.get(id(table))
+        if known is not None and known[0] is table:
+            return known[1]  # it is asked for several times a case
+        found = cls._of(table)
+        if len(_READ) > _MOST_READ:
+            _READ.clear()
+        _READ[id(table)] = table, found
+        return found
+
+    @classmethod
+    def _of(cls, table: Mapping[str, object]) -> External | None:
         section = section_of("forward", ForwardModel, {k: _deep(v) for k, v in table.items()})
         if not section.is_external:
             return None

@@ -52,7 +52,7 @@ from study.mechanics.setup.setup import Tables
 # Repeats of every cell for an error term: other meshes, or fits to resampled noise.
 
 
-def mesh_seeded(found: Sequence[Case], design: Design) -> tuple[tuple[Case, Origin], ...]:
+def seeded(found: Sequence[Case], design: Design) -> tuple[tuple[Case, Origin], ...]:
     """Every case on each of its meshes, with the number of the mesh; once where none are asked.
 
     Seeds are made of the study's seed and the cell: the meshes of one cell are the same in
@@ -246,7 +246,7 @@ def expand(design: Design, data_root: Path, allowed: Allowed = NOTHING) -> Work:
     blocks = _common_blocks(cells, data)
     places = provenance.folders(design.source, data_root)
     # a replicate is named by what was written, not by where its surface was found
-    planned = mesh_seeded(_distinct(cases(design, blocks)), design)
+    planned = seeded(_distinct(cases(design, blocks)), design)
     shared: dict[int, Computed] = {}
 
     def job(case: Case, origin: Origin) -> CaseJob:
@@ -262,7 +262,7 @@ def expand(design: Design, data_root: Path, allowed: Allowed = NOTHING) -> Work:
 
 def cases_by_id(design: Design, blocks: Sequence[str]) -> dict[str, Case]:
     """List every case that :func:`expand` makes of a design; nothing measured is read."""
-    planned = [case for case, _ in mesh_seeded(_distinct(cases(design, blocks)), design)]
+    planned = [case for case, _ in seeded(_distinct(cases(design, blocks)), design)]
     numbers = range(1, design.replicates.noise + 1)
     again = [refitted(case, number) for case in planned for number in numbers]
     return {case.case_id: case for case in (*planned, *again)}

@@ -276,10 +276,10 @@ def surface_notes(configs: Sequence[Tables]) -> tuple[str, ...]:
 
 
 def _notes(config: Tables) -> Iterator[str]:
-    from study.mechanics.surface.closed_surface import body
-
     specimen = table_of(config, "specimen")
     if _is_surface(specimen):
+        from study.mechanics.surface.closed_surface import body
+
         made = specimen_of(specimen)
         if isinstance(made, Enclosed):
             yield from body(made).notes

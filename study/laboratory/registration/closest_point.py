@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.ground.arrays import Array, Flags, Ints
+from study.ground.arrays import Array, Ints
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
@@ -170,15 +170,6 @@ class TriangleSurface:
         vertex = self.triangles[triangle[on_vertex], corner[on_vertex]]
         normal[on_vertex] = self.vertex_normals[vertex]
         return normal
-
-    def on_rim(self, closest: Closest) -> Flags:
-        """Which closest points lie on an open edge: beyond it there is no surface, shape (n,)."""
-        across = self.triangles[:, [1, 2, 2, 0, 0, 1]].reshape(-1, 2)
-        _, edge, times = np.unique(
-            np.sort(across, axis=1), axis=0, return_inverse=True, return_counts=True
-        )
-        rim = (times[edge.ravel()] == 1).reshape(-1, 3)
-        return np.asarray((rim[closest.triangle] & (closest.weights < ON_EDGE)).any(axis=1))
 
 
 def _unit(vectors: Array) -> Array:

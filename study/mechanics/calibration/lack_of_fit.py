@@ -126,23 +126,23 @@ def _runs_expected(above: Sequence[NDArray[np.bool_]]) -> tuple[float, float]:
 
 Verdict = Literal["describes", "doubtful", "does not describe"]
 _GRADES: tuple[Verdict, ...] = ("describes", "doubtful", "does not describe")
-#: share of the root mean square force from which a trend is named
+#: misfit to be named, as a share of the root mean square force
 _NAMED = 0.01
-#: the same from which it condemns
+#: misfit that condemns where it is a trend, as a share of the same
 _TREND = 0.1
-#: the same of a root mean square error that condemns where rows scatter less
+#: root mean square error that condemns where rows scatter less, as a share of the same
 _LARGE_ERROR = 0.15
 #: root mean square error over the scatter of rows from which it is no noise
 _BEYOND_NOISE = 2.0
-#: p from which a trend, or a lack of fit, is named
+#: p below which a trend, or a lack of fit, is named
 _CLEAR = 0.001
-#: p from which a trend condemns
+#: p below which it condemns
 _CLEARER = 0.0005
 #: coefficients of a trend (Legendre polynomials) at least
 _FEWEST_TERMS = 3
-#: the same at most
+#: coefficients of a trend at most
 _MOST_TERMS = 4
-#: rows for each of them
+#: rows for each coefficient of a trend
 _ROWS_A_TERM = 5
 #: share of the largest force by which a single row must be off to be named
 _OFF = 0.02

@@ -63,11 +63,6 @@ class Compressibility:
         return []
 
 
-def bulk_from_poisson(mu0: float, poisson_ratio: float) -> float:
-    """K in MPa from the initial shear modulus and Poisson's ratio."""
-    return 2 * mu0 * (1 + poisson_ratio) / (3 * (1 - 2 * poisson_ratio))
-
-
 def poisson_from_bulk(mu0: float, bulk_modulus: float) -> float:
     """Poisson's ratio from the initial shear modulus and K (infinite K gives 0.5).
 

@@ -288,20 +288,3 @@ def convert(material: Material, convention: str) -> Converted:
     if convention == "ogden-classical":
         return material.energy.ogden_classical(material.constants)
     raise InputError(Fault("convention", f"no {convention!r}", nearest(convention, CONVENTIONS)))
-
-
-def from_ogden_classical(moduli: Mapping[int, tuple[float, float]]) -> dict[str, float]:
-    """Ogden constants from the classical W = sum m_p / a_p (sum l^a_p - 3) (Ogden 1972).
-
-    Units: moduli MPa.
-
-    Examples
-    --------
-    >>> treloar = from_ogden_classical({1: (0.63, 1.3), 2: (0.0012, 5.0), 3: (-0.01, -2.0)})
-    >>> round(sum(v for k, v in treloar.items() if k.startswith("mu")), 12)
-    0.4225
-    """
-    constants: dict[str, float] = {}
-    for i, (m, a) in sorted(moduli.items()):
-        constants |= {f"mu{i}": 0.5 * m * a, f"alpha{i}": float(a)}
-    return constants

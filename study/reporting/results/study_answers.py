@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from collections.abc import Mapping
-from collections.abc import Sequence
-from study.statistics.analysis.failures import CaseFate
-from study.statistics.analysis.failures import cause
-from study.harness.design.factors import settings_of
-from study.harness.design.spec import Design
-from study.harness.design.spec import Factor
-from study.harness.record.record import Record
+
 import numpy as np
-from study.statistics.surfaces.surface_optimum import Goal
-from study.statistics.surfaces.surface_optimum import ResponseSpread
+
+from study.harness.design.factors import settings_of
+from study.harness.design.spec import Design, Factor
+from study.harness.record.record import Record
+from study.statistics.analysis.failures import CaseFate, cause
+from study.statistics.surfaces.surface_optimum import Goal, ResponseSpread
 
 
 def document(comparison: Beside) -> dict[str, object]:
@@ -198,6 +196,7 @@ def parts_of(factor: Factor) -> Mapping[str, str]:
 
 # The best setting among the choices of a study, as it is told.
 
+
 @dataclass(frozen=True)
 class Bound:
     """A limit of another response, as it was asked for."""
@@ -297,6 +296,7 @@ class Recommendation:
 
 # All inputs of a study that agree with a measured curve, as they are told.
 
+
 @dataclass(frozen=True)
 class InputSet:
     """What a measured curve says of one input."""
@@ -386,15 +386,19 @@ class Inverted:
         if not loose:
             return "the curve determines every input that was asked for"
         if self.combinations:
-            combinations = " and ".join(combination.words for combination in self.combinations)
-            return f"the curve does not determine {', '.join(loose)} alone; it determines {combinations}"
+            products = " and ".join(product.words for product in self.combinations)
+            return (
+                f"the curve does not determine {', '.join(loose)} alone; it determines {products}"
+            )
         return f"the curve does not determine {', '.join(loose)} inside of what was run"
 
     def to_json(self) -> dict[str, object]:
         """Plain values."""
         return {
             "inputs": [vars(item) | {"verdict": item.verdict} for item in self.inputs],
-            "combinations": [vars(combination) | {"words": combination.words} for combination in self.combinations],
+            "combinations": [
+                vars(product) | {"words": product.words} for product in self.combinations
+            ],
             "sentence": self.sentence,
             "held": dict(self.held),
             "units": dict(self.units),

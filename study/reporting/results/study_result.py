@@ -4,33 +4,30 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-from dataclasses import field
-from typing import TYPE_CHECKING
-from typing import Any
-import numpy as np
-from numpy.typing import NDArray
-from study.ground.curve import Curve
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from study.statistics.analysis.failures import FailurePattern
-from study.statistics.analysis.failures import failure_pattern
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
 from study.ground.canonical import plain
+from study.ground.curve import Curve
 from study.harness.design.spec import Design
-from study.harness.record.record import Record
-from study.harness.record.record import is_repeat
-from study.harness.record.record import table
-from study.reporting.results.study_answers import document
-from study.reporting.results.study_answers import fates
+from study.harness.record.record import Record, is_repeat, table
+from study.reporting.results.study_answers import document, fates
+from study.statistics.analysis.failures import FailurePattern, failure_pattern
 from study.statistics.surfaces.surface_profile import FittedSurface
 
 if TYPE_CHECKING:
     import pandas as pd
-    from study.statistics.convergence.grid_convergence import NumericalUncertainty
-    from study.statistics.analysis.analysis_result import AnalysisResult
+
     from study.harness.design.spec import Expected
     from study.harness.record.document import PlateFitDocument
     from study.reporting.results.study_answers import Beside
+    from study.statistics.analysis.analysis_result import AnalysisResult
+    from study.statistics.convergence.grid_convergence import NumericalUncertainty
 
 
 # What a report is made of: plain values that whoever holds the records fills in.

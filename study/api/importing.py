@@ -1,0 +1,260 @@
+"""Runs that were made elsewhere become a study with records, for verbs that need no new run."""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from study.api.folders import RESULTS
+from study.api.opened_study import Study, open_study
+from study.ground.canonical import digest
+from study.ground.errors import Fault, InputError
+from study.ground.tabular import CsvTable, label_fault, names_of, read_csv
+from study.harness.design.factors import level_label
+from study.harness.design.forward_section import TAKEN
+from study.harness.design.load import default_name, dump, from_tables, loads
+from study.harness.design.overlay import TABLES
+from study.harness.design.spec import Case, Design, cases
+from study.harness.record.document import ManifestDocument
+from study.harness.record.folder import own_folder
+from study.harness.record.record import STATUSES, Record
+from study.harness.record.store import Store
+from study.harness.runner.expansion import seeded
+from study.harness.runner.job import Origin
+from study.harness.runner.provenance import versions
+
+#: cells of a column of failures that say that nothing failed
+_GOOD = ("", "0", "0.0", "no", "false", "ok", "converged", "done", "none")
+#: cells of a response that say that there is none
+_MISSING = ("", "nan", "na", "n/a", "none", "null", "-")
+
+
+def import_runs(
+    path: str | Path,
+    factors: str | Sequence[str],
+    responses: str | Sequence[str],
+    *,
+    failed: str | None = None,
+    block: str | None = None,
+    name: str | None = None,
+    decimal: str = ".",
+    results: str | Path = RESULTS,
+) -> Study:
+    """Make a study of a table of runs, one row a run.
+
+    Parameters
+    ----------
+    path : str or Path
+        CSV or workbook; rows of equal levels, in one block, are replicates.
+    factors, responses : str or sequence of str
+        Columns; a text has commas between them. A response may be ``name=unit``.
+    failed : str, optional
+        Column that says which runs have no answer: empty, 0, no, false or ok for those that have;
+        any other text is the reason, or one of the statuses of a record.
+    block : str, optional
+        Column of the unit that was replicated.
+    name : str, optional
+        Name of the study; by default that of the file.
+    decimal : {".", ","}
+        Mark of decimals.
+    results : str or Path
+        Folder of all results.
+
+    Returns
+    -------
+    Study
+        The study, opened from its records.
+
+    Raises
+    ------
+    InputError
+        For a column that is not there or has a name that no response can have, or for a results
+        folder that holds a study of another kind.
+    """
+    columns = names_of(factors.split(",") if isinstance(factors, str) else factors)
+    columns = tuple(column.strip() for column in columns)
+    units = _units(responses)
+    needed = [*columns, *units, *(c for c in (failed, block) if c is not None)]
+    table = read_csv(Path(path), required=needed, numbers=(), decimal=decimal)
+    _check(table, columns, units)
+    rows = _rows(table, columns, units, failed, block)
+    design = _design(name or default_name(str(path)), columns, units, rows, Path(path).name)
+    blocks = tuple(dict.fromkeys(row.block for row in rows if row.block is not None))
+    records = _records(design, blocks, rows, units, table.sha256)
+    store = Store(own_folder(Path(results), design.name))
+    with store.lock():
+        _check_own(store, path)
+        manifest: ManifestDocument = {
+            "name": design.name,
+            "design": dump(design),
+            "text": dump(design),
+            "source": Path(path).name,
+            "cases": {record.case_id: record.input_hash for record in records},
+            "blocks": list(blocks),
+            "notes": [f"{len(rows)} runs were made elsewhere and read from {Path(path).name}"],
+            "files": {Path(path).name: table.sha256},
+            "virtual": False,
+            "truths": {},
+            "versions": versions(),
+            "timings": {},
+        }
+        store.begin_run(manifest)
+        for record in records:
+            store.write(record)
+        store.finish_run(manifest)
+    return open_study(store.path)
+
+
+def _units(responses: str | Sequence[str]) -> dict[str, str]:
+    """Read the names of responses, each with its unit, which may be left out."""
+    written = responses.split(",") if isinstance(responses, str) else responses
+    pairs = (one.partition("=") for one in written)
+    return {name.strip(): unit.strip() for name, _, unit in pairs}
+
+
+def _check(table: CsvTable, columns: Sequence[str], units: Mapping[str, str]) -> None:
+    faults = []
+    for name in units:
+        if not re.fullmatch(r"[^\W\d][\w-]*", name) or name in TAKEN:
+            rule = f"{name!r} is no name of a response"
+            mend = "rename the column: letters, digits, - and _ alone, such as peak_force"
+            faults.append(Fault(table.source, rule, mend))
+    for name in columns:
+        if "." in name or name in units or name in TAKEN:
+            rule = f"{name!r} cannot be a factor beside the others"
+            faults.append(Fault(table.source, rule, "rename the column, without a dot"))
+        faults += [
+            Fault(table.place(k, name), label_fault(cell) or "is empty", "name the level")
+            for k, cell in enumerate(table.text(name))
+            if not cell or label_fault(cell)
+        ][:20]
+    if not columns or not units:
+        faults.append(
+            Fault(table.source, "needs a factor and a response", "--factors, --responses")
+        )
+    if faults:
+        raise InputError(faults)
+
+
+class _Run:
+    """One row: its levels, block, values, and why it has no answer."""
+
+    def __init__(self, levels: dict[str, str], block: str | None) -> None:
+        self.levels, self.block = levels, block
+        self.values: dict[str, float] = {}
+        self.status, self.message = "converged", ""
+
+
+def _rows(
+    table: CsvTable,
+    columns: Sequence[str],
+    units: Mapping[str, str],
+    failed: str | None,
+    block: str | None,
+) -> list[_Run]:
+    """Read the runs of a table."""
+    rows = []
+    for k in range(len(table.lines)):
+        levels = {_factor(name): _label(table.text(name)[k]) for name in columns}
+        rows.append(_Run(levels, None if block is None else table.text(block)[k]))
+    for k, row in enumerate(rows):
+        said = "" if failed is None else table.text(failed)[k]
+        if said.lower() not in _GOOD:
+            row.status = said.lower() if said.lower() in STATUSES else "failed"
+            row.message = f"as the column {failed} says: {said}"
+    for name in units:
+        for row, value in zip(rows, table.numbers(name, _MISSING).tolist(), strict=True):
+            if value == value:
+                row.values[name] = value
+            elif row.status == "converged":
+                row.status, row.message = "failed", f"the table has no value of {name}"
+    return rows
+
+
+def _factor(column: str) -> str:
+    """Name of a factor; a table of the file keeps its own."""
+    return f"{column}_" if column in TABLES else column
+
+
+def _label(cell: str) -> str:
+    """Label of a level: numbers that are equal are one level."""
+    try:
+        return level_label(float(cell))
+    except ValueError:
+        return level_label(cell)
+
+
+def _design(
+    name: str, columns: Sequence[str], units: Mapping[str, str], rows: Sequence[_Run], source: str
+) -> Design:
+    """Design whose cells are those of some runs."""
+    labels = {c: list(dict.fromkeys(row.levels[c] for row in rows)) for c in map(_factor, columns)}
+    few = [column for column, levels in labels.items() if len(levels) < 2]
+    if few:
+        mend = "leave it out: a factor has two levels or more"
+        raise InputError(Fault(source, f"{few[0]} is the same in all runs", mend))
+    presets: dict[str, object] = {}
+    for place, (column, levels) in enumerate(labels.items()):
+        key = f"parameters.factor_{place + 1}"
+        presets[column] = {level: {key: f"level {level}"} for level in levels}
+    cells = list({tuple(row.levels.items()): row.levels for row in rows}.values())
+    tables: dict[str, object] = {
+        "study": {"name": name, "question": f"Runs that were made elsewhere: {source}"},
+        "parameters": {f"factor_{k + 1}": "" for k in range(len(labels))},
+        "forward": {"model": "python"},
+        "presets": presets,
+        "factors": labels,
+        "response": [{"name": n, "unit": unit} for n, unit in units.items()],
+    }
+    if len(cells) > 1:
+        tables["design"] = {"kind": "listed", "treatments": cells}
+    most = max(map(len, _by_cell(rows).values()))
+    if most > 1:
+        tables["parameters"] |= {"replicate_number": 1}  # type: ignore[operator]
+        tables["replicates"] = {"key": "parameters.replicate_number", "n": most}
+    return loads(from_tables(tables), source)
+
+
+def _by_cell(rows: Sequence[_Run]) -> dict[tuple[object, ...], list[_Run]]:
+    found: dict[tuple[object, ...], list[_Run]] = defaultdict(list)
+    for row in rows:
+        found[tuple(sorted(row.levels.items())), row.block].append(row)
+    return found
+
+
+def _records(
+    design: Design,
+    blocks: Sequence[str],
+    rows: Sequence[_Run],
+    units: Mapping[str, str],
+    sha256: str,
+) -> list[Record]:
+    """Record of every run, in the place of a case of the design."""
+    places: dict[tuple[object, ...], list[tuple[Case, Origin]]] = defaultdict(list)
+    for case, origin in seeded(cases(design, blocks), design):
+        places[tuple(sorted(case.levels.items())), case.block].append((case, origin))
+    made = []
+    for cell, own in _by_cell(rows).items():
+        for row, (case, origin) in zip(own, places[cell], strict=False):
+            values = row.values if row.status == "converged" else {}
+            made.append(
+                Record(
+                    case.case_id, design.name, dict(case.levels), case.block, row.status,
+                    row.message,
+                    {n: {"value": values.get(n), "unit": unit} for n, unit in units.items()},
+                    versions=versions(),
+                    input_hash=digest([case.case_id, sha256, row.values, row.status]),
+                    extra=origin.to_json(),
+                )
+            )  # fmt: skip
+    return made
+
+
+def _check_own(store: Store, path: str | Path) -> None:
+    """Refuse the folder of a study that was computed here."""
+    known = store.read_manifest()
+    if known is not None and not any("were made elsewhere" in note for note in known["notes"]):
+        rule = f"{known['name']!r} is a study that was computed here"
+        raise InputError(Fault(str(path), rule, "give the imported one a name of its own: --name"))
