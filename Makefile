@@ -7,7 +7,8 @@
 #   make gallery  the shipped studies that are quick, run and photographed for the documentation
 #   make docs     the documentation site: docs/_build/index.html
 #   make newest   the test suite with the newest versions of all packages instead of the locked ones
-#   make other-processors   TESTS=... as other processors and installations would run them
+#   make other-processors   TESTS=... as other processors and installations would run them;
+#                           SETTINGS="--setting superlu+numba-generic" for some of them
 #   make check    the gates: style, types, layers, generated code, doctests
 
 PYTEST_WORKERS ?= 2
@@ -43,7 +44,7 @@ test: $(ready)
 	@$(one_thread) .venv/bin/python -m pytest -n $(PYTEST_WORKERS) --dist loadfile --no-loadscope-reorder -q
 
 other-processors: $(ready)
-	@.venv/bin/python scripts/other_processors.py --workers $(PYTEST_WORKERS) $(TESTS)
+	@.venv/bin/python scripts/other_processors.py --workers $(PYTEST_WORKERS) $(SETTINGS) $(TESTS)
 
 verify: $(ready)
 	@$(one_thread) .venv/bin/python -m pytest -m verify -s -q tests

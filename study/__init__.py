@@ -15,6 +15,7 @@ _LAZY = {
     "solve": "study.api",
     "calibrate": "study.api",
     "indentation_modulus": "study.api",
+    "inspect": "study.api",
     "analyze": "study.api",
     "converge": "study.api",
     "report": "study.api",

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ast
 import importlib
+import itertools
 import re
 import sys
 import tomllib
@@ -211,6 +212,30 @@ def stray_statistics(root: Path) -> list[str]:
         if isinstance(node, ast.stmt)
         and any(name.startswith("scipy.stats") and name != POINTS for name in _taken(node))
     ]
+
+
+#: searches of scipy.optimize whose result says whether they have converged; roots raise
+SEARCHES = {"minimize", "minimize_scalar", "least_squares", "root", "root_scalar", "linprog"}
+
+
+def unread_searches(root: Path) -> list[str]:
+    """Functions that search with scipy and do not read how the search ended."""
+    found = []
+    for path, tree in trees(root):
+        taken = {f"optimize.{name}" for name in SEARCHES}
+        for node in walked(tree):
+            if isinstance(node, ast.ImportFrom) and node.module == "scipy.optimize":
+                taken |= {alias.name for alias in node.names} & SEARCHES
+        classes = [node.body for node in tree.body if isinstance(node, ast.ClassDef)]
+        for node in itertools.chain(tree.body, *classes):
+            if isinstance(node, ast.FunctionDef):
+                nodes = list(ast.walk(node))
+                names = {n.attr for n in nodes if isinstance(n, ast.Attribute)}
+                calls = {ast.unparse(n.func) for n in nodes if isinstance(n, ast.Call)}
+                searches = calls & taken
+                if searches and not {*names, *calls} & {"settled", "status", "success"}:
+                    found.append(f"{path}: {node.name}")
+    return found
 
 
 def _taken(node: ast.AST) -> list[str]:

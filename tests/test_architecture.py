@@ -39,6 +39,10 @@ def test_only_rooms_of_statistics_ask_for_statistics() -> None:
     assert house.stray_statistics(ROOT) == []
 
 
+def test_every_search_is_asked_how_it_ended() -> None:
+    assert house.unread_searches(ROOT) == []
+
+
 def test_every_room_is_closed_to_execution() -> None:
     """A room that is new stands in the contract, too."""
     wings = _names("study") - {"study.ground", "study.harness", "study.__main__"}

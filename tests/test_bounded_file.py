@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import gzip
+import lzma
 import os
 import resource
 import socket
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -136,3 +138,15 @@ def test_a_file_is_hashed_without_being_held(tmp_path: Path) -> None:
     for name in ("pipe", "none"):
         with pytest.raises(UnreadableError):
             bounded_file.sha256_of(tmp_path / name)
+
+
+@pytest.mark.parametrize("packed", [zlib.compress, lzma.compress])
+def test_parts_that_others_unpack_are_limited_together(packed: Callable[[bytes], bytes]) -> None:
+    unpacker = bounded_file.Unpacker("f", 1000)
+    assert unpacker.decompress(packed(bytes(600))) == bytes(600)
+    with pytest.raises(NotRegularError, match="f: unpacked, holds more than 1000 bytes"):
+        unpacker.decompress(packed(bytes(401)))
+    with pytest.raises(UnreadableError, match="a part ends too early"):
+        bounded_file.Unpacker("f").decompress(packed(bytes(600))[:-2])
+    with pytest.raises(UnreadableError, match="f: is broken"):
+        bounded_file.Unpacker("f").decompress(b"\xfd7zXZ\0no archive")

@@ -279,6 +279,12 @@ def test_rules_see_statistics_outside_their_rooms(house: Path, line: str) -> Non
     assert rules.stray_statistics(house) == [f"study/ground/units.py:5: {line}"]
 
 
+def test_rules_see_a_search_that_nobody_asks_how_it_ended(house: Path) -> None:
+    code = "def lowest(f):\n    return optimize.minimize(f, 0.0).x\n"
+    plant(house, "ground/units.py", f"from scipy import optimize\n\n\n{code}")
+    assert rules.unread_searches(house) == ["study/ground/units.py: lowest"]
+
+
 def test_rules_see_a_small_helper_with_one_caller(house: Path) -> None:
     helper = '\n\ndef _half(x):\n    """Half."""\n    return x / 2\n'
     caller = "\n\ndef quarter(x):\n    return _half(x) / 2\n"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import importlib.util
 import subprocess
 import sys
@@ -17,6 +18,8 @@ assert SPEC is not None
 assert SPEC.loader is not None
 script = importlib.util.module_from_spec(SPEC)
 SPEC.loader.exec_module(script)
+
+VARIABLES = ["OPENBLAS_CORETYPE", "NUMBA_CPU_NAME", "PYTHONPATH", "MKL_CBWR"]
 
 REPORT = """<?xml version="1.0"?><testsuites><testsuite>
 <testcase classname="tests.a" name="test_x"/>
@@ -55,7 +58,34 @@ def test_every_setting_reaches_what_it_is_about(
 
     code = "import importlib.util as u; print(u.find_spec('pypardiso') is None)"
     assert printed("superlu", code) == "True"
-    code = "import numba; c = numba.config; print(c.CPU_NAME, repr(c.CPU_FEATURES))"
-    assert printed("numba-generic", code) == "generic ''"
+    code = (
+        "import numba; from study.ground.compilation import private_folder as f; "
+        "c = numba.config; print(c.CPU_NAME, repr(c.CPU_FEATURES), f())"
+    )
+    folder = tmp_path / "numba-generic" / "study"
+    assert printed("numba-generic", code) == f"generic '' {folder}"
     code = "import numpy; from threadpoolctl import threadpool_info as t; print(t())"
     assert "'architecture': 'Haswell'" in printed("openblas-haswell", code)
+    code = f"import os; print(*[os.environ.get(v) for v in {VARIABLES}])"
+    together = printed("openblas-prescott+numba-generic+superlu", code)
+    assert together == f"Prescott generic {tmp_path / 'without-pardiso'} None"
+    assert printed(script.USUAL, f"{code[:-1]}[:2])") == "None None"
+
+
+def test_settings_of_one_library_are_not_joined() -> None:
+    assert script.settings_of("superlu+mkl-compatible") == "superlu+mkl-compatible"
+    with pytest.raises(argparse.ArgumentTypeError, match="the same variable"):
+        script.settings_of("openblas-haswell+openblas-prescott")
+    with pytest.raises(argparse.ArgumentTypeError, match="joined by"):
+        script.settings_of("openblas-haswell+atlas")
+
+
+def test_what_fails_is_selected_for_the_usual_run() -> None:
+    name = "tests.test_other_processors::test_what_fails_is_selected_for_the_usual_run"
+    here = "tests/test_other_processors.py"
+    assert script.selectors([name, f"{name}[a::b]", "tests.test_units.TestX::test_y"]) == [
+        name.replace("tests.test_other_processors", here),
+        f"{name}[a::b]".replace("tests.test_other_processors", here),
+        "tests/test_units.py::TestX::test_y",
+    ]
+    assert script.selectors(["no.such.place::test"]) == []

@@ -66,6 +66,17 @@ def one_way(counts: tuple[int, ...], sds: tuple[float, ...], shift: float) -> Dr
     return draw
 
 
+def many(b: int, k: int) -> Draw:
+    """Levels in b blocks, the first of which is larger by skewed differences."""
+
+    def draw(random: np.random.Generator) -> pd.DataFrame:
+        table = crossed({"s": b, "a": k})
+        size = np.repeat(skewed(random, b), k) * (table["a"] == 0)
+        return table.assign(y=table["s"] + size + random.normal(0, 0.05, b * k))
+
+    return draw
+
+
 def blocks(b: int, noise: Callable[[np.random.Generator, int], Array], step: float = 0.0) -> Draw:
     """Two levels in b blocks; ``noise`` draws their differences or, with a step, readings."""
 
@@ -126,6 +137,25 @@ def lacking(b: int, k: int) -> Draw:
     return draw
 
 
+def gaps(b: int, noise: Callable[[np.random.Generator, int], Array], step: float = 0.0) -> Draw:
+    """Four levels in b blocks, each of which lacks one; the first level differs from the rest.
+
+    ``noise`` draws the difference of each block or, with a step, the scatter of readings.
+    """
+
+    def draw(random: np.random.Generator) -> pd.DataFrame:
+        table = crossed({"s": b, "a": 4})
+        first = table["a"] == 0
+        y = np.repeat(random.uniform(0, 10, b), 4)
+        if step:
+            y = step * np.round((y + noise(random, 4 * b) + 0.95 * first) / step)
+        else:
+            y = y + np.repeat(noise(random, b), 4) * first + random.normal(0, 0.05, 4 * b)
+        return table.assign(y=y).drop(index=[s * 4 + 1 + s % 3 for s in range(b)])
+
+    return draw
+
+
 def share(b: int) -> Draw:
     """Two levels that differ by 5 % of a mean that the blocks leave unsure."""
 
@@ -166,9 +196,15 @@ def tables() -> Iterator[Table]:
                     no, ("s",), ("a", "b"))  # fmt: skip
     yield Table("6 blocks lack one of 8", lacking(6, 8), ("a",), 1.0, block=("s",))
     yield Table("10 blocks lack one of 16", lacking(10, 16), ("a",), 1.0, block=("s",))
+    for b in (3, 5, 8):
+        yield Table(f"rounded, {b} blocks lack one of 4", gaps(b, rough, 1.0), ("a",), 0.95,
+                    block=("s",))  # fmt: skip
+    for b in (5, 8):
+        yield Table(f"skewed, {b} blocks lack one of 4", gaps(b, skewed), ("a",), 1.0, block=("s",))
     for counts, sds in (
         ((20, 20, 4), (0.3, 0.3, 1.0)), ((20, 20, 4), (0.3, 0.3, 0.6)), ((5, 5, 5), (0.3, 0.3, 1)),
-        ((3,) * 4, (0.3, 0.3, 0.3, 1.0)), ((10, 2), (0.3, 1.0)), ((30, 5), (1.0, 0.2)),
+        ((3,) * 4, (0.3, 0.3, 0.3, 1.0)), ((4,) * 4, (0.3, 0.3, 0.3, 1.0)),
+        ((10, 2), (0.3, 1.0)), ((30, 5), (1.0, 0.2)),
     ):  # fmt: skip
         limit = 3 * float(np.hypot(sds[0] / counts[0] ** 0.5, sds[-1] / counts[-1] ** 0.5))
         yield Table(f"scatter {sds} of {counts} rows", one_way(counts, sds, limit), ("a",), limit)
@@ -176,12 +212,15 @@ def tables() -> Iterator[Table]:
         yield Table(f"rounded, {b} blocks", blocks(b, rough, 1.0), ("a",), 0.95, block=("s",))
     for b in (5, 6, 8, 10):
         yield Table(f"skewed, {b} blocks", blocks(b, skewed), ("a",), 1.0, block=("s",))
+    for b, k in ((5, 3), (5, 4), (6, 4), (8, 4)):
+        yield Table(f"skewed, {b} blocks of {k}", many(b, k), ("a",), 1.0, block=("s",))
     yield Table("rows copied", repeated, ("a",), 0.2)
     for b in (3, 5, 9):
         yield Table(f"share of the mean, {b} blocks", share(b), ("a",), "5 % of mean", block=("s",))
     for levels, sd in (
         ({"s": 5, "a": 2}, 0.2), ({"s": 3, "a": 2}, 0.2), ({"s": 6, "a": 3, "b": 2}, 0.2),
-        ({"s": 9, "a": 2, "b": 2}, 0.3), ({"r": 5, "a": 3}, 0.3), ({"r": 10, "a": 3}, 0.45),
+        ({"s": 9, "a": 2, "b": 2}, 0.3), ({"s": 5, "a": 4}, 0.2),
+        ({"r": 5, "a": 3}, 0.3), ({"r": 10, "a": 3}, 0.45),
         ({"r": 3, "a": 2, "b": 2}, 0.22), ({"r": 2, "a": 2, "b": 2, "c": 2}, 0.22),
     ):  # fmt: skip
         factors = tuple(f for f in levels if f not in ("s", "r"))

@@ -358,7 +358,9 @@ def _verbs(commands: Sequence[Sequence[str]], project: Path, modest: bool, note:
     obey(modest)
     try:
         for words in commands:
-            command(words, note, apart=note.number % EVERY == 0 and words[:1] != ["serve"])
+            apart = note.number % EVERY == 0 and words[0] not in ("serve", "demo")
+            with fuzz_verbs.small_demo():
+                command(words, note, apart)
     finally:
         obey(False)
         _AUDIT[0].look(None)
@@ -421,16 +423,17 @@ def shown(kind: str, outcomes: Sequence[Outcome]) -> Iterator[str]:
     for outcome in outcomes:
         for verb in dict.fromkeys(words.partition(" ")[0] for words in outcome.commands):
             by_verb.setdefault(verb, []).append(outcome)
-    yield "verb         drawn  accepted  refused  faults      s    MB  slowest"
+    yield "verb         drawn  accepted  refused  faults  mean s      s    MB  slowest"
     for verb, rows in (*sorted(by_verb.items()), (kind, list(outcomes))):
         if not rows:
             yield f"{verb:<11}{0:>7}"
             continue
         fine, faulty = sum(o.accepted for o in rows), sum(bool(o.faults) for o in rows)
         slow = max(rows, key=lambda o: o.seconds)
+        mean, most = sum(o.seconds for o in rows) / len(rows), max(o.megabytes for o in rows)
         yield (
             f"{verb:<11}{len(rows):>7}{fine / len(rows):>10.0%}{len(rows) - fine:>9}{faulty:>8}"
-            f"{slow.seconds:>7.1f}{max(o.megabytes for o in rows):>6.0f}  {slow.number}"
+            f"{mean:>8.2f}{slow.seconds:>7.1f}{most:>6.0f}  {slow.number}"
         )
 
 

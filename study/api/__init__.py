@@ -42,6 +42,7 @@ _HOME = {
     "choose_energy": "study.api.calibrating",
     "indentation_modulus": "study.api.calibrating",
     "compare_tests": "study.api.calibrating",
+    "inspect": "study.api.calibrating",
     "converge": "study.api.converging",
     "virtual": "study.api.calibrating",
     "export": "study.api.haptics",

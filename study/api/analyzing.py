@@ -17,9 +17,10 @@ from study import api
 from study.api.records import effects_of_records, rows_for, specimens_of
 from study.api.uncertainty import numerical_bound
 from study.ground.bounded_file import sha256_of
+from study.ground.canonical import plain
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, StudyError, nearest
-from study.ground.tabular import NUMBER, names_of, read_tidy_csv
+from study.ground.tabular import NUMBER, names_of, read_csv, read_tidy_csv
 from study.harness.design.study_file import SCORED
 from study.harness.runner.expansion import held_out
 from study.harness.runner.response import CURVE_RESPONSES
@@ -35,16 +36,19 @@ from study.reporting.results.study_result import (
     ReportData,
     ResponseAnalysis,
 )
+from study.statistics.analysis.analysis_request import alpha_faults, threshold
 from study.statistics.analysis.analysis_result import AnalysisResult
 from study.statistics.analysis.anova import anova
 from study.statistics.analysis.comparisons import (
     Comparisons,
     FamilyTest,
+    GroupMoments,
     blocked_dunnett,
     dunnett,
     response_family,
     study_family,
 )
+from study.statistics.analysis.linear_model import Formula, read_formula
 from study.statistics.analysis.mixed_model import MixedModel, mixed_model, random_terms
 from study.statistics.analysis.post_hoc import (
     coefficient_table,
@@ -53,6 +57,7 @@ from study.statistics.analysis.post_hoc import (
     pairwise,
     unusual_observations,
 )
+from study.statistics.analysis.simple_effects import CANNOT_TELL, claim
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -417,7 +422,8 @@ def analyze(
     source : str, Path or DataFrame
         Results folder or design of a study, a tidy CSV (one row a run), or a table.
     response : str, optional
-        Column of the response; that of a study's first response by default.
+        Column of the response, or a formula: ``"len ~ supp * dose"``, ``"log(y) ~ a + b +
+        Error(block)"``; a study's first response by default.
     factors : sequence of str
         Columns of the factors; all factors of a study by default.
     results : Path
@@ -441,6 +447,10 @@ def analyze(
     RefusedError
         If the answer would be meaningless.
     """
+    if response is not None and "~" in response:
+        asked = read_formula(response)
+        response, factors = asked.response, factors or asked.factors
+        options = {**asked_of(asked), **options}
     if not isinstance(source, (str, Path)):
         return TableAnalysis.of(_analysis_table(source, response, factors, options))
     if _is_csv(Path(source)):
@@ -449,6 +459,96 @@ def analyze(
         frame = read_tidy_csv(Path(source), str(response), list(factors), blocks, unit, decimal)
         return TableAnalysis.of(_analysis_table(frame, response, factors, options))
     return TableAnalysis.of(_study(source, response, factors, results, options))
+
+
+@dataclass(frozen=True)
+class SummaryAnalysis:
+    """Groups of which mean, standard deviation and number of rows are known, compared."""
+
+    groups: GroupMoments
+    #: F, degrees of freedom and p: with one variance, and with one for each group (Welch).
+    anova: tuple[float, float, float, float]
+    welch: tuple[float, float, float, float]
+    tukey: Comparisons
+    games_howell: Comparisons
+    practical: float | None = None
+
+    @property
+    def verdicts(self) -> list[str | None]:
+        """Verdict of each pair: a claim where both intervals make it."""
+        if self.practical is None:
+            return [None] * len(self.tukey.pairs)
+        found = []
+        for pooled, own in zip(self.tukey.pairs, self.games_howell.pairs, strict=True):
+            claims = {claim(one.lower, one.upper, self.practical) for one in (pooled, own)}
+            found.append(claims.pop() or CANNOT_TELL if len(claims) == 1 else CANNOT_TELL)
+        return found
+
+    def to_json(self) -> dict[str, object]:
+        """Document of ``study analyze --summary --json``."""
+        tests = {"anova": self.anova, "welch": self.welch}
+        keys = ("f", "df", "df_error", "p")
+        return {
+            "groups": plain(self.groups),
+            **{name: dict(zip(keys, test, strict=True)) for name, test in tests.items()},
+            "tukey_kramer": plain(self.tukey.pairs),
+            "games_howell": plain(self.games_howell.pairs),
+            "practical": self.practical,
+            "verdicts": self.verdicts,
+        }
+
+
+def analyze_summary(
+    source: Path,
+    factors: Sequence[str],
+    columns: Sequence[str],
+    *,
+    practical: str | float | None = None,
+    alpha: float = 0.05,
+    decimal: str = ".",
+) -> SummaryAnalysis:
+    """Compare groups by mean, standard deviation and number: one row of a CSV each."""
+    if len(columns) != 3 or not factors:
+        rule = f"needs --factors and three columns, got {', '.join(columns) or 'none'}"
+        raise InputError(Fault("--summary", rule, "name mean, standard deviation and number"))
+    if faults := alpha_faults(alpha):
+        raise InputError(faults)
+    table = read_csv(source, required=[*factors, *columns], numbers=columns, decimal=decimal)
+    mean, sd, n = (table.numbers(name) for name in columns)
+    labels = list(zip(*(table.text(name) for name in factors), strict=True))
+    faults = [
+        Fault(table.place(i, columns[k]), rule)
+        for i in range(len(labels))
+        for k, ok, rule in (
+            (1, sd[i] > 0, "a standard deviation is positive"),
+            (2, n[i] >= 2 and float(n[i]).is_integer(), "a number of rows is two or more"),
+        )
+        if not ok
+    ]
+    if len(set(labels)) < len(labels) or len(labels) < 2:
+        faults.append(Fault(str(source), "needs two groups or more, each on one row"))
+    if faults:
+        raise InputError(faults)
+    limit = threshold(practical)
+    groups = GroupMoments(tuple(" ".join(row) for row in labels), n, mean, sd**2)
+    return SummaryAnalysis(
+        groups, groups.one_way(), groups.welch(), groups.pairs(alpha, equal=True),
+        groups.pairs(alpha, equal=False),
+        None if limit is None else limit.on_scale(float(n @ mean / n.sum()), "none"),
+    )  # fmt: skip
+
+
+def asked_of(formula: Formula) -> AnovaOptions:
+    """Options that a formula says."""
+    full = formula.model == ("full",)
+    options: AnovaOptions = {"model": "full" if full else [list(term) for term in formula.terms]}
+    if formula.blocks:
+        options["block"] = list(formula.blocks) if len(formula.blocks) > 1 else formula.blocks[0]
+    if formula.whole_plot:
+        options["whole_plot"] = list(formula.whole_plot)
+    if formula.transform != "none":
+        options["transform"] = formula.transform
+    return options
 
 
 # The same analysis over less of the test, to see whether the answer depends on its depth.

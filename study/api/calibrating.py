@@ -11,6 +11,8 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
+import numpy as np
+
 from study.api.folders import calibration_root
 from study.ground.errors import Fault, InputError
 from study.harness.calibration.calibrate_tests import calibrate as run_calibration
@@ -31,6 +33,7 @@ from study.mechanics.setup.geometry import Block, Cylinder, Sphere
 from study.mechanics.setup.material_section import CompressibilityTable, MaterialSection
 from study.reporting.figures.axes import shown
 from study.reporting.figures.curve_figures import FitPanel, draw_fit, fit_figure
+from study.reporting.figures.registry import of_recordings
 from study.reporting.output.notebook import Shown
 
 if TYPE_CHECKING:
@@ -40,6 +43,7 @@ if TYPE_CHECKING:
     from study.harness.design.calibration_section import CalibratedTest, CalibrationDesign
     from study.harness.runner.staged_fit import FitStep
     from study.mechanics.indentation.indentation_modulus import FittedCurve
+    from study.mechanics.measurement.inspection import Inspection
     from study.mechanics.setup.calibration_table import Fitting
     from study.reporting.figures.axes import Drawing
 
@@ -63,6 +67,34 @@ def panels_of(found: CalibrationResult) -> list[FitPanel]:
         )
         for curve in found.curves
     ]
+
+
+def recording_points(found: CalibrationResult) -> pd.DataFrame:
+    """Every recorded row of the tests of a calibration, its branch and why it is set aside."""
+    import pandas as pd
+
+    frames = []
+    for number, curve in enumerate(found.curves, 1):
+        for k, test in enumerate(curve.measured.tests, 1):
+            rows = test.specimen
+            if rows is None or rows.recording is None:
+                continue
+            branch = np.empty(rows.fate.size, dtype=object)
+            for phase in rows.phases:
+                branch[phase.rows] = phase.words
+            title = f"{number}: {curve.file}" + (f", {curve.specimen}" if curve.specimen else "")
+            shown = {
+                "test": title if len(curve.measured.tests) == 1 else f"{title}, {k}",
+                "line": rows.recording.lines or np.arange(1, rows.fate.size + 1),
+                "far": rows.recording.kinematic,
+                "hard": rows.recording.kinetic,
+                "branch": branch,
+                "set_aside": np.array(rows.reasons, dtype=object)[rows.fate],
+                "far_name": rows.recording.quantities[0],
+                "hard_name": rows.recording.quantities[1],
+            }
+            frames.append(pd.DataFrame(shown))
+    return pd.concat(frames, ignore_index=True)
 
 
 @dataclass(frozen=True, repr=False)
@@ -91,7 +123,7 @@ class Calibrated(Shown, CalibrationResult):
 
     def plot(self) -> Drawing:
         """Draw every measured curve with its fit or prediction, and the residuals below."""
-        title = f"{self.name}: {self.model}, {self.status}"
+        title = _title(self)
         return shown(lambda: draw_fit(panels_of(self), title), "calibration", title)
 
     def tables(self) -> Sequence[pd.DataFrame]:
@@ -264,8 +296,13 @@ def _located(config: CalibrationDesign, source: str | Path, root: Path) -> Calib
 
 
 def save_calibration(found: CalibrationResult, folder: Path) -> tuple[Path, Path]:
-    """Write the document and the figure of a calibration; returns both paths."""
-    folder.mkdir(parents=True, exist_ok=True)
+    """Write the document of a calibration, its figure and that of the recordings.
+
+    The paths of the first two are returned.
+    """
+    drawn = of_recordings(recording_points(found))
+    if drawn.svg:
+        write_atomic(folder / "recording.svg", drawn.svg.encode())
     document, figure = folder / "calibration.json", folder / "calibration.svg"
     text = json.dumps(found.to_json(), indent=2, allow_nan=False)
     write_atomic(document, text.encode())
@@ -273,9 +310,42 @@ def save_calibration(found: CalibrationResult, folder: Path) -> tuple[Path, Path
     return document, figure
 
 
+def _title(found: CalibrationResult) -> str:
+    return f"{found.name}: {found.model}, {found.status}, {found.adequacy.verdict} the data"
+
+
 def calibration_figure(found: CalibrationResult) -> str:
     """Every measured curve with its fit, as SVG."""
-    return fit_figure(panels_of(found), f"{found.name}: {found.model}, {found.status}")
+    return fit_figure(panels_of(found), _title(found))
+
+
+# What a recorded file holds.
+
+
+def inspect(source: str | Path, *, sheet: str = "") -> Inspection:
+    """Look at a recorded file: how it is written, what its columns hold, how it is read.
+
+    Parameters
+    ----------
+    source : str or Path
+        Recorded file: text or workbook, plain or gzip.
+    sheet : str
+        Sheet of a workbook; the one with the most numbers if it is empty.
+
+    Returns
+    -------
+    Inspection
+        Encoding, marks, columns, phases, and the table ``[measurements]`` that reads the file:
+        ``print(found.toml)``.
+
+    Raises
+    ------
+    InputError
+        For a file that cannot be read, or holds no rows of numbers.
+    """
+    from study.mechanics.measurement.inspection import inspect as look_at
+
+    return look_at(Path(source), sheet)
 
 
 # How a calibration file wants its constants found.
@@ -455,7 +525,6 @@ def save_moduli(found: AnalyticCalibration, folder: Path) -> tuple[Path, Path]:
 
     Units: found MPa, kPa.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     document, table = folder / "analytic.json", folder / "moduli.csv"
     text = json.dumps(found.to_json(), indent=2, allow_nan=False)
     write_atomic(document, text.encode())

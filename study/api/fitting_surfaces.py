@@ -108,7 +108,7 @@ def told(
 ) -> SurfaceAnalysis:
     """Say what a model means."""
     if isinstance(model, QuadraticSurface):
-        return analysis_of_quadratic(model)
+        return analysis_of_quadratic(model, practical, u)
     return analysis_of_emulator(model, practical, u)
 
 
@@ -155,11 +155,9 @@ def difference_of(practical: float | str | None, response: Array) -> float | Non
     return None if asked is None else asked.on_scale(float(response.mean()), "none")
 
 
-def remarks(runs: Runs, surface: str, practical: float | None) -> list[str]:
-    """Say what a quadratic does not judge, and why runs that fill the box got one all the same."""
+def remarks(runs: Runs, surface: str) -> list[str]:
+    """Say why runs that fill the box got a quadratic surface."""
     said, few = [], _few(runs)
-    if kind_of(runs, surface) == "quadratic" and practical is not None:
-        said.append("a quadratic surface judges terms: --practical is asked of an emulator")
     if surface == "auto" and few and max(runs.levels()) > GRID_LEVELS:
         said.append(
             f"a quadratic surface: an emulator needs at least {FEWEST_SETTINGS} settings of every "
@@ -470,7 +468,7 @@ def _noted(
         if one.found is None:
             noted.append(one)
             continue
-        said = (*left, *remarks(one.found.runs, surface, one.practical))
+        said = (*left, *remarks(one.found.runs, surface))
         noted.append(replace(one, found=one.found.noted(*said)))
         left = ()
     return noted

@@ -97,7 +97,6 @@ def export_material(title: str, material: Material, program: str, folder: Path) 
     text, converted = write(material, name), conversions.convert(material, program)
     judged = stability(material)
     warnings = () if judged.stable else (f"{judged.sentence}: Abaqus warns of it, FEBio does not",)
-    folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{name}{ending}"
     write_atomic(path, text.encode())
     return MaterialExport(name, converted, text, (path,), remarks(material, converted), warnings)
@@ -344,7 +343,6 @@ def export(
     law = solved_force_law(found.name, found.problem, wanted, progress)
     warnings = _warnings(law, tolerance)
     folder = Path(out)
-    folder.mkdir(parents=True, exist_ok=True)
     made = files(law, folder)
     for path, text in made.items():
         write_atomic(path, text.encode())
@@ -492,7 +490,6 @@ def export_surface(
         raise InputError(Fault(study.design.name, rule, said))
     made = tuple(surface_function(study.design.name, one) for one in good)
     folder = Path(out)
-    folder.mkdir(parents=True, exist_ok=True)
     texts = {place: text for one in made for place, text in one.files(folder).items()}
     for place, text in texts.items():
         write_atomic(place, text.encode())

@@ -104,8 +104,10 @@ def invert(  # noqa: PLR0913  # the public face: one keyword for each thing that
     ]
     curve, cut = _covered(curve, records, Path(to))
     notes += cut
-    found, runs = _solved(study, known, curve, records, _share(within), confirming, permission)
-    return _told(study, known, curve, found, runs, notes)
+    found, runs, said = _solved(
+        study, known, curve, records, _share(within), confirming, permission
+    )
+    return _told(study, known, curve, found, runs, [*notes, *said])
 
 
 @dataclass(frozen=True)
@@ -249,14 +251,14 @@ def _solved(
     share: float | None,
     confirming: bool,
     permission: Permission | None,
-) -> tuple[_Found, tuple[Checked, ...]]:
+) -> tuple[_Found, tuple[Checked, ...], list[str]]:
     """Let the true model run at the best setting until the emulator says the same there."""
     own = permission or Permission()
     found = _fitted(study, known, curve, records, share)
     if not confirming:
         _check_agrees(found, curve, share)
-        return found, ()
-    run = None
+        return found, (), []
+    run, notes = None, list[str]()
     for _ in range(ROUNDS):
         run, record = _run(study, known, curve, found, found.set.at, own)
         if record is None:
@@ -266,14 +268,20 @@ def _solved(
         if record.case_id not in {one.case_id for one in records}:
             records.append(record)
             found = _fitted(study, known, curve, records, share)
-        if float(np.sqrt(np.mean(missed**2))) <= found.model.loo_rms:
+        if (apart := float(np.sqrt(np.mean(missed**2)))) <= found.model.loo_rms:
             break
+    else:
+        notes.append(
+            f"after {ROUNDS} runs at the best setting the emulator still misses the true model "
+            f"there by {apart:.3g} N, more than its own error of {found.model.loo_rms:.3g} N: add "
+            "runs near that setting to the study"
+        )
     _check_agrees(found, curve, share)
     ends = []
     if found.set.combinations or found.set.open_low.any() or found.set.open_high.any():
         ends = [_run(study, known, curve, found, one, own)[0] for one in found.set.ends]
     first = [] if run is None else [_judged(run, found)]
-    return found, (*first, *(_judged(one, found) for one in ends))
+    return found, (*first, *(_judged(one, found) for one in ends)), notes
 
 
 def _judged(run: Checked, found: _Found) -> Checked:

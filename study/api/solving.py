@@ -86,6 +86,7 @@ def solve(
     *,
     overrides: Sequence[str] = (),
     gradients: bool = True,
+    follow: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> SolvedProblem:
     """Simulate one test.
@@ -99,6 +100,9 @@ def solve(
         ``key=value`` each, laid over the file before it is validated.
     gradients : bool
         Whether dF/d(constant) is computed too.
+    follow : bool
+        Whether to go on behind an instability, on the whole body bent a little into its mode;
+        without it the status is ``unstable`` there and the curve ends.
     progress : callable, optional
         Called with the fraction that is done.
 
@@ -132,6 +136,11 @@ def solve(
     [0.993, 2.1022]
     """
     made = _problem(problem, overrides)
+    if follow and not made.setup.has_no_elements:
+        from study.mechanics.solver.finite_element_solution import follow as behind_instability
+
+        found = behind_instability(made, gradients=gradients, progress=progress)
+        return SolvedProblem.of(found)
     return SolvedProblem.of(at_steps(made, gradients=gradients, progress=progress))
 
 
@@ -181,6 +190,7 @@ def solution_json(solution: Solution) -> dict[str, object]:
             "mismatch": solution.energy.mismatch.tolist(),
             "snaps_mm": list(solution.energy.jumps_mm),
         },
+        **solution.equilibria.to_json(),
         "mesh_hash": solution.mesh_hash,
         "mesh_size_mm": solution.mesh_size_mm,
     }

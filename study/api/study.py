@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import nullcontext
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,8 +18,9 @@ from study.api.folders import REPORTS, RESULTS, design_root, results_folder
 from study.api.manifest import WARN, check_choice, check_stale, manifest_of, mixed_meshes
 from study.api.opened_study import Study, count_cases, open_study
 from study.api.planning import control_seconds, controls_of, refinement_seconds, with_time_left
+from study.api.predicting import Permission, confirm_claims
 from study.api.uncertainty import validate
-from study.ground.errors import InputError, RefusedError, StudyError
+from study.ground.errors import InputError, RefusedError, StoppedError, StudyError, WriteError
 from study.ground.memory import uncollected
 from study.harness.design.load import from_tables, load, loads
 from study.harness.design.spec import Design
@@ -34,7 +35,7 @@ from study.harness.runner.expansion import expand
 from study.harness.runner.fit_problem import Allowed, externals
 from study.harness.runner.provenance import surface_files, versions
 from study.harness.runner.tasks import computing_on, default_jobs, memory_of, processes
-from study.harness.runner.virtual_specimens import write_virtual
+from study.harness.runner.virtual_specimens import usual_generator, write_virtual
 from study.reporting.figures.axes import load_libraries
 from study.reporting.output import write as provenance
 from study.reporting.output.write import checked_formats, main_file, write
@@ -109,6 +110,7 @@ def run(
     stale: str = WARN,
     memory: str | None = None,
     engine: Engine | None = None,
+    confirm: bool = False,
 ) -> Study:
     """Compute what is missing of a study, then analyze and report it.
 
@@ -154,6 +156,9 @@ def run(
     engine : str, Path, distributed.Client or Executor, optional
         Where to compute instead of processes of this machine: the address or the scheduler file
         of a Dask cluster, a client of one, or an executor. Results do not depend on it.
+    confirm : bool
+        Whether the extremes of factors that are numbers are run where these are said to matter:
+        the claim waits for them.
 
     Returns
     -------
@@ -196,15 +201,29 @@ def run(
     with store.lock():
         warnings += check_stale(work, store, stale)
         store.begin_run(manifest_of(work))
-        work, summary = _compute(
-            work, store, clock, jobs, progress, timeout_s, refine, executor,
-            lambda design: expand(design, root, allowed),
-        )  # fmt: skip
-        _finish(store, work, clock.parts, summary)
-        warnings += mixed_meshes(work, store)
-    return report(
-        store.path, reports=reports, formats=formats, extra_warnings=warnings, began=clock
-    )
+        with _records_written():
+            work, summary = _compute(
+                work, store, clock, jobs, progress, timeout_s, refine, executor,
+                lambda design: expand(design, root, allowed),
+            )  # fmt: skip
+            _finish(store, work, clock.parts, summary)
+            warnings += mixed_meshes(work, store)
+    if confirm:
+        confirm_claims(open_study(store.path), Permission(data, allowed, progress))
+        clock.mark("confirming runs")
+    with _records_written():
+        return report(
+            store.path, reports=reports, formats=formats, extra_warnings=warnings, began=clock
+        )
+
+
+@contextmanager
+def _records_written() -> Iterator[None]:
+    """Context in which a file that cannot be written stops a run that has written others."""
+    try:
+        yield
+    except WriteError as error:
+        raise error if isinstance(error, StoppedError) else StoppedError(str(error)) from error
 
 
 def _compute(
@@ -387,5 +406,5 @@ def demo(
     if spec is None or spec.file is None:
         raise RuntimeError("the embedded design names no measurement file")
     if not (folder / spec.file).is_file():
-        write_virtual(design, folder)
+        write_virtual(design, folder, usual_generator(design, truth_name="humphrey"))
     return run(design, data=folder, jobs=jobs, results=results, reports=reports, progress=progress)

@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING
 from study.cli import output
 from study.reporting.content.numbers import ratio_digits
 from study.reporting.content.verdicts import told
+from study.statistics.analysis.equal_variance import LeveneResult
 from study.statistics.analysis.simple_effects import REFUSALS
 
 if TYPE_CHECKING:
+    from study.api.analyzing import SummaryAnalysis
     from study.statistics.analysis.analysis_result import AnalysisResult
     from study.statistics.analysis.anova_table import Effect, NestedUnits, Row
     from study.statistics.analysis.comparisons import Comparisons
@@ -159,13 +161,13 @@ def _print_checks(found: AnalysisResult) -> None:
     for test in (found.assumptions.anderson_darling, found.assumptions.shapiro_wilk):
         if test is not None and test.p is not None:
             rows.append([test.name, _number(test.statistic, 4), _p(test.p), ""])
-    bartlett, levene = found.assumptions.bartlett, found.assumptions.levene
-    if bartlett is not None and bartlett.applicable:
-        line = [_number(bartlett.statistic, 4), _p(bartlett.p), _p(bartlett.p_monte_carlo)]
-        rows.append(["Bartlett", *line])
-    if levene is not None and levene.applicable:
-        line = [_number(levene.statistic, 4), _p(levene.p), _p(levene.p_monte_carlo)]
-        rows.append([f"Levene ({levene.center})", *line])
+    for test in found.assumptions.spread.values():
+        if test.applicable:
+            label = f"Levene ({test.center})" if isinstance(test, LeveneResult) else "Bartlett"
+            rows.append([label, _number(test.statistic, 4), _p(test.p), _p(test.p_monte_carlo)])
+    if found.assumptions.fligner is not None:
+        statistic, p = found.assumptions.fligner
+        rows.append(["Fligner-Killeen", _number(statistic, 4), _p(p), ""])
     tukey = found.assumptions.non_additivity
     if tukey is not None and tukey.p is not None:
         rows.append(["Tukey's non-additivity", _number(tukey.f, 4), _p(tukey.p), ""])
@@ -174,6 +176,11 @@ def _print_checks(found: AnalysisResult) -> None:
             rows.append([f"Mauchly's sphericity, {term}", _number(sphere.w, 4), _p(sphere.p), ""])
     if len(rows) > 1:
         output.table(rows, "Assumptions")
+    _print_outliers(found)
+
+
+def _print_outliers(found: AnalysisResult) -> None:
+    """Print contrasts beyond Lenth's margins, and rows that the fit leans on."""
     if found.variation.lenth is not None:
         lenth = found.variation.lenth
         print(
@@ -268,3 +275,22 @@ def print_reference(factor: str, found: Comparisons) -> None:
     ]
     output.table(rows, f"{factor} against {found.pairs[0].second} ({found.method})")
     print()
+
+
+def print_summaries(found: SummaryAnalysis) -> None:
+    """Print the comparison of groups of which only moments are known."""
+    rows = [["Test", "F-Value", "DF", "DF of error", "P-Value"]]
+    for name, (f, df, rest, p) in (("one variance", found.anova), ("Welch", found.welch)):
+        rows.append([name, f"{f:.2f}", f"{df:g}", f"{rest:.4g}", _p(p)])
+    output.table(rows, "Are the means equal?")
+    print()
+    ends = f"{100 * (1 - found.tukey.alpha):.4g} % interval"
+    head = ["Groups", "difference", ends, "p", "Games and Howell", "p"]
+    rows = [head if found.practical is None else [*head, "verdict"]]
+    both = zip(found.tukey.pairs, found.games_howell.pairs, found.verdicts, strict=True)
+    for pooled, own, verdict in both:
+        line = [f"{pooled.first} - {pooled.second}", _number(pooled.difference)]
+        for pair in (pooled, own):
+            line += [_interval((pair.lower, pair.upper)), _p(pair.p)]
+        rows.append(line if verdict is None else [*line, verdict])
+    output.table(rows, "All pairs (Tukey and Kramer; variances of their own: Games and Howell)")

@@ -23,7 +23,7 @@ from study.cli import (
 )
 from study.cli.output import complain, interrupted, is_resumable, written
 from study.cli.study_commands import REPORTS, RESULTS, Reports, Results, Set
-from study.ground.errors import DiskFullError, Fault, InputError, StudyError
+from study.ground.errors import Fault, InputError, StoppedError, StudyError
 from study.ground.working_folder import leave
 
 # The verb that shows studies in a browser.
@@ -187,7 +187,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
         code = app(words, prog_name="study", standalone_mode=False)
     except StudyError as error:
         complain(error)
-        if not isinstance(error, DiskFullError) or not is_resumable(typed):
+        if not isinstance(error, StoppedError) or not is_resumable(typed):
             return error.exit_code
         code = INTERRUPTED
     except KeyboardInterrupt:

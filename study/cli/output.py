@@ -220,8 +220,8 @@ def print_nuisance(found: Document) -> None:
     table(rows, "nuisance parameters")
     if any(one["treated"] == "fitted" and one["uncertainty"] for one in found.values()):
         print(
-            "what was expected of a fitted one is a pseudo-observation: a row of the fit that "
-            "nobody measured"
+            "the expected value of a fitted parameter enters the fit as one row, as if it were "
+            "measured"
         )
 
 

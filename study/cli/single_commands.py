@@ -40,6 +40,9 @@ def solve(
     vtu: Annotated[
         Path | None, typer.Option(help="VTU file for the deformed fields, for ParaView.")
     ] = None,
+    follow: Annotated[
+        bool, typer.Option("--follow", help="Go on behind an instability, on the whole body.")
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Simulate one test."""
@@ -49,7 +52,7 @@ def solve(
     if picture or vtu:
         _writable(picture, vtu)
     output.warn(cautions(file, settings or ()))
-    solution = api.solve(file, overrides=settings or ())
+    solution = api.solve(file, overrides=settings or (), follow=follow)
     curve = solution.curve
     if picture or vtu:
         _write_fields(solution, picture, vtu)
@@ -172,7 +175,8 @@ def _show(found: CalibrationResult, convention: str, folder: Path, as_json: bool
         output.print_json(document)
     else:
         _print_calibration(document)
-        print(f"written: {folder / 'calibration.json'}, {folder / 'calibration.svg'}")
+        names = ("calibration.json", "calibration.svg", "recording.svg")
+        print(f"written: {', '.join(str(folder / name) for name in names)}")
 
 
 def _chosen(file: Path, data: Path | None, settings: Sequence[str] | None) -> Document:
@@ -200,7 +204,43 @@ def _compared(
     return document
 
 
-VERBS: tuple[Callable[..., None], ...] = (solve, calibrate, converge, doctor)
+def inspect(
+    file: Annotated[Path, typer.Argument(help="Recorded file: text or workbook, also .gz.")],
+    sheet: Annotated[str, typer.Option(help="Sheet of a workbook that has several.")] = "",
+    as_json: Json = False,
+) -> None:
+    """Show what a recorded file holds, and the table [measurements] that reads it."""
+    from study import api
+
+    found = api.inspect(file, sheet=sheet)
+    if as_json:
+        output.print_json(found.to_json())
+        return
+    names = "" if found.header_line is None else f", names in line {found.header_line}"
+    names += "" if found.unit_line is None else f", units in line {found.unit_line}"
+    print(f"{found.file}: {found.encoding}, delimiter {found.delimiter}, decimal mark "
+          f"{found.decimal!r}{names}, {found.rows} rows in lines {found.lines[0]} to "
+          f"{found.lines[1]}")  # fmt: skip
+    if found.sheets:
+        print(f"sheets: {', '.join(found.sheets)}")
+    for line in found.preamble:
+        print(f"  before the names: {line}")
+    rows = [["column", "unit", "taken for", "from", "to"]]
+    for one in found.columns:
+        ends = [output.number(one.low, 6), output.number(one.high, 6)]
+        held = one.quantity or (f"labels {', '.join(one.labels[:3])}" if one.labels else "-")
+        rows.append([one.name, one.unit or "-", held, *ends])
+    output.table(rows, "columns")
+    for phase in found.phases:
+        far, hard = (f"{a:.6g} to {b:.6g}" for a, b in zip(phase.start, phase.end, strict=True))
+        print(f"{phase.phase}: lines {phase.lines[0]} to {phase.lines[1]}, "
+              f"{far} {found.units[0]}, {hard} {found.units[1]}")  # fmt: skip
+    for note in found.notes:
+        print(f"note: {note}")
+    print(f"\n{found.toml}")
+
+
+VERBS: tuple[Callable[..., None], ...] = (solve, calibrate, inspect, converge, doctor)
 
 
 class _Line:
@@ -265,6 +305,7 @@ def _print_calibration(found: Document) -> None:
             f"if every point is independent, {lack['p_dependent']:.3g} if every curve is"
         )
     print(f"{found['status']}: {found['message']} ({found['evaluations']} evaluations)")
+    print(f"{found['fit']['verdict']}: {found['fit']['sentence']}")
     verdict = "identifiable" if found["identifiable"] else "not identifiable"
     print(f"{verdict}{': ' + found['reason'] if found['reason'] else ''}")
     if found["identifiability"] and found["identifiability"]["sentence"]:
@@ -349,7 +390,8 @@ def _print_curves(indent: str, curves: Sequence[Document]) -> None:
             print(f"{indent}{curve['role']}: {name}: no prediction: {curve['message']}")
             continue
         print(f"{indent}{curve['role']}: {name}: RMS error {curve['relative_rms_force_error']:.3g} "
-              f"% of the RMS force ({curve['rms_force_error']:.3g} N)")  # fmt: skip
+              f"% of the RMS force ({curve['rms_force_error']:.3g} N), "
+              f"R2 {output.number(curve['r_squared'], 4)}")  # fmt: skip
 
 
 def _print_comparison(found: Document) -> None:

@@ -149,6 +149,12 @@ def _p(p: float) -> str:
 #: Flags as they were given; what was not given is None or empty.
 Flags = Mapping[str, str | None]
 
+FormulaText = Annotated[
+    str | None,
+    typer.Argument(
+        metavar="FORMULA", help="'len ~ supp * dose': response, factors and model in one."
+    ),
+]
 Column = Annotated[str | None, typer.Option(help="Column of the response.")]
 Columns = Annotated[str, typer.Option(help="Columns of the factors, with commas.")]
 Blocks = Annotated[
@@ -181,6 +187,13 @@ ContrastsAsked = Annotated[
     typer.Option(
         "--contrast", help="A difference of your own: 'model=stiff - model=soft'; repeatable."
     ),
+]
+Welch = Annotated[
+    bool, typer.Option(help="A variance of its own for each cell: Welch, Games and Howell.")
+]
+Summary = Annotated[
+    str,
+    typer.Option(help="Columns of mean, standard deviation and number: each row is a group."),
 ]
 Kind = Annotated[str | None, typer.Option("--type", help="Sums of squares: I, II, III.")]
 Model = Annotated[
@@ -220,6 +233,7 @@ Source = Annotated[
 
 def analyze(
     source: Source,
+    formula: FormulaText = None,
     response: Column = None,
     factors: Columns = "",
     block: Blocks = None,
@@ -228,6 +242,7 @@ def analyze(
     replicates: Replicates = None,
     copies: Copies = None,
     error: Error = None,
+    welch: Welch = False,
     kind: Kind = None,
     model: Model = None,
     practical: Practical = None,
@@ -242,13 +257,42 @@ def analyze(
     random: Random = "",
     covariates: Covariates = "",
     contrast: ContrastsAsked = None,
+    summary: Summary = "",
     results: Results = RESULTS,
     as_json: Json = False,
 ) -> None:
     """Analyze a study's results, or any CSV with one row a run."""
     from study import api
 
+    if summary:
+        from study.api.analyzing import analyze_summary
+        from study.cli import analysis_tables
+
+        groups = analyze_summary(
+            source, names(factors), names(summary), practical=practical, alpha=alpha or 0.05,
+            decimal=decimal,
+        )  # fmt: skip
+        if as_json:
+            output.print_json(groups.to_json())
+        else:
+            analysis_tables.print_summaries(groups)
+        return
+    if welch and error:
+        raise InputError(Fault("--welch", f"is an error of its own, beside --error {error}"))
+    error = "welch" if welch else error
+
     _check_report(source, report, formats)
+    if formula is not None:
+        if response or factors or model:
+            given = "--response, --factors and --model"
+            raise InputError(Fault("formula", f"says what {given} say", "leave those out"))
+        from study.statistics.analysis.linear_model import read_formula
+
+        asked = read_formula(formula)
+        response, factors, model = asked.response, ",".join(asked.factors), ",".join(asked.model)
+        block = block or ",".join(asked.blocks)
+        whole_plot = whole_plot or ",".join(asked.whole_plot)
+        transform = transform or asked.transform
     flags = {
         "--response": response, "--factors": factors, "--block": block, "--unit": unit,
         "--whole-plot": whole_plot, "--replicates": replicates, "--copies": copies,

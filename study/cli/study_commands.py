@@ -123,6 +123,9 @@ def run(
     scheduler: Annotated[
         str, typer.Option(help="Compute on a Dask cluster: its address, or its scheduler file.")
     ] = "",
+    confirm: Annotated[
+        bool, typer.Option("--confirm", help="Run the extremes that confirm verdicts over numbers.")
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Compute what is missing, then analyze and report; run it again to resume."""
@@ -133,7 +136,7 @@ def run(
             design, data=data, jobs=jobs, results=results, reports=reports,
             overrides=settings or (), progress=progress, timeout_s=timeout, refine=refine,
             allow_commands=allow_commands or allow_digest, stale=stale, memory=memory,
-            engine=scheduler or None,
+            engine=scheduler or None, confirm=confirm,
         )  # fmt: skip
     _finish(study, as_json, _folders(results, reports))
 

@@ -195,6 +195,7 @@ def print_surface(found: SurfaceAnalysis, units: Mapping[str, str] | None = None
     model = found.model
     if isinstance(model, QuadraticSurface):
         _print_quadratic(model, units or {})
+        _print_sensitivity(found, units or {})
     else:
         runs = model.runs
         blocks = f", one emulator for each of {len(set(runs.blocks))} blocks" if runs.blocks else ""
@@ -236,14 +237,15 @@ def _print_sensitivity(found: SurfaceAnalysis, units: Mapping[str, str]) -> None
     rows = [["Rank", "Factor", "S", "T", "Range", "Verdict"]]
     for item in sorted(found.sensitivity, key=lambda item: item.rank):
         row = [str(item.rank), item.factor]
-        if item.index is None or item.range is None:
-            rows.append([*row, "-", "-", "-", "cannot tell"])
-            continue
         index, effect = item.index, item.range
-        row.append(_share(index.first, index.first_interval))
-        row.append(_share(index.total, index.total_interval))
+        row += ["-", "-"] if index is None else [
+            _share(index.first, index.first_interval), _share(index.total, index.total_interval)
+        ]  # fmt: skip
+        if effect is None:
+            rows.append([*row, "-", "cannot tell"])
+            continue
         row.append(f"{effect.value:.4g} +- {effect.bound:.2g}")
-        rows.append([*row, f"{effect.verdict}, if confirmed" if effect.claims else effect.verdict])
+        rows.append([*row, effect.told])
     if found.sensitivity:
         output.table(rows, f"Sensitivity: {found.runs.name}")
         print()

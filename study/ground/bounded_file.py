@@ -11,14 +11,16 @@ from __future__ import annotations
 import gzip
 import hashlib
 import io
+import lzma
 import os
 import stat
+import zipfile
 import zlib
 from pathlib import Path
 
 from pydantic_core import from_json
 
-from study.ground.errors import Fault, InputError, StoreError
+from study.ground.errors import Fault, InputError, StoreError, nearest
 
 #: bytes of a file of data, before and after it is unpacked
 MAX_BYTES = 256_000_000
@@ -136,6 +138,28 @@ def unzip(raw: bytes, source: str | Path, limit: int = MAX_BYTES) -> bytes:
     return unpacked.getvalue()
 
 
+class Unpacker:
+    """Stands for the modules zlib and lzma where others unpack: all parts together are limited."""
+
+    def __init__(self, source: str | Path, limit: int = MAX_BYTES) -> None:
+        self._source, self._limit, self._left = source, limit, limit
+
+    def decompress(self, data: bytes) -> bytes:
+        """Unpack a part, packed by zlib or lzma."""
+        is_lzma = data[:6] == b"\xfd7zXZ\0"
+        stream = lzma.LZMADecompressor(memlimit=MAX_BYTES) if is_lzma else zlib.decompressobj()
+        try:
+            part: bytes = stream.decompress(data, self._left + 1)
+        except (zlib.error, lzma.LZMAError) as error:
+            raise UnreadableError(self._source, f"is broken ({error})") from error
+        self._left -= len(part)
+        if self._left < 0:
+            raise NotRegularError(self._source, f"unpacked, {_larger(self._limit)}")
+        if not stream.eof:
+            raise UnreadableError(self._source, "is broken (a part ends too early)")
+        return part
+
+
 def sha256_of(path: str | Path) -> str:
     """Hash of a file of at most :data:`MAX_HASHED_BYTES`; UnreadableError as for the others."""
     stream = open_regular(path, MAX_HASHED_BYTES)
@@ -179,12 +203,31 @@ def unzipped(raw: bytes, source: str) -> bytes:
         raise InputError(Fault(source, error.rule, mend)) from error
 
 
-def decoded(data: bytes, source: str) -> tuple[str, str]:
+#: encodings that may be declared, and how Python calls them
+ENCODINGS = {
+    "utf-8": "utf-8-sig",
+    "utf-16": "utf-16",
+    "latin-1": "latin-1",
+    "windows-1252": "cp1252",
+    "mac-roman": "mac_roman",
+}
+
+
+def decoded(data: bytes, source: str, declared: str = "") -> tuple[str, str]:
     """Text of a file and its encoding: UTF-8, UTF-16 with a byte order mark, or Windows-1252.
 
     Windows-1252 is what instruments write that know no UTF-8; it is taken only where no other
-    character of the file is UTF-8, for then the damage of one byte is the likelier reading.
+    character of the file is UTF-8, for then the damage of one byte is the likelier reading. One
+    of :data:`ENCODINGS` that is declared is taken, whatever the file looks like.
     """
+    if declared:
+        try:
+            return _without_nul(data.decode(ENCODINGS[declared]), source), declared
+        except UnicodeDecodeError as error:
+            line = data.count(b"\n", 0, error.start) + 1
+            rule = f"byte {data[error.start]:#04x} is not {declared}, which is declared"
+            mend = "leave measurements.encoding out: it is found"
+            raise InputError(Fault(f"{source}:{line}", rule, mend)) from error
     encoding = "UTF-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "UTF-8"
     try:
         text = data.decode("utf-16" if encoding == "UTF-16" else "utf-8-sig")
@@ -199,7 +242,81 @@ def decoded(data: bytes, source: str) -> tuple[str, str]:
         except UnicodeDecodeError:
             rule += " and not Windows-1252"
             raise InputError(Fault(place, rule, "save the file as UTF-8")) from error
+    return _without_nul(text, source), encoding
+
+
+def _without_nul(text: str, source: str) -> str:
     if "\0" in text:
         line = text.count("\n", 0, text.index("\0")) + 1
         raise InputError(Fault(f"{source}:{line}", "holds a NUL character: this is not a CSV file"))
-    return text, encoding
+    return text
+
+
+# Sheets of Excel workbooks, as tab-separated text whose lines are the rows of the sheet.
+
+_OLD_WORKBOOK = b"\xd0\xcf\x11\xe0"
+
+
+def is_workbook(data: bytes) -> bool:
+    """Whether the content of a file is an Excel workbook."""
+    return data[:4] in (b"PK\x03\x04", _OLD_WORKBOOK)
+
+
+def sheets_of(data: bytes, source: str) -> dict[str, list[list[object]]]:
+    """Cells of every sheet of a workbook, by its name."""
+    from python_calamine import CalamineError, CalamineWorkbook
+
+    mend = "save it as .xlsx, or the sheet as CSV"
+    if data[:4] == _OLD_WORKBOOK:
+        raise InputError(Fault(source, "is a workbook of Excel 2003 or older", mend))
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as packed:
+            size = sum(one.file_size for one in packed.infolist())
+        if size > MAX_BYTES:
+            raise InputError(Fault(source, f"unpacked, {_larger(MAX_BYTES)}", _THIN_OUT))
+        book = CalamineWorkbook.from_filelike(io.BytesIO(data))
+        return {
+            name: book.get_sheet_by_name(name).to_python(skip_empty_area=False)
+            for name in book.sheet_names
+        }
+    except (zipfile.BadZipFile, CalamineError, OSError, ValueError) as error:
+        raise InputError(
+            Fault(source, f"is no workbook that can be read ({error})", mend)
+        ) from error
+
+
+def sheet_text(data: bytes, source: str, sheet: str = "", decimal: str = ".") -> tuple[str, str]:
+    """Sheet of a workbook as tab-separated text, and what was read; the only one if none is named.
+
+    Line numbers of the text are the numbers of the rows in the sheet.
+    """
+    sheets = sheets_of(data, source)
+    filled = [name for name, rows in sheets.items() if rows]
+    if sheet and sheet not in sheets:
+        raise InputError(Fault(source, f"has no sheet {sheet!r}", nearest(sheet, sheets)))
+    if not sheet and len(filled) != 1:
+        listed = ", ".join(map(repr, filled[:20]))
+        rule = f"holds several sheets: {listed}" if filled else "holds no filled sheet"
+        raise InputError(Fault(source, rule, f"write sheet = {filled[0]!r}" if filled else ""))
+    name = sheet or filled[0]
+    lines = ["\t".join(_cell_text(cell, decimal) for cell in row) for row in sheets[name]]
+    return "\n".join(lines), f"workbook, sheet {name!r}"
+
+
+def _cell_text(cell: object, decimal: str) -> str:
+    if isinstance(cell, float):
+        return repr(cell).removesuffix(".0").replace(".", decimal)
+    text = " ".join(str(cell).split())
+    return f'"{text.replace(chr(34), chr(34) * 2)}"' if '"' in text else text
+
+
+def table_text(
+    raw: bytes, source: str, *, encoding: str = "", sheet: str = "", decimal: str = "."
+) -> tuple[str, str]:
+    """Text of a table, plain or gzip, or of a sheet of a workbook; and how it was read."""
+    data = unzipped(raw, source)
+    if is_workbook(data):
+        return sheet_text(data, source, sheet, decimal)
+    if sheet:
+        raise InputError(Fault(source, "is no workbook, so it has no sheets", "leave sheet out"))
+    return decoded(data, source, encoding)

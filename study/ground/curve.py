@@ -27,7 +27,8 @@ _ALONE = 0.02
 class Curve:
     """Force against displacement of a whole specimen."""
 
-    #: shape (n,); displacement of the plate or indenter, positive into the specimen, increasing.
+    #: shape (n,); displacement of the plate or indenter, positive into the specimen, increasing. Of
+    #: a specimen that was loaded both ways through zero it begins below zero.
     displacement_mm: Array
     #: shape (n,); force on the whole specimen, positive when it resists.
     force_N: Array
@@ -42,6 +43,8 @@ class Curve:
     #: then stand still and go back, so that the force is known at the rows themselves and nowhere
     #: between.
     time_s: Array | None = None
+    #: Whether the work is that of the force: not where a plate also moves sideways.
+    is_conjugate: bool = True
     #: Rows that a measured curve was interpolated from, those of every repeat; none where its
     #: points are the rows.
     recorded: tuple[Curve, ...] = ()
@@ -69,13 +72,15 @@ class Curve:
             self._check_rows(d)
             return self.force_N
         knots, force, slope = self._with_origin()
-        if d.size and (d.min() < -1e-12 or d.max() > knots[-1] * (1 + 1e-9) + 1e-12):
+        low, high = min(float(knots[0]), 0.0), float(knots[-1])
+        slack = 1e-12 + 1e-9 * max(high, -low)
+        if d.size and (d.min() < low - (slack if low < 0 else 1e-12) or d.max() > high + slack):
             raise ValueError(
-                f"the curve ends at {knots[-1]:.6g} mm, asked for {d.min():.6g} to {d.max():.6g} mm"
+                f"the curve ends at {high:.6g} mm, asked for {d.min():.6g} to {d.max():.6g} mm"
             )
         if slope is None:
             return np.asarray(np.interp(d, knots, force))
-        places = np.clip(d, 0, knots[-1])
+        places = np.clip(d, low, high)
         return _hermite(places, knots, force, slope) + self._bulge(places)
 
     def stiffness_at(self, displacement_mm: ArrayLike) -> Array:
@@ -105,7 +110,7 @@ class Curve:
         """
         off = np.abs(self._missed_mean())
         x, f, k = self._with_origin()
-        if k is None or self.work_Nmm is None or not off.size:
+        if k is None or self.work_Nmm is None or not (self.is_conjugate and off.size):
             return off
         if len(self) == off.size:
             bent = _BENT * abs(float(k[1] * x[1] - f[1]))
@@ -190,6 +195,7 @@ class Curve:
             {name: slope[kept] for name, slope in self.force_gradient.items()},
             None if self.work_Nmm is None else self.work_Nmm[kept],
             None if self.time_s is None else self.time_s[kept],
+            self.is_conjugate,
         )
 
     def without_gradients(self) -> Curve:
@@ -234,7 +240,7 @@ class Curve:
         if knots[0] > 0:
             knots = np.r_[0.0, knots]
             values = np.concatenate([np.zeros((1, values.shape[1])), values])
-        places = np.clip(d, 0, knots[-1])
+        places = np.clip(d, min(float(knots[0]), 0.0), knots[-1])
         if not values.size:
             return np.empty((d.size, values.shape[1]))
         if knots.size < 3:
@@ -251,6 +257,8 @@ class Curve:
             out["stiffness_N_per_mm"] = self.stiffness_N_per_mm.tolist()
         if self.work_Nmm is not None:
             out["work_Nmm"] = self.work_Nmm.tolist()
+        if not self.is_conjugate:
+            out["is_conjugate"] = False
         if self.time_s is not None:
             out["time_s"] = self.time_s.tolist()
         if self.force_gradient:
@@ -271,6 +279,7 @@ class Curve:
             {k: np.asarray(v, float) for k, v in data.get("force_gradient", {}).items()},
             None if work is None else np.asarray(work, float),
             None if time is None else np.asarray(time, float),
+            bool(data.get("is_conjugate", True)),
             tuple(cls.from_dict(one) for one in data.get("recorded", ())),
         )
 
@@ -294,14 +303,14 @@ class Curve:
         # Where the work is not known, the one that makes it a parabola.
         d, f = float(self.displacement_mm[0]), float(self.force_N[0])
         slope = 0.0 if self.stiffness_N_per_mm is None else float(self.stiffness_N_per_mm[0])
-        if self.work_Nmm is None:
+        if self.work_Nmm is None or not self.is_conjugate:
             return 2 * f / d - slope
         return slope + 12 * (float(self.work_Nmm[0]) - f * d / 2) / d**2
 
     def _missed_mean(self) -> Array:
         """Mean force that each interval's cubic lacks of the known work, N."""
         knots, force, slope = self._with_origin()
-        if slope is None or self.work_Nmm is None:
+        if slope is None or self.work_Nmm is None or not self.is_conjugate:
             return np.zeros(max(knots.size - 1, 0))
         work = self.work_Nmm if knots.size == len(self) else np.r_[0.0, self.work_Nmm]
         return (np.diff(work) - hermite_work(knots, force, slope)) / np.diff(knots)

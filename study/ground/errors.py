@@ -10,7 +10,9 @@
     |-- RefusedError           the answer would be meaningless (exit 3)
     |-- StoreError             records that cannot be read, written or locked (exit 2)
     |   |-- NewerSchemaError   written by a newer version: neither damage nor ours to replace
-    |   `-- DiskFullError      no space, no quota or no disk any more (exit 1, a run 130)
+    |   `-- WriteError         a file that cannot be written (exit 2)
+    |       `-- StoppedError     after records were written (exit 1, a run 130)
+    |           `-- DiskFullError  no space, no quota or no disk any more
     `-- SchedulerLostError     the cluster is gone in the middle of a run (exit 130, resumable)
 
 Expected failure of a computation (a case that did not converge) is a status in a
@@ -22,6 +24,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Protocol, TypeVar
 
 
 class StudyError(Exception):
@@ -73,6 +76,29 @@ class RefusedError(StudyError):
     exit_code = 3
 
 
+class Search(Protocol):
+    """Result of a search of scipy.optimize: whether and how it ended, and its words."""
+
+    success: bool
+    status: int
+    message: str
+
+
+_Search = TypeVar("_Search", bound=Search)
+#: status of L-BFGS-B where rounding leaves no lower value along a line: as good as converged
+_AT_ROUNDING = 2
+
+
+def settled(search: _Search, what: str, *, by_lines: bool = False) -> _Search:
+    """Give back a search that has converged; refuse one that ended by its number of steps.
+
+    ``by_lines`` says that the search is one by L-BFGS-B, which may end at rounding.
+    """
+    if not search.success and not (by_lines and search.status == _AT_ROUNDING):
+        raise RefusedError(f"{what}: the search has not converged ({search.message})")
+    return search
+
+
 class StoreError(StudyError):
     """Records on disk that cannot be read, written or locked."""
 
@@ -81,10 +107,18 @@ class NewerSchemaError(StoreError):
     """What a newer version wrote: it is whole, and this one must not touch it."""
 
 
-class DiskFullError(StoreError):
-    """The disk took no more; what was written before is whole."""
+class WriteError(StoreError):
+    """A file that could not be written, of a run that had written nothing before."""
+
+
+class StoppedError(WriteError):
+    """Writing that became impossible on the way; what was written before is whole."""
 
     exit_code = 1
+
+
+class DiskFullError(StoppedError):
+    """The disk took no more."""
 
 
 class SchedulerLostError(StudyError):

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from study.ground.arrays import Array
-from study.ground.bounded_file import decoded, read_bytes, unzipped
+from study.ground.bounded_file import read_bytes, table_text
 from study.ground.errors import Fault, InputError, nearest
 from study.ground.units import is_unit
 
@@ -49,7 +49,7 @@ _GROUPS = {
 }
 _DIGIT = re.compile(r"\d", re.ASCII)
 #: a unit in brackets or without
-_UNIT_CELL = re.compile(r"[\[(]?\s*([^\d\s\[\]()][^\[\]()]{0,15}|1)\s*[\])]?")
+UNIT_CELL = re.compile(r"[\[(]?\s*([^\d\s\[\]()][^\[\]()]{0,15}|1)\s*[\])]?")
 _FORMULA = re.compile(r"[=+\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
 #: How a measured file declares its decimal comma.
 MEASURED_COMMA = 'decimal = "," in [measurements]'
@@ -76,6 +76,8 @@ class CsvTable:
     declared_by: str = MEASURED_COMMA
     #: Unit of every column, as a row below the header says; empty without such a row.
     units: Mapping[str, str] = field(default_factory=dict)
+    #: Mark between groups of three digits that was declared; found where it is empty.
+    thousands: str = ""
 
     def of_file(self, raw: bytes, encoding: str) -> CsvTable:
         """Copy with the hash of the file, and a note of an encoding that is not UTF-8."""
@@ -83,21 +85,22 @@ class CsvTable:
         digest = hashlib.sha256(raw).hexdigest()
         return replace(self, sha256=digest, notes=(*notes, *self.notes))
 
-    def without_units(self, required: Sequence[str]) -> CsvTable:
-        """Copy without the row of units below the header, if there is one.
+    def without_units(self, required: Sequence[str], declared: bool | None = None) -> CsvTable:
+        """Copy without the row of units below the header, if there is one, or it is declared.
 
         It is one where every required column of numbers holds a unit or nothing in its first row.
         """
-        if len(self.lines) < 2:
+        if len(self.lines) < 2 or declared is False:
             return self
         first = {name: self.columns[name][0] for name in required}
         measured = [name for name in required if _DIGIT.search(self.columns[name][1])]
-        units = {name: _UNIT_CELL.fullmatch(cell) for name, cell in first.items()}
-        if not measured or not all(units[name] or not first[name] for name in measured):
-            return self
+        units = {name: UNIT_CELL.fullmatch(cell) for name, cell in first.items()}
         shown = {name: unit[1] for name, unit in units.items() if unit and name in measured}
-        if not any(unit != "1" and is_unit(unit) for unit in shown.values()):
-            return self
+        if not declared:
+            if not measured or not all(units[name] or not first[name] for name in measured):
+                return self
+            if not any(unit != "1" and is_unit(unit) for unit in shown.values()):
+                return self
         return replace(
             self,
             columns={name: cells[1:] for name, cells in self.columns.items()},
@@ -120,15 +123,13 @@ class CsvTable:
     def numbers(self, name: str, missing: Collection[str] = ()) -> NDArray[np.float64]:
         """Cells of a column as finite numbers, shape (rows,)."""
         cells = self.text(name)
-        absent = [k for k, cell in enumerate(cells) if missing and cell.lower() in missing]
-        plain = _plain(cells, self.decimal)
-        for k in absent:
-            plain[k] = "0"
-        values = np.array([float(c) if NUMBER.fullmatch(c) else math.inf for c in plain])
+        absent = {k for k, cell in enumerate(cells) if missing and cell.lower() in missing}
+        marked = ["0" if k in absent else cell for k, cell in enumerate(cells)] if absent else cells
+        values = parsed_numbers(marked, self.decimal, self.thousands)
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:
             raise InputError(self._cell_faults(name, cells, bad.tolist()))
-        values[absent] = math.nan
+        values[list(absent)] = math.nan
         return values
 
     def _cell_faults(self, name: str, cells: Sequence[str], rows: Sequence[int]) -> list[Fault]:
@@ -153,14 +154,15 @@ def read_csv(
     decimal: str = ".",
     source: str | None = None,
     declared_by: str = MEASURED_COMMA,
+    sheet: str = "",
 ) -> CsvTable:
-    """Read a CSV file (plain or gzip) with a header row."""
+    """Read a CSV file (plain or gzip), or a sheet of a workbook, with a header row."""
     name = source or str(path)
     if decimal not in (".", ","):
         rule = f"must be '.' or ',', got {decimal!r}"
         raise InputError(Fault("decimal", rule))
     raw = read_bytes(path, name)
-    text, encoding = decoded(unzipped(raw, name), name)
+    text, encoding = table_text(raw, name, sheet=sheet, decimal=decimal)
     table = parse_csv(
         text, required=required, numbers=numbers, decimal=decimal, source=name,
         declared_by=declared_by,
@@ -177,16 +179,18 @@ def parse_csv(
     source: str = "<text>",
     declared_by: str = MEASURED_COMMA,
     numbered: Sequence[int] | None = None,
+    delimiter: str = "",
 ) -> CsvTable:
     """Parse the text of a CSV file; see :func:`read_csv`.
 
-    ``numbered`` holds the number that each line has in its file, where some were left out.
+    ``numbered`` holds the number that each line has in its file, where some were left out; the
+    delimiter is found where it is not given.
     """
     text = text.replace("\r\n", "\n").replace("\r", "\n")
     lines = text.split("\n")
     numbered = numbered or range(1, len(lines) + 1)
     _check_shape(lines, source)
-    delimiter = _delimiter(lines[0], required, decimal)
+    delimiter = delimiter or _delimiter(lines[0], required, decimal)
     rows, at, blank = _rows(text, lines, delimiter, source, numbered)
     if not rows:
         raise InputError(Fault(source, "the file is empty", "it needs a header line and rows"))
@@ -390,15 +394,15 @@ def _short(cell: str) -> str:
     return repr(cell if len(cell) <= 40 else cell[:37] + "...")
 
 
-def _plain(cells: Sequence[str], decimal: str) -> list[str]:
+def _plain(cells: Sequence[str], decimal: str, thousands: str = "") -> list[str]:
     """Numbers with a decimal point and without marks of thousands; ``?`` for what is neither.
 
     A space or an apostrophe between groups of three digits parts thousands. So does the mark that
     is not the decimal one, where a cell of the column shows the decimal one: ``1,200`` beside
-    ``0.5`` is 1200, and alone it may be 1.2.
+    ``0.5`` is 1200, and alone it may be 1.2, unless it was declared.
     """
     other = "." if decimal == "," else ","
-    shown = any(decimal in cell for cell in cells)
+    shown = thousands == other or any(decimal in cell for cell in cells)
     groups = _GROUPS[decimal]
     plain = []
     for cell in cells:
@@ -407,6 +411,17 @@ def _plain(cells: Sequence[str], decimal: str) -> list[str]:
             cell = cell.replace(match[1], "")
         plain.append("?" if other in cell else cell.replace(decimal, "."))
     return plain
+
+
+def is_number(cell: str, decimal: str, thousands: str = "") -> bool:
+    """Whether a cell holds a number."""
+    return NUMBER.fullmatch(_plain((cell,), decimal, thousands)[0]) is not None
+
+
+def parsed_numbers(cells: Sequence[str], decimal: str, thousands: str = "") -> NDArray[np.float64]:
+    """Numbers of some cells, infinite where a cell is none. Shapes: returns (cells,)."""
+    plain = _plain(cells, decimal, thousands)
+    return np.array([float(c) if NUMBER.fullmatch(c) else math.inf for c in plain])
 
 
 def _number_mend(cell: str, decimal: str, declared_by: str) -> str:

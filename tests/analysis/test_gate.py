@@ -16,7 +16,7 @@ from study.ground.errors import RefusedError
 from study.statistics.analysis.anova import anova
 from study.statistics.analysis.comparisons import games_howell
 from study.statistics.analysis.data import resolution
-from study.statistics.analysis.effects import cell_welch
+from study.statistics.analysis.effects import cell_welch, own_variances
 from study.statistics.analysis.linear_model import CellLayout as Layout
 from study.statistics.analysis.linear_model import model_matrix
 from study.statistics.analysis.simple_effects import (
@@ -116,7 +116,7 @@ def test_welch_intervals_of_one_factor_are_those_of_games_and_howell() -> None:
     levels = model_matrix(Layout(layout.levels, {"a": np.arange(3)}), [("a",)]).columns
     pairs = np.array(list(itertools.combinations(range(3), 2)))
     asked = Differences(levels, pairs[:, 0], pairs[:, 1])
-    ours = cell_welch(fit, y, codes, 0.05, 0.0)(asked)
+    ours = cell_welch(fit, codes, own_variances(y, codes), 0.05, 0.0)(asked)
     theirs = games_howell({str(k): y[codes == k] for k in range(3)}).pairs
     half = ours.error * ours.simultaneous
     assert ours.value == pytest.approx([p.difference for p in theirs])
@@ -354,3 +354,47 @@ def test_differences_of_rounding_are_no_skewed_sample() -> None:
     table["y"] = 3.0 + table["s"] + 4e-16 * (table["a"] * (1 + table["s"] ** 3))
     found = anova(table, "y", ["a"], block="s", records=True, practical=0.5, exact=False)
     assert found.effect("a").verdict == NO_DIFFERENCE
+
+
+def lacking_a_cell(seed: int, step: float, bend: float, noise: float) -> pd.DataFrame:
+    """Three by two in six blocks, each of which lacks one of its cells."""
+    random = np.random.default_rng(seed)
+    table = crossed(s=6, a=3, c=2)
+    bent = bend * (1 - table["a"]) * (2 * table["c"] - 1)
+    y = np.repeat(random.normal(0, 3, 6), 6) + bent + random.normal(0, noise, 36)
+    table["y"] = step * np.round(y / step) if step else y
+    return table.drop(index=[6 * s + s for s in range(6)])
+
+
+def test_a_declared_model_over_blocks_that_lack_cells_is_held_against_its_lack_of_fit() -> None:
+    table = lacking_a_cell(59, 0.0, 0.3, 0.3)
+    found = anova(table, "y", ["a", "c"], block="s", model=1, practical=0.9, exact=False)
+    for name in "ac":
+        effect = found.effect(name)
+        assert effect.verdict == CANNOT_TELL
+        assert "leaves out interactions" in effect.why
+        assert effect.withdrawn == (effect.why,)
+    assert any(note.startswith("lack of fit") for note in found.notes)
+
+
+def test_a_verdict_says_what_withdrew_it_and_is_null_without_a_practical_difference() -> None:
+    table = groups(5, (20, 20, 4), (0.2, 0.2, 2.0))
+    found = anova(table, "y", ["a"], practical=2.5, exact=False)
+    document = found.to_json()
+    (effect,) = document["effects"]
+    assert (effect["verdict"], len(effect["withdrawn"])) == (CANNOT_TELL, 1)
+    assert document["structure"]["empty_cells"] == 0
+    (row,) = found.verdicts()
+    assert row["withdrawn"] == effect["withdrawn"]
+    (effect,) = anova(table, "y", ["a"], exact=False).to_json()["effects"]
+    assert effect["verdict"] is None
+    assert {e["verdict"] for e in effect["simple_effects"]} == {None}
+
+
+def test_three_rows_of_a_cell_share_what_they_tell_of_the_scatter() -> None:
+    y, cell = np.array([1.0, 2.0, 3.0, 5.0, 5.2, 5.4, 7.0]), np.array([0, 0, 0, 1, 1, 1, 2])
+    variance, df = own_variances(y, cell, shrinkage=1.0)
+    pooled = (2 * 1.0 + 2 * 0.04) / 4
+    assert variance == pytest.approx([(1 + pooled) / 2, (0.04 + pooled) / 2, pooled])
+    assert df.tolist() == [4, 4, 4]
+    assert own_variances(y, cell)[0] == pytest.approx([1, 0.04, np.inf])

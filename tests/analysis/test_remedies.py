@@ -5,14 +5,22 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.stats import ttest_ind
+from scipy.stats import f_oneway, fligner, ttest_ind, tukey_hsd
 from statsmodels.stats.power import FTestPowerF2
 
 from study.ground.errors import InputError
 from study.statistics.analysis.anova import anova
-from study.statistics.analysis.assumptions import box_cox, hc3, sensitivity, welch_factorial
-from study.statistics.analysis.comparisons import dunnett, games_howell, holm, letters, tukey_kramer
+from study.statistics.analysis.assumptions import box_cox, hc3, sensitivity
+from study.statistics.analysis.comparisons import (
+    GroupMoments,
+    dunnett,
+    games_howell,
+    holm,
+    letters,
+    tukey_kramer,
+)
 from study.statistics.analysis.data import prepare
+from study.statistics.analysis.equal_variance import fligner as fligner_killeen
 from study.statistics.analysis.linear_model import model_matrix, terms_of
 from study.statistics.analysis.power import detectable, power_of
 from study.statistics.analysis.sums_of_squares import factor, influence
@@ -136,9 +144,10 @@ def test_hc3_says_so_when_cells_have_no_spread(table: pd.DataFrame) -> None:
 def test_welch_james_is_welch_in_one_way(table: pd.DataFrame) -> None:
     oneway = pytest.importorskip("statsmodels.stats.oneway").anova_oneway
     theirs = oneway(table["y"], groups=table["a"], use_var="unequal")
-    ours = welch_factorial(table, "y", ["a"])["a"]
+    ours = anova(table, "y", ["a"], error="welch", exact=False).anova.row("a")
     assert ours.f == pytest.approx(theirs.statistic, rel=1e-8)
     assert ours.p == pytest.approx(theirs.pvalue, rel=1e-8)
+    assert ours.df_error == pytest.approx(theirs.df[1], rel=1e-8)
 
 
 def test_a_cell_without_rows_moves_no_exponent(table: pd.DataFrame) -> None:
@@ -173,3 +182,41 @@ def test_sensitivity_table(table: pd.DataFrame) -> None:
     result = sensitivity(table, "y", ["a", "b"])
     assert set(result.p["a"]) == {"ordinary F", "HC3 Wald", "Welch-James", "F of the log"}
     assert result.agreement["a"].endswith("of 4 analyses")
+
+
+def test_groups_of_which_only_moments_are_known_compare_as_their_rows() -> None:
+    moments = GroupMoments.of(GROUPS)
+    values = [np.asarray(v, dtype=float) for v in GROUPS.values()]
+    assert moments.one_way()[0] == pytest.approx(f_oneway(*values).statistic, rel=1e-10)
+    assert moments.one_way()[3] == pytest.approx(f_oneway(*values).pvalue, rel=1e-10)
+    table = pd.DataFrame({"a": np.repeat(list(GROUPS), [v.size for v in values]),
+                          "y": np.concatenate(values)})  # fmt: skip
+    asked = anova(table, "y", ["a"], error="welch", exact=False)
+    f, k, df, p = moments.welch()
+    row = asked.anova.row("a")
+    assert (row.f, row.df, row.df_error, row.p) == pytest.approx((f, k, df, p), rel=1e-8)
+    # the intervals of the analysis are those of Games and Howell
+    theirs = {(x.first, x.second): x for x in moments.pairs(0.05, equal=False).pairs}
+    for pair in asked.effect("a").pairs:
+        other = theirs[pair.first, pair.second]
+        assert (pair.lower, pair.upper) == pytest.approx((other.lower, other.upper), rel=1e-8)
+    for equal in (True, False):
+        own = tukey_hsd(*values, equal_var=equal)
+        ends = own.confidence_interval(0.95)
+        for x in moments.pairs(0.05, equal=equal).pairs:
+            i, j = (list(GROUPS).index(name) for name in (x.first, x.second))
+            assert x.p == pytest.approx(own.pvalue[i, j], abs=1e-9)
+            assert x.lower == pytest.approx(ends.low[i, j], abs=1e-6)
+
+
+def test_fligner_and_killeen_as_scipy() -> None:
+    found = fligner_killeen(list(GROUPS.values()))
+    theirs = fligner(*GROUPS.values(), center="median")
+    assert found == pytest.approx((theirs.statistic, theirs.pvalue), rel=1e-10)
+    assert fligner_killeen([[1, 1], [2, 2]]) is None
+
+
+def test_welch_needs_rows_in_every_cell(table: pd.DataFrame) -> None:
+    one = table.groupby("a", as_index=False).first()
+    with pytest.raises(InputError, match="two rows or more in every cell"):
+        anova(pd.concat([one, one.iloc[1:].assign(y=3.0)]), "y", ["a"], error="welch")

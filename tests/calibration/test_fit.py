@@ -207,6 +207,28 @@ def test_profile_of_one_constant_and_of_nothing():
         profile(predict, data, stopped, "C10")
 
 
+def test_a_profile_tells_where_the_others_could_not_be_fitted():
+    """A place without an answer is no place where the profile has met its limit."""
+    predict, d = predictor(*RP2, depth=9.0)
+    data = virtual(predict, [7e-3, 1e-3], d, 1e-2, np.random.default_rng(5))
+    found = fit(predict, data, RP2[1], [5e-3, 0.0])
+    first, (low, high) = float(found.values[0]), found.ci95[0]
+    near = first + 0.3 * (high - first)
+
+    def fragile(values):
+        if values[0] > near:
+            raise EvaluationFailed("no answer there")
+        return predict(values)
+
+    open_end = profile(fragile, data, found, "C10")
+    assert open_end.interval[0] == pytest.approx(low, rel=1e-3)
+    assert np.isnan(open_end.interval[1])
+    # a bound is an end that is known, with an answer there or without
+    bounds = [(0.0, near), (-np.inf, np.inf)]
+    for model in (predict, fragile):
+        assert profile(model, data, found, "C10", bounds=bounds).interval[1] == near
+
+
 def test_failures_inside_a_fit():
     predict, d = predictor(*RP2, depth=9.0)
     data = virtual(predict, [7e-3, 1e-3], d)

@@ -17,6 +17,7 @@ from study.mechanics.calibration.fit import fit
 from study.mechanics.calibration.fit_influence import with_serial_correlation
 from study.mechanics.calibration.residual_function import MeasuredCurve, Prior
 from study.mechanics.forward import closed_form
+from study.mechanics.material.homogeneous import response
 from study.mechanics.material.material import Material
 from study.mechanics.setup.setup import specimen_of
 from tests.runner.test_calibrate import RP2, SPECIMEN, case, write
@@ -248,3 +249,48 @@ def test_a_radius_of_an_indenter_moves_the_modulus_as_hertz_says(tmp_path):
     found = api.calibrate(tmp_path / "c.toml", data=tmp_path).fit
     assert found.standard_error[0] / found.values[0] == pytest.approx(0.01, rel=0.1)
     assert found.nuisance[0].shares["C10"] > 0.99
+
+
+def shifted(tmp_path, offset, zero, rng):
+    """Compression of 5 kPa with an offset of the plate and a zero of the load cell, .02 N noise."""
+    d = np.linspace(0.1, 9.0, 60)
+    material = Material("neo-hookean", {"C10": 5e-3}, incompressible=True)
+    force = -np.pi * 25**2 * response(material, "uniaxial", 1 - (d + offset) / 30).stress
+    force = force + zero + 0.02 * rng.normal(size=d.size)
+    rows = "\n".join(f"{a:.9g},{b:.9g},1" for a, b in zip(d, force, strict=True))
+    (tmp_path / "a.csv").write_text(f"d,f,r\n{rows}\n", encoding="utf-8")
+    text = 'displacement_offset = "0.5 mm"\nforce_zero = "0.2 N"'
+    return api.calibrate(
+        nuisance(tmp_path, text, {"points": '"raw"'}, "neo-hookean", ""), data=tmp_path
+    )
+
+
+@pytest.mark.parametrize("sigmas", [-2, -1, 0.4, 1, 2])
+def test_an_offset_is_found_wherever_its_prior_lets_it_be(tmp_path, sigmas):
+    rng = np.random.default_rng(int(10 + sigmas))
+    for _ in range(3):
+        found = shifted(tmp_path, 0.5 * sigmas, 0.15, rng)
+        offset, zero = found.fit.nuisance
+        assert found.converged
+        # noise of .02 N against .2 N: the rows find all three; four standard errors
+        assert abs(offset.value - 0.5 * sigmas) < 4 * offset.standard_error
+        assert abs(zero.value - 0.15) < 4 * zero.standard_error
+        assert abs(found.fit.values[0] - 5e-3) < 4 * found.fit.standard_error[0]
+        assert found.fit.standard_error[0] < 0.03 * 5e-3
+
+
+@pytest.mark.verify
+def test_fifty_draws_of_offsets_and_zeros_of_both_signs(tmp_path):
+    rng, inside = np.random.default_rng(99), np.zeros(3)
+    for k in range(52):
+        true = (0.5 * [-2, -1, 1, 2][k % 4], [0.15, -0.15, 0.3, -0.3][(k // 4) % 4])
+        found = shifted(tmp_path, *true, rng)
+        errors = [
+            (one.value - value) / one.standard_error
+            for one, value in zip(found.fit.nuisance, true, strict=True)
+        ]
+        errors.append((found.fit.values[0] - 5e-3) / found.fit.standard_error[0])
+        assert np.abs(errors).max() < 4
+        inside += np.abs(errors) < 2
+    # 47 of 50 by the first run; 52 at 95 % are fewer than 44 in 0.5 %
+    assert inside.min() >= 44

@@ -243,3 +243,28 @@ def _runs(folder: Path) -> int:
     answer: Answer = study("report", "product", "--json")
     assert answer.code == 0, answer.err
     return sum(one["runs"] for one in answer.json["surfaces"])
+
+
+def test_a_claim_over_numbers_waits_for_the_runs_that_confirm_it(
+    product: tuple[Path, StudyResult],
+) -> None:
+    home, found = product
+    rows = [row for row in found.verdicts if str(row["verdict"]).startswith("matters")]
+    assert rows
+    assert {row["verdict"] for row in rows} == {"matters, if confirmed"}
+    assert all(row["ci95"][0] < row["effect"] < row["ci95"][1] for row in rows)
+    # rows of different settings are told apart
+    assert len({(row["factor"], *row["at"].items()) for row in rows}) == len(rows)
+    sure = public.run(
+        home / "product.toml", jobs=1, results=home / "results", reports=None, forward=forward,
+        version="1", confirm=True,
+    )  # fmt: skip
+    claims = {(r["factor"], *r["at"].items()): r["verdict"] for r in sure.verdicts}
+    confirmed = [claims[row["factor"], *row["at"].items()] for row in rows]
+    assert confirmed.count("matters") >= len(rows) - 1
+    # two runs of the true model stand behind each
+    (surface, *_) = sure.surfaces
+    for item in surface.found.sensitivity:
+        if item.range is not None and item.range.confirmed:
+            low, high = surface.found.runs.response.min(), surface.found.runs.response.max()
+            assert high - low > 0.2

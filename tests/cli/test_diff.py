@@ -99,7 +99,7 @@ def test_report_beside_another_study(here: Path) -> None:
     assert set(answer.json["beside"]) >= {"summary", "conclusions"}
     page = (here / answer.json["report"]).read_text()
     assert '<section id="beside">' in page
-    assert "Beside other" in page
+    assert "Compared with other" in page
     table = (here / "two" / "small" / "small-data" / "table-beside.csv").read_text()
     assert table.count("\n") == 1 + 2 * 3
 

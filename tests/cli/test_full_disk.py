@@ -61,6 +61,50 @@ def test_a_run_on_a_full_disk_is_stopped_and_resumes(home: Path, fill: Fill) -> 
     assert not halves(home)
 
 
+def test_a_run_that_may_write_no_longer_is_stopped_and_resumes(
+    home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Exit 2 says that nothing was written, which is true of the first file alone."""
+    whole, records = FileSystem.write, list[Path]()
+
+    def write(system: FileSystem, path: Path, data: bytes) -> None:
+        records.extend([path] * ("record.json" in path.name))
+        if len(records) > lost:
+            raise PermissionError(errno.EACCES, "Permission denied")
+        whole(system, path, data)
+
+    lost = 3
+    with monkeypatch.context() as patch:
+        patch.setattr(FileSystem, "write", write)
+        answer = study(*RUN)
+    assert answer.code == 130
+    assert "Permission denied" in answer.err
+    assert f"To resume:\n  study {' '.join(RUN)}\n" in answer.err
+    assert not halves(home)
+    lost = -1
+    with monkeypatch.context() as patch:
+        patch.setattr(FileSystem, "write", write)
+        answer = study("run", "small.toml", "--data", "data", "--results", "other")
+    assert (answer.code, answer.out) == (2, "")
+    assert study(*RUN).code == 0
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("demo", "--results", "file"),
+        ("virtual", "file", "--from", "small.toml"),
+        ("virtual", "file"),
+    ],
+)
+def test_a_file_in_the_place_of_a_folder_is_refused(home: Path, words: tuple[str, ...]) -> None:
+    (home / "file").write_text("mine")
+    answer = study(*words)
+    assert answer.code == 2
+    assert "could not be written (Not a directory)" in answer.err
+    assert (home / "file").read_text() == "mine"
+
+
 @pytest.mark.parametrize("name", ["numbers.json", "small.html", "made-from.json"])
 def test_a_report_on_a_full_disk_leaves_no_part_of_a_file(
     done: Path, fill: Fill, name: str

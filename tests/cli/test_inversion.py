@@ -6,7 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import qmc
 
+from study.api import inverting
+from study.statistics.surfaces import surface_inversion
+from study.statistics.surfaces.surface_factors import NumericFactor, Runs
+from study.statistics.surfaces.surface_inversion import agreeing
+from study.statistics.surfaces.surface_profile import fit_curves
 from tests.cli.small import study
 from tests.cli.test_numeric_factors import DESIGN
 
@@ -75,6 +81,28 @@ def test_a_set_is_told_where_only_a_product_is_determined(
     np.testing.assert_allclose(products, 7.3 * 1.02**2, rtol=5e-3)
 
 
+def test_an_inversion_that_has_not_settled_says_so(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    asked = ("invert", "ranges", "--to", "m.csv", "--at", KNOWN)
+    with monkeypatch.context() as patch:
+        patch.setattr(surface_inversion, "EVALUATIONS", 1)
+        patch.setattr(surface_inversion, "SEARCHES", 1)
+        patch.setattr(surface_inversion, "NEGLIGIBLE", -1.0)
+        answer = study(*asked)
+        assert answer.code == 3
+        assert "nearest to the measured one: the search has not converged" in answer.err
+    # a true model that no emulator of these runs comes near
+    with monkeypatch.context() as patch:
+        force = inverting._force
+        patch.setattr(inverting, "_force", lambda record, curve: 1.2 * force(record, curve))
+        answer = study(*asked, "--json")
+    assert answer.code == 1, answer.err
+    (note,) = [one for one in answer.json["notes"] if one.startswith("after 4 runs")]
+    assert "the emulator still misses the true model there by" in note
+
+
 def test_what_cannot_be_inverted_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder)
     (folder / "back.csv").write_text("displacement_mm,force_N\n1,1\n2,2\n1.5,1\n")
@@ -92,3 +120,30 @@ def test_what_cannot_be_inverted_is_refused(folder: Path, monkeypatch: pytest.Mo
         answer = study("invert", "ranges", "--to", *arguments, "--no-confirm")
         assert answer.code == code, answer.err
         assert said in answer.err
+
+
+def test_every_branch_of_a_set_is_traced() -> None:
+    factors = (NumericFactor("a", 5, 15), NumericFactor("b", 1, 3))
+    cube = qmc.LatinHypercube(2, rng=np.random.default_rng(4), optimization="random-cd").random(60)
+    a, b = 5 + 10 * cube[:, 0], 1 + 2 * cube[:, 1]
+    depth = np.linspace(0.1, 1, 12)
+
+    def curve(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        return depth * (1 + (a[:, None] - 10) ** 2 / 25) + depth**2 * b[:, None]
+
+    model = fit_curves(Runs("force", factors, 2 * cube - 1, np.zeros(60)), curve(a, b))
+    measured = curve(np.array([7.0]), np.array([2.0]))[0]
+    found = agreeing(model, measured, np.full(2, np.nan), largest=0.02)
+    settings = np.array([factors[0].setting(float(x)) for x in found.points[:, 0]])
+    assert np.abs(settings - 7).min() < 0.2
+    assert np.abs(settings - 13).min() < 0.2
+    assert factors[0].setting(float(found.low[0])) == pytest.approx(7, abs=0.5)
+    assert factors[0].setting(float(found.high[0])) == pytest.approx(13, abs=0.5)
+    # no member lies outside what is told, and none breaks a rule
+    assert (found.points >= found.low - 1e-12).all()
+    assert (found.points <= found.high + 1e-12).all()
+    for rule in found.combinations:
+        logs = np.log([[f.setting(float(x)) for f, x in zip(factors, one, strict=True)]
+                       for one in found.points])  # fmt: skip
+        off = np.abs(logs @ rule.exponents - np.log(rule.value))
+        assert off.max() <= np.log(rule.ratio) * (1 + 1e-9)

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from study.statistics.surfaces import surface_optimum
 from tests.cli.small import study
 from tests.cli.test_numeric_factors import DESIGN, _force
 from tests.response_surface.functions import hypercube
@@ -34,6 +35,16 @@ def test_a_limit_moves_the_optimum_to_the_point_of_lagrange(tmp_path: Path) -> N
     assert one["value"] == pytest.approx(3.0, abs=1e-5)
     assert one["limits_hold"] == "surely"
     assert "confirm it by a run at x = 2, y = 1" in bound.err
+
+
+def test_a_search_that_has_not_converged_recommends_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(surface_optimum, "STEPS", 1)
+    asked = ("optimize", _bowl(tmp_path), "--numeric", "x,y", "--minimize", "f")
+    answer = study(*asked, "--subject-to", "c <= 3")
+    assert answer.code == 3
+    assert "the search for the best setting has not converged in 1 steps" in answer.err
 
 
 def test_a_held_factor_and_an_end_of_the_range(tmp_path: Path) -> None:

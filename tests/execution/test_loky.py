@@ -203,6 +203,36 @@ def test_no_worker_outlives_its_study(how: signal.Signals) -> None:
     until(lambda: not any(is_alive(pid) for pid in workers))
 
 
+def test_a_worker_whose_parent_died_before_it_was_up_ends() -> None:
+    """Who asks for its parent's number that late gets another one, which never changes."""
+    gone = subprocess.Popen([sys.executable, "-c", ""])
+    gone.wait()
+    code = "import sys, time; from study.harness.execution.local import serve_quietly as serve\n"
+    code += "serve(int(sys.argv[1])); time.sleep(600)"
+    orphan = subprocess.run([sys.executable, "-c", code, str(gone.pid)], cwd=ROOT, check=False)
+    assert orphan.returncode == -signal.SIGKILL
+
+
+def test_workers_that_are_starting_end_with_a_killed_parent() -> None:
+    owner = subprocess.Popen(
+        [sys.executable, "-c", LEFT], cwd=ROOT, stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    try:
+        until(lambda: len(started(owner.pid)) >= 2)
+        workers = started(owner.pid)
+    finally:
+        owner.kill()
+        owner.wait()
+    until(lambda: not any(is_alive(pid) for pid in workers))
+
+
+def started(parent: int) -> set[int]:
+    """Processes that one has started, by any of its threads."""
+    lists = Path(f"/proc/{parent}/task").glob("*/children")
+    return {int(pid) for path in lists for pid in path.read_text().split()}
+
+
 def test_the_queue_grows_no_slower_than_its_tasks() -> None:
     """Looking at every task for every task took 10,000 of them 8 seconds: operations counted."""
     count = 2000

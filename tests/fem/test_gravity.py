@@ -143,3 +143,13 @@ def test_a_drop_does_not_stand():
     found = solve(between_plates(material=soft))
     assert found.status == "not-converged"
     assert "own weight" in found.message
+
+
+def test_a_body_that_sags_away_is_no_converged_test():
+    found = solve(column(), gradients=False)
+    assert found.status == "lost-contact"
+    assert "sagged" in found.message
+    assert found.equilibria.contact[-1].area_mm2 == 0
+    held = solve(column("up"), gradients=False)  # it rises to meet the sphere
+    assert held.converged
+    assert held.equilibria.contact[-1].area_mm2 > 0

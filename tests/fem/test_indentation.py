@@ -294,3 +294,26 @@ def test_the_point_on_the_axis_yields_to_the_first_that_touches() -> None:
         closed = points.evaluate(met, np.zeros(points.size)).wanted
         assert closed[-1] == alone
         assert closed[:-1].any() != alone
+
+
+# --- CLOSED FORM: Hertz 1881: contact of a sphere with a half-space
+@pytest.mark.parametrize(("order", "off"), [("quadratic", 0.03), ("linear", 0.05)])
+def test_pressure_and_area_under_a_sphere_are_those_of_hertz(order: str, off: float) -> None:
+    nu, radius, depth = 0.3, 10.0, 0.1
+    problem = indentation(
+        Sphere(radius), depth, material=linear(nu), specimen=Cylinder(60, 60), steps=2,
+        mesh="fine", element_order=order,
+    )  # fmt: skip
+    found = solve(problem, gradients=False)
+    stiffness = 2 * (1 + nu) / (1 - nu**2)
+    force, area = 4 / 3 * stiffness * np.sqrt(radius * depth**3), np.pi * radius * depth
+    figures = found.equilibria.contact[-1]
+    assert found.curve.force_N[-1] == pytest.approx(force, rel=off)  # of a body, no half-space
+    assert figures.peak_pressure_MPa == pytest.approx(1.5 * force / area, rel=off)
+    ring = 2 * np.pi * np.sqrt(radius * depth) * found.mesh_size_mm  # at the rim, closed or not
+    assert figures.area_mm2 == pytest.approx(area, abs=ring)
+    chord = found.mesh_size_mm**2 / (8 * radius)  # of a straight facet under the sphere
+    assert 0 <= figures.penetration_mm <= 1.5 * chord
+    assert 0 <= figures.gap_mm < 1e-2 * depth
+    below = found.equilibria.base[-1]
+    assert found.equilibria.plate[-1].axial == pytest.approx(below.axial, rel=1e-7)

@@ -1,16 +1,22 @@
-"""A run that ends at a limit point says so: the specimen gives way, not the iteration."""
+"""A run ends where the specimen gives way, at a limit point or by swaying, and says so."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from study.harness.design import plausibility
 from study.mechanics.material.material import Material
 from study.mechanics.mesh.mesher import build_mesh
-from study.mechanics.setup.geometry import Cone, Cylinder
+from study.mechanics.setup.geometry import Block, Cone, Cylinder
+from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import Model, Problem
-from study.mechanics.setup.test_kind import Test
-from study.mechanics.solver.finite_element_solution import solve
+from study.mechanics.setup.test_kind import Interface, Test
+from study.mechanics.setup.test_kinds import buckling_strain
+from study.mechanics.solver.buckling import mirrored, surplus
+from study.mechanics.solver.finite_element_solution import follow, solve
 from study.mechanics.solver.load_path import gives_way, smallest_stiffness
 from study.mechanics.solver.newton import Options
 from study.mechanics.solver.system import System
@@ -58,3 +64,116 @@ def test_a_body_that_stiffens_does_not_give_way() -> None:
     assert solution.warm is not None
     steps = [step.state for step in solution.warm.steps]
     assert all(gives_way(solution.warm.system, steps[0], later) == "" for later in steps)
+
+
+# Columns that sway: against Euler's load, on the whole body, and said before solving.
+
+SOFT = Material("neo-hookean", {"C10": 0.01}, poisson_ratio=0.45)
+COLUMN = Block(width_mm=12.0, depth_mm=8.0, height_mm=90.0)
+
+
+def _column(
+    depth_mm: float, steps: int, interface: Interface = "bonded", base: Interface = "bonded",
+    *, specimen: Block | Cylinder = COLUMN, order: str = "quadratic", size_mm: float = 4.0,
+) -> Problem:  # fmt: skip
+    test = Test("compression", depth_mm, interface, base, steps=steps)
+    model = Model(
+        space="3d", element_shape="tensor", element_order=order, mesh_size_mm=size_mm  # type: ignore[arg-type]
+    )  # fmt: skip
+    return Problem(specimen, test, SOFT, model)
+
+
+@pytest.mark.parametrize(
+    ("interface", "base"), [("bonded", "bonded"), ("frictionless", "bonded"), ("frictionless",) * 2]
+)
+def test_a_quarter_of_a_column_is_refused_at_eulers_load(
+    interface: Interface, base: Interface
+) -> None:
+    critical = buckling_strain(Test("compression", 1.0, interface, base), COLUMN)
+    assert critical is not None
+    depth = 1.25 * critical * COLUMN.height_mm
+    found = solve(_column(depth, 5, interface, base), gradients=False)
+    assert found.status == "unstable"
+    assert found.instability is not None
+    assert found.instability.sway == "y"  # the thin direction
+    assert found.instability.displacement_mm == pytest.approx(0.8 * depth, rel=0.03)
+    assert found.curve.displacement_mm[-1] == found.reached_mm < found.instability.unstable_mm
+    assert np.abs(found.instability.mode[:, 1]).max() == pytest.approx(1.0, abs=0.02)
+
+
+def test_the_whole_straight_column_loses_stability_where_its_quarter_says() -> None:
+    problem = _column(4.0, 10, order="linear")
+    part = solve(problem, gradients=False).instability
+    assert part is not None
+    quarter = build_mesh(problem.setup)
+    whole, _ = mirrored(quarter, np.zeros(quarter.points.shape), (1, 1, 1), COLUMN.height_mm)
+    edges = whole.points[whole.cells[:, [1, 3, 4]]] - whole.points[whole.cells[:, :1]]
+    volumes = np.linalg.det(edges)
+    assert np.abs(volumes).sum() == pytest.approx(COLUMN.volume_mm3)
+    assert (volumes > 0).all() or (volumes < 0).all()
+    found = solve(problem, gradients=False, mesh=whole)
+    assert found.status == "unstable"
+    assert found.instability is not None
+    assert found.instability.sway == ""
+    assert found.instability.displacement_mm == pytest.approx(part.displacement_mm, rel=1e-3)
+
+
+def test_the_branch_behind_is_followed_on_the_whole_body() -> None:
+    problem = _column(4.5, 3, order="linear")
+    euler = np.pi**2 * 2 * 1.45 * 2 * 0.01 * (12 * 8**3 / 12) / (90 / 2) ** 2
+    found = follow(problem, gradients=False)
+    assert found.converged
+    assert found.instability is not None
+    assert found.curve.displacement_mm[-1] == pytest.approx(4.5)
+    # behind it the force hardly rises; the straight column would carry 1.6 times as much
+    assert found.curve.force_N[-1] == pytest.approx(euler, rel=0.06)
+    assert np.abs(found.displacement[:, 1]).max() > 2.0
+
+
+def test_a_stout_specimen_has_no_surplus_with_either_solver() -> None:
+    test = Test("compression", 4.0, "bonded", "bonded", steps=2)
+    for material in (SOFT, Material("neo-hookean", {"C10": 0.01}, incompressible=True)):
+        for shape in ("simplex", "tensor"):
+            model = Model(space="axisymmetric", element_shape=shape, mesh_size_mm=2.5)  # type: ignore[arg-type]
+            problem = Problem(Cylinder(12.0, 15.0), test, material, model)
+            for name in ("pardiso", "superlu"):
+                found = solve(problem, gradients=False, options=Options(linear_solver=name))
+                assert found.converged, found.message
+                assert found.warm is not None
+                assert surplus(found.warm.system) in (0, None)
+
+
+def test_pivots_count_what_a_dense_matrix_has() -> None:
+    problem = _column(1.0, 1, order="linear", size_mm=8.0)
+    for name in ("pardiso", "superlu"):
+        system = System.build(problem, build_mesh(problem.setup), solver=name)
+        system.assemble(system.start())
+        system.data[system.pattern.indptr[3]] = -5.0  # a negative stiffness
+        system.factorize(exact=True)
+        n, pattern = system.dofs, system.pattern
+        dense = np.zeros((n, n))
+        for i in range(n):
+            row = slice(pattern.indptr[i], pattern.indptr[i + 1])
+            dense[i, pattern.indices[row]] = dense[pattern.indices[row], i] = system.data[row]
+        below = int((np.linalg.eigvalsh(dense) < 0).sum())
+        assert system.solver.negative_pivots() in (below, None)
+        if name == "pardiso":
+            assert surplus(system) == 1
+
+
+def test_slender_columns_are_cautioned_about_before_solving() -> None:
+    table = {"model": "neo-hookean", "constants": {"C10": 0.01}, "poisson_ratio": 0.45}
+    material = MaterialSection.of({"material": table})
+
+    def said(height: float, share: float, interface: Interface) -> bool:
+        test = Test("compression", share * height, interface, interface)
+        setup = replace(
+            _column(1.0, 1, specimen=Cylinder(5.0, height)).setup, test=test, height_mm=height,
+            model=Model(space="axisymmetric"),
+        )  # fmt: skip
+        return any("buckles" in one for one in plausibility.cautions(setup, material))
+
+    assert said(20.0, 0.30, "frictionless")
+    assert not said(20.0, 0.02, "frictionless")
+    assert not said(10.0, 0.10, "bonded")
+    assert not said(6.0, 0.30, "frictionless")

@@ -45,7 +45,7 @@ def test_a_wide_layer_is_sheared_by_its_modulus():
     down, shift = 1e-5, 1e-2
     thin = moved(down, FaceMotion(x_mm=shift), specimen=Block(120, 120, 3),
                  model=replace(MODEL, mesh_size_mm=15.0))  # fmt: skip
-    force = solve(thin, gradients=False).curve.force_N[-1] * down / shift
+    force = solve(thin, gradients=False).equilibria.plate[-1].side[0]
     sheared = 2 * GEL.constants["C10"] * 120 * 120 * shift / 3
     # free edges do not carry the shear that acts along them: about h over the width
     assert force == pytest.approx(sheared, rel=0.02)
@@ -56,7 +56,7 @@ def test_a_twisted_layer_has_its_polar_moment():
     angle = np.radians(0.5)
     thin = moved(1e-5, FaceMotion(twist_deg=0.5), specimen=Block(120, 120, 3),
                  model=replace(MODEL, mesh_size_mm=15.0))  # fmt: skip
-    torque = solve(thin, gradients=False).curve.force_N[-1] * 1e-5 / angle
+    torque = solve(thin, gradients=False).equilibria.plate[-1].moment[2]
     polar = 120**4 / 6
     assert torque == pytest.approx(2 * GEL.constants["C10"] * polar * angle / 3, rel=0.05)
 
@@ -126,3 +126,35 @@ def test_a_linear_body_moves_in_proportion():
     ]
     # sides that fold onto the plates are no linear matter, and touch near the edges alone
     np.testing.assert_allclose(3 * ends[0], ends[1], atol=2e-3)
+
+
+def test_forces_and_moments_of_plate_and_base_balance():
+    motion = FaceMotion(x_mm=2.0, y_mm=-1.0, tilt_y_deg=2.0, twist_deg=5.0)
+    found = solve(moved(2.0, motion, test=replace(moved(2.0, motion).test, steps=4)))
+    above, below = found.equilibria.plate[-1], found.equilibria.base[-1]
+    assert above.axial == pytest.approx(below.axial, rel=1e-6)
+    np.testing.assert_allclose(above.side, -below.side, rtol=1e-6)
+    down = np.r_[above.side, -above.axial]
+    arm = np.array([2.0, -1.0, 18.0])
+    left = above.moment + below.moment + np.cross(arm, down)
+    assert np.abs(left).max() < 1e-5 * np.abs(above.moment).max()
+    # the force is the axial reaction, not the work of the whole motion, and so are its slopes
+    curve = found.curve
+    np.testing.assert_allclose(curve.force_N, [r.axial for r in found.equilibria.plate], rtol=1e-6)
+    rising = (curve.force_N[3] - curve.force_N[1]) / 1.0
+    assert curve.stiffness_N_per_mm[2] == pytest.approx(rising, rel=0.02)
+    stiffer = Material("neo-hookean", {"C10": 5.01e-3}, bulk_modulus=GEL.bulk)
+    other = solve(moved(2.0, motion, material=stiffer), gradients=False).curve.force_N[-1]
+    softer = Material("neo-hookean", {"C10": 4.99e-3}, bulk_modulus=GEL.bulk)
+    change = other - solve(moved(2.0, motion, material=softer), gradients=False).curve.force_N[-1]
+    assert curve.force_gradient["C10"][-1] == pytest.approx(change / 2e-5, rel=1e-3)
+
+
+def test_a_shifted_plate_presses_with_its_axial_reaction_alone():
+    thin = moved(0.01, FaceMotion(x_mm=1.0), specimen=Block(24, 24, 6),
+                 model=replace(MODEL, mesh_size_mm=3.0))  # fmt: skip
+    found = solve(thin, gradients=False)
+    sheared = 2 * GEL.constants["C10"] * 24 * 24 / 6
+    assert found.equilibria.plate[-1].side[0] == pytest.approx(sheared, rel=0.2)
+    # a shear of g = 1/6 pulls the plates together by the Poynting effect: of the order mu g^2 A
+    assert abs(found.curve.force_N[-1]) < 0.3 * sheared

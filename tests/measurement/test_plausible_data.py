@@ -17,9 +17,9 @@ from study.mechanics.measurement.conditioning import (
     checked,
     condition,
     is_caution,
-    last_of_loading,
 )
 from study.mechanics.measurement.measured_test import Measurements, SingleTest
+from study.mechanics.measurement.phases import phases_of
 from study.mechanics.setup.setup import Setup
 
 RULES = Rules(0.5, 5.0, points=10)
@@ -49,11 +49,10 @@ def test_the_first_loading_is_kept(cycles: int, jitter: float) -> None:
 def test_what_was_only_loaded_loses_nothing() -> None:
     random = np.random.default_rng(2)
     straight = UP + 0.05 * random.standard_normal(61)
-    assert last_of_loading(straight) == 60
-    for _ in range(50):  # rows in no order at all are sorted, as they always were
-        assert last_of_loading(random.permutation(UP)) == 60
-    assert last_of_loading(-UP) == 60
-    assert last_of_loading(UP[::-1]) == 60
+    # rows in no order at all are sorted, as they always were
+    for rows in (straight, -UP, UP[::-1], *(random.permutation(UP) for _ in range(50))):
+        (phase,) = phases_of(rows)
+        assert (phase.first, phase.last) == (0, 60)
 
 
 def test_negative_displacements_have_branches_too() -> None:

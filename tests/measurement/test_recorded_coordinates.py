@@ -99,19 +99,90 @@ def test_a_sound_test_that_begins_late_or_stiffens_is_read_as_before(tmp_path):
         assert read(tmp_path).curve().curve.displacement_mm[0] == 1.0
 
 
-def test_a_test_through_zero_is_refused_or_split_by_its_ranges(tmp_path):
+def test_a_test_through_zero_is_one_test_or_split_by_its_ranges(tmp_path):
     place = np.linspace(-5.0, 10.0, 31)
     write(tmp_path, place, STIFFNESS * place)
-    with pytest.raises(InputError, match="10 of 31 rows lie on the other side") as caught:
-        read_measurements(spec(), tmp_path, gauge=GAUGE)
-    assert 'range = ["0 mm", "10 mm"]' in str(caught.value)
+    found = read_measurements(spec(), tmp_path, gauge=GAUGE).curve()
+    assert found.curve.displacement_mm == pytest.approx(place, abs=1e-6)
+    assert found.curve.force_N == pytest.approx(STIFFNESS * place, abs=1e-5)
+    assert found.rows.as_dict() == {"read": 31, "used": 31, "set_aside": []}
+    # the first row is loaded: it says nothing of the load cell
+    with pytest.raises(InputError, match="runs through zero"):
+        read_measurements(spec(zero="first"), tmp_path, gauge=GAUGE)
     tension = spec(range=Range("mm", 0.0, 10.0))
     assert len(read_measurements(tension, tmp_path, gauge=GAUGE).curve().curve) == 21
     write(tmp_path, -place, STIFFNESS * place)  # the sense of compression
     pressed = spec(range=Range("mm", 0.0, 5.0), sign="negative")
-    found = read_measurements(pressed, tmp_path, gauge=GAUGE).curve().curve
-    assert len(found) == 11
-    assert found.force_N == pytest.approx(STIFFNESS * found.displacement_mm, rel=1e-9)
+    found = read_measurements(pressed, tmp_path, gauge=GAUGE).curve()
+    assert len(found.curve) == 11
+    assert found.curve.force_N == pytest.approx(STIFFNESS * found.curve.displacement_mm, rel=1e-9)
+    assert found.rows.aside == {"before displacement zero": 20}
+
+
+#: up to 6 mm, back to 1 mm, and again: stiffnesses of each way
+CYCLES = (("loading", 1, 3.0), ("unloading", 1, 2.4), ("loading", 2, 2.6), ("unloading", 2, 2.2))
+
+
+def write_cycles(folder: Path, ways: tuple[tuple[str, int, float], ...] = CYCLES) -> None:
+    up = np.linspace(1.0, 6.0, 21)
+    first = [DEPTH, up[-2::-1], up[1:], up[-2::-1]][: len(ways)]
+    place = np.concatenate(first)
+    force = np.concatenate([k * d for d, (_, _, k) in zip(first, ways, strict=True)])
+    write(folder, place, force)
+
+
+@pytest.mark.parametrize(
+    ("declared", "stiff", "rows"),
+    [
+        ({}, 3.0, 25),
+        ({"branch": "loading"}, 3.0, 25),
+        ({"branch": "unloading"}, 2.4, 20),
+        ({"branch": 1}, 3.0, 25),
+        ({"branch": 2}, 2.6, 20),
+        ({"branch": 2, "cycle": "unloading"}, 2.2, 20),
+    ],
+)
+def test_a_branch_is_chosen_and_the_other_rows_are_counted(tmp_path, declared, stiff, rows):
+    write_cycles(tmp_path)
+    assert stiffness(tmp_path, **declared) == (pytest.approx(stiff, rel=1e-6), rows)
+    found = read(tmp_path, **declared)
+    count = found.curve().rows
+    assert (count.read, count.used, sum(count.aside.values())) == (85, rows, 85 - rows)
+    assert len(count.aside) == 3
+    notes = "\n".join(found.notes)
+    assert f"85 rows read, {rows} used, {85 - rows} set aside: " in notes
+    assert "of cycle" in notes
+    assert "(lines " in notes
+
+
+def test_all_rows_count_where_that_is_written(tmp_path):
+    write_cycles(tmp_path, CYCLES[:2])
+    count = read(tmp_path, branch="all").curve().rows
+    assert (count.read, count.used, dict(count.aside)) == (45, 45, {})
+
+
+def test_a_cycle_that_was_not_recorded_is_refused_by_name(tmp_path):
+    write_cycles(tmp_path)
+    with pytest.raises(InputError, match="no loading of cycle 3: it holds loading of cycle 1"):
+        read(tmp_path, branch=3)
+
+
+def test_a_recording_that_begins_loaded_is_refused_with_its_readings(tmp_path):
+    """From 6 mm back to 0 and up again with another stiffness: either may be meant."""
+    place = np.r_[DEPTH[::-1], DEPTH[1:]]
+    write(tmp_path, place, np.r_[2.4 * DEPTH[::-1], 3.0 * DEPTH[1:]])
+    with pytest.raises(InputError, match="which of its branches is meant is open") as caught:
+        read(tmp_path)
+    assert "unloading before any loading, 6 to 0 mm" in str(caught.value)
+    assert "loading of cycle 1" in str(caught.value)
+    assert stiffness(tmp_path, branch="loading") == (pytest.approx(3.0, rel=1e-6), 24)
+    assert stiffness(tmp_path, branch="unloading") == (pytest.approx(2.4, rel=1e-6), 25)
+
+
+def test_a_machine_that_returns_beyond_its_start_has_one_loading(tmp_path):
+    back = np.arange(6.0, -4.0, -0.25)[1:]
+    write(tmp_path, np.r_[DEPTH, back], np.r_[3.0 * DEPTH, 2.4 * np.maximum(back, 0.0)])
+    assert stiffness(tmp_path) == (pytest.approx(3.0, rel=1e-6), 25)
 
 
 def test_a_torn_specimen_is_named_and_its_range_written(tmp_path):

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from study.ground.errors import InputError
-from study.laboratory.registration.rigid import fit_pairs, target_registration_error, turned_about
+from study.laboratory.registration.rigid import (
+    BIWEIGHT,
+    fit_pairs,
+    inlier_scale,
+    scale_of,
+    target_registration_error,
+    turned_about,
+)
 
 
 def motion(rng: np.random.Generator) -> tuple[np.ndarray, object]:
@@ -63,3 +70,18 @@ def test_points_that_fix_no_motion_are_refused(moving: np.ndarray, rule: str) ->
 def test_unequal_counts_are_refused() -> None:
     with pytest.raises(InputError, match="3 points do not pair with 2"):
         fit_pairs(np.eye(3), np.eye(3)[:2])
+
+
+def test_the_scale_of_inliers_has_settled() -> None:
+    """Residuals each a little larger than the last are let out one by one, in many rounds."""
+    most = 0
+    for power in (2.82, 2.85, 2.9):  # near log2(4.685 / 0.6745): each round lets out a few of 500
+        residuals = np.arange(1.0, 501.0) ** power
+        scale = inlier_scale(residuals)
+        assert scale_of(residuals[residuals < BIWEIGHT * scale]) == scale
+        rounds, before, now = 0, np.inf, scale_of(residuals)
+        while now != before:
+            before, now = now, scale_of(residuals[residuals < BIWEIGHT * now])
+            rounds += 1
+        most = max(most, rounds)
+    assert most > 12

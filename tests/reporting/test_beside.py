@@ -128,7 +128,7 @@ def test_answer_box_says_which_conclusions_hold(page: str) -> None:
 def test_section_holds_every_number_between_responses_and_assumptions(page: str) -> None:
     found = section(page)
     assert page.index('id="r-mu0"') < page.index('<section id="beside">')
-    assert '<a href="#beside">Beside second</a>' in page
+    assert '<a href="#beside">Compared with second</a>' in page
     said = text_of(found).replace("\N{NO-BREAK SPACE}", " ")
     for part in ("1.90 pp", "1.80 to 2.00 pp", "> 100", "95", ".003", "mr (lowest)", "30 mm",
                  "31 mm", "not set", "A warning.", "Only in first: response initial shear modulus",

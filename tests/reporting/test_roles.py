@@ -52,12 +52,12 @@ def test_a_choice_is_answered_at_each_level_of_a_condition() -> None:
 
 @pytest.mark.parametrize(
     ("glue", "words"),
-    [(3.0, "so measuring it pays"), (0.0, "does not pay")],
+    [(3.0, "Measure it."), (0.0, "need not be measured")],
 )
 def test_an_unknown_says_whether_measuring_it_pays(glue: float, words: str) -> None:
     data = study(DECLARED, glue)
     (line,) = content_table.unknowns(data, facts(data))
-    assert line.startswith("Nobody measured plates")
+    assert line.startswith("The level of plates was assumed")
     assert words in line
 
 

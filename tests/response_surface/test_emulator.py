@@ -16,6 +16,7 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel, Matern, WhiteK
 
 from study.ground.arrays import Array
 from study.ground.errors import RefusedError
+from study.statistics.surfaces import gaussian_process
 from study.statistics.surfaces.emulator import (
     SAMPLE,
     Emulator,
@@ -384,3 +385,16 @@ def test_extremes_lie_in_corners_and_inside_their_intervals() -> None:
         # and the interval is still one that says something
         assert half[0] < 0.02 * np.ptp(found.runs.response)
     assert sum(inside) >= 11  # of twelve; six where the other kernel did not count
+
+
+def test_a_search_of_length_scales_goes_on_or_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    x = qmc.Sobol(2, seed=3).random(16)
+    y = np.sin(5 * x[:, 0]) + x[:, 1] ** 2
+    y, noise = (y - y.mean()) / y.std(), np.zeros(16)
+    usual = fit_process(x, y, noise, FAMILIES[0])
+    monkeypatch.setattr(gaussian_process, "STEPS", 1)
+    longer = fit_process(x, y, noise, FAMILIES[0])
+    assert longer.found.variance == pytest.approx(usual.found.variance, rel=1e-3)
+    monkeypatch.setattr(gaussian_process, "MOST_STEPS", 1)
+    with pytest.raises(RefusedError, match="length scales of the emulator: the search has not"):
+        fit_process(x, y, noise, FAMILIES[0])

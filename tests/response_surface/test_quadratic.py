@@ -13,11 +13,12 @@ from study.statistics.surfaces.quadratic import (
     against_blocks,
     factorize,
     fit_quadratic,
-    in_region,
     leave_one_out,
+    level_by_blocks,
     second_order,
 )
-from study.statistics.surfaces.surface_factors import NumericFactor, Runs, box_points
+from study.statistics.surfaces.surface_factors import NumericFactor, Runs, box_points, never_run
+from study.statistics.surfaces.surface_result import analysis_of_quadratic
 
 
 def unit_runs(coded: Array, response: Array, blocks: tuple[str, ...] = ()) -> Runs:
@@ -224,7 +225,7 @@ def region_coverage(rng: np.random.Generator, n: int) -> float:
     hits = 0
     for _ in range(n):
         each = [Polynomial(terms, true + rng.normal(0, 0.4, 6), 2) for _ in range(6)]
-        hits += bool(in_region(each, at[None, :])[0])
+        hits += bool(level_by_blocks(each)(at[None, :])[0])
     return hits / n
 
 
@@ -257,3 +258,61 @@ def test_bar_10() -> None:
     assert share >= 0.97
     assert 0.935 <= coverage <= 0.965
     assert max(sizes.values()) <= 0.06
+
+
+#: time, temperature and yield of a chemical reaction, run in two blocks: a cube and a star (Myers,
+#: Montgomery and Anderson-Cook 2009, table 7.6; ChemReact of R's rsm, Lenth 2009, J. Stat. Softw.
+#: 32, 7)
+CUBE = [(80, 170, 80.5), (80, 180, 81.5), (90, 170, 82.0), (90, 180, 83.5),
+        (85, 175, 83.9), (85, 175, 84.3), (85, 175, 84.0)]  # fmt: skip
+STAR = [(85, 175, 79.7), (85, 175, 79.8), (85, 175, 79.5), (92.07, 175, 78.4),
+        (77.93, 175, 75.6), (85, 182.07, 78.5), (85, 167.93, 77.0)]  # fmt: skip
+
+
+def test_blocks_of_a_composite_design_shift_the_response() -> None:
+    rows = np.array(CUBE + STAR)
+    factors = (NumericFactor("time", 80, 90), NumericFactor("temp", 170, 180))
+    coded = np.column_stack([f.coded(rows[:, j]) for j, f in enumerate(factors)])
+    found = fit_quadratic(Runs("yield", factors, coded, rows[:, 2], ("cube",) * 7 + ("star",) * 7))
+    # R 4.2.2: lm(Yield ~ Block + SO(x1, x2)) with sum contrasts of the blocks
+    theirs = {
+        "1": 81.866662323, "time": 0.932540814, "temp": 0.577712235, "time:temp": 0.125,
+        "time^2": -1.308555445, "temp^2": -0.933442161,
+    }  # fmt: skip
+    for term in found.terms:
+        assert term.coefficient == pytest.approx(theirs[term.term], abs=1e-8)
+    assert {t.term: t.p for t in found.terms}["time:temp"] == pytest.approx(0.16938, abs=1e-5)
+    assert found.stationary is not None
+    assert found.stationary.at == pytest.approx([0.3722953975, 0.3343802034], abs=1e-9)
+    assert found.stationary.established
+    lack = found.lack_of_fit
+    assert lack is not None
+    assert (lack.f, lack.df, lack.df_error) == pytest.approx((0.53071, 3, 4), abs=1e-5)
+    assert lack.p == pytest.approx(0.68509, abs=1e-5)
+    told = analysis_of_quadratic(found, practical=1.0)
+    assert [item.range.verdict for item in told.sensitivity] == ["matters", "matters"]
+    assert {i.range.verdict for i in analysis_of_quadratic(found, 9.0).sensitivity} == {
+        "no practical difference"
+    }
+
+
+@pytest.mark.parametrize("copies", [1, 2])
+def test_noise_establishes_no_stationary_point(copies: int) -> None:
+    random = np.random.default_rng(copies)
+    coded = np.vstack([face_centred(2)] * copies)
+    factors = (NumericFactor("x1", -1, 1), NumericFactor("x2", -1, 1))
+    points = [
+        fit_quadratic(Runs("y", factors, coded, random.normal(10, 1, len(coded)))).stationary
+        for _ in range(40)
+    ]
+    assert sum(point is not None and point.inside for point in points) > 10
+    assert sum(point is not None and point.established for point in points) <= 2
+
+
+def test_quarters_of_the_box_without_a_run_are_named() -> None:
+    coded = face_centred(2)
+    factors = (NumericFactor("x1", 0, 10), NumericFactor("x2", 0, 4))
+    assert not never_run(Runs("y", factors, coded, np.arange(9.0)))
+    part = coded[~((coded > 0).all(axis=1))]
+    (said,) = never_run(Runs("y", factors, part, np.arange(float(len(part)))))
+    assert "x1 above 5 with x2 above 2" in said

@@ -213,10 +213,17 @@ def test_scatter_weights_are_one_over_the_error_of_the_mean(tmp_path: Path) -> N
     found = calibrated(case(tmp_path, [{"weight": '"scatter"'}]))
     # chi^2 / 38 of means over their own standard errors of 7 degrees of freedom: mean 7/5
     assert 0.7 < found.fit.reduced_chi_square < 2.8
-    write(tmp_path / "a.csv", "reduced-polynomial", RP2)
-    path = case(tmp_path, [{"weight": '"scatter"'}])
-    with pytest.raises(InputError, match="a single test has no scatter"):
-        calibrated(path)
+
+
+@pytest.mark.parametrize("weight", ["scatter", "relative"])
+def test_single_tests_are_weighed_by_the_noise_of_neighboring_rows(
+    tmp_path: Path, weight: str
+) -> None:
+    write(tmp_path / "a.csv", "reduced-polynomial", RP2, noise=0.05)
+    found = calibrated(case(tmp_path, [{"weight": f'"{weight}"', "points": '"raw"'}]))
+    # weights are one over the noise: residuals have unit variance
+    assert 0.5 < found.fit.reduced_chi_square < 2
+    assert found.fit.values[0] == pytest.approx(RP2["C10"], rel=0.05)
 
 
 def test_doubled_weights_change_nothing(tmp_path: Path) -> None:
@@ -234,7 +241,8 @@ def test_misfit_is_told_from_noise(tmp_path: Path) -> None:
     assert found.lack_of_fit.verdict == "lack-of-fit"
     assert found.pattern is not None
     assert found.pattern.lag1 > 0.5
-    assert any("misfit rather than noise" in warning for warning in found.warnings)
+    assert found.adequacy.verdict != "describes"
+    assert found.to_json()["fit"]["verdict"] == found.adequacy.verdict
 
 
 def test_uneven_tests_with_equal_weights_are_told(tmp_path: Path) -> None:

@@ -137,7 +137,7 @@ def test_each_effect_of_the_study_is_held_against_its_own_contrast(
     rows = {v["factor"]: v["u_num"] for v in study.to_json()["verdicts"]}
     assert rows["material"] == material.u_num
     page = (report(study, reports=tmp_path).report or tmp_path).read_text(encoding="utf-8")
-    assert "U bounds the numerical error of the difference itself" in page
+    assert "U bounds the mesh error of the difference" in page
     again = analyze(results)
     assert [e.u_num for e in again.effects] == [e.u_num for e in response.result.effects]
 

@@ -14,10 +14,11 @@ from validation.fuzz_inputs import Place
 
 @pytest.fixture
 def place(tmp_path: Path) -> Place:
-    """A campaign whose project has its inputs, and two stored files in place of two runs."""
+    """A campaign whose project has its inputs, and stored files in place of runs."""
     folder = tmp_path / "verbs"
     fuzz_verbs.write_project(folder)
-    for name in ("results/small/cases/0123456789ab/record.json", "reports/small/small.html"):
+    case = "cases/0123456789ab/record.json"
+    for name in (f"results/small/{case}", f"results/demo/{case}", "reports/small/small.html"):
         (folder / name).parent.mkdir(parents=True)
         (folder / name).write_text('{"schema": 1, "checksum": "0", "content": {}}')
     return Place(str(tmp_path), str(tmp_path))
@@ -36,7 +37,8 @@ def test_every_verb_of_the_program_is_drawn(place: Place, tmp_path: Path) -> Non
     for verb, make in fuzz_verbs.MAKERS.items():
         folder = tmp_path / f"of-{verb}"
         fuzz_verbs.write_project(folder)
-        (folder / "results/small/cases/0123456789ab").mkdir(parents=True)
+        for study in ("small", "demo"):
+            (folder / f"results/{study}/cases/0123456789ab").mkdir(parents=True)
         assert make(rng, folder)[0] == verb
         assert all(option.startswith("--") for option in fuzz_verbs.options_of(verb))
 
@@ -75,7 +77,7 @@ def test_the_table_counts_by_verb() -> None:
         fuzz.Outcome(2, ["serve --port 0"], [130], ["a page answers 500"]),
     ]
     lines = {line.split()[0]: line.split() for line in fuzz.shown("all", outcomes)}
-    assert lines["solve"] == ["solve", "2", "50%", "1", "0", "1.5", "40", "0"]
+    assert lines["solve"] == ["solve", "2", "50%", "1", "0", "1.00", "1.5", "40", "0"]
     assert lines["serve"][1:5] == ["1", "100%", "0", "1"]
     assert lines["tracking"] == ["tracking", "0"]
     assert lines["all"][1:3] == ["3", "67%"]

@@ -27,7 +27,15 @@ from study.harness.calibration.measured_tests import (
 )
 from study.harness.calibration.nuisance import predicted, with_nuisance
 from study.harness.calibration.optimal_tests import next_tests
-from study.harness.calibration.resampling import Starts, best, bootstrap, excluded, scattered
+from study.harness.calibration.resampling import (
+    Starts,
+    best,
+    bootstrap,
+    excluded,
+    looked_for,
+    rivals,
+    scattered,
+)
 from study.harness.design.calibration_section import CalibratedTest, CalibrationDesign
 from study.harness.runner import fit_task
 from study.harness.runner.fit_problem import FitProblem, start_problem
@@ -44,9 +52,16 @@ from study.harness.runner.staged_fit import (
 )
 from study.mechanics.calibration.fit_influence import population, with_serial_correlation
 from study.mechanics.calibration.identifiability import identify, profile
-from study.mechanics.calibration.lack_of_fit import lack_of_fit, pattern, same_constants
+from study.mechanics.calibration.lack_of_fit import (
+    Verdict,
+    adequacy,
+    lack_of_fit,
+    pattern,
+    same_constants,
+)
+from study.mechanics.calibration.levenberg_marquardt import Status
 from study.mechanics.calibration.residual_function import EvaluationFailed
-from study.mechanics.material.material import Material
+from study.mechanics.material.material import Material, is_dimensionless
 from study.mechanics.material.stability import check, stability
 from study.mechanics.measurement.conditioning import is_caution
 from study.mechanics.setup.declaration import table_of
@@ -152,20 +167,48 @@ def bounds_of(config: CalibrationDesign, names: Sequence[str]) -> list[tuple[flo
 
 def from_all_starts(
     setting: Setting, curves: Sequence[FitCurve], own: Staged
-) -> tuple[Staged, Starts | None]:
-    """Fit from the other starts that were asked for; the least sum of squares is the answer."""
+) -> tuple[Staged, Starts | None, tuple[Staged, ...]]:
+    """Fit from other starts; the least sum of squares is the answer, with its rivals.
+
+    Energies with exponents begin on both sides of zero, unasked; others as often as asked.
+    """
     count, seed = setting.config.asked.starts, setting.config.asked.seed
-    if count == 1:
-        return own, None
     rng, parts = np.random.default_rng(seed), parts_of(setting.tests, in_order(curves))
-    energy, found = setting.config.material.model, [own]
-    for _ in range(count - 1):
-        start = scattered(energy, setting.names, setting.start, parts, setting.bounds, rng)
-        found.append(replace(setting, start=start, progress=None).fitted(curves))
-    rss = tuple(one.fit.rss if one.fit.converged else None for one in found)
+    energy, quiet = setting.config.material.model, replace(setting, progress=None)
+    drawn = [
+        scattered(energy, setting.names, setting.start, parts, setting.bounds, rng)
+        for _ in range(count - 1)
+    ]
+    asked = [own, *(replace(quiet, start=start).fitted(curves) for start in drawn)]
+    looks = looked_for(energy, setting.names, setting.start, parts, setting.bounds)
+    found = [*asked, *(_from_look(quiet, start, curves, own) for start in looks)]
     chosen = best(found)
     evaluations = sum(one.evaluations for one in found if one is not chosen)
-    return replace(chosen, fruitless=chosen.fruitless + evaluations), Starts(seed, rss)
+    rss = tuple(one.fit.rss if one.fit.converged else None for one in asked)
+    others = rivals(chosen, [one for one in found if one is not chosen])
+    chosen = replace(chosen, fruitless=chosen.fruitless + evaluations)
+    return chosen, Starts(seed, rss) if count > 1 else None, others
+
+
+#: sum of squares of a start on a cheaper mesh over that of the fit, from which it ends there
+_HOPELESS_START = 2.0
+
+
+def _from_look(setting: Setting, start: Array, curves: Sequence[FitCurve], own: Staged) -> Staged:
+    """Fit from one look; on the cheaper mesh alone where that tells it from the fit."""
+    parts = parts_of(setting.tests, in_order(curves))
+    cheap = [cheaper(part) for part in parts]
+    if own.rough is not None and own.rough.status.usable:
+        rough = begun_stage(
+            "look", [a or b for a, b in zip(cheap, parts, strict=True)], setting.names,
+            gentler(setting.names, start, setting.bounds), fit_task.fitted_model, setting.bounds,
+            None, Checkpoint(),
+        )  # fmt: skip
+        if not rough.fit.converged or rough.fit.rss > _HOPELESS_START * own.rough.rss:
+            aside = replace(rough.fit, status=Status.stopped)
+            return replace(rough, fit=aside)
+        start = rough.fit.values
+    return replace(setting, start=start).fitted(curves)
 
 
 def _start(
@@ -215,8 +258,8 @@ def _simpler(problem: FitProblem) -> list[FitProblem]:
     return chain
 
 
-#: correlation of neighboring rows from which a misfit is more likely than noise
-_ORDERED = 0.5
+#: largest stretch that soft materials are tested to; a strain in per cent read as a ratio is beyond
+_LARGEST_STRETCH = 20.0
 
 
 def calibrate(
@@ -231,17 +274,21 @@ def calibrate(
 ) -> CalibrationResult:
     """Fit one material to all tests of a calibration at once. Units: begin MPa."""
     began = time.perf_counter()
-    curves, notes = read_tests(config.tests, root)
+    curves, notes = read_tests(config.tests, root, config.asked.loss)
     own, left = _splits(config, curves)
     checkpoint = _checkpoint(folder, config, curves)
     setting = setting_of(config, curves, progress, checkpoint, begin)
-    done, starts = setting.fitted(curves, checkpoint), None
+    done, starts, others = setting.fitted(curves, checkpoint), None, ()
     if begin is None:
-        done, starts = from_all_starts(setting, curves, done)
+        done, starts, others = from_all_starts(setting, curves, done)
     found = done.fit
+    if any(is_dimensionless(name) for name in setting.names) and found.converged:
+        setting = replace(setting, start=found.values)  # parts of the data begin at this minimum
     specimens = tuple(_partial(setting, label, group) for label, group in own.items())
     cross = tuple(_partial(setting, label, group) for label, group in left)
     result = _result(setting, curves, done)
+    if others:
+        result = replace(result, fit=_open(found, others))
     result = replace(
         result,
         specimens=specimens,
@@ -255,12 +302,27 @@ def calibrate(
             else None
         ),
         starts=starts,
+        minima=tuple(one.fit for one in (done, *others)),
         notes=(*notes, *setting.moved, *(() if starts is None else (starts.sentence,))),
         warnings=(*(note for note in notes if is_caution(note)), *result.warnings),
         seconds=time.perf_counter() - began,
     )
     checkpoint.clear()
     return result
+
+
+def _open(found: Fit, others: Sequence[Staged]) -> Fit:
+    """Fit that names its rivals: constants that describe the rows as well are not told apart."""
+    told = "; ".join(
+        ", ".join(
+            f"{name} {value:.4g}" if is_dimensionless(name) else f"{name} {1e3 * value:.4g} kPa"
+            for name, value in one.fit.constants().items()
+        )
+        for one in others
+    )
+    why = f"another minimum describes the rows as well: {told}"
+    reason = f"{why}; {found.reason}" if found.reason else why
+    return replace(found, identifiable=False, reason=reason)
 
 
 def _checkpoint(
@@ -360,6 +422,25 @@ def _measured(setting: Setting, curves: Sequence[FitCurve]) -> list[MeasuredCurv
     return [one for part in parts for one in part.measured]
 
 
+def _implausible_stretches(
+    tests: Sequence[CalibratedTest], curves: Sequence[FitCurve]
+) -> list[tuple[Verdict, str]]:
+    """Stretches that no soft material reaches: a unit is wrong."""
+    out: list[tuple[Verdict, str]] = []
+    for one in in_order(curves):
+        setup, places = tests[one.test].setup, one.measured.curve.displacement_mm
+        if setup.height_mm is None or setup.kind.compresses or setup.test.indenter is not None:
+            continue
+        stretch = 1 + float(np.abs(places).max()) / setup.height_mm
+        if stretch > _LARGEST_STRETCH:
+            why = (
+                f"{one.label}: a stretch of {stretch:.4g} is not plausible: check units, strain = "
+                '"%" may be meant'
+            )
+            out.append(("does not describe", why))
+    return list(dict.fromkeys(out))
+
+
 def _result(setting: Setting, curves: Sequence[FitCurve], done: Staged) -> CalibrationResult:
     found, section = done.fit, setting.config.material
     predictions = _predictions(setting, curves, found)
@@ -374,13 +455,11 @@ def _result(setting: Setting, curves: Sequence[FitCurve], done: Staged) -> Calib
         stable, stability = range_stability(setting.tests, curves, material)
     judged = list(zip(in_order(curves), found.curves, strict=False))
     repeated = [r for c, p in judged if (r := c.repeated(p)) is not None]
-    order = pattern([c.residual(p) for c, p in judged])
-    if found.serial is not None and found.serial.correlation > _ORDERED:
-        cautions.append(
-            f"neighboring rows are correlated by {found.serial.correlation:.2f}, which is "
-            "misfit rather than noise: intervals and AICc allow for a drift, not for an energy "
-            "that is wrong"
-        )
+    lack = lack_of_fit(repeated, len(found.names)) if found.converged else None
+    judgement = adequacy(
+        found, _measured(setting, curves), tests=[c.test for c in in_order(curves)], lack=lack,
+        more=_implausible_stretches(setting.tests, curves),
+    )  # fmt: skip
     if setting.config.asked.specimens == "pooled" and len(of_specimens(curves)) > 1:
         cautions.append(
             "specimens are pooled: intervals are those of these specimens, not of the population; "
@@ -398,12 +477,13 @@ def _result(setting: Setting, curves: Sequence[FitCurve], done: Staged) -> Calib
         curves=predictions,
         evaluations=done.evaluations,
         seconds=0.0,
-        lack_of_fit=lack_of_fit(repeated, len(found.names)) if found.converged else None,
-        pattern=order,
+        adequacy=judgement,
+        lack_of_fit=lack,
+        pattern=pattern([c.residual(p) for c, p in judged]),
         identified=identify(found, _measured(setting, curves)) if found.converged else None,
         next_tests=(
             next_tests(found, curves, material, setting.tests)
-            if found.converged and material is not None
+            if found.converged and material is not None and judgement.describes
             else None
         ),
         warnings=(*warnings_of(curves), *cautions),

@@ -99,7 +99,7 @@ def numerical_bound(
     # Nuisance parameters stay at what is expected of them in all of these fits.
     names, start = known.names, known.values
     bounds = bounds_of(config, names)
-    parts = parts_of(config.tests, in_order(read_tests(config.tests, root)[0]))
+    parts = parts_of(config.tests, in_order(read_tests(config.tests, root, config.asked.loss)[0]))
     zero = np.zeros(len(names))
     simulated = [part for part in parts if part.method == "inverse-fem"]
     if not simulated:

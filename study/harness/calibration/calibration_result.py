@@ -15,9 +15,11 @@ from study.harness.record.document import ParameterDocument
 from study.harness.record.record import plain
 from study.harness.runner.fit_summary import WITH_CONSTANTS, status_of
 from study.harness.runner.response import CURVE_RESPONSES, ConstantResponse, scale_of
+from study.mechanics.calibration.lack_of_fit import Adequacy
 from study.mechanics.material import material as conversions
 from study.mechanics.material.material import Material
 from study.mechanics.measurement.measured_test import MeasuredTest
+from study.mechanics.measurement.phases import RowCount
 from study.mechanics.setup.setup import Tables
 
 if TYPE_CHECKING:
@@ -50,21 +52,27 @@ class CurveFit:
     message: str = ""
 
     def as_dict(self) -> dict[str, object]:
-        """Errors of the prediction in N and in % of the RMS force."""
+        """Errors of the prediction in N, in % of the RMS force and as R2; rows."""
         errors: dict[str, float | None] = {
             "rms_force_error": None,
             "relative_rms_force_error": None,
+            "r_squared": None,
         }
         if self.predicted is not None:
-            for name in errors:
+            for name in ("rms_force_error", "relative_rms_force_error"):
                 one = CURVE_RESPONSES[name]
                 errors[name] = one.between(self.predicted, self.measured.curve)
+            force = self.measured.curve.force_N
+            left = self.predicted.force_at(self.measured.curve.displacement_mm) - force
+            total = float(((force - force.mean()) ** 2).sum())
+            errors["r_squared"] = 1 - float(left @ left) / total if total > 0 else None
         return {
             "file": self.file,
             "specimen": self.specimen,
             "role": self.role,
             "repeats": self.measured.n_repeats,
             **errors,
+            "rows": self.measured.rows.as_dict(),
             "message": self.message,
         }
 
@@ -116,6 +124,8 @@ class CalibrationResult:
     #: Calls of the model, those of the cheaper stage included.
     evaluations: int
     seconds: float
+    #: Whether the model describes the data, beside the word of the optimizer.
+    adequacy: Adequacy = field(default_factory=lambda: Adequacy("doubtful"))
     lack_of_fit: LackOfFit | None = None
     pattern: ResidualPattern | None = None
     #: Each specimen for itself; each specimen or test left out in turn.
@@ -133,6 +143,8 @@ class CalibrationResult:
     tests: tuple[Mapping[str, Tables], ...] = ()
     #: What fits from other starts found, where asked.
     starts: Starts | None = None
+    #: The fit and the minima that its rows cannot be told from.
+    minima: tuple[Fit, ...] = ()
     #: What the tests know of the constants, in the units of their curves.
     identified: Identifiability | None = None
     #: Tests that could be made next, by what they would tell of the constants.
@@ -149,8 +161,8 @@ class CalibrationResult:
 
     @property
     def usable(self) -> bool:
-        """Whether there are constants, if without intervals."""
-        return self.status in WITH_CONSTANTS
+        """Whether there are constants, if without intervals, of a model that describes its data."""
+        return self.status in WITH_CONSTANTS and self.adequacy.describes
 
     def converted(self, convention: str) -> Converted:
         """Constants in another code's convention."""
@@ -164,15 +176,18 @@ class CalibrationResult:
         content = {
             "status": self.status,
             "message": self.message,
+            "fit": self.adequacy.as_dict(),
             "model": self.model,
             "parameters": parameters(found),
             "nuisance": nuisance(found),
             "mu0": None if self.material is None else 1e3 * self.material.mu0,
             **_moduli(self.material),
             "rss": found.rss,
+            "minima": [_minimum(one) for one in self.minima],
             "r_squared": found.r_squared,
             "aicc": found.aicc,
             "n": found.n,
+            "rows": RowCount.sum_of(curve.measured.rows for curve in self.curves).as_dict(),
             "serial_correlation": _serial(found),
             "correlation": found.correlation,
             "condition": found.condition,
@@ -222,6 +237,12 @@ def parameters(fit: Fit) -> dict[str, ParameterDocument]:
         }
         for i, name in enumerate(fit.names)
     }
+
+
+def _minimum(fit: Fit) -> dict[str, object]:
+    """Constants of one minimum, kPa, and its sum of squares."""
+    values = {name: scale_of(name) * value for name, value in fit.constants().items()}
+    return {"parameters": values, "rss": fit.rss}
 
 
 def _identified(found: Identifiability | None) -> dict[str, object] | None:

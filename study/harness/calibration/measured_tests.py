@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,10 +17,12 @@ from study.harness.runner.fit_problem import FitProblem, fit_problem
 from study.harness.runner.problem_tables import gauge_of
 from study.harness.runner.staged_fit import FitPart
 from study.mechanics.calibration.lack_of_fit import Repeated
-from study.mechanics.calibration.residual_function import MeasuredCurve
+from study.mechanics.calibration.residual_function import LOSS_LIMIT, MeasuredCurve
+from study.mechanics.calibration.serial_correlation import row_noise
 from study.mechanics.measurement import conditioning
 from study.mechanics.measurement.measured_test import MeasuredTest, Measurements
 from study.mechanics.measurement.reading import read_measurements
+from study.mechanics.setup.calibration_table import Loss
 from study.mechanics.setup.setup import Tables
 
 #: ratio of the largest forces of two fitted tests from which equal weights hide the smaller
@@ -38,6 +41,7 @@ class FitCurve:
     measured: MeasuredTest
     role: Role
     weight: float | Array
+    loss: Loss = "linear"
 
     @property
     def label(self) -> str:
@@ -58,7 +62,7 @@ class FitCurve:
 
 
 def read_tests(
-    tests: Sequence[CalibratedTest], root: Path
+    tests: Sequence[CalibratedTest], root: Path, loss: Loss = "linear"
 ) -> tuple[list[FitCurve], tuple[str, ...]]:
     """Read the curves of every test."""
     curves: list[FitCurve] = []
@@ -69,7 +73,7 @@ def read_tests(
         for specimen in data.blocks or (None,):
             one = data.curve(specimen, **dict(data.fit or {}))
             weight = _weight(test.weight, one, f"tests[{number}]")
-            curves.append(FitCurve(number, test.file, specimen, one, test.role, weight))
+            curves.append(FitCurve(number, test.file, specimen, one, test.role, weight, loss))
     return curves, tuple(dict.fromkeys(notes))
 
 
@@ -81,17 +85,36 @@ def _read(test: CalibratedTest, root: Path) -> Measurements:
 
 
 def _weight(asked: float | str, one: MeasuredTest, where: str) -> float | Array:
-    """Weight of a curve: a number, or one over the standard error of the mean of its repeats."""
+    """Weight of a curve: a number, or one over the noise of its points."""
     if asked == "equal":
         return 1.0
-    if asked != "scatter":
+    if not isinstance(asked, str):
         return float(asked)
-    if one.scatter_N is None:
-        mend = "average several repeats, or write weight = 'equal'"
-        raise InputError(Fault(f"{where}.weight", "a single test has no scatter", mend))
-    # repeats meet by chance at some points, which must not count for everything
-    floor = max(0.1 * float(np.median(one.scatter_N)), 1e-9)
-    return np.asarray(np.sqrt(one.n_repeats) / np.maximum(one.scatter_N, floor))
+    noise = noise_of(one, grows=0.0 if asked == "relative" else math.inf)
+    if noise is None:
+        rule = "fewer than 8 rows, or rows without noise, say nothing of their scatter"
+        raise InputError(Fault(f"{where}.weight", rule, "write weight = 'equal' or a number"))
+    if asked == "scatter" and one.scatter_N is not None:
+        # repeats meet by chance at some points, which must not count for everything
+        floor = max(0.1 * float(np.median(one.scatter_N)), 1e-9)
+        noise = np.maximum(one.scatter_N, floor) / math.sqrt(one.n_repeats)
+    return np.asarray(1 / noise)
+
+
+def noise_of(one: MeasuredTest, grows: float = math.inf) -> Array | None:
+    """Noise of the points of a curve from differences of neighboring rows, N, shape (n,).
+
+    It grows with a power of the force that is estimated, where that is ``grows`` standard errors
+    above zero. Mean of all repeats; None where they say nothing.
+    """
+    recordings = [one.curve.at_points(np.arange(len(one.curve)))]
+    recordings = list(one.recordings) or recordings
+    found = []
+    for rows in recordings:
+        noise = row_noise(rows.force_N, rows.places, rows.force_N, grows=grows)
+        if noise is not None:
+            found.append(np.interp(one.curve.places, rows.places, noise.deviation))
+    return np.sqrt(np.mean(np.square(found), axis=0) / len(recordings)) if found else None
 
 
 def problem_of(tables: Tables) -> FitProblem:
@@ -106,12 +129,21 @@ def parts_of(tests: Sequence[CalibratedTest], curves: Sequence[FitCurve]) -> lis
         own = [c for c in curves if c.test == number]
         if own:
             problem = problem_of(test.tables)
-            measured = tuple(
-                MeasuredCurve(c.label, c.measured.curve, c.weight, "fit", c.measured.recordings)
-                for c in own
-            )
+            measured = tuple(_measured_curve(c) for c in own)
             parts.append(FitPart(problem.method, problem.tables, measured))
     return parts
+
+
+def _measured_curve(one: FitCurve) -> MeasuredCurve:
+    """Curve as the fit sees it; a loss other than squares is counted in units of the noise."""
+    found = MeasuredCurve(one.label, one.measured.curve, one.weight, "fit", one.measured.recordings)
+    if one.loss == "linear":
+        return found
+    noise = noise_of(one.measured)
+    if noise is None:
+        rule = f"{one.label}: fewer than 8 rows, or rows without noise, give the loss no limit"
+        raise InputError(Fault("calibration.loss", rule, 'write loss = "linear"'))
+    return replace(found, loss=one.loss, limit_N=LOSS_LIMIT * noise)
 
 
 def in_order(curves: Sequence[FitCurve]) -> list[FitCurve]:

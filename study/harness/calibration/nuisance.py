@@ -18,7 +18,7 @@ from study.harness.runner.problem_tables import value_named
 from study.harness.runner.staged_fit import TOLERANCES, FitPart
 from study.mechanics.calibration.covariance import scaled_inverse
 from study.mechanics.calibration.fit import Fit, fit
-from study.mechanics.calibration.fit_influence import with_serial_correlation
+from study.mechanics.calibration.fit_influence import recorded_rows, with_serial_correlation
 from study.mechanics.calibration.levenberg_marquardt import Status
 from study.mechanics.calibration.residual_function import (
     MeasuredCurve,
@@ -26,6 +26,7 @@ from study.mechanics.calibration.residual_function import (
     Prior,
     pseudo_jacobian,
 )
+from study.mechanics.calibration.serial_correlation import row_noise
 from study.mechanics.setup.declaration import table_of, with_table
 from study.mechanics.setup.setup import Tables
 
@@ -372,8 +373,12 @@ def _weighed(
 
 #: change of the noise, relative, at which pseudo-observations have their weight
 _SETTLED = 1e-3
+#: the same where the correlation of rows, which stands on a grid, goes to and fro by a step
+_A_STEP = 0.03
 #: fits in which they find it
-_ROUNDS = 8
+_ROUNDS = 16
+#: standard uncertainties beside the expected offset at which a fit begins, too
+_STARTS = (-1.5, 1.5, -3.0, 3.0)
 #: noise over the largest force of data that have none
 _NOISELESS = 1e-9
 
@@ -462,21 +467,58 @@ def predicted(
 
 
 def _settled(task: _Task, fitted: Sequence[NuisanceParameter], found: Fit) -> tuple[Fit, Fit]:
-    """Fit again until the weight of the pseudo-observations is that of the residuals left."""
-    noise = _noise(found, task.measured)
-    start = np.r_[found.values, [one.expected for one in fitted]]
-    for _ in range(_ROUNDS):
-        plain, joint = task.fitted(fitted, start, noise)
+    """Fit again until the weight of the pseudo-observations is that of the residuals left.
+
+    The first weight is that of the noise of neighboring rows: the misfit at the expected values is
+    what the nuisance parameters are there to explain.
+    """
+    noise = _row_noise(found, task.measured)
+    plain, joint = _from_all(task, fitted, found.values, noise)
+    for number in range(_ROUNDS):
         now = _noise(joint, task.measured)
-        if not joint.converged or abs(now - noise) <= _SETTLED * noise:
+        near = _SETTLED if number < _ROUNDS // 2 else _A_STEP
+        if not joint.converged or abs(now - noise) <= near * noise:
             break
-        noise, start = now, plain.values
+        # more weight, less misfit, less weight: a round trip ends in its middle
+        noise = now if number < _ROUNDS // 4 else float(np.sqrt(noise * now))
+        plain, joint = task.fitted(fitted, plain.values, noise)
     else:
         why = f"the weight of the pseudo-observations has not settled in {_ROUNDS} fits"
         plain, joint = (
             replace(one, status=Status.max_evaluations, failure=why) for one in (plain, joint)
         )
     return plain, joint
+
+
+def _from_all(
+    task: _Task, fitted: Sequence[NuisanceParameter], constants: Array, noise: float
+) -> tuple[Fit, Fit]:
+    """Fit from the expected values and from offsets beside them; the least penalty is kept."""
+    expected = np.array([one.expected for one in fitted])
+    steps = _STARTS[:2] if task.simulated else _STARTS
+    starts = [expected]
+    for k, one in enumerate(fitted):
+        if one.key == OFFSET and one.uncertainty is not None:
+            starts += [expected + step * one.uncertainty * np.eye(len(fitted))[k] for step in steps]
+    found = [task.fitted(fitted, np.r_[constants, start], noise) for start in starts]
+    ended = [pair for pair in found if pair[1].converged]
+    return min(ended or found[:1], key=lambda pair: pair[0].penalized_rss)
+
+
+def _row_noise(found: Fit, measured: Sequence[MeasuredCurve]) -> float:
+    """Noise of independent points from differences of neighboring rows; else from the misfit."""
+    squares: list[Array] = []
+    rows = 0
+    for one, curve in zip(measured, found.curves, strict=True):
+        for weight, recorded, force, _ in recorded_rows(one, curve, found.names):
+            noise = row_noise(recorded.force_N, recorded.places, force, power=0.0)
+            if noise is None:
+                return _noise(found, measured)
+            squares.append(np.square(weight * noise.deviation))
+            rows += force.size
+    deviation = float(np.sqrt(np.mean(np.concatenate(squares)) * found.n / min(rows, found.n)))
+    largest = max(float(np.abs(m.weights * m.curve.force_N).max()) for m in measured)
+    return max(deviation, _NOISELESS * largest)
 
 
 def _noise(found: Fit, measured: Sequence[MeasuredCurve]) -> float:

@@ -28,6 +28,8 @@ from study.mechanics.calibration.residual_function import EvaluationFailed
 from study.mechanics.material.energy import Energy
 from study.mechanics.material.material import ENERGIES
 from study.mechanics.material.relaxation import is_of_relaxation
+from study.mechanics.setup.declaration import with_table
+from study.mechanics.setup.setup import Setup
 
 if TYPE_CHECKING:
     from study.mechanics.calibration.fit import Fit
@@ -175,6 +177,24 @@ def _of_specimens(
 
 #: sums of squares that differ by less are the same minimum
 SAME_MINIMUM = 1e-3
+#: relative difference of constants from which two minima are two
+_APART = 0.02
+#: difference of AICc up to which two minima cannot be told apart (Burnham and Anderson 2002, 2.6)
+OPEN = 6.0
+
+
+def rivals(chosen: Staged, others: Sequence[Staged]) -> tuple[Staged, ...]:
+    """Other minima that the rows cannot tell from the one chosen, the best first."""
+    out: list[Staged] = []
+    for one in sorted(others, key=lambda one: one.fit.rss):
+        apart = all(_differ(one.fit.values, other.fit.values) for other in (chosen, *out))
+        if one.fit.converged and apart and one.fit.aicc - chosen.fit.aicc < OPEN:
+            out.append(one)
+    return tuple(out)
+
+
+def _differ(one: Array, other: Array) -> bool:
+    return bool(np.any(np.abs(one - other) > _APART * np.maximum(np.abs(one), np.abs(other))))
 
 
 @dataclass(frozen=True)
@@ -220,7 +240,57 @@ def scattered(
     closed = [part for part in parts if part.method == "closed-form"]
     if not closed:
         return values
-    return _inside(_with_moduli(energy, names, values, closed), bounds)
+    return _inside(_with_moduli(energy, names, values, closed)[0], bounds)
+
+
+#: starts that are fitted at most: the best of the looks, each with other signs of its exponents
+_LOOKED = 6
+
+
+def looked_for(
+    name: str,
+    names: Sequence[str],
+    start: Array,
+    parts: Sequence[FitPart],
+    bounds: Sequence[tuple[float, float]] | None,
+) -> list[Array]:
+    """List starts on every side of zero of the exponents, the best of each, by cheap looks.
+
+    A look is a linear fit of the moduli beside given exponents, in closed form; a specimen that
+    sticks to its plates is taken at equal strain, which leaves exponents near enough to begin with.
+    """
+    energy, own = ENERGIES[name], dict(zip(names, start.tolist(), strict=True))
+    plain = {n for n in names if energy.is_dimensionless(n) and not is_of_relaxation(n)}
+    looks = [one for one in energy.looks(names) if set(one) == plain] if plain else []
+    free = [one for part in parts if (one := _at_equal_strain(part)) is not None]
+    seen: list[tuple[float, Array]] = []
+    for one in looks:
+        values, squares = _inside(np.array([{**own, **one}[n] for n in names]), bounds), np.inf
+        if free:
+            values, squares = _with_moduli(energy, names, values, free)
+        seen.append((squares, _inside(values, bounds)))
+    if len(plain) == 1 and free:  # every dip of the sum of squares along the exponent
+        sums = [np.inf, *(squares for squares, _ in seen), np.inf]
+        seen = [one for k, one in enumerate(seen) if one[0] <= min(sums[k], sums[k + 2])]
+        return [values for _, values in sorted(seen, key=lambda pair: pair[0])[:_LOOKED]]
+    places = [k for k, name in enumerate(names) if name in plain]
+    best_of: dict[tuple[bool, ...], Array] = {}
+    for _, values in sorted(seen, key=lambda pair: pair[0]):
+        best_of.setdefault(tuple(sorted(values[places] > 0)), values)
+    return list(best_of.values())[:_LOOKED]
+
+
+def _at_equal_strain(part: FitPart) -> FitPart | None:
+    """Part in closed form, as if its faces did not stick; None where it has no closed form."""
+    if part.method == "closed-form":
+        return part
+    setup = Setup.of(part.tables)
+    if part.method != "inverse-fem" or setup.height_mm is None or not setup.kind.compresses:
+        return None
+    tables = with_table(part.tables, "test", interface="frictionless", base="frictionless")
+    if not Setup.of(tables).is_homogeneous:
+        return None
+    return replace(part, method="closed-form", tables=tables)
 
 
 def best(found: Sequence[Staged]) -> Staged:
@@ -237,8 +307,11 @@ def _inside(values: Array, bounds: Sequence[tuple[float, float]] | None) -> Arra
 
 def _with_moduli(
     energy: Energy, names: Sequence[str], values: Array, parts: Sequence[FitPart]
-) -> Array:
-    """Moduli that fit best beside these plain numbers; unchanged where the model has no answer."""
+) -> tuple[Array, float]:
+    """Moduli that fit best beside these plain numbers, and their sum of squares.
+
+    Where the model has no answer, or resists nothing, they are unchanged and the sum is infinite.
+    """
     moduli = [k for k, n in enumerate(names)
               if not (energy.is_dimensionless(n) or is_of_relaxation(n))]  # fmt: skip
     models = [fitted_model(p.method, p.tables, [m.curve for m in p.measured], names) for p in parts]
@@ -249,12 +322,15 @@ def _with_moduli(
     try:
         r, jacobian = residual(values)
     except EvaluationFailed:
-        return values
+        return values, np.inf
     step, *_ = np.linalg.lstsq(jacobian[:, moduli], -r, rcond=None)
+    left = r + jacobian[:, moduli] @ step
     moved = values.copy()
     moved[moduli] += step
     # a modulus of a single term must stay positive, or nothing resists
-    return moved if len(moduli) > 1 or (moved[moduli] > 0).all() else values
+    if len(moduli) > 1 or (moved[moduli] > 0).all():
+        return moved, float(left @ left)
+    return values, np.inf
 
 
 def excluded(name: str, value: float, bounds: tuple[float, float]) -> Fault:

@@ -194,7 +194,8 @@ class CalibratedTest:
     measurements: MeasurementSpec
     #: Whether its curves enter the fit, or are only predicted.
     role: Role = "fit"
-    #: Factor on its residuals; ``"equal"``, or ``"scatter"`` for one over the standard error.
+    #: Factor on its residuals; ``"equal"``, or one over the noise of its rows, of one size
+    #: (``"scatter"``) or as it grows with the force (``"relative"``).
     weight: float | str = "equal"
     #: What is not known exactly of it, by key.
     nuisance: Mapping[str, NuisanceInput] = field(default_factory=dict)

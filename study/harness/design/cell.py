@@ -303,6 +303,9 @@ def markers_from(table: object, faults: Faults, path: str = "markers") -> Marker
 def _check_columns(table: Table, fault: Callable[[str, str, str], None]) -> None:
     """One column says how far, one how hard, and each has its unit."""
     columns, units = table.get("columns"), table.get("units")
+    if "units" not in table and table.get("unit_row") is not True:
+        mend = 'for example units = { displacement = "mm", force = "N" }'
+        fault("units", "is missing", mend)
     if not isinstance(columns, Mapping):
         return
     for quantities, usual in ((KINEMATIC, "displacement"), (KINETIC, "force")):
@@ -313,7 +316,7 @@ def _check_columns(table: Table, fault: Callable[[str, str, str], None]) -> None
             rule = f"stands beside {given[0]}"
             fault(f"columns.{given[1]}", rule, f"give one of {', '.join(quantities)}")
         wanted = given[0] if given else usual
-        if isinstance(units, Mapping) and wanted not in units:
+        if isinstance(units, Mapping) and wanted not in units and table.get("unit_row") is not True:
             fault(f"units.{wanted}", "is missing", f'for example {wanted} = "{_UNITS[wanted]}"')
     if isinstance(units, Mapping) and "time" in columns and "time" not in units:
         fault("units.time", "is missing", 'for example time = "s"')

@@ -42,7 +42,8 @@ class Place:
 
 
 _COMPRESSIBILITY = written_keys(CompressibilityTable)
-_MEASURED = ("file", "files", "range", "points", "zero", "toe", "sign")
+_MEASURED = ("file", "files", "range", "points", "zero", "toe", "sign", "displacement_zero",
+             "direction", "branch", "cycle")  # fmt: skip
 #: keys of the constants that the energies declare, those of two terms where there is a choice;
 #: a key of one letter is near to every misspelt one, and is not suggested
 _CONSTANTS = tuple(

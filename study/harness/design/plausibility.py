@@ -25,7 +25,7 @@ from study.mechanics.setup.geometry import (
 )
 from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import Model, Setup
-from study.mechanics.setup.test_kinds import PlateMotion
+from study.mechanics.setup.test_kinds import PlateMotion, buckling_strain
 from study.mechanics.setup.test_section import TEST_KINDS
 
 
@@ -276,6 +276,10 @@ def cautions(setup: Setup, material: MaterialSection) -> tuple[str, ...]:
     return (*_moduli(material), *_sizes(setup.specimen, setup.model), *_depth(setup, material))
 
 
+#: share of the compression by Euler's load above which a column is cautioned about
+CLOSE_TO_BUCKLING = 0.9
+
+
 def _moduli(material: MaterialSection) -> Iterator[str]:
     """Moduli that no tissue or silicone has: a unit may be wrong."""
     mu0 = initial_shear_modulus(material)
@@ -294,6 +298,18 @@ def _depth(setup: Setup, material: MaterialSection) -> Iterator[str]:
         energy = ENERGIES[material.model]
         if said := surface_warning(energy, setup.kind.mode, 1 - depth / height):
             yield f"test.displacement: {said}"
+        critical = buckling_strain(setup.test, setup.specimen)
+        if critical is not None and depth >= CLOSE_TO_BUCKLING * critical * height:
+            hidden = (
+                "a model with an axis of symmetry cannot sway"
+                if setup.model.space == "axisymmetric"
+                else "a model of its quarter is asked for the sway that it cannot make"
+            )
+            yield (
+                f"test.displacement: a column of this slenderness buckles at about "
+                f"{critical * height:.3g} mm (Euler's load), and "
+                f"{depth:.4g} mm are asked for; {hidden}: study solve --follow goes on from there"
+            )
 
 
 #: sizes of specimens that anybody tests, mm: 0.1 mm to 1 m

@@ -231,7 +231,11 @@ def _retry(value: object) -> tuple[tuple[str, tuple[str, ...]], ...]:
 
 
 def _weight(value: object) -> str | float:
-    return choice("scatter", "equal")(value) if isinstance(value, str) else number(0, 1e12)(value)
+    return (
+        choice("scatter", "equal", "relative")(value)
+        if isinstance(value, str)
+        else number(0, 1e12)(value)
+    )
 
 
 def _reason(value: object) -> str:

@@ -95,7 +95,9 @@ class Process:
 
         capped = dict.fromkeys(THREAD_VARIABLES, "1")
         with SafeChildren():  # the process, and the trackers that loky starts beside it
-            pool: ProcessPool = ProcessPoolExecutor(1, env=capped, initializer=serve_quietly)
+            pool: ProcessPool = ProcessPoolExecutor(
+                1, env=capped, initializer=serve_quietly, initargs=(os.getpid(),)
+            )
             self._executor, self._up = pool, pool.submit(os.getpid)
         return pool
 
@@ -150,7 +152,7 @@ class Process:
             executor.shutdown(wait=True, kill_workers=True)
 
 
-def serve_quietly() -> None:
+def serve_quietly(parent: int) -> None:
     """Prepare a worker process: no output, a group of its own, no life without its parent.
 
     Ctrl-C then reaches the parent alone, and what a task starts dies with its worker.
@@ -164,7 +166,6 @@ def serve_quietly() -> None:
     # libraries that print to stdout must not disturb anybody: stdout belongs to --json
     os.dup2(2, 1)
     os.setpgid(0, 0)
-    parent = os.getppid()
 
     def watch() -> None:
         while os.getppid() == parent:

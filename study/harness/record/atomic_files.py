@@ -22,7 +22,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from study.ground.bounded_file import parse_json
-from study.ground.errors import DiskFullError, StoreError
+from study.ground.errors import DiskFullError, StoreError, WriteError
 
 TEMPORARY = ".part"
 #: what the system says of a disk that takes no more: no space, quota, size of a file, broken disk
@@ -121,12 +121,12 @@ def write_new(path: Path, text: str) -> None:
         raise
 
 
-def write_error(path: str | Path, error: OSError) -> StoreError:
+def write_error(path: str | Path, error: OSError) -> WriteError:
     """Error of a file that could not be written, by what the system says of it."""
     text = f"{path}: could not be written ({error.strerror or error}); what was there before is "
     if error.errno in FULL:
         return DiskFullError(f"{text}unharmed. Free space, then run again")
-    return StoreError(f"{text}unharmed. Choose another folder, or mend this one, then run again")
+    return WriteError(f"{text}unharmed. Choose another folder, or mend this one, then run again")
 
 
 def _part(path: Path) -> Path:

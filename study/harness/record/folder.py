@@ -172,7 +172,7 @@ class SealedFolder:
         try:
             self._system.make_folder(folder)
         except OSError as error:
-            raise StoreError(f"{folder}: cannot be made ({error.strerror or error})") from error
+            raise write_error(folder, error) from error
 
     def _set_aside(self, path: Path, why: str) -> None:
         """Rename a damaged file; a reader without the lock leaves it to the next runner."""

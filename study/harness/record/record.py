@@ -52,6 +52,7 @@ STATUSES = (
     "not-converged",
     "mesh-failed",
     "unstable",
+    "lost-contact",
     "out-of-memory",
     "timeout",
     "crashed",

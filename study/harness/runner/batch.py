@@ -157,7 +157,7 @@ def _with_steps(tables: Tables) -> tuple[Tables, str]:
 
 
 #: a fit with one of these results is worth keeping: the same input gives it again
-_KEPT = ("converged", "not-converged", "unstable", "mesh-failed")
+_KEPT = ("converged", "not-converged", "unstable", "lost-contact", "mesh-failed")
 
 #: seconds for which a prediction of the time left is good: it looks at all that is left
 FORETOLD_S = 0.2

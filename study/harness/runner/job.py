@@ -259,7 +259,8 @@ class DataCache:
 
     def _recordings(self, spec: MeasurementSpec) -> Recordings:
         """Rows of the files, read once for all ranges that are cut out of them."""
-        rules = ("range", "points", "sign", "zero", "toe")
+        rules = ("range", "points", "sign", "zero", "toe", "displacement_zero", "direction",
+                 "branch", "cycle")  # fmt: skip
         key = digest({k: v for k, v in spec.as_dict().items() if k not in rules})
         if key not in self._recorded:
             self._recorded[key] = read_recordings(spec, self.root)

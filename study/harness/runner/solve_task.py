@@ -179,7 +179,7 @@ def peak_MB() -> float:  # noqa: N802
 # Where solutions of refinement series come from: this process, workers, or the store.
 
 #: results that the same input gives again; memory and time may be better another day
-_KEPT = ("converged", "not-converged", "unstable", "mesh-failed")
+_KEPT = ("converged", "not-converged", "unstable", "lost-contact", "mesh-failed")
 
 
 def in_process(tasks: Sequence[SolveTask]) -> Iterator[tuple[str, SolveResult]]:

@@ -380,7 +380,6 @@ class Checkpoint:
         arrays = {"x": iteration.x.tolist(), "scale": iteration.scale.tolist()}
         self.stages[stage] = cast(StageDocument, {**vars(iteration), **arrays})
         text = json.dumps({"key": self.key, "stages": self.stages}, indent=1, allow_nan=False)
-        self.path.parent.mkdir(parents=True, exist_ok=True)
         write_atomic(self.path, text.encode())
 
     def clear(self) -> None:

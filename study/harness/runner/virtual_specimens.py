@@ -52,7 +52,6 @@ def write_tests(folder: Path) -> list[Path]:
     rng = np.random.default_rng(_SEED)
     stretch, shear = np.linspace(1.0, 2.2, 25), np.linspace(0.0, 1.0, 21)
     shortened = np.linspace(1.0, 0.7, 16)
-    folder.mkdir(parents=True, exist_ok=True)
     return [
         _write(folder / "tension.csv", "stretch", stretch, _stress("uniaxial", stretch, rng)),
         _write(
@@ -360,7 +359,6 @@ def write_virtual(design: Design, out: Path, generator: Generator | None = None)
         tests = list(generate(reference, generator, spec, noise=which, weighs=weighs))
         for name, rows in _files(spec, tests).items():
             path = out / name
-            path.parent.mkdir(parents=True, exist_ok=True)
             write_atomic(path, rows.encode())
             note_of = {
                 "generator": asdict(generator),

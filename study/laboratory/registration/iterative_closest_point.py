@@ -258,7 +258,9 @@ def _trimmed(
     share: float = TRIM,
 ) -> tuple[float, RigidMotion]:
     """Trimmed registration from one start: its residual, RMS in mm, and the motion."""
-    # Far away a step between points goes the right way, one along normals may not.
+    # Far away a step between points goes the right way, one along normals may not. Where the steps
+    # end before the residual has settled, the motion is a start like others: `_refined` says
+    # whether the registration that begins there has converged.
     motion, count, last = start, max(int(share * len(cloud)), 3), np.inf
     for number in range(point_steps + NORMAL_STEPS):
         moved = motion(cloud)

@@ -192,8 +192,6 @@ def target_registration_error(fiducials: Array, targets: Array, localization_err
 NORMAL_MAD = 0.6744897501960817
 #: Tukey's tuning constant: 95 % efficiency where errors are normal (Holland and Welsch 1977).
 BIWEIGHT = 4.685
-#: Rounds in which the scale of the inliers settles: each round removes most of what is left.
-SCALE_STEPS = 10
 #: Neighbors whose mean distance tells how isolated a point of a cloud is.
 NEIGHBORS = 8
 #: Robust standard deviations of log distance beyond which a point is isolated.
@@ -214,13 +212,16 @@ def biweight(standardized: Array) -> Array:
 def inlier_scale(residuals: Array, start: float | None = None) -> float:
     """Estimate the standard deviation of those residuals that the biweight gives weight."""
     # The median of all would grow by half where three in ten points are outliers.
+    # A wider scale lets in more residuals, and so gives a scale that is no narrower: the scales of
+    # the rounds rise or fall all the way, and there are no more of them than residuals.
     scale = scale_of(residuals) if start is None else start
-    for _ in range(SCALE_STEPS):
+    while True:
         inside = residuals[np.abs(residuals) < BIWEIGHT * scale]
         if not inside.size or scale == 0:
             return scale
-        scale = scale_of(inside)
-    return scale
+        before, scale = scale, scale_of(inside)
+        if scale == before:
+            return scale
 
 
 def sandwich(slope: Array, residuals: Array, scale: float, groups: Ints | None = None) -> Array:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.ground.arrays import Array, Flags, Ints
-from study.ground.bounded_file import open_regular
+from study.ground.bounded_file import Unpacker, open_regular
 from study.ground.errors import Fault, InputError
 from study.ground.units import unit_factor
 from study.laboratory.registration.closest_point import TriangleSurface
@@ -376,14 +376,19 @@ def read_body(path: Path, unit: str) -> SimulatedBody:
 
 def _read_vtu(path: Path) -> DeformedMesh:
     """Read cells, points and displacements of a VTU file."""
-    from meshio import vtu
+    from meshio.vtu import _vtu
 
     where = f"simulation: {path.name}"
     try:
         stream = open_regular(path)
         if stream is not None:
             stream.close()
-        mesh = vtu.read(str(path))
+        unbounded = _vtu.zlib, _vtu.lzma
+        _vtu.zlib = _vtu.lzma = Unpacker(path.name)
+        try:
+            mesh = _vtu.read(str(path))
+        finally:
+            _vtu.zlib, _vtu.lzma = unbounded
     except Exception as error:  # meshio's parsers raise whatever they stumble over
         reason = str(error).split("\n")[0][:120] or type(error).__name__
         raise InputError(Fault(where, f"cannot be read: {reason}", "write it again")) from error

@@ -339,8 +339,8 @@ def _compared(
             "distance", ("stage",), Blocking(("pass",)), scale=scale, alpha=alpha
         )
         return analyze(table, request), (
-            f"every one of {int(number.max()) + 1} passes visits every stage: stages are compared "
-            "within passes, against how their differences vary from pass to pass"
+            f"stages are compared within each of {int(number.max()) + 1} passes; the error is "
+            "their pass-to-pass variation"
         )
     request = AnalysisRequest("distance", ("stage",), scale=scale, alpha=alpha)
     return analyze(table, request), "stages are compared against the scatter between visits"

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from study.ground.arrays import Array
-from study.ground.errors import Fault, InputError, RefusedError
+from study.ground.errors import Fault, InputError, settled
 from study.ground.tabular import CsvTable, read_csv
 from study.ground.units import unit_factor
 from study.laboratory.registration.rigid import (
@@ -257,8 +257,7 @@ def _with_arm(
         return np.asarray((seen - motion_of(values)(moving)).ravel())
 
     found = least_squares(residuals, np.zeros(9), x_scale="jac", xtol=1e-12, ftol=1e-14)
-    if not found.success:
-        raise RefusedError(f"no position of the reference fits the rows: {found.message}")
+    settled(found, "position of the reference")
     squares = float((found.fun**2).sum())
     freedom = max(found.fun.size - 9, 1)
     covariance = np.linalg.pinv(found.jac.T @ found.jac, rcond=1e-14)[6:, 6:] * squares / freedom

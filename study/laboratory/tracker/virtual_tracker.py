@@ -166,6 +166,5 @@ def _csv(columns: Sequence[str], rows: Sequence[Sequence[str]], delimiter: str =
 
 
 def _write(path: Path, text: str) -> Path:
-    path.parent.mkdir(parents=True, exist_ok=True)
     write_atomic(path, text.encode())
     return path

@@ -182,7 +182,11 @@ class _Model:
         except ValueError as error:  # the solution stopped before the end of the test
             raise EvaluationFailed(str(error)) from error
         slopes = predicted.gradients_at(self.names, d)
-        return weight * (force - measured.curve.force_N[used]), weight[:, None] * slopes
+        residual = weight * (force - measured.curve.force_N[used])
+        if measured.loss == "linear":
+            return residual, weight[:, None] * slopes
+        robust, slope = measured.robust(residual)
+        return robust, (slope * weight)[:, None] * slopes
 
     def watch(self, callback: Progress | None) -> Progress:
         def accepted(iteration: Iteration) -> bool | None:

@@ -46,6 +46,7 @@ def with_serial_correlation(
     free = np.isfinite(found.standard_error)
     if not found.converged or not free.any() or found.rss == 0:
         return found
+    measured = [m.reweighted(c) for m, c in zip(measured, found.curves, strict=True)]
     names = [name for name, is_free in zip(found.names, free, strict=True) if is_free]
     series, beside = _series(found, measured, names)
     if known is not None:
@@ -119,10 +120,11 @@ def _series(
         # estimates move by minus this times a change of the measured forces at the points, N
         by_point = inverse @ (jacobian * one.weights[used][:, None]).T
         places = one.curve.places[used]
-        recordings = one.recordings or (one.curve.at_points(np.flatnonzero(used)),)
-        for weight, rows_used, force, slopes in _recorded(one, recordings, predicted, names):
+        recorded = recorded_rows(one, predicted, names)
+        for weight, rows_used, force, slopes in recorded:
             residual = weight * (force - rows_used.force_N)
-            own = interpolation_transposed(by_point, places, rows_used.places) / len(recordings)
+            own = interpolation_transposed(by_point, places, rows_used.places)
+            own /= len(one.recordings) or 1
             out.append(Series(residual, weight[:, None] * slopes, own / weight))
     return out, known_covariance(priors, names, inverse)
 
@@ -133,11 +135,13 @@ def _gradient(measured: MeasuredCurve, predicted: Curve, names: Sequence[str]) -
     return np.asarray(measured.weights[used][:, None] * predicted.gradients_at(names, d))
 
 
-def _recorded(
-    measured: MeasuredCurve, recordings: Sequence[Curve], predicted: Curve, names: Sequence[str]
+def recorded_rows(
+    measured: MeasuredCurve, predicted: Curve, names: Sequence[str]
 ) -> list[tuple[Array, Curve, Array, Array]]:
     """Weight, rows in the fitted range, predicted force and slopes of each recording with any."""
-    places = measured.curve.places[measured.weights > 0]
+    fitted = measured.weights > 0
+    recordings = measured.recordings or (measured.curve.at_points(np.flatnonzero(fitted)),)
+    places = measured.curve.places[fitted]
     found = []
     for recording in recordings:
         inside = (recording.places >= places[0]) & (recording.places <= places[-1])

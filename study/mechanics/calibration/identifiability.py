@@ -185,7 +185,8 @@ class LikelihoodProfile:
     values: Array
     rss: Array
     #: Where rss = rss_min (1 + t^2 / (n - p)), t times the inflation by serial correlation;
-    #: infinite on a side that never gets there.
+    #: infinite on a side that never gets there, the bound of the constant where it ends below, and
+    #: NaN where the other constants could not be refitted before it got there.
     interval: tuple[float, float]
 
 
@@ -210,7 +211,8 @@ def profile(
     sides = []
     for sign in (-1.0, 1.0):
         rss_at = _profiled(function, result, index, bounds, tried)
-        sides.append(_crossing(rss_at, float(result.values[index]), sign * error, limit))
+        end = sign * np.inf if bounds is None else bounds[index][int(sign > 0)]
+        sides.append(_crossing(rss_at, float(result.values[index]), sign * error, limit, end))
     order = sorted(tried)
     rss = np.array([tried[v] for v in order])
     return LikelihoodProfile(name, np.array(order), rss, (sides[0], sides[1]))
@@ -253,16 +255,31 @@ def _profiled(
     return rss_at
 
 
-def _crossing(rss_at: Callable[[float], float], best: float, step: float, limit: float) -> float:
-    """Value on one side where the profile meets the limit: outward steps, then bisection."""
-    inner, outer = best, best + step
+def _crossing(
+    rss_at: Callable[[float], float], best: float, step: float, limit: float, end: float
+) -> float:
+    """Value on one side where the profile meets the limit: outward steps, then bisection.
+
+    ``end`` is the bound of the constant on that side, which is given where the profile lies below
+    the limit up to it. A place without an answer is not one where the profile has met the limit.
+    """
+    nearer = max if step < 0 else min
+    inner, outer = best, nearer(best + step, end)
     for _ in range(12):
-        if rss_at(outer) >= limit:
+        least = rss_at(outer)
+        if least >= limit:
             break
-        inner, outer = outer, best + 2 * (outer - best)
+        if outer == end:
+            return end
+        inner, outer = outer, nearer(best + 2 * (outer - best), end)
     else:
         return float(np.copysign(np.inf, step))
     while abs(outer - inner) > 1e-3 * abs(step):
         middle = 0.5 * (inner + outer)
-        inner, outer = (inner, middle) if rss_at(middle) >= limit else (middle, outer)
-    return 0.5 * (inner + outer)
+        if (there := rss_at(middle)) >= limit:
+            outer, least = middle, there
+        else:
+            inner = middle
+    if np.isfinite(least):
+        return 0.5 * (inner + outer)
+    return end if outer == end else np.nan

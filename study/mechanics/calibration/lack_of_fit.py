@@ -1,4 +1,4 @@
-"""What the residuals say about the model: lack of fit, pattern, choice between energies.
+"""What the residuals say about the model: adequacy, lack of fit, pattern, choice between energies.
 
 The points of one test are not independent of each other: a load cell drifts, a contact
 settles. Nothing in a single test tells how many independent errors it holds, so every
@@ -8,7 +8,7 @@ verdict is given for both ends: as many as points, and one a curve.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -16,10 +16,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from study.ground.arrays import Array
+from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, RefusedError
 from study.ground.noncentral_f import noncentral_f_cdf
 from study.mechanics.calibration.fit import Fit
-from study.mechanics.calibration.serial_correlation import Mixture
+from study.mechanics.calibration.fit_influence import recorded_rows
+from study.mechanics.calibration.residual_function import MeasuredCurve
+from study.mechanics.calibration.serial_correlation import (
+    FEWEST_ROWS,
+    Mixture,
+    Series,
+    row_noise,
+    trend,
+)
+from study.mechanics.material.material import is_dimensionless
 
 ALPHA = 0.05
 
@@ -108,6 +118,295 @@ def _runs_expected(above: Sequence[NDArray[np.bool_]]) -> tuple[float, float]:
         expected += 1 + both / n
         variance += both * (both - n) / (n * n * (n - 1))
     return expected, max(variance, 0.0)
+
+
+# Whether a model describes the rows that it was fitted to, beside the optimizer's word. Misfit is a
+# trend that no drift explains, a root mean square beyond what neighboring rows scatter by, or a
+# row far from its neighbors. Error rates by simulation: tests/calibration/test_adequacy.py.
+
+Verdict = Literal["describes", "doubtful", "does not describe"]
+_GRADES: tuple[Verdict, ...] = ("describes", "doubtful", "does not describe")
+#: shares of the root mean square force: a misfit to be named, one that condemns where it is a
+#: trend, and a root mean square error that condemns where rows scatter less
+_NAMED, _TREND, _LARGE_ERROR = 0.01, 0.1, 0.15
+#: root mean square error over the scatter of rows from which it is no noise
+_BEYOND_NOISE = 2.0
+#: p from which a trend, or a lack of fit, is named, and condemns
+_CLEAR, _CLEARER = 0.001, 0.0005
+#: coefficients of a trend (Legendre polynomials) at least and at most, and rows for each
+_FEWEST_TERMS, _MOST_TERMS, _ROWS_A_TERM = 3, 4, 5
+#: share of the largest force by which a single row must be off to be named
+_OFF = 0.02
+
+
+def _largest_distance(rows: int) -> float:
+    """Distance of a row from its neighbors, in standard deviations, that noise hardly reaches.
+
+    Above the 99.9 % point of the largest distance in simulated noise: 14.3 of 8 rows, 9.6 of 10,
+    6.7 of 20, 5.3 of 50 and 5.1 of 100 (2,000 to 6,000 draws each).
+    """
+    return 6.0 + 400 / rows**1.8
+
+
+@dataclass(frozen=True)
+class SuspectRow:
+    """A row that the fit does not describe, or that is far from its neighbors."""
+
+    label: str
+    #: Its number among the rows used, from 1.
+    row: int
+    displacement_mm: float
+    force_N: float  # noqa: N815
+    predicted_N: float  # noqa: N815
+
+
+@dataclass(frozen=True)
+class Adequacy:
+    """Whether the model describes its data, and what to do where it does not."""
+
+    verdict: Verdict
+    #: Each with what to do, the worst first; empty where the model describes.
+    reasons: tuple[str, ...] = ()
+    rows: tuple[SuspectRow, ...] = ()
+
+    @property
+    def describes(self) -> bool:
+        """Whether constants may be recommended, if with doubt."""
+        return self.verdict != "does not describe"
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in words: the same in every output."""
+        told = {
+            "describes": "the model describes the data",
+            "doubtful": "it is doubtful that the model describes the data",
+            "does not describe": "the model does not describe the data: use no constant of it",
+        }[self.verdict]
+        return ": ".join([told, "; ".join(self.reasons)]) if self.reasons else told
+
+    def as_dict(self) -> dict[str, object]:
+        """Plain values, for JSON."""
+        rows = [vars(one) for one in self.rows]
+        return {"verdict": self.verdict, "sentence": self.sentence,
+                "reasons": list(self.reasons), "rows": rows}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Recording:
+    """Residuals of the rows of one recording."""
+
+    label: str
+    test: int
+    rows: Curve
+    predicted_N: Array  # noqa: N815
+    weight: Array
+    slopes: Array
+
+    @property
+    def residual(self) -> Array:
+        return np.asarray(self.predicted_N - self.rows.force_N)
+
+    @property
+    def weighted_force(self) -> Array:
+        return np.asarray(self.weight * self.rows.force_N)
+
+
+_Finding = tuple[int, str, tuple[SuspectRow, ...]]
+
+
+def adequacy(
+    found: Fit,
+    measured: Sequence[MeasuredCurve],
+    *,
+    tests: Sequence[int] = (),
+    lack: LackOfFit | None = None,
+    more: Sequence[tuple[Verdict, str]] = (),
+) -> Adequacy:
+    """Judge whether a fit describes the data that it was made to.
+
+    ``tests`` numbers the test of every curve: curves of one test are repeats or specimens, and
+    what they differ by is noise. ``more`` are reasons that others have, with their verdicts.
+    """
+    if not found.status.usable:
+        return Adequacy("does not describe", (f"the search has no minimum: {found.message}",))
+    findings: list[_Finding] = [(_GRADES.index(grade), why, ()) for grade, why in more]
+    findings += _of_bounds(found)
+    robust = {one.label for one in measured if one.loss != "linear"}
+    measured = [m.reweighted(c) for m, c in zip(measured, found.curves, strict=True)]
+    recordings = [
+        _Recording(one.label, number, rows, force, weight, slopes)
+        for one, curve, number in zip(
+            measured, found.curves, tests or range(len(measured)), strict=True
+        )
+        for weight, rows, force, slopes in recorded_rows(one, curve, found.names)
+    ]
+    groups = [
+        [r for r in recordings if r.test == t] for t in dict.fromkeys(r.test for r in recordings)
+    ]
+    findings += _of_size(found, groups)
+    findings += [finding for one in recordings for finding in _of_rows(one, robust)]
+    findings += _of_trend(found, groups)
+    if lack is not None and max(lack.p_independent, lack.p_dependent) < _CLEAR:
+        why = f"repeats scatter less than the model misses them (p = {lack.p_dependent:.2g})"
+        findings.append((1, f"{why}: take an energy with more constants", ()))
+    if not findings:
+        return Adequacy("describes")
+    findings.sort(key=lambda one: -one[0])
+    rows = {(row.label, row.row): row for one in findings for row in one[2]}
+    return Adequacy(
+        _GRADES[findings[0][0]],
+        tuple(dict.fromkeys(why for _, why, _ in findings)),
+        tuple(rows.values()),
+    )
+
+
+def _of_bounds(found: Fit) -> list[_Finding]:
+    held = [
+        f"{name} ended at its bound ({value:.6g}{'' if is_dimensionless(name) else ' MPa'})"
+        for name, value, error in zip(found.names, found.values, found.standard_error, strict=True)
+        if found.converged and math.isnan(error)
+    ]
+    mend = "widen calibration.bounds, or take an energy with fewer constants"
+    return [(1, f"{', '.join(held)}: {mend}", ())] if held else []
+
+
+def _of_size(found: Fit, groups: Sequence[Sequence[_Recording]]) -> list[_Finding]:
+    """Find a root mean square error beyond the scatter of rows, repeats and specimens."""
+    out: list[_Finding] = []
+    if found.r_squared < 0:
+        why = f"the mean force describes the rows better (R2 = {found.r_squared:.2f})"
+        out.append((2, f"{why}: check displacement_zero, sign, range and units of the columns", ()))
+    for group in groups:
+        squares = sum(float(np.sum((r.weight * r.residual) ** 2)) for r in group)
+        force = sum(float(np.sum(r.weighted_force**2)) for r in group)
+        error, scatter = math.sqrt(squares / force), math.sqrt(_scatter(group) / force)
+        if error > _LARGE_ERROR and error > _BEYOND_NOISE * scatter:
+            label = ", ".join(dict.fromkeys(r.label for r in group[:3]))
+            out.append((2, (
+                f"{label}: the RMS error is {100 * error:.3g} % of the RMS force, and rows scatter "
+                f"by {100 * scatter:.2g} %: check units, range and single rows, then the energy"
+            ), ()))  # fmt: skip
+    return out
+
+
+def _scatter(group: Sequence[_Recording]) -> float:
+    """Sum of squares that rows and the differences of recordings leave, weighted."""
+    total = 0.0
+    for one in group:
+        noise = row_noise(one.residual, one.rows.places, one.predicted_N)
+        total += 0.0 if noise is None else float(np.sum((one.weight * noise.deviation) ** 2))
+    if len(group) > 1:
+        grid, rows = _on_one_grid(group)
+        apart = rows - rows.mean(axis=0)
+        share = sum(one.rows.places.size for one in group) / grid.size / len(group)
+        total += share * float(np.sum(apart**2)) * len(group) / (len(group) - 1)
+    return total
+
+
+def _on_one_grid(group: Sequence[_Recording]) -> tuple[Array, Array]:
+    """Weighted residuals of several recordings at the places of the first, shape (k, n)."""
+    grid = group[0].rows.places
+    return grid, np.array([np.interp(grid, r.rows.places, r.weight * r.residual) for r in group])
+
+
+def _of_rows(one: _Recording, robust: Collection[str]) -> list[_Finding]:
+    """Single rows far from their neighbors."""
+    noise = row_noise(one.residual, one.rows.places, one.predicted_N)
+    if noise is None:
+        return []
+    largest = float(np.abs(one.rows.force_N).max())
+    size = np.abs(noise.distance * noise.deviation)
+    far = np.abs(noise.distance) > _largest_distance(one.rows.places.size)
+    (places,) = np.nonzero(far & (size > _OFF * float(np.abs(one.predicted_N).max())))
+    if not places.size:
+        return []
+    rows = tuple(_suspect(one, k) for k in places)
+    listed = ", ".join(str(row.row) for row in rows[:8]) + (", ..." if len(rows) > 8 else "")
+    gone = float(np.sum(one.residual[places] ** 2) / np.sum(one.residual**2))
+    mend = 'leave out what was misread, or write calibration.loss = "soft-l1"'
+    if one.label in robust:
+        mend = "the loss lets them count for little"
+    grade = 0 if one.label in robust else 2 if gone > 0.5 and size.max() > 0.2 * largest else 1
+    is_one = places.size == 1
+    why = (
+        f"{one.label}: {'row' if is_one else 'rows'} {listed} of {one.rows.places.size} "
+        f"{'is' if is_one else 'are'} off by up to {size.max():.3g} N where neighbors scatter by "
+        f"{float(np.median(noise.deviation)):.2g} N, {100 * gone:.2g} % of the sum of squares: "
+        f"{mend}"
+    )
+    return [(grade, why, rows)]
+
+
+def _suspect(one: _Recording, place: int) -> SuspectRow:
+    return SuspectRow(
+        one.label,
+        int(place) + 1,
+        float(one.rows.displacement_mm[place]),
+        float(one.rows.force_N[place]),
+        float(one.predicted_N[place]),
+    )
+
+
+def _of_trend(found: Fit, groups: Sequence[Sequence[_Recording]]) -> list[_Finding]:
+    """Residuals that follow a smooth line which no drift of the rows explains."""
+    out: list[_Finding] = []
+    alone = [group[0] for group in groups if len(group) == 1]
+    judged = [(group, *_common_trend(group)) for group in groups if len(group) > 1]
+    for one in alone:
+        judged.append(([one], *_trend_of_one(found, one)))
+    for group, p, line in judged:
+        force = np.concatenate([r.weighted_force for r in group])
+        share = math.sqrt(float(np.mean(line**2) / np.mean(force**2))) if line.size else 0.0
+        if p >= _CLEAR or share < _NAMED:
+            continue
+        label = ", ".join(dict.fromkeys(r.label for r in group[:3]))
+        grade = 2 if p < _CLEARER and share > _TREND else 1
+        why = (
+            f"{label}: the residuals follow a line of {100 * share:.2g} % of the RMS force that is "
+            f"neither noise nor drift (p = {p:.1g}): take another energy, or a shorter range"
+        )
+        out.append((grade, why, ()))
+    return out
+
+
+def _trend_of_one(found: Fit, one: _Recording) -> tuple[float, Array]:
+    """P that one recording holds no trend, and the trend; rows count by their noise."""
+    n, free = one.residual.size, np.isfinite(found.standard_error)
+    terms = min(_MOST_TERMS, max(_FEWEST_TERMS, n // _ROWS_A_TERM))
+    if n < FEWEST_ROWS or not free.any():
+        return 1.0, np.zeros(0)
+    noise = row_noise(one.residual, one.rows.places, one.predicted_N)
+    # half of the growth: rows of small force would hide a misfit of the larger ones
+    grows = noise is not None and noise.power > 0
+    size = one.weight if noise is None or not grows else 1 / np.sqrt(noise.relative)
+    jacobian = size[:, None] * one.slopes[:, free]
+    if not np.all(np.linalg.norm(jacobian, axis=0) > 0):
+        return 1.0, np.zeros(0)
+    columns = size[:, None] * np.polynomial.legendre.legvander(np.linspace(-1, 1, n), terms - 1)
+    p, line = trend([Series(size * one.residual, jacobian, jacobian.T)], [columns])
+    return p, one.weight * line / size
+
+
+def _common_trend(group: Sequence[_Recording]) -> tuple[float, Array]:
+    """P that recordings of one test have no residual in common, and that residual.
+
+    Coefficients of a trend scatter between recordings by whatever these differ by; their mean is
+    compared with that (as few degrees of freedom as if all coefficients moved together).
+    """
+    from scipy.special import fdtrc
+
+    grid, rows = _on_one_grid(group)
+    if grid.size < FEWEST_ROWS:
+        return 1.0, np.zeros(0)
+    terms = _FEWEST_TERMS
+    basis, _ = np.linalg.qr(
+        np.polynomial.legendre.legvander(np.linspace(-1, 1, grid.size), terms - 1)
+    )
+    shares = rows @ basis
+    mean, count = shares.mean(axis=0), len(group)
+    within = float(np.sum((shares - mean) ** 2)) / (count - 1)
+    statistic = count * float(mean @ mean) / within if within > 0 else math.inf
+    return float(fdtrc(1, count - 1, statistic)), basis @ mean
 
 
 def akaike_weights(aicc: Mapping[str, float]) -> dict[str, float]:

@@ -97,6 +97,7 @@ def damped_step(linear: Linearization, radius: float) -> tuple[Array, float]:
     s2, unit, target = linear.singular**2, gradient / steepness, radius / steepness
     low, high = 0.0, 1 / target
     damping = 1e-3 * high
+    # a step of another length within the bracket lowers the cost, too, and is judged by that
     for _ in range(60):
         terms = unit / (s2 + damping)
         length = length_of(terms)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import ArrayLike
 from study.ground.arrays import Array
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
+from study.mechanics.setup.calibration_table import Loss
 
 Function = Callable[[Array], tuple[Array, Array]]
 
@@ -95,6 +97,16 @@ class EvaluationFailed(Exception):
 
 # A measured curve of a fit, and what must hold of it.
 
+#: noise of a row up to which residuals count by squares: 95 % efficient where all noise is normal
+LOSS_LIMIT = 1.345
+
+
+def _loss_weight(loss: Loss, size: Array) -> Array:
+    """Weight of a squared residual by its size over the limit."""
+    if loss == "huber":
+        return 1 / np.maximum(size, 1.0)
+    return np.asarray(1 / np.sqrt(1 + size**2))
+
 
 @dataclass(frozen=True)
 class MeasuredCurve:
@@ -111,6 +123,30 @@ class MeasuredCurve:
     #: Rows as recorded, of every repeat, whose linear interpolation and mean the curve is; none
     #: where the curve's points are the rows.
     recordings: tuple[Curve, ...] = ()
+    #: How residuals count, and shape (n,): the residual in N up to which they count by squares.
+    loss: Loss = "linear"
+    limit_N: float | Array = math.inf  # noqa: N815
+
+    def robust(self, residual: Array) -> tuple[Array, Array]:
+        """Residual whose square is the loss, and its derivative; both shape (n,) of used rows."""
+        used = self.weights > 0
+        limit = self.weights[used] * np.broadcast_to(self.limit_N, used.shape)[used]
+        size = np.abs(residual)
+        weight = _loss_weight(self.loss, size / limit)
+        if self.loss == "huber":
+            root = np.sqrt(np.where(size > limit, 2 * limit * size - limit**2, size**2))
+        else:  # 2 c^2 (sqrt(1 + z) - 1), without the difference of nearly equal numbers
+            root = size * np.sqrt(2 / (1 + np.sqrt(1 + (size / limit) ** 2)))
+        slope = np.divide(weight * size, root, out=np.ones_like(size), where=root > 0)
+        return np.sign(residual) * root, slope
+
+    def reweighted(self, predicted: Curve) -> MeasuredCurve:
+        """Copy whose residuals are as large as their influence, which the loss bounds."""
+        if self.loss == "linear":
+            return self
+        apart = np.abs(predicted.force_at(self.curve.displacement_mm) - self.curve.force_N)
+        weight = self.weights * _loss_weight(self.loss, apart / self.limit_N)
+        return replace(self, weight=weight, loss="linear")
 
     @property
     def weights(self) -> Array:

@@ -407,12 +407,14 @@ def hold(
 class Constraints:
     """Prescribed unknowns: ``x[dofs] = rate * displacement``.
 
-    ``pins`` are those that only keep the specimen in its place and should carry nothing.
+    ``pins`` are those that only keep the specimen in its place and should carry nothing; ``axial``
+    is the rate of the motion along the axis alone, where a plate has others besides.
     """
 
     dofs: Ints
     rate: Array
     pins: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    axial: Array | None = None
 
     @classmethod
     def of(cls, rate: Mapping[int, float], pins: Sequence[int] | Ints = ()) -> Constraints:
@@ -426,8 +428,13 @@ class Constraints:
 def constraints(setup: Setup, space: Nodes, mesh: Mesh) -> Constraints:
     """Held and driven unknowns of a test, the planes of symmetry (or the axis) included."""
     rate = prescribed_rates(setup, space, mesh)
-    if setup.is_whole:  # what is left may move
-        return Constraints.of(rate, pins(space.nodes, len(mesh.points), rate))
+    if setup.is_whole or mesh.is_whole:  # what is left may move
+        held = Constraints.of(rate, pins(space.nodes, len(mesh.points), rate))
+        if all(face.besides is None for face in setup.faces):
+            return held
+        straight = [replace(face, besides=None) for face in setup.faces]
+        alone = {d: v for face in straight for d, v in _face_rates(face, space, mesh).items()}
+        return replace(held, axial=np.array([alone.get(int(d), 0.0) for d in held.dofs]))
     tol = _SAME * mesh.height_mm
     for i in range(space.dim - 1):
         symmetric = np.flatnonzero(np.abs(space.nodes[:, i]) < tol)

@@ -64,7 +64,7 @@ def principal_axes(c: Array, axes: Array) -> None:
     """
     axes[:] = 0.0
     axes[0] = axes[4] = axes[8] = 1.0
-    for _ in range(12):
+    for _ in range(12):  # cyclic rotations converge quadratically (ibid.): five sweeps do
         off = c[1] * c[1] + c[2] * c[2] + c[5] * c[5]
         # quadratic convergence: rotations of this size change no eigenvalue
         if not off > 1e-34 * (c[0] * c[0] + c[4] * c[4] + c[8] * c[8]):

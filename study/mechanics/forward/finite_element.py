@@ -15,13 +15,20 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from study.mechanics.forward import closed_form
-from study.mechanics.forward.model import Prediction
 from study.mechanics.setup.setup import Problem, Tables, problem_of
 from study.mechanics.setup.test_kind import StepSettings
 
 if TYPE_CHECKING:
     from study.mechanics.solver.newton import Options
     from study.mechanics.solver.solution import Solution
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """A forward solution and what it would have cost alone, in seconds."""
+
+    solution: Solution
+    cold_seconds: float
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -14,7 +14,7 @@ from scipy.optimize import minimize_scalar
 from scipy.special import bdtr, stdtrit
 
 from study.ground.arrays import Array, Flags
-from study.ground.errors import Fault, InputError
+from study.ground.errors import Fault, InputError, settled
 from study.mechanics.indentation.contact_law import (
     ContactForceLaw,
     Layer,
@@ -23,8 +23,9 @@ from study.mechanics.indentation.contact_law import (
     force_law,
     limits,
 )
-from study.mechanics.measurement.conditioning import Rules, condition, placed
 from study.mechanics.measurement.measurement_section import MeasurementSpec
+from study.mechanics.measurement.phases import RowCount
+from study.mechanics.measurement.reading import first_notes, rules_of, specimens
 from study.mechanics.measurement.recording import read_recordings
 from study.mechanics.setup.calibration_table import Theory
 from study.mechanics.setup.geometry import Indenter
@@ -87,8 +88,6 @@ _TRIED = 41
 #: share of the travel up to which contact may begin, and before its start that it may have begun
 _LATEST = 0.9
 _EARLIEST = -0.2
-#: rounds of fitting and of choosing the rows within the limits of the depth so found
-_ROUNDS = 8
 #: largest correlation of neighboring residuals that is told from a trend
 _MOST_CORRELATED = 0.99
 
@@ -127,15 +126,9 @@ def fit_modulus(
 ) -> CurveModulus:
     """Fit Young's modulus to the rows of one curve that lie within the limits."""
     # Shapes: displacement_mm, force_N (n,).
-    contact = 0.0
-    used: Flags = np.zeros(displacement_mm.shape, dtype=bool)
-    for _ in range(_ROUNDS if find_contact else 1):
-        if find_contact:
-            chosen = used if used.any() else np.ones_like(used)
-            contact = _contact(displacement_mm[chosen], force_N[chosen], law)
-        before, used = used, displacement_mm - contact <= deepest_mm
-        if np.array_equal(before, used) or _touching(displacement_mm[used], contact) < MIN_ROWS:
-            break
+    contact, used = 0.0, displacement_mm <= deepest_mm
+    if find_contact:
+        contact, used = _contact_and_rows(displacement_mm, force_N, law, deepest_mm)
     rows = _touching(displacement_mm, contact)
     outside = int(np.count_nonzero(~used))
     if _touching(displacement_mm[used], contact) < MIN_ROWS:
@@ -143,6 +136,26 @@ def fit_modulus(
         return CurveModulus("outside", rule, rows, outside)
     d, f = displacement_mm[used], force_N[used]
     return _judged(d - contact, f, law, poisson_ratio, (rows, outside), contact, find_contact)
+
+
+def _contact_and_rows(
+    d: Array, force: Array, law: ContactForceLaw, deepest: float
+) -> tuple[float, Flags]:
+    """Displacement at contact, and the rows within the limit of depth that give it."""
+    # Often no rows give a contact that chooses just them: with one row more contact is so early
+    # that this row lies too deep. The choices then come round, for there are no more than rows, and
+    # the fewest rows of such a circle are those that are all within the limit.
+    choices = [np.ones(d.shape, dtype=bool)]
+    while True:
+        contact = _contact(d[choices[-1]], force[choices[-1]], law)
+        used: Flags = d - contact <= deepest
+        if _touching(d[used], contact) < MIN_ROWS or np.array_equal(used, choices[-1]):
+            return contact, used
+        for k, before in enumerate(choices):
+            if np.array_equal(used, before):
+                fewest = min(choices[k:], key=np.count_nonzero)
+                return _contact(d[fewest], force[fewest], law), fewest
+        choices.append(used)
 
 
 def _touching(displacement: Array, contact: float) -> int:
@@ -161,7 +174,8 @@ def _contact(d: Array, force: Array, law: ContactForceLaw) -> float:
         return -float(_explained(law.force(d - contact)[None, :], force)[0])
 
     ends = (tried[best] - step, tried[best] + step)
-    return float(minimize_scalar(loss, bounds=ends, options={"xatol": 1e-6 * span}).x)
+    search = minimize_scalar(loss, bounds=ends, options={"xatol": 1e-6 * span})
+    return float(settled(search, "contact of an indentation curve").x)
 
 
 def _explained(shapes: Array, force: Array) -> Array:
@@ -254,29 +268,28 @@ def read_curves(
         rule = f"an indentation needs displacement and force, got {' and '.join(columns)}"
         mend = 'columns = { displacement = "...", force = "..." }'
         raise InputError(Fault("measurements.columns", rule, mend))
-    low, high = 0.0, np.inf if displacement_mm is None else displacement_mm
-    if spec.range is not None:
-        low, high = spec.range.in_mm(height_mm)
-    rules = Rules(
-        low, high, 0, spec.sign or "positive", spec.zero or "none", spec.toe, height_mm,
-        spec.direction, spec.displacement_zero,
-    )  # fmt: skip
+    rules = rules_of(replace(spec, points="raw"), height_mm, displacement_mm)
     recorded = read_recordings(spec, root)
     found: list[RecordedCurve] = []
     faults: list[Fault] = []
+    told: list[str] = []
+    counts: list[RowCount] = []
     for one in recorded.tests:
         try:
-            moved, _ = placed(one.kinematic, one.kinetic, rules, one.where)
-            kept = condition(moved, one.kinetic, rules, one.where)
+            test, did = specimens(one, spec, rules)
         except InputError as error:
             faults += error.faults
             nothing = np.empty(0)
             found.append(RecordedCurve(one.where, one.groups, nothing, nothing, str(error)))
+            counts.append(RowCount(one.kinetic.size, 0, {"of unreadable curves": one.kinetic.size}))
             continue
-        found.append(RecordedCurve(one.where, one.groups, kept.displacement_mm, kept.force_N))
+        told += did
+        counts.append(test.specimen.count)
+        found.append(RecordedCurve(one.where, one.groups, test.displacement_mm, test.force_N))
     if all(one.fault for one in found):
         raise InputError(faults)
-    return tuple(found), recorded.notes
+    notes = (*recorded.notes, *first_notes(told))
+    return tuple(found), (*notes, RowCount.sum_of(counts).sentence)
 
 
 # Moduli of the curves of a test, gathered by unit, and what is wrong with them.

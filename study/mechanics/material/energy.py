@@ -241,6 +241,21 @@ class Energy(ABC):
     def starting_values(self, names: Collection[str], shear_modulus: float) -> dict[str, float]:
         """Return constants with the given mu0 (MPa) from which a fit starts, those not zero."""
 
+    def looks(self, names: Collection[str]) -> list[dict[str, float]]:  # noqa: ARG002
+        """Plain numbers beside which a fit may have another minimum; none by default.
+
+        Parameters
+        ----------
+        names : collection of str
+            Constants that are fitted.
+
+        Returns
+        -------
+        list of dict
+            Values of the constants without a unit, moduli left out.
+        """
+        return []
+
     def scattered(self, start: Constants, rng: np.random.Generator) -> dict[str, float]:
         """Draw another start of a fit: plain numbers times or over up to 3, moduli as they are.
 

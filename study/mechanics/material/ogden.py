@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Collection
+from itertools import combinations
 
 import numpy as np
 
@@ -29,6 +30,9 @@ from study.mechanics.material.limiting_chain import FiniteExtensibilityEnergy
 
 #: Bounds of an exponent: beyond, powers of a stretch of 0.5 only overfit.
 EXPONENT: Bounds = (-30.0, 30.0)
+#: Sizes of exponents, of either sign, from which minima are looked for: of one term, of several.
+LOOKS = (1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0, 7.5, 9.0, 11.0, 14.0, 18.0, 24.0)
+FEW_LOOKS = (1.5, 3.0, 6.0, 11.0, 18.0)
 #: Exponents a fit starts from. They alternate: equal ones would make the terms
 #: indistinguishable.
 STARTING_EXPONENTS = (2.0, -2.0, 4.0, -4.0, 6.0, -6.0)
@@ -80,6 +84,16 @@ class OgdenSeries(Energy):
         return values | {
             f"alpha{k}": exponents[(k - 1) % len(exponents)] for k in range(1, terms + 1)
         }
+
+    def looks(self, names: Collection[str]) -> list[dict[str, float]]:
+        """Exponents of either sign: a sum of squares has minima on both sides of zero."""
+        terms = self.order_of(names)
+        sizes = LOOKS if terms == 1 else FEW_LOOKS
+        signed = sorted((*sizes, *(-size for size in sizes)))
+        return [
+            {f"alpha{k}": alpha for k, alpha in enumerate(chosen, 1)}
+            for chosen in combinations(signed, terms)
+        ]
 
     def scattered(self, start: Constants, rng: np.random.Generator) -> dict[str, float]:
         """Draw exponents of either sign in turn, of 1 to 4 in the first pair and 4 to 10 in others.

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from study.ground.arrays import Array
-from study.ground.bounded_file import decoded, read_bytes, unzipped
+from study.ground.bounded_file import read_bytes, table_text
 from study.ground.errors import Fault, InputError
 from study.ground.tabular import CsvTable, parse_csv
 
@@ -33,16 +33,22 @@ class ColumnLayout:
     delimiter: str = ""
     #: Whether a line names the columns; without one their names are 1, 2 and so on.
     header: bool = True
+    #: Encoding, sheet of a workbook and mark of thousands; found where they are empty.
+    encoding: str = ""
+    sheet: str = ""
+    thousands: str = ""
+    #: Whether the line below the names holds units; None where the file shows it.
+    unit_row: bool | None = None
 
-    def plain(self, text: str, decimal: str) -> tuple[str, list[int]]:
-        r"""Text with a header line and delimiters that a CSV file has, and where its lines stand.
+    def plain(self, text: str, decimal: str) -> tuple[str, list[int], str]:
+        r"""Text with a header line, where its lines stand, and its delimiter if that is known.
 
         Examples
         --------
         >>> ColumnLayout(1, "#", "space").plain("of 1944\nl  P\n# first row\n1.02   0.0255", ".")
-        ('l,P\n1.02,0.0255', [2, 4])
+        ('l\tP\n1.02\t0.0255', [2, 4], '\t')
         >>> ColumnLayout(header=False).plain("1.02, 0.0255\n1.1, 0.12", ".")
-        ('1,2\n1.02,0.0255\n1.1,0.12', [1, 1, 2])
+        ('1,2\n1.02, 0.0255\n1.1, 0.12', [1, 1, 2], ',')
         """
         lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
         at = [
@@ -50,25 +56,19 @@ class ColumnLayout:
             for k, line in enumerate(lines, 1)
             if k > self.skip_lines and not (self.comment and line.lstrip().startswith(self.comment))
         ]
-        if self == ColumnLayout():
-            return text, at
         lines = [lines[k - 1] for k in at]
-        mark, own = ";" if decimal == "," else ",", self.delimiter
+        first = next((line for line in lines if line.strip()), "")
+        own = self.delimiter
         if not self.header:
-            own = own or _shown_by(next((line for line in lines if line.strip()), ""), mark)
-        if own:
-            rows = [_cells(line, own) for line in lines]
-            if not self.header:
-                widest = max(map(len, rows), default=0)
-                rows.insert(0, [str(k + 1) for k in range(widest)])
-                at.insert(0, at[0] if at else 1)
-            lines = [mark.join(row) for row in rows]
-        return "\n".join(lines), at
-
-
-def _cells(line: str, delimiter: str) -> list[str]:
-    cells = line.strip(" ").split(DELIMITERS[delimiter])
-    return [cell.strip(" ") for cell in cells]
+            own = own or _shown_by(first, ";" if decimal == "," else ",")
+        mark = "\t" if own == "space" else DELIMITERS[own] or "" if own else ""
+        if own == "space":
+            lines = ["\t".join(line.split()) for line in lines]
+        if not self.header:
+            widest = max((line.count(mark) + 1 for line in lines), default=0)
+            lines.insert(0, mark.join(str(k + 1) for k in range(widest)))
+            at.insert(0, at[0] if at else 1)
+        return "\n".join(lines), at, mark
 
 
 def _shown_by(line: str, mark: str) -> str:
@@ -82,10 +82,16 @@ def read_table(
 ) -> CsvTable:
     """Read a measured file; see :func:`study.ground.tabular.read_csv`."""
     raw = read_bytes(path, source)
-    text, encoding = decoded(unzipped(raw, source), source)
-    plain, at = layout.plain(text, decimal)
-    table = parse_csv(plain, required=required, decimal=decimal, source=source, numbered=at)
-    return table.without_units(required).of_file(raw, encoding)
+    text, encoding = table_text(
+        raw, source, encoding=layout.encoding, sheet=layout.sheet, decimal=decimal
+    )
+    plain, at, mark = layout.plain(text, decimal)
+    table = parse_csv(
+        plain, required=required, numbers=() if layout.thousands == "," else None,
+        decimal=decimal, source=source, numbered=at, delimiter=mark,
+    )  # fmt: skip
+    table = replace(table, thousands=layout.thousands)
+    return table.without_units(required, layout.unit_row).of_file(raw, encoding)
 
 
 # -------------------------------------------------------------------------------------------------
@@ -113,6 +119,11 @@ KINETIC: Mapping[str, str] = {
     "true_stress": "pressure",
     "pressure": "pressure",
 }
+
+#: stretch beyond that of rubber and tough gels
+LARGEST_STRETCH = 20.0
+#: stretch at which no recording of a specimen begins
+_AT_REST = 5.0
 
 #: modes of loading in which a column has a meaning; all where it is not listed
 _MODES: Mapping[str, tuple[str, ...]] = {
@@ -170,9 +181,17 @@ def displacement_and_force(
         order = np.argsort(np.abs(shear), kind="stable")
         return np.abs(shear)[order] * known.length_mm, (turned * force)[order]
     stretch = _stretch(kinematic, deformed, known)
+    percent = f'if {kinematic} is in per cent, write units = {{ {kinematic} = "%" }}'
     if not (stretch > 0).all():
         rule = f"{kinematic} of {deformed[np.argmin(stretch)]:g} leaves nothing of the specimen"
-        raise InputError(Fault(where, rule, "check the column and measurements.units"))
+        raise InputError(Fault(where, rule, f"check the column and measurements.units: {percent}"))
+    least = 1.0 if kinematic != "stretch" else float(stretch.min())
+    if stretch.max() > LARGEST_STRETCH and (least == 1.0 or least > _AT_REST):
+        rule = (
+            f"{kinematic} up to {deformed[np.argmax(stretch)]:g} means a stretch of "
+            f"{stretch.max():.4g}, which no soft material bears ({LARGEST_STRETCH:g} at most)"
+        )
+        raise InputError(Fault(where, rule, percent))
     elongation = known.sense * (stretch - 1) * known.length_mm
     displacement = deformed if kinematic == "displacement" else elongation
     return displacement, _force(kinetic, resisted, stretch, known)

@@ -4,9 +4,10 @@ The rules are applied in this order, and every row they drop or change is counte
 
 1. ``displacement_zero`` and ``direction``: the recorded coordinate becomes the displacement of
    the specimen;
-2. branch: of a test that was loaded and unloaded, once or in cycles, the first loading is kept;
-   sign: force, and displacement where it runs the other way, made positive into the specimen;
+2. sign: force, and displacement where it runs the other way, made positive into the specimen;
    a force that falls with displacement, or that is there before displacement zero, is refused;
+   branch: of a test that was loaded and unloaded, once or in cycles, the first loading is kept,
+   or what ``branch`` and ``cycle`` say (:mod:`study.mechanics.measurement.phases`);
 3. ``zero``: the load cell's reading without load is subtracted (``first``: the first row;
    ``fit``: the start of a straight line through the first tenth of the travel);
 4. sorting by displacement; equal displacements averaged; a non-monotone force is kept;
@@ -19,7 +20,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -28,62 +30,9 @@ from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
 from study.mechanics.material.homogeneous import LOADINGS
 from study.mechanics.measurement.measured_test import Measurements
+from study.mechanics.measurement.phases import Branch, Phase, SpecimenRows, phases_of
 from study.mechanics.setup.geometry import Cone, Enclosed, Flat, Indenter, Sphere
 from study.mechanics.setup.setup import Setup
-
-# -------------------------------------------------------------------------------------------------
-# The first loading of a test that was also unloaded, once or in cycles.
-#
-# A soft material gives less force on the way back (hysteresis), and less again in a second cycle
-# (Mullins 1969, Rubber Chem. Technol. 42, 339). Rows of several branches, sorted by displacement,
-# would be a curve that nobody measured.
-
-#: share of the travel by which a machine must go back to have turned; less is jitter
-TURN = 0.1
-#: rows that a branch has at least: fewer are rows out of order, not a way that a machine went
-BRANCH_ROWS = 3
-
-
-def last_of_loading(displacement_mm: Array) -> int:
-    """Row at which the first loading ends: the last one of a test that was only loaded.
-
-    Rows that stand in no order, or begin far from where the test begins, have no loading branch
-    and are all kept. Displacements are positive into the specimen, and negative on the approach.
-
-    Shapes: displacement_mm (rows,).
-
-    Examples
-    --------
-    >>> last_of_loading(np.array([0.0, 1, 2, 3, 4, 3, 2, 1, 0]))
-    4
-    >>> last_of_loading(np.array([0.0, 3, 1, 4, 2]))
-    4
-    """
-    d = displacement_mm
-    everything = d.size - 1
-    turns = _turns(d, TURN * float(np.ptp(d)))
-    ends = [0, *turns, everything]
-    if not turns or min(np.diff(ends)) < BRANCH_ROWS:
-        return everything
-    begins_low = d[0] <= d.min() + TURN * float(np.ptp(d))
-    return turns[0] if begins_low else everything
-
-
-def _turns(d: Array, least: float) -> list[int]:
-    """Rows at which the displacement turns, by at least so much."""
-    turns: list[int] = []
-    start, sense = 0, 1.0
-    while True:
-        way = sense * d[start:]
-        furthest = np.maximum.accumulate(way)
-        back = np.flatnonzero(furthest - way > least)
-        if not back.size:
-            return turns
-        row = int(back[0])
-        # of rows that stand at the turn together, the first belongs to the branch that ends here
-        turns.append(start + int(np.flatnonzero(way[:row] == furthest[row])[0]))
-        start, sense = start + row, -sense
-
 
 # -------------------------------------------------------------------------------------------------
 # Measured forces that no soft material gives: a unit or a size may be wrong.
@@ -193,7 +142,9 @@ SORTED = "rows out of order sorted by displacement"
 UNLOADED = "rows after the first loading left out: the loading branch is used"
 #: and one that asks for a rule
 OFFSET = "a load-cell offset?"
-_CAUTIONS = (SORTED, UNLOADED, OFFSET, IMPLAUSIBLE)
+#: and one that asks for a unit
+PERCENT = "is it in per cent?"
+_CAUTIONS = (SORTED, UNLOADED, OFFSET, IMPLAUSIBLE, PERCENT)
 
 
 @dataclass(frozen=True)
@@ -217,8 +168,10 @@ class Rules:
     direction: str = "auto"
     #: {"first row", "contact"} or recorded displacement in mm; None where the file's zero counts.
     displacement_zero: str | float | None = None
-    #: Whether rows on both sides of zero are two tests, and no range says which is meant.
+    #: Whether rows on both sides of zero belong to one test, and no range says which are meant.
     is_signed: bool = False
+    #: Which rows of a test that was also unloaded count.
+    branch: Branch = field(default_factory=Branch)
 
     @property
     def is_raw(self) -> bool:
@@ -245,6 +198,8 @@ class Conditioned:
     toe_mm: float
     rows: int
     recorded: Curve
+    #: All rows of the test, and what became of them.
+    specimen: SpecimenRows
     offset: float | None = None
 
 
@@ -258,20 +213,64 @@ def condition(displacement_mm: Array, force_N: Array, rules: Rules, where: str) 
         raise InputError(
             Fault(where, f"has {displacement_mm.size} rows, a curve needs at least {MIN_ROWS}")
         )
-    d, f = _apply_sign(displacement_mm, force_N, rules, where, counts)
+    every_d, every_f = _turned(displacement_mm, force_N, rules, where, counts)
+    phases = phases_of(every_d)
+    chosen = rules.branch.of(phases, every_d, every_f, where, is_signed=rules.is_signed)
+    first = chosen if rules.branch.which == "auto" else _first_loading(phases)
+    before = _rows_of(first, every_d, every_f)
+    _check_begin(*before, _way_in(displacement_mm, every_d), rules, where)
+    rules = replace(rules, low_mm=-np.inf) if _is_through_zero(*before, rules) else rules
+    d, f = _rows_of(chosen, every_d, every_f)
+    if len(chosen) == 1 and chosen[0].kind == "unloading":
+        d, f = d[::-1], f[::-1]
     _check_torn(d, f, rules, where)
-    zero, offset = _zero(d, f, rules.zero), _offset(d, f, rules)
+    zero, offset = _zero(*before, rules.zero), _offset(*before, rules)
+    if rules.branch.which == "auto" and d.size < every_d.size:
+        counts[UNLOADED] += every_d.size - d.size
+    early = int(np.count_nonzero(d < -_slack(rules))) if rules.low_mm >= 0 else 0
+    if early:
+        counts["rows before displacement zero set aside"] += early
     d, f = _sorted_unique(d, f - zero, counts)
     d, f, toe = _toe(d, f, rules, where, counts)
+    specimen = _fates(every_d - toe, every_f - zero, phases, chosen, rules)
     within = (d >= rules.low_mm - _slack(rules)) & (d <= rules.high_mm + _slack(rules))
     inside = int(np.count_nonzero((d >= rules.low_mm) & (d <= rules.high_mm)))
     recorded = Curve(d[within], f[within])
     if rules.is_raw:
         if inside < MIN_ROWS:
             raise InputError(_too_few(inside, rules, where))
-        return Conditioned(d[within], f[within], counts, zero, toe, inside, recorded, offset)
-    force = _resample(d, f, rules, where, counts)
-    return Conditioned(rules.grid(), force, counts, zero, toe, inside, recorded, offset)
+        places, force = recorded.displacement_mm, recorded.force_N
+    else:
+        places, force = rules.grid(), _resample(d, f, rules, where, counts)
+    return Conditioned(places, force, counts, zero, toe, inside, recorded, specimen, offset)
+
+
+def _rows_of(phases: Sequence[Phase], d: Array, f: Array) -> tuple[Array, Array]:
+    """Rows of some phases, in order."""
+    rows = np.concatenate([np.arange(p.first, p.last + 1) for p in phases])
+    return d[rows], f[rows]
+
+
+def _first_loading(phases: Sequence[Phase]) -> tuple[Phase, ...]:
+    """Phase in which the specimen was first loaded, which tells the zeros of the recording."""
+    return tuple([p for p in phases if p.kind == "loading"][:1]) or tuple(phases[:1])
+
+
+def _fates(
+    d: Array, f: Array, phases: tuple[Phase, ...], chosen: Sequence[Phase], rules: Rules
+) -> SpecimenRows:
+    """Say of every row whether it counts. Shapes: d, f (rows,), from contact and its force."""
+    fate = np.zeros(d.size, dtype=int)
+    reasons = ["", "before displacement zero" if rules.toe_N is None else "before contact (toe)"]
+    fate[d < -_slack(rules)] = 1 if rules.low_mm >= 0 else 0
+    reasons.append("outside the range" if rules.low_mm > 0 else "beyond the end of the test")
+    outside = (d < rules.low_mm - _slack(rules)) | (d > rules.high_mm + _slack(rules))
+    fate[outside & (fate == 0)] = 2
+    for phase in phases:
+        if phase not in chosen:
+            reasons.append(phase.words)
+            fate[phase.rows] = len(reasons) - 1
+    return SpecimenRows(d, f, phases, fate, tuple(reasons))
 
 
 def condition_course(
@@ -296,7 +295,8 @@ def condition_course(
         rule = f"the force does not resist with the declared sign ({rules.sign})"
         raise InputError(Fault(where, rule, f'write sign = "{other}", or check the columns'))
     course = Curve(d, f, time_s=time_s)
-    return Conditioned(d, f, Counter(), zero, 0.0, d.size, course)
+    rows = SpecimenRows(d, f, phases_of(d), np.zeros(d.size, dtype=int), ("",))
+    return Conditioned(d, f, Counter(), zero, 0.0, d.size, course, rows)
 
 
 def _slack(rules: Rules) -> float:
@@ -324,7 +324,7 @@ def _other_unit(reached_mm: float, high_mm: float) -> str:
     return ""
 
 
-def _apply_sign(
+def _turned(
     d: Array, f: Array, rules: Rules, where: str, counts: Counter[str]
 ) -> tuple[Array, Array]:
     span = float(np.ptp(f))
@@ -355,18 +355,23 @@ def _apply_sign(
     if is_auto and way < 0:
         d = -d
         counts[f"displacement reversed (declared sign {rules.sign})"] += d.size
-    last = last_of_loading(d)
-    if last + 1 < d.size:
-        counts[UNLOADED] += d.size - last - 1
-    d, f = d[: last + 1], f[: last + 1]
-    if rules.displacement_zero is None and is_auto and rules.toe_N is None:
-        _check_zero(d, f, way, rules, where)
-    if rules.is_signed:
-        _check_sides(d, f, where)
-    before = int(np.count_nonzero(d < -_slack(rules)))
-    if before:
-        counts["rows before displacement zero set aside"] += before
     return d, f
+
+
+def _way_in(recorded: Array, d: Array) -> float:
+    """Sign of the recorded displacement into the specimen."""
+    k = int(np.argmax(np.abs(recorded)))
+    return math.copysign(1.0, float(recorded[k] * d[k]))
+
+
+def _check_begin(d: Array, f: Array, way: float, rules: Rules, where: str) -> None:
+    """Refuse rows whose zero is none of the specimen. Shapes: d, f (rows,), first loading."""
+    if rules.displacement_zero is None and rules.direction == "auto" and rules.toe_N is None:
+        _check_zero(d, f, way, rules, where)
+    if _is_through_zero(d, f, rules) and rules.zero != "none":
+        rule = "the test runs through zero: neither its first row nor its first tenth is unloaded"
+        mend = "subtract the reading of the unloaded load cell in the file, and leave zero out"
+        raise InputError(Fault(where, rule, mend))
 
 
 def _falls(d: Array, f: Array, rules: Rules, where: str) -> Fault:
@@ -514,19 +519,12 @@ def _slope(x: Array, y: Array) -> tuple[float, float]:
     return slope, math.sqrt(float(rest @ rest) / max(x.size - 2, 1) / square)
 
 
-def _check_sides(d: Array, f: Array, where: str) -> None:
-    """Refuse one test through zero: a curve begins at the unloaded specimen and goes one way."""
+def _is_through_zero(d: Array, f: Array, rules: Rules) -> bool:
+    """Whether one test was loaded both ways, so that rows on either side of zero count."""
+    if not rules.is_signed or rules.toe_N is not None:
+        return False
     before = d < -_STARTS_EARLY * float(np.ptp(d))
-    if not before.any() or float(f[before].min()) > -_AT_ZERO * float(f.max()):
-        return
-    rows = int(np.count_nonzero(d < 0))
-    rule = f"the test runs through zero: {rows} of {d.size} rows lie on the other side of it"
-    mend = (
-        "write two [[tests]] with this file, each with a range: tension with range = "
-        f'["0 mm", "{d.max():.6g} mm"], and compression with sign = "negative" and range = '
-        f'["0 mm", "{-d.min():.6g} mm"]'
-    )
-    raise InputError(Fault(where, rule, mend))
+    return bool(before.any()) and float(f[before].min()) <= -_AT_ZERO * float(f.max())
 
 
 def _check_torn(d: Array, f: Array, rules: Rules, where: str) -> None:

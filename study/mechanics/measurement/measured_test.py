@@ -16,13 +16,14 @@ from study.ground.arrays import Array
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, nearest
 from study.mechanics.measurement.measurement_section import Labels
+from study.mechanics.measurement.phases import RowCount, SpecimenRows
 
 #: labels that are wanted of grouping columns; a number stands for the text that a file has of it
 Label = Labels | float | Sequence[str | float]
 Selection = Mapping[str, Label]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SingleTest:
     """One recorded test on the common grid: its group labels and force, shape (points,).
 
@@ -33,6 +34,8 @@ class SingleTest:
     force_N: Array
     notes: tuple[str, ...] = ()
     recorded: Curve | None = None
+    #: All of its rows, as the file has them and in the coordinates of the specimen.
+    specimen: SpecimenRows | None = None
 
 
 @dataclass(frozen=True)
@@ -50,6 +53,10 @@ class MeasuredTest:
     notes: tuple[str, ...] = ()
     #: Rows as recorded, of every test averaged.
     recordings: tuple[Curve, ...] = ()
+    #: Every test averaged, in both of its stages.
+    tests: tuple[SingleTest, ...] = ()
+    #: What became of the rows of its block, those of tests that were not chosen too.
+    rows: RowCount = field(default_factory=RowCount)
 
 
 @dataclass(frozen=True)
@@ -122,7 +129,20 @@ class Measurements:
             recorded=recordings,
         )
         notes = tuple(note for test in chosen for note in test.notes)
-        return MeasuredTest(curve, scatter, len(chosen), shared, notes, recordings)
+        rows = self._row_count(block, chosen)
+        return MeasuredTest(
+            curve, scatter, len(chosen), shared, notes, recordings, tuple(chosen), rows
+        )
+
+    def _row_count(self, block: str | None, chosen: Sequence[SingleTest]) -> RowCount:
+        """Rows of the tests of a block, of which some were chosen."""
+        counts = []
+        for test in self.tests if block is None else self._matching(block, {}):
+            if test.specimen is not None:
+                rows = test.specimen.count
+                aside = {"of tests that were not chosen": rows.read}
+                counts.append(rows if test in chosen else RowCount(rows.read, 0, aside))
+        return RowCount.sum_of(counts)
 
     def curves(
         self, block: str | None = None, **where: Label

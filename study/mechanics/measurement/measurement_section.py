@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from study.ground import units
+from study.ground.bounded_file import ENCODINGS
 from study.ground.errors import Fault, InputError, UnitError
 from study.mechanics.measurement.column_text import DELIMITERS, KINEMATIC, KINETIC, ColumnLayout
 from study.mechanics.setup.declaration import (
@@ -36,7 +37,7 @@ MAX_SKIPPED = 1000
 _FIELD = re.compile(r"\{([^{}]*)\}")
 
 #: ends of the names of measured files: texts are read as CSV
-ENDINGS = (".csv", ".csv.gz", ".txt", ".tsv", ".dat", ".asc")
+ENDINGS = (".csv", ".txt", ".tsv", ".tab", ".dat", ".asc", ".rpt", ".xlsx")
 
 #: label of a row, or several
 Labels = str | tuple[str, ...]
@@ -69,11 +70,15 @@ class Range:
         return self.low * height_mm / 100, self.high * height_mm / 100
 
 
+def _check_ending(path: str) -> None:
+    if not path.lower().removesuffix(".gz").endswith(ENDINGS):
+        raise Bad(f"must end in {', '.join(ENDINGS)}, or one of these and .gz, got {shown(path)}")
+
+
 def csv_path(value: object) -> str:
     """Read the path of a table."""
     path = relative_path(value)
-    if not path.lower().endswith(ENDINGS):
-        raise Bad(f"must end in .csv or .csv.gz, got {shown(value)}")
+    _check_ending(path)
     if "{" in path or "}" in path:
         raise Bad(f"is one file, got a pattern {shown(value)}", "write files = ...")
     return path
@@ -82,8 +87,7 @@ def csv_path(value: object) -> str:
 def csv_pattern(value: object) -> str:
     """Read a pattern such as ``"indentation-{specimen}.csv"``."""
     pattern = relative_path(value)
-    if not pattern.lower().endswith(ENDINGS):
-        raise Bad(f"must end in .csv or .csv.gz, got {shown(value)}")
+    _check_ending(pattern)
     groups = _FIELD.findall(pattern)
     odd = "{" in _FIELD.sub("", pattern) or "}" in _FIELD.sub("", pattern)
     if odd or not groups or any(not re.fullmatch(r"[A-Za-z]\w{0,79}", g, re.A) for g in groups):
@@ -236,6 +240,12 @@ def _displacement_zero(value: object) -> str | float:
         raise Bad(error.faults[0].rule, mend) from error
 
 
+def _branch(value: object) -> str | int:
+    if isinstance(value, int) and not isinstance(value, bool):
+        return integer(1, MAX_POINTS)(value)
+    return choice("auto", "loading", "unloading", "all")(value)
+
+
 def _mark(value: object) -> str:
     mark = text(value)
     if len(mark) > 3 or mark.strip() != mark:
@@ -245,6 +255,18 @@ def _mark(value: object) -> str:
 
 #: keys that say how a file is written
 _LAYOUT = ("skip_lines", "comment", "delimiter")
+#: keys that stay out of documents where they say what is usual
+_USUAL = {
+    "header": True,
+    "displacement_zero": None,
+    "direction": "auto",
+    "branch": "auto",
+    "cycle": "loading",
+    "unit_row": None,
+    "thousands": "",
+    "encoding": "",
+    "sheet": "",
+}
 
 
 @section
@@ -256,7 +278,7 @@ class MeasurementSpec:
         description='for example columns = { displacement = "displacement_mm", force = "force_N" }'
     )
     #: Column and unit of displacement and force.
-    units: Units = Field(description='for example units = { displacement = "mm", force = "N" }')
+    units: Units = Field(default_factory=Units)
     #: One long table, or a pattern such as ``"indentation-{specimen}.csv"``; exactly one.
     file: Annotated[str | None, Reads(csv_path)] = None
     #: One long table, or a pattern such as ``"indentation-{specimen}.csv"``; exactly one.
@@ -285,6 +307,10 @@ class MeasurementSpec:
     displacement_zero: Annotated[str | float | None, Reads(_displacement_zero)] = None
     #: Whether the recorded displacement rises or falls as the specimen is loaded.
     direction: Annotated[str, Reads(choice("auto", "rising", "falling"))] = "auto"
+    #: Rows of a test that was also unloaded that count: a branch, a cycle, or all.
+    branch: Annotated[str | int, Reads(_branch)] = "auto"
+    #: Branch of a cycle that is given by its number.
+    cycle: Annotated[str, Reads(choice("loading", "unloading"))] = "loading"
     #: Rule of the load cell's zero, sign of a resisting force, decimal mark of the file.
     decimal: Annotated[str, Reads(choice(".", ","))] = "."
     #: Printed in the report.
@@ -300,18 +326,30 @@ class MeasurementSpec:
     delimiter: Annotated[str, Reads(choice("", *DELIMITERS))] = ""
     #: Whether a line names the columns; without one columns are named by their number.
     header: Annotated[bool, Reads(flag)] = True
+    #: Whether the line below the names holds units, which count where none are declared; found in
+    #: the file where this is left out.
+    unit_row: Annotated[bool | None, Reads(flag)] = None
+    #: Mark between groups of three digits, where the file does not show it.
+    thousands: Annotated[str, Reads(choice("", ",", ".", "'", " "))] = ""
+    #: How the characters of the file are written, where it is not found rightly.
+    encoding: Annotated[str, Reads(choice("", *ENCODINGS))] = ""
+    #: Sheet of a workbook that has several.
+    sheet: Annotated[str, Reads(text)] = ""
 
     @property
     def layout(self) -> ColumnLayout:
         """How its files differ from CSV."""
-        return ColumnLayout(self.skip_lines, self.comment, self.delimiter, self.header)
+        return ColumnLayout(
+            self.skip_lines, self.comment, self.delimiter, self.header, self.encoding, self.sheet,
+            self.thousands, self.unit_row,
+        )  # fmt: skip
 
     def as_dict(self) -> dict[str, object]:
         """Plain values, for JSON; what a file of displacement and force does not say stays out."""
         found = asdict(self)
         for key in ("columns", "units"):
             found[key] = {k: v for k, v in found[key].items() if v is not None}
-        for key, usual in (("header", True), ("displacement_zero", None), ("direction", "auto")):
+        for key, usual in _USUAL.items():
             if found[key] == usual:
                 del found[key]
         return {k: v for k, v in found.items() if k not in _LAYOUT or v}

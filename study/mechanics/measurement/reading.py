@@ -17,6 +17,7 @@ from study.ground.errors import Fault, InputError, nearest
 from study.mechanics.measurement.column_text import Gauge, displacement_and_force
 from study.mechanics.measurement.conditioning import (
     OFFSET,
+    PERCENT,
     SIGNS,
     ZERO_RULES,
     Conditioned,
@@ -26,10 +27,17 @@ from study.mechanics.measurement.conditioning import (
     placed,
 )
 from study.mechanics.measurement.measured_test import Measurements, SingleTest
+from study.mechanics.measurement.phases import Branch, RowCount
 from study.mechanics.measurement.recording import Recording, Recordings, capped, read_recordings
 
 if TYPE_CHECKING:
     from study.mechanics.measurement.measurement_section import MeasurementSpec
+
+
+#: stretch from which a strain may be one in per cent
+_UNUSUAL = 8.0
+#: notes on single tests that are shown
+_MOST_NOTES = 6
 
 
 def read_measurements(
@@ -41,9 +49,9 @@ def read_measurements(
     recordings: Recordings | None = None,
 ) -> Measurements:
     """Read, check and condition all tests that a specification names."""
-    rules = usual = _rules(spec, height_mm, displacement_mm)
+    rules = usual = rules_of(spec, height_mm, displacement_mm)
     recorded = recordings or read_recordings(spec, Path(root))
-    notes = [*recorded.notes]
+    told: list[str] = []
     if gauge is not None and gauge.is_homogeneous and spec.range is None:
         rules = usual = replace(rules, is_signed=True)
     if spec.range is None and not rules.is_raw:
@@ -53,23 +61,20 @@ def read_measurements(
     done: list[Conditioned] = []
     for one in recorded.tests:
         try:
-            one, did = _specimens(one, spec, rules)
-            d, f = _rows(one, spec, gauge)
-            if one.time_s is None:
-                result = condition(d, f, rules, one.where)
-            else:
-                result = condition_course(d, f, one.time_s, rules, one.where)
+            result, did = specimens(one, spec, rules, gauge)
         except InputError as error:
             faults.extend(error.faults)
             continue
         done.append(result)
-        notes += [did] if did else []
+        told += did
         own = tuple(f"{one.where}: {n} {what}" for what, n in result.counts.items())
-        tests.append(SingleTest(dict(one.groups), result.force_N, own, result.recorded))
+        tests.append(
+            SingleTest(dict(one.groups), result.force_N, own, result.recorded, result.specimen)
+        )
     _check_distinct(tests, faults)
     if faults:
         raise InputError(capped(faults))
-    notes += _summary(done, rules)
+    notes = [*recorded.notes, *first_notes(told), *_summary(done, rules)]
     if rules != usual:
         notes.append(f"the range begins at {rules.low_mm:.4g} mm, where the last test begins")
     displacement, time = _common_grid(done, rules)
@@ -89,15 +94,68 @@ def read_measurements(
     return found
 
 
-def _specimens(one: Recording, spec: MeasurementSpec, rules: Rules) -> tuple[Recording, str]:
+def first_notes(notes: Sequence[str]) -> list[str]:
+    """Shorten notes of many tests, and say by how many."""
+    more = len(notes) - _MOST_NOTES
+    return [*notes[:_MOST_NOTES], *([f"{more} more notes like these"] if more > 0 else [])]
+
+
+def specimens(
+    one: Recording, spec: MeasurementSpec, rules: Rules, gauge: Gauge | None = None
+) -> tuple[Conditioned, list[str]]:
+    """Make the test of a specimen from a recording; say where its zero and branch were taken."""
+    if gauge is not None and gauge.mode == "simple-shear" and one.time_s is None:
+        one = _folded(one)
+    moved, notes = _in_place(one, spec, rules)
+    d, f = _rows(moved, spec, gauge)
+    if one.time_s is not None:
+        made = condition_course(d, f, one.time_s, rules, one.where)
+    else:
+        made = condition(d, f, rules, one.where)
+    longest = _longest(d, gauge)
+    if "strain" in spec.columns.kinematic and longest > _UNUSUAL:
+        notes.append(
+            f"{one.where}: a stretch of {longest:.4g} is unusual: {spec.columns.kinematic}, "
+            f'{PERCENT} Then write units = {{ {spec.columns.kinematic} = "%" }}'
+        )
+    made = replace(made, specimen=replace(made.specimen, recording=one))
+    chosen = [p for p in made.specimen.phases if made.specimen.fate[p.rows].min() == 0]
+    if one.time_s is None and (rules.branch.which != "auto" or len(made.specimen.phases) > 1):
+        words = " and ".join(
+            p.words + (f" (lines {one.lines[p.first]} to {one.lines[p.last]})" if one.lines else "")
+            for p in chosen[:3]
+        )
+        asked = rules.branch.which
+        how = "" if asked == "auto" else f", branch = {asked if isinstance(asked, int) else asked}"
+        notes.append(f"{one.where}: {words}{how}")
+    return made, notes
+
+
+def _longest(d: Array, gauge: Gauge | None) -> float:
+    """Largest stretch of a gauge section that is stretched or shortened."""
+    if gauge is None or gauge.mode == "simple-shear":
+        return 1.0
+    return 1 + float((gauge.sense * d).max()) / gauge.length_mm
+
+
+def _folded(one: Recording) -> Recording:
+    """Rows of a shear to both sides in the order of its amount, in which they are one test."""
+    if (one.kinematic >= 0).all():
+        return one
+    order = np.argsort(np.abs(one.kinematic), kind="stable")
+    lines = tuple(one.lines[k] for k in order) if one.lines else ()
+    return replace(one, kinematic=one.kinematic[order], kinetic=one.kinetic[order], lines=lines)
+
+
+def _in_place(one: Recording, spec: MeasurementSpec, rules: Rules) -> tuple[Recording, list[str]]:
     """Put a recording into the coordinate of the specimen; say what was done."""
     if spec.columns.kinematic != "displacement":
         if spec.displacement_zero is not None or spec.direction != "auto":
             rule = f"belongs to a column of displacement, not of {spec.columns.kinematic}"
             raise InputError(Fault("measurements.displacement_zero", rule, "leave it out"))
-        return one, ""
+        return one, []
     moved, did = placed(one.kinematic, one.kinetic, rules, one.where)
-    return replace(one, kinematic=moved), did
+    return replace(one, kinematic=moved), [did] if did else []
 
 
 def _rows(one: Recording, spec: MeasurementSpec, gauge: Gauge | None) -> tuple[Array, Array]:
@@ -116,7 +174,7 @@ def _begun(rules: Rules, spec: MeasurementSpec, recorded: Recordings, gauge: Gau
     begins = [rules.low_mm]
     for one in recorded.tests:
         with suppress(InputError):  # said where its rows become a curve
-            moved = _rows(_specimens(one, spec, rules)[0], spec, gauge)[0]
+            moved = _rows(_in_place(one, spec, rules)[0], spec, gauge)[0]
             begins.append(float(np.abs(moved).min()))
     spacing = (rules.high_mm - rules.low_mm) / max(rules.points - 1, 1)
     late = max(begins) > rules.low_mm + spacing and rules.toe_N is None
@@ -148,7 +206,10 @@ def _same_mm(course: Curve) -> float:
     return 1e-6 * float(np.abs(course.displacement_mm).max())
 
 
-def _rules(spec: MeasurementSpec, height_mm: float | None, displacement_mm: float | None) -> Rules:
+def rules_of(
+    spec: MeasurementSpec, height_mm: float | None, displacement_mm: float | None
+) -> Rules:
+    """How rows become the curve of a specimen, as a table says."""
     sign, zero = spec.sign or "positive", spec.zero or "none"
     points = 0 if spec.points == "raw" else int(spec.points or 200)
     faults = []
@@ -171,6 +232,7 @@ def _rules(spec: MeasurementSpec, height_mm: float | None, displacement_mm: floa
     return Rules(
         low, high, points, sign, zero, spec.toe, height_mm, spec.direction,
         spec.displacement_zero if is_displacement else 0.0,
+        branch=Branch(spec.branch, spec.cycle),
     )  # fmt: skip
 
 
@@ -255,6 +317,7 @@ def _summary(done: Sequence[Conditioned], rules: Rules) -> list[str]:
             f"contact at {rules.toe_N:.4g} N: displacement shifted by {min(toe):.4g} to "
             f"{max(toe):.4g} mm"
         )
+    notes.append(RowCount.sum_of(result.specimen.count for result in done).sentence)
     rows = sorted({result.rows for result in done})
     several = f"{rows[0]} to {rows[-1]}" if len(rows) > 1 else str(rows[0])
     notes.append(

@@ -130,7 +130,9 @@ def _missing(what: str, root: Path, citation: str, where: str) -> Fault:
 MAX_TRAVEL_MM = 1e5
 MAX_FORCE_N = 1e8
 MAX_TIME_S = 1e10
-_UNIT_SUFFIX = re.compile(r".*?[_ \[(/]+([A-Za-z\u00b5\u03bc]{1,6})[\])]?$")
+_UNIT_SUFFIX = re.compile(r".*?[_ \[(/]+([A-Za-z\u00b5\u03bc]{1,7}|%)[\])]?$")
+#: words that stand for a unit in the names of columns
+_UNIT_WORDS = {"percent": "%", "pct": "%", "Prozent": "%"}
 
 
 @dataclass(frozen=True)
@@ -144,6 +146,10 @@ class Recording:
     kinetic: Array
     #: shape (n,); when, increasing; None where the file does not say.
     time_s: Array | None = None
+    #: Line of the file on which each row stands; none where they were made.
+    lines: tuple[int, ...] = ()
+    #: What the columns hold.
+    quantities: tuple[str, str] = ("displacement", "force")
 
 
 @dataclass(frozen=True)
@@ -263,7 +269,9 @@ def _split(
         else:
             _check_time(table, members, time, where)
         when = None if time is None else time[members]
-        yield Recording(where, ordered, d[members], f[members], when)
+        lines = tuple(table.lines[k] for k in members)
+        held = (spec.columns.kinematic, spec.columns.kinetic)
+        yield Recording(where, ordered, d[members], f[members], when, lines, held)
 
 
 def _check_time(table: CsvTable, members: Sequence[int], time: Array, where: str) -> None:
@@ -344,11 +352,21 @@ def _quantity(table: CsvTable, spec: MeasurementSpec, what: str, limit: float) -
 
 def _factor(table: CsvTable, spec: MeasurementSpec, what: str) -> float:
     """Factor from the declared unit of a column to mm, N or MPa."""
-    column, unit = spec.columns.column(what), spec.units.unit(what)
+    column = spec.columns.column(what)
+    row = table.units.get(column)
+    unit = getattr(spec.units, what) or row
+    if unit is None:
+        mend = f'write units = {{ {what} = "..." }}'
+        raise InputError(Fault(f"{table.source}: column {column!r}", "has no unit", mend))
     dimension = "time" if what == "time" else {**KINEMATIC, **KINETIC}[what]
     factor = parse(f"1 {unit}", dimension)
     suffix = _UNIT_SUFFIX.fullmatch(column)
-    shown = {"its name": suffix[1] if suffix else "", "the row of units": table.units.get(column)}
+    shown = {
+        "its name": _UNIT_WORDS.get(suffix[1], suffix[1]) if suffix else "",
+        "the row of units": row,
+    }
+    if spec.unit_row:
+        shown = {}  # what is declared wins over the file
     for who, word in shown.items():
         try:
             named = parse(f"1 {word}", dimension) if word else factor

@@ -294,6 +294,8 @@ class Mesh:
     size_mm: float
     #: Size at the sharpest feature of an indenter, where that is finer.
     finest_mm: float | None = None
+    #: Whether nothing is left out that symmetry would add, whatever its setup needs.
+    is_whole: bool = False
 
     @property
     def contact_size_mm(self) -> float:

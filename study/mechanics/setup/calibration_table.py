@@ -11,6 +11,9 @@ from study.mechanics.material.material import is_dimensionless
 from study.mechanics.setup.declaration import AsWritten, Bad, Reads, choice, integer, section, shown
 
 METHODS = ("auto", "analytic", "inverse-fem", "none")
+#: how residuals count: by squares, or beyond some noise in proportion (Huber 1964, Ann. Math. Stat.
+#: 35, 73; Triggs et al. 2000, Bundle adjustment, sec. 4)
+Loss = Literal["linear", "soft-l1", "huber"]
 #: how the support of an indented layer may enter its closed form
 Theory = Literal["integral-equation", "dimitriadis", "half-space"]
 #: keys that mean something to it alone
@@ -62,6 +65,8 @@ class Fitting:
     #: Starts of the fit: its own, and others that are drawn.
     starts: Annotated[int, Reads(integer(1, 1000))] = 1
     seed: Annotated[int, Reads(integer(0, 2**32 - 1))] = 0
+    #: How residuals count: by squares, or beyond their noise in proportion.
+    loss: Annotated[Loss, Reads(choice(*get_args(Loss)))] = "linear"
     #: ``"analytic"``: Young's modulus of indentations in closed form, curve
     #: by curve.
     method: Annotated[str, Reads(choice("auto", "analytic"))] = "auto"

@@ -320,7 +320,7 @@ def unit_of_length(value: object) -> str:
     try:
         units.parse(f"1 {value}", "length")
     except UnitError:
-        raise Bad(f"is no unit of length: {shown(value)}", 'for example unit = "mm"') from None
+        raise Bad(f"must be a length unit, got {shown(value)}", 'for example unit = "mm"') from None
     return value.strip()
 
 

@@ -52,6 +52,9 @@ class LinearSolver(Protocol):
     def worth(self) -> float:
         """How many back-substitutions a factorization costs, by counts; 0 before the first."""
 
+    def negative_pivots(self) -> int | None:
+        """Negative eigenvalues of the last factorized matrix (Sylvester); None if not known."""
+
     def close(self) -> None:
         """Give the memory back."""
 
@@ -79,6 +82,9 @@ class _Factors(Protocol):
     """Factors as SciPy gives them, without types."""
 
     nnz: int
+    perm_r: NDArray[np.int32]
+    perm_c: NDArray[np.int32]
+    U: sp.csc_matrix
 
     def solve(self, rhs: Array) -> Array:
         """Back-substitute."""
@@ -135,6 +141,13 @@ class SuperLU:
             return 0.0
         return _PER_LENGTH * float(self._factors.nnz) / float(self._matrix.shape[0])
 
+    def negative_pivots(self) -> int | None:
+        """Signs of the pivots, where all of them were taken from the diagonal."""
+        factors = self._factors
+        if factors is None or not np.array_equal(factors.perm_r, factors.perm_c):
+            return None
+        return int(np.count_nonzero(factors.U.diagonal() < 0))
+
     def close(self) -> None:
         """Drop the factors."""
         self._factors = None
@@ -177,9 +190,10 @@ _BACKWARD = 1e-11
 _PER_ENTRY = 38.0
 _BESIDES = 5.0
 
-#: parameters of PARDISO: the ordering, perturbed pivots, entries, operations
+#: parameters of PARDISO: the ordering, perturbed and negative pivots, entries, operations
 _ORDERING = 2
 _PERTURBED = 14
+_NEGATIVE = 23
 _ENTRIES = 18
 _MILLIONS = 19
 
@@ -341,6 +355,11 @@ class Pardiso:
         read = max(entries + float(self._data.size), 1.0)
         return _BESIDES + 1e6 * millions / (_PER_ENTRY * read)
 
+    def negative_pivots(self) -> int | None:
+        """Count of MKL, 2 x 2 pivots included; a perturbed pivot may have lost its sign."""
+        known = self._analyzed and self._unperturbed()
+        return int(self._iparm[_NEGATIVE - 1]) if known else None
+
     def close(self) -> None:
         """Release the memory that MKL holds for this factorization."""
         if self._analyzed:
@@ -425,10 +444,13 @@ class KeptFactors:
         self._spent: list[int] = []
         self._touching: NDArray[np.bool_] | None = None
         self._change = self._sensitivity = 0.0
+        #: displacement of the tangent that the factors are of, mm
+        self.factorized_at_mm = np.nan
 
-    def renewed(self, touching: NDArray[np.bool_]) -> None:
+    def renewed(self, touching: NDArray[np.bool_], displacement_mm: float = np.nan) -> None:
         """Say that the solver has just factorized, with these contact points closed."""
         self._spent, self._touching, self._change = [], touching, 0.0
+        self.factorized_at_mm = displacement_mm
 
     def forget(self) -> None:
         """Factorize first: what another run left behind must not change a digit of this one."""

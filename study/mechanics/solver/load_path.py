@@ -12,6 +12,13 @@ from study.mechanics.contact.contact import BESIDES, face_motions
 from study.mechanics.element.function_space import at_level, deformation_gradient
 from study.mechanics.material.stability import always_elliptic, ellipticity
 from study.mechanics.setup.setup import Problem
+from study.mechanics.solver.buckling import (
+    Instability,
+    is_unstable,
+    least_stiffness,
+    surplus,
+    swaying,
+)
 from study.mechanics.solver.linear_solver import SingularMatrixError
 from study.mechanics.solver.newton import (
     FALLS,
@@ -255,6 +262,7 @@ class LoadPath:
         every = options.curve_error is not None
         self.logbook = Logbook(system, problem, self.wanted, every_step=every)
         self.min_j, self.reason = 1.0, ""
+        self.instability: Instability | None = None
         self._reach_of: tuple[State, str] | None = None
         self._latest: tuple[NewtonResult, StepGradients] | None = None
 
@@ -268,6 +276,7 @@ class LoadPath:
                 break
             self.logbook.requested += asked
             self.progress(target / self.problem.test.depth_mm)
+        self._look_for_sway()
         if self.options.curve_error and self.warm is None and not self.system.sticks:
             self._fill_in(self.options.curve_error)
         return self
@@ -292,6 +301,7 @@ class LoadPath:
             return False
         # kept, for other steps may be assembled before it is written down
         row = self._row(result)
+        unstable = self._gives_way()
         loaded = self.logbook.loaded(self.state, row)
         known = len(self.logbook.snaps) > snaps
         jumped = not known and self.logbook.jumped_to(loaded)
@@ -301,10 +311,61 @@ class LoadPath:
             if self._advance(middle, halvings - 1) and self._advance(target, halvings - 1):
                 return True
             self._return_to(there)  # smaller steps found nothing
+        if unstable:
+            self._refuse(self.state, self.system)
+            return False
         if jumped:
             self.logbook.snaps.append(self.logbook.reached[-1])
         self.logbook.add(self.state, result.equilibrium(), row, loaded, spent)
         return True
+
+    def _gives_way(self) -> bool:
+        """Whether the state just looked at is unstable, by its own factors if those at hand say so.
+
+        Those at hand are of a late Newton iterate and cost nothing. Factors of an earlier step tell
+        nothing of this one; after the last step it gets its own.
+        """
+        here_mm = self.state.displacement_mm
+        count: int | None = None
+        if self.system.kept.factorized_at_mm == here_mm:
+            count = surplus(self.system)
+        if count is None and here_mm < (1 - 1e-9) * self.problem.test.depth_mm:
+            return False
+        return count != 0 and is_unstable(self.system, self.state)
+
+    def _look_for_sway(self) -> None:
+        """Drop the steps at which a column sways, which a model of its quarter cannot do."""
+        last = self.logbook.last
+        found = None if last is None else swaying(self.system, self.problem)
+        if last is not None and found is not None and is_unstable(found[0], last):
+            self._refuse(last, *found)
+
+    def _refuse(
+        self, unstable: State, system: System, sway: str = "", parity: tuple[int, ...] = (1, 1, 1)
+    ) -> None:
+        """Go back to the last stable step, by bisection, and say where stability was lost."""
+        place_mm = unstable.displacement_mm
+        steps = [step.state for step in self.logbook.warm_steps]
+        states = [s for s in steps if s.displacement_mm < place_mm] + [unstable]
+        stable, first = -1, len(states) - 1
+        if first and not is_unstable(system, states[first - 1]):  # as a rule
+            stable = first - 1
+        while first - stable > 1:
+            middle = (stable + first) // 2
+            bad = is_unstable(system, states[middle])
+            stable, first = (stable, middle) if bad else (middle, first)
+        before = (self.rest or self.system.start()) if stable < 0 else states[stable]
+        is_unstable(system, before)
+        k0 = least_stiffness(system)[0]
+        is_unstable(system, states[first])
+        k1, mode = least_stiffness(system)
+        a, b = before.displacement_mm, states[first].displacement_mm
+        share = k0 / (k0 - k1) if k1 < 0 < k0 else 1.0
+        self.instability = Instability(a + share * (b - a), a, b, sway, mode, parity)
+        self.logbook.drop_from(b)
+        self.reason, self.state = self.instability.sentence, before
+        self.J = self.system.volume_ratios(before.x)
+        self.min_j = float(self.J.min())
 
     def _place(self) -> _Place:
         return _Place(self.state, self.previous, self.J, self.step_mm, self.min_j)
@@ -362,7 +423,8 @@ class LoadPath:
 
         Where a surface is about to snap, the way that led there decides whether it is passed.
         """
-        return not self.logbook.complete and not self._lost()
+        done = self.logbook.complete or self.instability is not None
+        return not done and not self._lost()
 
     def _reach(self, target: float) -> tuple[NewtonResult | None, int]:
         """Equilibrium at a displacement, in sub-steps where needed, and the iterations spent."""
@@ -552,12 +614,13 @@ class LoadPath:
 
     def solution(self, seconds: float) -> Solution:
         """Return what was written down; ``seconds`` is the time that it took."""
-        return self.logbook.solution(self.state, self.min_j, self._lost(), self._why(), seconds)
+        ended = self._lost(), self._why()
+        return self.logbook.solution(self.state, self.min_j, *ended, seconds, self.instability)
 
     def _why(self) -> str:
         """Why the run went no further: a limit point is no failure of the iteration."""
         steps = self.logbook.warm_steps
-        if self.logbook.complete or self._lost() or not steps:
+        if self.logbook.complete or self.instability or self._lost() or not steps:
             return self.reason
         return gives_way(self.system, steps[0].state, self.state) or self.reason
 

@@ -196,6 +196,10 @@ class StepGradients:
     stiffness_N_per_mm: float
     force_gradient: dict[str, float]
     constants: dict[str, Rate]
+    #: Work of the whole motion per displacement, and its derivative: the force and its stiffness,
+    #: but of a plate that also moves sideways.
+    work_N: float
+    work_slope_N_per_mm: float
 
 
 def step_gradients(
@@ -206,19 +210,30 @@ def step_gradients(
     tolerance = INHERITED_RATE_TOLERANCE if system.sticks else RATE_TOLERANCE
     rates = linear_rates(system, assembly, loads, tolerance)
     scale = system.force_scale
+    work = scale * _force(assembly, rates, 0), scale * _stiffness(system, assembly, rates, 0)
+    axial = 0 if system.constraints.axial is None else loads.start.shape[1] - 1
+    force = work
+    if axial:
+        force = (
+            scale * _force(assembly, rates, axial),
+            scale * _stiffness(system, assembly, rates, axial),
+        )
     return StepGradients(
-        scale * _force(assembly, rates),
-        scale * _stiffness(system, assembly, rates),
-        {n: scale * _slope(rates, loads, j) for j, n in enumerate(wanted, start=1)},
+        *force,
+        {n: scale * _slope(rates, loads, j, axial) for j, n in enumerate(wanted, start=1)},
         {n: _rate(system, rates, j) for j, n in enumerate(wanted, start=1)},
+        *work,
     )
 
 
 def _loads(system: System, state: State, assembly: Assembly, wanted: tuple[str, ...]) -> Loads:
-    """Put the loading in column 0, then the constants."""
-    n, k = system.space.n, 1 + len(wanted)
+    """Put the loading in column 0, then the constants, then the motion along the axis alone."""
+    straight = system.constraints.axial
+    n, k = system.space.n, 1 + len(wanted) + (straight is not None)
     start, right = np.zeros((n, k)), np.zeros((n, k))
     start[system.constraints.dofs, 0] = system.constraints.rate
+    if straight is not None:
+        start[system.constraints.dofs, -1] = straight
     # dR/dtheta reuses the element arrays for residuals only: the tangent stays valid
     for column, name in enumerate(wanted, start=1):
         right[:, column] = -system.constant_derivative(state, name)
@@ -226,33 +241,38 @@ def _loads(system: System, state: State, assembly: Assembly, wanted: tuple[str, 
     return Loads(right, start, _targets(system, state, assembly, wanted))
 
 
-def _force(assembly: Assembly, rates: Rates) -> float:
-    """Work of the internal forces along the loading, with the closed points where they belong."""
-    force = float(assembly.internal @ rates.x[:, 0])
+def _force(assembly: Assembly, rates: Rates, t: int) -> float:
+    """Work of the internal forces along column ``t``, with the closed points where they belong."""
+    force = float(assembly.internal @ rates.x[:, t])
     for each, touch in zip(rates.contact, assembly.contact, strict=True):
         pressure = touch.pressure[each.among]
-        force += float((each.weights * pressure) @ each.missed(rates.x)[:, 0])
+        force += float((each.weights * pressure) @ each.missed(rates.x)[:, t])
     return force
 
 
-def _stiffness(system: System, assembly: Assembly, rates: Rates) -> float:
-    """dF/dd as a value of the Lagrangian of the rates, which is stationary in them."""
-    along = rates.x[:, 0]
-    curvature = float(along @ system.tangent_product(along, contact=False))
+def _stiffness(system: System, assembly: Assembly, rates: Rates, t: int) -> float:
+    """dF/dd as a value of the Lagrangian of the rates, which is stationary in them.
+
+    ``t`` is the column of the motion whose force it is; another than the loading's turns no
+    normal, since only planes have one.
+    """
+    along, virtual = rates.x[:, 0], rates.x[:, t]
+    curvature = float(virtual @ system.tangent_product(along, contact=False))
     for points, touch, each in zip(system.contact, assembly.contact, rates.contact, strict=True):
         curvature += points.rotation_stiffness(touch, along[points.dofs(system.space.dim)])
-        missed = each.missed(rates.x)[:, 0]
-        curvature += 2.0 * float((each.weights * each.pressure[:, 0]) @ missed)
+        missed = each.missed(rates.x)
+        curvature += float((each.weights * each.pressure[:, t]) @ missed[:, 0])
+        curvature += float((each.weights * each.pressure[:, 0]) @ missed[:, t])
     return curvature
 
 
-def _slope(rates: Rates, loads: Loads, j: int) -> float:
+def _slope(rates: Rates, loads: Loads, j: int, t: int) -> float:
     """dF/dtheta of the constant in column ``j``, less the first-order error of the rates."""
-    slope = -float(loads.right[:, j] @ rates.x[:, 0]) - float(rates.x[:, j] @ rates.left[:, 0])
+    slope = -float(loads.right[:, j] @ rates.x[:, t]) - float(rates.x[:, j] @ rates.left[:, t])
     for each in rates.contact:
         # what a constant owes to the places where ties hold, and what the loading missed
-        owed = each.pressure[:, 0] * each.target[:, j]
-        owed += each.pressure[:, j] * each.missed(rates.x)[:, 0]
+        owed = each.pressure[:, t] * each.target[:, j]
+        owed += each.pressure[:, j] * each.missed(rates.x)[:, t]
         slope += float(each.weights @ owed)
     return slope
 
@@ -285,8 +305,11 @@ def _targets(
     """
     targets = []
     for points, touch in zip(system.contact, assembly.contact, strict=True):
-        target = np.zeros((points.size, 1 + len(wanted)))
+        straight = system.constraints.axial is not None
+        target = np.zeros((points.size, 1 + len(wanted) + straight))
         target[:, 0] = -touch.normal()[:, -1] * points.surface.speed
+        if straight:
+            target[:, -1] = target[:, 0]
         if state.glue is not None and isinstance(points, TiedPoints):
             for column, name in enumerate(wanted, start=1):
                 target[:, column] = state.glue.rate(name)[:, points.surface.axis]

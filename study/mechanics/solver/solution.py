@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from study.ground.arrays import Array
 from study.ground.curve import Curve, hermite_work
+from study.mechanics.contact.collocation import _ring_shares
+from study.mechanics.contact.contact import TiedPoints
+from study.mechanics.element.function_space import _facet_areas, at_level
 from study.mechanics.setup.geometry import Enclosed
 from study.mechanics.setup.setup import Problem
+from study.mechanics.solver.buckling import Instability
 from study.mechanics.solver.internal_force import StoredEnergy
 from study.mechanics.solver.sensitivity import Rate, StepGradients
 from study.mechanics.solver.system import Assembly, State, System
@@ -43,6 +48,7 @@ class LoadedState:
     """A converged state as the energy balance sees it (whole specimen)."""
 
     displacement_mm: float
+    #: Work per displacement: the force, but of a plate that moves sideways too.
     force_N: float
     stiffness_N_per_mm: float
     #: N mm.
@@ -161,7 +167,8 @@ class Warm:
 class Solution:
     """Result of one forward simulation."""
 
-    #: ``converged``, ``not-converged``, ``mesh-failed``, ``unstable`` or ``out-of-memory``.
+    #: ``converged``, ``not-converged``, ``mesh-failed``, ``unstable``, ``lost-contact`` or
+    #: ``out-of-memory``.
     status: str
     #: One sentence that says why it ended.
     message: str
@@ -172,8 +179,8 @@ class Solution:
     reached_mm: float
     #: Smallest J of the last converged step.
     min_j: float
-    #: shape (n_steps,); reaction of the base, to be compared with the force.
-    base_reaction_N: Array
+    #: Reactions and contact of each point, and where the equilibrium becomes unstable.
+    equilibria: Equilibria
     #: Stored energy and the work of the test, point by point of the curve.
     energy: EnergyBalance
     #: Iterations of each point of the curve (its sub-steps added up).
@@ -192,6 +199,16 @@ class Solution:
     warm: Warm | None = None
 
     @property
+    def base_reaction_N(self) -> Array:  # noqa: N802
+        """Axial reaction of the base, to be compared with the force, shape (n_points,)."""
+        return np.array([one.axial for one in self.equilibria.base])
+
+    @property
+    def instability(self) -> Instability | None:
+        """Where the equilibrium becomes unstable; the curve ends before."""
+        return self.equilibria.instability
+
+    @property
     def converged(self) -> bool:
         """Whether every requested step was reached."""
         return self.status == "converged"
@@ -206,7 +223,7 @@ def without_answer(problem: Problem, status: str, message: str, seconds: float) 
         curve=Curve(empty, empty, empty),
         reached_mm=0.0,
         min_j=1.0,
-        base_reaction_N=empty,
+        equilibria=Equilibria(),
         energy=EnergyBalance(empty, empty, empty),
         newton_iterations=(),
         dofs=0,
@@ -245,12 +262,30 @@ class Logbook:
     #: Force and stored energy of every step.
     states: list[LoadedState] = field(default_factory=list)
     reached: list[float] = field(default_factory=list)
-    reactions: list[float] = field(default_factory=list)
+    reactions: list[tuple[Resultant, Resultant]] = field(default_factory=list)
+    contacts: list[ContactFigures] = field(default_factory=list)
     iterations: list[int] = field(default_factory=list)
     warm_steps: list[WarmStep] = field(default_factory=list)
     #: Displacements at which the surface snapped to another equilibrium, mm.
     snaps: list[float] = field(default_factory=list)
     pinned: float = 0.0
+
+    @property
+    def last(self) -> State | None:
+        """State of the last step."""
+        return self.warm_steps[-1].state if self.warm_steps else None
+
+    def drop_from(self, displacement_mm: float) -> None:
+        """Forget the steps from a displacement on."""
+        kept = int(np.searchsorted(self.reached, displacement_mm * (1 - 1e-12)))
+        steps = np.array(self.reached[kept:]) * self.problem.test.steps / self._whole_mm
+        self.requested -= int((np.abs(steps - np.round(steps)) < 1e-6).sum())
+        for column in (
+            self.rows, self.states, self.reached, self.reactions, self.contacts, self.iterations,
+            self.warm_steps,
+        ):  # fmt: skip
+            del column[kept:]
+        self.snaps = [place for place in self.snaps if place < displacement_mm]
 
     @property
     def complete(self) -> bool:
@@ -261,7 +296,7 @@ class Logbook:
         """Force and stored energy of a converged state."""
         stored, scale = self.system.stored_energy(state), self.system.force_scale
         energy = StoredEnergy(*(scale * part for part in stored))
-        return LoadedState(state.displacement_mm, row.force_N, row.stiffness_N_per_mm, energy)
+        return LoadedState(state.displacement_mm, row.work_N, row.work_slope_N_per_mm, energy)
 
     def jumped_to(self, loaded: LoadedState) -> bool:
         """Whether energy is missing, or too much, since the last step written down.
@@ -282,8 +317,10 @@ class Logbook:
         self.rows.insert(at, row)
         self.states.insert(at, loaded)
         self.reached.insert(at, state.displacement_mm)
-        sense = self.problem.setup.kind.sense
-        self.reactions.insert(at, _base_reaction(self.system, assembly, sense))
+        forces, sense = nodal_reactions(self.system, assembly), self.problem.setup.kind.sense
+        self.reactions.insert(at, resultants(self.system, state, forces, sense))
+        figures = contact_figures(self.system, state, assembly, forces[0])
+        self.contacts.insert(at, figures)
         self.iterations.insert(at, spent)
         self.pinned = max(self.pinned, _pinned(self.system, assembly, row.force_N))
         self.warm_steps.insert(at, WarmStep(state, row.constants))
@@ -312,6 +349,11 @@ class Logbook:
         there = at > 0 and jumped(self.states[at - 1], loaded, whole)
         return not (there and jumped(loaded, self.states[at], whole))
 
+    def equilibria(self) -> Equilibria:
+        """Reactions and contact of every step."""
+        plate = tuple(above for above, _ in self.reactions)
+        return Equilibria(plate, tuple(below for _, below in self.reactions), (*self.contacts,))
+
     def coarse_intervals(self, error: float) -> list[float]:
         """Middles of the intervals that make interpolation worse than ``error``.
 
@@ -339,10 +381,17 @@ class Logbook:
             np.array([row.stiffness_N_per_mm for row in self.rows]),
             {n: np.array([row.force_gradient[n] for row in self.rows]) for n in self.wanted},
             work_Nmm,
+            is_conjugate=self.system.constraints.axial is None,
         )
 
     def solution(
-        self, state: State, min_j: float, lost: str, reason: str, seconds: float
+        self,
+        state: State,
+        min_j: float,
+        lost: str,
+        reason: str,
+        seconds: float,
+        instability: Instability | None = None,
     ) -> Solution:
         """Solution of a run that ended at ``state``.
 
@@ -352,14 +401,19 @@ class Logbook:
         system, kept = self.system, self._kept()
         vertices = system.mesh.points.shape[0]
         balance, work = balanced(self.states, tuple(self.snaps), self._whole_mm, self._share)
+        gave_way = bool(lost) or instability is not None
+        status = "converged" if self.complete else "unstable" if gave_way else "not-converged"
+        apart = self._apart()
+        if self.complete and apart:
+            status = "lost-contact"
         return Solution(
-            status="converged" if self.complete else "unstable" if lost else "not-converged",
+            status=status,
             message=self._message(state, lost, reason),
             curve=self.curve(work).at_points(kept),
             energy=balance.at_points(kept),
             reached_mm=state.displacement_mm,
             min_j=min_j,
-            base_reaction_N=np.array(self.reactions)[kept],
+            equilibria=replace(self.equilibria(), instability=instability).at_points(kept),
             newton_iterations=self._iterations(kept),
             dofs=system.dofs,
             elements=system.space.n_elements,
@@ -389,6 +443,22 @@ class Logbook:
         total = np.cumsum(np.r_[0, self.iterations])[np.r_[0, kept + 1]]
         return tuple(int(n) for n in np.diff(total))
 
+    def _apart(self) -> str:
+        """Say where what moves has lost the specimen, or never met it; empty where it has not.
+
+        A specimen that has yet to be reached is no loss, nor is a bonded plate that pulls.
+        """
+        slides = self.problem.test.interface == "frictionless"
+        pulls = np.array([slides and above.axial < 0 for above, _ in self.reactions], dtype=bool)
+        off = pulls | (np.array([one.area_mm2 for one in self.contacts]) == 0)
+        if self.problem.setup.is_whole and not self.problem.setup.contacts:
+            return ""
+        met = np.flatnonzero(~off)
+        if off.size and not met.size:
+            return "nothing touches the specimen: it has sagged away, or the test ends too early"
+        lost = np.flatnonzero(off & (np.arange(off.size) > (met[0] if met.size else 0)))
+        return f"contact is lost at {self.reached[lost[0]]:.4g} mm" if lost.size else ""
+
     def _message(self, state: State, lost: str, reason: str) -> str:
         """Say how the run ended, and what was mended or is not as it should be."""
         said = ["every step converged"]
@@ -405,6 +475,8 @@ class Logbook:
             said = [f"stopped at {reached:.4g} mm of {asked:.4g} mm: {lost or reason}"]
             if lost:
                 said.append(_OUT_OF_REACH)
+        elif apart := self._apart():
+            said = [apart]
         elif lost:
             said.append(f"{lost}: there the answer depends on the mesh")
         if isinstance(self.problem.specimen, Enclosed):
@@ -412,17 +484,227 @@ class Logbook:
         return "; ".join(said)
 
 
-def _base_reaction(system: System, assembly: Assembly, sense: float) -> float:
-    """Axial reaction below, against the loading: equal to the force at equilibrium."""
-    sector = system.force_scale / (2.0 if system.mesh.half_height else 1.0)
-    held, dim = system.constraints, system.space.dim
-    still = held.dofs[(held.rate == 0) & (held.dofs % dim == dim - 1)]
-    carried = float(assembly.residual[np.setdiff1d(still, held.pins)].sum())
+class Resultant(NamedTuple):
+    """Force and moment of what the specimen is held by, on the whole specimen.
+
+    ``side`` and ``moment`` are those that act on the specimen. Moments are about the middle of the
+    face as it stands.
+    """
+
+    #: Against the loading: positive where it resists, N.
+    axial: float
+    #: shape (2,); along x and y, N.
+    side: Array
+    #: shape (3,); N mm.
+    moment: Array
+
+
+class ContactFigures(NamedTuple):
+    """What the moving surface does to the specimen at one step; zeros without a touching point."""
+
+    #: Deepest node or middle of a touching facet below the surface, mm.
+    penetration_mm: float = 0.0
+    #: Farthest node from the surface amid closed points, mm.
+    gap_mm: float = 0.0
+    #: Largest contact pressure over the area of a node, both as they are after the deformation.
+    peak_pressure_MPa: float = 0.0  # noqa: N815
+    #: Area of closed points and held faces after the deformation.
+    area_mm2: float = 0.0
+
+
+@dataclass(frozen=True)
+class Equilibria:
+    """Equilibria of the points of a curve: what holds them, what touches, whether they stand."""
+
+    #: Of the plate or indenter that moves, and of what is below, one a point.
+    plate: tuple[Resultant, ...] = ()
+    base: tuple[Resultant, ...] = ()
+    contact: tuple[ContactFigures, ...] = ()
+    #: Where the equilibrium becomes unstable; the curve ends before.
+    instability: Instability | None = None
+
+    def at_points(self, kept: NDArray[np.int64]) -> Equilibria:
+        """Return those of some of the points, given by their places."""
+        plate, base = tuple(self.plate[k] for k in kept), tuple(self.base[k] for k in kept)
+        return Equilibria(plate, base, tuple(self.contact[k] for k in kept), self.instability)
+
+    def to_json(self) -> dict[str, object]:
+        """Document of ``study solve --json``: N, N mm, mm, MPa and mm^2."""
+        figures = ContactFigures._fields
+        return {
+            "reaction": {
+                name: {
+                    "axial": [one.axial for one in body],
+                    "side": [one.side.tolist() for one in body],
+                    "moment": [one.moment.tolist() for one in body],
+                }
+                for name, body in (("plate", self.plate), ("base", self.base))
+            },
+            "contact": {name: [getattr(one, name) for one in self.contact] for name in figures},
+            "instability": None if self.instability is None else self.instability.to_json(),
+        }
+
+
+def nodal_reactions(system: System, assembly: Assembly) -> tuple[Array, Array]:
+    """Split the forces on nodes into those of what moves and of what is below, (n_nodes, dim)."""
+    space, mesh, held = system.space, system.mesh, system.constraints
+    dim, above, below = space.dim, np.zeros(space.n_displacement), np.zeros(space.n_displacement)
+    top = np.zeros(len(space.nodes), dtype=bool)
+    top[at_level(space, mesh, mesh.height_mm)] = True
+    dofs = np.setdiff1d(held.dofs[held.dofs < space.n_displacement], held.pins)
+    upper = top[dofs // dim]
+    above[dofs[upper]] = assembly.residual[dofs[upper]]
+    below[dofs[~upper]] = assembly.residual[dofs[~upper]]
     for points, touch in zip(system.contact, assembly.contact, strict=True):
-        if points.surface.speed == 0:  # the plate that stands still
-            axial = points.forces(touch).reshape(points.size, -1, dim)[:, :, -1]
-            carried -= float(axial.sum())
-    return -sense * sector * carried
+        onto = below if points.surface.speed == 0 else above
+        # without the springs' share, which equilibrium does not count either
+        carried = points.forces(touch) - points.regularization(touch)
+        np.subtract.at(onto, points.dofs(dim).ravel(), carried.ravel())
+    return above.reshape(-1, dim), below.reshape(-1, dim)
+
+
+def resultants(
+    system: System, state: State, forces: tuple[Array, Array], sense: float
+) -> tuple[Resultant, Resultant]:
+    """Add up the forces on the nodes by what moves and by what is below."""
+    space, mesh, dim = system.space, system.mesh, system.space.dim
+    sector = system.force_scale / (2.0 if mesh.half_height else 1.0)
+    moved = 0.0 if system.small_strain else system.displacements(state.x)
+    places, is_part = space.nodes + moved, dim < 3 or sector > 1
+    middle = np.zeros(3)
+    if not is_part:
+        top = at_level(space, mesh, mesh.height_mm)
+        middle = places[top].mean(axis=0) if top.size else middle
+    found = []
+    for force, sign, about in ((forces[0], sense, middle), (forces[1], -sense, np.zeros(3))):
+        side, moment = np.zeros(2), np.zeros(3)
+        if not is_part:  # symmetry leaves none of them
+            side = force[:, :2].sum(axis=0)
+            moment = np.cross(places - about, force).sum(axis=0)
+        found.append(Resultant(sign * sector * float(force[:, -1].sum()), side, moment))
+    if mesh.half_height:
+        return found[0], found[0]
+    return found[0], found[1]
+
+
+#: corners of a facet between which further nodes lie, and their part of such a node's force
+_MIDDLES: dict[int, list[tuple[list[int], float]]] = {
+    2: [([0, 1], 0.5)],
+    3: [([0, 1], 0.5), ([1, 2], 0.5), ([2, 0], 0.5)],
+    4: [([0, 1], 0.5), ([1, 2], 0.5), ([2, 3], 0.5), ([3, 0], 0.5), ([0, 1, 2, 3], 0.25)],
+}
+
+
+#: shape functions in the middle of a facet, by the number of its nodes
+_MIDDLE = {
+    2: np.full(2, 0.5),
+    3: np.full(3, 1 / 3),
+    4: np.full(4, 0.25),
+    6: np.repeat([-1 / 9, 4 / 9], 3),
+    9: np.r_[np.zeros(8), 1.0],
+}
+
+
+def _stretched_areas(system: System, u: Array) -> Array:
+    """Area around every node of the boundary over what it was, shape (n_nodes,); 1 elsewhere."""
+    space, dim = system.space, system.space.dim
+    if system.small_strain:
+        return np.ones(len(space.nodes))
+    corners = space.facets[:, : _corners(space.facets.shape[1], dim)]
+    areas = [_facet_areas(x[corners], dim == 2) for x in (space.nodes, space.nodes + u)]
+    n, k = len(space.nodes), space.facets.shape[1]
+    before, after = (np.bincount(space.facets.ravel(), np.repeat(a, k), n) for a in areas)
+    return np.divide(after, before, out=np.ones(n), where=before > 0)
+
+
+def _corners(facet: int, dim: int) -> int:
+    """Corners of a facet with so many nodes."""
+    return 2 if dim == 2 else 3 if facet in (3, 6) else 4
+
+
+def vertex_pressure(system: System, state: State, force: Array) -> tuple[Array, Array]:
+    """Pressure of nodal forces at the corners of boundary facets, and the corners' areas.
+
+    The forces are taken to the hats of the corners (a mid-side node halves its own), which are
+    exact moments of the pressure, over the areas of these hats: what quadratic elements have at
+    their nodes has the wrong sign at corners. Both are those after the deformation.
+
+    Shapes: force (n_nodes, dim); returns (n_vertices,), MPa and mm^2.
+    """
+    space, count = system.space, len(system.mesh.points)
+    places = space.nodes + (0.0 if system.small_strain else system.displacements(state.x))
+    touched = np.abs(force).sum(axis=1) > 0
+    chosen = touched[space.facets].any(axis=1) & (space.facet_weights > 0)  # not along an axis
+    facets, dim = space.facets[chosen], space.dim
+    k = _corners(facets.shape[1], dim)
+    areas = _facet_areas(places[facets[:, :k]], dim == 2)
+    shares = np.full((len(facets), k), 1.0 / k)
+    if dim == 2:
+        shares = _ring_shares(places[facets[:, :2]][:, :, 0])
+    area = np.bincount(facets[:, :k].ravel(), (areas[:, None] * shares).ravel(), len(space.nodes))
+    hats = force.copy()
+    for corners, between in _MIDDLES[k]:
+        halfway = space.nodes[facets[:, corners]].mean(axis=1)
+        apart = np.linalg.norm(space.nodes[facets[:, k:]] - halfway[:, None], axis=2)
+        if apart.size:
+            nodes, first = np.unique(
+                facets[np.arange(len(facets)), k + apart.argmin(axis=1)], return_index=True
+            )
+            for corner in corners:
+                np.add.at(hats, facets[first, corner], between * force[nodes])
+    hats[np.unique(facets[:, k:])] = 0.0
+    size = np.linalg.norm(hats, axis=1)
+    pressure = np.divide(size, area, out=np.zeros_like(size), where=area > 0)
+    return pressure[:count], np.asarray(area[:count], dtype=np.float64)
+
+
+def contact_figures(
+    system: System, state: State, assembly: Assembly, force: Array
+) -> ContactFigures:
+    """How well the moving surface fits, and what it presses with. Shapes: force (n_nodes, dim)."""
+    space, dim, u = system.space, system.space.dim, system.displacements(state.x)
+    depth, gap, area, touches = 0.0, 0.0, 0.0, False
+    ratio = _stretched_areas(system, u)
+    for points, touch in zip(system.contact, assembly.contact, strict=True):
+        if isinstance(points, TiedPoints) or points.surface.speed == 0:
+            continue
+        closed = touch.active if state.glue is None else touch.active | state.glue.held
+        if not closed.any():
+            continue
+        touches = True
+        stretched = np.einsum("ck,ck->c", points.shape, ratio[points.nodes])
+        area += float((points.weights * stretched)[closed].sum())
+        members = np.isin(space.facets, points.nodes).all(axis=1)
+        facets = space.facets[members & np.isin(space.facets, points.nodes[closed]).any(axis=1)]
+        amid = np.isin(facets, np.setdiff1d(points.nodes[closed], points.nodes[~closed])).all(
+            axis=1
+        )
+        local_shapes = (
+            *np.eye(facets.shape[1]),
+            *([] if dim == 2 and facets.shape[1] == 3 else [_MIDDLE[facets.shape[1]]]),
+        )
+        for local in local_shapes:
+            place, moved = (np.einsum("a,faj->fj", local, v[facets]) for v in (space.nodes, u))
+            if system.small_strain:
+                off = points.surface.reference_gap(place, moved, state.displacement_mm)[0]
+            else:
+                off = points.surface.gap(place + moved, state.displacement_mm)[0]
+            depth = max(depth, float(-off.min(initial=0.0)))
+            gap = max(gap, float(off[amid].max(initial=0.0)))
+    held = at_level(space, system.mesh, system.mesh.height_mm)
+    driven = system.constraints.dofs[system.constraints.rate != 0] // dim
+    face = np.isin(space.facets, np.intersect1d(held, driven)).all(axis=1)
+    if face.any():
+        k = _corners(space.facets.shape[1], dim)
+        area += float(_facet_areas((space.nodes + u)[space.facets[face, :k]], dim == 2).sum())
+        touches = True
+    sector = system.force_scale / (2.0 if system.mesh.half_height else 1.0)
+    if not touches:
+        return ContactFigures()
+    normal = force.copy()
+    normal[held, :-1] = 0.0  # a held face is sheared as well
+    pressure, _ = vertex_pressure(system, state, normal)
+    return ContactFigures(depth, gap, float(pressure.max(initial=0.0)), sector * area)
 
 
 def _pinned(system: System, assembly: Assembly, force: float) -> float:

@@ -111,6 +111,7 @@ class Latest:
     #: Unknowns and displacement, and where each set of contact points is there.
     meetings: tuple[Array, float, list[Meeting]] | None = None
     ratios: tuple[Array, Array] | None = None
+    displacement_mm: float = 0.0
     #: Closed contact points of the last assembly, one set after the other.
     touching: Flags = field(default_factory=lambda: np.zeros(0, bool))
 
@@ -147,7 +148,7 @@ class WholeSpecimen:
     @classmethod
     def of(cls, setup: Setup, mesh: Mesh, volume_mm3: float) -> WholeSpecimen:
         """Sizes by the mesh of a part and its volume (2 pi r included in axisymmetric space)."""
-        whole = setup.model.space == "axisymmetric" or setup.is_whole
+        whole = setup.model.space == "axisymmetric" or setup.is_whole or mesh.is_whole
         sector, half, height = 1.0 if whole else 4.0, mesh.half_height, mesh.height_mm
         area = volume_mm3 * sector / (height - (height / 2 if half else 0.0))
         return cls(sector * (2.0 if half else 1.0), area, height, touch_radius(setup))
@@ -323,6 +324,7 @@ class System:
                 self.data[self.pattern.indptr[:-1]] += self.drag.weights[self.pattern.free]
         touching = [t.active for t in contacts]
         self.latest.touching = np.concatenate([np.zeros(0, bool), *touching])
+        self.latest.displacement_mm = state.displacement_mm
         self._count("assembly", began)
         return Assembly(min_j, internal, residual, contacts)
 
@@ -375,7 +377,7 @@ class System:
         if exact:
             self.solver.sharpen()
         self.solver.factorize(self.data)
-        self.kept.renewed(self.latest.touching)
+        self.kept.renewed(self.latest.touching, self.latest.displacement_mm)
         self._count("factorization", began)
 
     def solve(self, right: Array, scale: Array, tolerance: float, change: float) -> Array:

@@ -546,7 +546,7 @@ def unit_mm(unit: str) -> float:
         return parse(f"1 {unit}", "length")
     except UnitError as error:
         mend = 'for example unit = "mm"; an STL file does not say in which unit it is'
-        rule = f"{unit!r} is no unit of length"
+        rule = f"{unit!r} is not a length unit"
         raise InputError(Fault("specimen.unit", rule, mend)) from error
 
 

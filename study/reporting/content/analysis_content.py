@@ -23,7 +23,7 @@ from study.reporting.content.numbers import (
 from study.reporting.content.report_facts import Facts
 from study.reporting.content.text import clean, count, listing, plural_of, term_name
 from study.reporting.results.study_result import Check, ReportData
-from study.statistics.analysis.anova_table import Effect, Row
+from study.statistics.analysis.anova_table import Row
 from study.statistics.analysis.simple_effects import NOT_RESOLVED
 from study.statistics.surfaces.emulator import GIVEN, RANKED
 from study.statistics.surfaces.surface_profile import FittedSurface
@@ -499,7 +499,7 @@ def _additivity(facts: Facts, data: ReportData) -> list[Check]:
     if found is None or found.p is None or not math.isfinite(found.p):
         return []
     p = found.p
-    name = f"Cells and {clean(data.block) or 'blocks'} add up"
+    name = f"No interaction between cell and {clean(data.block) or 'block'}"
     if p >= data.alpha:
         finding = f"not rejected by Tukey's one-degree test ({p_phrase(p)})"
         return [Check(name, "pass", finding, of=facts.title)]
@@ -528,7 +528,7 @@ def _resolution(facts: Facts, data: ReportData) -> Check:
         )
     open_ones = [effect for effect in facts.effects if effect.verdict == NOT_RESOLVED]
     if not open_ones:
-        finding = f"U, added to the interval, leaves {_every(known, 'verdict')} as it is"
+        finding = f"mesh error, added to the interval, changes no verdict (of {len(known)})"
         return Check(name, "pass", finding, of=facts.title)
     needed = [
         f"below {bound(effect.u_needed, effect, facts)} for {term_name(effect.term, data.labels)}"
@@ -536,13 +536,9 @@ def _resolution(facts: Facts, data: ReportData) -> Check:
         if effect.u_needed is not None
     ]
     named = listing([term_name(effect.term, data.labels) for effect in open_ones])
-    finding = f"U leaves {named} open, which the interval alone would decide"
+    finding = f"mesh error is too large to judge {named}; the measurements alone would suffice"
     mend = f"Refine: U would have to be {listing(needed)}." if needed else "Refine the mesh."
     return Check(name, "caution", finding, mend, facts.title)
-
-
-def _every(items: Sequence[Effect], noun: str) -> str:
-    return f"the {noun}" if len(items) == 1 else f"each of {count(len(items), noun)}"
 
 
 def _fragile(facts: Facts, data: ReportData) -> list[Check]:
@@ -553,7 +549,8 @@ def _fragile(facts: Facts, data: ReportData) -> list[Check]:
     block = clean(data.block) or "block"
     name = f"Claims hold with any one {block} left out"
     lost = [
-        f"{term_name(effect.term, data.labels)} (not without {_some(effect.lost_without)})"
+        f"the claim on {term_name(effect.term, data.labels)} fails if "
+        f"{_some(effect.lost_without, data)} is left out"
         for effect in known
         if effect.lost_without
     ]
@@ -564,9 +561,11 @@ def _fragile(facts: Facts, data: ReportData) -> list[Check]:
     more = (
         f"Measure more {plural_of(block)} before relying on {'it' if len(lost) == 1 else 'them'}."
     )
-    return [Check(name, "caution", f"fragile: {listing(lost)}", more, facts.title)]
+    return [Check(name, "caution", listing(lost), more, facts.title)]
 
 
-def _some(blocks: Sequence[str] | None) -> str:
-    named = [clean(name) for name in blocks or ()]
-    return listing(named, "or") if len(named) < 4 else f"any one of {len(named)}"
+def _some(blocks: Sequence[str], data: ReportData) -> str:
+    block = clean(data.block) or "block"
+    named = [clean(name) for name in blocks]
+    several = f"any one of {count(len(named), block)}"
+    return f"{block} {listing(named, 'or')}" if len(named) < 4 else several

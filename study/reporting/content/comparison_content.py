@@ -1,4 +1,4 @@
-"""Words and tables for two studies beside each other, for the page and the terminal."""
+"""Words and tables that compare two studies, for the page and the terminal."""
 
 from __future__ import annotations
 

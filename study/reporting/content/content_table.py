@@ -263,7 +263,7 @@ def together(verdicts: Sequence[str]) -> str:
 
 
 def unknowns(data: ReportData, found: Sequence[Facts]) -> list[str]:
-    """Say of every fact that nobody measured what it would change, and whether to measure it."""
+    """Effect of every assumed factor, and whether it has to be measured."""
     lines = []
     for name in factors_of(data, UNKNOWN):
         effects = [(f, e) for f in found for e in f.effects if e.term == name]
@@ -278,9 +278,9 @@ def _one_unknown(name: str, effects: Sequence[tuple[Facts, Effect]]) -> str:
         for facts, effect in effects
         if effect.verdict == MATTERS and effect.range is not None
     ]
-    start = f"nobody measured {name}"
+    start = f"the level of {name} was assumed"
     if large:
-        return sentence(f"{start}: it changes {listing(large)}, so measuring it pays")
+        return f"{sentence(f'{start}, and it changes {listing(large)}')} Measure it."
     if all(effect.verdict == NO_DIFFERENCE for _, effect in effects):
-        return sentence(f"{start}: it makes no practical difference, so measuring it does not pay")
-    return sentence(f"{start}, and this study cannot show whether measuring it pays")
+        return sentence(f"{start}. It makes no practical difference, so it need not be measured")
+    return sentence(f"{start}. This study cannot tell whether it has to be measured")

@@ -133,7 +133,7 @@ def _statistics(facts: Facts, data: ReportData) -> str:
         f"; a {what} of {limit.removeprefix(TIMES).strip()} was declared to matter" if limit else ""
     )
     return sentence(
-        f"the {facts.title}{scale} was analyzed by a type {sums} analysis of "
+        f"{facts.title}{scale} was analyzed by a type {sums} analysis of "
         f"variance in which {how}{against}"
     )
 

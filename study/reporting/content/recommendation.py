@@ -72,7 +72,7 @@ def best_cell(data: ReportData, found: Sequence[Facts]) -> str:
             f"the {word} {facts.title} is {mean}, with {describe(ranked[0], data)}"
             f"{_over_fewer(data, facts)}{_tie(data, facts, ranked)}"
         )
-    return "No response has a better end, so no cell is the best; the effects are what counts."
+    return "No goal (minimize or maximize) was given, so no best setting is named."
 
 
 def _best_choice(data: ReportData, facts: Facts) -> str:

@@ -206,18 +206,16 @@ def _no_interaction(data: ReportData, found: Sequence[Facts]) -> str:
     together = {_label(e, data) for e in every_factor if not _may_be_chosen_alone(e)}
     if not together:
         return (
-            "Each factor may be chosen on its own: at every setting of the others it makes no "
+            "Each factor can be chosen independently: at every setting of the others it makes no "
             "practical difference, or the same level is best."
         )
     names = list(dict.fromkeys(_label(e, data) for e in every_factor))
     alone = [name for name in names if name not in together]
     if not alone:
-        return "What one factor does may depend on the others, so they are chosen together."
-    own = "its own" if len(alone) == 1 else "their own"
+        return "An interaction cannot be excluded; choose these factors jointly."
     rest = listing([name for name in names if name in together])
-    return sentence(
-        f"{listing(alone)} may be chosen on {own}; whether the same holds for {rest} is not shown"
-    )
+    independent = sentence(f"{listing(alone)} can be chosen independently of the other factors")
+    return f"{independent} For {rest} this is unproven."
 
 
 def _may_be_chosen_alone(effect: Effect) -> bool:
@@ -261,14 +259,8 @@ def _question(term: ErrorTerm, data: ReportData) -> str:
 
 
 _BY_TERM = (
-    "U bounds the numerical error of the difference itself. The difference is formed on every mesh "
-    "of a refinement and followed as one series within each kind of element, where errors partly "
-    "cancel; between kinds of elements nothing cancels and the bounds add. U is twice the error "
-    "that the series shows where it has the order of the element, three times that or the range "
-    "of the values where it has not, and never more than the bounds of the cells together. A "
-    "difference of cells that were not refined inherits the scatter of the error over those that "
-    "were. The mesh itself has no U, for a difference between meshes is the error of the "
-    "discretization."
+    'U bounds the mesh error of the difference (how: docs/verdicts.md, "Numerical error"). '
+    "For mesh density the difference is itself the mesh error, so no U is given."
 )
 _BY_COLUMN = "U, the bound of the numerical error, is the same for every factor."
 

@@ -285,18 +285,24 @@ def settings(at: Mapping[str, float], one: FittedSurface, data: ReportData) -> s
 
 
 def sensitivity(one: FittedSurface, data: ReportData) -> Table | None:
-    """Shares and ranges of the factors, the strongest first; None of a quadratic surface."""
+    """Shares and ranges of the factors, the strongest first; None where none is told."""
     found = one.found
-    if found is None or all(item.index is None for item in found.sensitivity):
+    if found is None or all(i.index is None and i.range is None for i in found.sensitivity):
         return None
     items = sorted(found.sensitivity, key=lambda item: item.rank)
     rows = tuple(_sensitivity_row(item, one, data) for item in items)
     columns = ("factor", "share alone", "share in all", "range", "bound", "verdict")
+    moved = (
+        "Range: 95 % of the settings of the other factors change the response by less along this "
+        "one."
+    )
+    if found.kind == "quadratic":
+        rows, columns = tuple((row[0], *row[3:]) for row in rows), (columns[0], *columns[3:])
+        return Table(_table_name("sensitivity", one), columns, rows, 1, 1, moved)
     note = (
         "Shares of the variance of the response when every factor is uniform over its range: by "
         "the factor alone (first-order Sobol index) and with all its interactions (total index), "
-        "each with an interval of about 95 %. Range: 95 % of the settings of the other factors "
-        "change the response by less along this one."
+        f"each with an interval of about 95 %. {moved}"
     )
     return Table(_table_name("sensitivity", one), columns, rows, 1, 1, note)
 
@@ -356,10 +362,9 @@ def _answer(one: FittedSurface, data: ReportData) -> str:
 def _ranges(found: SurfaceAnalysis) -> dict[str, float]:
     """Largest changes by factor: of an emulator where it may tell, of a profile of a quadratic."""
     order = strongest(found)
-    if found.sensitivity:
-        told = {i.factor: i.range.value for i in found.sensitivity if i.range is not None}
-    else:
-        told = {p.factor: p.range for p in profiles(found)} if found.kind == "quadratic" else {}
+    told = {i.factor: i.range.value for i in found.sensitivity if i.range is not None}
+    if not told and found.kind == "quadratic":
+        told = {p.factor: p.range for p in profiles(found)}
     return {name: told[name] for name in order if name in told}
 
 
@@ -370,12 +375,15 @@ def _judged(one: FittedSurface, data: ReportData) -> str:
     by: dict[str, list[str]] = {}
     for item in one.found.sensitivity:
         if item.range is not None:
-            by.setdefault(item.range.verdict, []).append(name_of(item.factor, data.labels))
+            by.setdefault(item.range.told, []).append(name_of(item.factor, data.labels))
     limit = f"{one.practical:.3g} {clean(one.unit)}".strip()
     said = []
     if MATTERS in by:
         verb = "matters" if len(by[MATTERS]) == 1 else "matter"
         said.append(f"{listing(by.pop(MATTERS))} {verb}")
+    if (waiting := f"{MATTERS}, if confirmed") in by:
+        verb = "matters" if len(by[waiting]) == 1 else "matter"
+        said.append(f"{listing(by.pop(waiting))} {verb}, if the runs that are named confirm it")
     if NO_DIFFERENCE in by:
         verb = "makes" if len(by[NO_DIFFERENCE]) == 1 else "make"
         said.append(f"{listing(by.pop(NO_DIFFERENCE))} {verb} no practical difference")
@@ -396,7 +404,7 @@ def _sensitivity_row(item: Sensitivity, one: FittedSurface, data: ReportData) ->
     )  # fmt: skip
     moved = (MISSING, MISSING, "cannot tell") if effect is None else (
         quantity(effect.value, unit), quantity(effect.bound, unit, 2),
-        f"{effect.verdict}, if confirmed" if effect.claims else effect.verdict,
+        effect.told,
     )  # fmt: skip
     return (clean(name_of(item.factor, data.labels)), *shares, *moved)
 

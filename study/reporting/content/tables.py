@@ -259,6 +259,22 @@ def verdicts(found: Sequence[Facts], data: ReportData) -> Table:
                     "scale": "ratio" if effect.is_ratio else "difference",
                 }
             )
+    for row in (row for one in data.surfaces for row in one.verdicts):
+        at, ends = dict(row["at"]), row["ci95"] or (None, None)
+        raw.append(
+            {
+                "response": row["response"],
+                "factor": row["factor"],
+                "verdict": row["verdict"],
+                "effect": row["effect"],
+                "low": ends[0],
+                "high": ends[1],
+                "practical": row["practical"],
+                "u_num": row["u_num"],
+                "scale": "range",
+                "at": ", ".join(f"{name}={level}" for name, level in at.items()),
+            }
+        )
     columns = (
         "response",
         "factor",
@@ -320,7 +336,7 @@ def _anova_notes(effects: Sequence[Row], data: ReportData, tested: bool) -> Iter
             "nearly zero; read the size of the effect, not its F."
         )
     if any(not row.df for row in effects):
-        yield "df 0: not estimable, because cells without any answer leave no such comparison."
+        yield "df 0: not estimable from the cells that have a response."
     if block and tested and any(row.f is None and row.df for row in effects):
         yield (
             f"{MISSING}: the effect is the same in every {block} to the tolerance of the solver, "

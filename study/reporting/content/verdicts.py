@@ -156,7 +156,7 @@ def robust(effect: Effect, facts: Facts) -> str:
     named = [clean(name) for name in effect.lost_without]
     several = f"any one of {count(len(named), block)}"
     which = f"{block} {listing(named, 'or')}" if len(named) < 4 else several
-    return f"; fragile, for it is not shown without {which}"
+    return f"; fragile: the claim fails if {which} is left out"
 
 
 def _no_difference(effect: Effect, facts: Facts, name: str, numbers: str) -> str:
@@ -225,7 +225,7 @@ WHAT_IF: tuple[tuple[str, str], ...] = (
         "an uncorrected F rejects too often; the corrected p is the one to read.",
     ),
     (
-        "Blocks and cells do not add up",
+        "Block and cell interact",
         "the effect depends on the block. The mean over blocks still answers for this family, "
         "but not for one specimen; the log of a positive response often helps.",
     ),
@@ -300,7 +300,7 @@ def additivity(found: NonAdditivityResult, data: ReportData) -> str:
     rejected = found.p is not None and found.p < data.alpha
     decision = "rejected" if rejected else "not rejected"
     return (
-        f"Tukey's one-degree test: that cells and {clean(data.block) or 'block'} simply add up is "
+        f"Tukey's one-degree test: no interaction between cell and {clean(data.block) or 'block'}: "
         f"{decision} (F = {significant(found.f)}, {p_phrase(found.p)})."
     )
 
@@ -470,7 +470,7 @@ def _cells(item: Expected, facts: Facts, data: ReportData) -> tuple[str, str]:
 
 def _from(limit: float, facts: Facts) -> str:
     if not limit:
-        return "and nobody said what matters"
+        return "and no difference that matters was given"
     return f"where {_difference(limit, limit, facts)} matter"
 
 

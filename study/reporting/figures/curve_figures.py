@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -114,6 +115,52 @@ def _fit_panel(force: Axes, residual: Axes, panel: FitPanel) -> None:
     force.legend(loc="upper left", fontsize=7)
     for ax in (force, residual):
         ax.grid(axis="y", color=RULE, linewidth=0.4)
+
+
+# Recordings with their branches, in the coordinates of the file.
+
+_UNITS = {"displacement": "mm", "force": "N", "stress": "MPa", "true_stress": "MPa",
+          "pressure": "MPa"}  # fmt: skip
+#: rows of a recording that are drawn
+_DRAWN = 2000
+
+
+def draw_recordings(frame: pd.DataFrame) -> Canvas:
+    """Draw a panel a test: rows that are used in color, the others by branch in gray.
+
+    Columns of the frame: test, line, far, hard, branch, set_aside, far_name, hard_name.
+    """
+    titles = list(dict.fromkeys(frame["test"]))[:_MOST]
+    columns = min(_COLUMNS, len(titles))
+    lines = -(-len(titles) // columns)
+    figure = canvas(WIDTH_IN if columns > 1 else 0.6 * WIDTH_IN, 0.3 + 2.6 * lines)
+    panels = figure.subplots(lines, columns, squeeze=False)
+    for place, ax in enumerate(panels.ravel()):
+        if place >= len(titles):
+            ax.set_axis_off()
+            continue
+        _recording_panel(ax, frame[frame["test"] == titles[place]], titles[place])
+    return figure
+
+
+def _recording_panel(ax: Axes, rows: pd.DataFrame, title: str) -> None:
+    thin = rows.iloc[:: max(1, len(rows) // _DRAWN)]
+    ax.plot(thin["far"], thin["hard"], color=RULE, linewidth=0.6, zorder=1)
+    grays = itertools.cycle(("#8a929b", "#b3bac1", "#6b737b"))
+    for why, part in thin.groupby("set_aside", sort=False):
+        used = why == ""
+        label = "used" if used else f"set aside: {why}"
+        color = color_of(0) if used else next(grays)
+        ax.plot(part["far"], part["hard"], ".", color=color, markersize=2.4, label=label,
+                zorder=3 if used else 2)  # fmt: skip
+    ax.set_title(clean(title, 44), fontsize=7.5)
+    for name, label in (("far_name", ax.set_xlabel), ("hard_name", ax.set_ylabel)):
+        quantity_name = str(rows[name].iloc[0])
+        unit = _UNITS.get(quantity_name)
+        label(f"recorded {quantity_name.replace('_', ' ')}" + (f" ({unit})" if unit else ""),
+              fontsize=8)  # fmt: skip
+    ax.grid(axis="y", color=RULE, linewidth=0.4)
+    ax.legend(loc="best", fontsize=6.5)
 
 
 # Errors of markers inside a specimen, layer by layer and state by state.

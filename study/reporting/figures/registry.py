@@ -348,6 +348,33 @@ def of_study(data: ReportData) -> dict[str, Figure]:
     return found
 
 
+def of_recordings(frame: pd.DataFrame) -> Figure:
+    """Figure of the rows of a calibration as they were recorded, with their branches.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        One row a recorded row; columns as in
+        :func:`study.reporting.figures.curve_figures.draw_recordings`.
+
+    Returns
+    -------
+    Figure
+        Drawing, data and caption.
+    """
+
+    def compute() -> Drawn:
+        aside = frame[frame["set_aside"] != ""]
+        why = [
+            f"{n} {reason}" for reason, n in aside.groupby("set_aside", sort=False).size().items()
+        ]
+        caption = f"{len(frame)} recorded rows, {len(frame) - len(aside)} used"
+        caption += f"; set aside: {listing(why)}" if why else ""
+        return frame, lambda: curve_figures.draw_recordings(frame), sentence(caption)
+
+    return make("recording", "Recording and its branches", compute)
+
+
 def _convergence(data: ReportData) -> Drawn:
     frame = convergence_figures.value_points(data.convergence)
     caption = convergence_figures.value_caption(data.convergence)

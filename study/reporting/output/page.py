@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from study.harness.record.atomic_files import write_atomic
+from study.harness.record.atomic_files import write_atomic, write_error
 from study.harness.record.folder import own_folder
 from study.reporting.content import (
     analysis_content,
@@ -377,7 +377,10 @@ def response_note(response: ResponseAnalysis) -> str:
 def data_folder(folder: Path, stem: str) -> Path:
     """Make the folder for what a page was drawn from, beside the page."""
     beside = own_folder(folder, f"{stem}-data")
-    beside.mkdir(parents=True, exist_ok=True)
+    try:
+        beside.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise write_error(beside, error) from error
     return beside
 
 

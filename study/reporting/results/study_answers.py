@@ -1,4 +1,4 @@
-"""Two studies beside each other, as plain values that whoever holds both fills in."""
+"""The comparison of two studies, as plain values."""
 
 from __future__ import annotations
 

@@ -228,7 +228,7 @@ class AnalysisRequest:
     #: {"auto", "I", "II", "III"}: type of the sums of squares; ``auto`` is II when balanced and III
     #: when not.
     sums: str = "auto"
-    #: {"auto", "pooled", "own"}: how the error is found; see ``error_ledger``.
+    #: {"auto", "pooled", "own", "welch"}: how the error is found; see ``error_ledger``.
     error: str = "auto"
     scale: ResponseScale = field(default_factory=ResponseScale)
     #: Whether the rows are records of a deterministic study.
@@ -251,11 +251,14 @@ class AnalysisRequest:
     def __post_init__(self) -> None:
         faults = [
             *_not_one_of("type", self.sums, ("auto", "I", "II", "III")),
-            *_not_one_of("error", self.error, ("auto", "pooled", "own")),
+            *_not_one_of("error", self.error, ("auto", "pooled", "own", "welch")),
             *self.layout.faults(),
             *self.scale.faults(),
         ]
         faults += alpha_faults(self.alpha)
+        if self.error == "welch" and (self.layout.block or self.layout.unit):
+            rule = "'welch' gives each cell a variance of its own, which needs rows without blocks"
+            faults.append(Fault("error", rule, "leave it out: effects over blocks need none"))
         if self.error == "own" and not self.layout.block:
             mend = "name the replicated unit with --block"
             rule = "'own' tests against interactions with the blocks, but no block is named"

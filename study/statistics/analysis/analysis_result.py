@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from study.ground.canonical import plain
@@ -14,6 +14,7 @@ from study.statistics.analysis.anova_table import (
     ModelSummary,
 )
 from study.statistics.analysis.assumptions import Assumptions
+from study.statistics.analysis.data import Structure
 from study.statistics.analysis.power import PowerRow
 
 if TYPE_CHECKING:
@@ -75,6 +76,8 @@ class DataSummary:
     bounds: tuple[FailureBound, ...] = ()
     #: What taking rows on one unit as independent would have claimed.
     nested: NestedUnits | None = None
+    #: What the table is: step of the readings, nesting, empty cells, terms that are not told apart.
+    structure: Structure = field(default_factory=Structure)
 
 
 @dataclass(frozen=True)
@@ -131,7 +134,8 @@ class AnalysisResult:
             "error_term": plain(self.error_term),
             "anova": plain(self.anova),
             **self.assumptions.to_json(),
-            "effects": [plain(effect) for effect in self.effects],
+            "effects": [effect.to_json() for effect in self.effects],
+            "structure": plain(self.data.structure),
             "shares": plain(self.variation.shares),
             "distinct_computations": self.data.distinct,
             "copies": plain(self.data.copies),
@@ -150,7 +154,7 @@ class AnalysisResult:
             {
                 "response": self.request.response,
                 "factor": effect.term,
-                "verdict": effect.verdict,
+                "verdict": None if effect.practical is None else effect.verdict,
                 "effect": plain(effect.range),
                 "ci95": plain(effect.ci95),
                 "practical": plain(effect.practical),
@@ -164,7 +168,8 @@ class AnalysisResult:
                 "p_holm": plain(effect.p_holm),
                 "lost_without": plain(effect.lost_without),
                 "of_components": effect.of_components or None,
-                "simple_effects": plain(effect.simple_effects),
+                "simple_effects": effect.to_json()["simple_effects"],
+                "withdrawn": plain(effect.withdrawn),
             }
             for effect in self.effects
         ]

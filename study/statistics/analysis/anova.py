@@ -120,6 +120,7 @@ def _summary_of_data(out: AnalysisOutcome, model_matrix: Array | None) -> DataSu
         len(out.copies.groups),
         tuple(tuple(names[c] for c in g) for g in out.copies.groups if len(g) > 1),
         model_matrix,
+        structure=out.structure,
     )
 
 
@@ -566,7 +567,7 @@ def _found(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisOutcome:
             return pooled(out, untested=lacking)
     if plots is not None:
         return split_plot(out, plots)
-    return pooled(out)
+    return error_ledger.welch(out) if request.error == "welch" else pooled(out)
 
 
 def _start(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisOutcome:

@@ -149,7 +149,8 @@ class Effect:
     ``simple_effects``; ``always`` lists the pairs of levels (larger, smaller) whose difference
     is beyond the practical one at every setting of the other factors. An interaction has no
     verdict; ``of_components`` says what the interval of its largest pure component allows.
-    ``lost_without`` names the blocks without which the claim is not made: a fragile one.
+    ``lost_without`` names the blocks without which the claim is not made: a fragile one;
+    ``withdrawn`` says why claims that the intervals allow are not made.
     """
 
     term: str
@@ -176,6 +177,16 @@ class Effect:
     always: tuple[tuple[str, str], ...] = ()
     of_components: str = ""
     lost_without: tuple[str, ...] | None = None
+    withdrawn: tuple[str, ...] = ()
+
+    def to_json(self) -> dict[str, object]:
+        """Document of the effect; without a practical difference its verdicts are null."""
+        document: dict[str, object] = plain(self)
+        if self.practical is None:
+            document["verdict"] = None
+            simple = [{**plain(e), "verdict": None} for e in self.simple_effects]
+            document["simple_effects"] = simple
+        return document
 
     @property
     def is_main(self) -> bool:

@@ -11,7 +11,7 @@ import numpy as np
 
 from study.ground.arrays import Array, Flags
 from study.ground.canonical import plain
-from study.ground.errors import Fault, InputError
+from study.ground.errors import Fault, InputError, settled
 from study.statistics.analysis import error_ledger
 from study.statistics.analysis.analysis_request import AnalysisOutcome
 from study.statistics.analysis.anova_table import AnalysisSensitivity, BoxCoxResult, WaldTest
@@ -21,7 +21,9 @@ from study.statistics.analysis.equal_variance import (
     LeveneResult,
     ResidualDesign,
     bartlett,
+    fligner,
     levene,
+    welch_tests,
 )
 from study.statistics.analysis.linear_model import (
     Factorization,
@@ -74,6 +76,8 @@ class Assumptions:
     normality_rows: tuple[RowTest, ...] = ()
     bartlett: BartlettResult | None = None
     levene: LeveneResult | None = None
+    #: Statistic and p of Fligner and Killeen's test.
+    fligner: tuple[float, float] | None = None
     sphericity: dict[str, SphericityResult] = field(default_factory=dict)
     non_additivity: NonAdditivityResult | None = None
     anderson_darling: NormalityResult | None = None
@@ -97,6 +101,7 @@ class Assumptions:
             "variance": {
                 "bartlett": None if self.bartlett is None else self.bartlett.to_json(),
                 "levene": None if self.levene is None else self.levene.to_json(),
+                "fligner": plain(self.fligner),
             },
             "sphericity": plain(self.sphericity),
             "non_additivity": plain(self.non_additivity),
@@ -115,6 +120,7 @@ def assumptions_of(out: AnalysisOutcome, found: Diagnostics) -> Assumptions:
         normality_rows=found.rows,
         bartlett=found.bartlett,
         levene=found.levene,
+        fligner=found.fligner,
         sphericity=out.sphericity,
         non_additivity=None if fit is None else non_additivity(fit),
         anderson_darling=None if residual is None else anderson_darling(residual),
@@ -151,6 +157,7 @@ class Diagnostics:
     levene: LeveneResult | None
     warnings: tuple[str, ...]
     rows: tuple[RowTest, ...] = ()
+    fligner: tuple[float, float] | None = None
 
 
 def diagnose(out: AnalysisOutcome) -> Diagnostics:
@@ -160,7 +167,8 @@ def diagnose(out: AnalysisOutcome) -> Diagnostics:
     out, normality, groups = _of_residuals(out)
     equal, spread = _spread_tests(out, groups)
     warnings = (*out.warnings, *_inapplicable(bartlett=equal, levene=spread))
-    return Diagnostics(normality, equal, spread, warnings)
+    rank = None if groups is None or groups.approximate else fligner(groups.groups)
+    return Diagnostics(normality, equal, spread, warnings, fligner=rank)
 
 
 def _by_contrast(out: AnalysisOutcome, table: Crossed) -> Diagnostics:
@@ -342,84 +350,6 @@ def _wald(robust: OLSResults, term: TermSum, df_residual: int) -> WaldTest:
     return WaldTest(name, float(test.fvalue), df, float(test.pvalue))
 
 
-def welch_james(cells: Sequence[Array], contrast: Array, name: str = "") -> WaldTest:
-    """Welch-James test of a contrast of cell means (Johansen 1980, Biometrika 67, 85-92).
-
-    Shapes: contrast (d, cells).
-    """
-    return _johansen(_Moments.of(cells), contrast, name)
-
-
-# Condition number beyond which the inverse of a covariance has no digit left (1 / 1e-16, less 2).
-_WORST_CONDITION = 1e14
-
-
-@dataclass(frozen=True)
-class _Moments:
-    """Size, mean (shifted) and variance of every cell."""
-
-    n: Array
-    mean: Array
-    variance: Array
-
-    @staticmethod
-    def of(cells: Sequence[Array]) -> _Moments:
-        shift = cells[0][0]
-        return _Moments(
-            np.array([c.size for c in cells], dtype=float),
-            np.array([np.mean(c - shift) for c in cells]),
-            np.array([np.var(c - c[0], ddof=1) if c.size > 1 else 0.0 for c in cells]),
-        )
-
-
-def _johansen(cells: _Moments, contrast: Array, name: str) -> WaldTest:
-    from scipy.special import fdtrc
-
-    n = cells.n
-    if n.min() < 2 or cells.variance.min() <= 0:
-        return WaldTest(name, None, None, None, "a cell has one value or zero variance")
-    s = cells.variance / n
-    covariance = (contrast * s) @ contrast.T
-    if np.linalg.cond(covariance) > _WORST_CONDITION:
-        return WaldTest(name, None, None, None, "the variances of the cells differ too much")
-    inner = np.linalg.inv(covariance)
-    effect = contrast @ cells.mean
-    t = float(effect @ inner @ effect)
-    weight = np.einsum("jk,jk->k", contrast, inner @ contrast) * s
-    # tr(Q_j^2) = tr(Q_j)^2 because each cell enters with one variance
-    a = float(np.sum(2 * weight**2 / (n - 1))) / 2
-    d = contrast.shape[0]
-    scale = d + 2 * a - 6 * a / (d + 2)
-    df = (float(d), d * (d + 2) / (3 * a))
-    f = t / scale
-    return WaldTest(name, f, df, float(fdtrc(*df, f)))
-
-
-def welch_factorial(
-    table: pd.DataFrame, response: str, factors: Sequence[str], model: Model = "full"
-) -> dict[str, WaldTest]:
-    """Welch-James test of every term of a factorial with unequal cell variances."""
-    data = prepare(table, response, factors)
-    return _welch(data, terms_of(data.factors, model))
-
-
-def _welch(data: Data, terms: Sequence[Term]) -> dict[str, WaldTest]:
-    present, index = np.unique(data.cell, return_inverse=True)
-    moments = _Moments.of([data.y[index == i] for i in range(present.size)])
-    first = np.array([int(np.flatnonzero(index == i)[0]) for i in range(present.size)])
-    layout = data.layout.take(first)
-    matrix = model_matrix(layout, terms)
-    fit = factor(matrix, np.arange(float(present.size)))
-    out = {}
-    for s in term_sums(fit, "III"):
-        name = term_name(s.term)
-        if s.df < s.nominal_df:
-            out[name] = WaldTest(name, None, None, None, "not estimable")
-        else:
-            out[name] = _johansen(moments, (fit.q @ s.basis).T, name)
-    return out
-
-
 def box_cox(y: Array, matrix: Array) -> BoxCoxResult:
     """Profile likelihood of the Box-Cox exponent in a linear model (Box and Cox 1964).
 
@@ -447,6 +377,7 @@ def box_cox(y: Array, matrix: Array) -> BoxCoxResult:
     best = minimize_scalar(
         deviance, bounds=(-widest, widest), method="bounded", options={"xatol": 1e-9}
     )
+    settled(best, "exponent of Box and Cox")
     center, limit = float(best.x), float(best.fun) + 3.841458820694124
 
     def bound(step: float) -> float:
@@ -486,7 +417,9 @@ def sensitivity_of(
     found: dict[str, Mapping[str, float | None]] = {
         "ordinary F": _ordinary(fit),
         "HC3 Wald": {k: w.p for k, w in hc3(fit).items()},
-        "Welch-James": {k: w.p for k, w in _welch(data, terms).items()},
+        "Welch-James": {
+            k: w.p for k, w in welch_tests(data.layout, data.cell, data.y, terms).items()
+        },
     }
     if data.y.min() > 0:
         found["F of the log"] = _ordinary(fitted(fit.model, np.log(data.y)))

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from study.ground.arrays import Array, Ints
-from study.ground.errors import Fault, InputError, nearest
+from study.ground.errors import Fault, InputError, RefusedError, nearest
 from study.statistics.analysis.simple_effects import Differences
 
 if TYPE_CHECKING:
@@ -81,12 +81,80 @@ def _checked(groups: Mapping[str, ArrayLike]) -> dict[str, Array]:
     return values
 
 
+@dataclass(frozen=True)
+class GroupMoments:
+    """Name, size, mean and variance of some groups."""
+
+    names: tuple[str, ...]
+    n: Array
+    mean: Array
+    variance: Array
+
+    @staticmethod
+    def of(groups: Mapping[str, ArrayLike]) -> GroupMoments:
+        """Moments of values, as differences from the first one: exact where doubles are close."""
+        values = list(_checked(groups).values())
+        shift = values[0][0]
+        return GroupMoments(
+            tuple(map(str, groups)),
+            np.array([float(v.size) for v in values]),
+            np.array([float((v - shift).mean()) for v in values]),
+            np.array([float((v - v[0]).var(ddof=1)) for v in values]),
+        )
+
+    @property
+    def pooled(self) -> tuple[float, float]:
+        """Pooled variance and its degrees of freedom."""
+        df = float((self.n - 1).sum())
+        return float((self.n - 1) @ self.variance) / df, df
+
+    def one_way(self) -> tuple[float, float, float, float]:
+        """F of equal means, its degrees of freedom and p."""
+        from scipy.special import fdtrc
+
+        centred = self.mean - self.n @ self.mean / self.n.sum()
+        ms, df = self.pooled
+        k = len(self.names) - 1.0
+        f = float(self.n @ centred**2) / k / ms
+        return f, k, df, float(fdtrc(k, df, f))
+
+    def welch(self) -> tuple[float, float, float, float]:
+        """F of equal means with unequal variances, its degrees of freedom and p (Welch 1951)."""
+        from scipy.special import fdtrc
+
+        w, k = self.n / self.variance, len(self.names)
+        centred = self.mean - w @ self.mean / w.sum()
+        rest = float(np.sum((1 - w / w.sum()) ** 2 / (self.n - 1)))
+        f = float(w @ centred**2) / (k - 1) / (1 + 2 * (k - 2) / (k**2 - 1) * rest)
+        df = (k**2 - 1) / (3 * rest)
+        return f, k - 1.0, df, float(fdtrc(k - 1, df, f))
+
+    def pairs(self, alpha: float, *, equal: bool) -> Comparisons:
+        """All pairs by the studentized range: Tukey and Kramer's, or Games and Howell's."""
+        ms, total = self.pooled
+        share = (np.full(len(self.n), ms) if equal else self.variance) / self.n
+        found = []
+        for i, j in combinations(range(len(self.names)), 2):
+            square = float(share[i] + share[j])
+            df = total
+            if not equal:
+                parts = np.array([share[i], share[j]])
+                df = square**2 / float(np.sum(parts**2 / (self.n[[i, j]] - 1)))
+            error = math.sqrt(square / 2)
+            d, k = float(self.mean[i] - self.mean[j]), len(self.names)
+            half = studentized_range_quantile(1 - alpha, k, df) * error
+            p = 1 - studentized_range_cdf(abs(d) / error, k, df)
+            found.append(LevelPair(self.names[i], self.names[j], d, d - half, d + half, p))
+        method = "Tukey-Kramer" if equal else "Games-Howell"
+        return _family(method, alpha, self.names, found, self.mean)
+
+
 def tukey_kramer(groups: Mapping[str, ArrayLike], *, alpha: float = 0.05) -> Comparisons:
     """All pairs, equal variances (Tukey 1953, Kramer 1956).
 
     Shapes: groups (n_i,).
     """
-    return _all_pairs("Tukey-Kramer", groups, alpha, equal_var=True)
+    return GroupMoments.of(groups).pairs(alpha, equal=True)
 
 
 def games_howell(groups: Mapping[str, ArrayLike], *, alpha: float = 0.05) -> Comparisons:
@@ -94,33 +162,7 @@ def games_howell(groups: Mapping[str, ArrayLike], *, alpha: float = 0.05) -> Com
 
     Shapes: groups (n_i,).
     """
-    return _all_pairs("Games-Howell", groups, alpha, equal_var=False)
-
-
-def _all_pairs(
-    method: str, groups: Mapping[str, ArrayLike], alpha: float, *, equal_var: bool
-) -> Comparisons:
-    from scipy.stats import tukey_hsd
-
-    values = _checked(groups)
-    names = list(values)
-    # differences from one value are exact where doubles are close
-    shift = values[names[0]][0]
-    shifted = [v - shift for v in values.values()]
-    found = tukey_hsd(*shifted, equal_var=equal_var)
-    ends = found.confidence_interval(1 - alpha)
-    pairs = [
-        LevelPair(
-            names[i],
-            names[j],
-            float(found.statistic[i, j]),
-            float(ends.low[i, j]),
-            float(ends.high[i, j]),
-            float(found.pvalue[i, j]),
-        )
-        for i, j in combinations(range(len(names)), 2)
-    ]
-    return _family(method, alpha, names, pairs, np.array([v.mean() for v in shifted]))
+    return GroupMoments.of(groups).pairs(alpha, equal=False)
 
 
 def dunnett(
@@ -155,7 +197,7 @@ def dunnett(
     return Comparisons("Dunnett", alpha, pairs, {})
 
 
-#: Seeds after which an interval of Dunnett's test is taken as it is found
+#: Seeds after which an interval of Dunnett's test is refused
 _DUNNETT_SEEDS = 8
 
 
@@ -176,8 +218,9 @@ def _dunnett(
             warnings.simplefilter("always")
             interval = found.confidence_interval(1 - alpha)
         if not told:
-            break
-    return np.asarray(found.pvalue), interval
+            return np.asarray(found.pvalue), interval
+    rule = f"Dunnett's intervals have not reached their level in {_DUNNETT_SEEDS} integrations"
+    raise RefusedError(f"{rule}: {told[-1].message}")
 
 
 def holm(p: ArrayLike) -> Array:

@@ -285,6 +285,8 @@ class Structure:
     nested: tuple[tuple[str, str], ...] = ()
     #: Combinations of levels without a row.
     empty_cells: int = 0
+    #: Factors with one level in every block.
+    constant_in_blocks: tuple[str, ...] = ()
     #: Which terms were left out because the runs cannot tell them from others; empty if none.
     undecided: str = ""
     #: Terms of the model with those; empty where none was left out.
@@ -295,7 +297,13 @@ def structure_of(data: Data) -> Structure:
     """Look at checked rows."""
     size = math.prod(len(data.layout.levels[f]) for f in data.factors)
     empty = size - np.unique(data.cell).size
-    return Structure(resolution(data.y), _nested(data) if empty else (), empty)
+    constant: tuple[str, ...] = ()
+    if data.block is not None:
+        codes = data.layout.codes
+        pairs = {f: np.unique(data.layout.cell([data.block, f])).size for f in data.factors}
+        blocks = np.unique(codes[data.block]).size
+        constant = tuple(f for f in data.factors if pairs[f] == blocks)
+    return Structure(resolution(data.y), _nested(data) if empty else (), empty, constant)
 
 
 def resolution(y: Array) -> float:

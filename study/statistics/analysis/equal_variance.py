@@ -1,4 +1,4 @@
-"""Equality of variances: Bartlett and Levene with guards and Monte-Carlo p."""
+"""Variances of cells: tests that they are equal, and tests of means that let them differ."""
 
 from __future__ import annotations
 
@@ -10,6 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from study.ground.arrays import Array, Ints
+from study.statistics.analysis.anova_table import WaldTest
+from study.statistics.analysis.linear_model import CellLayout, Term, model_matrix, term_name
+from study.statistics.analysis.sums_of_squares import factor, term_sums
 
 Groups = Mapping[str, ArrayLike] | Sequence[ArrayLike]
 
@@ -267,3 +270,94 @@ def _normal_draws(sizes: Ints, count: int, seed: int) -> Iterator[list[Array]]:
     for start in range(0, count, chunk):
         m = min(chunk, count - start)
         yield [rng.standard_normal((m, int(size))) for size in sizes]
+
+
+def fligner(groups: Groups) -> tuple[float, float] | None:
+    """Statistic and p of Fligner and Killeen's test about the medians (Conover et al. 1981).
+
+    None where a group has fewer than two values, or all deviations are alike.
+    """
+    from scipy.special import chdtrc, ndtri
+
+    values = list(_named(groups).values())
+    if len(values) < 2 or min(v.size for v in values) < 2:
+        return None
+    deviation = np.concatenate([np.abs(v - np.median(v)) for v in values])
+    _, index, count = np.unique(deviation, return_inverse=True, return_counts=True)
+    rank = (np.cumsum(count) - (count - 1) / 2)[index]
+    score = ndtri(0.5 + rank / (2 * (deviation.size + 1)))
+    parts = np.split(score, np.cumsum([v.size for v in values])[:-1])
+    spread = float(score.var(ddof=1))
+    if spread <= 0:
+        return None
+    x = sum(part.size * (part.mean() - score.mean()) ** 2 for part in parts) / spread
+    return float(x), float(chdtrc(len(values) - 1, x))
+
+
+# -------------------------------------------------------------------------------------------------
+# Means of cells that scatter unequally.
+
+# Condition number beyond which the inverse of a covariance has no digit left (1 / 1e-16, less 2).
+_WORST_CONDITION = 1e14
+
+
+@dataclass(frozen=True)
+class _Moments:
+    """Size, mean (shifted) and variance of every cell."""
+
+    n: Array
+    mean: Array
+    variance: Array
+
+    @staticmethod
+    def of(cells: Sequence[Array]) -> _Moments:
+        shift = cells[0][0]
+        return _Moments(
+            np.array([c.size for c in cells], dtype=float),
+            np.array([np.mean(c - shift) for c in cells]),
+            np.array([np.var(c - c[0], ddof=1) if c.size > 1 else 0.0 for c in cells]),
+        )
+
+
+def _johansen(cells: _Moments, contrast: Array, name: str) -> WaldTest:
+    """Test one contrast of cell means (Johansen 1980, Biometrika 67, 85-92).
+
+    Shapes: contrast (d, cells).
+    """
+    from scipy.special import fdtrc
+
+    n = cells.n
+    if n.min() < 2 or cells.variance.min() <= 0:
+        return WaldTest(name, None, None, None, "a cell has one value or zero variance")
+    s = cells.variance / n
+    covariance = (contrast * s) @ contrast.T
+    if np.linalg.cond(covariance) > _WORST_CONDITION:
+        return WaldTest(name, None, None, None, "the variances of the cells differ too much")
+    inner = np.linalg.inv(covariance)
+    effect = contrast @ cells.mean
+    t = float(effect @ inner @ effect)
+    weight = np.einsum("jk,jk->k", contrast, inner @ contrast) * s
+    # tr(Q_j^2) = tr(Q_j)^2 because each cell enters with one variance
+    a = float(np.sum(2 * weight**2 / (n - 1))) / 2
+    d = contrast.shape[0]
+    scale = d + 2 * a - 6 * a / (d + 2)
+    df = (float(d), d * (d + 2) / (3 * a))
+    f = t / scale
+    return WaldTest(name, f, df, float(fdtrc(*df, f)))
+
+
+def welch_tests(
+    layout: CellLayout, cell: Ints, y: Array, terms: Sequence[Term]
+) -> dict[str, WaldTest]:
+    """Welch and James's test of every term, with a variance of its own in each cell."""
+    present, first, index = np.unique(cell, return_index=True, return_inverse=True)
+    moments = _Moments.of([y[index == i] for i in range(present.size)])
+    fit = factor(model_matrix(layout.take(first), terms), np.arange(float(present.size)))
+    out = {}
+    for s in term_sums(fit, "III"):
+        name = term_name(s.term)
+        if s.df < s.nominal_df:
+            out[name] = WaldTest(name, None, None, None, "not estimable")
+        else:
+            out[name] = _johansen(moments, (fit.q @ s.basis).T, name)
+    return out

@@ -8,17 +8,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from study.ground.arrays import Array, Ints
+from study.ground.errors import Fault, InputError
 from study.statistics.analysis import unreplicated
 from study.statistics.analysis.analysis_request import AnalysisOutcome, kind_of
 from study.statistics.analysis.anova_table import Anova, ErrorTerm, Row
 from study.statistics.analysis.data import Data
 from study.statistics.analysis.effects import (
     TermEstimate,
+    cell_welch,
+    own_variances,
     pooled_estimate,
+    sampled_estimate,
     size,
     with_pooled_error,
     with_pseudo_error,
 )
+from study.statistics.analysis.equal_variance import welch_tests
 from study.statistics.analysis.gate import judge_factors, refusal, rivals_of_rows
 from study.statistics.analysis.linear_model import (
     CellLayout,
@@ -287,6 +292,49 @@ def pooled(out: AnalysisOutcome, untested: str = "") -> AnalysisOutcome:
         fit=fit if df else None,
         lenth=lenth,
         summary=summary_of(fit) if df else None,
+    )
+
+
+def welch(out: AnalysisOutcome) -> AnalysisOutcome:
+    """E0 with a variance of its own in each cell: Welch's tests, Games and Howell's intervals."""
+    data = out.data
+    _, cell, counts = np.unique(data.cell, return_inverse=True, return_counts=True)
+    if counts.min() < 2:
+        rule = f"needs two rows or more in every cell, and {(counts < 2).sum()} cells hold one"
+        raise InputError(Fault("--welch", rule, "leave it out, or add rows"))
+    fit = factor(model_matrix(data.layout, out.terms), out.y)
+    sums = term_sums(fit, "III")
+    out = out.warn(*alias_warnings(sums))
+    tests = welch_tests(data.layout, data.cell, out.y, out.terms)
+    rows = []
+    for s in sums:
+        row, test = term_row(s, 0, fit.rss, fit.tss), tests[term_name(s.term)]
+        if test.df is not None:
+            row = replace(row, f=test.f, p=test.p, error="cells", df_error=test.df[1])
+        rows.append(row)
+    rows.append(Row("residual", fit.df_residual, fit.rss))
+    variances = own_variances(out.y, cell)
+    sample = cell_welch(fit, cell, variances, out.request.alpha, 0.0)
+    rivals, notes = rivals_of_rows(out, fit, fit.rss, fit.df_residual, sample)
+    simple = judge_factors(out, data.layout, fit, sample, rivals)
+    estimates = [
+        sampled_estimate(data.layout, fit, term, tests[term_name(term)].p, sample)
+        for term in out.terms
+    ]
+    error = ErrorTerm(
+        "E0",
+        "is the effect larger than the run-to-run scatter within a cell?",
+        {row.term: row.df_error for row in rows if row.df_error is not None},
+        "as asked for: every cell has a variance of its own (Welch, Johansen 1980; intervals of "
+        "one factor by Games and Howell)",
+    )
+    return replace(
+        out.warn(*notes),
+        error=error,
+        anova=Anova("III", with_shares(rows, fit.tss), out.y.size - 1, fit.tss),
+        effects=tuple(size(e, out.scale, simple) for e in estimates),
+        fit=fit,
+        summary=summary_of(fit),
     )
 
 

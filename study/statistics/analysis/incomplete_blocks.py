@@ -22,6 +22,18 @@ from study.ground.arrays import Array, Ints
 from study.statistics.analysis import error_ledger
 from study.statistics.analysis.analysis_request import AnalysisOutcome
 from study.statistics.analysis.anova_table import Anova, ErrorTerm
+from study.statistics.analysis.effects import DOUBT
+from study.statistics.analysis.gate import (
+    COARSE,
+    LACK_OF_FIT,
+    Rival,
+    any_shape,
+    block_means,
+    every_term,
+    judge_factors,
+    limit_rivals,
+    reading_error,
+)
 from study.statistics.analysis.linear_model import CellLayout, Term, model_matrix, term_name
 from study.statistics.analysis.mixed_model import MixedCells
 from study.statistics.analysis.restricted_likelihood import (
@@ -29,6 +41,7 @@ from study.statistics.analysis.restricted_likelihood import (
     SingularError,
     fit_restricted,
 )
+from study.statistics.analysis.simple_effects import Differences, Estimates
 from study.statistics.analysis.sums_of_squares import (
     Factored,
     alias_warnings,
@@ -79,6 +92,9 @@ def incomplete_blocks(out: AnalysisOutcome) -> AnalysisOutcome | None:
         )  # fmt: skip
     rows.append(replace(rows[0], term="residual", df=within.df_residual, ss=within.rss, ms=None))
     out = out.warn(*alias_warnings([bases[term] for term in out.terms]))
+    rivals, notes = _rivals(out, model, sandwich)
+    out = out.warn(*notes)
+    simple = judge_factors(out, data.layout, model.of_factors, model.sample, rivals)
     b = cells.size
     question = (
         f"would the ranking change with another {block}? (mixed model by REML: interactions with "
@@ -93,10 +109,55 @@ def incomplete_blocks(out: AnalysisOutcome) -> AnalysisOutcome | None:
         out,
         error=ErrorTerm("E1", question, df_error, reason),
         anova=Anova("III", with_shares(rows, within.tss), out.y.size - 1, within.tss),
-        effects=model.effects(out.terms, p, out.scale),
+        effects=model.effects(out.terms, p, out.scale, simple),
         fit=error_ledger.within_fit(data, out.y),
         plots=code,
     )
+
+
+def _rivals(
+    out: AnalysisOutcome, model: MixedCells, sandwich: Sandwich
+) -> tuple[list[Rival], list[str]]:
+    """Rivals where blocks lack cells, and what was seen of the declared model."""
+    rivals, notes = limit_rivals(out, model.sample, block_means(out)), []
+    if reading := reading_error(out):
+
+        def coarse(asked: Differences) -> Estimates:
+            known = model.sample(asked)
+            least = reading * np.linalg.norm(model.along(asked.rows), axis=1)
+            return replace(known, error=np.maximum(known.error, least))
+
+        rivals.insert(0, Rival(COARSE, coarse))
+
+    def of_blocks(rows: Array) -> Array:
+        along = model.along(rows)
+        parts = sandwich.parts(along)[0]
+        return parts.T + (along @ model.fit.moments.beta)[:, None] / len(parts)
+
+    blocks = [np.arange(int(sandwich.block.max()) + 1)]
+    rivals.append(any_shape(out, model.sample, of_blocks, blocks, out.y))
+    full = every_term(out, out.data.layout)
+    if full is None:
+        return rivals, notes
+    asked, block = out.request, str(out.data.block)
+    whole, its_own, _ = mixed_cells(
+        out.data.layout, full, block, out.y, asked.alpha, asked.interval_seed
+    )
+    if whole is None or its_own is None:
+        return rivals, notes
+    bases = [s.basis for s in term_sums(whole.fixed, "III") if s.term not in out.terms and s.df]
+    if bases:
+        every = np.hstack(bases)
+        test = whole.fit.test(every)
+        p = min(test.p, *(len(bases) * its_own.test(basis)[1] for basis in bases))
+        note = (
+            f"lack of fit of the declared model: F({test.count:g}, {test.df:.4g}) = {test.f:.4g}, "
+            f"p = {test.p:.2g} by REML"
+        )
+        notes.append(note)
+        if p < DOUBT:
+            rivals.append(Rival(f"{LACK_OF_FIT} ({note})", whole.sample, matrix=whole.factors))
+    return rivals, notes
 
 
 def mixed_cells(

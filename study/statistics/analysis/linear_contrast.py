@@ -18,7 +18,7 @@ from study.ground.arrays import Array
 from study.ground.contrast import Setting, sides_of
 from study.ground.errors import Fault, InputError
 from study.statistics.analysis.comparisons import block_multiplier, bonferroni, holm
-from study.statistics.analysis.effects import UNEQUAL, Scale, needs_welch, t_quantile
+from study.statistics.analysis.effects import UNEQUAL, Scale, doubted_variances, t_quantile
 from study.statistics.analysis.simple_effects import (
     CANNOT_TELL,
     CLAIMS,
@@ -182,20 +182,21 @@ def _of_cells(
     counts = [len(m) if resampled else float((1 / m["size"]).sum()) for m in means]
     share = sum(n / len(m) ** 2 for n, m in zip(counts, means, strict=True))
     welch = None
-    if not resampled and needs_welch(rows["y"].to_numpy(), index):
-        welch = _with_own_variances((first, second))
+    variances = None if resampled else doubted_variances(rows["y"].to_numpy(), index)
+    if variances is not None:
+        # each cell's share of the variance of the difference
+        sides = [index[rows.index.get_indexer(side.index)] for side in (first, second)]
+        cells = [np.unique(side, return_counts=True) for side in sides]
+        parts = np.concatenate([variances[0][c] / n / len(c) ** 2 for c, n in cells])
+        free = np.concatenate([variances[1][c] for c, _ in cells])
+        total = float(parts.sum())
+        sure = math.isfinite(total) and total > 0
+        welch = (
+            (math.sqrt(total), total**2 / float(np.sum(parts**2 / free)))
+            if sure
+            else (math.inf, 1.0)
+        )
     return _Estimate(value, float(np.sqrt(squares / df * share)), df, welch=welch)
-
-
-def _with_own_variances(sides: Sequence[pd.DataFrame]) -> tuple[float, float]:
-    """Welch's standard error of a difference of means of cells, and its degrees of freedom."""
-    cells = [side.groupby("cell")["y"].agg(["var", "size"]).to_numpy(dtype=float) for side in sides]
-    parts = np.concatenate([c[:, 0] / c[:, 1] / len(c) ** 2 for c in cells])
-    rows = np.concatenate([c[:, 1] for c in cells])
-    if rows.min() < 2 or parts.max() <= 0:
-        return math.inf, 1.0
-    total = float(parts.sum())
-    return math.sqrt(total), total**2 / float(np.sum(parts**2 / (rows - 1)))
 
 
 def _multipliers(found: Sequence[_Estimate], alpha: float, seed: int) -> list[float]:

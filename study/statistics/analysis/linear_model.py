@@ -1,4 +1,4 @@
-"""Model matrices from structured terms: no formula, so a column name is never code.
+"""Model matrices from structured terms: a formula is read, never evaluated.
 
 A term is a tuple of factor names. Every factor enters with sum-to-zero contrasts, so that
 Type III means what its definition says; a factor whose margin is missing from the model
@@ -8,6 +8,7 @@ Type III means what its definition says; a factor whose margin is missing from t
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -102,6 +103,148 @@ def terms_of(factors: Sequence[str], model: Model = "full") -> tuple[Term, ...]:
         return tuple(t for k in range(1, top + 1) for t in combinations(factors, k))
     terms = [_parse_term(item, factors) for item in model]
     return tuple(sorted(dict.fromkeys(terms), key=len))
+
+
+@dataclass(frozen=True)
+class Formula:
+    """A model as R writes it: ``log(len) ~ supp * dose + Error(subject)``."""
+
+    response: str
+    transform: str
+    #: In the order in which they are named, and the terms of the model.
+    factors: tuple[str, ...]
+    terms: tuple[Term, ...]
+    blocks: tuple[str, ...]
+    #: Factors that are set once for a whole plot of a block: ``Error(block/variety)``.
+    whole_plot: tuple[str, ...]
+
+    @property
+    def model(self) -> tuple[str, ...]:
+        """Names of the terms; ``full`` alone where they are all that the factors allow."""
+        every = {frozenset(term) for term in terms_of(self.factors)}
+        full = {frozenset(term) for term in self.terms} == every
+        return ("full",) if full else tuple(map(term_name, self.terms))
+
+
+_STRATUM = re.compile(r"\+?\s*(?:Error\s*\(([^()]*)\)|\(\s*1\s*\|([^()]*)\))")
+_TOKEN = re.compile(r"\s*(`[^`]+`|[^\W\d][\w.]*|\d+|\*\*|[-+*/:^()])")
+
+
+def read_formula(text: str) -> Formula:
+    """Read a formula: ``+ - : * / ^``, parentheses, ``log(response)``, ``Error(block)``, ``(1|b)``.
+
+    Examples
+    --------
+    >>> read_formula("len ~ supp * dose").terms
+    (('supp',), ('dose',), ('supp', 'dose'))
+    >>> read_formula("log(y) ~ (a + b + c)^2 - b:c + Error(s/a)").whole_plot
+    ('a',)
+    """
+    left, tilde, right = text.partition("~")
+    response = left.strip().strip("`")
+    transform = "none"
+    if (logged := re.fullmatch(r"log\s*\((.*)\)", response)) is not None:
+        response, transform = logged[1].strip().strip("`"), "log"
+    if not tilde or not response:
+        mend = "write 'response ~ factor * factor'"
+        raise InputError(Fault("formula", f"cannot read {text!r}", mend))
+    strata = [a or b for a, b in _STRATUM.findall(right)]
+    outer = [part.split("/") for text in strata for part in text.replace(":", "/").split("+")]
+    names = [[name.strip().strip("`") for name in part] for part in outer]
+    terms = _Terms(_STRATUM.sub(" ", right).strip()).all()
+    factors = tuple(dict.fromkeys(name for term in terms for name in term))
+    plots = tuple(name for part in names for name in part[1:] if name in factors)
+    blocks = tuple(dict.fromkeys(part[0] for part in names))
+    ordered = tuple(sorted(terms, key=len))
+    return Formula(response, transform, factors, ordered, blocks, plots)
+
+
+class _Terms:
+    """Terms of the right side of a formula, read from left to right."""
+
+    def __init__(self, text: str) -> None:
+        self.text, self.tokens, end = text, [], 0
+        while end < len(text):
+            match = _TOKEN.match(text, end)
+            if match is None:
+                raise self._unreadable(text[end:])
+            self.tokens.append(match[1])
+            end = match.end()
+
+    def _unreadable(self, at: str) -> InputError:
+        mend = "names, numbers and + - : * / ^ ( ) can be read; names with spaces in `backticks`"
+        return InputError(Fault("formula", f"cannot read {at.strip()[:20]!r}", mend))
+
+    def _take(self, *wanted: str) -> str:
+        return self.tokens.pop(0) if self.tokens and self.tokens[0] in wanted else ""
+
+    def all(self) -> list[Term]:
+        """Return the terms in the order in which they appear, each once."""
+        terms = self._sum()
+        if self.tokens or not terms:
+            raise self._unreadable(self.tokens[0] if self.tokens else self.text or "~")
+        return terms
+
+    def _sum(self) -> list[Term]:
+        terms = self._product()
+        while sign := self._take("+", "-"):
+            more = self._product()
+            gone = {frozenset(term) for term in more}
+            kept = [term for term in terms if frozenset(term) not in gone]
+            terms = [*terms, *_new(terms, more)] if sign == "+" else kept
+        return terms
+
+    def _product(self) -> list[Term]:
+        terms = self._interaction()
+        while sign := self._take("*", "/"):
+            more = self._interaction()
+            if sign == "*":
+                terms = [*terms, *_new(terms, more), *_joined(terms, more)]
+            else:
+                every = tuple(dict.fromkeys(name for term in terms for name in term))
+                terms = [*terms, *_joined([every], more)]
+        return terms
+
+    def _interaction(self) -> list[Term]:
+        terms = self._power()
+        while self._take(":"):
+            terms = _joined(terms, self._power())
+        return terms
+
+    def _power(self) -> list[Term]:
+        terms = self._atom()
+        if self._take("^", "**"):
+            order = self.tokens.pop(0) if self.tokens else ""
+            if not order.isdigit() or not 1 <= int(order) <= len(terms):
+                raise self._unreadable(f"^{order}")
+            base = terms
+            for _ in range(int(order) - 1):
+                terms = [*terms, *_new(terms, _joined(terms, base))]
+        return terms
+
+    def _atom(self) -> list[Term]:
+        if self._take("("):
+            terms = self._sum()
+            if not self._take(")"):
+                raise self._unreadable(self.tokens[0] if self.tokens else "(")
+            return terms
+        token = self.tokens.pop(0) if self.tokens else ""
+        if token == "1":
+            return []
+        if not token or not (token[0] == "`" or token[0].isalpha() or token[0] == "_"):
+            raise self._unreadable(token or self.text)
+        return [(token.strip("`"),)]
+
+
+def _new(terms: Sequence[Term], more: Sequence[Term]) -> list[Term]:
+    """Terms of the second list that the first has not, whatever the order of their factors."""
+    present = {frozenset(term) for term in terms}
+    return list({frozenset(t): t for t in more if frozenset(t) not in present}.values())
+
+
+def _joined(terms: Sequence[Term], more: Sequence[Term]) -> list[Term]:
+    """Interactions of every term of one list with every one of the other."""
+    return _new([], [tuple(dict.fromkeys((*a, *b))) for a in terms for b in more])
 
 
 def _parse_term(item: str | Sequence[str], factors: Sequence[str]) -> Term:

@@ -8,7 +8,7 @@ standard deviations those of the profile of the restricted likelihood.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -51,7 +51,12 @@ from study.statistics.analysis.restricted_likelihood import (
     SingularError,
     fit_restricted,
 )
-from study.statistics.analysis.simple_effects import Differences, Estimates, simple_effects
+from study.statistics.analysis.simple_effects import (
+    Differences,
+    Estimates,
+    SimpleEffects,
+    simple_effects,
+)
 from study.statistics.analysis.sums_of_squares import Factored, factor, one_thread, term_sums
 
 if TYPE_CHECKING:
@@ -201,7 +206,11 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
         fit.deviance,
         data.y.size,
         tuple(cells.slope(name) for name in covariates),
-        holm(cells.effects(terms, {t: s.p for t, s in tests.items()}, scale)),
+        holm(
+            cells.effects(
+                terms, {t: s.p for t, s in tests.items()}, scale, cells.judged(terms, scale)
+            )
+        ),
         cells.contrasts(contrasts, scale),
     )
 
@@ -294,14 +303,14 @@ class MixedCells:
     robust: Callable[[Array], tuple[Array, Array]] | None = None
 
     @cached_property
-    def _of_factors(self) -> Factored:
+    def of_factors(self) -> Factored:
         """The fit as combinations of the factors' columns see it."""
         return replace(self.fixed, model=replace(self.fixed.model, matrix=self.factors))
 
     def _padded(self, rows: Array) -> Array:
         return np.pad(rows, ((0, 0), (0, self.fixed.columns.shape[1] - rows.shape[1])))
 
-    def _along(self, rows: Array) -> Array:
+    def along(self, rows: Array) -> Array:
         """Turn combinations of the factors' coefficients to the orthonormal columns."""
         return np.asarray(self._padded(rows) @ self.fixed.model.inverse)
 
@@ -312,7 +321,7 @@ class MixedCells:
 
     def sample(self, asked: Differences) -> Estimates:
         """Differences of settings with the multipliers of their intervals."""
-        settings = self._along(asked.settings)
+        settings = self.along(asked.settings)
         rows = asked.of(settings)
         found = self.fit.estimate(rows)
         ok = self.fixed.estimable(self._padded(asked.rows)) & (found.error > 0)
@@ -334,15 +343,15 @@ class MixedCells:
 
     def estimate(self, term: Term, p: float | None) -> TermEstimate:
         """Means and components of a term."""
-        levels, component_rows, mean_rows = term_rows(self.layout, self._of_factors, term)
-        means = self.fit.estimate(self._along(mean_rows))
+        levels, component_rows, mean_rows = term_rows(self.layout, self.of_factors, term)
+        means = self.fit.estimate(self.along(mean_rows))
         mean = self.shift + means.value
         mean[~self.fixed.estimable(self._padded(mean_rows))] = np.nan
         half = t_quantile(self.alpha / 2, means.df) * means.error
         if self.robust is not None:
-            error, df = self.robust(self._along(mean_rows))
+            error, df = self.robust(self.along(mean_rows))
             half = np.maximum(half, t_quantile(self.alpha / 2, df) * error)
-        component = self._along(component_rows)
+        component = self.along(component_rows)
         value = component @ self.fit.moments.beta
         if not self.fixed.estimable(self._padded(component_rows)).all():
             value = np.full(len(levels), np.nan)
@@ -363,19 +372,26 @@ class MixedCells:
             settings_of(self.layout, term),
         )
 
+    def judged(self, terms: Sequence[Term], scale: Scale) -> dict[str, SimpleEffects]:
+        """Verdicts of the factors by their simple effects."""
+        found = {
+            term[0]: simple_effects(
+                term[0], self.layout, self.factors, self.sample,
+                practical=scale.practical, bound=scale.bound, only=scale.only,
+            )
+            for term in terms
+            if len(term) == 1
+        }  # fmt: skip
+        return {name: effects for name, effects in found.items() if effects is not None}
+
     def effects(
-        self, terms: Sequence[Term], p: dict[Term, float], scale: Scale
+        self,
+        terms: Sequence[Term],
+        p: dict[Term, float],
+        scale: Scale,
+        simple: Mapping[str, SimpleEffects],
     ) -> tuple[Effect, ...]:
-        """Effects of the terms with their verdicts."""
-        simple = {}
-        for term in terms:
-            if len(term) == 1:
-                judged = simple_effects(
-                    term[0], self.layout, self.factors, self.sample,
-                    practical=scale.practical, bound=scale.bound, only=scale.only,
-                )  # fmt: skip
-                if judged is not None:
-                    simple[term[0]] = judged
+        """Effects of the terms with the verdicts of their simple effects."""
         return tuple(size(self.estimate(term, p.get(term)), scale, simple) for term in terms)
 
     def slope(self, covariate: str) -> Slope:
@@ -400,10 +416,10 @@ class MixedCells:
         row = (sides[0] - sides[1])[None]
         if not self.fixed.estimable(self._padded(row)).all():
             raise InputError(Fault("contrast", "a cell that it needs has no row"))
-        found = self.fit.estimate(self._along(row))
+        found = self.fit.estimate(self.along(row))
         value, error, df = (float(a[0]) for a in (found.value, found.error, found.df))
         if self.robust is not None:
-            wide, few = (float(a[0]) for a in self.robust(self._along(row)))
+            wide, few = (float(a[0]) for a in self.robust(self.along(row)))
             if t_quantile(self.alpha / 2, few) * wide > t_quantile(self.alpha / 2, df) * error:
                 error, df = wide, few
         return value, error, df

@@ -203,6 +203,8 @@ class SimpleEffects:
     u_needed: float | None = None
     #: Pairs (larger, smaller) whose difference is beyond the practical one at every setting.
     always: tuple[tuple[str, str], ...] = ()
+    #: Reasons for which claims were withdrawn, of the factor or of one setting.
+    withdrawn: tuple[str, ...] = ()
 
     @property
     def largest(self) -> SimpleEffect:

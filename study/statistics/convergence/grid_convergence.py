@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from study.ground.arrays import Array, Flags
 from study.ground.canonical import plain
-from study.ground.errors import Fault, InputError
+from study.ground.errors import Fault, InputError, settled
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -224,7 +224,7 @@ def _weighted_fit(h: Array, f: Array, weight: Array) -> tuple[float, float, floa
     found = minimize_scalar(
         lambda p: solve(p)[1], bounds=(low, high), method="bounded", options={"xatol": 1e-13}
     )
-    p = float(found.x)
+    p = float(settled(found, "order of a refinement series").x)
     (limit, slope), rss = solve(p)
     scatter = math.sqrt(rss * h.size / (h.size - 3))
     return p, float(limit + f[0]), float(slope / h[-1] ** p), scatter

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import combinations
 from typing import Literal
 
 import numpy as np
@@ -28,6 +30,8 @@ SETTINGS = 256
 STEPS = 11
 #: part of the settings that the range is claimed for
 SHARE = 0.95
+#: coded distance within which two runs stand at one setting of a factor
+SAME_PLACE = 1e-3
 #: bound of a range: this many times the largest leave-one-out error
 ERRORS = 2.0
 #: added to a range before it is called small, as a part of the response's range: larger than
@@ -50,11 +54,50 @@ class EffectRange:
     #: shape (2, k); coded settings of the two predicted extremes: run both before the claim is
     #: made.
     confirm: Array
+    #: Whether two runs that differ in this factor alone differ by more than what matters.
+    confirmed: bool = False
 
     @property
     def claims(self) -> bool:
-        """Whether the factor is said to matter, which two runs are to confirm."""
-        return self.verdict == "matters"
+        """Whether the factor is said to matter, which two runs are yet to confirm."""
+        return self.verdict == "matters" and not self.confirmed
+
+    @property
+    def told(self) -> str:
+        """The verdict, and what it still waits for."""
+        return f"{self.verdict}, if confirmed" if self.claims else self.verdict
+
+
+def is_confirmed(runs: Runs, j: int, least: float) -> bool:
+    """Whether two runs that differ in factor j alone differ by more than ``least``.
+
+    Over blocks their mean difference less its 95 % interval counts. Settings of confirming runs
+    are rounded to a ten-thousandth of their range.
+    """
+    from scipy import stats
+
+    others = np.round(np.delete(runs.coded, j, axis=1) / SAME_PLACE)
+    place = np.unique(others, axis=0, return_inverse=True)[1].ravel()
+    names = runs.blocks or ("",) * runs.response.size
+    where: dict[str, list[int]] = {}
+    for i, name in enumerate(names):
+        where.setdefault(name, []).append(i)
+    for group in np.flatnonzero(np.bincount(place) > 1):
+        each: dict[tuple[float, float], list[float]] = {}
+        for rows in where.values():
+            here = [i for i in rows if place[i] == group]
+            values = {round(float(runs.coded[i, j]), 3): float(runs.response[i]) for i in here}
+            for a, b in combinations(sorted(values), 2):
+                each.setdefault((a, b), []).append(values[a] - values[b])
+        for found in each.values():
+            n = len(found)
+            if n == len(where) and n != 2:
+                half = 0.0
+                if n > 1:
+                    half = float(stats.t.ppf(0.975, n - 1) * np.std(found, ddof=1) / np.sqrt(n))
+                if abs(float(np.mean(found))) - half > least:
+                    return True
+    return False
 
 
 def effect_range(
@@ -278,8 +321,13 @@ class Emulator:
         bound = ERRORS * float(np.abs(self.loo_errors).max()) + u
         small = Small(practical, float(np.ptp(self.runs.response)))
         k = len(self.runs.factors)
+        least = math.inf if practical is None else practical + u
         return tuple(
-            effect_range(lambda x: self.value(2.0 * x - 1.0), k, j, bound, small) for j in range(k)
+            replace(
+                effect_range(lambda x: self.value(2.0 * x - 1.0), k, j, bound, small),
+                confirmed=is_confirmed(self.runs, j, least),
+            )
+            for j in range(k)
         )
 
 
@@ -439,15 +487,17 @@ class BlockedEmulator:
         """Range along every factor, averaged over blocks; arguments as for one emulator."""
         told = [found.ranges(practical, u) for found in self.each]
         small = Small(practical, float(np.ptp(self.runs.response)))
-        return tuple(self._range(own, small) for own in zip(*told, strict=True))
+        each = enumerate(zip(*told, strict=True))
+        return tuple(self._range(j, own, small, u) for j, own in each)
 
-    def _range(self, own: tuple[EffectRange, ...], small: Small) -> EffectRange:
+    def _range(self, j: int, own: tuple[EffectRange, ...], small: Small, u: float) -> EffectRange:
         values = np.array([effect.value for effect in own])
         bound = float(self._scatter(values) + np.mean([effect.bound for effect in own]))
         value = float(values.mean())
         # where the block nearest to the mean has its extremes
         nearest = own[int(np.abs(values - value).argmin())]
-        return EffectRange(value, bound, small.verdict(value, bound), nearest.confirm)
+        sure = small.practical is not None and is_confirmed(self.runs, j, small.practical + u)
+        return EffectRange(value, bound, small.verdict(value, bound), nearest.confirm, sure)
 
     def _scatter(self, values: Array) -> Array:
         """Half width of the 95 % interval of a mean over blocks, the first axis of the values."""

@@ -18,6 +18,7 @@ from scipy import linalg, optimize
 from scipy.spatial.distance import cdist
 
 from study.ground.arrays import Array, Ints
+from study.ground.errors import settled
 
 # Correlation of the functions that belong to categories: what they share, and what each has.
 
@@ -185,9 +186,13 @@ NUGGETS = (1e-10, 1.0)
 FIRST_LENGTH = 0.5
 FIRST_NUGGET = 1e-6
 RESTART_LENGTHS = (0.1, 5.0)
-#: searches beside the first one, and most steps of each
+#: searches beside the first one
 RESTARTS = 2
+#: steps of each search, and of the best one where those were too few
 STEPS = 80
+MOST_STEPS = 2000
+#: status of a search by L-BFGS-B that ended by its number of steps
+BY_COUNT = 1
 #: what an impossible matrix costs the search: any value above every likelihood
 IMPOSSIBLE = 1e20
 
@@ -296,13 +301,15 @@ def fit_process(
         value, slope = log_likelihood(theta, x, y, noise, family, sizes)
         return (-value, -slope) if np.isfinite(value) else (IMPOSSIBLE, np.zeros_like(theta))
 
-    searches = [
-        optimize.minimize(
-            cost, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": STEPS}
+    def searched(start: Array, steps: int) -> optimize.OptimizeResult:
+        return optimize.minimize(
+            cost, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": steps}
         )
-        for start in starts
-    ]
-    best = min(searches, key=lambda search: float(search.fun))
+
+    best = min((searched(start, STEPS) for start in starts), key=lambda one: float(one.fun))
+    if best.status == BY_COUNT:
+        best = searched(np.asarray(best.x), MOST_STEPS)
+    settled(best, "length scales of the emulator", by_lines=True)
     return condition(x, y, noise, hyperparameters(np.asarray(best.x), family, sizes))
 
 

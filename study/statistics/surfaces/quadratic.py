@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Literal
@@ -12,6 +12,7 @@ from scipy import linalg
 
 from study.ground.arrays import Array, Flags, Ints
 from study.ground.errors import Fault, RefusedError
+from study.statistics.surfaces.emulator import EffectRange, Small, effect_range, is_confirmed
 from study.statistics.surfaces.surface_factors import (
     Extreme,
     Runs,
@@ -102,7 +103,10 @@ SATURATED = 1.0 - 1e-9
 
 @dataclass(frozen=True)
 class ModelColumns:
-    """Columns of a model that the settings can tell, factorized once for every response."""
+    """Columns of a model that the settings can tell, factorized once for every response.
+
+    Columns of blocks, where there are any, stand behind those of the terms.
+    """
 
     terms: tuple[Term, ...]
     #: Each term left out, and the sum of kept terms that it equals at these settings.
@@ -129,17 +133,17 @@ class ModelColumns:
 
     def inverse(self) -> Array:
         """(X'X)^-1, shape (p, p)."""
-        half = linalg.solve_triangular(self.r, np.eye(len(self.terms)))
+        half = linalg.solve_triangular(self.r, np.eye(len(self.r)))
         return np.asarray(half @ half.T)
 
     def complement(self) -> Array:
         """Orthonormal columns, shape (n, n - p), of all that the model leaves open."""
         full, _ = linalg.qr(self.matrix)
-        return np.asarray(full[:, len(self.terms) :])
+        return np.asarray(full[:, self.matrix.shape[1] :])
 
     def alone(self, which: Sequence[int]) -> Array:
         """Orthonormal columns, shape (n, len(which)), of terms beside all the other terms."""
-        others = [j for j in range(len(self.terms)) if j not in set(which)]
+        others = [j for j in range(self.matrix.shape[1]) if j not in set(which)]
         ordered = self.matrix[:, [*others, *which]]
         q, _ = linalg.qr(ordered, mode="economic")
         return np.asarray(q[:, len(others) :])
@@ -249,7 +253,7 @@ def lack_of_fit(columns: ModelColumns, response: Array, which: Ints) -> SurfaceF
     means = np.bincount(which, weights=response) / counts
     pure = float(((response - means[which]) ** 2).sum())
     df_pure = int(response.size - counts.size)
-    df = int(counts.size - len(columns.terms))
+    df = int(counts.size - columns.matrix.shape[1])
     if df_pure < 1 or df < 1 or pure <= 0:
         return None
     residual = float((columns.residuals(response) ** 2).sum())
@@ -288,8 +292,8 @@ class StationaryPoint:
 
     @property
     def established(self) -> bool:
-        """Whether it is known to lie in the box."""
-        return self.inside and (self.region is None or not self.region.leaves)
+        """Whether it is known to lie in the box: its region is bounded by it."""
+        return self.inside and self.region is not None and not self.region.leaves
 
 
 @dataclass(frozen=True)
@@ -324,47 +328,72 @@ def _kind(eigenvalues: Array) -> Kind:
     return "minimum" if eigenvalues.min() > 0 else "saddle"
 
 
-def in_region(surfaces: Sequence[QuadraticPolynomial], coded: Array, level: float = 0.95) -> Flags:
-    """Whether the blocks' gradients at each point may have the mean zero (Hotelling's T^2)."""
-    # Shapes: coded (n, k).
+#: Whether points of the box, shape (n, k), may be where the surface is level.
+Member = Callable[[Array], Flags]
+
+
+def level_by_blocks(surfaces: Sequence[QuadraticPolynomial], level: float = 0.95) -> Member:
+    """Points at which the blocks' gradients may have the mean zero (Hotelling's T^2)."""
     from scipy import stats
 
     b, k = len(surfaces), surfaces[0].k
-    gradients = np.stack([surface.gradient(coded) for surface in surfaces])  # (b, n, k)
-    mean = gradients.mean(axis=0)
-    centred = gradients - mean
-    covariance = np.einsum("bni,bnj->nij", centred, centred) / (b - 1)
-    t2 = b * np.einsum("ni,nij,nj->n", mean, np.linalg.pinv(covariance), mean)
     limit = k * (b - 1) / (b - k) * stats.f.ppf(level, k, b - k)
-    return np.asarray(t2 <= limit)
+
+    def member(coded: Array) -> Flags:
+        gradients = np.stack([surface.gradient(coded) for surface in surfaces])  # (b, n, k)
+        mean = gradients.mean(axis=0)
+        centred = gradients - mean
+        covariance = np.einsum("bni,bnj->nij", centred, centred) / (b - 1)
+        t2 = b * np.einsum("ni,nij,nj->n", mean, np.linalg.pinv(covariance), mean)
+        return np.asarray(t2 <= limit)
+
+    return member
 
 
-def region_of(surfaces: Sequence[QuadraticPolynomial], points: Array) -> Region | None:
-    """Confidence region over the box. Shapes: points (n, k)."""
-    k = surfaces[0].k
-    if len(surfaces) <= k:
-        return None
-    member = points[in_region(surfaces, points)]
-    nowhere = np.full(k, np.nan)
-    low, high = (member.min(axis=0), member.max(axis=0)) if len(member) else (nowhere, nowhere)
-    return Region(low, high, _touches(surfaces, points))
+def level_by_residual(
+    surface: QuadraticPolynomial, covariance: Array, df: int, level: float = 0.95
+) -> Member:
+    """Points at which the gradient may be zero (Box and Hunter 1954, Biometrika 41, 190-199).
+
+    Shapes: covariance (p, p) of the coefficients of the terms.
+    """
+    from scipy import stats
+
+    k = surface.k
+    limit = k * float(stats.f.ppf(level, k, df))
+    units = [replace(surface, coefficients=one) for one in np.eye(len(surface.terms))]
+
+    def member(coded: Array) -> Flags:
+        slopes = np.stack([one.gradient(coded) for one in units], axis=-1)  # (n, k, p)
+        gradient = slopes @ surface.coefficients
+        spread = slopes @ covariance @ slopes.transpose(0, 2, 1)
+        t2 = np.einsum("ni,nij,nj->n", gradient, np.linalg.pinv(spread), gradient)
+        return np.asarray(t2 <= limit)
+
+    return member
 
 
-def _touches(surfaces: Sequence[QuadraticPolynomial], points: Array) -> bool:
-    """Whether the region reaches a face of the box."""
-    for j in range(points.shape[1]):
-        for side in (-1.0, 1.0):
-            face = points.copy()
-            face[:, j] = side
-            if in_region(surfaces, face).any():
-                return True
-    return False
+def region_of(member: Member, at: Array) -> Region:
+    """Confidence region of a stationary point over the box. Shapes: at (k,)."""
+    points = np.vstack([box_points(at.size, SEARCHED), np.clip(at, -1, 1)])
+    inside = points[member(points)]
+    nowhere = np.full(at.size, np.nan)
+    low, high = (inside.min(axis=0), inside.max(axis=0)) if len(inside) else (nowhere, nowhere)
+    faces = [np.array(points) for _ in range(2 * at.size)]
+    for side, face in enumerate(faces):
+        face[:, side // 2] = -1.0 if side % 2 else 1.0
+    return Region(low, high, any(bool(member(face).any()) for face in faces))
 
 
 # A quadratic surface fitted to runs, and what may be said of it.
 
 #: smallest Q2 at which effects are carried by a quadratic
 CARRIED = 0.8
+#: p of the lack of fit below which a quadratic carries none
+UNFIT = 0.05
+#: share of the settings that blocks may have in common where each holds a part of the design:
+#: blocks that share more are crossed with the settings, and differ in more than a constant
+SHARED = 0.5
 
 Error = Literal["none", "blocks", "replicates"]
 
@@ -404,6 +433,54 @@ class QuadraticSurface:
     #: Terms that the settings cannot tell from others.
     aliases: tuple[str, ...]
     notes: tuple[str, ...]
+    #: shape (terms, terms); of the coefficients, by the blocks or by the residual, with its degrees
+    #: of freedom; None where nothing is left over.
+    covariance: Array | None = None
+    df: int = 0
+
+    def ranges(self, practical: float | None, u: float = 0.0) -> tuple[EffectRange, ...] | None:
+        """Range along every factor; None where the surface carries no effects.
+
+        The bound is twice the largest leave-one-out error of a deterministic surface, else that of
+        Scheffe over all differences along the factor (with few blocks: Bonferroni).
+        """
+        unfit = self.lack_of_fit is not None and self.lack_of_fit.p < UNFIT
+        if self.covariance is None or self.loo is None or unfit:
+            return None
+        if self.error == "none" and not self.loo.q2 >= CARRIED:
+            return None
+        small = Small(practical, float(np.ptp(self.runs.response)))
+        k, found = self.polynomial.k, []
+        for j in range(k):
+            bound = u + (2.0 * self.loo.largest if self.error == "none" else self._scatter(j))
+            value = effect_range(lambda x: self.polynomial.value(2.0 * x - 1.0), k, j, bound, small)
+            sure = practical is not None and is_confirmed(self.runs, j, practical + u)
+            found.append(replace(value, confirmed=sure))
+        return tuple(found)
+
+    def _scatter(self, j: int) -> float:
+        """Half width of every difference of two settings of one factor together."""
+        from scipy import stats
+
+        assert self.covariance is not None
+        own = [i for i, term in enumerate(self.polynomial.terms) if j in term.factors]
+        p, spread = len(own), self.covariance[np.ix_(own, own)]
+        points = box_points(self.polynomial.k, 256)
+        steps = np.linspace(-1.0, 1.0, 5)
+        along = np.repeat(points[None], steps.size, axis=0)
+        along[:, :, j] = steps[:, None]
+        rows = np.stack([model_matrix([self.polynomial.terms[i] for i in own], x) for x in along])
+        largest = max(
+            float(np.sqrt(np.einsum("ni,ij,nj->n", d, spread, d).max()))
+            for a, b in combinations(range(steps.size), 2)
+            for d in [rows[a] - rows[b]]
+        )
+        if self.error != "blocks":
+            return largest * float(np.sqrt(p * stats.f.ppf(0.95, p, self.df)))
+        free = self.df + 1 - p
+        if free > 0:
+            return largest * float(np.sqrt(p * self.df / free * stats.f.ppf(0.95, p, free)))
+        return largest * float(stats.t.ppf(1 - 0.025 / len(points), self.df))
 
     @property
     def half_width(self) -> float:
@@ -438,13 +515,16 @@ def fit_quadratic(runs: Runs, alpha: float = 0.05) -> QuadraticSurface:
     return _surface(runs, columns, means, tuple(terms), "none", notes=notes)
 
 
-def _with_replicates(runs: Runs, which: Ints, alpha: float) -> QuadraticSurface:
-    columns = factorize(second_order(runs.levels()), runs.coded)
+def _with_replicates(
+    runs: Runs, which: Ints, alpha: float, columns: ModelColumns | None = None
+) -> QuadraticSurface:
+    columns = columns or factorize(second_order(runs.levels()), runs.coded)
     b = columns.coefficients(runs.response)
     df = runs.response.size - b.size
     residual = float((columns.residuals(runs.response) ** 2).sum())
     errors = np.sqrt(np.diag(columns.inverse()) * residual / max(df, 1))
-    terms = _estimates(_labels(runs, columns), b, errors, df, alpha)
+    labels = _labels(runs, columns)
+    terms = _estimates(labels, b[: len(labels)], errors[: len(labels)], df, alpha)
     fit = lack_of_fit(columns, runs.response, which)
     notes = []
     if fit is not None and fit.p < alpha:
@@ -464,9 +544,12 @@ def _with_blocks(runs: Runs, alpha: float) -> QuadraticSurface:
     np.add.at(sums, (which, rows), runs.response)
     whole: Flags = np.asarray((counts > 0).all(axis=0))
     if whole.sum() < 2:
-        rule = "fewer than two blocks have a run at every setting"
-        mend = "complete the blocks, or leave --block out"
-        raise RefusedError(str(Fault("blocks", rule, mend)))
+        if float(((counts > 0).sum(axis=1) > 1).mean()) > SHARED:
+            rule = "fewer than two blocks have a run at every setting"
+            mend = "complete the blocks, or leave --block out"
+            raise RefusedError(str(Fault("blocks", rule, mend)))
+        cells = np.unique(which * len(names) + rows, return_inverse=True)[1]
+        return _shifted_by_blocks(runs, rows, cells, alpha)
     table = sums[:, whole] / counts[:, whole]
     columns = factorize(second_order(runs.levels()), settings)
     each = columns.coefficients(table)
@@ -486,17 +569,37 @@ def _with_blocks(runs: Runs, alpha: float) -> QuadraticSurface:
     return replace(
         found,
         factor_tests=_factor_tests(runs, columns, table),
-        stationary=_with_region(found.stationary, surfaces),
+        stationary=_with_region(
+            found.stationary, level_by_blocks(surfaces) if blocks > len(runs.factors) else None
+        ),
+        covariance=np.atleast_2d(np.cov(each)) / blocks,
+        df=blocks - 1,
     )
 
 
-def _with_region(
-    point: StationaryPoint | None, surfaces: list[QuadraticPolynomial]
-) -> StationaryPoint | None:
-    if point is None:
-        return None
-    points = np.vstack([box_points(surfaces[0].k, SEARCHED), np.clip(point.at, -1, 1)])
-    return replace(point, region=region_of(surfaces, points))
+def _shifted_by_blocks(runs: Runs, block: Ints, which: Ints, alpha: float) -> QuadraticSurface:
+    """Blocks with different settings shift the response (Box and Hunter 1957, section 8).
+
+    Shapes: block, which (n,): block, and setting within the block, of each run.
+    """
+    terms = factorize(second_order(runs.levels()), runs.coded)
+    shift = np.eye(int(block.max()) + 1)[block]
+    matrix = np.hstack([terms.matrix, shift[:, :-1] - shift[:, -1:]])
+    q, r = linalg.qr(matrix, mode="economic")
+    if matrix.shape[0] < matrix.shape[1] or np.abs(np.diag(r)).min() < ALIASED * np.abs(r).max():
+        rule = "no two have a run at every setting, and the settings do not tell their shifts"
+        mend = "complete the blocks, or leave --block out"
+        raise RefusedError(str(Fault("blocks", rule, mend)))
+    columns = ModelColumns(terms.terms, terms.aliases, matrix, np.asarray(q), np.asarray(r))
+    found = _with_replicates(runs, which, alpha, columns)
+    note = "blocks hold different settings: each shifts the response by a constant"
+    return replace(found, notes=(note, *found.notes))
+
+
+def _with_region(point: StationaryPoint | None, member: Member | None) -> StationaryPoint | None:
+    if point is None or member is None:
+        return point
+    return replace(point, region=region_of(member, point.at))
 
 
 def _factor_tests(runs: Runs, columns: ModelColumns, table: Array) -> dict[str, SurfaceFTest]:
@@ -542,8 +645,9 @@ def _surface(
     lack: SurfaceFTest | None = None,
     notes: list[str],
 ) -> QuadraticSurface:
+    count = len(columns.terms)
     polynomial = QuadraticPolynomial(
-        columns.terms, columns.coefficients(response), len(runs.factors)
+        columns.terms, columns.coefficients(response)[:count], len(runs.factors)
     )
     loo = leave_one_out(columns, response)
     half_width = float("nan") if loo is None else 2.0 * loo.rms
@@ -563,9 +667,17 @@ def _surface(
     # a stationary point needs every square
     squares = sum(len(t.factors) == 2 and t.factors[0] == t.factors[1] for t in columns.terms)
     point = stationary_point(polynomial) if squares == polynomial.k else None
+    df = response.size - columns.matrix.shape[1]
+    covariance = None
+    if error != "blocks" and df > 0:
+        residual = float((columns.residuals(response) ** 2).sum())
+        # misfit below rounding moves nothing: what scatters least stands for it
+        residual = max(residual, df * (ROUNDING * float(np.abs(response).max())) ** 2)
+        covariance = columns.inverse()[:count, :count] * residual / df
+        point = _with_region(point, level_by_residual(polynomial, covariance, df))
     return QuadraticSurface(
         runs, polynomial, terms, {}, error, loo, lack, point, smallest, largest,
-        _alias_list(runs, columns), (*notes, *said),
+        _alias_list(runs, columns), (*notes, *said), covariance, df,
     )  # fmt: skip
 
 

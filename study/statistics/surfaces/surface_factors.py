@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from itertools import product
+from itertools import combinations, product
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import optimize
 
 from study.ground.arrays import Array, Ints
-from study.ground.errors import Fault, InputError, nearest
+from study.ground.errors import Fault, InputError, nearest, settled
 
 #: part of the largest singular value of the settings below which factors change together
 COLLINEAR = 1e-7
@@ -165,6 +165,28 @@ def change_together(runs: Runs) -> tuple[str, ...]:
     return tuple(n for n, c in zip(runs.names, last, strict=True) if c > 1e-3 * last.max())
 
 
+#: coded setting of two factors from which a quarter of their ranges counts as run
+QUARTER = 0.1
+
+
+def never_run(runs: Runs) -> list[str]:
+    """Name the quarters of the ranges of two factors in which no run lies."""
+    found = []
+    for i, j in combinations(range(len(runs.factors)), 2):
+        for side in product((1.0, -1.0), repeat=2):
+            if not ((runs.coded[:, [i, j]] * side) > QUARTER).all(axis=1).any():
+                ends = [
+                    f"{runs.factors[m].name} {'above' if end > 0 else 'below'} "
+                    f"{runs.factors[m].setting(0.0):.4g}"
+                    for m, end in zip((i, j), side, strict=True)
+                ]
+                found.append(" with ".join(ends))
+    if not found:
+        return []
+    more = f" and {len(found) - 4} more" if len(found) > 4 else ""
+    return [f"never run: {'; '.join(found[:4])}{more}: what is predicted there is extrapolated"]
+
+
 # Largest and smallest prediction in the box of coded factors.
 
 #: most factors whose corners are all asked: 2^10 = 1,024
@@ -218,6 +240,7 @@ def _polished(
         return sign * float(value(x[None, :])[0]) / scale
 
     bounds = [(-1.0, 1.0)] * starts.shape[1]
-    found = [optimize.minimize(goal, x, method="L-BFGS-B", bounds=bounds).x for x in starts]
-    best = min([*found, *starts], key=goal)
+    searches = (optimize.minimize(goal, x, method="L-BFGS-B", bounds=bounds) for x in starts)
+    ends = [settled(one, "extreme of a surface", by_lines=True).x for one in searches]
+    best = min([*ends, *starts], key=goal)
     return Extreme(np.asarray(best), float(value(best[None, :])[0]), half_width)

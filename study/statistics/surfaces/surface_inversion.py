@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import optimize, stats
 
 from study.ground.arrays import Array, Flags, Ints
+from study.ground.errors import settled
 from study.statistics.surfaces.surface_factors import box_points
 from study.statistics.surfaces.surface_optimum import run_box
 from study.statistics.surfaces.surface_profile import CurveEmulator
 
 #: points at which the search looks around, and the best of them from which it goes on
 SAMPLE = 2048
-STARTS = 5
+STARTS = 8
+#: coded distance between two starts
+APART = 0.35
 #: halvings between the best setting and an end of the range: 1e-4 of the range
 HALVINGS = 14
+#: curves that one search of the settings asks the emulator for, and searches after the first
+EVALUATIONS = 60
+SEARCHES = 20
+#: root mean square over the largest force that a search may gain and have settled before
+NEGLIGIBLE = 1e-7
 #: a coded coordinate this near to an end of what was run stands there
 NEAR_END = 1e-3
 #: a power below this part of the largest one does not count
@@ -85,31 +93,34 @@ def agreeing(
     Shapes: measured (m,); held (k,).
     """
     search = _Search.of(model, measured, held)
-    at = search.best()
+    least = search.minima()
+    at = least[0]
     rms, p, m = search.rms(at), search.free.size, measured.size
     if largest is None:
         worth = min(max(rows_worth or float(m), p + 1.0), float(m))
         f = float(stats.f.ppf(LEVEL, p, max(m - p, 1)))
         share = p * f / max(m - p, 1) * m / worth
         largest = float(np.sqrt(rms**2 * (1.0 + share) + (1.96 * model.loo_rms) ** 2))
-    low, high = at.copy(), at.copy()
     is_open = np.zeros((2, at.size), dtype=bool)
-    points, ends = [at], {}
+    branches = [at, *(one for one in least[1:] if search.rms(one) <= largest)]
+    members = list(branches)
     for j in search.free:
         for side, end in enumerate((search.low[j], search.high[j])):
-            found = search.profile_end(int(j), float(end), at, largest)
-            is_open[side, j] = search.is_at_end(found[-1])
-            (low, high)[side][j] = found[-1][j]
-            points += found
-            ends[int(j), side] = found[-1]
+            for branch in branches:
+                found = search.profile_end(int(j), float(end), branch, largest)
+                is_open[side, j] |= search.is_at_end(found[-1])
+                members += found[1:]
+    points = np.array(members)
+    low, high = points.min(axis=0), points.max(axis=0)
     width = (high - low)[search.free] / (search.high - search.low)[search.free]
     loose = int(search.free[int(np.argmax(width))])
-    whole = np.array([ends[loose, 0], ends[loose, 1]])
+    whole = points[[int(np.argmin(points[:, loose])), int(np.argmax(points[:, loose]))]]
     alone = ~(is_open[0] | is_open[1])
     loose_ones = np.array([j for j in search.free if not alone[j]], dtype=np.int64)
     told = search.combinations(at, rms, largest, loose_ones)
+    rules = tuple(rule for one in told if (rule := search.holding(one, points)) is not None)
     return InversionAgreement(
-        at, rms, largest, low, high, is_open[0], is_open[1], np.array(points), whole, told
+        at, rms, largest, low, high, is_open[0], is_open[1], points, whole, rules
     )
 
 
@@ -137,14 +148,28 @@ class _Search:
         """Give the same, shape (n,), for points of shape (n, k)."""
         return np.asarray(np.sqrt(((self.model.value(points) - self.measured) ** 2).mean(axis=1)))
 
-    def best(self) -> Array:
-        """Point (k,) of the least sum of squares."""
+    def minima(self) -> list[Array]:
+        """Points (k,) at which the sum of squares is least about them, the best one first."""
         own = box_points(self.free.size, SAMPLE)
         points = np.repeat(np.nan_to_num(self.held)[None, :], SAMPLE, axis=0)
         low, high = self.low[self.free], self.high[self.free]
         points[:, self.free] = low + 0.5 * (own + 1.0) * (high - low)
-        starts = points[np.argsort(self.each_rms(points))[:STARTS]]
-        return min((self.fitted(one, self.free) for one in starts), key=self.rms)
+        rest = points[np.argsort(self.each_rms(points))]
+        found: list[Array] = []
+        for _ in range(STARTS):
+            if not len(rest):
+                break
+            found.append(self.fitted(rest[0], self.free))
+            # the next one starts away from those that have been followed
+            starts = np.array([rest[0], *found])
+            near = np.abs(rest[:, None] - starts[None]).max(axis=2).min(axis=1) < APART
+            rest = rest[~near]
+        found.sort(key=self.rms)
+        return [
+            one
+            for i, one in enumerate(found)
+            if all(np.abs(one - other).max() > NEAR_END for other in found[:i])
+        ]
 
     def fitted(self, start: Array, free: Ints) -> Array:
         """Least squares over some coordinates from a start; shape (k,)."""
@@ -159,12 +184,27 @@ class _Search:
             at[free] = x
             return at
 
-        found = optimize.least_squares(
-            lambda x: (self.model.value(whole(x)[None, :])[0] - self.measured) / scale,
-            inside,
-            jac=lambda x: self.slope(whole(x), free) / scale,
-            bounds=(low, high), xtol=1e-10, ftol=1e-12, gtol=1e-12, max_nfev=60,
-        )  # fmt: skip
+        def searched(x: Array) -> optimize.OptimizeResult:
+            return optimize.least_squares(
+                lambda x: (self.model.value(whole(x)[None, :])[0] - self.measured) / scale,
+                x,
+                jac=lambda x: self.slope(whole(x), free) / scale,
+                bounds=(low, high), xtol=1e-10, ftol=1e-12, gtol=1e-12, max_nfev=EVALUATIONS,
+            )  # fmt: skip
+
+        # Where only a product of settings is determined, steps along it never end, and change
+        # nothing: a search has settled as well where as many steps again do not matter.
+        found = searched(inside)
+        for _ in range(SEARCHES):
+            if found.success:
+                break
+            before, found = found, searched(np.asarray(found.x))
+            gain = np.sqrt(before.cost) - np.sqrt(found.cost)
+            if gain <= NEGLIGIBLE * np.sqrt(self.measured.size / 2):
+                found = before
+                break
+        else:
+            settled(found, "setting whose curve is nearest to the measured one")
         return whole(np.asarray(found.x, dtype=np.float64))
 
     def slope(self, at: Array, free: Ints) -> Array:
@@ -232,6 +272,19 @@ class _Search:
             for direction, own, is_narrow in zip(directions, half, narrow, strict=True)
             if is_narrow
         )
+
+    def holding(self, rule: FactorCombination, members: Array) -> FactorCombination | None:
+        """Widen a rule until every member of the set keeps it; None where it says little then."""
+        used = np.flatnonzero(rule.exponents)
+        factors = [self.model.runs.factors[j] for j in used]
+        logs = np.log([[f.setting(float(x)) for f, x in zip(factors, one[used], strict=True)]
+                       for one in members])  # fmt: skip
+        worst = float(np.abs(logs @ rule.exponents[used] - np.log(rule.value)).max())
+        half = max(worst, float(np.log(rule.ratio)))
+        room = np.log([f.high / f.low for f in factors])
+        if half >= NARROW * 0.5 * float(np.abs(rule.exponents[used]) @ room):
+            return None
+        return replace(rule, ratio=float(np.exp(half)))
 
     def _combination(
         self, direction: Array, half: float, settings: Array, loose: Ints

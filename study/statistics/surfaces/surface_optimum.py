@@ -22,6 +22,9 @@ Assurance = Literal["", "surely", "predicted"]
 #: points at which the search looks around, and the best of them from which it goes on
 SAMPLE = 4096
 STARTS = 8
+#: steps of each search by sequential quadratic programming, and its status where they have ended
+STEPS = 200
+BY_COUNT = 9
 #: a limit counts as kept this near to it, as a part of the response's range: rounding of the search
 ROUNDING = 1e-7
 
@@ -160,13 +163,19 @@ def _searched(
     if limits:  # a narrow set may lie between the points: begin from where it is nearest, too
         starts = np.vstack([starts, sample[np.argsort(-rooms)[:STARTS]]])
     scale = float(np.ptp(model.runs.response)) or 1.0
-    ends = [starts, *(_polished(model, sign / scale, limits, space, share, x) for x in starts)]
-    points = np.clip(np.vstack(ends), space.low, space.high)
+    searches = [_polished(model, sign / scale, limits, space, share, x) for x in starts]
+    ends = [x for x, _ in searches]
+    points = np.clip(np.vstack([starts, *ends]), space.low, space.high)
     kept: Flags = np.asarray(_rooms(limits, space.whole(points), share) >= -ROUNDING)
     if not kept.any():
         return None
-    good = points[kept]
-    return np.asarray(good[int(np.argmin(sign * _value(model, space.whole(good))))])
+    good = np.flatnonzero(kept)
+    best = int(good[np.argmin(sign * _value(model, space.whole(points[good])))])
+    if best >= len(starts) and searches[best - len(starts)][1]:
+        rule = f"the search for the best setting has not converged in {STEPS} steps"
+        mend = "hold a factor, or move a limit that hardly any setting keeps"
+        raise RefusedError(str(Fault("optimize", rule, mend)))
+    return np.asarray(points[best])
 
 
 def _polished(
@@ -176,10 +185,10 @@ def _polished(
     space: _Space,
     share: float,
     start: Array,
-) -> Array:
-    """Free settings, shape (1, f), where sequential quadratic programming ends."""
+) -> tuple[Array, bool]:
+    """Free settings, shape (f,), where sequential quadratic programming ends; whether by count."""
     if not start.size:
-        return start[None, :]
+        return start, False
 
     def each(function: Callable[[Array], Array]) -> Callable[[Array], float]:
         return lambda x: float(function(space.whole(x[None, :]))[0])
@@ -192,9 +201,9 @@ def _polished(
         each(lambda p: sign * _value(model, p)), start, method="SLSQP",
         constraints=[rule(one) for one in limits],
         bounds=list(zip(space.low, space.high, strict=True)),
-        options={"ftol": 1e-13, "maxiter": 200},
+        options={"ftol": 1e-13, "maxiter": STEPS},
     )  # fmt: skip
-    return np.asarray(found.x, dtype=np.float64)[None, :]
+    return np.asarray(found.x, dtype=np.float64), found.status == BY_COUNT
 
 
 def _value(model: Model, coded: Array) -> Array:

@@ -282,6 +282,16 @@ class FittedSurface:
         told = () if self.found is None else self.found.sensitivity
         return [self._row(item) for item in told]
 
+    @property
+    def unconfirmed(self) -> list[dict[str, float]]:
+        """Settings whose runs would confirm what is said of the factors, each once."""
+        if self.found is None:
+            return []
+        runs = self.found.runs
+        ranges = [item.range for item in self.found.sensitivity if item.range is not None]
+        every = [runs.settings(at) for one in ranges if one.claims for at in one.confirm]
+        return list({tuple(one.items()): one for one in every}.values())
+
     def to_json(self) -> dict[str, object]:
         """Plain values: the response, where the others stand, and the surface."""
         own: dict[str, object] = {
@@ -306,9 +316,11 @@ class FittedSurface:
             "response": self.response,
             "factor": item.factor,
             "at": dict(self.labels),
-            "verdict": "cannot tell" if effect is None else effect.verdict,
+            "verdict": "cannot tell" if effect is None else effect.told,
             "effect": None if effect is None else effect.value,
-            "ci95": None,
+            "ci95": None
+            if effect is None
+            else [max(0.0, effect.value - effect.bound), effect.value + effect.bound],
             "practical": self.practical,
             "u_num": self.bound,
             "U": self.bound,

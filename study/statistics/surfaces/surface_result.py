@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from study.ground.arrays import Array
 from study.statistics.surfaces.emulator import BlockedEmulator, EffectRange, Emulator, SobolIndex
 from study.statistics.surfaces.quadratic import QuadraticSurface, StationaryPoint, SurfaceFTest
-from study.statistics.surfaces.surface_factors import Extreme, Runs, extremes
+from study.statistics.surfaces.surface_factors import Extreme, Runs, extremes, never_run
 
 Document = dict[str, object]
 
@@ -40,7 +40,7 @@ class SurfaceAnalysis:
     """A surface over numeric factors."""
 
     model: QuadraticSurface | Emulator | BlockedEmulator
-    #: One entry a factor; empty for a quadratic surface, or where Q2 refuses it.
+    #: One entry a factor; empty where Q2 refuses it, or a quadratic is not asked.
     sensitivity: tuple[Sensitivity, ...]
     smallest: Extreme
     largest: Extreme
@@ -172,7 +172,7 @@ class SurfaceAnalysis:
             "T_interval": _pair(None if index is None else index.total_interval),
             "range": None if effect is None else effect.value,
             "range_bound": None if effect is None else effect.bound,
-            "verdict": "cannot tell" if effect is None else effect.verdict,
+            "verdict": "cannot tell" if effect is None else effect.told,
             "confirm": [self.runs.settings(point) for point in effect.confirm]
             if effect is not None and effect.claims
             else [],
@@ -183,29 +183,40 @@ class SurfaceAnalysis:
 FAR = 100.0
 
 
-def analysis_of_quadratic(found: QuadraticSurface) -> SurfaceAnalysis:
-    """Say what a quadratic surface means."""
-    said = [*found.notes]
+def analysis_of_quadratic(
+    found: QuadraticSurface, practical: float | None = None, u: float = 0.0
+) -> SurfaceAnalysis:
+    """Say what a quadratic surface means; factors are judged where a practical difference is."""
+    said = [*found.notes, *never_run(found.runs)]
     point = found.stationary
     if point is None or not point.established:
         said.append(
             "no stationary point established inside the region; confirm the best predicted "
             "setting by a run there"
         )
-    return SurfaceAnalysis(found, (), found.smallest, found.largest, tuple(said))
+    ranges = None if practical is None else found.ranges(practical, u)
+    told: tuple[Sensitivity, ...] = ()
+    if ranges is not None:
+        ranks = np.argsort(np.argsort([-one.value for one in ranges])).tolist()
+        names = zip(found.runs.names, ranks, ranges, strict=True)
+        told = tuple(Sensitivity(name, rank + 1, None, one) for name, rank, one in names)
+    elif practical is not None:
+        told = tuple(Sensitivity(n, i + 1, None, None) for i, n in enumerate(found.runs.names))
+        said.append("no factor is judged: a quadratic does not carry these runs, or fits them all")
+    return SurfaceAnalysis(found, told, found.smallest, found.largest, tuple(said))
 
 
 def analysis_of_emulator(
     found: Emulator | BlockedEmulator, practical: float | None, u: float = 0.0
 ) -> SurfaceAnalysis:
     """Ask an emulator for all that its Q2 allows."""
-    k = len(found.runs.factors)
+    k, unrun = len(found.runs.factors), never_run(found.runs)
     rough_low, rough_high = extremes(found.value, k, 0.0)
     low, high = (_with_interval(found, extreme) for extreme in (rough_low, rough_high))
     twice = 2 * found.runs.response.size
     if found.gate == "refused":
         note = f"Q2 {found.q2:.2f} is below .7: no indices; add runs, {twice} in all"
-        return SurfaceAnalysis(found, (), low, high, (note,))
+        return SurfaceAnalysis(found, (), low, high, (note, *unrun))
     indices = found.indices()
     order = np.argsort([-index.total for index in indices]).tolist()
     ranks = {j: rank for rank, j in enumerate(order, 1)}
@@ -213,13 +224,14 @@ def analysis_of_emulator(
     if found.gate == "ranking only":
         note = f"Q2 {found.q2:.2f} is below .9: ranking only; add runs, {twice} in all"
         ranked = tuple(Sensitivity(names[j], ranks[j], None, None) for j in range(k))
-        return SurfaceAnalysis(found, ranked, low, high, (note,))
+        return SurfaceAnalysis(found, ranked, low, high, (note, *unrun))
     ranges = found.ranges(practical, u)
     told = tuple(Sensitivity(names[j], ranks[j], indices[j], ranges[j]) for j in range(k))
     notes = [
-        "indices are of factors uniform over their ranges; ranges hold at 95 % of the settings"
+        *unrun,
+        "indices are of factors uniform over their ranges; ranges hold at 95 % of the settings",
     ]
-    if any(item.verdict == "matters" for item in ranges):
+    if any(item.claims for item in ranges):
         notes.append("matters holds once the two predicted extremes were run: see confirm")
     return SurfaceAnalysis(found, told, low, high, tuple(notes))
 

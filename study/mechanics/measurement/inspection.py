@@ -1,0 +1,556 @@
+"""What a recorded file holds (``study inspect``), and the table that reads it."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from study.ground.arrays import Array
+from study.ground.bounded_file import (
+    is_workbook,
+    read_bytes,
+    sheets_of,
+    table_text,
+    unzipped,
+)
+from study.ground.errors import Fault, InputError, UnitError
+from study.ground.tabular import MAX_ROWS, UNIT_CELL, is_number, parsed_numbers
+from study.ground.units import unit_factor
+from study.mechanics.measurement.column_text import DELIMITERS, KINEMATIC, KINETIC
+from study.mechanics.measurement.phases import NO_FORCE, TURN, Phase, phases_of
+
+#: rows in a row that a block of numbers has at least
+_BLOCK = 3
+#: lines from which delimiter and decimal mark are found
+_LOOKED_AT = 3000
+#: dimension of every quantity that a column may hold
+DIMENSIONS: Mapping[str, str] = {**KINEMATIC, **KINETIC, "time": "time"}
+#: words of column names (English, German, French) by quantity, the surest first
+_WORDS: Mapping[str, tuple[str, ...]] = {
+    "true_strain": ("true strain", "log strain", "hencky"),
+    "true_stress": ("true stress", "cauchy stress", "cauchy"),
+    "time": ("time", "zeit", "temps", "elapsed"),
+    "strain": ("strain", "dehnung", "stauchung", "déformation", "deformation"),
+    "stretch": ("stretch", "lambda", "streckung"),
+    "volume_ratio": ("volume ratio",),
+    "stress": ("stress", "spannung", "contrainte"),
+    "pressure": ("pressure", "druck"),
+    "force": ("force", "load", "kraft", "last"),
+    "displacement": (
+        "indentation", "extension", "displacement", "standardweg", "weg", "elongation",
+        "déplacement", "crosshead", "position", "stroke", "distance", "travel", "deflection",
+        "disp", "gap",
+    ),
+}  # fmt: skip
+#: how files write units that the program knows by another name
+_ALIASES = {
+    "g": "gf", "sec": "s", "S": "s", "seconds": "s", "mm/mm": "1", "-": "1", "µm": "um",
+    "μm": "um", "µN": "uN", "μN": "uN", "percent": "%", "pct": "%", "N/mm²": "N/mm^2",
+    "N/mm2": "N/mm^2", "newton": "N", "newtons": "N", "millimeter": "mm", "inch": "in",
+}  # fmt: skip
+#: unit of a quantity whose file names none
+_USUAL = {
+    "length": "mm",
+    "force": "N",
+    "pressure": "MPa",
+    "ratio": "1",
+    "time": "s",
+}
+_NAMED_UNIT = re.compile(r"^(?P<name>.*?)[\s_]*(?:[\[(/]\s*(?P<in>[^\[\]()]{1,12})\s*[\])]?|"
+                         r"_(?P<after>[A-Za-zµμ%]{1,7}))$")  # fmt: skip
+_RATES = re.compile(r"rate|speed|velocity")
+_COMMENTS = ("#", "%", "//", ";", "!", "*")
+#: columns of labels that tell tests apart, and those of repeats on one specimen
+_BLOCKS = re.compile(r"specimen|sample|probe|animal|donor|batch", re.IGNORECASE)
+#: columns of labels that part one test
+_WITHIN = re.compile(r"cycle|phase|set|segment|step|stage|status", re.IGNORECASE)
+_REPEATS = re.compile(r"repeat|rep|run|test|trial|curve|site|point", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class InspectedColumn:
+    """One column of a file, and what it is taken for."""
+
+    name: str
+    #: As the program calls it; empty where the file names none.
+    unit: str
+    #: One of :data:`DIMENSIONS`; empty where nothing says it.
+    quantity: str
+    #: Range of its numbers; None for a column of labels.
+    low: float | None
+    high: float | None
+    #: Labels of a column of text, the first few.
+    labels: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class InspectedPhase:
+    """Rows on which a recording goes one way."""
+
+    phase: str
+    cycle: int
+    #: First and last line.
+    lines: tuple[int, int]
+    #: Kinematic and kinetic quantity at either end, as recorded.
+    start: tuple[float, float]
+    end: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """What a file holds, how it is written, and how it is read."""
+
+    file: str
+    #: How its characters or its sheet were read.
+    encoding: str
+    sheets: tuple[str, ...]
+    delimiter: str
+    decimal: str
+    #: Lines before the names, the first few.
+    preamble: tuple[str, ...]
+    #: Lines of the names and of the units; None where there is none.
+    header_line: int | None
+    unit_line: int | None
+    #: First and last line of the rows, and their number.
+    lines: tuple[int, int]
+    rows: int
+    columns: tuple[InspectedColumn, ...]
+    #: Phases of the recording in words, with lines and ends.
+    phases: tuple[InspectedPhase, ...]
+    cycles: int
+    #: Table ``[measurements]``.
+    measurements: Mapping[str, object]
+    #: What is assumed, and what to look at.
+    notes: tuple[str, ...]
+
+    @property
+    def toml(self) -> str:
+        """Table to paste into a file."""
+        lines = [f"{key} = {_toml(value)}" for key, value in self.measurements.items()]
+        return "\n".join(["[measurements]", *lines])
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units of the columns that are read."""
+        table = self.measurements["units"]
+        return tuple(table.values()) if isinstance(table, Mapping) else ()
+
+    def to_json(self) -> dict[str, object]:
+        """Document of ``study inspect --json``."""
+        return {
+            "file": self.file,
+            "encoding": self.encoding,
+            "sheets": list(self.sheets),
+            "delimiter": self.delimiter,
+            "decimal": self.decimal,
+            "preamble": list(self.preamble),
+            "header_line": self.header_line,
+            "unit_line": self.unit_line,
+            "first_line": self.lines[0],
+            "last_line": self.lines[1],
+            "rows": self.rows,
+            "columns": [{**vars(one), "labels": list(one.labels)} for one in self.columns],
+            "phases": [
+                {
+                    "phase": one.phase,
+                    "cycle": one.cycle,
+                    "lines": list(one.lines),
+                    "from": list(one.start),
+                    "to": list(one.end),
+                }
+                for one in self.phases
+            ],
+            "cycles": self.cycles,
+            "measurements": dict(self.measurements),
+            "toml": self.toml,
+            "notes": list(self.notes),
+        }
+
+
+def _toml(value: object) -> str:
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{k} = {_toml(v)}" for k, v in value.items()) + " }"
+    return json.dumps(value, ensure_ascii=False)
+
+
+def inspect(path: Path, sheet: str = "") -> Inspection:
+    """Look at a recorded file; its numbers are read as ``[measurements]`` would read them."""
+    source = path.name
+    raw = read_bytes(path, source)
+    data, sheets = unzipped(raw, source), ()
+    if is_workbook(data):
+        held = sheets_of(data, source)
+        sheets = tuple(held)
+        sheet = sheet or max(held, key=lambda name: _numeric_cells(held[name]), default="")
+    text, encoding = table_text(raw, source, sheet=sheet)
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    if len(lines) > MAX_ROWS + 1000:
+        rule = f"has {len(lines)} lines, at most {MAX_ROWS} rows are read"
+        raise InputError(Fault(source, rule, "thin the recording out or split it"))
+    block = _block_of(lines, source)
+    columns, found, notes = _columns(block)
+    table: dict[str, object] = {"file": source}
+    if sheet and len(sheets) > 1:
+        table["sheet"] = sheet
+    table |= _layout(block, notes)
+    chosen = _pair(columns, notes)
+    names = {q: columns[k].name for q, k in chosen.items()}
+    table["columns"] = names
+    table["units"] = {q: _unit_for(columns[k], q, found[k], notes) for q, k in chosen.items()}
+    groups = _groups(columns, block, found, table)
+    phases: tuple[Phase, ...] = ()
+    kinematic = next((q for q in KINEMATIC if q in chosen), None)
+    kinetic = next((q for q in KINETIC if q in chosen), None)
+    words: list[InspectedPhase] = []
+    if kinematic and kinetic:
+        d, f = found[chosen[kinematic]], found[chosen[kinetic]]
+        first = _first_test(columns, block, groups)
+        d, f, at = d[first], f[first], [block.at[k] for k in first]
+        phases = _place(kinematic, d, f, table, notes)
+        words = [_phase(p, d, f, at) for p in phases]
+    else:
+        missing = "displacement or strain" if not kinematic else "force or stress"
+        notes.append(f"no column is known to hold {missing}: name it in columns and units")
+    return Inspection(
+        source, encoding, sheets, block.delimiter, block.decimal,
+        tuple(line.strip()[:120] for line in lines[: block.skip] if line.strip())[:8],
+        block.header, block.units, (block.at[0], block.at[-1]), len(block.at),
+        tuple(columns), tuple(words), max((p.cycle for p in phases), default=0),
+        table, tuple(notes),
+    )  # fmt: skip
+
+
+def _numeric_cells(rows: Sequence[Sequence[object]]) -> int:
+    return sum(isinstance(cell, float) for row in rows for cell in row)
+
+
+# How the text is written: the longest block of lines whose cells are numbers.
+
+
+@dataclass(frozen=True)
+class _Block:
+    """Rows of numbers of a text, and what stands around them."""
+
+    delimiter: str
+    decimal: str
+    #: Cells of every row, and the line on which it stands, from 1.
+    rows: list[list[str]]
+    at: list[int]
+    #: Lines of names and units, from 1.
+    header: int | None
+    units: int | None
+    names: list[str]
+    unit_cells: list[str]
+    #: Lines before the names.
+    skip: int
+    comment: str
+    #: Lines between the rows that are none.
+    others: list[int]
+
+
+def _split(line: str, delimiter: str) -> list[str]:
+    sign = DELIMITERS[delimiter]
+    if sign is None:
+        return line.split()
+    if '"' in line:
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=sign), [])]
+    return [cell.strip() for cell in line.split(sign)]
+
+
+def _trimmed(cells: list[str]) -> list[str]:
+    while cells and not cells[-1]:
+        cells = cells[:-1]
+    return cells
+
+
+def _block_of(lines: Sequence[str], source: str) -> _Block:
+    """Rows of numbers under the delimiter and decimal mark that show the most of them."""
+    best: tuple[tuple[int, float, int], str, str] | None = None
+    for delimiter in DELIMITERS:
+        for decimal in (mark for mark in (".", ",") if mark != DELIMITERS[delimiter]):
+            counts = [_numbers_in(_split(line, delimiter), decimal) for line in lines[:_LOOKED_AT]]
+            width, start = _width_and_start([n for n, _ in counts])
+            if not width:
+                continue
+            shares = [n / cells for n, cells in counts[start:] if n == width]
+            # what splits the same rows into more numbers and fewer other cells is meant
+            score = (len(shares), round(float(np.mean(shares)), 2), width)
+            if best is None or score > best[0]:
+                best = (score, delimiter, decimal)
+    if best is None:
+        rule = f"holds no block of {_BLOCK} lines with two numbers or more"
+        raise InputError(Fault(source, rule, "is it a table of a recording?"))
+    _, delimiter, decimal = best
+    split = [_split(line, delimiter) for line in lines]
+    counts = [_numbers_in(cells, decimal)[0] for cells in split]
+    width, start = _width_and_start(counts[:_LOOKED_AT])
+    rows = [k for k in range(start, len(lines)) if counts[k] == width]
+    return _with_names(lines, delimiter, decimal, rows, [_trimmed(split[k]) for k in rows])
+
+
+def _width_and_start(counts: Sequence[int]) -> tuple[int, int]:
+    """Numbers in the usual row, and the first of several such rows; zeros without any."""
+    usual = Counter(n for n in counts if n > 1).most_common(1)
+    if not usual:
+        return 0, 0
+    width = usual[0][0]
+    for k in range(len(counts) - _BLOCK + 1):
+        if all(n == width for n in counts[k : k + _BLOCK]):
+            return width, k
+    return 0, 0
+
+
+def _numbers_in(cells: Sequence[str], decimal: str) -> tuple[int, int]:
+    """How many cells are numbers, and how many are filled."""
+    filled = [cell for cell in cells if cell]
+    return sum(is_number(cell, decimal, _thousands(decimal)) for cell in filled), len(filled)
+
+
+def _with_names(
+    lines: Sequence[str], delimiter: str, decimal: str, rows: list[int], cells: list[list[str]]
+) -> _Block:
+    """Add the lines of names and units above the rows."""
+    width = max(map(len, cells))
+    above = [k for k in range(rows[0] - 1, -1, -1) if lines[k].strip(" \t,;")][:2]
+    split = [_trimmed(_split(lines[k], delimiter)) for k in above]
+    units: int | None = None
+    names, unit_cells = [], []
+    if split and len(split) > 1 and _are_units(split[0]) and 2 <= len(split[1]) <= width:
+        units, above, unit_cells = above[0], above[1:], split[0]
+        split = split[1:]
+    header = above[0] if split and 2 <= len(split[0]) <= width else None
+    if header is not None:
+        names = split[0]
+    names = names + [""] * (width - len(names)) if names else [str(k + 1) for k in range(width)]
+    held = set(rows)
+    others = [k for k in range(rows[0], rows[-1]) if lines[k].strip() and k not in held]
+    marks = [
+        m for m in _COMMENTS if others and all(lines[k].lstrip().startswith(m) for k in others)
+    ]
+    first = rows[0] if header is None else header
+    return _Block(
+        delimiter, decimal, cells, [k + 1 for k in rows],
+        None if header is None else header + 1, None if units is None else units + 1,
+        names, unit_cells, first, marks[0] if marks else "", [k + 1 for k in others],
+    )  # fmt: skip
+
+
+def _are_units(cells: Sequence[str]) -> bool:
+    shown = [UNIT_CELL.fullmatch(cell) for cell in cells if cell]
+    known = [one for one in shown if one and _known_unit(one[1])]
+    return bool(known) and all(shown) and len(known) >= len(shown) / 2
+
+
+def _known_unit(word: str) -> tuple[str, str] | None:
+    """Give the unit as the program writes it, and its dimension."""
+    unit = _ALIASES.get(word.strip(), _ALIASES.get(word.strip().lower(), word.strip()))
+    for dimension in _USUAL:
+        try:
+            unit_factor(unit, dimension)
+        except UnitError:
+            continue
+        return unit, dimension
+    return None
+
+
+# What the columns hold.
+
+
+def _columns(block: _Block) -> tuple[list[InspectedColumn], list[Array], list[str]]:
+    """Columns, their numbers (empty for labels), and notes."""
+    columns, numbers, notes = [], [], []
+    for k, name in enumerate(block.names):
+        cells = tuple(row[k] if k < len(row) else "" for row in block.rows)
+        values = parsed_numbers(cells, block.decimal, _thousands(block.decimal))
+        is_number = bool(np.isfinite(values).all())
+        in_row = UNIT_CELL.fullmatch(block.unit_cells[k]) if k < len(block.unit_cells) else None
+        match = _NAMED_UNIT.fullmatch(name)
+        word = (in_row[1] if in_row else "") or (match and (match["in"] or match["after"])) or ""
+        known = _known_unit(word) if word else None
+        plain = name if known is None or match is None or in_row else match["name"]
+        quantity = _quantity(plain, known[1] if known else "") if is_number else ""
+        low, high = (float(values.min()), float(values.max())) if is_number else (None, None)
+        labels = () if is_number else tuple(dict.fromkeys(cells))[:6]
+        columns.append(
+            InspectedColumn(name, known[0] if known else "", quantity, low, high, labels)
+        )
+        numbers.append(values if is_number else np.empty(0))
+    return columns, numbers, notes
+
+
+def _thousands(decimal: str) -> str:
+    return "," if decimal == "." else "."
+
+
+def _quantity(name: str, dimension: str) -> str:
+    """Quantity that a name speaks for, if the unit does not gainsay it."""
+    plain = re.sub(r"[_\s]+", " ", name).strip().lower()
+    for quantity, words in _WORDS.items():
+        named = any(word in plain for word in words) and not _RATES.search(plain)
+        if named and (not dimension or DIMENSIONS[quantity] == dimension):
+            return quantity
+    usual = {"length": "displacement", "force": "force", "pressure": "stress", "time": "time"}
+    return usual.get(dimension, "")
+
+
+def _pair(columns: Sequence[InspectedColumn], notes: list[str]) -> dict[str, int]:
+    """Column of how far and of how hard, the surest of each; displacement and force go first."""
+    chosen: dict[str, int] = {}
+    for quantities in (KINEMATIC, KINETIC):
+        for quantity in quantities:
+            fitting = [
+                k for k, one in enumerate(columns)
+                if one.quantity == quantity and one.name and one.low != one.high
+            ]  # fmt: skip
+            if fitting:
+                best = min(fitting, key=lambda k: _rank(columns[k].name, quantity))
+                chosen[quantity] = best
+                others = [columns[k].name for k in fitting if k != best]
+                if others:
+                    notes.append(
+                        f"{quantity}: {columns[best].name!r} is taken; there are also "
+                        + ", ".join(map(repr, others[:4]))
+                    )
+                break
+    return chosen
+
+
+def _rank(name: str, quantity: str) -> int:
+    plain = name.lower()
+    return next((k for k, word in enumerate(_WORDS[quantity]) if word in plain), 99)
+
+
+def _unit_for(column: InspectedColumn, quantity: str, values: Array, notes: list[str]) -> str:
+    if column.unit:
+        return column.unit
+    dimension = DIMENSIONS[quantity]
+    unit = _USUAL[dimension]
+    if quantity in ("strain", "true_strain") and float(np.abs(values).max()) > 5:
+        unit = "%"
+    notes.append(f"the file names no unit of {column.name!r}: {unit} is assumed")
+    return unit
+
+
+def _groups(
+    columns: Sequence[InspectedColumn],
+    block: _Block,
+    numbers: Sequence[Array],
+    table: dict[str, object],
+) -> list[int]:
+    """Columns whose labels tell tests apart; ``block`` and ``average`` go into the table."""
+    several = [
+        k for k, one in enumerate(columns)
+        if one.name and (one.labels or not one.quantity) and not _WITHIN.search(one.name)
+        and (_BLOCKS.search(one.name) or _REPEATS.search(one.name) or one.labels)
+        and 1 < len({row[k] if k < len(row) else "" for row in block.rows}) <= len(block.rows) // 3
+    ]  # fmt: skip
+    blocks = [k for k in several if _BLOCKS.search(columns[k].name)] or several[:1]
+    if blocks:
+        table["block"] = columns[blocks[0]].name
+    repeats = [k for k in several if k not in blocks[:1]]
+    if repeats:
+        table["average"] = [columns[k].name for k in repeats]
+    return several
+
+
+def _first_test(
+    columns: Sequence[InspectedColumn], block: _Block, groups: Sequence[int]
+) -> list[int]:
+    """Rows of the first test."""
+
+    def key(row: list[str]) -> tuple[str, ...]:
+        return tuple(row[k] if k < len(row) else "" for k in groups)
+
+    first = key(block.rows[0])
+    return [k for k, row in enumerate(block.rows) if key(row) == first]
+
+
+def _layout(block: _Block, notes: list[str]) -> dict[str, object]:
+    """Keys that say how the text is written, where it is no plain CSV."""
+    made: dict[str, object] = {}
+    if block.skip:
+        made["skip_lines"] = block.skip
+    if block.header is None:
+        made["header"] = False
+    if block.units is not None:
+        made["unit_row"] = True
+    if block.decimal == ",":
+        made["decimal"] = ","
+    if block.delimiter == "space":
+        made["delimiter"] = "space"
+    if block.comment:
+        made["comment"] = block.comment
+    elif block.others:
+        shown = ", ".join(map(str, block.others[:6]))
+        notes.append(f"lines between the rows that hold no numbers: {shown}: delete them")
+    cells = [cell for row in block.rows for cell in row]
+    other = _thousands(block.decimal)
+    if any(other in cell for cell in cells) and not any(block.decimal in cell for cell in cells):
+        notes.append(f"{other!r} may part thousands or be the decimal mark: thousands are assumed")
+        made["thousands"] = other
+    return made
+
+
+# Where the specimen begins, which way it is loaded, and its branches.
+
+
+def _place(
+    kinematic: str, d: Array, f: Array, table: dict[str, object], notes: list[str]
+) -> tuple[Phase, ...]:
+    """Zero, direction, sign and branch of a recording, into the table; its phases."""
+    rest = 1.0 if kinematic in ("stretch", "volume_ratio") else 0.0
+    travel = float(np.ptp(d))
+    far = int(np.argmax(np.abs(d - d[0])))
+    falls, pushes = d[far] < d[0], float(f[far] - f[0])
+    through = d.min() < rest - 2 * TURN * travel and d.max() > rest + 2 * TURN * travel
+    through = through and f[int(np.argmin(d))] * f[int(np.argmax(d))] < 0
+    way = -1.0 if falls and not through else 1.0
+    if not through and pushes < 0:
+        table["sign"] = "negative"
+        notes.append("the force falls while the specimen is loaded: sign = negative")
+    elif through:
+        notes.append("the test runs through zero: all of its rows are one signed test")
+    if kinematic == "displacement" and not through:
+        flat = _approach(way * d, f)
+        if abs(float(d[0])) > 0.01 * travel and flat:
+            table["displacement_zero"] = "contact"
+            notes.append("the force is flat at first: displacement counts from contact")
+        elif abs(float(d[0])) > 0.01 * travel:
+            table["displacement_zero"] = "first row"
+            notes.append(f"displacement begins at {d[0]:.6g}: it counts from the first row")
+        if falls:
+            table["direction"] = "falling"
+    phases = phases_of(way * d)
+    kinds = [p.kind for p in phases]
+    if len(phases) > 1:
+        table["branch"] = "loading"
+        cycles = kinds.count("loading")
+        notes.append(
+            f"{len(phases)} phases in {cycles} {'cycle' if cycles == 1 else 'cycles'}: the first "
+            "loading is taken; branch may be unloading, all, or the number of a cycle"
+        )
+    return phases
+
+
+def _approach(moved: Array, f: Array) -> bool:
+    """Whether the first tenth of the travel to the largest force carries none."""
+    peak = int(np.argmax(np.abs(f - f[0])))
+    if peak < _BLOCK:
+        return False
+    first = moved[:peak] <= moved[0] + TURN * float(moved[peak] - moved[0])
+    if np.count_nonzero(first) < _BLOCK:
+        return False
+    y = f[:peak][first] - f[0]
+    return float(np.abs(y).max()) < NO_FORCE * TURN * abs(float(f[peak] - f[0]))
+
+
+def _phase(p: Phase, d: Array, f: Array, at: Sequence[int]) -> InspectedPhase:
+    start, end = (float(d[p.first]), float(f[p.first])), (float(d[p.last]), float(f[p.last]))
+    return InspectedPhase(p.words, p.cycle, (at[p.first], at[p.last]), start, end)

@@ -1,0 +1,154 @@
+"""Whether a fit describes its data: rows that it must accept, and rows that it must not."""
+
+import numpy as np
+import pytest
+
+from study.ground.curve import Curve
+from study.mechanics.calibration.fit import fit
+from study.mechanics.calibration.fit_influence import with_serial_correlation
+from study.mechanics.calibration.lack_of_fit import adequacy
+from study.mechanics.calibration.residual_function import LOSS_LIMIT, MeasuredCurve
+from study.mechanics.calibration.serial_correlation import row_noise
+from tests.calibration.cylinder import predictor
+
+TRUTH = {"C10": 15e-3, "C20": 3e-3}
+KINDS = ("white", "drift", "proportional")
+#: largest share of good fits that may be called anything but good
+FALSE = 0.02
+
+
+def errors(kind, force, size, rng):
+    """Errors of rows with a standard deviation of ``size`` over the (largest) force."""
+    white = rng.normal(size=force.size)
+    if kind == "proportional":
+        return size * force * white
+    rho = 0.9 if kind == "drift" else 0.0
+    out = white.copy()
+    for k in range(1, out.size):
+        out[k] = rho * out[k - 1] + np.sqrt(1 - rho**2) * white[k]
+    return size * force.max() * out
+
+
+def judged(curves, names=("C10", "C20"), model="reduced-polynomial", tests=(), bounds=None):
+    """Fit tension to stretch 2, and judge."""
+    predict, d = predictor(model, names, 30.0, sign=1.0, points=curves[0].size)
+    measured = [MeasuredCurve(f"test {k}", Curve(d, one)) for k, one in enumerate(curves)]
+    found = fit(
+        lambda values: predict(values) * len(measured), measured, names,
+        [0.9 * TRUTH[n] for n in names], bounds=bounds,
+    )  # fmt: skip
+    found = with_serial_correlation(found, measured)
+    return adequacy(found, measured, tests=tests)
+
+
+def true_force(points):
+    predict, _ = predictor("reduced-polynomial", tuple(TRUTH), 30.0, sign=1.0, points=points)
+    return predict(np.array(list(TRUTH.values())))[0].force_N
+
+
+def rate(kind, points, draws, seed):
+    rng, force = np.random.default_rng(seed), true_force(points)
+    sizes = np.where(np.arange(draws) % 2, 0.01, 0.05)
+    bad = [judged([force + errors(kind, force, s, rng)]).verdict != "describes" for s in sizes]
+    return float(np.mean(bad))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("points", [10, 60])
+def test_good_fits_are_called_good(kind, points):
+    # of 60 draws at a rate of 1 %, more than 3 come in 0.3 %
+    assert rate(kind, points, 60, 7) <= 0.05
+
+
+@pytest.mark.verify
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("points", [10, 30, 100, 500])
+def test_good_fits_are_called_bad_in_two_per_cent_at_most(kind, points):
+    draws = 400
+    assert rate(kind, points, draws, 11) <= FALSE + 2 * np.sqrt(FALSE / draws)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("points", [20, 100])
+def test_an_energy_that_is_wrong_is_told(kind, points):
+    """A neo-Hookean fit to data that stiffen: 14 % of the force stay."""
+    rng, force = np.random.default_rng(3), true_force(points)
+    for _ in range(10):
+        found = judged([force + errors(kind, force, 0.01, rng)], ("C10",), "neo-hookean")
+        assert found.verdict != "describes"
+        assert "take another energy" in found.sentence or "then the energy" in found.sentence
+
+
+def test_a_row_five_times_too_large_is_named():
+    rng, force = np.random.default_rng(5), true_force(50)
+    for place in (20, 33, 47):
+        read = force + errors("white", force, 0.002, rng)
+        read[place] *= 5
+        found = judged([read])
+        assert found.verdict == "does not describe"
+        assert [row.row for row in found.rows] == [place + 1]
+        assert "soft-l1" in found.sentence
+
+
+def test_a_constant_at_its_bound_is_doubtful():
+    rng, force = np.random.default_rng(5), true_force(50)
+    read = force + errors("white", force, 0.01, rng)
+    found = judged([read], bounds=[(0.0, 1.0), (0.0, 2.9e-3)])
+    assert found.verdict == "doubtful"
+    assert "C20 ended at its bound (0.0029 MPa)" in found.sentence
+
+
+def test_specimens_that_differ_are_noise_and_what_they_share_is_not():
+    rng, force = np.random.default_rng(8), true_force(40)
+    scales = 1 + 0.2 * rng.normal(size=6)
+    specimens = [s * force + errors("white", force, 0.005, rng) for s in scales]
+    assert judged(specimens, tests=[0] * 6).verdict == "describes"
+    wrong = judged(specimens[:1] * 6, ("C10",), "neo-hookean", tests=[0] * 6)
+    assert wrong.verdict == "does not describe"
+
+
+def test_data_that_a_mean_describes_better():
+    force = true_force(40)
+    found = judged([force.max() * np.linspace(1.0, 1.2, 40)])
+    assert found.verdict == "does not describe"
+    assert "displacement_zero" in found.sentence
+
+
+@pytest.mark.parametrize("loss", ["soft-l1", "huber"])
+def test_a_robust_loss_leaves_a_misread_row_aside(loss):
+    """The minimum is that of scipy's least_squares, and the row is listed, not held against it."""
+    from scipy.optimize import least_squares
+
+    rng, force = np.random.default_rng(5), true_force(50)
+    read = force + errors("white", force, 0.002, rng)
+    read[30] *= 5
+    predict, d = predictor("reduced-polynomial", ("C10", "C20"), 30.0, sign=1.0, points=50)
+    noise = row_noise(read, d, read)
+    limit = LOSS_LIMIT * float(np.median(noise.deviation))
+    measured = [MeasuredCurve("one", Curve(d, read), loss=loss, limit_N=limit)]
+    found = with_serial_correlation(fit(predict, measured, ("C10", "C20"), [1e-2, 1e-3]), measured)
+    other = least_squares(
+        lambda v: predict(v)[0].force_N - read, [1e-2, 1e-3], loss=loss.replace("-", "_"),
+        f_scale=limit, x_scale="jac", xtol=1e-14, ftol=1e-14, gtol=1e-14,
+    )  # fmt: skip
+    assert found.values == pytest.approx(other.x, rel=1e-5)
+    # within four standard errors of the truth, which are those of the other rows
+    assert np.all(np.abs(found.values - list(TRUTH.values())) < 4 * found.standard_error)
+    assert found.standard_error[0] < 0.01 * TRUTH["C10"]
+    told = adequacy(found, measured)
+    assert told.verdict == "describes"
+    assert [row.row for row in told.rows] == [31]
+
+
+@pytest.mark.parametrize("power", [0.0, 1.0])
+def test_noise_of_rows_and_its_power_of_the_force(power):
+    rng, force = np.random.default_rng(4), true_force(200)
+    true = 0.01 * force.max() * (force / force.max()) ** power
+    powers, ratios = [], []
+    for _ in range(40):
+        noise = row_noise(force + true * rng.normal(size=200), np.arange(200.0), force)
+        powers.append(noise.power)
+        ratios.append(np.median(noise.deviation / true))
+    assert np.mean(powers) == pytest.approx(power, abs=0.1)
+    # a mean of 40 medians of 200 rows scatters by 1 to 2 %
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.06)

@@ -1,0 +1,107 @@
+"""Energies with exponents: the right minimum is found on either side of zero, or named as open."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import study
+from study.mechanics.material.homogeneous import response
+from study.mechanics.material.material import Material
+
+FILE = """
+schema = 1
+[specimen]
+shape = "cylinder"
+radius = "25 mm"
+height = "30 mm"
+[model]
+mesh_size = "7 mm"
+[material]
+model = "ogden"
+order = 1
+poisson_ratio = 0.4995
+[[tests]]
+test = {{ kind = "compression", interface = "{interface}", displacement = "9 mm", steps = 8 }}
+[tests.measurements]
+file = "data.csv"
+columns = {{ displacement = "d", force = "f" }}
+units = {{ displacement = "mm", force = "N" }}
+points = "raw"
+"""
+
+
+def true_curve(tmp_path: Path, interface: str, mu: float, alpha: float) -> tuple:
+    """Force of the energy itself, N, at 60 displacements, mm."""
+    d = np.linspace(0.15, 9.0, 60)
+    if interface == "frictionless":
+        material = Material("ogden", {"mu1": 1e-3 * mu, "alpha1": alpha}, poisson_ratio=0.4995)
+        return d, -np.pi * 25**2 * response(material, "uniaxial", 1 - d / 30).stress
+    text = FILE.format(interface=interface).partition("[[tests]]")[0]
+    text = text.replace("order = 1", f'mu = ["{mu} kPa"]\nalpha = [{alpha}]')
+    test = '[test]\nkind = "compression"\ninterface = "bonded"\ndisplacement = "9 mm"\nsteps = 20\n'
+    path = tmp_path / "solve.toml"
+    path.write_text(text + test, encoding="utf-8")
+    return d, study.solve(path).curve.force_at(d)
+
+
+def calibrated(tmp_path: Path, interface: str, d: np.ndarray, force: np.ndarray):
+    rows = "\n".join(f"{a:.17g},{b:.17g}" for a, b in zip(d, force, strict=True))
+    (tmp_path / "data.csv").write_text(f"d,f\n{rows}\n", encoding="utf-8")
+    path = tmp_path / "case.toml"
+    path.write_text(FILE.format(interface=interface), encoding="utf-8")
+    return study.calibrate(path, data=tmp_path)
+
+
+def is_right(found, mu: float, alpha: float) -> bool:
+    """Whether the truth is within four standard errors of the answer, or of a minimum named."""
+    return any(
+        np.all(np.abs(one.values - [1e-3 * mu, alpha]) < 4 * one.standard_error)
+        and one.values[1] * alpha > 0
+        for one in found.minima
+    )
+
+
+def draws(tmp_path: Path, interface: str, alpha: float, count: int, noise: float = 0.01) -> int:
+    """How many of some noise draws end at the truth or name it."""
+    d, force = true_curve(tmp_path, interface, 14.0, alpha)
+    rng, right = np.random.default_rng(21), 0
+    for _ in range(count):
+        read = force + noise * force.max() * rng.normal(size=d.size)
+        right += is_right(calibrated(tmp_path, interface, d, read), 14.0, alpha)
+    return right
+
+
+@pytest.mark.parametrize("alpha", [-6.0, 4.0, -15.0, 10.6])
+def test_closed_form(tmp_path: Path, alpha: float) -> None:
+    assert draws(tmp_path, "frictionless", alpha, 5) == 5
+
+
+def test_bonded_compression_with_elements(tmp_path: Path) -> None:
+    d, force = true_curve(tmp_path, "bonded", 14.0, -6.0)
+    rng = np.random.default_rng(5)
+    found = calibrated(tmp_path, "bonded", d, force + 0.01 * force.max() * rng.normal(size=60))
+    assert is_right(found, 14.0, -6.0)
+    assert found.fit.values[1] == pytest.approx(-6.0, rel=0.1)
+    document = found.to_json()
+    assert document["minima"][0]["rss"] == pytest.approx(found.fit.rss)
+    assert document["minima"][0]["parameters"]["mu1"] == pytest.approx(14.0, rel=0.1)
+
+
+@pytest.mark.verify
+@pytest.mark.parametrize("interface", ["frictionless", "bonded"])
+@pytest.mark.parametrize("alpha", [-6.0, 4.0, -15.0, 10.6])
+def test_all_of_fifty_draws(tmp_path: Path, interface: str, alpha: float) -> None:
+    assert draws(tmp_path, interface, alpha, 50) == 50
+
+
+def test_minima_that_cannot_be_told_apart_are_named(tmp_path: Path) -> None:
+    """Much noise in a short test: either sign of the exponent is as good, and both are said."""
+    d, force = true_curve(tmp_path, "frictionless", 14.0, -6.0)
+    rng = np.random.default_rng(3)
+    found = calibrated(
+        tmp_path, "frictionless", d[:30], force[:30] + 0.05 * force[29] * rng.normal(size=30)
+    )
+    assert len(found.minima) == 2
+    assert not found.fit.identifiable
+    assert "another minimum describes the rows as well: mu1" in found.fit.reason
