@@ -32,7 +32,11 @@ OPTIONAL_SECTIONS = {"SA01", "EX01", "ES01", "SS05"}
 #: a paper names its year
 YEAR = re.compile(r"\b(1[89]|20)\d\d\b")
 #: names of distributions that are imported under another name
-IMPORTED_AS = {"scikit-fem": "skfem", "pydantic-core": "pydantic_core"}
+IMPORTED_AS = {
+    "scikit-fem": "skfem",
+    "pydantic-core": "pydantic_core",
+    "python-calamine": "python_calamine",
+}
 #: extras of what the package itself never imports: tests, and the documentation site
 OUTSIDE = {"test", "docs"}
 #: rooms whose modules carry compiled kernels: importing one loads numba, so it may be late

@@ -73,7 +73,7 @@ EXCEPTIONS = {
         ): "a parser behind the reader's checks"
         for kind in ("stl", "ply", "obj")
     },
-    ("study/laboratory/shape/boundary.py", "vtu.read"): "a parser behind the reader's checks",
+    ("study/laboratory/shape/boundary.py", "_vtu.read"): "a parser behind the reader's checks",
 }
 
 

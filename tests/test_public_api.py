@@ -22,6 +22,7 @@ PUBLIC = {
     "fit_surfaces",
     "predict",
     "optimize",
+    "inspect",
     "invert",
     "contrasts",
     "mixed_model",

@@ -282,7 +282,7 @@ def test_programs_and_their_versions(hostile: Hostile) -> None:
     (folder / "helper.py").write_text(TEXT)
     (folder / "programs.toml").write_text(COMMANDS.replace("TEXT", TEXT))
     done = hostile.run(
-        *PROGRAM, "run", "programs.toml", "--allow-commands", "--jobs", "2", "--json"
+        *PROGRAM, "run", "programs.toml", "--allow-commands", "--jobs", "1", "--json"
     )
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["cases"]["done"] == 2
@@ -318,7 +318,7 @@ del sys.path[0]
 import study
 sys.path.insert(0, "")
 import mine
-found = study.run("python.toml", forward=mine.force, version="1", jobs=2, reports=None)
+found = study.run("python.toml", forward=mine.force, version="1", jobs=1, reports=None)
 print("forces", list(found.table["peak_force"]))
 """
 

@@ -64,6 +64,8 @@ ENDINGS = (signal.SIGTERM, signal.SIGHUP, signal.SIGINT, signal.SIGUSR1)
 SECONDS, MEGABYTES = 10.0, 1000.0
 #: seconds after which a verb is stopped, and its process if that did not help
 HANGS, DEAD = 120, 300.0
+#: seconds in which the projects are made on the busiest machine: a minute of a processor
+PREPARED = 7200.0
 #: exit codes of ``study --help`` but that of an interrupt, which nobody sends here
 CODES = {0, 1, 2, 3}
 #: examples of one process, so that what many leave behind is not memory of the next
@@ -395,7 +397,7 @@ def campaign(given: argparse.Namespace, place: Place) -> Iterator[Outcome]:
     """Every example of the campaign; a process that hangs or dies costs one of them."""
     keep = str(given.keep.resolve()) if given.keep else ""
     with Apart() as process:
-        ready = process.ask(ready_project, (place, given.kind), 1200.0)
+        ready = process.ask(ready_project, (place, given.kind), PREPARED)
         if not ready.ok:
             raise RuntimeError(f"the projects to be damaged could not be made: {ready.message}")
         for number in range(given.start, given.start + given.examples):

@@ -71,10 +71,12 @@ def shape(
     cloud = read_scan(Path(scan), unit, body.deformed.size)
     marked = None if markers is None else read_markers(Path(markers), unit)
     name = default_name(str(simulation))
-    found = judge_shape(name, body, cloud, marked, options or ShapeOptions())
+    deviation = judge_shape(name, body, cloud, marked, options or ShapeOptions())
     if reports is None:
-        return found
-    return replace(found, report=str(write_accuracy(shape_page(found), Path(reports) / slug(name))))
+        return deviation
+    return replace(
+        deviation, report=str(write_accuracy(shape_page(deviation), Path(reports) / slug(name)))
+    )
 
 
 def _body(path: Path, surface_unit: str, overrides: Sequence[str]) -> SimulatedBody:
@@ -88,8 +90,8 @@ def _body(path: Path, surface_unit: str, overrides: Sequence[str]) -> SimulatedB
         rule = f"the simulation ended early: {solution.message}"
         mend = "a scan belongs to the whole displacement: change steps, mesh or displacement"
         raise InputError(Fault(str(path), rule, mend))
-    found = fields(solution)
-    return body_of_mesh(DeformedMesh(found.points, found.displacement, found.kind, found.cells))
+    solved = fields(solution)
+    return body_of_mesh(DeformedMesh(solved.points, solved.displacement, solved.kind, solved.cells))
 
 
 # The verb tracking: accuracy of a tracker.
@@ -122,8 +124,8 @@ def tracking(
         For a faulty file or faulty data, with everything that is wrong.
     """
     declared = load_tracking(source)
-    found = judge_tracker(declared, data_root(source, data), default_name(str(source)))
+    accuracy = judge_tracker(declared, data_root(source, data), default_name(str(source)))
     if reports is None:
-        return found
-    page = write_accuracy(tracker_page(found), Path(reports) / slug(found.name))
-    return replace(found, report=str(page))
+        return accuracy
+    page = write_accuracy(tracker_page(accuracy), Path(reports) / slug(accuracy.name))
+    return replace(accuracy, report=str(page))

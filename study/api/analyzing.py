@@ -75,32 +75,34 @@ if TYPE_CHECKING:
 # Levels of a factor compared with one of them.
 
 
-def against_reference(found: AnalysisResult, level: str) -> tuple[str, Comparisons]:
+def against_reference(analysis: AnalysisResult, level: str) -> tuple[str, Comparisons]:
     """Compare all levels of a factor with one of them (Dunnett 1955)."""
-    named, _, wanted = level.rpartition("=")
-    levels = {e.term: e.levels for e in found.effects if e.term in found.request.factors}
-    holding = [f for f, own in levels.items() if wanted in own and named in ("", f)]
+    named, _, level_name = level.rpartition("=")
+    levels = {e.term: e.levels for e in analysis.effects if e.term in analysis.request.factors}
+    holding = [
+        f for f, its_levels in levels.items() if level_name in its_levels and named in ("", f)
+    ]
     if len(holding) != 1:
-        every = [name for own in levels.values() for name in own]
+        every = [name for its_levels in levels.values() for name in its_levels]
         rule = "is a level of several factors" if holding else "is no level of a factor"
-        mend = f"write {holding[0]}={wanted}" if holding else nearest(wanted, every)
-        raise InputError(Fault("--reference", f"{wanted!r} {rule}", mend))
+        mend = f"write {holding[0]}={level_name}" if holding else nearest(level_name, every)
+        raise InputError(Fault("--reference", f"{level_name!r} {rule}", mend))
     factor = holding[0]
-    effect, row = found.effect(factor), found.anova.row(factor)
-    alpha, seed = found.request.alpha, found.request.seed
+    effect, row = analysis.effect(factor), analysis.anova.row(factor)
+    alpha, seed = analysis.request.alpha, analysis.request.seed
     if row.error == "residual" and row.df_error and effect.pairs:
-        return factor, dunnett_of_model(effect, wanted, row.df_error, alpha, seed)
-    compared = _of_rows(found, factor, wanted)
-    return factor, compared.as_ratios() if found.request.scale.is_log else compared
+        return factor, dunnett_of_model(effect, level_name, row.df_error, alpha, seed)
+    compared = _of_rows(analysis, factor, level_name)
+    return factor, compared.as_ratios() if analysis.request.scale.is_log else compared
 
 
-def _of_rows(found: AnalysisResult, factor: str, reference: str) -> Comparisons:
+def _of_rows(analysis: AnalysisResult, factor: str, reference: str) -> Comparisons:
     """Compare levels by their rows, or by their means in each block, on the analyzed scale."""
-    alpha, seed = found.request.alpha, found.request.seed
-    rows = found.data.residuals
-    if found.request.scale.is_log:
+    alpha, seed = analysis.request.alpha, analysis.request.seed
+    rows = analysis.data.residuals
+    if analysis.request.scale.is_log:
         rows = rows.assign(response=np.log(rows["response"]))
-    if found.data.block is None:
+    if analysis.data.block is None:
         groups = {str(k): g["response"].to_numpy() for k, g in rows.groupby(factor, sort=False)}
         return dunnett(groups, reference, alpha=alpha, seed=seed)
     means = rows.pivot_table("response", "block", factor, sort=False).dropna()
@@ -145,13 +147,13 @@ class AnalysisSource:
             return ()
         check = f"{self.digest()}  {self.path}"
         given = [word for flag, value in self.flags.items() if value for word in (flag, value)]
-        asked = [word for text in self.contrasts for word in ("--contrast", text)]
-        again = ["study", "analyze", str(self.path), *given, *asked]
+        words = [word for text in self.contrasts for word in ("--contrast", text)]
+        again = ["study", "analyze", str(self.path), *given, *words]
         return (f"echo {shlex.quote(check)} | sha256sum --check", shlex.join(again))
 
 
 def write_page(
-    found: AnalysisResult,
+    analysis: AnalysisResult,
     out_dir: str | Path,
     *,
     source: AnalysisSource | None = None,
@@ -159,16 +161,16 @@ def write_page(
     formats: Sequence[str] = ("html",),
 ) -> Path:
     """Write the page of an analysis, with the CSV of its tables and figures beside it."""
-    check_taken(found.request.factors)
+    check_taken(analysis.request.factors)
     given = source or AnalysisSource()
     report = AnalysisReport(
-        found,
-        report_data(found, given),
-        coefficient_table(found),
-        pairwise(found),
-        unusual_observations(found),
-        diagnosed_rows(found),
-        None if reference is None else against_reference(found, reference),
+        analysis,
+        report_data(analysis, given),
+        coefficient_table(analysis),
+        pairwise(analysis),
+        unusual_observations(analysis),
+        diagnosed_rows(analysis),
+        None if reference is None else against_reference(analysis, reference),
     )
     return write_analysis(report, out_dir, formats)
 
@@ -182,23 +184,23 @@ def check_taken(factors: Sequence[str]) -> None:
         raise InputError([Fault(f"column {name!r}", rule, mend) for name in taken])
 
 
-def report_data(found: AnalysisResult, source: AnalysisSource) -> ReportData:
+def report_data(analysis: AnalysisResult, source: AnalysisSource) -> ReportData:
     """Gather what a report shows of one analysis: levels, rows, provenance."""
-    request = found.request
-    rows = found.data.residuals
-    block = found.data.block
+    request = analysis.request
+    rows = analysis.data.residuals
+    block = analysis.data.block
     labels = {name: name for name in (request.response, *request.factors)}
-    named = ", ".join(found.request.factors)
+    named = ", ".join(analysis.request.factors)
     return ReportData(
         name=source.name,
-        question=f"What does {found.request.response} depend on: {named}?",
-        factors=_levels(found),
-        table=_report_table(found),
+        question=f"What does {analysis.request.response} depend on: {named}?",
+        factors=_levels(analysis),
+        table=_report_table(analysis),
         responses=(
             ResponseAnalysis(
                 request.response,
                 "",
-                found,
+                analysis,
                 practical=None
                 if request.scale.practical is None
                 else request.scale.practical.value,
@@ -215,29 +217,29 @@ def report_data(found: AnalysisResult, source: AnalysisSource) -> ReportData:
         provenance=provenance(source),
         commands=source.commands(),
         scheme=f"a table of {len(rows):,} rows was analyzed",
-        cells=len(found.data.cell_means),
+        cells=len(analysis.data.cell_means),
         labels=labels,
     )
 
 
-def _levels(found: AnalysisResult) -> dict[str, tuple[str, ...]]:
-    own = {e.term: e.levels for e in found.effects if e.is_main}
-    rows = found.data.residuals
+def _levels(analysis: AnalysisResult) -> dict[str, tuple[str, ...]]:
+    levels = {e.term: e.levels for e in analysis.effects if e.is_main}
+    rows = analysis.data.residuals
     return {
-        name: own.get(name) or tuple(rows[name].astype(str).unique())
-        for name in found.request.factors
+        name: levels.get(name) or tuple(rows[name].astype(str).unique())
+        for name in analysis.request.factors
     }
 
 
-def _report_table(found: AnalysisResult) -> pd.DataFrame:
+def _report_table(analysis: AnalysisResult) -> pd.DataFrame:
     """Rows as a report wants them: levels, block, status, the response under its own name."""
-    rows = found.data.residuals
-    columns = {name: rows[name].astype(str) for name in found.request.factors}
+    rows = analysis.data.residuals
+    columns = {name: rows[name].astype(str) for name in analysis.request.factors}
     if "block" in rows:
         columns["block"] = rows["block"].astype(str)
     frame = rows[["row"]].assign(**columns, status="converged")
     frame = frame.rename(columns={"row": "case_id"})
-    frame[found.request.response] = rows["response"]
+    frame[analysis.request.response] = rows["response"]
     return frame
 
 
@@ -262,9 +264,9 @@ class TableAnalysis(Shown, AnalysisResult):
     """What :func:`study.analyze` returns: an :class:`AnalysisResult` that can be shown."""
 
     @classmethod
-    def of(cls, found: AnalysisResult) -> TableAnalysis:
+    def of(cls, analysis: AnalysisResult) -> TableAnalysis:
         """Give a result the ways to be shown."""
-        return cls(**{item.name: getattr(found, item.name) for item in fields(AnalysisResult)})
+        return cls(**{item.name: getattr(analysis, item.name) for item in fields(AnalysisResult)})
 
     def to_frame(self) -> pd.DataFrame:
         """Table of the analysis of variance, one row a term; what does not apply is missing."""
@@ -311,24 +313,24 @@ def _analysis_table(
     frame: pd.DataFrame, response: str | None, factors: Sequence[str], options: AnovaOptions
 ) -> AnalysisResult:
     _check_named(response, factors)
-    found = anova(frame, str(response), list(factors), **options)
-    return found.noted(*twin_levels(frame, factors), *number_levels(frame, factors))
+    analysis = anova(frame, str(response), list(factors), **options)
+    return analysis.noted(*twin_levels(frame, factors), *number_levels(frame, factors))
 
 
 def twin_levels(frame: pd.DataFrame, columns: Sequence[str]) -> list[str]:
     """Sentences about labels of a column that differ in case or spaces alone: likely one level."""
-    said = []
+    twins = []
     for name in columns:
         alike: dict[str, dict[str, None]] = {}
         for label in dict.fromkeys(map(str, frame[name])):
             alike.setdefault("".join(label.split()).casefold(), {})[label] = None
-        said += [
+        twins += [
             f"column {name!r} holds {' and '.join(map(repr, labels))} as different levels: "
             "did you mean one?"
             for labels in alike.values()
             if len(labels) > 1
         ]
-    return said
+    return twins
 
 
 def number_levels(frame: pd.DataFrame, columns: Sequence[str]) -> list[str]:
@@ -337,8 +339,9 @@ def number_levels(frame: pd.DataFrame, columns: Sequence[str]) -> list[str]:
     return [
         f"the levels of {name!r} are numbers, and are taken as labels: --numeric {name} asks for "
         "a surface over them"
-        for name, own in labels.items()
-        if len(own) >= FEWEST_NUMBERS and all(NUMBER.fullmatch(one) for one in own)
+        for name, its_labels in labels.items()
+        if len(its_labels) >= FEWEST_NUMBERS
+        and all(NUMBER.fullmatch(label) for label in its_labels)
     ]
 
 
@@ -366,23 +369,23 @@ def _study(
     name = response or next(iter(by_name))
     if not study.records:
         raise InputError(f"{study.folder}: no case is computed yet")
-    known = list(study.records[0].responses)
-    if name not in known:
-        raise InputError(Fault("--response", f"there is no {name!r}", nearest(name, known)))
-    said = cast("AnovaOptions", {key: v for key, v in options.items() if v is not None})
-    asked, spec = by_name.get(name), study.design.analysis
+    responses = list(study.records[0].responses)
+    if name not in responses:
+        raise InputError(Fault("--response", f"there is no {name!r}", nearest(name, responses)))
+    given = cast("AnovaOptions", {key: v for key, v in options.items() if v is not None})
+    declared, spec = by_name.get(name), study.design.analysis
     blocked = options.get("block") or ("block" if len(study.manifest["blocks"]) > 1 else None)
     merged: AnovaOptions = {
         "type": spec.type,
         "model": spec.model if isinstance(spec.model, (str, int)) else list(spec.model),
         "alpha": spec.alpha,
         "seed": study.design.seed,
-        "practical": None if asked is None else asked.practical,
-        "transform": "none" if asked is None else asked.transform,
+        "practical": None if declared is None else declared.practical,
+        "transform": "none" if declared is None else declared.transform,
         "records": True,
         "specimens": specimens_of(study.design, study.records),
     }
-    merged.update(said)
+    merged.update(given)
     names = list(factors) or [f.name for f in study.design.factors if len(f.levels) > 1]
 
     def u_num(frame: pd.DataFrame) -> NumericalBound | None:
@@ -394,16 +397,16 @@ def _study(
         crossing: AnovaOptions = {"u_num": u_num(study.table), **merged, "block": blocked}
         return anova(study.table, name, names, **crossing)
     every = [f.name for f in study.design.factors]
-    rows = rows_for(study.table, name, every, said.get("error", spec.error), blocked)
-    own: AnovaOptions = {
+    rows = rows_for(study.table, name, every, given.get("error", spec.error), blocked)
+    own_options: AnovaOptions = {
         "u_num": u_num(rows.table),
         "replicates": rows.replicates,
         **merged,
         "error": rows.error,
         "block": rows.block,
     }
-    found = anova(rows.table, name, names, **own)
-    return found.noted(*rows.notes)
+    analysis = anova(rows.table, name, names, **own_options)
+    return analysis.noted(*rows.notes)
 
 
 def analyze(
@@ -568,8 +571,8 @@ _FEWEST = 5
 def effects_by_depth(study: StudyResult) -> tuple[DepthEffect, ...]:
     """Largest difference of every main effect over the first part of the test."""
     depth = _common_depth(study.records)
-    asked = [r for r in study.design.responses if r.name in CURVE_RESPONSES]
-    if depth is None or not asked:
+    of_curves = [r for r in study.design.responses if r.name in CURVE_RESPONSES]
+    if depth is None or not of_curves:
         return ()
     shares = [s for s in SHARES if _points(study.records, s * depth) >= _FEWEST]
     if len(shares) < 2:
@@ -577,7 +580,7 @@ def effects_by_depth(study: StudyResult) -> tuple[DepthEffect, ...]:
     return tuple(
         row
         for share in shares
-        for response in asked
+        for response in of_curves
         for row in _effects(study, response, share * depth)
     )
 
@@ -614,10 +617,10 @@ def _points(records: Sequence[Record], depth_mm: float) -> int:
 def _effects(study: StudyResult, response: ResponseSpec, depth_mm: float) -> Iterator[DepthEffect]:
     records = [_rescored(record, response.name, depth_mm) for record in study.records]
     try:
-        found = effects_of_records(study.design, records, response, study.numerical)
+        effects = effects_of_records(study.design, records, response, study.numerical)
     except StudyError:
         return  # the study's own analysis says why
-    for e in found:
+    for e in effects:
         if e.is_main and e.range is not None:
             yield DepthEffect(
                 response.name, e.term, depth_mm, e.range, e.low, e.high, e.practical, e.verdict,
@@ -648,32 +651,32 @@ def _first(measured: Curve, depth_mm: float) -> Curve:
 
 
 def adjusted(
-    analyses: Sequence[ResponseAnalysis], asked: analysis_Analysis
+    analyses: Sequence[ResponseAnalysis], spec: analysis_Analysis
 ) -> tuple[ResponseAnalysis, ...]:
     """Adjust p by Holm's method over the family that a design declares."""
-    if asked.family == "response" and not asked.primary:
+    if spec.family == "response" and not spec.primary:
         return tuple(analyses)
     raw = {
         a.name: {effect.term: effect.p for effect in a.result.effects}
         for a in analyses
         if a.result is not None
     }
-    if asked.family == "study":
-        tests = list(study_family(raw, asked.primary))
+    if spec.family == "study":
+        tests = list(study_family(raw, spec.primary))
     else:
-        tests = [t for name, p in raw.items() for t in response_family(name, p, asked.primary)]
-    return tuple(_with(a, [t for t in tests if t.response == a.name], asked) for a in analyses)
+        tests = [t for name, p in raw.items() for t in response_family(name, p, spec.primary)]
+    return tuple(_with(a, [t for t in tests if t.response == a.name], spec) for a in analyses)
 
 
 def _with(
-    analysis: ResponseAnalysis, tests: Sequence[FamilyTest], asked: analysis_Analysis
+    analysis: ResponseAnalysis, tests: Sequence[FamilyTest], spec: analysis_Analysis
 ) -> ResponseAnalysis:
     if analysis.result is None:
         return analysis
     p = {test.term: test.p_holm for test in tests}
     effects = tuple(replace(e, p_holm=p[e.term]) for e in analysis.result.effects)
-    which = f"the primary terms {', '.join(asked.primary)}" if asked.primary else "all terms"
-    where = "all responses together" if asked.family == "study" else "this response"
+    which = f"the primary terms {', '.join(spec.primary)}" if spec.primary else "all terms"
+    where = "all responses together" if spec.family == "study" else "this response"
     count = max((test.family for test in tests), default=0)
     note = f"p (Holm) is adjusted for {count} tests: {which} of {where}"
     return replace(analysis, result=replace(analysis.result, effects=effects).noted(note))

@@ -37,7 +37,7 @@ CONTROL_TOLERANCE = 1e-5
 ALIASES = 6
 _HIDDEN = ("schema", "study", "presets", "factors", "exclude", "response", "analysis", "report",
            "measurements", "markers", "calibration", "converge", "uncertainty", "replicates",
-           "execution",
+           "execution", "constraint",
            "expected")  # fmt: skip
 
 
@@ -63,9 +63,11 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
         failures=tuple(_failures(study.records)),
         failure_pattern=study.failure_pattern if study.failed else None,
         retried=tuple(
-            Retried(one.case_id, one.levels, one.block or "", one.status, notes_of(one))
-            for one in study.records
-            if notes_of(one)
+            Retried(
+                record.case_id, record.levels, record.block or "", record.status, notes_of(record)
+            )
+            for record in study.records
+            if notes_of(record)
         ),
         checks=tuple(_checks(study)),
         numerical=study.numerical,
@@ -98,10 +100,10 @@ def _scheme(study: StudyResult) -> str:
     if not study.adaptive:
         return summary
     last = study.adaptive[-1]
-    known = [f"{name_of(name)} {q2:.3f}" for name, q2 in last["q2"].items() if q2 is not None]
+    reached = [f"{name_of(name)} {q2:.3f}" for name, q2 in last["q2"].items() if q2 is not None]
     why = f": {last['stopped']}" if last["stopped"] else ", and is not finished"
-    told = f" (Q2: {listing(known)})" if known else ""
-    return f"{summary}; it ended with {last['cells']} cells{why}{told}"
+    q2_text = f" (Q2: {listing(reached)})" if reached else ""
+    return f"{summary}; it ended with {last['cells']} cells{why}{q2_text}"
 
 
 def _block(design: Design) -> str:
@@ -169,14 +171,14 @@ def _assumed(design: Design) -> dict[str, str]:
     flat = dict(_flat({k: v for k, v in design.config.items() if k not in _HIDDEN}, ""))
     out = {}
     for key in design.assumed:
-        found = [str(v) for k, v in flat.items() if k == f".{key}" or k.startswith(f".{key}.")]
+        values = [str(v) for k, v in flat.items() if k == f".{key}" or k.startswith(f".{key}.")]
         levels = [
             str(level.settings[key])
             for factor in design.factors
             for level in factor.levels
             if key in level.settings
         ]
-        out[key] = ", ".join(dict.fromkeys(levels or found)) or "default"
+        out[key] = ", ".join(dict.fromkeys(levels or values)) or "default"
     return out
 
 
@@ -243,18 +245,20 @@ def _fits(design: Design, records: tuple[Record, ...]) -> Iterator[FittedConstan
 def _marked(records: tuple[Record, ...]) -> Iterator[MarkedCase]:
     """Markers of every case that has some."""
     for record in records:
-        for one in record.markers:
-            yield MarkedCase(record.levels, one["state"], one["floor_mm"], tuple(one["fits"]))
+        for marked in record.markers:
+            yield MarkedCase(
+                record.levels, marked["state"], marked["floor_mm"], tuple(marked["fits"])
+            )
 
 
 def _levels_of_fits(
     order: Mapping[str, Sequence[str]], records: tuple[Record, ...]
 ) -> dict[str, dict[str, str]]:
     """Levels of each fit by its key; a fit that several levels share names them all."""
-    found: dict[str, dict[str, set[str]]] = {}
+    levels_seen: dict[str, dict[str, set[str]]] = {}
     for record in records:
         for fit in (record.fit or {}).values():
-            levels = found.setdefault(fit["key"], {name: set() for name in order})
+            levels = levels_seen.setdefault(fit["key"], {name: set() for name in order})
             for name in order:
                 levels[name].add(record.levels[name])
     return {
@@ -264,7 +268,7 @@ def _levels_of_fits(
             else " or ".join(sorted(some, key=order[name].index))
             for name, some in levels.items()
         }
-        for key, levels in found.items()
+        for key, levels in levels_seen.items()
     }
 
 
@@ -316,9 +320,9 @@ def _checks(study: StudyResult) -> Iterator[Check]:
 
 def _told_apart(design: Design) -> Check:
     """Say what a part of the full factorial leaves mixed."""
-    told = design.scheme.aliases
-    more = f"; and {len(told) - ALIASES} more, which `study plan` lists"
-    consequence = "; ".join(told[:ALIASES]) + (more if len(told) > ALIASES else "")
+    aliases = design.scheme.aliases
+    more = f"; and {len(aliases) - ALIASES} more, which `study plan` lists"
+    consequence = "; ".join(aliases[:ALIASES]) + (more if len(aliases) > ALIASES else "")
     return Check("what the chosen cells tell apart", "caution", design.scheme.summary, consequence)
 
 

@@ -58,11 +58,11 @@ def continued(design: Design, store: Store) -> Design:
     if manifest is None or manifest.get("versions", {}).get("study") != code_version():
         return design
     try:
-        known = loads(manifest["design"], manifest["source"])
+        design_then = loads(manifest["design"], manifest["source"])
     except InputError:
         return design
-    same = dump(with_added(known, ())) == dump(with_added(design, ()))
-    return with_added(design, added(known)) if same else design
+    same = dump(with_added(design_then, ())) == dump(with_added(design, ()))
+    return with_added(design, added(design_then)) if same else design
 
 
 def _table(design: Design) -> Mapping[str, object]:
@@ -125,13 +125,13 @@ def run_adaptive(
     if work.design.scheme.sequential is None:
         return work, summary
     size = len(work.design.treatments)
-    kept = store.read_rows(HISTORY, AdaptiveStep)
-    history: list[object] = [row for row in kept if row["cells"] < size]
+    history_rows = store.read_rows(HISTORY, AdaptiveStep)
+    history: list[object] = [row for row in history_rows if row["cells"] < size]
     while True:
         # digits of an emulator must not depend on the threads of the machine
         with threadpool_limits(1):
-            known = {job.case.case_id: job.case for job in work.jobs}
-            records = relabeled(store.records(work.input_hashes), work.design, known)
+            cases = {job.case.case_id: job.case for job in work.jobs}
+            records = relabeled(store.records(work.input_hashes), work.design, cases)
             chosen, step = next_cells(work.design, records)
         history.append(step)
         with store.lock():
@@ -159,11 +159,11 @@ def next_cells(design: Design, records: Sequence[Record]) -> tuple[list[list[flo
     places = _places(design)
     fitted = [_fit(design, rule, labels, records) for labels in places]
     size = len(design.treatments)
-    found: dict[str, float] = {}
-    for one in fitted:
-        for name, model in one.responses.items():
-            found[name] = min(found.get(name, 1.0), float(model.q2))
-    step: AugmentStep = {"cells": size, "q2": found, "open": _open(fitted), "stopped": ""}
+    errors: dict[str, float] = {}
+    for surface_fit in fitted:
+        for name, model in surface_fit.responses.items():
+            errors[name] = min(errors.get(name, 1.0), float(model.q2))
+    step: AugmentStep = {"cells": size, "q2": errors, "open": _open(fitted), "stopped": ""}
     free = min(rule.batch, rule.budget - size)
     step["stopped"] = _end(rule, step, free, any(record.converged for record in records))
     return ([] if step["stopped"] else _chosen(design, rule, places, fitted, free)), step
@@ -190,7 +190,7 @@ def _fit(
     design: Design, rule: Sequential, labels: Mapping[str, str], records: Sequence[Record]
 ) -> _Fitted:
     """Fit every response at one combination of levels, and say which is not known well enough."""
-    found: dict[str, Emulator | BlockedEmulator] = {}
+    models: dict[str, Emulator | BlockedEmulator] = {}
     refused: dict[str, str] = {}
     still = []
     for response in design.responses:
@@ -206,14 +206,14 @@ def _fit(
             if np.ptp(runs.response) <= 1e-12 * float(np.abs(runs.response).max()):
                 continue  # the same in every run: known
             model = fit_blocks(runs) if len(set(runs.blocks)) > 1 else fit_emulator(runs)
-            found[response.name] = model
-            known = _is_known(design, response.name, runs, model, rule)
+            models[response.name] = model
+            is_good = _is_known(design, response.name, runs, model, rule)
         except StudyError as error:
             refused[response.name] = str(error)
-            known = False
-        if not known:
+            is_good = False
+        if not is_good:
             still.append(response.name)
-    return _Fitted(found, refused, tuple(still))
+    return _Fitted(models, refused, tuple(still))
 
 
 def _is_known(
@@ -226,18 +226,22 @@ def _is_known(
     """Whether a response is known as well as the design asks for."""
     if rule.until == "q2":
         return bool(model.q2 >= rule.q2)
-    asked = next(one.practical for one in design.responses if one.name == response)
-    limit = threshold(asked)
+    matters_from = next(
+        response_spec.practical
+        for response_spec in design.responses
+        if response_spec.name == response
+    )
+    limit = threshold(matters_from)
     if limit is None:
         return bool(model.q2 >= rule.q2)
     practical = limit.on_scale(float(runs.response.mean()), "none")
-    told = fit_runs(runs, "emulator", practical).sensitivity
-    verdicts = [None if one.range is None else one.range.verdict for one in told]
+    sensitivity = fit_runs(runs, "emulator", practical).sensitivity
+    verdicts = [None if item.range is None else item.range.verdict for item in sensitivity]
     return bool(verdicts) and all(v not in (None, "cannot tell") for v in verdicts)
 
 
 def _open(fitted: Sequence[_Fitted]) -> list[str]:
-    return list(dict.fromkeys(name for one in fitted for name in one.open))
+    return list(dict.fromkeys(name for place in fitted for name in place.open))
 
 
 def _chosen(
@@ -253,22 +257,22 @@ def _chosen(
     ranges = [factor for factor in design.factors if factor.span is not None]
     power = 1.0 if rule.until == "q2" else _SEARCHING
     unsure = [
-        [Unsure(p, power) for name in one.open if name in one.responses
-         for p in _processes(one.responses[name])]
-        for one in fitted
+        [Unsure(p, power) for name in place.open if name in place.responses
+         for p in _processes(place.responses[name])]
+        for place in fitted
     ]  # fmt: skip
     made = [_made(design, labels) for labels in places]
     points = [candidates(len(ranges), rule.seed + n) for n in range(len(places))]
     at = qmc.Sobol(len(ranges), seed=rule.seed + len(places)).random_base2(REFERENCES)
     # where nothing could be fitted comes first: it needs runs most
-    blind = [n for n, one in enumerate(fitted) if one.open and not unsure[n]]
-    asked = blind or [n for n in range(len(places)) if fitted[n].open]
+    blind = [n for n, place in enumerate(fitted) if place.open and not unsure[n]]
+    undecided = blind or [n for n in range(len(places)) if fitted[n].open]
     chosen = []
     for turn in range(count):
-        told = [(n, *next_run(unsure[n], points[n], at, made[n])) for n in asked]
+        nexts = [(n, *next_run(unsure[n], points[n], at, made[n])) for n in undecided]
         if blind:
-            told = [told[turn % len(told)]]
-        n, best, _ = max(told, key=lambda one: one[2])
+            nexts = [nexts[turn % len(nexts)]]
+        n, best, _ = max(nexts, key=lambda item: item[2])
         made[n] = np.vstack([made[n], points[n][best]])
         chosen.append(_cell(design, places[n], points[n][best]))
     return chosen
@@ -276,20 +280,20 @@ def _chosen(
 
 def _processes(model: Emulator | BlockedEmulator) -> list[GaussianProcess]:
     each = model.each if isinstance(model, BlockedEmulator) else (model,)
-    return [one.process for one in each]
+    return [stage.process for stage in each]
 
 
 def _made(design: Design, labels: Mapping[str, str]) -> Array:
     """Cells of one combination of levels, in the unit box, those without an answer too."""
     columns = []
-    own = [one.levels for one in design.treatments
-           if all(one.levels[name] == label for name, label in labels.items())]  # fmt: skip
+    levels_made = [treatment.levels for treatment in design.treatments
+           if all(treatment.levels[name] == label for name, label in labels.items())]  # fmt: skip
     for factor in design.factors:
         span = factor.span
         if span is None:
             continue
-        known = settings_of(factor)
-        settings = np.array([known[levels[factor.name]] for levels in own])
+        settings_by_level = settings_of(factor)
+        settings = np.array([settings_by_level[levels[factor.name]] for levels in levels_made])
         numeric = NumericFactor(factor.name, span.low, span.high, span.log)
         columns.append(0.5 * (numeric.coded(settings) + 1.0))
     return np.column_stack(columns)
@@ -387,19 +391,21 @@ def augment(
         words = words_of(names, terms if isinstance(terms, int) else list(terms))
     except Bad as error:
         raise InputError(Fault("terms", error.rule, error.mend)) from None
-    wanted = 1 + sum(math.prod(sizes[k] - 1 for k in word) for word in words)
-    least = max(1, wanted - len(rows))
+    unknowns = 1 + sum(math.prod(sizes[k] - 1 for k in word) for word in words)
+    least = max(1, unknowns - len(rows))
     if not least <= cells <= every - len(rows):
         rule = f"{cells} further cells, of which there are {every - len(rows)}"
-        mend = f"{least} to {every - len(rows)}: {len(rows)} cells run, {wanted} numbers are asked"
+        mend = (
+            f"{least} to {every - len(rows)}: {len(rows)} cells run, {unknowns} numbers are asked"
+        )
         raise InputError(Fault("augment", rule, mend))
-    found = d_optimal(sizes, words, cells, loaded.seed, rows)
+    chosen_cells = d_optimal(sizes, words, cells, loaded.seed, rows)
     return Augmentation(
-        tuple(_labels(names, loaded, row) for row in found),
+        tuple(_labels(names, loaded, row) for row in chosen_cells),
         tuple(_labels(names, loaded, row) for row in rows),
         tuple(":".join(names[k] for k in word) for word in words),
         efficiency(rows, sizes, words),
-        efficiency((*rows, *found), sizes, words),
+        efficiency((*rows, *chosen_cells), sizes, words),
     )
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from study.api.folders import calibration_root
 from study.ground.errors import Fault, InputError
 from study.harness.calibration.calibrate_tests import calibrate as run_calibration
-from study.harness.calibration.calibration_bound import numerical_bound
+from study.harness.calibration.calibration_bound import numerical_bound, with_numerical
 from study.harness.calibration.calibration_result import CalibrationResult
 from study.harness.calibration.model_comparison import choose, compare
 from study.harness.design.load import load, load_calibration, loads, template
@@ -29,6 +29,7 @@ from study.laboratory.tracker.virtual_tracker import write_recording
 from study.mechanics.indentation.contact_law import Layer
 from study.mechanics.indentation.indentation_modulus import AnalyticCalibration, IndentationTest
 from study.mechanics.indentation.indentation_modulus import indentation_modulus as modulus_of
+from study.mechanics.measurement import inspection
 from study.mechanics.setup.geometry import Block, Cylinder, Sphere
 from study.mechanics.setup.material_section import CompressibilityTable, MaterialSection
 from study.reporting.figures.axes import shown
@@ -43,7 +44,6 @@ if TYPE_CHECKING:
     from study.harness.design.calibration_section import CalibratedTest, CalibrationDesign
     from study.harness.runner.staged_fit import FitStep
     from study.mechanics.indentation.indentation_modulus import FittedCurve
-    from study.mechanics.measurement.inspection import Inspection
     from study.mechanics.setup.calibration_table import Fitting
     from study.reporting.figures.axes import Drawing
 
@@ -64,6 +64,11 @@ def panels_of(found: CalibrationResult) -> list[FitPanel]:
             else curve.predicted.force_at(curve.measured.curve.displacement_mm),
             curve.measured.scatter_N,
             curve.measured.curve.time_s is not None,
+            any(
+                one.specimen.recording.directions > 1
+                for one in curve.measured.tests
+                if one.specimen is not None and one.specimen.recording is not None
+            ),
         )
         for curve in found.curves
     ]
@@ -192,7 +197,10 @@ def calibrate(
     )
     if numerics and found.converged:
         bound = numerical_bound(config, root, found.fit, progress)
-        found = replace(found, numerics=bound.as_dict())
+        document = bound.as_dict()
+        found = replace(
+            found, numerics=document, numerical=document, fit=with_numerical(found.fit, bound)
+        )
     if folder is not None:
         save_calibration(found, folder)
     return Calibrated.of(found)
@@ -322,7 +330,7 @@ def calibration_figure(found: CalibrationResult) -> str:
 # What a recorded file holds.
 
 
-def inspect(source: str | Path, *, sheet: str = "") -> Inspection:
+def inspect(source: str | Path, *, sheet: str = "") -> inspection.Inspection:
     """Look at a recorded file: how it is written, what its columns hold, how it is read.
 
     Parameters
@@ -343,9 +351,7 @@ def inspect(source: str | Path, *, sheet: str = "") -> Inspection:
     InputError
         For a file that cannot be read, or holds no rows of numbers.
     """
-    from study.mechanics.measurement.inspection import inspect as look_at
-
-    return look_at(Path(source), sheet)
+    return inspection.inspect(Path(source), sheet)
 
 
 # How a calibration file wants its constants found.

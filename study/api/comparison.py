@@ -37,8 +37,8 @@ class StudyComparison:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings of both studies and of the comparison."""
-        own = zip(self.beside.names, self.studies, strict=True)
-        each = [f"{name}: {message}" for name, study in own for message in study.warnings]
+        named = zip(self.beside.names, self.studies, strict=True)
+        each = [f"{name}: {message}" for name, study in named for message in study.warnings]
         return (*self.beside.warnings, *each)
 
     def to_json(self) -> dict[str, Any]:
@@ -90,7 +90,7 @@ def compare(first: StudyResult, second: StudyResult) -> Beside:
     conclusions = tuple(row for pair in pairs for row in _conclusions(pair, names))
     if not conclusions:
         raise InputError(_nothing(studies, names))
-    found = Beside(
+    comparison = Beside(
         names,
         changes(first, second),
         conclusions,
@@ -98,7 +98,7 @@ def compare(first: StudyResult, second: StudyResult) -> Beside:
         tuple(_warnings(studies, names, pairs)),
         alphas=(pairs[0].results[0].request.alpha, pairs[0].results[1].request.alpha),
     )
-    return replace(found, summary=summary(found))
+    return replace(comparison, summary=summary(comparison))
 
 
 _Studies = tuple["StudyResult", "StudyResult"]
@@ -117,8 +117,8 @@ class _Pair:
 
     def effects(self, which: int) -> dict[str, Effect]:
         """Effects by term, whatever the order in which a study names its factors."""
-        found = self.results[which].effects
-        return {":".join(sorted(effect.term.split(":"))): effect for effect in found}
+        estimates = self.results[which].effects
+        return {":".join(sorted(effect.term.split(":"))): effect for effect in estimates}
 
 
 def _refuse_same(first: Path, second: Path) -> None:
@@ -141,12 +141,12 @@ def _analyzed(study: StudyResult) -> dict[str, ResponseAnalysis]:
 
 def _pairs(studies: _Studies) -> list[_Pair]:
     first, second = (_analyzed(study) for study in studies)
-    found = []
+    pairs = []
     for name in first:
-        own, other = first[name].result, second[name].result if name in second else None
-        if own is not None and other is not None:
-            found.append(_Pair((first[name], second[name]), (own, other)))
-    return found
+        result, other = first[name].result, second[name].result if name in second else None
+        if result is not None and other is not None:
+            pairs.append(_Pair((first[name], second[name]), (result, other)))
+    return pairs
 
 
 def _only_responses(studies: _Studies) -> Iterator[OnlyInOne]:
@@ -170,16 +170,18 @@ def _reason(analysis: ResponseAnalysis) -> str:
 
 
 def _only_terms(pair: _Pair, levels: Mapping[str, tuple[set[str], set[str]]]) -> list[OnlyInOne]:
-    found = []
+    missing = []
     effects = [pair.effects(which) for which in (0, 1)]
     for which in (0, 1):
         for key, effect in effects[which].items():
             if key not in effects[1 - which]:
-                found.append(OnlyInOne("factor" if ":" not in key else "term", effect.term, which))
-        for factor, known in levels.items():
-            for level in sorted(known[which] - known[1 - which]):
-                found.append(OnlyInOne("level", f"{factor} = {level}", which))
-    return found
+                missing.append(
+                    OnlyInOne("factor" if ":" not in key else "term", effect.term, which)
+                )
+        for factor, levels_of in levels.items():
+            for level in sorted(levels_of[which] - levels_of[1 - which]):
+                missing.append(OnlyInOne("level", f"{factor} = {level}", which))
+    return missing
 
 
 def _levels(pair: _Pair) -> dict[str, tuple[set[str], set[str]]]:
@@ -205,20 +207,20 @@ def _conclusion(
     leading = [_leading(effect, end, _common(effects)) for effect in effects] if main else []
     same = bool(leading[0] & leading[1]) if main and all(leading) else None
     best = [_best(effect, end, _common(effects)) if main else "" for effect in effects]
-    found = _found(effects[0], best[0]), _found(effects[1], best[1])
-    conclusion, holds = _judge(found, names, end, same)
+    conclusions = _found(effects[0], best[0]), _found(effects[1], best[1])
+    conclusion, holds = _judge(conclusions, names, end, same)
     ratio = effects[0].scale == "ratio"
     return Conclusion(
-        response.name, effects[0].term, response.unit, conclusion, holds, found, ratio, end,
+        response.name, effects[0].term, response.unit, conclusion, holds, conclusions, ratio, end,
         bool(response.better), same,
     )  # fmt: skip
 
 
 def _judge(
-    found: tuple[Found, Found], names: tuple[str, str], end: str, same: bool | None
+    conclusions: tuple[Found, Found], names: tuple[str, str], end: str, same: bool | None
 ) -> tuple[str, bool | None]:
     """Conclusion in words, and whether it holds in both."""
-    verdicts = [one.verdict for one in found]
+    verdicts = [conclusion.verdict for conclusion in conclusions]
     unknown = [verdict not in _HOLDS for verdict in verdicts]
     if all(unknown):
         return study_answers.NONE_CAN_TELL, None
@@ -229,7 +231,8 @@ def _judge(
         return f"{study_answers.DIFFERS}: {how}", False
     if verdicts[0] == _MATTERS and same is False:
         lead = " and ".join(
-            f"{one.best} under {name}" for one, name in zip(found, names, strict=True)
+            f"{conclusion.best} under {name}"
+            for conclusion, name in zip(conclusions, names, strict=True)
         )
         return f"{study_answers.DIFFERS}: matters in both, but the {end} is with {lead}", False
     return _HOLDS[verdicts[0]], True

@@ -140,15 +140,15 @@ class DesignConvergence:
 
     def to_json(self) -> dict[str, object]:
         """Document of ``study converge DESIGN --json``."""
-        found: dict[str, object] = {"cells": [one.to_json() for one in self.cells]}
+        document: dict[str, object] = {"cells": [cell.to_json() for cell in self.cells]}
         if self.fronts is not None:
-            found["fronts"] = [asdict(front) for front in self.fronts]
+            document["fronts"] = [asdict(front) for front in self.fronts]
         if self.left_out is not None:
-            found["left_out"] = [
+            document["left_out"] = [
                 {"levels": dict(job.case.levels), "verdict": "left out: the time budget"}
                 for job in self.left_out
             ]
-        return found | _page(self.report)
+        return document | _page(self.report)
 
 
 def _page(report: Path | None) -> dict[str, object]:
@@ -167,14 +167,14 @@ _SHAPES = {3: "triangles", 4: "quadrilaterals"}
 def write_page(
     name: str,
     question: str,
-    found: ProblemConvergence | DesignConvergence,
+    convergence: ProblemConvergence | DesignConvergence,
     tables: Sequence[Tables],
     reports: Path,
 ) -> Path:
     """Write the page of what was found; a picture that cannot be made costs nothing else."""
-    pictures, window = meshes(found.cells, tables)
+    pictures, window = meshes(convergence.cells, tables)
     folder = reports / slug(name)
-    return write_convergence(name, question, found.to_json(), folder, pictures, window)
+    return write_convergence(name, question, convergence.to_json(), folder, pictures, window)
 
 
 def meshes(
@@ -184,17 +184,17 @@ def meshes(
 
     Shapes: returns (n, 2), mm; returns (2, 2).
     """
-    found: dict[str, tuple[str, Array, NDArray[np.int64]]] = {}
+    drawn: dict[str, tuple[str, Array, NDArray[np.int64]]] = {}
     window = None
-    for cell, own in zip(cells, tables, strict=True):
+    for cell, its_tables in zip(cells, tables, strict=True):
         sizes = [level.mesh_size_mm for level in cell.meshes if level.converged]
-        if Setup.of(own).model.space == "3d" or not sizes or len(found) >= 2 * SHOWN:
+        if Setup.of(its_tables).model.space == "3d" or not sizes or len(drawn) >= 2 * SHOWN:
             continue
         for size in (sizes[-1], sizes[0]):
-            key, picture = _picture(own, size)
-            found.setdefault(key, picture)
-        window = near(own) if window is None else window
-    return list(found.values()), window
+            key, picture = _picture(its_tables, size)
+            drawn.setdefault(key, picture)
+        window = near(its_tables) if window is None else window
+    return list(drawn.values()), window
 
 
 def _picture(tables: Tables, size: float) -> tuple[str, tuple[str, Array, NDArray[np.int64]]]:
@@ -235,27 +235,29 @@ def refine_within(
     until, costs, ongoing = time.monotonic() + seconds, Costs(), list(series)
     predicted = {
         job.case.case_id: costs.total_seconds(fits_of([job]).values(), [job], 1)
-        for one in series
-        for job in one.jobs
+        for case_series in series
+        for job in case_series.jobs
     }
-    for level in range(max((len(one.jobs) for one in series), default=0)):
+    for level in range(max((len(case_series.jobs) for case_series in series), default=0)):
         left = (until - time.monotonic()) * workers
-        prices = [_price(one, level, predicted) for one in ongoing]
+        prices = [_price(case_series, level, predicted) for case_series in ongoing]
         order = sorted(range(len(ongoing)), key=lambda i: prices[i])
         spent = accumulate(prices[i] for i in order)
         ongoing = [
             ongoing[i] for i, sum_so_far in zip(order, spent, strict=True) if sum_so_far <= left
         ]
-        steps = [one.jobs[level] for one in ongoing]
-        for one, step, found in zip(ongoing, steps, compute(steps) if steps else (), strict=True):
-            one.add(step, found)
+        steps = [case_series.jobs[level] for case_series in ongoing]
+        for refined, step, answer in zip(
+            ongoing, steps, compute(steps) if steps else (), strict=True
+        ):
+            refined.add(step, answer)
     return ongoing
 
 
-def _price(one: CaseSeries, level: int, predicted: Mapping[str, float]) -> float:
+def _price(case_series: CaseSeries, level: int, predicted: Mapping[str, float]) -> float:
     """Worker seconds of a cell's next mesh, its calibrations too."""
-    names = [job.case.case_id for job in one.jobs]
-    last = one.records.get(names[level - 1]) if level else None
+    names = [job.case.case_id for job in case_series.jobs]
+    last = case_series.records.get(names[level - 1]) if level else None
     taken = None if last is None else last.timings.get("total")
     if taken is None:
         return predicted[names[level]]
@@ -308,31 +310,31 @@ def problem_cells(
     places = provenance.folders(design.source, data_root(design.source))
     budget = budget_of(spec.budget_s, memory_MB)
     tables = [provenance.located(t.config, places) for t in design.treatments]
-    formal = [formal_order(problem_of(one)) for one in tables]
+    formal = [formal_order(problem_of(cell_tables)) for cell_tables in tables]
     cells = [
-        series_of(one, spec, order, budget, dict(treatment.levels))
-        for one, order, treatment in zip(tables, formal, design.treatments, strict=True)
+        series_of(cell, spec, order, budget, dict(treatment.levels))
+        for cell, order, treatment in zip(tables, formal, design.treatments, strict=True)
     ]
     solver = solve or kept(by_workers(jobs), store_of(results, design.name))
     refine(cells, solving(solver, progress))
-    judged = [judge(one, order) for one, order in zip(cells, formal, strict=True)]
+    judged = [judge(cell, order) for cell, order in zip(cells, formal, strict=True)]
     progress("load steps and solver tolerance")
     judged = [
-        with_sources(found, one, solver) if found.quantities else found
-        for found, one in zip(judged, cells, strict=True)
+        with_sources(judgement, cell, solver) if judgement.quantities else judgement
+        for judgement, cell in zip(judged, cells, strict=True)
     ]
     fronts = cost_fronts(cells, judged, spec.tolerance or USUAL_ACCURACY)
-    found = DesignConvergence(tuple(judged), tuple(fronts))
-    return _with_page(found, design, tables, reports)
+    convergence = DesignConvergence(tuple(judged), tuple(fronts))
+    return _with_page(convergence, design, tables, reports)
 
 
 def _with_page(
-    found: DesignConvergence, design: Design, tables: Sequence[Tables], reports: Path | None
+    convergence: DesignConvergence, design: Design, tables: Sequence[Tables], reports: Path | None
 ) -> DesignConvergence:
     if reports is None:
-        return found
-    page = write_page(design.name, design.question, found, tables, reports)
-    return replace(found, report=page)
+        return convergence
+    page = write_page(design.name, design.question, convergence, tables, reports)
+    return replace(convergence, report=page)
 
 
 def cost_fronts(
@@ -340,9 +342,9 @@ def cost_fronts(
 ) -> list[CostFront]:
     """Error against seconds of every mesh, and which cell reaches the accuracy first."""
     groups: dict[str, list[int]] = {}
-    for k, one in enumerate(cells):
+    for k, cell in enumerate(cells):
         groups.setdefault(
-            case_id({k: one.tables.get(k) for k in ("specimen", "test", "material")}), []
+            case_id({k: cell.tables.get(k) for k in ("specimen", "test", "material")}), []
         ).append(k)
     fronts = [
         _front([(_label(cells[k], k), cells[k], judged[k]) for k in members], accuracy)
@@ -355,11 +357,11 @@ def _front(
     members: Sequence[tuple[str, RefinementSeries, SeriesJudgement]], accuracy: float
 ) -> CostFront | None:
     value, u = reference_value(
-        [(found.main.extrapolated, found.main.u_num) for *_, found in members]
+        [(judgement.main.extrapolated, judgement.main.u_num) for *_, judgement in members]
     )
     if not value:
         return None
-    points = {name: _points(name, one, found, value) for name, one, found in members}
+    points = {name: _points(name, cell, judgement, value) for name, cell, judgement in members}
     ranked = cost_to_accuracy(
         {
             name: [CostPoint(p.mesh_size, p.error, p.seconds) for p in row]
@@ -377,20 +379,20 @@ def _front(
     )
 
 
-def _label(one: RefinementSeries, number: int) -> str:
-    return " / ".join(one.levels_of.values()) or f"cell {number + 1}"
+def _label(series: RefinementSeries, number: int) -> str:
+    return " / ".join(series.levels_of.values()) or f"cell {number + 1}"
 
 
 def _points(
-    name: str, one: RefinementSeries, found: SeriesJudgement, reference: float
+    name: str, series: RefinementSeries, judgement: SeriesJudgement, reference: float
 ) -> list[FrontPoint]:
-    function = QUANTITIES[found.main.qoi][0]
+    function = QUANTITIES[judgement.main.qoi][0]
     return [
         FrontPoint(
             name, level.mesh_size_mm, level.result.dofs, level.result.seconds,
             level.result.memory_MB, value, abs(value - reference) / abs(reference),
         )
-        for level in one.good
+        for level in series.good
         for value in (function(level.curve),)
     ]  # fmt: skip
 
@@ -432,7 +434,7 @@ def measured_cells(
     work = whole.plain()
     store, seconds = Store(own_folder(results, design.name)), design.converge.budget_s
     every = study_refinement.every_series(work, study_refinement.every_cell(work), {})
-    finer = sum(len(one.jobs) - 1 for one in every)
+    finer = sum(len(case_series.jobs) - 1 for case_series in every)
     limit = "" if seconds is None else f", as many as {seconds:g} s allow"
     progress(f"{len(every)} cells, {finer} refined cases besides{limit}")
     compute = computing(work, store, jobs=jobs, executor=executor, progress=_said(progress))
@@ -440,15 +442,18 @@ def measured_cells(
         refine(every, compute)
     else:
         refine_within(seconds, jobs, every, compute)
-    series = [one for one in every if len(one.records) > 1]
+    series = [case_series for case_series in every if len(case_series.records) > 1]
     rows = [asdict(row) for row in uncertainties(work, series)]
     with store.lock():
         store.write_json("numerical-cells", {"of": digest(whole.input_hashes), "rows": rows})
-    judged = [one.judge(design.converge, work.responses) for one in series]
-    found = DesignConvergence(
-        tuple(judged), left_out=tuple(one.base for one in every if one not in series)
+    judged = [case_series.judge(design.converge, work.responses) for case_series in series]
+    convergence = DesignConvergence(
+        tuple(judged),
+        left_out=tuple(case_series.base for case_series in every if case_series not in series),
     )
-    return _with_page(found, design, [one.base.case.config for one in series], reports)
+    return _with_page(
+        convergence, design, [case_series.base.case.config for case_series in series], reports
+    )
 
 
 def _said(progress: CellProgress) -> Callable[[RunProgress], None]:
@@ -556,13 +561,16 @@ def converge(
     if not isinstance(source, Mapping) and not Path(source).is_file():
         return SeriesDocument(stored(source, results))
     if isinstance(source, Mapping) or file_kind(source) != "design":
-        one = problem(
+        convergence = problem(
             source, overrides, formal_order, tolerance, results=results, reports=reports,
             progress=say, memory_MB=memory_MB,
         )  # fmt: skip
-        return SeriesDocument(one.to_json())
+        return SeriesDocument(convergence.to_json())
 
-    root = design_root(load(source, overrides), data)
+    design = load(source, overrides)
+    if design.is_alone:  # its series are those of its run, which alone may start a program
+        return SeriesDocument(stored(source, results))
+    root = design_root(design, data)
     every = design_series(
         source, overrides, root, jobs=jobs, results=results, reports=reports,
         progress=say, memory_MB=memory_MB,
@@ -573,15 +581,16 @@ def converge(
 def stored(source: str | Path, results: Path = RESULTS) -> dict[str, object]:
     """Judge the series that a finished study keeps."""
     study = open_study(source, results)
-    found = stored_convergence(study.numerical)
-    if not found:
+    cells = stored_convergence(study.numerical)
+    if not cells:
         rule = "no refinement is stored of this study"
         mend = (
+            'name what refines a program of your own: [converge] key = "parameters.h"; '
             "run it without --no-refine; between frictionless plates the deformation is the same "
             "everywhere and no mesh matters: `study converge DESIGN` shows that"
         )
         raise InputError(Fault(str(source), rule, mend))
-    return {"cells": found}
+    return {"cells": cells}
 
 
 def problem(
@@ -608,11 +617,11 @@ def problem(
     solver = solve or kept(in_process, store_of(results, name))
     series = series_of(tables, spec, formal, budget_of(spec.budget_s, memory_MB))
     refine([series], solving(solver, progress))
-    found = judge(series, formal, tolerance or None)
-    if found.quantities:
+    judgement = judge(series, formal, tolerance or None)
+    if judgement.quantities:
         progress("load steps and solver tolerance")
-        found = with_sources(found, series, solver)
-    made = ProblemConvergence(found)
+        judgement = with_sources(judgement, series, solver)
+    made = ProblemConvergence(judgement)
     if reports is None:
         return made
     return replace(made, report=write_page(name, "", made, [tables], reports))

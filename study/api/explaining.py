@@ -37,8 +37,8 @@ class CaseState:
         """Plain data beside the record: what changed, each with both values."""
         return {
             "use": self.use,
-            "changes": [_plain(one) for one in self.changes],
-            "libraries": [_plain(one) for one in self.libraries],
+            "changes": [_plain(change) for change in self.changes],
+            "libraries": [_plain(library) for library in self.libraries],
         }
 
 
@@ -128,8 +128,8 @@ def _code_alone(record: Record) -> tuple[Change, ...]:
 
 def _runs(store: Store) -> list[ManifestDocument]:
     """Every run that is known, the latest first."""
-    known = [store.read_unfinished(), store.read_manifest(), *store.read_runs()]
-    return [run for run in known if run is not None and "cases" in run]
+    manifests = [store.read_unfinished(), store.read_manifest(), *store.read_runs()]
+    return [run for run in manifests if run is not None and "cases" in run]
 
 
 def _design_now(study: str | Path | None, data: str | Path | None) -> ManifestDocument | None:
@@ -146,20 +146,20 @@ def _design_now(study: str | Path | None, data: str | Path | None) -> ManifestDo
 
 def _found(case: str, folders: Sequence[Path], results: str | Path) -> tuple[Store, str]:
     """Store and id of the only case whose id begins so."""
-    found: list[tuple[Store, str]] = []
+    matches: list[tuple[Store, str]] = []
     names: list[str] = []
     for folder in folders:
         store = Store(folder)
         ids = [path.name for path in sorted((folder / "cases").glob("*")) if os.path.isdir(path)]
         names += ids
-        found += [(store, name) for name in ids if name.startswith(case)]
-    if not found or not case:
+        matches += [(store, name) for name in ids if name.startswith(case)]
+    if not matches or not case:
         mend = nearest(case, names[:20]) if names else f"there are no records below {results}"
         raise InputError(Fault("case", f"no case has an id that begins with {case!r}", mend))
-    if len(found) > 1:
-        listed = ", ".join(name for _, name in found[:6])
+    if len(matches) > 1:
+        listed = ", ".join(name for _, name in matches[:6])
         raise InputError(Fault("case", f"{case!r} begins several ids: {listed}"))
-    return found[0]
+    return matches[0]
 
 
 def _all_studies(results: str | Path) -> list[Path]:

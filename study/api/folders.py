@@ -41,15 +41,15 @@ def data_root(
     home = Path(source).resolve().parent
     usual = [home.parent / "measurements", home / "measurements", home]
     there = [folder for folder in usual if folder.is_dir()]
-    wanted = list(named)
-    complete = [folder for folder in there if wanted and _holds(folder, wanted)]
+    files = list(named)
+    complete = [folder for folder in there if files and _holds(folder, files)]
     return next(iter([*complete, *there]), home)
 
 
-def _holds(folder: Path, wanted: Iterable[MeasurementSpec]) -> bool:
+def _holds(folder: Path, files: Iterable[MeasurementSpec]) -> bool:
     """Whether a folder has a file for each of some specifications."""
     try:
-        for spec in wanted:
+        for spec in files:
             if spec.file is not None:
                 locate(spec.file, folder)
             elif spec.files is not None:
@@ -90,10 +90,10 @@ def calibration_root(
 
 def finished_manifest(store: Store) -> ManifestDocument:
     """Manifest of the run that is read from."""
-    found = store.read_manifest()
-    if found is None:
+    manifest = store.read_manifest()
+    if manifest is None:
         raise InputError(f"{store.path}: its manifest is damaged; run the design again")
-    return found
+    return manifest
 
 
 def results_folder(path: str | Path, results: str | Path = RESULTS) -> Path:

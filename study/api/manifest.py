@@ -118,14 +118,14 @@ def _truths(first: StudyResult, second: StudyResult) -> Iterator[Change]:
     """Compare how virtual specimens were made; a single file may have any name."""
     if not (first.manifest["virtual"] or second.manifest["virtual"]):
         return
-    known = [_truth(study) for study in (first, second)]
-    if all(known):
-        yield from _differing("truth", known[0], known[1])
+    truths = [_truth(study) for study in (first, second)]
+    if all(truths):
+        yield from _differing("truth", truths[0], truths[1])
         return
     states = [
         "of virtual specimens" if keys
         else _NOT_RECORDED if study.manifest["virtual"] else "measured, not generated"
-        for study, keys in zip((first, second), known, strict=True)
+        for study, keys in zip((first, second), truths, strict=True)
     ]  # fmt: skip
     if states[0] != states[1] or _NOT_RECORDED in states:
         yield Change("truth", "truth of the specimens", (states[0], states[1]))
@@ -136,11 +136,11 @@ def _truth(study: StudyResult) -> dict[str, str]:
     recorded = study.manifest.get("truths")
     if recorded is None:
         recorded = read_truths(study.folder / "measurements", study.manifest.get("files", {}))
-    found = dict(recorded)
-    first = next(iter(found.values()), None)
-    if first is not None and all(truth == first for truth in found.values()):
+    sources = dict(recorded)
+    first = next(iter(sources.values()), None)
+    if first is not None and all(truth == first for truth in sources.values()):
         return dict(_leaves(first, "truth"))
-    return {k: v for name, truth in found.items() for k, v in _leaves(truth, f"truth of {name}")}
+    return {k: v for name, truth in sources.items() for k, v in _leaves(truth, f"truth of {name}")}
 
 
 def read_truths(root: Path, files: Mapping[str, str]) -> dict[str, Any]:
@@ -196,20 +196,23 @@ def check_stale(work: Work, store: Store, stale: str) -> list[str]:
     count; those of other libraries count unless they are to be computed again.
     """
     now = versions()
-    others = [one.sentence for one in store.other_libraries(work.input_hashes, now)]
+    others = [change.sentence for change in store.other_libraries(work.input_hashes, now)]
     store.made_with(now, strict=stale == RERUN)
     if stale == REFUSE:
         foreign = len(store.survey(work.input_hashes).foreign)
         if foreign:
             others.append(f"{foreign} results have another input: study why CASE names it")
         if others:
-            listed = "\n".join(f"    {one}" for one in others)
+            listed = "\n".join(f"    {change}" for change in others)
             raise RefusedError(
                 f"{store.path}: its results are not those of today:\n{listed}\n{_MEND}"
             )
     if stale == RERUN:
         return []
-    return [f"{one}; they are used, and study run --stale rerun makes them again" for one in others]
+    return [
+        f"{change}; they are used, and study run --stale rerun makes them again"
+        for change in others
+    ]
 
 
 def mixed_meshes(work: Work, store: Store) -> list[str]:
@@ -218,15 +221,15 @@ def mixed_meshes(work: Work, store: Store) -> list[str]:
     The same problem gives the same mesh; another one is the work of another gmsh or machine.
     """
     meshes = store.meshes(work.input_hashes)
-    found: dict[str, set[str]] = defaultdict(set)
+    meshes_of: dict[str, set[str]] = defaultdict(set)
     labels: dict[str, str] = {}
     for job in work.jobs:
         mesh = meshes.get(job.case.case_id)
         if mesh is not None:
             name = _same_mesh(job)
-            found[name].add(mesh)
+            meshes_of[name].add(mesh)
             labels.setdefault(name, job.case.label)
-    mixed = [labels[name] for name, several in found.items() if len(several) > 1]
+    mixed = [labels[name] for name, several in meshes_of.items() if len(several) > 1]
     if not mixed:
         return []
     more = f" and {len(mixed) - 1} more" if len(mixed) > 1 else ""

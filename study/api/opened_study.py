@@ -17,7 +17,8 @@ from study.api.records import analyze_records
 from study.api.uncertainty import stored_numerical
 from study.ground.errors import Fault, InputError, StudyError, nearest
 from study.harness.design.load import loads
-from study.harness.design.plausibility import cautions
+from study.harness.design.overview import duplicates
+from study.harness.design.plausibility import cautions_of
 from study.harness.design.spec import Design
 from study.harness.record.document import (
     AdaptiveStep,
@@ -51,9 +52,9 @@ class Study(Shown, StudyResult):
     """What :func:`study.run` and :func:`study.report` return: a study that can be shown."""
 
     @classmethod
-    def of(cls, found: StudyResult) -> Study:
+    def of(cls, study_result: StudyResult) -> Study:
         """Give a study the ways to be shown."""
-        return cls(**{item.name: getattr(found, item.name) for item in fields(StudyResult)})
+        return cls(**{item.name: getattr(study_result, item.name) for item in fields(StudyResult)})
 
     def to_frame(self) -> pd.DataFrame:
         """Table of the study, one tidy row a case, failed ones included."""
@@ -62,12 +63,12 @@ class Study(Shown, StudyResult):
     def plot(self, response: str | None = None) -> Drawing:
         """Draw the largest difference of every term with its interval against what matters."""
         data = report_data(self, {})
-        found = {item.name: item for item in facts(data)}
-        name = response or next(iter(found), "")
-        if name not in found:
+        by_name = {item.name: item for item in facts(data)}
+        name = response or next(iter(by_name), "")
+        if name not in by_name:
             rule = f"there is no response {name!r}"
-            raise InputError(Fault("response", rule, nearest(name, found)))
-        return shown_effect_sizes(found[name], data.labels)
+            raise InputError(Fault("response", rule, nearest(name, by_name)))
+        return shown_effect_sizes(by_name[name], data.labels)
 
     def tables(self) -> Sequence[pd.DataFrame]:
         """Cases and verdicts."""
@@ -102,21 +103,20 @@ def open_study(
     store = Store(folder, warn=warnings.append)
     manifest = finished_manifest(store)
     design = loads(manifest["design"], manifest["source"])
-    known = cases_by_id(design, manifest["blocks"])
-    found = store.records(manifest["cases"])
-    records = relabeled(found, design, known)
-    if len(records) < len(found):
-        count = len(found) - len(records)
+    cases = cases_by_id(design, manifest["blocks"])
+    stored = store.records(manifest["cases"])
+    records = relabeled(stored, design, cases)
+    if len(records) < len(stored):
+        count = len(stored) - len(records)
         warnings.append(f"{count} records are of no cell of the design: run the design again")
     numerical = stored_numerical(store, manifest["cases"])
     missing = len(manifest["cases"]) - len(records)
     later = store.read_unfinished() if tell_unfinished else None
     if later is not None:
         warnings.append(unfinished_note(store, later))
-    problems = [one.cell.problem for one in design.treatments]
-    warnings += dict.fromkeys(
-        said for problem in problems for said in cautions(problem.setup, problem.material)
-    )
+    problems = [treatment.cell.problem for treatment in design.treatments]
+    warnings += dict.fromkeys(caution for problem in problems for caution in cautions_of(problem))
+    warnings += different_answers(design, records)
     warnings += [note for note in manifest["notes"] if is_caution(note)]
     if missing:
         warnings.append(f"{missing} of {len(manifest['cases'])} cases are not computed yet")
@@ -126,8 +126,17 @@ def open_study(
     fitted = surfaces(more.design, [*records, *more.records], numerical)
     if more.records:
         warnings.append(f"{len(more.records)} confirming runs joined those of the surfaces")
-    warnings += [f"{one.response}: {one.refused}" for one in fitted if one.refused]
-    warnings += [f"{one.response}: {n}" for one in fitted if one.found for n in one.found.notes]
+    warnings += [
+        f"{surface_fit.response}: {surface_fit.refused}"
+        for surface_fit in fitted
+        if surface_fit.refused
+    ]
+    warnings += [
+        f"{surface_fit.response}: {n}"
+        for surface_fit in fitted
+        if surface_fit.found
+        for n in surface_fit.found.notes
+    ]
     comparisons = store.read_rows("validation", ValidationRow, fault_of_comparisons)
     spaces, steps = store.read_rows("spaces", SpaceRow), store.read_rows("adaptive", AdaptiveStep)
     return Study(
@@ -138,11 +147,33 @@ def open_study(
     )  # fmt: skip
 
 
-def count_cases(known: Path | StudyResult) -> int:
+def different_answers(design: Design, records: Sequence[Record]) -> list[str]:
+    """Say which cells have equal inputs and different answers: the simulation is stochastic."""
+    if design.replicates.key is not None:
+        return []
+    answered = {tuple(r.levels.values()): r for r in records if r.converged and r.block is None}
+    found = []
+    for group in duplicates(design):
+        own = [r for one in group if (r := answered.get(tuple(one.levels.values()))) is not None]
+        for response in (r.name for r in design.responses if r.name != "seconds"):
+            values = {record.value(response): record for record in own}
+            if len(values) > 1:
+                said = " and ".join(
+                    f"{v:.6g} in {' / '.join(r.levels.values())} (case {r.case_id})"
+                    for v, r in list(values.items())[:2]
+                )
+                found.append(
+                    f"cells with equal inputs have different answers: {response} is {said}; make "
+                    "the program repeatable, or give it a seed with [replicates] key and n"
+                )
+    return found
+
+
+def count_cases(study: Path | StudyResult) -> int:
     """Count the cases of a study before it is opened; 0 where none are known."""
-    if isinstance(known, StudyResult):
-        return known.total
-    manifest = Store(known).read_manifest()
+    if isinstance(study, StudyResult):
+        return study.total
+    manifest = Store(study).read_manifest()
     return 0 if manifest is None else len(manifest["cases"])
 
 
@@ -160,7 +191,7 @@ def _analyses(
     design: Design, records: Sequence[Record], numerical: Sequence[NumericalUncertainty]
 ) -> tuple[ResponseAnalysis, ...]:
     """Analyze every response of a design; a refusal is kept as its reason."""
-    found = []
+    analyses = []
     blocks = len({record.block for record in records} - {None})
     unit = "block" if design.measurements is None else design.measurements.block or "block"
     for response in design.responses:
@@ -175,7 +206,7 @@ def _analyses(
         except StudyError as error:
             refused = str(error).replace("'block'", repr(unit))
         better = "lower" if response.name.endswith("_error") or response.name == "seconds" else ""
-        found.append(
+        analyses.append(
             ResponseAnalysis(
                 response.name,
                 response.unit,
@@ -190,4 +221,4 @@ def _analyses(
                 cross_validated=cross_validated(design, response.name, blocks),
             )
         )
-    return adjusted(found, design.analysis)
+    return adjusted(analyses, design.analysis)

@@ -118,43 +118,46 @@ def optimize(  # noqa: PLR0913  # the public face: one keyword for each thing th
         raise InputError(Fault("--minimize or --maximize", rule, "for example --minimize force"))
     goal: Goal = "minimize" if minimize is not None else "maximize"
     name = str(minimize if minimize is not None else maximize)
-    asked = [subject_to] if isinstance(subject_to, str) else [*subject_to]
+    limits_typed = [subject_to] if isinstance(subject_to, str) else [*subject_to]
     if isinstance(path, str | Path) and Path(path).suffix in (".csv", ".gz"):
         table = _Table(Path(path), tuple(numeric), surface, decimal)
-        return (_of_table(table, goal, name, asked, dict(at or {})),)
+        return (_of_table(table, goal, name, limits_typed, dict(at or {})),)
     if numeric:
         rule = "names columns of a table: the factors of a study are known"
         raise InputError(Fault("--numeric", rule, "leave it out"))
     study = api.open_study(path, results) if isinstance(path, str | Path) else path
-    found = _of_study(study, goal, name, asked, dict(at or {}))
+    recommendations = _of_study(study, goal, name, limits_typed, dict(at or {}))
     if not confirming:
-        return found
-    return tuple(_confirmed(study, one, permission or Permission()) for one in found)
+        return recommendations
+    return tuple(
+        _confirmed(study, recommended, permission or Permission())
+        for recommended in recommendations
+    )
 
 
-def _named(word: str, known: Sequence[str], where: str) -> str:
+def _named(word: str, names: Sequence[str], where: str) -> str:
     """Find a response by its name, or by the only one that begins so."""
-    begins = [name for name in known if name.startswith(word)]
-    if word in known or len(begins) == 1:
-        return word if word in known else begins[0]
+    begins = [name for name in names if name.startswith(word)]
+    if word in names or len(begins) == 1:
+        return word if word in names else begins[0]
     rule = f"{word!r} begins several responses" if begins else f"there is no response {word!r}"
-    raise InputError(Fault(where, rule, nearest(word, known)))
+    raise InputError(Fault(where, rule, nearest(word, names)))
 
 
-def _bound(text: str, known: Mapping[str, str]) -> Bound:
+def _bound(text: str, units_of: Mapping[str, str]) -> Bound:
     """Read a limit; the unit must be that of the response, or one of its dimension."""
     parts = _LIMIT.fullmatch(text)
     if parts is None:
         mend = "write 'stiffness >= 0.3 N/mm', with >= or <="
         raise InputError(Fault("--subject-to", f"cannot read {text!r}", mend))
-    name = _named(parts["name"], list(known), "--subject-to")
+    name = _named(parts["name"], list(units_of), "--subject-to")
     try:
-        value = _in_unit(parts["value"], known[name])
+        value = _in_unit(parts["value"], units_of[name])
     except UnitError as error:
         raise InputError(
             [replace(f, where=f"--subject-to {name}") for f in error.faults]
         ) from error
-    return Bound(name, known[name], 1 if parts["sign"] == ">=" else -1, value)
+    return Bound(name, units_of[name], 1 if parts["sign"] == ">=" else -1, value)
 
 
 def _in_unit(text: str, unit: str) -> float:
@@ -167,8 +170,8 @@ def _in_unit(text: str, unit: str) -> float:
         except UnitError:
             continue
         return units.parse(text, dimension) / factor
-    value, own = units.split(text)
-    if own != unit:
+    value, unit_typed = units.split(text)
+    if unit_typed != unit:
         raise UnitError(Fault("", f"must be in {unit}, got {text!r}", f"write it in {unit}"))
     return value
 
@@ -193,39 +196,47 @@ class _Table:
 
 
 def _of_table(
-    table: _Table, goal: Goal, name: str, asked: Sequence[str], at: Mapping[str, Setting]
+    table: _Table, goal: Goal, name: str, limits_typed: Sequence[str], at: Mapping[str, Setting]
 ) -> Recommendation:
-    found = table.of(name)
-    names = found.runs.names
-    faults = [Fault(one, "no such factor", nearest(one, names)) for one in at if one not in names]
+    surface_of_goal = table.of(name)
+    names = surface_of_goal.runs.names
+    faults = [
+        Fault(name_given, "no such factor", nearest(name_given, names))
+        for name_given in at
+        if name_given not in names
+    ]
     if faults:
         raise InputError(faults)
     held = {n: units.parse_number(str(setting)) for n, setting in at.items()}
     if len(held) == len(names):
         raise InputError(Fault("--at", "holds every factor", "leave those out that are choices"))
-    columns = [_LIMIT.fullmatch(text) for text in asked]
-    known = {one["name"]: "" for one in columns if one is not None}
-    bounds = tuple(_bound(text, known) for text in asked)
+    columns = [_LIMIT.fullmatch(text) for text in limits_typed]
+    units_of = {column["name"]: "" for column in columns if column is not None}
+    bounds = tuple(_bound(text, units_of) for text in limits_typed)
     question = _Question(goal, name, bounds, dict.fromkeys(names, ""), held)
-    models = {one.response: table.of(one.response) for one in bounds} | {name: found}
+    models = {bound.response: table.of(bound.response) for bound in bounds} | {
+        name: surface_of_goal
+    }
     best, spread = _best(models, question)
-    told = _recommendation(models, question, best, spread, "", {}, {})
-    run = ", ".join(f"{n} = {v:.4g}" for n, v in told.settings.items() if not isinstance(v, str))
+    recommended = _recommendation(models, question, best, spread, "", {}, {})
+    run = ", ".join(
+        f"{n} = {v:.4g}" for n, v in recommended.settings.items() if not isinstance(v, str)
+    )
     note = f"confirm it by a run at {run}, and add the run to the table"
-    return replace(told, notes=(*found.notes, note))
+    return replace(recommended, notes=(*surface_of_goal.notes, note))
 
 
 def _best(
     models: Mapping[str, SurfaceAnalysis], question: _Question
 ) -> tuple[Optimum, ResponseSpread | None]:
     """Optimize over the ranges that are free."""
-    own = models[question.response]
-    runs = own.runs
-    every = [own, *(models[one.response] for one in question.bounds)]
-    for one in every:
-        check_carries(one.model)
-    limits = [ResponseLimit(m.model, one.sign, one.value)
-              for m, one in zip(every[1:], question.bounds, strict=True)]  # fmt: skip
+    goal_surface = models[question.response]
+    runs = goal_surface.runs
+    every = [goal_surface, *(models[bound.response] for bound in question.bounds)]
+    for surface_checked in every:
+        check_carries(surface_checked.model)
+    limits = [ResponseLimit(m.model, bound.sign, bound.value)
+              for m, bound in zip(every[1:], question.bounds, strict=True)]  # fmt: skip
     held = np.full(len(runs.factors), np.nan)
     for j, factor in enumerate(runs.factors):
         if factor.name in question.held:
@@ -236,9 +247,9 @@ def _best(
                 held[j] = np.clip(factor.coded(np.array(setting)), column.min(), column.max())
             else:
                 held[j] = runs.coded_inside(factor.name, setting)
-    best = optimum(own.model, question.goal, limits, held)
+    best = optimum(goal_surface.model, question.goal, limits, held)
     others = [runs.names.index(name) for name in question.open_numbers]
-    return best, spread_over(own.model, limits, best, others)
+    return best, spread_over(goal_surface.model, limits, best, others)
 
 
 def _recommendation(
@@ -275,17 +286,20 @@ def _of_study(
     study: StudyResult,
     goal: Goal,
     word: str,
-    asked: Sequence[str],
+    limits_typed: Sequence[str],
     at: Mapping[str, Setting],
 ) -> tuple[Recommendation, ...]:
     """Recommend at every combination of the levels that nobody chooses."""
-    design, known = study.design, {one.response: one.unit for one in study.surfaces}
-    if not known:
+    design, units_of = (
+        study.design,
+        {surface_of.response: surface_of.unit for surface_of in study.surfaces},
+    )
+    if not units_of:
         rule = "has no surface: no factor is a range"
         mend = 'write { low = "1 mm", high = "3 mm" } and [design] kind = "latin-hypercube"'
         raise InputError(Fault(design.name, rule, mend))
-    name = _named(word, list(known), f"--{goal}")
-    bounds = tuple(_bound(text, known) for text in asked)
+    name = _named(word, list(units_of), f"--{goal}")
+    bounds = tuple(_bound(text, units_of) for text in limits_typed)
     factors = {factor.name: factor for factor in design.factors}
     faults = [Fault(n, "no such factor", nearest(n, list(factors))) for n in at if n not in factors]
     if faults:
@@ -301,16 +315,19 @@ def _of_study(
     held = {n: float(number_in_unit(factors[n], at[n])[0]) for n in ranges if n in at}
     held |= {n: usual_value(n, overlay.dimension(n) or "number", ranges[n], design.config)
              for n in open_numbers}  # fmt: skip
-    told = {n: span.unit for n, span in ranges.items()}
-    question = _Question(goal, name, bounds, told, held, open_numbers)
+    span_units = {n: span.unit for n, span in ranges.items()}
+    question = _Question(goal, name, bounds, span_units, held, open_numbers)
     lists = [n for n, f in factors.items() if f.span is None]
     settled = {n: (str(at[n]),) for n in lists if n in at}
-    wrong = [Fault(n, f"has no level {own[0]!r}", nearest(own[0], factors[n].labels))
-             for n, own in settled.items() if own[0] not in factors[n].labels]  # fmt: skip
+    wrong = [Fault(n, f"has no level {pair[0]!r}", nearest(pair[0], factors[n].labels))
+             for n, pair in settled.items() if pair[0] not in factors[n].labels]  # fmt: skip
     if wrong:
         raise InputError(wrong)
-    kept = {n: settled.get(n, factors[n].labels) for n in lists if n not in free}
-    places = [dict(zip(kept, own, strict=True)) for own in itertools.product(*kept.values())]
+    open_labels = {n: settled.get(n, factors[n].labels) for n in lists if n not in free}
+    places = [
+        dict(zip(open_labels, combination, strict=True))
+        for combination in itertools.product(*open_labels.values())
+    ]
     chosen = [n for n in lists if n in free]
     return tuple(_at(study, question, fixed, chosen) for fixed in places)
 
@@ -320,26 +337,32 @@ def _at(
 ) -> Recommendation:
     """Compare the levels of the choices that are no numbers, at some levels of the others."""
     factors = {factor.name: factor for factor in study.design.factors}
-    found: list[Recommendation] = []
+    candidates: list[Recommendation] = []
     notes: list[str] = []
     refused: RefusedError | None = None
     for levels in itertools.product(*(factors[n].labels for n in chosen)):
-        own = dict(zip(chosen, levels, strict=True))
+        labels_here = dict(zip(chosen, levels, strict=True))
         try:
-            models, unit = _models(study, question, {**fixed, **own})
+            models, unit = _models(study, question, {**fixed, **labels_here})
             best, spread = _best(models, question)
         except RefusedError as error:
             refused = error
-            at = ", ".join(f"{n} = {label}" for n, label in own.items())
+            at = ", ".join(f"{n} = {label}" for n, label in labels_here.items())
             notes += [f"not considered, {at}: {error}"] if at else []
             continue
-        found.append(_recommendation(models, question, best, spread, unit, own, fixed))
-    if not found:
+        candidates.append(_recommendation(models, question, best, spread, unit, labels_here, fixed))
+    if not candidates:
         raise refused or RefusedError("no combination of levels has a surface")
     sign = 1.0 if question.goal == "minimize" else -1.0
     # where a setting keeps the limits surely, one that is only predicted to is no rival
-    ranked = sorted(found, key=lambda one: (one.assurance == "predicted", sign * one.value))
-    rivals = tuple(({n: str(one.settings[n]) for n in chosen}, one.value) for one in ranked[1:])
+    ranked = sorted(
+        candidates,
+        key=lambda candidate: (candidate.assurance == "predicted", sign * candidate.value),
+    )
+    rivals = tuple(
+        ({n: str(candidate.settings[n]) for n in chosen}, candidate.value)
+        for candidate in ranked[1:]
+    )
     return replace(ranked[0], rivals=rivals, notes=tuple(notes))
 
 
@@ -347,35 +370,37 @@ def _models(
     study: StudyResult, question: _Question, labels: Mapping[str, str]
 ) -> tuple[dict[str, SurfaceAnalysis], str]:
     """Surfaces of the responses that are asked for, at some levels, and the goal's unit."""
-    found: dict[str, SurfaceAnalysis] = {}
+    surfaces_of: dict[str, SurfaceAnalysis] = {}
     unit = ""
-    wanted = {question.response, *(one.response for one in question.bounds)}
-    for one in study.surfaces:
-        if one.response not in wanted or dict(one.labels) != dict(labels):
+    responses_needed = {question.response, *(bound.response for bound in question.bounds)}
+    for fitted in study.surfaces:
+        if fitted.response not in responses_needed or dict(fitted.labels) != dict(labels):
             continue
-        if one.found is None:
-            raise RefusedError(f"{one.response} has no surface: {one.refused}")
-        found[one.response] = one.found
-        unit = one.unit if one.response == question.response else unit
-    return found, unit
+        if fitted.found is None:
+            raise RefusedError(f"{fitted.response} has no surface: {fitted.refused}")
+        surfaces_of[fitted.response] = fitted.found
+        unit = fitted.unit if fitted.response == question.response else unit
+    return surfaces_of, unit
 
 
-def _confirmed(study: StudyResult, told: Recommendation, permission: Permission) -> Recommendation:
+def _confirmed(
+    study: StudyResult, recommended: Recommendation, permission: Permission
+) -> Recommendation:
     """Run the true model at a recommended setting."""
-    every = {**told.held, **told.settings}
+    every = {**recommended.held, **recommended.settings}
     numbers = {n: v for n, v in every.items() if not isinstance(v, str)}
     labels = {n: v for n, v in every.items() if isinstance(v, str)}
     records = confirm(study, numbers, labels, permission)
-    names = [told.response, *(one.response for one in told.bounds)]
-    values = {n: float(np.mean([one.response(n) for one in records])) for n in names}
+    names = [recommended.response, *(bound.response for bound in recommended.bounds)]
+    values = {n: float(np.mean([record.response(n) for record in records])) for n in names}
     answered = bool(np.isfinite(list(values.values())).all())
     settings = dict(records[0].levels) if records else {}
-    inside = told.low <= values[told.response] <= told.high
-    kept = all(one.sign * (values[one.response] - one.value) >= -1e-3 * abs(one.value)
-               for one in told.bounds)  # fmt: skip
+    inside = recommended.low <= values[recommended.response] <= recommended.high
+    holds = all(bound.sign * (values[bound.response] - bound.value) >= -1e-3 * abs(bound.value)
+               for bound in recommended.bounds)  # fmt: skip
     note = "the confirming run joined the study's surfaces: ask again for a setting that knows it"
     if not answered:
-        why = "; ".join(dict.fromkeys(one.message for one in records)) or "no answer"
+        why = "; ".join(dict.fromkeys(record.message for record in records)) or "no answer"
         note = f"the confirming run has no answer ({why}): the recommendation is not confirmed"
-    run = Confirmed(settings, values, answered and inside, answered and kept)
-    return replace(told, confirmed=run, notes=(*told.notes, note))
+    run = Confirmed(settings, values, answered and inside, answered and holds)
+    return replace(recommended, confirmed=run, notes=(*recommended.notes, note))

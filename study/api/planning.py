@@ -57,8 +57,8 @@ def controls_of(work: Work, store: Store) -> list[CaseJob]:
 def control_seconds(controls: Sequence[CaseJob], workers: int) -> float:
     """Wall time of the cells of the spaces' control."""
     costs = Costs()
-    own = [costs.solve_seconds(job.case.config, job.depth_mm) for job in controls]
-    return costs.side_by_side(own, workers)
+    seconds_each = [costs.solve_seconds(job.case.config, job.depth_mm) for job in controls]
+    return costs.side_by_side(seconds_each, workers)
 
 
 def refinement_seconds(work: Work, store: Store, workers: int) -> float:
@@ -101,10 +101,10 @@ def with_time_left(
 
 def seconds_left(runner: Mapping[str, Any] | None) -> float | None:
     """Seconds that a runner still needs, from what it noted; None where it noted nothing."""
-    said = runner or {}
+    runner_document = runner or {}
     try:
-        noted_at = datetime.datetime.fromisoformat(str(said["at"]))
-        left = float(said["seconds_left"])
+        noted_at = datetime.datetime.fromisoformat(str(runner_document["at"]))
+        left = float(runner_document["seconds_left"])
         since = (datetime.datetime.now(datetime.UTC) - noted_at).total_seconds()
     except (KeyError, TypeError, ValueError):
         return None
@@ -140,6 +140,12 @@ class Plan:
     digest: str = ""
     #: Wall time if the whole budget of an adaptive design is spent; None for any other design.
     most_seconds: float | None = None
+
+    @property
+    def calls_function(self) -> bool:
+        """Whether a Python function predicts, which only Python can give."""
+        forwards = (one.cell.problem.forward for one in self.design.treatments)
+        return any(one is not None and one.model == "python" for one in forwards)
 
     @property
     def counts(self) -> dict[str, int]:
@@ -228,9 +234,11 @@ def plan(
         return Plan(
             loaded, described, (), total, 0, 0, total, 0, None, None, workers, tuple(warnings)
         )
-    found = _counted(work, described, Store(Path(results) / loaded.name, warn=warnings.append),
+    study_plan = _counted(work, described, Store(Path(results) / loaded.name, warn=warnings.append),
                      workers, warnings)  # fmt: skip
-    return replace(found, most_seconds=_most_seconds(work, found.predicted_seconds, workers))
+    return replace(
+        study_plan, most_seconds=_most_seconds(work, study_plan.predicted_seconds, workers)
+    )
 
 
 def _most_seconds(work: Work, predicted: float | None, workers: int) -> float | None:
@@ -238,16 +246,16 @@ def _most_seconds(work: Work, predicted: float | None, workers: int) -> float | 
     rule = work.design.scheme.sequential
     if rule is None or predicted is None:
         return None
-    own = Costs().total_seconds(work.fits.values(), work.jobs, workers)
+    seconds = Costs().total_seconds(work.fits.values(), work.jobs, workers)
     more = rule.budget - len(work.design.treatments)
-    return predicted + own * more / len(work.design.treatments)
+    return predicted + seconds * more / len(work.design.treatments)
 
 
 def _counted(
     work: Work, described: Overview, store: Store, workers: int, warnings: list[str]
 ) -> Plan:
     warnings += [*work.cautions, *_idle_replicates(work)]
-    found = store.survey(work.input_hashes)
+    survey = store.survey(work.input_hashes)
     todo = missing(work, store)
     fits = open_fits(todo, store)
     costs = Costs()
@@ -256,23 +264,23 @@ def _counted(
     seconds += refinement_seconds(work, store, workers)
     seconds += control_seconds(controls, workers)
     found_models = externals(job.case.config for job in work.jobs)
-    commands = [one for one in found_models if one.section.model == "command"]
+    commands = [program for program in found_models if program.section.model == "command"]
     memory = workers * max(
         (costs.memory_MB(job.case.config) for job in [*todo, *controls]), default=0.0
     )
     return Plan(
-        work.design, described, work.blocks, len(work.jobs), len(found.done),
-        len(found.failed), len(todo), len(fits), seconds, memory, workers, tuple(warnings),
+        work.design, described, work.blocks, len(work.jobs), len(survey.done),
+        len(survey.failed), len(todo), len(fits), seconds, memory, workers, tuple(warnings),
         len(controls), program_calls(fits, todo),
-        tuple(line for one in commands for line in one.lines()), common_digest(commands),
+        tuple(line for program in commands for line in program.lines()), common_digest(commands),
     )  # fmt: skip
 
 
 def _idle_replicates(work: Work) -> list[str]:
     """Say that blocks come before replicates as an error term, where that was not changed."""
     design = work.design
-    asked = design.replicates.noise or design.replicates.mesh_seeds
-    if not asked or len(work.blocks) < 2 or design.analysis.error == "replicates":
+    is_asked = design.replicates.noise or design.replicates.mesh_seeds
+    if not is_asked or len(work.blocks) < 2 or design.analysis.error == "replicates":
         return []
     return [
         f"the {len(work.blocks)} blocks are the better error term (E1) and decide; for that of "
@@ -302,27 +310,27 @@ def status(path: str | Path, *, results: str | Path = RESULTS) -> dict[str, Any]
     warnings: list[str] = []
     store = Store(folder, warn=warnings.append)
     manifest = finished_manifest(store)
-    found, later = store.survey(manifest["cases"]), store.read_unfinished()
+    survey, later = store.survey(manifest["cases"]), store.read_unfinished()
     running = store.running()
     return {
         "study": manifest["name"],
-        "cases": _counts(found),
+        "cases": _counts(survey),
         "predicted_seconds": seconds_left(running),
         "report": None,
         "verdicts": [],
         "warnings": warnings,
-        "failures": dict(Counter(found.statuses.values())),
+        "failures": dict(Counter(survey.statuses.values())),
         "running": running,
         "timings": manifest.get("timings", {}),
-        "finished": bool(manifest.get("finished", not found.missing)),
+        "finished": bool(manifest.get("finished", not survey.missing)),
         "unfinished": None if later is None else _unfinished(store, manifest, later),
     }
 
 
-def _counts(found: Survey) -> dict[str, int]:
+def _counts(survey: Survey) -> dict[str, int]:
     """Cases of a study: all, and those that are done, failed and missing."""
     counts = {
-        "done": len(found.done), "failed": len(found.failed), "missing": len(found.missing),
+        "done": len(survey.done), "failed": len(survey.failed), "missing": len(survey.missing),
     }  # fmt: skip
     return {"total": sum(counts.values()), **counts}
 
@@ -332,7 +340,7 @@ def _unfinished(
 ) -> dict[str, object]:
     """Describe a run of an edited design that is not finished, and what was edited."""
     quiet = Store(store.path)
-    changed = [one.sentence for one in run_changes(manifest, later)]
+    changed = [change.sentence for change in run_changes(manifest, later)]
     return {"cases": _counts(quiet.survey(later["cases"])), "changed": changed}
 
 
@@ -383,8 +391,10 @@ def run_sheet(
         raise InputError(
             Fault("factors", rule, "a run sheet is for factors such as test.interface")
         )
-    levels = [{name: one.levels[name] for name in physical} for one in loaded.treatments]
-    conditions = list({tuple(one.items()): one for one in levels}.values())
+    levels = [
+        {name: treatment.levels[name] for name in physical} for treatment in loaded.treatments
+    ]
+    conditions = list({tuple(condition.items()): condition for condition in levels}.values())
     random = np.random.default_rng(loaded.seed)
     rows = [
         {"specimen": k + 1, **conditions[i]}

@@ -53,8 +53,8 @@ class PredictedAnswer:
         """Plain values; a single point gives numbers, several give lists."""
         single = self.value.size == 1
         ends = {"value": self.value, "low": self.low, "high": self.high}
-        told = {k: float(v[0]) if single else v.tolist() for k, v in ends.items()}
-        return {"response": self.response, "unit": self.unit, **told}
+        values = {k: float(v[0]) if single else v.tolist() for k, v in ends.items()}
+        return {"response": self.response, "unit": self.unit, **values}
 
 
 def predict(
@@ -90,7 +90,7 @@ def predict(
         be extrapolated, or the study has no surface.
     """
     study = api.open_study(path, results) if isinstance(path, str | Path) else path
-    found = _surfaces(study, response)
+    surfaces = _surfaces(study, response)
     factors = {factor.name: factor for factor in study.design.factors}
     unknown = [
         Fault(n, "no such factor", nearest(n, list(factors))) for n in at if n not in factors
@@ -100,7 +100,9 @@ def predict(
         raise InputError(unknown)
     labels = {n: _label(f, at[n]) for n, f in factors.items() if f.span is None}
     numbers = {n: number_in_unit(f, at[n]) for n, f in factors.items() if f.span is not None}
-    return tuple(_predicted(one, numbers) for one in found if dict(one.labels) == labels)
+    return tuple(
+        _predicted(fitted, numbers) for fitted in surfaces if dict(fitted.labels) == labels
+    )
 
 
 def _surfaces(study: StudyResult, response: str | None) -> tuple[FittedSurface, ...]:
@@ -108,10 +110,10 @@ def _surfaces(study: StudyResult, response: str | None) -> tuple[FittedSurface, 
         rule = "has no surface: no factor is a range"
         mend = 'write { low = "1 mm", high = "3 mm" } and [design] kind = "latin-hypercube"'
         raise InputError(Fault(study.design.name, rule, mend))
-    names = list(dict.fromkeys(one.response for one in study.surfaces))
+    names = list(dict.fromkeys(fitted.response for fitted in study.surfaces))
     if response is not None and response not in names:
         raise InputError(Fault("--response", f"there is no {response!r}", nearest(response, names)))
-    return tuple(one for one in study.surfaces if response in (None, one.response))
+    return tuple(fitted for fitted in study.surfaces if response in (None, fitted.response))
 
 
 def _label(factor: Factor, setting: Setting) -> str:
@@ -134,12 +136,14 @@ def number_in_unit(factor: Factor, setting: Setting) -> Array:
     return np.array([units.parse(setting, kind) / units.parse(f"1 {unit}", kind)])
 
 
-def _predicted(one: FittedSurface, at: Mapping[str, Array]) -> PredictedAnswer:
-    if one.found is None:
-        rule = f"{one.response} has no surface: {one.refused}"
+def _predicted(fitted: FittedSurface, at: Mapping[str, Array]) -> PredictedAnswer:
+    if fitted.found is None:
+        rule = f"{fitted.response} has no surface: {fitted.refused}"
         raise InputError(Fault("predict", rule, "add runs, or ask another --response"))
-    told = one.found.predict(at)
-    return PredictedAnswer(one.response, one.unit, told.value, told.low, told.high)
+    prediction = fitted.found.predict(at)
+    return PredictedAnswer(
+        fitted.response, fitted.unit, prediction.value, prediction.low, prediction.high
+    )
 
 
 # Runs of the true model at settings that a surface has named; they join the study's surfaces.
@@ -170,19 +174,21 @@ class Permission:
 def joined(design: Design, store: Store, manifest: Mapping[str, object]) -> Joined:
     """Find the runs that joined a study's surfaces: those of this design and this code."""
     rows = store.read_rows(CONFIRMED, ConfirmedRow)
-    own = [row for row in rows if row["of"] == _identity(manifest)]
-    found = store.records({row["case"]: row["input"] for row in own if ID.fullmatch(row["case"])})
-    records = tuple(record for record in found if _is_of(record, design))
+    rows_of_study = [row for row in rows if row["of"] == _identity(manifest)]
+    records_stored = store.records(
+        {row["case"]: row["input"] for row in rows_of_study if ID.fullmatch(row["case"])}
+    )
+    records = tuple(record for record in records_stored if _is_of(record, design))
     cells = [record.levels for record in records]
-    factors = tuple(_with_levels(f, [one[f.name] for one in cells]) for f in design.factors)
+    factors = tuple(_with_levels(f, [cell[f.name] for cell in cells]) for f in design.factors)
     return Joined(replace(design, factors=factors) if cells else design, records)
 
 
 def _is_of(record: Record, design: Design) -> bool:
     """Whether a record is of a setting of a design: numbers in its ranges, else its levels."""
-    known = {factor.name: factor for factor in design.factors}
-    return known.keys() == record.levels.keys() and all(
-        label in known[name].labels or known[name].span is not None
+    factors = {factor.name: factor for factor in design.factors}
+    return factors.keys() == record.levels.keys() and all(
+        label in factors[name].labels or factors[name].span is not None
         for name, label in record.levels.items()
     )
 
@@ -198,12 +204,12 @@ def code_of(manifest: Mapping[str, object]) -> str:
 
 
 def _with_levels(factor: Factor, labels: Sequence[str]) -> Factor:
-    known = {level.label for level in factor.levels}
+    labels_there = {level.label for level in factor.levels}
     span = factor.span
     if span is None:
         return factor
-    new = [one for one in dict.fromkeys(labels) if one not in known]
-    more = [Level(one, {factor.name: one if span.unit else float(one)}) for one in new]
+    new = [label for label in dict.fromkeys(labels) if label not in labels_there]
+    more = [Level(label, {factor.name: label if span.unit else float(label)}) for label in new]
     return replace(factor, levels=(*factor.levels, *more))
 
 
@@ -217,8 +223,8 @@ def place(design: Design, settings: Mapping[str, float], labels: Mapping[str, st
 def _single(factor: Factor, settings: Mapping[str, float], labels: Mapping[str, str]) -> Factor:
     span = factor.span
     if span is None:
-        own = [level for level in factor.levels if level.label == labels[factor.name]]
-        return replace(factor, levels=tuple(own))
+        matching = [level for level in factor.levels if level.label == labels[factor.name]]
+        return replace(factor, levels=tuple(matching))
     numeric = NumericFactor(factor.name, span.low, span.high, span.log)
     share = 0.5 * (float(numeric.coded(np.array(settings[factor.name]))) + 1.0)
     return replace(factor, levels=levels_at(factor.name, span, [min(max(share, 0.0), 1.0)]))
@@ -246,12 +252,13 @@ def confirm(
     work = expand(design, design_root(study.design, permission.data), permission.allowed)
     store = Store(study.folder)
     run_batch(work, store, jobs=1, progress=permission.progress)
-    found = store.records(work.input_hashes)
-    own = {*study.manifest["cases"]}
-    kept = store.read_rows(CONFIRMED, ConfirmedRow)
-    rows = [row for row in kept if row["case"] not in work.input_hashes]
-    rows += [{"case": one.case_id, "input": work.input_hashes[one.case_id],
-              "of": _identity(manifest)} for one in found if one.case_id not in own]  # fmt: skip
+    stored = store.records(work.input_hashes)
+    in_study = {*study.manifest["cases"]}
+    rows_before = store.read_rows(CONFIRMED, ConfirmedRow)
+    rows = [row for row in rows_before if row["case"] not in work.input_hashes]
+    rows += [{"case": record.case_id, "input": work.input_hashes[record.case_id],
+              "of": _identity(manifest)}
+             for record in stored if record.case_id not in in_study]  # fmt: skip
     with store.lock():
         store.write_json(CONFIRMED, rows)
-    return tuple(found)
+    return tuple(stored)

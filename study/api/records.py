@@ -102,6 +102,7 @@ def specimens_of(design: Design, records: Sequence[Record]) -> int | None:
 _SAME = 1e-12
 _NOISE = "noise_seed"
 _MESH = "mesh_seed"
+_RUN = "replicate"
 
 
 @dataclass(frozen=True)
@@ -122,8 +123,11 @@ def rows_for(
     table: pd.DataFrame, response: str, factors: Sequence[str], error: str, block: str | None
 ) -> RecordRows:
     """Rows of a study's table for one response."""
-    asked = error == "replicates"
-    how = "auto" if asked else error
+    by_replicates = error == "replicates"
+    how = "auto" if by_replicates else error
+    if _RUN in table:
+        kept = table.drop(columns=_RUN)
+        return RecordRows(kept, block, how, "runs")
     if _NOISE in table:
         return _noise_rows(table, response, factors, error, block)
     if _MESH not in table:
@@ -135,29 +139,29 @@ def rows_for(
         first = table[table[_MESH] == table[_MESH].min()].drop(columns=_MESH)
         note = f"the mesh does not enter {response}: it is the same on every mesh, no E3"
         return RecordRows(first, block, how, notes=(note,))
-    if block and asked:
+    if block and by_replicates:
         table, block = _over(table, response, [*factors, _MESH]), None
     if block:
         return RecordRows(table, block, how)
     labels = table[list(factors)].astype(str).itertuples(index=False, name=None)
-    found = seed_design(list(labels), table[_MESH].tolist())
-    if found.role is not SeedRole.BLOCKS or how == "pooled":
+    design = seed_design(list(labels), table[_MESH].tolist())
+    if design.role is not SeedRole.BLOCKS or how == "pooled":
         return RecordRows(table, None, how)
-    kept = table[table[_MESH].astype(str).isin(found.common)]
-    return RecordRows(kept, _MESH, how, "mesh-seeds", (found.reason,))
+    rows = table[table[_MESH].astype(str).isin(design.common)]
+    return RecordRows(rows, _MESH, how, "mesh-seeds", (design.reason,))
 
 
 def _noise_rows(
     table: pd.DataFrame, response: str, factors: Sequence[str], error: str, block: str | None
 ) -> RecordRows:
     """Rows of the refits to resampled noise, or of the fits to the measured curves."""
-    asked = error == "replicates"
-    how = "auto" if asked else error
+    by_replicates = error == "replicates"
+    how = "auto" if by_replicates else error
     fits = table[table[_NOISE] == 0].drop(columns=_NOISE)
     if not is_constant(response):
         note = f"resampled noise is fitted, not predicted with: no E2 for {response}"
         return RecordRows(fits, block, how, notes=(note,))
-    if block and not asked:
+    if block and not by_replicates:
         note = (
             "several blocks are a better error term than resampled noise (E1 before E2): the fits "
             'to the measured curves are analyzed; [analysis] error = "replicates" asks for E2'
@@ -199,19 +203,19 @@ def without_gaps(
     until nothing is missing or a factor would be down to one level.
     """
     designed = _designed(design, factors)
-    known = table.dropna(subset=[response])
-    if block is not None and len(known):
-        known = known[answered_often(known, factors, block, table[block].nunique())]
-    answered = {tuple(map(str, row)) for row in known[list(factors)].to_numpy()}
+    complete = table.dropna(subset=[response])
+    if block is not None and len(complete):
+        complete = complete[answered_often(complete, factors, block, table[block].nunique())]
+    answered = {tuple(map(str, row)) for row in complete[list(factors)].to_numpy()}
     terms = [[factors.index(name) for name in term] for term in terms_of(factors, model)]
     notes = []
     while (worst := _worst(designed, answered, terms)) is not None:
         place, level = worst
-        own = [cell for cell in designed if cell[place] == level]
-        has = sum(cell in answered for cell in own)
+        cells_here = [cell for cell in designed if cell[place] == level]
+        has = sum(cell in answered for cell in cells_here)
         notes.append(
-            f"{level} ({factors[place]}) has an answer in {has} of {len(own)} cells: it is left "
-            "out of this analysis, whose effects need every combination of levels"
+            f"{level} ({factors[place]}) has an answer in {has} of {len(cells_here)} cells: it is "
+            "left out of this analysis, whose effects need every combination of levels"
         )
         designed = [cell for cell in designed if cell[place] != level]
         table = table[table[factors[place]].astype(str) != level]
@@ -219,21 +223,21 @@ def without_gaps(
 
 
 def _designed(design: Design, factors: Sequence[str]) -> list[Cell]:
-    found = (tuple(str(t.levels[name]) for name in factors) for t in design.treatments)
-    return list(dict.fromkeys(found))
+    cells = (tuple(str(t.levels[name]) for name in factors) for t in design.treatments)
+    return list(dict.fromkeys(cells))
 
 
 def _worst(
     designed: Sequence[Cell], answered: set[Cell], terms: Sequence[Sequence[int]]
 ) -> tuple[int, str] | None:
     """Level with most of its cells unanswered, of those that leave a combination empty."""
-    known = [cell for cell in designed if cell in answered]
+    answered_cells = [cell for cell in designed if cell in answered]
     shares: dict[tuple[int, str], float] = {}
     for term in terms:
-        has = {tuple(cell[i] for i in term) for cell in known}
+        has = {tuple(cell[i] for i in term) for cell in answered_cells}
         for empty in {tuple(cell[i] for i in term) for cell in designed} - has:
             for place, level in zip(term, empty, strict=True):
                 if len({cell[place] for cell in designed}) > _FEWEST:
-                    own = [cell in answered for cell in designed if cell[place] == level]
-                    shares[place, level] = 1 - sum(own) / len(own)
+                    is_answered = [cell in answered for cell in designed if cell[place] == level]
+                    shares[place, level] = 1 - sum(is_answered) / len(is_answered)
     return max(sorted(shares), key=lambda key: shares[key], default=None)

@@ -72,7 +72,11 @@ class Folders:
     def running(self) -> dict[str, dict[str, object]]:
         """Progress of the studies at work, by their names."""
         progress = {folder.name: progress_of(folder) for folder in self._folders()}
-        return {name: vars(one) for name, one in progress.items() if one is not None}
+        return {
+            name: vars(progress_of_study)
+            for name, progress_of_study in progress.items()
+            if progress_of_study is not None
+        }
 
     def _folders(self) -> list[Path]:
         """Folders with a manifest, by name."""
@@ -239,17 +243,17 @@ class Handler(BaseHTTPRequestHandler):
     def _answer(self) -> None:
         if len(self.path) > MOST_ADDRESS or not self.path.startswith("/"):
             raise Refused(HTTPStatus.BAD_REQUEST, "this is no address of a page")
-        asked = urlsplit(self.path)
-        if asked.path == "/":
+        url = urlsplit(self.path)
+        if url.path == "/":
             text, policy = render_overview(self.server.folders.states())
             self._send(HTTPStatus.OK, text.encode("utf-8", "replace"), TYPES[".html"], policy)
-        elif asked.path == "/favicon.ico":  # a browser asks for it of its own accord
+        elif url.path == "/favicon.ico":  # a browser asks for it of its own accord
             self._send(HTTPStatus.NO_CONTENT, b"", "image/x-icon")
-        elif asked.path == "/progress.json":
+        elif url.path == "/progress.json":
             body = json.dumps(self.server.folders.running()).encode()
             self._send(HTTPStatus.OK, body, TYPES[".json"])
-        elif asked.path.startswith("/reports/"):
-            self._file(asked.path.removeprefix("/reports/"))
+        elif url.path.startswith("/reports/"):
+            self._file(url.path.removeprefix("/reports/"))
         else:
             raise Refused(HTTPStatus.NOT_FOUND, "there is no such page")
 
@@ -309,13 +313,13 @@ def report_file(reports: Path, address: str) -> Path:
     if any(not part or part.startswith(".") or set(part) & set("\\\0:") for part in parts):
         raise absent
     try:
-        found = reports.joinpath(*parts).resolve(strict=True)
-        inside = found.is_relative_to(reports.resolve(strict=True))
+        path = reports.joinpath(*parts).resolve(strict=True)
+        inside = path.is_relative_to(reports.resolve(strict=True))
     except (OSError, RuntimeError, ValueError):
         raise absent from None
-    if not inside or not found.is_file() or found.suffix not in TYPES:
+    if not inside or not path.is_file() or path.suffix not in TYPES:
         raise absent
-    return found
+    return path
 
 
 # Serve pages until the user stops it.

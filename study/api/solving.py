@@ -6,7 +6,7 @@ import importlib
 import platform
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -46,9 +46,9 @@ class SolvedProblem(Shown, Solution):
     digits: ClassVar[int] = 6
 
     @classmethod
-    def of(cls, found: Solution) -> SolvedProblem:
+    def of(cls, solution: Solution) -> SolvedProblem:
         """Give a solution the ways to be shown."""
-        return cls(**{item.name: getattr(found, item.name) for item in fields(Solution)})
+        return cls(**{item.name: getattr(solution, item.name) for item in fields(Solution)})
 
     def to_frame(self) -> pd.DataFrame:
         """Curve with one row a load step.
@@ -173,7 +173,7 @@ def solution_json(solution: Solution) -> dict[str, object]:
     content = {
         "status": solution.status,
         "message": solution.message,
-        **curve.as_dict(),
+        **replace(curve, quantities={}).as_dict(),
         "force_gradient": {k: v.tolist() for k, v in curve.force_gradient.items()},
         "parameters": {} if warm is None else dict(warm.values),
         "dofs": solution.dofs,
@@ -298,12 +298,15 @@ def writable(*paths: Path | None) -> None:
         raise InputError(faults)
 
 
-def write_vtu(solution: Solution, path: str | Path) -> None:
-    """Write displacement, J and stress of the last converged step for ParaView."""
-    from study.mechanics.solver.finite_element_solution import write_vtu as write
+def write_vtu(solution: Solution, path: str | Path, *, whole: bool = False) -> None:
+    """Write the fields for ParaView: of the last step (.vtu), or of every one (.pvd)."""
+    from study.mechanics.solver import finite_element_solution
 
+    if Path(path).suffix.lower() == ".pvd":
+        finite_element_solution.write_series(solution, path, whole=whole)
+        return
     with replaced(Path(path)) as part:
-        write(solution, part)
+        finite_element_solution.write_vtu(solution, part, whole=whole)
 
 
 def write_picture(solution: Solution, path: str | Path) -> None:

@@ -252,7 +252,7 @@ def _compute(
         lambda part: store.begin_run(manifest_of(part)),
     )  # fmt: skip
     plain = work.plain()
-    clock.mark("calibration and simulation")
+    clock.mark("simulation" if work.design.is_alone else "calibration and simulation")
     if not refine:
         return work, summary
     noted = with_time_left(store, progress, spaces)
@@ -268,11 +268,11 @@ def _compute(
 
 def _finish(store: Store, work: Work, timings: Mapping[str, float], summary: Summary) -> None:
     """Make the run the one that is read from; one that computed nothing leaves what is known."""
-    meta, known = manifest_of(work), store.read_manifest()
-    if known is not None and is_same(known, meta):
-        spent = dict(known.get("timings", {}))
+    meta, manifest = manifest_of(work), store.read_manifest()
+    if manifest is not None and is_same(manifest, meta):
+        spent = dict(manifest.get("timings", {}))
         if not summary.computed:
-            meta |= {"timings": spent, "versions": known.get("versions", meta["versions"])}
+            meta |= {"timings": spent, "versions": manifest.get("versions", meta["versions"])}
             store.finish_run(meta)
             return
         # a resumed run adds to what the interrupted one took
@@ -324,25 +324,29 @@ def report(
     if formats:
         checked_formats(formats)
     clock = began or _Clock()
-    known = path if isinstance(path, StudyResult) else results_folder(path, results)
-    many = reports is not None and count_cases(known) >= MANY_CASES
+    study_before = path if isinstance(path, StudyResult) else results_folder(path, results)
+    many = reports is not None and count_cases(study_before) >= MANY_CASES
     drawing = many and default_jobs() > 1
     with Worker(load_libraries) if drawing else nullcontext() as worker:
         with uncollected():
-            study = Study.of(known) if isinstance(known, StudyResult) else open_study(known)
+            study = (
+                Study.of(study_before)
+                if isinstance(study_before, StudyResult)
+                else open_study(study_before)
+            )
         if beside is not None:
             study = replace(study, beside=compare(study, open_study(beside, results)))
         study = replace(study, warnings=tuple(dict.fromkeys([*extra_warnings, *study.warnings])))
         clock.mark("statistics")
         if reports is None:
             return study
-        wanted = tuple(formats) or study.design.report.format
+        formats_asked = tuple(formats) or study.design.report.format
         timings = dict(study.manifest.get("timings", {}))
         if began is not None:
             timings["statistics"] = clock.parts["statistics"]
         try:
             folder = own_folder(Path(reports), study.design.name)
-            written = _written(study, timings, folder, wanted, worker)
+            written = _written(study, timings, folder, formats_asked, worker)
         except (InputError, RefusedError):
             raise
         except Exception as error:  # noqa: BLE001 - drawing must never cost the numbers (F38)
@@ -360,14 +364,14 @@ def _written(
     worker: Worker | None,
 ) -> Path:
     """Write a report and name its main file; one that would be the same again stays as it is."""
-    name, asked = study.design.name, checked_formats(formats)
-    made_from = provenance.made_of(study.folder, [*asked, *study.warnings], versions())
+    name, formats_checked = study.design.name, checked_formats(formats)
+    made_from = provenance.made_of(study.folder, [*formats_checked, *study.warnings], versions())
     # of a second study beside it nothing is known here: such a report is made every time
     if study.beside is None and provenance.is_kept(folder, name, made_from):
-        return main_file(folder, name, asked)
+        return main_file(folder, name, formats_checked)
     provenance.forget(folder, name)
     data = replace(report_data(study, timings), depths=effects_by_depth(study))
-    written = write(data, folder, asked, worker)
+    written = write(data, folder, formats_checked, worker)
     if study.beside is None:
         provenance.keep(folder, name, made_from)
     return written

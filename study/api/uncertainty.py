@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from study.ground.curve import Curve
-    from study.harness.design.spec import Design, Treatment
+    from study.harness.design.spec import Design
     from study.harness.execution.task import Executor
     from study.harness.record.record import Record
     from study.harness.record.store import Store
@@ -62,8 +62,12 @@ def refine(
 
 def uncertainties(work: Work, series: Sequence[CaseSeries]) -> list[NumericalUncertainty]:
     """Numerical uncertainty of every response that a study asks for, by series."""
-    names = [one.name for one in work.design.responses if one.name not in COSTS]
-    return [one.uncertainty(name, work.responses[name]) for one in series for name in names]
+    names = [response.name for response in work.design.responses if response.name not in COSTS]
+    return [
+        case_series.uncertainty(name, work.responses[name])
+        for case_series in series
+        for name in names
+    ]
 
 
 def compare_spaces(
@@ -82,12 +86,13 @@ def compare_spaces(
     tasks = [pair.tasks[k] for k in (1, 0) for pair in pairs]
     todo = [task for task in tasks if not is_kept(task, store)]
     watch = _Watch(todo, workers, progress or (lambda state: None))
-    found: dict[str, SolveResult] = {}
+    results: dict[str, SolveResult] = {}
     for key, result in kept(by_workers(workers, executor), store)(tasks):
-        found[key] = result
+        results[key] = result
         watch.finished(key)
     rows = [
-        space_comparison.compared(pair, *(found[task.key] for task in pair.tasks)) for pair in pairs
+        space_comparison.compared(pair, *(results[task.key] for task in pair.tasks))
+        for pair in pairs
     ]
     with store.lock():
         store.write_rows("spaces", [asdict(row) for row in rows])
@@ -133,14 +138,14 @@ def checks_of_spaces(rows: tuple[Mapping[str, Any], ...]) -> Iterator[Check]:
         flat, solid = row["unknowns"]
         worst = max(abs(row["at_end"]), abs(row["largest"]))
         good = worst <= SPACES_TOLERANCE
-        told = (
+        text = (
             f"the forces on the cylinder of the same cross-section differ by "
             f"{percent(row['at_end'], 2)} at {row['depth_mm']:g} mm and by at most "
             f"{percent(abs(row['largest']), 2)} beyond half the depth "
             f"({solid:,} against {flat:,} unknowns)"
         )
         mend = "" if good else "so much of the effect of the space is that of the discretization"
-        yield Check(name, "pass" if good else "caution", told, mend)
+        yield Check(name, "pass" if good else "caution", text, mend)
 
 
 # Checks of what lies between the load steps: energy, and the interpolation of the curve.
@@ -218,13 +223,13 @@ def _load_steps(steps: Sequence[tuple[str, float, str]]) -> Check:
     for name, u, unit in steps:
         if u >= worst.get(name, (0.0, ""))[0]:
             worst[name] = u, "pp" if unit == "%" else unit
-    told = [
+    parts = [
         f"{name_of(name)} {quantity(u if u > NOTHING else 0.0, unit, 2)}"
         for name, (u, unit) in worst.items()
     ]
     finding = (
         "with every other load step left out, each response changes by no more than this: "
-        f"{listing(told)}; it is part of the numerical uncertainty"
+        f"{listing(parts)}; it is part of the numerical uncertainty"
     )
     name = "responses do not depend on the load steps"
     if all(u <= STEP_CHANGE_PP for u, unit in worst.values() if unit == "pp"):
@@ -237,12 +242,12 @@ def _load_steps(steps: Sequence[tuple[str, float, str]]) -> Check:
 
 def stored_numerical(store: Store, cases: Mapping[str, str]) -> tuple[NumericalUncertainty, ...]:
     """Numerical uncertainty of a study: as its run found it, and then ``study converge``."""
-    found = store.read_document(
+    document = store.read_document(
         "numerical-cells", NumericalCells, lambda cells: fault_of_series(cells["rows"])
     )
     rows = store.read_rows("numerical", NumericalRow, fault_of_series)
-    if found is not None and found["of"] == digest(cases):
-        rows = [*rows, *found["rows"]]
+    if document is not None and document["of"] == digest(cases):
+        rows = [*rows, *document["rows"]]
     return tuple(map(_of_row, rows))
 
 
@@ -259,8 +264,6 @@ MESH_FACTORS = ("model.mesh", "model.mesh_size")
 
 #: meshes that a series needs
 _NEEDED = 3
-#: keys of a discretization whose errors share an order
-_ELEMENT = ("space", "element_order", "element_shape", "formulation")
 Cell = tuple[str, ...]
 
 
@@ -282,12 +285,9 @@ def numerical_bound(
     rows = [row for row in numerical if row.response == response]
     if not rows:
         return None
-    cells = [
-        (dict(one.levels), "" if one.cell.problem.is_homogeneous else _element(one))
-        for one in design.treatments
-    ]
+    cells = [(dict(one.levels), one.cell.problem.discretization) for one in design.treatments]
     mesh = mesh_factor(design)
-    meshes = None if mesh is None else _ordered(records, mesh)
+    meshes = None if mesh is None else _ordered(design, records, mesh)
     names = [f.name for f in design.factors]
     if mesh is not None and meshes is not None and set(meshes) <= set(table[mesh].astype(str)):
         names.remove(mesh)
@@ -299,18 +299,13 @@ def numerical_bound(
     more = u_of_steps(records, response, transform)
     if transform == "log" and more:
         more /= _geometric_mean(records, response)
-    known = tuple(dict.fromkeys(tuple(levels[n] for n in names) for levels, _ in cells))
+    combinations = tuple(dict.fromkeys(tuple(levels[n] for n in names) for levels, _ in cells))
     named = {
         cell: replace(s, discretization=elements[cell])
         for cell, s in series.items()
         if elements.get(cell)
     }
-    return SeriesBounds(tuple(names), known, named, elements, more, mesh, finest)
-
-
-def _element(treatment: Treatment) -> str:
-    model = treatment.cell.problem.model
-    return " ".join(str(getattr(model, key)) for key in _ELEMENT)
+    return SeriesBounds(tuple(names), combinations, named, elements, more, mesh, finest)
 
 
 def _own_series(
@@ -327,21 +322,21 @@ def _own_series(
     values = np.log(y.where(y > 0)) if transform == "log" else y
     labels = [table[name].astype(str) for name in (*names, mesh)]
     mean = values.groupby(labels, sort=False).mean()
-    found = {}
+    u_by_cell = {}
     for row in rows:
         if set(row.levels) != set(names) or len(row.series) < _NEEDED:
             continue
         cell = tuple(row.levels[name] for name in names)
         by_mesh = [float(mean.get((*cell, level), math.nan)) for level in reversed(meshes)]
         if np.isfinite(by_mesh).all() and len(row.mesh_size) == len(by_mesh):
-            found[cell] = CellSeries(
+            u_by_cell[cell] = CellSeries(
                 tuple(reversed(row.mesh_size)),
                 tuple(by_mesh),
                 row.formal_order,
                 studied=math.fsum(by_mesh) / len(by_mesh),
                 reference=1.0 if transform == "log" else None,
             )
-    return found
+    return u_by_cell
 
 
 def _refined_series(
@@ -351,26 +346,26 @@ def _refined_series(
     cells: Sequence[Mapping[str, str]],
 ) -> dict[Cell, CellSeries]:
     """Series of the cells that were refined beside the study."""
-    found = {}
+    by_cell = {}
     for row in rows:
         values = row.series
         if transform == "log":
             values = tuple(math.log(v) for v in values if v > 0)
         if len(values) < 2 or len(values) != len(row.mesh_size) or min(row.mesh_size) <= 0:
             continue
-        own = {name: level for name, level in row.levels.items() if name in names}
-        at = next((c for c in cells if own.items() <= c.items()), None)
+        levels = {name: level for name, level in row.levels.items() if name in names}
+        at = next((c for c in cells if levels.items() <= c.items()), None)
         if at is None:
             continue
         finest = np.argsort(row.mesh_size)
-        found[tuple(at[name] for name in names)] = CellSeries(
+        by_cell[tuple(at[name] for name in names)] = CellSeries(
             tuple(row.mesh_size[i] for i in finest),
             tuple(values[i] for i in finest),
             row.formal_order,
             studied=values[0],
             reference=1.0 if transform == "log" else None,
         )
-    return found
+    return by_cell
 
 
 def u_of_steps(records: Sequence[Record], response: str, transform: str) -> float:
@@ -379,21 +374,27 @@ def u_of_steps(records: Sequence[Record], response: str, transform: str) -> floa
     On the log scale it counts by its share of the value, as that of the mesh does.
     """
     entries = [r.responses[response] for r in records if r.converged and response in r.responses]
-    found = [(u, e["value"]) for e in entries if (u := e.get("u_steps")) is not None]
+    pairs = [(u, e["value"]) for e in entries if (u := e.get("u_steps")) is not None]
     if transform != "log":
-        return max((u for u, _ in found), default=0.0)
-    shares = [u / abs(value) for u, value in found if value]
+        return max((u for u, _ in pairs), default=0.0)
+    shares = [u / abs(value) for u, value in pairs if value]
     return max(shares) * _geometric_mean(records, response) if any(shares) else 0.0
 
 
 def mesh_factor(design: Design) -> str | None:
     """Name of the factor whose levels are meshes; None without, or with several."""
-    found = [f.name for f in design.factors if f.name in MESH_FACTORS and len(f.levels) > 1]
+    names = (*MESH_FACTORS, design.converge.key)
+    found = [f.name for f in design.factors if f.name in names and len(f.levels) > 1]
     return found[0] if len(found) == 1 else None
 
 
-def _ordered(records: Sequence[Record], mesh: str) -> list[str] | None:
+def _ordered(design: Design, records: Sequence[Record], mesh: str) -> list[str] | None:
     """Meshes from coarse to fine; None where that order differs between columns."""
+    if mesh == design.converge.key:
+        sizes = {t.levels[mesh]: t.cell.problem.parameters[mesh.partition(".")[2]]
+                 for t in design.treatments}  # fmt: skip
+        ordered = sorted(sizes, key=lambda label: -float(sizes[label]))
+        return ordered if len(ordered) >= _NEEDED else None
     columns: dict[tuple[tuple[str, str], ...], dict[str, float]] = {}
     for record in records:
         size = record.mesh.get("mesh_size_mm")
@@ -411,8 +412,8 @@ def _ordered(records: Sequence[Record], mesh: str) -> list[str] | None:
 
 def _geometric_mean(records: Sequence[Record], response: str) -> float:
     values = [r.response(response) for r in records]
-    known = [math.log(v) for v in values if math.isfinite(v) and v > 0]
-    return math.exp(math.fsum(known) / len(known))
+    positive = [math.log(v) for v in values if math.isfinite(v) and v > 0]
+    return math.exp(math.fsum(positive) / len(positive))
 
 
 # Comparison with the measurements, E +- u_val, of every case of a study (ASME V&V 20-2009).
@@ -452,9 +453,9 @@ def compared(work: Work, moved: Work, store: Store) -> list[dict[str, object]]:
             continue
         # where the deformation is the same everywhere no mesh matters
         share = np.zeros(PLACES.size) if job.case.setup.is_homogeneous else mesh(job)
-        own = replace(record, levels=job.case.levels)
+        relabeled_record = replace(record, levels=job.case.levels)
         physics = inputs.get(physics_of(job.case.levels))
-        rows.append(_row(own, share, physics, work.design.uncertainty))
+        rows.append(_row(relabeled_record, share, physics, work.design.uncertainty))
     return rows
 
 
@@ -468,17 +469,25 @@ def _mesh_shares(
     series = study_refinement.own_series(work, records)
     finest = bool(series)
     series = series or study_refinement.chosen_series(work, records)
-    known = store.by_case({j.case.case_id: j.input_hash for one in series for j in one.every})
-    for one in series:
-        one.records.update(known)
+    stored = store.by_case(
+        {j.case.case_id: j.input_hash for case_series in series for j in case_series.every}
+    )
+    for case_series in series:
+        case_series.records.update(stored)
     if finest:
-        own = {case: share for one in series for case, share in one.shares().items()}
-        of_cell = {_cell(job): own.get(job.case.case_id) for one in series for job in one.jobs}
+        shares = {
+            case: share for case_series in series for case, share in case_series.shares().items()
+        }
+        of_cell = {
+            _cell(job): shares.get(job.case.case_id)
+            for case_series in series
+            for job in case_series.jobs
+        }
         return lambda job: of_cell.get(_cell(job))
     of_model = {}
-    for one in series:
-        share = one.shares().get(one.base.case.case_id)
-        of_model[study_refinement.discretization_key(one.base.case.config)] = share
+    for case_series in series:
+        share = case_series.shares().get(case_series.base.case.case_id)
+        of_model[study_refinement.discretization_key(case_series.base.case.config)] = share
     return lambda job: of_model.get(study_refinement.discretization_key(job.case.config))
 
 
@@ -499,14 +508,14 @@ def _row(
     measured, predicted = pair
     d = places_of(measured)
     force = predicted.force_at(d)
-    found = compare(
+    agreement = compare(
         d, force, measured.force_at(d),
         None if mesh is None else mesh * np.abs(force),
         None if inputs is None else inputs * np.abs(force),
         _data(measured, d, fact.get("scatter_N"), uncertainty),
     )  # fmt: skip
     facts = {"case_id": record.case_id, "levels": dict(record.levels), "block": record.block}
-    return facts | {"label": fact["score"], "role": fact["role"]} | found.to_json()
+    return facts | {"label": fact["score"], "role": fact["role"]} | agreement.to_json()
 
 
 def _data(

@@ -90,7 +90,7 @@ class Verification:
             "tolerance": self.tolerance,
             "records": self.records,
             "solved_again": self.solved,
-            "differences": [vars(one) for one in self.differences],
+            "differences": [vars(difference) for difference in self.differences],
         }
 
 
@@ -143,12 +143,12 @@ def verify(
     if tolerance is None:
         then = write.arithmetic_of(page.parent, page.stem)
         tolerance = 0.0 if then == write.arithmetic() else OTHER_ARITHMETIC
-    found = Verification(tolerance=tolerance)
-    _check_records(folder, found)
-    _compare_report(page.parent, folder, found)
+    verification = Verification(tolerance=tolerance)
+    _check_records(folder, verification)
+    _compare_report(page.parent, folder, verification)
     if resolve > 0:
-        _solve_again(folder, found, resolve, seed, data, Allowed(allow_commands))
-    return found
+        _solve_again(folder, verification, resolve, seed, data, Allowed(allow_commands))
+    return verification
 
 
 def _page(path: Path, reports: Path) -> Path:
@@ -163,23 +163,25 @@ def _page(path: Path, reports: Path) -> Path:
     raise InputError(Fault(str(path), "there is no page of a report there", mend))
 
 
-def _check_records(folder: Path, found: Verification) -> None:
+def _check_records(folder: Path, verification: Verification) -> None:
     """Compare every record with its own sum, and with the case that it was written for."""
     warnings: list[str] = []
     store = Store(folder, warn=warnings.append)
     manifest = finished_manifest(store)
     for case_id, input_hash in manifest["cases"].items():
-        found.records += 1
+        verification.records += 1
         record = store.read(case_id)
         if record is None:
-            found.differences.append(Difference(f"record {case_id}", "damaged or missing", "whole"))
+            verification.differences.append(
+                Difference(f"record {case_id}", "damaged or missing", "whole")
+            )
         elif record.input_hash != input_hash:
-            found.differences.append(
+            verification.differences.append(
                 Difference(f"record {case_id}: input", record.input_hash, input_hash)
             )
 
 
-def _compare_report(home: Path, folder: Path, found: Verification) -> None:
+def _compare_report(home: Path, folder: Path, verification: Verification) -> None:
     with tempfile.TemporaryDirectory(prefix="study-verify-") as place:
         formats = ["html", *(["tex"] if list(home.glob("*.tex")) else [])]
         again = report(
@@ -192,21 +194,21 @@ def _compare_report(home: Path, folder: Path, found: Verification) -> None:
         for name in sorted(names):
             there = os.path.isfile(home / name), os.path.isfile(fresh / name)
             if not all(there):
-                lost, made = ("there" if known else "missing" for known in there)
-                found.differences.append(Difference(str(name), lost, made))
+                lost, made = ("there" if is_there else "missing" for is_there in there)
+                verification.differences.append(Difference(str(name), lost, made))
                 continue
             text = _text(fresh / name)
             try:
                 reported = _text(home / name, 2 * len(text.encode()) + _SPARE_BYTES)
             except StoreError as error:
-                found.differences.append(Difference(str(name), str(error), "readable"))
+                verification.differences.append(Difference(str(name), str(error), "readable"))
                 continue
-            _compare(str(name), _lines(reported), _lines(text), found)
+            _compare(str(name), _lines(reported), _lines(text), verification)
 
 
 def _texts(folder: Path) -> Iterator[Path]:
-    found = (p for p in folder.rglob("*") if p.suffix in _TEXTS and os.path.isfile(p))
-    return (p for p in found if p.name != write.NAME)
+    paths = (p for p in folder.rglob("*") if p.suffix in _TEXTS and os.path.isfile(p))
+    return (p for p in paths if p.name != write.NAME)
 
 
 def _text(path: Path, limit: int = MAX_BYTES) -> str:
@@ -233,15 +235,15 @@ def _kind(name: str) -> str:
     return "page" if file.endswith((".html", ".tex")) else "tables"
 
 
-def _compare(name: str, old: Sequence[str], new: Sequence[str], found: Verification) -> None:
+def _compare(name: str, old: Sequence[str], new: Sequence[str], verification: Verification) -> None:
     kind = _kind(name)
     for number, (first, second) in enumerate(itertools.zip_longest(old, new, fillvalue=""), 1):
         numbers = _NUMBER.findall(second)
-        found.numbers[kind] += len(numbers)
+        verification.numbers[kind] += len(numbers)
         if first == second:
             continue
-        if found.tolerance > 0 and _rounding(first, second, numbers, found.tolerance):
-            found.rounded += 1
+        if verification.tolerance > 0 and _rounding(first, second, numbers, verification.tolerance):
+            verification.rounded += 1
             continue
         same = next(
             (k for k, (a, b) in enumerate(zip(first, second, strict=False)) if a != b),
@@ -249,7 +251,7 @@ def _compare(name: str, old: Sequence[str], new: Sequence[str], found: Verificat
         )
         begin = max(same - 30, 0)
         reported, recomputed = first[begin : same + 30].strip(), second[begin : same + 30].strip()
-        found.differences.append(Difference(f"{name}: line {number}", reported, recomputed))
+        verification.differences.append(Difference(f"{name}: line {number}", reported, recomputed))
 
 
 def _rounding(first: str, second: str, numbers: Sequence[str], tolerance: float) -> bool:
@@ -267,7 +269,7 @@ def _value(text: str) -> float:
 
 def _solve_again(
     folder: Path,
-    found: Verification,
+    verification: Verification,
     count: int,
     seed: int,
     data: str | Path | None,
@@ -278,21 +280,21 @@ def _solve_again(
     manifest = finished_manifest(store)
     design = loads(manifest["design"], manifest["source"])
     work = expand(design, design_root(design, data), allowed)
-    kept = store.by_case(manifest["cases"])
-    known = [job for job in work.jobs if (r := kept.get(job.case.case_id)) and r.converged]
-    size = min(count, len(known))
-    drawn = sorted(np.random.default_rng(seed).choice(len(known), size, replace=False).tolist())
-    part = replace(work, jobs=tuple(known[k] for k in drawn))
+    stored = store.by_case(manifest["cases"])
+    solved = [job for job in work.jobs if (r := stored.get(job.case.case_id)) and r.converged]
+    size = min(count, len(solved))
+    drawn = sorted(np.random.default_rng(seed).choice(len(solved), size, replace=False).tolist())
+    part = replace(work, jobs=tuple(solved[k] for k in drawn))
     with tempfile.TemporaryDirectory(prefix="study-verify-") as place:
         again = Store(Path(place))
         run_batch(part, again, jobs=1)
         fresh = again.by_case(part.input_hashes)
     for job in part.jobs:
-        found.solved += 1
-        _compare_records(kept[job.case.case_id], fresh.get(job.case.case_id), found)
+        verification.solved += 1
+        _compare_records(stored[job.case.case_id], fresh.get(job.case.case_id), verification)
 
 
-def _compare_records(old: Record, new: Record | None, found: Verification) -> None:
+def _compare_records(old: Record, new: Record | None, verification: Verification) -> None:
     """Compare the responses of a record with those of another solution; seconds are a clock."""
     for name in old.responses:
         first, second = old.value(name), None if new is None else new.value(name)
@@ -302,4 +304,4 @@ def _compare_records(old: Record, new: Record | None, found: Verification) -> No
             first, second, rel_tol=SOLVED_AGAIN, abs_tol=1e-9
         ):  # fmt: skip
             where = f"case {old.case_id} solved again: {name}"
-            found.differences.append(Difference(where, str(first), str(second)))
+            verification.differences.append(Difference(where, str(first), str(second)))

@@ -15,6 +15,7 @@ from typing import Annotated
 import typer
 
 from study.cli import (
+    converge_commands,
     laboratory_commands,
     output,
     single_commands,
@@ -102,16 +103,15 @@ def virtual(
     if source is not None and is_tracking(source):
         where = None if data_root(source).resolve() == out.resolve() else out
         command = written("tracking", source, options={"--data": where})
-        output.next_step("what the tracker is worth", command, beside=True)
+        output.next_step("what the tracker is worth", command, is_optional=True)
     elif source is not None:
-        found = design_root(load(source, settings or ())).resolve() == out.resolve()
-        told = {"--data": None if found else out, "-s": settings}
+        is_beside_design = design_root(load(source, settings or ())).resolve() == out.resolve()
+        options = {"--data": None if is_beside_design else out, "-s": settings}
         output.next_step(
-            "what a study of them computes", written("plan", source, options=told), beside=True
+            "what a study of them computes",
+            written("plan", source, options=options),
+            is_optional=True,
         )
-
-
-NEW_FILE_VERBS: tuple[Callable[..., None], ...] = (new, virtual)
 
 
 INTERRUPTED = 130
@@ -127,9 +127,9 @@ app = typer.Typer(
 )
 
 
-def _say_version(asked: bool) -> None:
+def _say_version(is_asked: bool) -> None:
     """Print the version and leave."""
-    if asked:
+    if is_asked:
         from study import __version__
 
         print(f"study {__version__}")
@@ -146,19 +146,46 @@ def root(
     """Design of experiments and honest statistics for simulations of soft materials."""
 
 
-VERBS: tuple[Callable[..., None], ...] = (
-    *study_commands.VERBS,
-    *study_commands.VERIFICATION_VERBS,
-    statistics_commands.power,
-    serve,
-    *statistics_commands.VERBS,
-    *NEW_FILE_VERBS,
-    *single_commands.VERBS,
-    *laboratory_commands.HAPTIC_VERBS,
-    *laboratory_commands.ACCURACY_VERBS,
-)
-for verb in VERBS:
-    app.command()(verb)
+#: verbs by the group that ``study --help`` shows them in, each with an example of its call
+GROUPS: dict[str, dict[Callable[..., None], str]] = {
+    "Studies": {
+        study_commands.demo: "study demo",
+        new: "study new study.toml",
+        virtual: "study virtual measurements --from study.toml",
+        study_commands.plan: "study plan study.toml",
+        study_commands.run: "study run study.toml --jobs 2",
+        study_commands.status: "study status STUDY",
+        study_commands.report: "study report STUDY --format html,tex",
+        study_commands.diff: "study diff FIRST SECOND",
+        study_commands.why: "study why CASE",
+        study_commands.verify: "study verify STUDY",
+        serve: "study serve",
+    },
+    "Analysis": {
+        statistics_commands.analyze: "study analyze runs.csv --response y --factors a,b",
+        statistics_commands.power: "study power study.toml --sd 0.4",
+        study_commands.predict: "study predict STUDY --at thickness='3 mm'",
+        statistics_commands.optimize: "study optimize STUDY --minimize error",
+        statistics_commands.invert: "study invert STUDY --to curve.csv",
+    },
+    "Materials and mechanics": {
+        single_commands.solve: "study solve problem.toml",
+        single_commands.calibrate: "study calibrate calibration.toml",
+        converge_commands.converge: "study converge --sizes 1,2,4 --values 0.9705,0.9685,0.9618",
+        laboratory_commands.export: "study export problem.toml --as abaqus",
+    },
+    "Laboratory": {
+        single_commands.inspect: "study inspect recorded.csv",
+        laboratory_commands.require: "study require sensors.toml",
+        laboratory_commands.tracking: "study tracking tracker.toml",
+        laboratory_commands.shape: "study shape problem.toml --scan scan.ply",
+    },
+    "Tools": {single_commands.doctor: "study doctor"},
+}
+VERBS = tuple(verb for verbs in GROUPS.values() for verb in verbs)
+for group, verbs in GROUPS.items():
+    for verb, example in verbs.items():
+        app.command(rich_help_panel=group, epilog=f"Example: {example}")(verb)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -183,8 +210,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     gc.set_threshold(50_000, 20, 20)
     typed = list(sys.argv[1:] if arguments is None else arguments)
     try:
-        words = None if arguments is None else list(arguments)
-        code = app(words, prog_name="study", standalone_mode=False)
+        code = app([_with_digest(word) for word in typed], prog_name="study", standalone_mode=False)
     except StudyError as error:
         complain(error)
         if not isinstance(error, StoppedError) or not is_resumable(typed):
@@ -207,6 +233,18 @@ def run(arguments: Sequence[str] | None = None) -> int:
         with suppress(OSError):  # a terminal that was closed cannot be written to
             print(interrupted(typed), file=sys.stderr)
     return code if isinstance(code, int) else 0
+
+
+def _with_digest(word: str) -> str:
+    """Option of a digest, where one is written as the value of --allow-commands.
+
+    Examples
+    --------
+    >>> _with_digest("--allow-commands=0d084f8cc87a"), _with_digest("--allow-commands")
+    ('--allow-digest=0d084f8cc87a', '--allow-commands')
+    """
+    option, equals, digest = word.partition("=")
+    return f"--allow-digest={digest}" if option == "--allow-commands" and equals else word
 
 
 def _interrupt(number: int, frame: object) -> None:

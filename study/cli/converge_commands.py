@@ -37,7 +37,7 @@ def converge(
     """Judge mesh convergence: observed order, extrapolated value, GCI, verdict."""
     from study import api
 
-    found = api.converge(
+    answer = api.converge(
         file,
         values=_numbers(values, "--values"),
         sizes=_numbers(sizes, "--sizes"),
@@ -51,7 +51,7 @@ def converge(
         reports=reports,
         progress=lambda text: print(text, file=sys.stderr, flush=True),
     )
-    document = found if isinstance(found, dict) else found.to_json()
+    document = answer if isinstance(answer, dict) else answer.to_json()
     cells = document.get("cells", [document])
     if as_json:
         output.print_json(document)
@@ -70,7 +70,7 @@ def converge(
 def _print_left_out(cells: Sequence[Document]) -> None:
     """Name the cells that the budget of ``[converge]`` did not allow to be refined."""
     if cells:
-        named = ", ".join(" / ".join(str(v) for v in one["levels"].values()) for one in cells)
+        named = ", ".join(" / ".join(str(v) for v in cell["levels"].values()) for cell in cells)
         print(f"not refined, for the time budget does not allow it: {named}")
         print("  a longer budget in [converge], or none, refines them too\n")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -31,21 +31,21 @@ def closed_form(
     """Fit the moduli of a calibration file in closed form and show them."""
     from study import api
 
-    found = api.indentation_modulus(file, data=data, overrides=settings, results=results)
-    for test in found.tests:
+    calibration = api.indentation_modulus(file, data=data, overrides=settings, results=results)
+    for test in calibration.tests:
         output.warn(test.warnings)
     if as_json:
-        output.print_json(found.to_json())
+        output.print_json(calibration.to_json())
     else:
-        _print(found)
-        folder = results / found.name
+        _print(calibration)
+        folder = results / calibration.name
         print(f"written: {folder / 'analytic.json'}, {folder / 'moduli.csv'}")
-    if not found.is_complete:
+    if not calibration.is_complete:
         raise typer.Exit(1)
 
 
-def _print(found: AnalyticCalibration) -> None:
-    for test in found.tests:
+def _print(calibration: AnalyticCalibration) -> None:
+    for test in calibration.tests:
         title = f"{test.file}: {test.indenter}, {test.theory}, nu = {test.poisson_ratio:g}"
         rows = [["median of", "n", "E [kPa]", "95 % interval", "quartiles", "G [kPa]"]]
         unit = test.block or "curve"
@@ -58,32 +58,32 @@ def _print(found: AnalyticCalibration) -> None:
               f"({test.limits[0].what})")  # fmt: skip
         if test.estimate is not None:
             print(f"interval: {test.estimate.kind}")
-    for note in found.notes:
+    for note in calibration.notes:
         print(f"data: {note}")
 
 
-def _estimate(found: MedianEstimate, poisson_ratio: float) -> list[str]:
+def _estimate(estimate: MedianEstimate, poisson_ratio: float) -> list[str]:
     return [
-        str(found.units),
-        _kilo(found.value_MPa),
-        _between(found.interval_MPa),
-        _between(found.quartiles_MPa),
-        _kilo(found.value_MPa / (2 * (1 + poisson_ratio))),
+        str(estimate.units),
+        _kilo(estimate.value_MPa),
+        _between(estimate.interval_MPa),
+        _between(estimate.quartiles_MPa),
+        _kilo(estimate.value_MPa / (2 * (1 + poisson_ratio))),
     ]
 
 
 def _print_curves(test: IndentationModulus) -> None:
-    fitted = any(one.found.contact_mm is not None for one in test.curves)
+    fitted = any(curve.found.contact_mm is not None for curve in test.curves)
     rows = [["curve", "E [kPa]", "95 % interval", "residual [%]", "status"]]
     if fitted:
         rows[0].insert(3, "contact [mm]")
-    for one in test.curves[:_LISTED]:
-        found = one.found
-        share = None if found.relative_rms is None else 100 * found.relative_rms
-        row = [one.label, _kilo(found.modulus_MPa), _between(found.interval_MPa),
-               output.number(share, 3), found.status]  # fmt: skip
+    for curve in test.curves[:_LISTED]:
+        modulus = curve.found
+        share = None if modulus.relative_rms is None else 100 * modulus.relative_rms
+        row = [curve.label, _kilo(modulus.modulus_MPa), _between(modulus.interval_MPa),
+               output.number(share, 3), modulus.status]  # fmt: skip
         if fitted:
-            row.insert(3, output.number(found.contact_mm))
+            row.insert(3, output.number(modulus.contact_mm))
         rows.append(row)
     output.table(rows)
     if len(test.curves) > _LISTED:
@@ -134,30 +134,30 @@ def export(
         if as_json:
             output.print_json(made.to_json())
             return
-        for line in (said for one in made.functions for said in one.sentences()):
+        for line in (sentence for function in made.functions for sentence in function.sentences()):
             output.paragraph(line)
         for path in made.paths:
             print(f"written: {path}")
         return
-    found = api.export(
+    exported = api.export(
         source, form=form, case=case, test=test, tolerance=tolerance, overrides=settings or (),
         out=reports, progress=_say,
     )  # fmt: skip
-    output.warn(found.warnings)
+    output.warn(exported.warnings)
     if as_json:
-        output.print_json(found.to_json())
+        output.print_json(exported.to_json())
         return
-    _print_export(found)
+    _print_export(exported)
 
 
 def _say(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
-def _print_export(found: Export | MaterialExport) -> None:
-    for line in found.sentences():
+def _print_export(exported: Export | MaterialExport) -> None:
+    for line in exported.sentences():
         output.paragraph(line)
-    for path in found.paths:
+    for path in exported.paths:
         print(f"written: {path}")
 
 
@@ -177,29 +177,26 @@ def require(
     """Say how uncertain sensors make constants and force, and what they must be."""
     from study import api
 
-    found = api.require(file, overrides=settings or (), jobs=jobs, out=reports, progress=_say)
-    output.warn(found.warnings)
+    answer = api.require(file, overrides=settings or (), jobs=jobs, out=reports, progress=_say)
+    output.warn(answer.warnings)
     if as_json:
-        output.print_json(found.to_json())
+        output.print_json(answer.to_json())
         return
-    _print_requirement(found)
+    _print_requirement(answer)
 
 
-def _print_requirement(found: Required) -> None:
+def _print_requirement(answer: Required) -> None:
     from study.laboratory.sensors import requirement
 
-    for line in requirement.sentences(found.requirement):
+    for line in requirement.sentences(answer.requirement):
         output.paragraph(line)
     rows = [["sensor", "error", "given", "allowed alone", "allowed beside the others"]]
-    for k, source in enumerate(found.requirement.propagation.sources):
-        alone, beside = (requirement.size(source, v) for v in found.requirement.allowed(k))
+    for k, source in enumerate(answer.requirement.propagation.sources):
+        alone, jointly = (requirement.size(source, v) for v in answer.requirement.allowed(k))
         given = requirement.size(source, source.given)
-        rows.append([source.sensor, source.name, given, alone, beside])
+        rows.append([source.sensor, source.name, given, alone, jointly])
     output.table(rows)
-    print(f"report: {found.page}")
-
-
-HAPTIC_VERBS: tuple[Callable[..., None], ...] = (export, require)
+    print(f"report: {answer.page}")
 
 
 # Verbs that compare with an instrument: tracking, shape.
@@ -218,13 +215,13 @@ def tracking(
     from study import api
     from study.reporting.output.accuracy_page import tracker_answers as answers
 
-    found = api.tracking(file, data=data, reports=reports)
+    accuracy = api.tracking(file, data=data, reports=reports)
     if as_json:
-        output.print_json(found.to_json())
+        output.print_json(accuracy.to_json())
         return
-    for line in answers(found):
+    for line in answers(accuracy):
         output.paragraph(line)
-    print(f"report: {found.report}")
+    print(f"report: {accuracy.report}")
 
 
 def shape(
@@ -252,17 +249,14 @@ def shape(
     from study.laboratory.shape.shape_deviation import ShapeOptions as Options
     from study.reporting.output.accuracy_page import scan_answers as answers
 
-    found = api.shape(
+    deviation = api.shape(
         simulation, scan, markers=markers, unit=unit, surface_unit=surface_unit,
         options=Options(not as_it_lies, any_state), overrides=settings or (), reports=reports,
     )  # fmt: skip
-    output.warn(found.notes)
+    output.warn(deviation.notes)
     if as_json:
-        output.print_json(found.to_json())
+        output.print_json(deviation.to_json())
         return
-    for line in answers(found):
+    for line in answers(deviation):
         output.paragraph(line)
-    print(f"report: {found.report}")
-
-
-ACCURACY_VERBS: tuple[Callable[..., None], ...] = (tracking, shape)
+    print(f"report: {deviation.report}")

@@ -167,9 +167,9 @@ def _bar() -> Iterator[Callable[[Progress], None]]:
         yield update
 
 
-def next_step(what: str, command: str, *, beside: bool = False) -> None:
+def next_step(what: str, command: str, *, is_optional: bool = False) -> None:
     """Say what can be done next, and the command that does it."""
-    print(f"next, {what}:\n  {command}", file=sys.stderr if beside else sys.stdout)
+    print(f"next, {what}:\n  {command}", file=sys.stderr if is_optional else sys.stdout)
 
 
 def counts(cases: Mapping[str, int]) -> str:
@@ -197,28 +197,28 @@ def curve_rows(curve: Curve) -> list[list[str]]:
         "force [N]": curve.force_N,
         "stiffness [N/mm]": curve.stiffness_N_per_mm,
     }
-    known = {head: values for head, values in every.items() if values is not None}
-    rows = zip(*known.values(), strict=True)
-    return [list(known), *([f"{v:.6g}" for v in row] for row in rows)]
+    columns = {head: values for head, values in every.items() if values is not None}
+    rows = zip(*columns.values(), strict=True)
+    return [list(columns), *([f"{v:.6g}" for v in row] for row in rows)]
 
 
-def print_nuisance(found: Document) -> None:
+def print_nuisance(nuisance: Document) -> None:
     """Show nuisance parameters and the share that each has in the variance of the constants."""
-    if not found:
+    if not nuisance:
         return
-    constants = next(iter(found.values()))["shares"]
+    constants = next(iter(nuisance.values()))["shares"]
     rows = [["nuisance parameter", "", "expected", "found", "unit", "95 % interval",
              *(f"share in {name}" for name in constants)]]  # fmt: skip
-    for name, one in found.items():
-        before = number(one["expected"])
-        if one["uncertainty"] is not None:
-            before = f"{before} +- {number(one['uncertainty'])}"
-        low, high = (number(v) for v in one["ci95"])
-        shares = (f"{100 * share:.3g} %" for share in one["shares"].values())
-        rows.append([name, one["treated"], before, number(one["value"]), one["unit"],
+    for name, entry in nuisance.items():
+        before = number(entry["expected"])
+        if entry["uncertainty"] is not None:
+            before = f"{before} +- {number(entry['uncertainty'])}"
+        low, high = (number(v) for v in entry["ci95"])
+        shares = (f"{100 * share:.3g} %" for share in entry["shares"].values())
+        rows.append([name, entry["treated"], before, number(entry["value"]), entry["unit"],
                      f"{low} to {high}", *shares])  # fmt: skip
     table(rows, "nuisance parameters")
-    if any(one["treated"] == "fitted" and one["uncertainty"] for one in found.values()):
+    if any(entry["treated"] == "fitted" and entry["uncertainty"] for entry in nuisance.values()):
         print(
             "the expected value of a fitted parameter enters the fit as one row, as if it were "
             "measured"
@@ -250,8 +250,8 @@ def written(*words: object, options: Options | None = None) -> str:
     typed = [str(word) for word in words]
     for name, value in (options or {}).items():
         values = value if isinstance(value, (list, tuple)) else [value]
-        for one in values:
-            typed += [] if one is None else [name] if one is True else [name, str(one)]
+        for item in values:
+            typed += [] if item is None else [name] if item is True else [name, str(item)]
     return " ".join(["study", *map(_quoted, typed)])
 
 
@@ -277,18 +277,23 @@ def interrupted(arguments: Sequence[str]) -> str:
     )
 
 
-def after_plan(found: Plan, design: Path, options: Options) -> tuple[str, str]:
+def after_plan(planned: Plan, design: Path, options: Options) -> tuple[str, str]:
     """Say what to do after a plan, and the command."""
-    if found.predicted_seconds is None:
+    if planned.predicted_seconds is None:
         return (
             "put the measurements there, or make some of virtual specimens",
             written("virtual", "measurements", options={"--from": design, "-s": options.get("-s")}),
         )
-    if found.missing:
-        allowed = {"--allow-digest": found.digest or None}
+    if planned.missing and planned.calls_function:
+        return (
+            "compute what is missing, from Python",
+            f'study.run("{design}", forward=FUNCTION, version="1")',
+        )
+    if planned.missing:
+        allowed = {"--allow-digest": planned.digest or None}
         return "compute what is missing", written("run", design, options={**options, **allowed})
     return "everything is computed; the report again", written(
-        "report", found.design.name, options=_folders(options)
+        "report", planned.design.name, options=_folders(options)
     )
 
 
@@ -304,8 +309,8 @@ def after_run(study: StudyResult, options: Options) -> tuple[str, str]:
             "status", study.design.name, options={"--results": folders.get("--results")}
         )
     if study.report is None or study.report.suffix != ".html":
-        wanted = {**folders, "--format": "html"}
-        return "write its page", written("report", study.design.name, options=wanted)
+        page_options = {**folders, "--format": "html"}
+        return "write its page", written("report", study.design.name, options=page_options)
     return "check every number of the report", written("verify", study.design.name, options=folders)
 
 
@@ -352,16 +357,18 @@ def _paths(incomplete: str, endings: tuple[str, ...], *, folders: bool = True) -
     """Files and folders below what is typed already, as it was typed."""
     typed, _, _ = incomplete.rpartition("/")
     above = f"{typed}/" if "/" in incomplete else ""
-    found = list(_inside(Path(above or ".")))
-    names = [f"{above}{one.name}" for one in found if one.suffix in endings and one.is_file()]
-    names += [f"{above}{one.name}/" for one in found if folders and one.is_dir()]
+    entries = list(_inside(Path(above or ".")))
+    names = [
+        f"{above}{entry.name}" for entry in entries if entry.suffix in endings and entry.is_file()
+    ]
+    names += [f"{above}{entry.name}/" for entry in entries if folders and entry.is_dir()]
     return _beginning(incomplete, names)
 
 
 def _inside(folder: Path) -> Iterator[Path]:
     """List what a folder holds but hidden files; nothing of one that cannot be read."""
     with suppress(OSError):
-        yield from (one for one in folder.iterdir() if not one.name.startswith("."))
+        yield from (entry for entry in folder.iterdir() if not entry.name.startswith("."))
 
 
 def _beginning(start: str, names: Iterable[str]) -> list[str]:

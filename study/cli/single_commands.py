@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from study.cli import output
-from study.cli.converge_commands import converge
 from study.cli.laboratory_commands import closed_form
 from study.cli.output import Document, designs
 from study.cli.study_commands import RESULTS, Data, Json, Results, Set
@@ -38,8 +38,12 @@ def solve(
         Path | None, typer.Option(help="SVG file for a picture of the deformed mesh.")
     ] = None,
     vtu: Annotated[
-        Path | None, typer.Option(help="VTU file for the deformed fields, for ParaView.")
+        Path | None,
+        typer.Option(help="Fields for ParaView: .vtu of the last step, .pvd of all of them."),
     ] = None,
+    whole: Annotated[
+        bool, typer.Option("--whole", help="Mirror the fields at the planes of symmetry.")
+    ] = False,
     follow: Annotated[
         bool, typer.Option("--follow", help="Go on behind an instability, on the whole body.")
     ] = False,
@@ -55,12 +59,20 @@ def solve(
     solution = api.solve(file, overrides=settings or (), follow=follow)
     curve = solution.curve
     if picture or vtu:
-        _write_fields(solution, picture, vtu)
+        _write_fields(solution, picture, vtu, whole=whole)
     if as_json:
         output.print_json(solution_json(solution))
     else:
         output.table(output.curve_rows(curve))
         print(f"{solution.status}: {solution.message}")
+        if figures := solution.equilibria.contact:
+            last, above = figures[-1], solution.equilibria.plate[-1]
+            print(
+                f"at the last step: contact {last.area_mm2:.4g} mm^2, peak pressure "
+                f"{1e3 * last.peak_pressure_MPa:.4g} kPa, nodes up to {last.penetration_mm:.2g} mm "
+                f"inside and {last.gap_mm:.2g} mm off the surface; side force "
+                f"{math.hypot(*above.side):.4g} N"
+            )
         total = solution.seconds["total"]
         print(f"{solution.dofs} unknowns, {total:.2f} s, {solution.solver}")
     if solution.status != "converged":
@@ -73,7 +85,9 @@ def _writable(*paths: Path | None) -> None:
     writable(*paths)
 
 
-def _write_fields(solution: Solution, picture: Path | None, vtu: Path | None) -> None:
+def _write_fields(
+    solution: Solution, picture: Path | None, vtu: Path | None, *, whole: bool
+) -> None:
     from study.api.solving import write_picture, write_vtu
 
     if not len(solution.curve.displacement_mm):
@@ -82,7 +96,7 @@ def _write_fields(solution: Solution, picture: Path | None, vtu: Path | None) ->
     if picture is not None:
         write_picture(solution, picture)
     if vtu is not None:
-        write_vtu(solution, vtu)
+        write_vtu(solution, vtu, whole=whole)
 
 
 def doctor(as_json: Json = False) -> None:
@@ -240,9 +254,6 @@ def inspect(
     print(f"\n{found.toml}")
 
 
-VERBS: tuple[Callable[..., None], ...] = (solve, calibrate, inspect, converge, doctor)
-
-
 class _Line:
     """One line on stderr: stage, iteration, cost and constants; redrawn where it can be."""
 
@@ -307,9 +318,9 @@ def _print_calibration(found: Document) -> None:
     print(f"{found['status']}: {found['message']} ({found['evaluations']} evaluations)")
     print(f"{found['fit']['verdict']}: {found['fit']['sentence']}")
     verdict = "identifiable" if found["identifiable"] else "not identifiable"
-    print(f"{verdict}{': ' + found['reason'] if found['reason'] else ''}")
-    if found["identifiability"] and found["identifiability"]["sentence"]:
-        print(found["identifiability"]["sentence"])
+    scaled = found["identifiability"]["sentence"] if found["identifiability"] else ""
+    whys = "; ".join(why for why in (found["reason"], scaled) if why)
+    print(f"{verdict}{': ' + whys if whys else ''}")
     if found["next_test"] and found["next_test"]["sentence"]:
         print(found["next_test"]["sentence"])
     print(found["stability"])
@@ -321,7 +332,7 @@ def _print_calibration(found: Document) -> None:
 def _print_constants(found: Document) -> None:
     rows = [["constant", "value", "unit", "standard error", "95 % interval", "numerics",
              "profile interval"]]  # fmt: skip
-    bound = found.get("numerics")
+    bound = found.get("numerics") or found.get("numerical")
     for name, entry in found["parameters"].items():
         u = "-" if bound is None else f"+-{output.number(bound['u'][name], 2)}"
         profile = found["profiles"].get(name, {}).get("interval")
@@ -338,9 +349,9 @@ def _print_constants(found: Document) -> None:
 
 def _print_further_bounds(found: Document) -> None:
     """Say how the numerical bound was had, and what the bootstrap gives."""
-    bound = found.get("numerics")
+    bound = found.get("numerics") or found.get("numerical")
     if bound is not None:
-        print(bound["sentence"])
+        print(f"{bound['sentence']}; the intervals hold it")
     if "bootstrap" in found:
         drawn = found["bootstrap"]
         said = "; ".join(
@@ -360,6 +371,9 @@ def _print_population(found: Document) -> None:
              _between(one["next_ci95"])]
         )  # fmt: skip
     output.table(rows, "population of specimens")
+    for name, one in found.items():
+        listed = ", ".join(f"{k} {output.number(v, 5)}" for k, v in one["shrunk"].items())
+        print(f"{name} of each specimen, shrunk to the mean by its own error: {listed}")
 
 
 def _rows_sentence(serial: Document) -> str:
@@ -417,12 +431,17 @@ def _with_error(entry: Document) -> str:
 
 
 def _print_energies(found: Document) -> None:
-    rows = [["energy", "constants", "AICc - best", "weight", "mu0 [kPa]", "identifiable"]]
+    rows = [
+        ["energy", "constants", "AICc - best", "weight", "mu0 [kPa]", "the data", "may be chosen"]
+    ]
     for one in found["energies"]:
+        why = one["not_chosen_because"]
+        alike = one["energy"] in found["cannot_be_told_apart"]
+        may = "best" if one["energy"] == found["best"] else "not told apart" if alike else "yes"
         rows.append(
             [one["energy"], str(one["constants"]), output.number(one["delta_aicc"]),
-             output.number(one["weight"]), output.number(one["mu0"], 5),
-             "yes" if one["identifiable"] else f"no: {one['reason']}"]
+             output.number(one["weight"]), output.number(one["mu0"], 5), one["verdict"],
+             f"no: {why}" if why else may]
         )  # fmt: skip
     output.table(rows)
     for name, why in found["failures"].items():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
@@ -316,15 +316,15 @@ def analyze(
         show(source, flags, mixed, results, as_json)
         return
     check_none(flags)
-    found = api.analyze(
+    analysis = api.analyze(
         source, response, [*names(factors), *names(numeric)], results=results, decimal=decimal,
         **_options(flags, alpha),
     )  # fmt: skip
     if contrast:
-        found = replace(found, contrasts=api.contrasts(found, contrast))
-    page = None if report is None else _write_page(found, source, report, flags)
-    _show(found, _Beside(_compared(found, reference), page), as_json)
-    if not as_json and all(e.verdict == "cannot tell" for e in found.effects if e.is_main):
+        analysis = replace(analysis, contrasts=api.contrasts(analysis, contrast))
+    page = None if report is None else _write_page(analysis, source, report, flags)
+    _show(analysis, _Beside(_compared(analysis, reference), page), as_json)
+    if not as_json and all(e.verdict == "cannot tell" for e in analysis.effects if e.is_main):
         _hint_practical(practical)
 
 
@@ -336,32 +336,32 @@ class _Beside:
     page: Path | None
 
     def to_json(self) -> dict[str, object]:
-        found: dict[str, object] = {}
+        document: dict[str, object] = {}
         if self.compared is not None:
             from study.cli import analysis_tables
 
-            found["reference"] = analysis_tables.reference_json(*self.compared)
-        return found if self.page is None else found | {"report": str(self.page)}
+            document["reference"] = analysis_tables.reference_json(*self.compared)
+        return document if self.page is None else document | {"report": str(self.page)}
 
 
-def _show(found: AnalysisResult, beside: _Beside, as_json: bool) -> None:
+def _show(analysis: AnalysisResult, extras: _Beside, as_json: bool) -> None:
     from study.cli import analysis_tables
 
     if as_json:
-        output.warn(found.notes)
-        output.print_json(found.to_json() | beside.to_json())
+        output.warn(analysis.notes)
+        output.print_json(analysis.to_json() | extras.to_json())
         return
-    analysis_tables.print_analysis(found)
-    if found.contrasts:
+    analysis_tables.print_analysis(analysis)
+    if analysis.contrasts:
         from study.cli import study_tables
 
         print()
-        output.table(study_tables.contrast_rows(found), "Differences that were asked for")
+        output.table(study_tables.contrast_rows(analysis), "Differences that were asked for")
         print()
-    if beside.compared is not None:
-        analysis_tables.print_reference(*beside.compared)
-    if beside.page is not None:
-        print(f"\nreport: {beside.page}")
+    if extras.compared is not None:
+        analysis_tables.print_reference(*extras.compared)
+    if extras.page is not None:
+        print(f"\nreport: {extras.page}")
 
 
 def _options(flags: Flags, alpha: float | None) -> AnovaOptions:
@@ -391,12 +391,12 @@ def _options(flags: Flags, alpha: float | None) -> AnovaOptions:
     return options
 
 
-def _compared(found: AnalysisResult, reference: str | None) -> tuple[str, Comparisons] | None:
+def _compared(analysis: AnalysisResult, reference: str | None) -> tuple[str, Comparisons] | None:
     if reference is None:
         return None
     from study.api.analyzing import against_reference
 
-    return against_reference(found, reference)
+    return against_reference(analysis, reference)
 
 
 def _check_report(source: Path, report: Path | None, formats: str) -> None:
@@ -416,14 +416,16 @@ def _check_report(source: Path, report: Path | None, formats: str) -> None:
         raise InputError(Fault("--report", f"{report} is a file", "name a folder"))
 
 
-def _write_page(found: AnalysisResult, source: Path, report: Path, flags: Flags) -> Path:
+def _write_page(analysis: AnalysisResult, source: Path, report: Path, flags: Flags) -> Path:
     from study.api.analyzing import AnalysisSource as Source
     from study.api.analyzing import write_page
 
     given = {flag: value for flag, value in flags.items() if value and flag != "--contrast"}
-    at = Source(source, given, tuple(one.name for one in found.contrasts))
-    wanted = tuple(names(flags["--format"])) or ("html",)
-    return write_page(found, report, source=at, reference=flags["--reference"], formats=wanted)
+    at = Source(source, given, tuple(contrast.name for contrast in analysis.contrasts))
+    formats_chosen = tuple(names(flags["--format"])) or ("html",)
+    return write_page(
+        analysis, report, source=at, reference=flags["--reference"], formats=formats_chosen
+    )
 
 
 At = Annotated[
@@ -465,18 +467,23 @@ def optimize(
     from study import api
     from study.cli import surface_tables
 
-    found = api.optimize(
+    recommendations = api.optimize(
         path, minimize=minimize, maximize=maximize, subject_to=subject_to or (),
         at=surface_tables.settings(at) if at else {}, numeric=names(numeric),
         surface=cast("SurfaceKind", surface), decimal=decimal, results=results,
         confirming=confirm, permission=_permission(data, allow_commands),
     )  # fmt: skip
-    output.warn([note for one in found for note in one.notes])
+    output.warn([note for recommended in recommendations for note in recommended.notes])
     if as_json:
-        output.print_json({"recommendations": [one.to_json() for one in found]})
+        output.print_json(
+            {"recommendations": [recommended.to_json() for recommended in recommendations]}
+        )
     else:
-        surface_tables.print_recommendations(found)
-    if any(one.confirmed is not None and not one.confirmed.predicted for one in found):
+        surface_tables.print_recommendations(recommendations)
+    if any(
+        recommended.confirmed is not None and not recommended.confirmed.predicted
+        for recommended in recommendations
+    ):
         raise typer.Exit(1)
 
 
@@ -502,17 +509,17 @@ def invert(
     from study import api
     from study.cli import surface_tables
 
-    found = api.invert(
+    answer = api.invert(
         path, to, at=surface_tables.settings(at) if at else {}, columns=names(columns),
         in_units=names(units), within=within, decimal=decimal, results=results,
         confirming=confirm, permission=_permission(data, allow_commands),
     )  # fmt: skip
-    output.warn(found.notes)
+    output.warn(answer.notes)
     if as_json:
-        output.print_json(found.to_json())
+        output.print_json(answer.to_json())
     else:
-        surface_tables.print_inverted(found)
-    if found.best_run is not None and not found.best_run.agrees:
+        surface_tables.print_inverted(answer)
+    if answer.best_run is not None and not answer.best_run.agrees:
         raise typer.Exit(1)
 
 
@@ -522,9 +529,6 @@ def _permission(data: Path | None, allow_commands: bool) -> Permission:
     from study.harness.runner.fit_problem import Allowed
 
     return Permission(data, Allowed(allow_commands))
-
-
-VERBS: tuple[Callable[..., None], ...] = (analyze, optimize, invert)
 
 
 def _hint_practical(practical: str | None) -> None:
@@ -560,23 +564,23 @@ def power(
     """Say how many specimens a claim needs, and what they cost."""
     from study import api
 
-    found = api.power(design, sd=sd, data=data, results=results, overrides=settings or ())
-    output.warn(found.warnings)
+    answer = api.power(design, sd=sd, data=data, results=results, overrides=settings or ())
+    output.warn(answer.warnings)
     if as_json:
-        output.print_json(found.to_json())
+        output.print_json(answer.to_json())
         return
-    for one in found.detections:
-        _print(one, found.blocks)
+    for detection in answer.detections:
+        _print(detection, answer.blocks)
 
 
-def _print(one: ContrastDetection, blocks: int) -> None:
+def _print(detection: ContrastDetection, blocks: int) -> None:
     output.paragraph(
-        f"{one.response}: {_size(one.practical, one)} matters; between specimens a difference "
-        f"scatters by {_size(one.sd, one)} ({one.source})"
-        + (f"; numerics {_size(one.u, one)}" if one.u else "")
+        f"{detection.response}: {_size(detection.practical, detection)} matters; between "
+        f"specimens a difference scatters by {_size(detection.sd, detection)} ({detection.source})"
+        + (f"; numerics {_size(detection.u, detection)}" if detection.u else "")
     )
     rows = [["specimens", "shows that none matters", "shows that one matters", "cases", "time"]]
-    for row in one.rows:
+    for row in detection.rows:
         mark = " (measured)" if row.blocks == blocks else ""
         rows.append(
             [
@@ -588,17 +592,19 @@ def _print(one: ContrastDetection, blocks: int) -> None:
             ]
         )
     output.table(rows, "")
-    said = [
-        f"{100 * wanted:.0f} %: {'no number up to 200' if n is None else f'{n} specimens'}"
-        for wanted, n in one.enough
+    enough_lines = [
+        f"{100 * share_wanted:.0f} %: {'no number up to 200' if n is None else f'{n} specimens'}"
+        for share_wanted, n in detection.enough
     ]
     output.paragraph(
         "Right in both cases (no difference, and one twice as large as matters) with "
-        + ", ".join(said)
+        + ", ".join(enough_lines)
         + "\n"
     )
 
 
-def _size(value: float, one: ContrastDetection) -> str:
+def _size(value: float, detection: ContrastDetection) -> str:
     """Return a difference with its unit, or a ratio."""
-    return f"x {math.exp(value):.3g}" if one.ratio else f"{value:.3g} {one.unit}".rstrip()
+    return (
+        f"x {math.exp(value):.3g}" if detection.ratio else f"{value:.3g} {detection.unit}".rstrip()
+    )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -79,17 +78,19 @@ def plan(
         typer.echo(f"{len(sheet)} trials in random order: {run_sheet}", err=True)
     further = None
     if augment is not None:
-        asked = int(terms) if terms.isdigit() else [term.strip() for term in terms.split(",")]
-        further = api.augment(load(design, settings or ()), augment, terms=asked)
-    found = api.plan(design, data=data, results=results, overrides=settings or (), jobs=jobs)
+        chosen_terms = (
+            int(terms) if terms.isdigit() else [term.strip() for term in terms.split(",")]
+        )
+        further = api.augment(load(design, settings or ()), augment, terms=chosen_terms)
+    planned = api.plan(design, data=data, results=results, overrides=settings or (), jobs=jobs)
     typed = {"--data": data, "--jobs": jobs, "-s": settings, **_folders(results, REPORTS)}
-    after = output.after_plan(found, design, typed)
+    after = output.after_plan(planned, design, typed)
     if as_json:
-        output.warn(found.warnings)
+        output.warn(planned.warnings)
         added = {} if further is None else {"augment": further.to_json()}
-        output.print_json(found.to_json() | added | {"next": after[1]})
+        output.print_json(planned.to_json() | added | {"next": after[1]})
         return
-    study_tables.print_plan(found)
+    study_tables.print_plan(planned)
     if further is not None:
         study_tables.print_further(further)
     output.next_step(*after)
@@ -149,20 +150,20 @@ def status(
     """Print the progress of a study, from another shell too."""
     from study import api
 
-    found = api.status(path, results=results)
-    output.warn(found["warnings"])
+    state = api.status(path, results=results)
+    output.warn(state["warnings"])
     if as_json:
-        output.print_json(found)
+        output.print_json(state)
         return
-    print(f"{found['study']}: {output.counts(found['cases'])}")
-    for name, count in sorted(found["failures"].items()):
+    print(f"{state['study']}: {output.counts(state['cases'])}")
+    for name, count in sorted(state["failures"].items()):
         print(f"  {count} {name}")
-    later = found["unfinished"]
+    later = state["unfinished"]
     if later is not None:
         print(f"  that is its last finished run; a later one has {output.counts(later['cases'])}")
         for change in later["changed"]:
             print(f"    {change}")
-    print(_running(found["running"], found["predicted_seconds"]))
+    print(_running(state["running"], state["predicted_seconds"]))
 
 
 def report(
@@ -180,9 +181,11 @@ def report(
     """Write the report again from stored records, in seconds."""
     from study import api
 
-    wanted = tuple(part.strip() for part in formats.split(",") if part.strip())
-    found = api.report(path, reports=reports, results=results, formats=wanted, beside=beside)
-    _finish(found, as_json, _folders(results, reports))
+    chosen_formats = tuple(part.strip() for part in formats.split(",") if part.strip())
+    written_study = api.report(
+        path, reports=reports, results=results, formats=chosen_formats, beside=beside
+    )
+    _finish(written_study, as_json, _folders(written_study.folder.parent, reports))
 
 
 def diff(
@@ -200,12 +203,12 @@ def diff(
     """Compare two studies: what was changed, and which conclusions hold under both."""
     from study import api
 
-    found = api.diff(first, second, results=results)
-    output.warn(found.warnings)
+    comparison = api.diff(first, second, results=results)
+    output.warn(comparison.warnings)
     if as_json:
-        output.print_json(found.to_json())
+        output.print_json(comparison.to_json())
     else:
-        _print_diff(found.beside)
+        _print_diff(comparison.beside)
 
 
 def why(
@@ -266,14 +269,11 @@ def predict(
     from study import api
     from study.cli import surface_tables
 
-    found = api.predict(path, surface_tables.settings(at), response=response, results=results)
+    predictions = api.predict(path, surface_tables.settings(at), response=response, results=results)
     if as_json:
-        output.print_json({"predictions": [one.to_json() for one in found]})
+        output.print_json({"predictions": [prediction.to_json() for prediction in predictions]})
         return
-    surface_tables.print_predictions(found)
-
-
-VERBS: tuple[Callable[..., None], ...] = (demo, plan, run, status, report, diff, why, predict)
+    surface_tables.print_predictions(predictions)
 
 
 def _running(runner: Document | None, seconds_left: float | None) -> str:
@@ -340,19 +340,19 @@ def _print_study(study: StudyResult) -> None:
         print(f"\nreport: {study.report}")
 
 
-def _print_diff(beside: Beside) -> None:
+def _print_diff(comparison: Beside) -> None:
     """Print what was changed, what holds, then the numbers of both studies."""
     from study.cli import study_tables
 
-    changed = study_tables.changes_rows(beside)
+    changed = study_tables.changes_rows(comparison)
     if len(changed) > 1:
         output.table(changed, "what was changed")
     else:
         print("nothing was changed: design, measurements and code are the same")
     print()
-    for line in study_tables.beside_lines(beside):
+    for line in study_tables.beside_lines(comparison):
         output.paragraph(line)
-    for title, rows, note in study_tables.beside_tables(beside):
+    for title, rows, note in study_tables.beside_tables(comparison):
         print()
         output.table(rows, title)
         if note:
@@ -392,35 +392,38 @@ def verify(
     """Compute every number of a report again from its records; exit 1 if one differs."""
     from study import api
 
-    found = api.verify(
+    verification = api.verify(
         path, results=results, reports=reports, resolve=resolve, seed=seed, data=data,
         allow_commands=allow_commands, tolerance=tolerance,
     )  # fmt: skip
     if as_json:
-        output.print_json(found.to_json())
+        output.print_json(verification.to_json())
     else:
-        _show(found)
-    raise typer.Exit(0 if found.agrees else 1)
+        _show(verification)
+    raise typer.Exit(0 if verification.agrees else 1)
 
 
-def _show(found: Verification) -> None:
+def _show(verification: Verification) -> None:
     from study.api.verification import TOLD
 
-    counted = ", ".join(f"{count} of {kind}" for kind, count in sorted(found.numbers.items()))
-    print(f"{found.numbers.total()} numbers computed again (100 %): {counted}")
-    print(f"{found.records} records checked against their sums")
-    if found.solved:
-        print(f"{found.solved} cases solved again from nothing")
-    if found.rounded:
+    counted = ", ".join(
+        f"{count} of {kind}" for kind, count in sorted(verification.numbers.items())
+    )
+    print(f"{verification.numbers.total()} numbers computed again (100 %): {counted}")
+    print(f"{verification.records} records checked against their sums")
+    if verification.solved:
+        print(f"{verification.solved} cases solved again from nothing")
+    if verification.rounded:
         print(
-            f"{found.rounded} lines agree to a relative {found.tolerance:g} and not to the last "
+            f"{verification.rounded} lines agree to a relative {verification.tolerance:g} and not "
+            "to the last "
             "digit: another processor, or other libraries, add up the same numbers otherwise"
         )
-    for one in found.differences[:TOLD]:
-        print(f"{one.where}\n    reported:   {one.reported}\n    recomputed: {one.recomputed}")
-    if len(found.differences) > TOLD:
-        print(f"and {len(found.differences) - TOLD} more")
-    print("all agree" if found.agrees else f"{len(found.differences)} differences")
-
-
-VERIFICATION_VERBS: tuple[Callable[..., None], ...] = (verify,)
+    for difference in verification.differences[:TOLD]:
+        print(
+            f"{difference.where}\n    reported:   {difference.reported}\n    recomputed: "
+            f"{difference.recomputed}"
+        )
+    if len(verification.differences) > TOLD:
+        print(f"and {len(verification.differences) - TOLD} more")
+    print("all agree" if verification.agrees else f"{len(verification.differences)} differences")

@@ -43,75 +43,78 @@ def _print_scheme(scheme: Scheme) -> None:
     print()
 
 
-def _print_overview(told: Overview) -> None:
-    print(f"{told.design.name}: {told.design.question}\n")
+def _print_overview(overview: Overview) -> None:
+    print(f"{overview.design.name}: {overview.design.question}\n")
     rows = [["cell", "computation", "calibration"]]
     rows += [
         [row.label, str(row.group), "-" if row.calibration is None else str(row.calibration)]
-        for row in told.matrix
+        for row in overview.matrix
     ]
-    more = len(told.matrix) - FIRST_ROWS if len(told.matrix) > ROWS else 0
+    if not overview.calibrations:
+        rows = [row[:2] for row in rows]
+    more = len(overview.matrix) - FIRST_ROWS if len(overview.matrix) > ROWS else 0
     shown = rows[: 1 + FIRST_ROWS] if more else rows
-    output.table(shown, f"{len(told.matrix)} cells, {told.distinct} distinct computations")
+    output.table(shown, f"{len(overview.matrix)} cells, {overview.distinct} distinct computations")
     if more:
         print(f"and {more:,} more cells: --json lists all of them")
-    if told.distinct < len(told.matrix):
+    if overview.distinct < len(overview.matrix):
         print("cells with the same number of a computation must agree: they are controls")
-    for one, why in told.excluded:
-        print(f"excluded: {one.label}: {why}")
+    for cell, why in overview.excluded:
+        print(f"excluded: {cell.label}: {why}")
     print()
-    _print_scheme(told.design.scheme)
-    for factor in told.factors:
+    _print_scheme(overview.design.scheme)
+    for factor in overview.factors:
         levels = factor.levels
         if len(levels) > MANY:
             levels = (levels[0], f"{len(levels) - 2} more", levels[-1])
         print(f"{factor.name} ({', '.join(levels)}): {factor.note or 'varies'}")
 
 
-def print_plan(found: Plan) -> None:
+def print_plan(planned: Plan) -> None:
     """Print cells, costs and what is left to be done."""
-    _print_overview(found.overview)
+    _print_overview(planned.overview)
     print()
-    if found.blocks:
-        print(f"{len(found.blocks)} blocks: {', '.join(found.blocks)}")
-    if found.overview.replicates is not None:
-        print(f"replicates: {found.overview.replicates.sentence}")
-    cells = len(found.overview.matrix)
-    if len(found.blocks) > 1 and cells * len(found.blocks) == found.total:
-        print(f"{cells} cells in {len(found.blocks)} blocks: a case is a cell in a block")
-    print(output.counts(found.counts))
-    if found.missing and found.fits:
-        calibrations = count(found.fits, "calibration")
+    if planned.blocks:
+        print(f"{len(planned.blocks)} blocks: {', '.join(planned.blocks)}")
+    if planned.overview.replicates is not None:
+        print(f"replicates: {planned.overview.replicates.sentence}")
+    cells = len(planned.overview.matrix)
+    if len(planned.blocks) > 1 and cells * len(planned.blocks) == planned.total:
+        print(f"{cells} cells in {len(planned.blocks)} blocks: a case is a cell in a block")
+    print(output.counts(planned.counts))
+    if planned.missing and planned.fits:
+        calibrations = count(planned.fits, "calibration")
         print(f"{calibrations} to be made; each is shared by all cells that can")
-    if found.controls:
-        solutions = count(found.controls, "solution")
+    if planned.controls:
+        solutions = count(planned.controls, "solution")
         print(f"{solutions} to be made of one cylinder in both spaces, a control")
-    if found.commands:
-        calls = count(found.program_calls, "call")
+    if planned.commands:
+        calls = count(planned.program_calls, "call")
         print(f"{calls} of other programs, gradients by differences included:")
-        print("\n".join(f"  {line}" for line in found.commands))
-        print(f"  to allow exactly these: study run --allow-digest {found.digest}")
-    if found.predicted_seconds is not None:
-        time = output.seconds(found.predicted_seconds)
-        workers, memory = count(found.jobs, "worker"), f"{found.memory_MB:.0f} MB of memory"
+        print("\n".join(f"  {line}" for line in planned.commands))
+        print(f"  to allow exactly these: study run --allow-digest {planned.digest}")
+    if planned.predicted_seconds is not None:
+        time = output.seconds(planned.predicted_seconds)
+        workers, memory = count(planned.jobs, "worker"), f"{planned.memory_MB:.0f} MB of memory"
         print(f"predicted: {time} of computing on {workers}, {memory}")
-    if found.most_seconds is not None:
-        print(f"with all cells that may be added: {output.seconds(found.most_seconds)}")
-    output.warn(found.warnings)
+    if planned.most_seconds is not None:
+        print(f"with all cells that may be added: {output.seconds(planned.most_seconds)}")
+    output.warn(planned.warnings)
 
 
-def print_further(found: Augmentation) -> None:
+def print_further(augmentation: Augmentation) -> None:
     """Print further cells, what they gain, and the table that runs them."""
-    names = list(found.cells[0])
-    rows = [names, *([cell[name] for name in names] for cell in found.cells)]
+    names = list(augmentation.cells[0])
+    rows = [names, *([cell[name] for name in names] for cell in augmentation.cells)]
     print()
     output.table(rows, "Further cells")
-    gain = f"{100 * found.before:.0f} % before, {100 * found.after:.0f} % after"
+    gain = f"{100 * augmentation.before:.0f} % before, {100 * augmentation.after:.0f} % after"
     output.paragraph(
-        f"\nTold apart with them: {', '.join(found.terms)}. Precision, of that of an orthogonal "
+        f"\nTold apart with them: {', '.join(augmentation.terms)}. Precision, of that of an "
+        "orthogonal "
         f"design of as many cells: {gain}. Put this in place of [design] (what is computed stays):"
     )
-    print(f"\n{found.table()}")
+    print(f"\n{augmentation.table()}")
 
 
 # Tables of a report as plain rows for the terminal.
@@ -128,22 +131,22 @@ def verdict_tables(data: ReportData) -> list[tuple[str, Rows]]:
     """Title and verdict table of each response, narrow enough for a terminal."""
     header, *rows = verdict_rows(data)
     shown = [i for i, name in enumerate(header) if name != "response"]
-    found: dict[str, Rows] = {}
+    by_response: dict[str, Rows] = {}
     for row in rows:
-        table = found.setdefault(row[0], [[header[i] for i in shown]])
+        table = by_response.setdefault(row[0], [[header[i] for i in shown]])
         table.append([row[i] for i in shown])
-    return list(found.items())
+    return list(by_response.items())
 
 
 def unresolved_lines(data: ReportData) -> list[str]:
     """Say of every factor that its interval does not leave open what does, and where."""
-    said = [
-        verdicts.verdict(effect, found, data.labels)
-        for found in facts(data)
-        for effect in found.effects
+    lines = [
+        verdicts.verdict(effect, facts_of_response, data.labels)
+        for facts_of_response in facts(data)
+        for effect in facts_of_response.effects
         if effect.is_main and (effect.verdict == NOT_RESOLVED or refused(effect))
     ]
-    return [line.replace("\N{NO-BREAK SPACE}", " ") for line in said]
+    return [line.replace("\N{NO-BREAK SPACE}", " ") for line in lines]
 
 
 def refused(effect: Effect) -> bool:
@@ -157,54 +160,54 @@ def refused(effect: Effect) -> bool:
 
 def contrast_tables(data: ReportData) -> list[tuple[str, Rows]]:
     """Title and table of the differences that the design asks for, of each response."""
-    found = [(item.title, analysis_content.contrasts(item)) for item in facts(data)]
-    return [(f"{title}: asked for", _rows(table)) for title, table in found if table is not None]
+    titled = [(item.title, analysis_content.contrasts(item)) for item in facts(data)]
+    return [(f"{title}: asked for", _rows(table)) for title, table in titled if table is not None]
 
 
-def contrast_rows(found: AnalysisResult) -> Rows:
+def contrast_rows(analysis: AnalysisResult) -> Rows:
     """Differences of an analysis that were asked for; the first row is the header."""
-    return _rows(analysis_content.contrast_table(found, found.request.response))
+    return _rows(analysis_content.contrast_table(analysis, analysis.request.response))
 
 
 def answer_lines(data: ReportData) -> list[str]:
     """Return the sentences of the answer box, which cases fail, and what would change them."""
     from study.reporting.content import recommendation, sentences, tables
 
-    found = facts(data)
+    all_facts = facts(data)
     where = data.failure_pattern
-    said = () if where is None else tables.failure_sentences(where, data.labels)
-    change = f"What would change this? {recommendation.would_change(data, found)}"
-    lines = [*sentences.answer(data, found), *said, change]
+    failure_lines = () if where is None else tables.failure_sentences(where, data.labels)
+    change = f"What would change this? {recommendation.would_change(data, all_facts)}"
+    lines = [*sentences.answer(data, all_facts), *failure_lines, change]
     return [line.replace("\N{NO-BREAK SPACE}", " ") for line in lines]
 
 
-def changes_rows(beside: Beside) -> Rows:
+def changes_rows(comparison: Beside) -> Rows:
     """Return the inputs in which two studies differ; the first row is the header."""
-    return _rows(comparison_content.changes(beside))
+    return _rows(comparison_content.changes(comparison))
 
 
-def beside_lines(beside: Beside) -> list[str]:
+def beside_lines(comparison: Beside) -> list[str]:
     """Return what holds in both studies, and what only one of them has."""
-    lines = [*comparison_content.summary(beside), *comparison_content.only_lines(beside)]
+    lines = [*comparison_content.summary(comparison), *comparison_content.only_lines(comparison)]
     return [line.replace("\N{NO-BREAK SPACE}", " ") for line in lines]
 
 
-def beside_tables(beside: Beside) -> list[tuple[str, Rows, str]]:
+def beside_tables(comparison: Beside) -> list[tuple[str, Rows, str]]:
     """Title, table and note of each response; a term is named in the first of its two rows."""
-    header, *rows = _rows(comparison_content.table(beside))
-    found: dict[str, Rows] = {}
+    header, *rows = _rows(comparison_content.table(comparison))
+    by_response: dict[str, Rows] = {}
     for row in rows:
-        table = found.setdefault(row[0], [header[1:]])
+        table = by_response.setdefault(row[0], [header[1:]])
         second = len(table) % 2 == 0
         table.append(["", "", *row[3:]] if second else row[1:])
-    notes = dict(comparison_content.quiet_lines(beside))
-    return [(title, _filled(table), notes.get(title, "")) for title, table in found.items()]
+    notes = dict(comparison_content.quiet_lines(comparison))
+    return [(title, _filled(table), notes.get(title, "")) for title, table in by_response.items()]
 
 
 def _filled(rows: Rows) -> Rows:
     """Rows without the columns that hold dashes alone: a terminal is narrow."""
-    kept = [i for i in range(len(rows[0])) if any(row[i] != MISSING for row in rows[1:])]
-    return [[row[i] for i in kept] for row in rows]
+    filled = [i for i in range(len(rows[0])) if any(row[i] != MISSING for row in rows[1:])]
+    return [[row[i] for i in filled] for row in rows]
 
 
 def _rows(table: Table) -> Rows:

@@ -16,6 +16,7 @@ import os
 import stat
 import zipfile
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 
 from pydantic_core import from_json
@@ -262,7 +263,7 @@ def is_workbook(data: bytes) -> bool:
     return data[:4] in (b"PK\x03\x04", _OLD_WORKBOOK)
 
 
-def sheets_of(data: bytes, source: str) -> dict[str, list[list[object]]]:
+def sheets_of(data: bytes, source: str) -> dict[str, Sequence[Sequence[object]]]:
     """Cells of every sheet of a workbook, by its name."""
     from python_calamine import CalamineError, CalamineWorkbook
 

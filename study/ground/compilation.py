@@ -244,13 +244,13 @@ _AWAKE_MS = 1
 def smallest(phases: Sequence[Sequence[Elements]], loop: Callable[[Elements], float]) -> float:
     """Smallest result of a loop over all parts: those of a phase at once, phases in turn."""
     # The first share of a phase is done here, every other in a thread.
-    found = []
+    smallest_of_parts = []
     for parts in phases:
         count = min(len(parts), max(int(_CONFIG.NUMBA_NUM_THREADS), 1))
         here, *others = [partial(_in_turn, parts[i::count], loop) for i in range(count)]
         waiting = [_threads(len(others)).submit(share) for share in others]
-        found += [here(), *(share.result() for share in waiting)]
-    return min(found)
+        smallest_of_parts += [here(), *(share.result() for share in waiting)]
+    return min(smallest_of_parts)
 
 
 def _in_turn(parts: Sequence[Elements], loop: Callable[[Elements], float]) -> float:

@@ -38,10 +38,12 @@ def _setting(part: str, levels: Mapping[str, Sequence[str]], text: str) -> Setti
     chosen: dict[str, str] = {}
     for item in part.split(","):
         named, _, level = (word.strip() for word in item.rpartition("="))
-        holding = [f for f, own in levels.items() if level in own and named in ("", f)]
+        holding = [
+            f for f, its_levels in levels.items() if level in its_levels and named in ("", f)
+        ]
         if len(holding) != 1:
             rule = f"{level!r} is a level of several factors" if holding else f"no level {level!r}"
-            every = [f"{f}={one}" for f, own in levels.items() for one in own]
+            every = [f"{f}={name}" for f, its_levels in levels.items() for name in its_levels]
             mend = nearest(f"{named}={level}" if named else level, every)
             raise InputError(Fault(f"contrast {text!r}", rule, mend))
         chosen[holding[0]] = level

@@ -45,6 +45,8 @@ class Curve:
     time_s: Array | None = None
     #: Whether the work is that of the force: not where a plate also moves sideways.
     is_conjugate: bool = True
+    #: shape (n,) each; further quantities of a simulation by the names of their responses.
+    quantities: Mapping[str, Array] = field(default_factory=dict)
     #: Rows that a measured curve was interpolated from, those of every repeat; none where its
     #: points are the rows.
     recorded: tuple[Curve, ...] = ()
@@ -196,6 +198,7 @@ class Curve:
             None if self.work_Nmm is None else self.work_Nmm[kept],
             None if self.time_s is None else self.time_s[kept],
             self.is_conjugate,
+            {name: values[kept] for name, values in self.quantities.items()},
         )
 
     def without_gradients(self) -> Curve:
@@ -259,6 +262,8 @@ class Curve:
             out["work_Nmm"] = self.work_Nmm.tolist()
         if not self.is_conjugate:
             out["is_conjugate"] = False
+        if self.quantities:
+            out["quantities"] = {name: v.tolist() for name, v in self.quantities.items()}
         if self.time_s is not None:
             out["time_s"] = self.time_s.tolist()
         if self.force_gradient:
@@ -280,6 +285,7 @@ class Curve:
             None if work is None else np.asarray(work, float),
             None if time is None else np.asarray(time, float),
             bool(data.get("is_conjugate", True)),
+            {k: np.asarray(v, float) for k, v in data.get("quantities", {}).items()},
             tuple(cls.from_dict(one) for one in data.get("recorded", ())),
         )
 

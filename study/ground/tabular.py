@@ -206,8 +206,8 @@ def parse_csv(
     cells = dict(zip(header, zip(*rows[1:], strict=True), strict=True))
     columns = {name: tuple(map(str.strip, column)) for name, column in cells.items()}
     if decimal == ".":
-        wanted = numbers if numbers is not None else required or header
-        _check_decimal_comma({n: columns[n] for n in header if n in wanted}, source, declared_by)
+        needed = numbers if numbers is not None else required or header
+        _check_decimal_comma({n: columns[n] for n in header if n in needed}, source, declared_by)
     padded = {name: column for name, column in cells.items() if column != columns[name]}
     changed = sum(_changes(column, columns[name]) for name, column in padded.items())
     notes = [f"{source}: spaces around {changed} cells removed"] if changed else []

@@ -191,6 +191,50 @@ def parse_number(text: str) -> float:
     raise _fault(f"is not a finite number, got {text[:MAX_LENGTH]!r}", "")
 
 
+def converted(value: float, unit: str, into: str) -> float:
+    """Value of one unit in another of the same dimension; ``""`` and ``"1"`` are plain numbers.
+
+    Examples
+    --------
+    >>> converted(1.5, "kN", "N"), converted(2.0, "g/mL", "kg/m^3"), converted(3.0, "", "")
+    (1500.0, 2000.0, 3.0)
+    """
+    first, second = (" ".join(one.split()) for one in (unit, into))
+    if first == second or {first, second} <= {"", "1"}:
+        return value
+    for table in _TABLE.values():
+        if first in table and second in table:
+            return float(_D(repr(value)) * table[first] / table[second])
+    import pint
+
+    for one in (first, second):
+        if one and not is_known(one):
+            raise _fault(f"has the unknown unit {one!r}", "write a unit such as kg, N/m or Pa s")
+    try:
+        made = _registry().Quantity(value, _registry().parse_units(first or "1"))
+        return float(made.to(_registry().parse_units(second or "1")).magnitude)
+    except pint.PintError as error:
+        rule = f"is in {first or 'no unit'}, which is not of the kind of {second or 'no unit'}"
+        raise _fault(rule, f"write it in {second or 'a plain number'}") from error
+
+
+@lru_cache(maxsize=256)
+def is_known(unit: str) -> bool:
+    """Whether a word is a unit of any dimension."""
+    plain = " ".join(unit.split())
+    if any(plain in table for table in _TABLE.values()):
+        return True
+    if not _UNIT.fullmatch(plain.removeprefix("1/")):
+        return False
+    import pint
+
+    try:
+        _registry().parse_units(plain)
+    except (pint.PintError, ValueError, TypeError, KeyError, AttributeError):
+        return False
+    return True
+
+
 def format_value(value: float, dimension: str) -> str:
     """Text with the internal unit, which :func:`parse` reads back exactly.
 
@@ -221,9 +265,9 @@ def _factor(unit: str, dimension: str) -> Decimal:
         raise _fault(f"has no dimension {dimension!r}", nearest(dimension, _TABLE))
     table = _TABLE[dimension]
     plain = " ".join(unit.split())
-    found = table.get(plain.replace("²", "^2").replace("mm2", "mm^2"))
-    if found is not None:
-        return found
+    factor = table.get(plain.replace("²", "^2").replace("mm2", "mm^2"))
+    if factor is not None:
+        return factor
     other = next((d for d, units in _TABLE.items() if plain in units), None)
     if other is not None or dimension in ("angle", "ratio") or not _UNIT.fullmatch(plain):
         what = f"is a {other}" if other else "is no unit"

@@ -1,6 +1,7 @@
 """Specimens as the unit: coverage of the population's mean and of the next specimen."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -98,3 +99,17 @@ def test_verb_gives_the_mean_of_specimens_as_by_hand(tmp_path, capsys):
     pooling = ["--set", "calibration.specimens=pooled"]
     assert run([*arguments, *pooling]) == 0
     assert 'write calibration.specimens = "each"' in "".join(capsys.readouterr())
+
+
+def test_values_are_shrunk_to_the_mean_by_their_own_errors():
+    """Two specimens known to 1 and one to 3: by hand, the variances of moments."""
+    one = specimen(C10, np.random.default_rng(1))
+    fits = [
+        replace(one, values=np.array([value]), standard_error=np.array([error]))
+        for value, error in ((10.0, 1.0), (14.0, 1.0), (18.0, 3.0))
+    ]
+    (found,) = population(fits)
+    between = 16 - (1 + 1 + 9) / 3
+    shares = [between / (between + error**2) for error in (1.0, 1.0, 3.0)]
+    by_hand = [14 + share * (v - 14) for share, v in zip(shares, (10.0, 14.0, 18.0), strict=True)]
+    assert found.shrunk == pytest.approx(by_hand, rel=1e-12)

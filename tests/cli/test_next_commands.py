@@ -132,6 +132,14 @@ def test_a_finished_study_names_what_checks_it(done: Path) -> None:
     assert "all agree" in checked.out
 
 
+def test_a_study_that_was_named_by_its_folder_is_named_with_it(
+    done: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (page,) = commands(study("report", done / "results/small", "--format", "csv"))
+    assert page == f"study report small --results {done}/results --format html"
+
+
 def test_settings_are_typed_again(home: Path) -> None:
     setting = "measurements.points=31"
     planned = study(

@@ -51,6 +51,12 @@ practical = "0.5 N/mm"
 name = "work"
 practical = "10 N mm"
 [[response]]
+name = "peak_contact_pressure"
+practical = "0.5 kPa"
+[[response]]
+name = "contact_area"
+practical = "1 mm^2"
+[[response]]
 name = "dofs"
 [report]
 format = ["csv"]
@@ -72,6 +78,7 @@ def _by_hand(c10_kPa: float, radius_mm: float) -> dict[str, float]:  # noqa: N80
         "force_at_2.5_mm": area * _nominal_MPa(c10_kPa, PLACE_MM),
         "stiffness_at_2.5_mm": area * 2e-3 * c10_kPa * (2 * at**-3 + 1) / HEIGHT_MM,
         "work": area * HEIGHT_MM * energy,
+        "peak_contact_pressure": 1e3 * end * _nominal_MPa(c10_kPa, DEPTH_MM),
     }
 
 
@@ -96,6 +103,9 @@ def test_simulated_responses_are_those_of_the_closed_form(folder: Path) -> None:
         # between two of eight steps the polynomial of fourth degree misses 1e-4 of the tangent
         effect = shown[response, "material.C10"]["effect"]
         assert effect == pytest.approx(soft, rel=1e-3), response
+
+    wider = np.pi * (10.1**2 - 10**2) / (1 - DEPTH_MM / HEIGHT_MM)
+    assert shown["contact_area", "specimen.radius"]["effect"] == pytest.approx(wider, rel=1e-3)
 
     force = shown["peak_force", "material.C10"]
     assert force["verdict"] == "matters"

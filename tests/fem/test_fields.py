@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import meshio
 import numpy as np
@@ -92,9 +93,10 @@ def test_small_strain_stress() -> None:
     """Uniaxial strain energy aside: sigma = E eps, J = 1 + (1 - 2 nu) eps."""
     problem = compression(Cylinder(1.0, 1.0), 1e-3, "frictionless", material=SMALL)
     found = fields(solve(problem, gradients=False))
-    np.testing.assert_allclose(found.stress[:, 1, 1], -3e-3, rtol=1e-7)
-    np.testing.assert_allclose(found.stress[:, 0, 0], 0, atol=1e-10)
-    np.testing.assert_allclose(found.volume_ratio, 1 - 0.4e-3, rtol=1e-9)
+    stress = found.cellular["cauchy_stress_MPa"]
+    np.testing.assert_allclose(stress[:, 4], -3e-3, rtol=1e-7)
+    np.testing.assert_allclose(stress[:, 0], 0, atol=1e-10)
+    np.testing.assert_allclose(found.cellular["J"], 1 - 0.4e-3, rtol=1e-9)
 
 
 def test_without_an_answer_there_are_no_fields(tmp_path: Path) -> None:
@@ -112,3 +114,64 @@ def test_a_folder_that_does_not_exist(tmp_path: Path) -> None:
     solution = solve(compression(Cylinder(1.0, 1.0), 0.05, mesh_size_mm=0.5), gradients=False)
     with pytest.raises(StoreError, match=r"out\.vtu: could not be written \(No such file"):
         solving.write_vtu(solution, tmp_path / "nowhere" / "out.vtu")
+
+
+@pytest.mark.parametrize("space", ["axisymmetric", "3d"])
+@pytest.mark.parametrize(("order", "shape"), ELEMENTS)
+def test_a_whole_body_is_its_mirrored_part(space, order, shape, tmp_path: Path) -> None:
+    specimen = Cylinder(1.0, 1.0) if space == "axisymmetric" else Block(1.0, 1.2, 1.0)
+    problem = compression(
+        specimen, 0.1, space=space, element_order=order, element_shape=shape, mesh_size_mm=0.4
+    )
+    solution = solve(problem, gradients=False)
+    part = fields(solution)
+    whole = part.whole()
+    cells = [meshio.CellBlock(f.kind, f.cells) for f in (part, whole)]
+    parts = 4 if space == "axisymmetric" else 8
+    sizes = [volume(f.points, c) for f, c in zip((part, whole), cells, strict=True)]
+    assert sizes[1] == pytest.approx(parts * sizes[0])
+    assert min(sizes) > 0
+    if shape == "simplex":  # by corners only these have their volume once they are deformed
+        moved = [volume(f.points + f.displacement, c)
+                 for f, c in zip((part, whole), cells, strict=True)]  # fmt: skip
+        assert moved[1] == pytest.approx(parts * moved[0])
+    # the forces on the nodes of the whole balance, and those of the upper face are the plate's
+    if space == "3d":
+        forces = whole.nodal["reaction_N"]
+        assert np.abs(forces.sum(axis=0)).max() < 1e-9 * solution.curve.force_N[-1]
+        upper = whole.points[:, 2] > 0.75
+        both = 2.0 if len(part.planes) == 3 else 1.0  # nodes of the planes are there twice
+        assert -forces[upper, 2].sum() == pytest.approx(solution.curve.force_N[-1], rel=1e-6 * both)
+
+
+def test_uniform_strain_is_said_at_cells_and_nodes() -> None:
+    problem = compression(Cylinder(1.0, 1.0), 0.2, "frictionless", mesh_size_mm=0.3)
+    found = fields(solve(problem, gradients=False))
+    for data in (found.cellular, found.nodal):
+        np.testing.assert_allclose(data["log_strain"][:, 4], np.log(0.8), rtol=1e-6)
+        np.testing.assert_allclose(data["principal_stretch"][:, 2], 0.8, rtol=1e-6)
+        np.testing.assert_allclose(data["log_strain"][:, 0], -np.log(0.8) / 2, rtol=1e-2)
+    top = found.points[:, 1] > 1 - 1e-9
+    pressure = found.nodal["contact_pressure_MPa"]
+    stress = -found.cellular["cauchy_stress_MPa"][:, 4].mean()
+    np.testing.assert_allclose(pressure[top], stress, rtol=1e-3)
+    np.testing.assert_allclose(pressure[~top], 0.0)
+
+
+def test_a_series_has_every_step_and_what_holds_the_body(tmp_path: Path) -> None:
+    problem = compression(Cylinder(1.0, 1.0), 0.2, steps=3, mesh_size_mm=0.4)
+    solution = solve(problem, gradients=False)
+    solving.write_vtu(solution, tmp_path / "run.pvd")
+    root = ElementTree.parse(tmp_path / "run.pvd").getroot()
+    rows = [(float(row.attrib["timestep"]), row.attrib["file"]) for row in root.iter("DataSet")]
+    np.testing.assert_allclose([d for d, _ in rows], solution.curve.displacement_mm)
+    for k, (_, name) in enumerate(rows):
+        read = meshio.read(tmp_path / name)
+        assert {"contact_pressure_MPa", "contact_gap_mm", "log_strain"} <= set(read.point_data)
+        grid = ElementTree.parse(tmp_path / name).getroot()
+        facts = {one.attrib["Name"]: one.text or "" for one in grid.iter("FieldData").__next__()}
+        assert float(facts["plate_axial_N"]) == pytest.approx(solution.curve.force_N[k], rel=1e-6)
+        assert float(facts["modelled_share"]) == 0.5
+        assert (
+            "a section from the axis of the body, its upper half" in (tmp_path / name).read_text()
+        )

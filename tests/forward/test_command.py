@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,14 +17,26 @@ import pytest
 from study.api.opened_study import open_study
 from study.ground.errors import RefusedError
 from study.harness.external import command, exchange, program
+from study.harness.external.answers import NoAnswer
 from study.harness.external.command import Command
-from study.harness.external.exchange import NoAnswer, PythonFunction
+from study.harness.external.exchange import PythonFunction
 from study.mechanics.setup.setup import problem_of
 from tests.waiting import CAP_S, is_alive, until
 
 ROOT = Path(__file__).parents[2]
 HEIGHT, RADIUS, C10, C20 = 25.0, 14.5, 0.006, 0.0011
 POINTS = np.linspace(0.0, 5.0, 6)[1:]
+
+
+def solve_by_command(made, given, points):
+    """Curve of a program that exchanges problem.json and curve.csv, and the report of its run."""
+    written = json.dumps(exchange.request(given, points), indent=1)
+    asked = replace(made, contents={**made.contents, exchange.PROBLEM_FILE: written})
+    answer, document, _ = command.run_commands(
+        asked, lambda folder, said: exchange.answer(command.curve_files(folder), points)
+    )
+    return answer, document
+
 
 DESIGN = """
 schema = 1
@@ -98,7 +111,7 @@ def script(text: str, **more: object) -> Command:
 
 def refusal(made: Command, seconds: float | None = None) -> NoAnswer:
     with pytest.raises(NoAnswer) as caught:
-        command.solve_by_command(made, problem(C10=C10), POINTS)
+        solve_by_command(made, problem(C10=C10), POINTS)
     return caught.value
 
 
@@ -211,7 +224,7 @@ def test_all_that_a_program_leaves_behind_ends_with_it(tmp_path, end):
     if end:
         assert refusal(made).status == ("timeout" if "sleep" in end else "failed")
     else:
-        command.solve_by_command(made, problem(C10=C10), POINTS)
+        solve_by_command(made, problem(C10=C10), POINTS)
     assert left_behind(tmp_path / "pid") == []
 
 
@@ -248,7 +261,7 @@ def test_all_of_a_program_ends_with_the_run_that_is_stopped(folder, tmp_path, nu
 def test_the_output_lies_out_of_reach_of_the_program(deed):
     text = f"import os\ntry:\n    {deed}\nexcept FileNotFoundError:\n    pass\n"
     made = script(text + "print('all went well')\n" + WRITES.format(CURVE))
-    _, document = command.solve_by_command(made, problem(C10=C10), POINTS)
+    _, document = solve_by_command(made, problem(C10=C10), POINTS)
     assert document["steps"][0]["output"] == "all went well\n"
 
 
@@ -304,7 +317,7 @@ def test_no_shell_reads_the_words(tmp_path):
 def test_forces_of_the_shipped_closed_form_are_those_of_ours():
     text = (ROOT / "designs/solvers/closed_form.py").read_text()
     made = Command((("python", "closed_form.py", "gradients"),), {"closed_form.py": text})
-    found, document = command.solve_by_command(made, problem(C10=C10, C20=C20), POINTS)
+    found, document = solve_by_command(made, problem(C10=C10, C20=C20), POINTS)
     np.testing.assert_allclose(found.curve.force_N, [force(d) for d in POINTS], rtol=1e-12)
     assert found.gradients == ("C10", "C20")
     assert document["steps"][0]["code"] == 0
@@ -314,7 +327,8 @@ def test_a_function_gives_what_a_program_gives():
     def model(asked):
         return [force(d) for d in asked["displacement_mm"]]
 
-    found = PythonFunction.of(model, "1").solve(problem(C10=C10), POINTS)
+    request = exchange.request(problem(C10=C10), POINTS)
+    found = PythonFunction.of(model, "1").solve(request, POINTS, {})
     np.testing.assert_array_equal(found.curve.force_N, [force(d) for d in POINTS])
 
 
@@ -464,7 +478,7 @@ def test_calculix_gives_the_closed_form_between_lubricated_plates(order, close):
     )
     made = Command(argv, {"calculix.py": text}, ("ccx", "-v"), "Job finished", "*ERROR")
     given = problem_of(tables)
-    found, document = command.solve_by_command(made, given, np.array([1.5, 3.75]))
+    found, document = solve_by_command(made, given, np.array([1.5, 3.75]))
     from study.mechanics.forward.closed_form import compression
 
     exact = compression(given.specimen, given.material, np.array([1.5, 3.75])).force_N

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from study.ground.errors import InputError
+from study.harness.runner.fit_summary import stability_over
 from study.mechanics.material.homogeneous import UNIAXIAL, response
 from study.mechanics.material.material import Material, is_constant
 from study.mechanics.material.polynomial import index_pair
@@ -15,6 +16,7 @@ from study.mechanics.material.stability import (
     surface_warning,
     tangent,
 )
+from study.mechanics.setup.setup import Setup
 
 RP2 = {"C10": 9.1e-3, "C20": -2.5e-3}  # the closed-form fit of a silicone mix at 20 %
 
@@ -96,3 +98,28 @@ def test_implausible_modulus_warns_about_units():
     assert check(_rp2(), [0.9, 1]) == ()
     (warning,) = check(Material("neo-hookean", {"C10": 5000.0}, incompressible=True))
     assert "check the units" in warning
+
+
+def test_every_loading_is_judged_over_the_stretches_of_its_tests():
+    """Yeoh with a negative second term: lost beyond a stretch that no single test must hide."""
+    material = Material("reduced-polynomial", {"C10": 1.0, "C20": -0.01}, incompressible=True)
+    lost = stability(material, [1.0, 6.0]).limits
+    assert 1 < lost["equibiaxial"] < lost["uniaxial"] < 6
+    end = lost["uniaxial"]
+    tension = (homogeneous("tension"), np.linspace(0, 10 * (end - 1) * 1.05, 20))
+    pressed = (homogeneous("compression"), np.linspace(0, 3.0, 20))
+    for tests in ([tension], [pressed, tension], [tension, pressed]):
+        judged = stability_over(material, tests)
+        assert not judged.stable
+        assert judged.limits["uniaxial"] == pytest.approx(end)
+    short = (homogeneous("tension"), np.linspace(0, 10 * (lost["equibiaxial"] - 1) * 0.9, 20))
+    biaxial = (homogeneous("equibiaxial"), np.linspace(0, 2.0, 20))
+    judged = stability_over(material, [short, pressed, biaxial])
+    assert judged.stable
+    assert "equibiaxial loading from stretch 1 to 1.2" in judged.sentence
+    assert "uniaxial loading from stretch 0.7 to" in judged.sentence
+
+
+def homogeneous(kind):
+    specimen = {"shape": "homogeneous", "area_mm2": 20.0, "height_mm": 10.0}
+    return Setup.of({"specimen": specimen, "test": {"kind": kind}})

@@ -104,3 +104,27 @@ def test_a_file_without_a_header(tmp_path: Path, text: str) -> None:
 def test_a_layout_leaves_a_plain_file_alone() -> None:
     assert Layout().plain("a,b\n# 1,2\n", ".")[0] == "a,b\n# 1,2\n"
     assert Layout(delimiter="semicolon").plain("a;b\n1,5;2,5", ",")[0] == "a;b\n1,5;2,5"
+
+
+@pytest.mark.parametrize(
+    ("kinematic", "values", "said"),
+    [
+        ("strain", [0.0, 150.0], "a stretch of 151"),
+        ("strain", [0.0, -30.0], "leaves nothing of the specimen"),
+        ("true_strain", [0.0, 4.0], "a stretch of 54.6"),
+        ("stretch", [100.0, 250.0], "a stretch of 250"),
+    ],
+)
+def test_per_cent_taken_for_a_ratio_is_refused(kinematic, values, said) -> None:
+    uniaxial = Gauge(4.0, 20.0, "uniaxial", 1.0, True)
+    rows = np.array(values), "stress", np.array([0.0, 1.0])
+    with pytest.raises(InputError, match=said) as caught:
+        displacement_and_force(kinematic, *rows, uniaxial, "a.csv")
+    assert f'units = {{ {kinematic} = "%" }}' in str(caught.value)
+
+
+def test_a_stretch_of_a_tough_gel_is_none_of_per_cent() -> None:
+    uniaxial = Gauge(4.0, 20.0, "uniaxial", 1.0, True)
+    stretch, stress = np.array([1.0, 18.0]), np.array([0.0, 1.0])
+    d, _ = displacement_and_force("stretch", stretch, "stress", stress, uniaxial, "a.csv")
+    assert d == pytest.approx([0.0, 340.0])

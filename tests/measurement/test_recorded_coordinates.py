@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from study.ground.errors import InputError
+from study.harness.design.overlay import may_vary
 from study.mechanics.measurement.column_text import Gauge
 from study.mechanics.measurement.measurement_section import MeasurementSpec, Range
 from study.mechanics.measurement.reading import read_measurements
@@ -208,3 +209,48 @@ def test_keys_of_displacement_are_refused_for_a_stretch(tmp_path):
     )
     with pytest.raises(InputError, match="belongs to a column of displacement"):
         read_measurements(stretch, tmp_path, gauge=GAUGE)
+
+
+def test_rows_on_which_the_end_is_held_are_none_of_loading(tmp_path):
+    """The force relaxes to half while the machine stands at 6 mm."""
+    force = np.r_[3.0 * DEPTH, 9.0 + 9.0 * np.exp(-np.arange(1, 41) / 10.0)]
+    write(tmp_path, np.r_[DEPTH, np.full(40, 6.0)], force)
+    assert stiffness(tmp_path) == (pytest.approx(3.0, rel=1e-6), 25)
+    assert read(tmp_path).curve().rows.aside == {"hold of cycle 1": 40}
+    # readings that were repeated at every place are no hold
+    write(tmp_path, np.repeat(DEPTH, 5), np.repeat(3.0 * DEPTH, 5))
+    assert read(tmp_path).curve().rows.used == 125
+
+
+def test_a_recording_that_only_falls_is_turned_without_a_word(tmp_path):
+    write(tmp_path, DEPTH[::-1], 3.0 * DEPTH[::-1])
+    assert stiffness(tmp_path) == (pytest.approx(3.0, rel=1e-6), 25)
+    assert not any("out of order" in note for note in read(tmp_path).notes)
+
+
+def test_repeats_at_other_places_share_a_grid_and_specimens_do_not(tmp_path):
+    """Two specimens of two runs each: no two runs were recorded at the same displacements."""
+    rows = []
+    for specimen, stiff in (("A", 3.0), ("B", 4.0)):
+        for run, size in ((1, 25), (2, 31)):
+            place = np.linspace(0.0, 6.0, size)
+            rows += [f"{specimen},{run},{d:.6f},{stiff * d:.6f}\n" for d in place]
+    (tmp_path / "a.csv").write_text("specimen,run,d,f\n" + "".join(rows))
+    several = spec(block="specimen", average=("run",))
+    with pytest.raises(InputError, match="raw rows lie at other displacements"):
+        read_measurements(several, tmp_path)
+    found = read_measurements(several, tmp_path, own_rows=True)
+    for specimen, stiff in (("A", 3.0), ("B", 4.0)):
+        curve = found.curve(specimen)
+        assert len(curve.curve) == 200
+        assert curve.curve.force_N == pytest.approx(stiff * curve.curve.displacement_mm, abs=1e-5)
+        assert (curve.rows.read, curve.rows.used) == (56, 56)
+    one = "".join(row for row in rows if row.split(",")[1] == "2")
+    (tmp_path / "a.csv").write_text("specimen,run,d,f\n" + one + "C,1,0,0\nC,1,1,3\nC,1,2,6\n")
+    found = read_measurements(spec(block="specimen"), tmp_path, own_rows=True)
+    assert [len(found.curve(label).curve) for label in "ABC"] == [31, 31, 3]
+
+
+def test_the_keys_of_a_recording_may_be_overridden_and_vary():
+    for key in ("displacement_zero", "direction", "branch", "cycle"):
+        assert may_vary(f"measurements.{key}")

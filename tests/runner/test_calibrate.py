@@ -440,3 +440,18 @@ def test_a_kink_is_called_alike_in_every_verb(
     assert found.status == document["status"]
     assert found.converged  # there are constants, as before
     assert found.fit["values"]["C10"] == pytest.approx(7e-3, rel=0.01)
+
+
+def test_limits_of_evaluations_and_of_time_are_told(tmp_path: Path) -> None:
+    write(tmp_path / "a.csv", "ogden", {"mu1": 14e-3, "alpha1": 5.0}, noise=0.02)
+    short = case(tmp_path, [{}], "ogden", more="[calibration]\nmax_evaluations = 2\n")
+    short.write_text(short.read_text().replace("order = 2", "order = 1"), encoding="utf-8")
+    found = calibrated(short)
+    assert found.status == "not-converged"
+    assert "evaluations allowed were used up" in found.message
+    late = short.read_text().replace("max_evaluations = 2", 'max_time = "1e-9 s"')
+    short.write_text(late, encoding="utf-8")
+    found = calibrated(short)
+    assert found.status == "not-converged"
+    assert "the time of calibration.max_time is over" in found.message
+    assert found.adequacy.verdict == "does not describe"

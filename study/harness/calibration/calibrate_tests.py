@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -14,6 +15,7 @@ from study.ground.arrays import Array
 from study.ground.canonical import digest
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
+from study.harness.calibration.calibration_bound import estimated_bound, with_numerical
 from study.harness.calibration.calibration_result import CalibrationResult, CurveFit, PartialFit
 from study.harness.calibration.measured_tests import (
     FitCurve,
@@ -39,10 +41,12 @@ from study.harness.calibration.resampling import (
 from study.harness.design.calibration_section import CalibratedTest, CalibrationDesign
 from study.harness.runner import fit_task
 from study.harness.runner.fit_problem import FitProblem, start_problem
-from study.harness.runner.fit_summary import status_of
+from study.harness.runner.fit_summary import stability_over, status_of
 from study.harness.runner.provenance import code_version
 from study.harness.runner.staged_fit import (
+    NO_LIMITS,
     Checkpoint,
+    Limits,
     Progress,
     Staged,
     begun_stage,
@@ -62,7 +66,7 @@ from study.mechanics.calibration.lack_of_fit import (
 from study.mechanics.calibration.levenberg_marquardt import Status
 from study.mechanics.calibration.residual_function import EvaluationFailed
 from study.mechanics.material.material import Material, is_dimensionless
-from study.mechanics.material.stability import check, stability
+from study.mechanics.material.stability import check
 from study.mechanics.measurement.conditioning import is_caution
 from study.mechanics.setup.declaration import table_of
 
@@ -89,21 +93,6 @@ def plausible(material: Material, message: str) -> tuple[str, str]:
     return "converged", message
 
 
-def range_stability(
-    tests: Sequence[CalibratedTest], curves: Sequence[FitCurve], material: Material
-) -> tuple[bool, str]:
-    """Drucker's criterion over the compressions that were measured, else over the usual range."""
-    strains = [
-        float(c.measured.curve.displacement_mm.max()) / height
-        for c in curves
-        if (setup := tests[c.test].setup).kind.compresses
-        and (height := setup.height_mm) is not None
-    ]
-    range_of = [np.linspace(1 - max(strains), 1, 41)] if strains else []
-    judged = stability(material, *range_of)
-    return bool(judged.stable), judged.sentence
-
-
 # Where the search for the constants of a calibration begins, and within which bounds.
 
 
@@ -119,13 +108,14 @@ class Setting:
     progress: Progress | None
     #: what was done to a start outside the bounds, in words
     moved: tuple[str, ...] = ()
+    limits: Limits = NO_LIMITS
 
     def fitted(self, curves: Sequence[FitCurve], checkpoint: Checkpoint | None = None) -> Staged:
         """Fit to the curves whose role is ``fit``."""
         parts = parts_of(self.tests, in_order(curves))
         done = staged_fit(
             parts, self.names, self.start, fit_task.fitted_model, bounds=self.bounds,
-            progress=self.progress, checkpoint=checkpoint,
+            progress=self.progress, checkpoint=checkpoint or Checkpoint(limits=self.limits),
         )  # fmt: skip
         measured = [one for part in parts for one in part.measured]
         found = with_serial_correlation(done.fit, measured)
@@ -146,7 +136,7 @@ def setting_of(
         names, start = _start(tests, curves, progress, checkpoint)
     else:
         names, start = tuple(begin), np.array(list(begin.values()), float)
-    bounds = bounds_of(config, names)
+    bounds = config.bounds_of(names)
     low, high = np.array(bounds).T
     inside = np.clip(start, low, high)
     outside = [name for name, moved in zip(names, inside != start, strict=True) if moved]
@@ -157,12 +147,9 @@ def setting_of(
         for n in outside
     )
     finite = np.isfinite(bounds).any()
-    return Setting(config, tests, names, inside, bounds if finite else None, progress, moved)
-
-
-def bounds_of(config: CalibrationDesign, names: Sequence[str]) -> list[tuple[float, float]]:
-    """Bounds of the file; else those beyond which an energy is not defined. Units: returns MPa."""
-    return [config.bounds.get(n) or config.material.bounds(n) for n in names]
+    return Setting(
+        config, tests, names, inside, bounds if finite else None, progress, moved, checkpoint.limits
+    )
 
 
 def from_all_starts(
@@ -181,7 +168,10 @@ def from_all_starts(
     ]
     asked = [own, *(replace(quiet, start=start).fitted(curves) for start in drawn)]
     looks = looked_for(energy, setting.names, setting.start, parts, setting.bounds)
-    found = [*asked, *(_from_look(quiet, start, curves, own) for start in looks)]
+    found = list(asked)
+    for start in looks:
+        if not setting.limits.is_late:
+            found.append(_from_look(quiet, start, curves, own))
     chosen = best(found)
     evaluations = sum(one.evaluations for one in found if one is not chosen)
     rss = tuple(one.fit.rss if one.fit.converged else None for one in asked)
@@ -202,7 +192,7 @@ def _from_look(setting: Setting, start: Array, curves: Sequence[FitCurve], own: 
         rough = begun_stage(
             "look", [a or b for a, b in zip(cheap, parts, strict=True)], setting.names,
             gentler(setting.names, start, setting.bounds), fit_task.fitted_model, setting.bounds,
-            None, Checkpoint(),
+            None, Checkpoint(limits=setting.limits),
         )  # fmt: skip
         if not rough.fit.converged or rough.fit.rss > _HOPELESS_START * own.rough.rss:
             aside = replace(rough.fit, status=Status.stopped)
@@ -276,7 +266,9 @@ def calibrate(
     began = time.perf_counter()
     curves, notes = read_tests(config.tests, root, config.asked.loss)
     own, left = _splits(config, curves)
-    checkpoint = _checkpoint(folder, config, curves)
+    allowed = math.inf if config.asked.max_time is None else config.asked.max_time
+    limits = Limits(config.asked.max_evaluations, time.monotonic() + allowed)
+    checkpoint = _checkpoint(folder, config, curves, limits)
     setting = setting_of(config, curves, progress, checkpoint, begin)
     done, starts, others = setting.fitted(curves, checkpoint), None, ()
     if begin is None:
@@ -289,6 +281,12 @@ def calibrate(
     result = _result(setting, curves, done)
     if others:
         result = replace(result, fit=_open(found, others))
+    parts = parts_of(setting.tests, in_order(curves))
+    numerical = estimated_bound(found, parts, done.models) if found.converged else None
+    if numerical is not None:
+        result = replace(
+            result, fit=with_numerical(result.fit, numerical), numerical=numerical.as_dict()
+        )
     result = replace(
         result,
         specimens=specimens,
@@ -326,14 +324,14 @@ def _open(found: Fit, others: Sequence[Staged]) -> Fit:
 
 
 def _checkpoint(
-    folder: Path | None, config: CalibrationDesign, curves: Sequence[FitCurve]
+    folder: Path | None, config: CalibrationDesign, curves: Sequence[FitCurve], limits: Limits
 ) -> Checkpoint:
     if folder is None:
-        return Checkpoint()
+        return Checkpoint(limits=limits)
     data = [[c.label, c.role, c.weight, c.measured.curve.as_dict()] for c in curves]
     problems = [problem_of(test.tables).tables for test in config.tests]
     key = digest([problems, config.document, data, code_version()], 32)
-    return Checkpoint(folder / "calibration.checkpoint.json", key)
+    return Checkpoint(folder / "calibration.checkpoint.json", key, limits)
 
 
 def _splits(
@@ -452,7 +450,9 @@ def _result(setting: Setting, curves: Sequence[FitCurve], done: Staged) -> Calib
         material = section.material(found.constants())
         judged_as, message = plausible(material, message)
         status = status if judged_as == "converged" else judged_as
-        stable, stability = range_stability(setting.tests, curves, material)
+        measured = [(setting.tests[c.test].setup, c.measured.curve.displacement_mm) for c in curves]
+        judged_stable = stability_over(material, measured)
+        stable, stability = judged_stable.stable, judged_stable.sentence
     judged = list(zip(in_order(curves), found.curves, strict=False))
     repeated = [r for c, p in judged if (r := c.repeated(p)) is not None]
     lack = lack_of_fit(repeated, len(found.names)) if found.converged else None
@@ -460,6 +460,12 @@ def _result(setting: Setting, curves: Sequence[FitCurve], done: Staged) -> Calib
         found, _measured(setting, curves), tests=[c.test for c in in_order(curves)], lack=lack,
         more=_implausible_stretches(setting.tests, curves),
     )  # fmt: skip
+    gauges = {setting.tests[c.test].setup.has_no_elements for c in in_order(curves)}
+    if len(gauges) > 1 and all(isinstance(c.weight, float) for c in in_order(curves)):
+        cautions.append(
+            "forces of gauge sections and of simulated specimens are weighed in N, so that the "
+            'cross-sections decide which counts: write weight = "scatter", "relative" or a number'
+        )
     if setting.config.asked.specimens == "pooled" and len(of_specimens(curves)) > 1:
         cautions.append(
             "specimens are pooled: intervals are those of these specimens, not of the population; "

@@ -17,14 +17,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.ground.arrays import Array
-from study.harness.calibration.calibrate_tests import bounds_of
+from study.ground.curve import Curve
+from study.ground.errors import InputError
 from study.harness.calibration.measured_tests import in_order, parts_of, read_tests
 from study.harness.design.calibration_section import CalibrationDesign
 from study.harness.runner import fit_task
+from study.harness.runner.fit_task import InverseFem
 from study.harness.runner.problem_tables import on_mesh
 from study.harness.runner.refinement import formal_order
 from study.harness.runner.response import scale_of
-from study.harness.runner.staged_fit import Checkpoint, FitPart, Progress, single_stage
+from study.harness.runner.staged_fit import Checkpoint, FitPart, Predict, Progress, single_stage
+from study.mechanics.calibration.covariance import scaled_inverse
+from study.mechanics.calibration.identifiability import fitted_rows
+from study.mechanics.calibration.residual_function import EvaluationFailed
 from study.mechanics.setup.declaration import with_table
 from study.mechanics.setup.setup import MESH_LEVELS, Setup, problem_of
 from study.statistics.convergence.grid_convergence import grid_convergence
@@ -56,6 +61,8 @@ class ConstantBound:
     steps: Array
     #: Which fit gave no constants; else empty.
     failure: str = ""
+    #: Whether the bounds follow from one coarser mesh and the sensitivities, without another fit.
+    is_estimate: bool = False
 
     @property
     def u(self) -> Array:
@@ -69,6 +76,12 @@ class ConstantBound:
             return f"no bound of the numerical error: {self.failure}"
         if not self.sizes:
             return "no numerical error: every test has a closed form"
+        if self.is_estimate:
+            return (
+                f"numerics: from one mesh of {_RATIO:g} times the element size and twice the load "
+                "steps, through the sensitivities: "
+                "the order is assumed, the factor of safety 3; --numerics fits on more meshes"
+            )
         sizes = ", ".join(f"{size:.3g}" for size in self.sizes)
         return (
             f"numerics: from fits on meshes of {sizes} times the element size, and with twice "
@@ -98,7 +111,7 @@ def numerical_bound(
     """Fit again on other meshes and with more load steps, and judge every constant."""
     # Nuisance parameters stay at what is expected of them in all of these fits.
     names, start = known.names, known.values
-    bounds = bounds_of(config, names)
+    bounds = config.bounds_of(names)
     parts = parts_of(config.tests, in_order(read_tests(config.tests, root, config.asked.loss)[0]))
     zero = np.zeros(len(names))
     simulated = [part for part in parts if part.method == "inverse-fem"]
@@ -122,7 +135,8 @@ def numerical_bound(
         found.append(done.values)
     *series, stepped = found
     values, sizes = np.array(series), tuple(_RATIO ** float(step - own) for step in levels)
-    order = min(_order(part, names, start) for part in simulated)
+    orders = [_order(part, names, start) for part in simulated]
+    order = min((one for one in orders if one is not None), default=None)
     mesh = np.array([_u(sizes, column, levels.index(own), order) for column in values.T])
     # forces between the load steps follow from where a search began, too; with nuisance
     # parameters the constants of the fit are not those of the same question
@@ -130,6 +144,73 @@ def numerical_bound(
     reference = start if known.joint is None else again
     steps = np.maximum(np.abs(stepped - reference), np.abs(again - reference))
     return ConstantBound(names, sizes, values, mesh, steps)
+
+
+#: factor of safety of two meshes, whose order is assumed (Roache 1994)
+_SAFETY = 3.0
+
+
+def estimated_bound(
+    found: Fit, parts: Sequence[FitPart], models: Sequence[Predict]
+) -> ConstantBound | None:
+    """Bound the numerical error from one coarser mesh; None where every test has a closed form.
+
+    A force that is wrong by e moves the estimates by -(J'J)^-1 J'e, as an error of a row does.
+    """
+    names, constants = found.names, found.values
+    own = [
+        part.method == "inverse-fem" and isinstance(model, InverseFem)
+        for part, model in zip(parts, models, strict=True)
+    ]
+    if not any(own) or not found.curves:
+        return None
+    mesh: list[Array] = []
+    steps: list[Array] = []
+    nothing = np.full(len(names), np.nan)
+    try:
+        for part, model, is_own in zip(parts, models, own, strict=True):
+            if not (is_own and isinstance(model, InverseFem)):
+                zeros = [np.zeros(len(one.curve)) for one in part.measured]
+                mesh, steps = [*mesh, *zeros], [*steps, *zeros]
+                continue
+            here, size = model(constants), model.mesh_size_mm or 0.0
+            share = _SAFETY / (_RATIO ** _order(part, names, constants) - 1)
+            coarse = on_mesh(part.tables, mesh_size_mm=_RATIO * size)
+            mesh += [
+                share * e for e in _moved(replace(part, tables=coarse), names, constants, here)
+            ]
+            steps += _moved(_with_more_steps(part), names, constants, here)
+    except (EvaluationFailed, InputError) as error:
+        why = f"a coarser mesh, or more load steps, has no answer ({error})"
+        return ConstantBound(names, (), np.zeros((0, len(names))), nothing, nothing, why, True)
+    measured = [one for part in parts for one in part.measured]
+    jacobian, weights, _ = fitted_rows(found, measured)
+    inverse, _ = scaled_inverse(weights[:, None] * jacobian)
+    used = np.concatenate([one.weights > 0 for one in measured])
+    by_force = inverse @ (weights[:, None] ** 2 * jacobian).T
+    bounds = [np.abs(by_force @ np.concatenate(one)[used]) for one in (mesh, steps)]
+    sizes = (_RATIO, 1.0)
+    return ConstantBound(names, sizes, constants[None], *bounds, is_estimate=True)
+
+
+def _moved(
+    part: FitPart, names: tuple[str, ...], constants: Array, here: Sequence[Curve]
+) -> list[Array]:
+    """Change of the forces at the measured points from one discretization to another, N."""
+    curves = [one.curve for one in part.measured]
+    other = fit_task.fitted_model(part.method, part.tables, curves, names)(constants)
+    return [
+        two.force_at(c.displacement_mm) - one.force_at(c.displacement_mm)
+        for one, two, c in zip(here, other, curves, strict=True)
+    ]
+
+
+def with_numerical(found: Fit, bound: ConstantBound) -> Fit:
+    """Fit whose 95 % intervals hold the numerical error beside the scatter of the rows."""
+    if not np.isfinite(bound.u).all():
+        return found
+    half = np.hypot(0.5 * (found.ci95[:, 1] - found.ci95[:, 0]), bound.u)
+    return replace(found, ci95=np.stack([found.values - half, found.values + half], axis=1))
 
 
 def _on_level(part: FitPart, level: int) -> FitPart:
@@ -149,14 +230,14 @@ def _with_more_steps(part: FitPart) -> FitPart:
     return replace(part, tables=with_table(part.tables, "test", steps=steps))
 
 
-def _order(part: FitPart, names: tuple[str, ...], values: Array) -> float:
+def _order(part: FitPart, names: tuple[str, ...], values: Array) -> float | None:
     """Order that the elements promise for the force of a test, and so for its constants."""
     depth = max(float(one.curve.displacement_mm.max()) for one in part.measured)
     constants = dict(zip(names, values.tolist(), strict=True))
     return formal_order(problem_of(part.tables, constants, depth)).order
 
 
-def _u(sizes: Sequence[float], values: Array, own: int, order: float) -> float:
+def _u(sizes: Sequence[float], values: Array, own: int, order: float | None) -> float:
     """Half-width of one constant on one of the meshes."""
     noise = _SEARCH * float(np.abs(values).max())
     result = grid_convergence(sizes, values, formal_order=order, tolerance=noise)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, cast
 
@@ -151,6 +151,8 @@ class CalibrationResult:
     next_tests: NextTests | None = None
     #: Document of how far meshes and load steps may move the constants, where asked.
     numerics: Mapping[str, object] | None = None
+    #: The same from one coarser mesh, which the intervals hold; None without elements.
+    numerical: Mapping[str, object] | None = None
     #: Intervals from resampled data, where asked.
     bootstrap: Bootstrap | None = None
 
@@ -204,9 +206,13 @@ class CalibrationResult:
             "residual_pattern": None if self.pattern is None else vars(self.pattern),
             "specimens": [one.as_dict() for one in self.specimens],
             "same_constants_p": self.same_constants_p,
-            "population": {one.name: _population(one) for one in self.population},
+            "population": {
+                one.name: _population(one, [part.label for part in self.specimens])
+                for one in self.population
+            },
             "cross_validation": [one.as_dict() for one in self.cross_validation],
             "profiles": {n: _profile(_scale(found, n), p) for n, p in self.profiles.items()},
+            **({} if self.numerical is None else {"numerical": self.numerical}),
             **({} if self.numerics is None else {"numerics": self.numerics}),
             **({} if self.bootstrap is None else {"bootstrap": self.bootstrap.as_dict()}),
             **({} if self.starts is None else {"starts": self.starts.as_dict()}),
@@ -312,7 +318,7 @@ def _unit_of(key: str) -> tuple[str, float]:
     return plain.get(key, others.get(last, "mm")), 1.0
 
 
-def _population(found: Population) -> dict[str, object]:
+def _population(found: Population, labels: Sequence[str]) -> dict[str, object]:
     """Give one constant among specimens in kPa, exponents plain."""
     scale = scale_of(found.name)
     return {
@@ -323,6 +329,9 @@ def _population(found: Population) -> dict[str, object]:
         "between": scale * found.between,
         "mean_ci95": [scale * v for v in found.mean_ci95],
         "next_ci95": [scale * v for v in found.next_ci95],
+        "shrunk": {
+            label: scale * value for label, value in zip(labels, found.shrunk, strict=False)
+        },
     }
 
 

@@ -80,7 +80,7 @@ def read_tests(
 def _read(test: CalibratedTest, root: Path) -> Measurements:
     setup = test.setup
     depth, gauge = setup.test.displacement_mm, gauge_of(setup)
-    found = read_measurements(test.measurements, root, setup.height_mm, depth, gauge)
+    found = read_measurements(test.measurements, root, setup.height_mm, depth, gauge, own_rows=True)
     return conditioning.checked(found, setup)
 
 

@@ -16,6 +16,7 @@ from study.ground.errors import Fault, InputError, RefusedError
 from study.harness.calibration.calibrate_tests import calibrate
 from study.harness.calibration.calibration_result import CalibrationResult, parameters
 from study.harness.calibration.measured_tests import in_order, parts_of, problem_of, read_tests
+from study.harness.calibration.resampling import OPEN
 from study.harness.design.calibration_section import CalibrationDesign
 from study.harness.record.record import plain
 from study.harness.runner import fit_task
@@ -458,6 +459,8 @@ CANDIDATES = (
     ("reduced-polynomial", 2, "reduced-polynomial-2"),
     ("reduced-polynomial", 3, "reduced-polynomial-3"),
     ("ogden", 1, "ogden-1"),
+    ("ogden", 2, "ogden-2"),
+    ("ogden", 3, "ogden-3"),
     ("arruda-boyce", None, "arruda-boyce"),
     ("gent", None, "gent"),
     ("fung", None, "fung"),
@@ -469,31 +472,59 @@ CANDIDATES = (
 FOAMS = (("ogden-hill", 1, "ogden-hill-1"), ("ogden-hill", 2, "ogden-hill-2"))
 
 
+#: error of held-out tests over the least one, up to which an energy predicts as well
+_PREDICTS = 1.25
+
+
 @dataclass(frozen=True)
 class EnergyChoice:
     """Fits of several energies to the same tests."""
 
     #: By label, in the order of the candidates.
     fits: Mapping[str, CalibrationResult]
-    #: Akaike weights of those that converged.
+    #: Akaike weights among those that may be chosen.
     weights: Mapping[str, float]
     #: Energies without an answer, and why.
     failures: Mapping[str, str]
 
     @property
+    def alike(self) -> tuple[str, ...]:
+        """Energies that the tests cannot tell apart, the fewest constants first.
+
+        Of those that may be chosen: where tests are held out, those that predict them as well as
+        any; of these, an AICc within 6 of the least.
+        """
+        errors = {label: _held_out_error(self.fits[label]) for label in self.weights}
+        least = min((e for e in errors.values() if e is not None), default=None)
+        kept = [
+            label
+            for label, error in errors.items()
+            if least is None or (error is not None and error <= _PREDICTS * least)
+        ]
+        aicc = {label: self.fits[label].fit.aicc for label in kept}
+        near = [label for label in kept if aicc[label] - min(aicc.values()) < OPEN]
+        return tuple(sorted(near, key=lambda one: (len(self.fits[one].fit.names), aicc[one])))
+
+    @property
     def best(self) -> str | None:
-        """Label of the energy with the smallest AICc; None where none converged."""
-        return max(self.weights, key=self.weights.__getitem__) if self.weights else None
+        """Label of the simplest energy that no other is told to be better than."""
+        return next(iter(self.alike), None)
 
     @property
     def sentence(self) -> str:
         """The choice in words, with what it does not say."""
         if self.best is None:
-            return "no energy could be fitted"
-        found = self.fits[self.best]
-        said = f"AICc prefers {self.best} (weight {self.weights[self.best]:.3g})"
-        if not found.fit.identifiable:
-            return f"{said}, but its constants are not identifiable: {found.fit.reason}"
+            why = "; ".join(f"{label}: {_unfit(one)}" for label, one in self.fits.items())
+            return f"no energy can be recommended: {why}" if why else "no energy could be fitted"
+        held = _held_out_error(self.fits[self.best])
+        by = "AICc prefers"
+        if held is not None:
+            by = f"held-out tests ({held:.3g} % RMS error) and AICc prefer"
+        said = f"{by} {self.best} (weight {self.weights[self.best]:.3g})"
+        others = self.alike[1:]
+        if others:
+            listed = ", ".join(others)
+            said += f", the fewest constants among energies that cannot be told apart ({listed})"
         return f"{said}; it compares energies on these data only, not the constants' truth"
 
     def to_json(self) -> dict[str, object]:
@@ -502,6 +533,7 @@ class EnergyChoice:
 
         content = {
             "best": self.best,
+            "cannot_be_told_apart": list(self.alike),
             "sentence": self.sentence,
             "energies": [
                 {
@@ -515,6 +547,8 @@ class EnergyChoice:
                     "mu0": None if found.material is None else 1e3 * found.material.mu0,
                     "identifiable": found.fit.identifiable,
                     "reason": found.fit.reason,
+                    "not_chosen_because": _unfit(found),
+                    "verdict": found.adequacy.verdict,
                     "stable": found.stable,
                     "held_out": [
                         c.as_dict()["relative_rms_force_error"]
@@ -529,10 +563,32 @@ class EnergyChoice:
         return cast("dict[str, object]", plain(content, "energies", {}))
 
 
+def _held_out_error(found: CalibrationResult) -> float | None:
+    """Root mean square of the relative errors of held-out tests, %; None where none is."""
+    errors = [
+        curve.as_dict()["relative_rms_force_error"]
+        for curve in found.curves
+        if curve.role == "held-out"
+    ]
+    if not errors:
+        return None
+    return float(np.sqrt(np.mean([np.inf if e is None else float(str(e)) ** 2 for e in errors])))
+
+
+def _unfit(found: CalibrationResult) -> str:
+    """Why an energy may not be chosen; empty where it may."""
+    held = [n for n, e in zip(found.fit.names, found.fit.standard_error, strict=True) if not e > 0]
+    if held:
+        return f"{', '.join(held)} ended at a bound"
+    if not found.fit.identifiable:
+        return f"not identifiable: {found.fit.reason}"
+    return "" if found.adequacy.describes else found.adequacy.sentence
+
+
 def choose(
     config: CalibrationDesign, root: Path, *, progress: Progress | None = None
 ) -> EnergyChoice:
-    """Fit every candidate to the tests of a calibration."""
+    """Fit every candidate to the tests of a calibration, each asked as the file asks."""
     found: dict[str, CalibrationResult] = {}
     failures: dict[str, str] = {}
     problems = (problem_of(test.tables) for test in config.tests)
@@ -541,13 +597,16 @@ def choose(
         *CANDIDATES,
         *(FOAMS if (compressible and all(one.method == "closed-form" for one in problems)) else ()),
     ):
+        changes: dict[str, object] = {"model": model, "order": order, "constants": {}}
+        tests = tuple(
+            replace(test, tables=with_table(test.tables, "material", **changes))
+            for test in config.tests
+        )
         try:
-            changes: dict[str, object] = {"model": model, "order": order, "constants": {}}
-            tests = tuple(
-                replace(test, tables=with_table(test.tables, "material", **changes))
-                for test in config.tests
-            )
-            result = calibrate(CalibrationDesign(config.name, tests), root, progress=progress)
+            design = replace(config, tests=tests, bounds={})
+            own = set(design.material.calibrated_names)
+            bounds = {name: pair for name, pair in config.bounds.items() if name in own}
+            result = calibrate(replace(design, bounds=bounds), root, progress=progress)
         except InputError as error:
             failures[label] = str(error)
             continue
@@ -555,5 +614,5 @@ def choose(
             found[label] = result
         else:
             failures[label] = f"{result.status}: {result.message}"
-    weights = akaike_weights({label: one.fit.aicc for label, one in found.items()})
-    return EnergyChoice(found, weights, failures)
+    eligible = {label: one.fit.aicc for label, one in found.items() if not _unfit(one)}
+    return EnergyChoice(found, akaike_weights(eligible), failures)

@@ -43,6 +43,8 @@ REACH: Mapping[str, float] = {
     "simple-shear": 1.5,
     "indentation": 0.1,
 }
+#: nominal stress to which a laboratory may go, MPa, or this many times what it went to
+STRESS_MPA, TIMES_MEASURED = 1.0, 3.0
 #: strain to which tests are compared where the measured ones did not go as far
 USUAL_STRAIN = 0.4
 #: strains of a search for the one that a test must reach
@@ -96,6 +98,8 @@ class NextTests:
     #: Standard deviation of its forces, and its cross-section.
     noise_N: float  # noqa: N815
     area_mm2: float
+    #: Largest nominal stress of the tests that were weighed, MPa.
+    stress_MPa: float  # noqa: N815
 
     @property
     def is_due(self) -> bool:
@@ -113,7 +117,8 @@ class NextTests:
         rows = f"{self.rows:.0f} rows worth {self.effective_rows:.3g}"
         return (
             f"best next test: {best.words} would cut the standard {errors} {says} (as noisy "
-            f"as the tests made: {self.noise_N:.2g} N on {self.area_mm2:.3g} mm^2, {rows}). "
+            f"as the tests made: {self.noise_N:.2g} N on {self.area_mm2:.3g} mm^2, {rows}, "
+            f"up to a nominal stress of {self.stress_MPa:.3g} MPa). "
             f"{self._reach(best)}"
         )
 
@@ -130,6 +135,7 @@ class NextTests:
             "noise_N": self.noise_N,
             "area_mm2": self.area_mm2,
             "rows": self.rows,
+            "stress_MPa": self.stress_MPa,
             "effective_rows": self.effective_rows,
             "standard_error": shown(self.standard_error),
             "tests": [
@@ -196,6 +202,7 @@ def next_tests(
         tuple(n for n, is_sought in zip(found.names, sought, strict=True) if is_sought),
         tuple(one for _, one in ranked),
         conditions.rows, conditions.worth * conditions.rows, noise, conditions.area_mm2,
+        conditions.stress_MPa,
     )  # fmt: skip
 
 
@@ -210,6 +217,8 @@ class _Conditions:
     #: Share of the rows that their correlation leaves.
     worth: float
     strain: float
+    #: Largest nominal stress of a test that can be made, MPa.
+    stress_MPa: float  # noqa: N815
 
     @classmethod
     def of(
@@ -222,12 +231,18 @@ class _Conditions:
         if serial is not None:
             rows = serial.rows
         strains = [_strain_of(one, tests[one.test]) for one in curves]
+        stresses = [
+            float(np.abs(one.measured.curve.force_N).max()) / height_and_area(specimen)[1]
+            for one in curves
+            if (specimen := tests[one.test].setup.specimen) is not None
+        ]
         return cls(
             noise,
             areas[0] if areas else _AREA,
             max(1, round(rows / len(found.curves))),
             1.0 if serial is None else serial.effective_rows / serial.rows,
             max([USUAL_STRAIN, *strains]),
+            max([STRESS_MPA, *(TIMES_MEASURED * stress for stress in stresses)]),
         )
 
 
@@ -245,7 +260,10 @@ class _TestSearch:
         """Every test that has an answer, with the log of the variance that it leaves."""
         before = self._left(_covariance(self.known))
         for kind, largest in REACH.items():
+            largest = self._reachable(kind, largest)
             strain = min(largest, self.conditions.strain)
+            if not strain > 0:
+                continue
             added = self._added(kind, strain)
             if added is None:
                 continue
@@ -254,6 +272,17 @@ class _TestSearch:
             gain = 0.5 * (before - left) if np.isfinite(left) else 0.0
             error, needed = np.sqrt(np.diag(after)), self._needed(kind, largest)
             yield left, NextTest(kind, strain, error, gain, _rank(added), needed)
+
+    def _reachable(self, kind: str, largest: float) -> float:
+        """Strain that a test reaches before its stress goes beyond what can be made."""
+        own = TEST_KINDS[kind]
+        if own.takes_indenter:
+            return largest
+        loading, strains = LOADINGS[own.mode], largest * np.arange(1, _STRAINS + 1) / _STRAINS
+        with np.errstate(all="ignore"):  # NaN says that there is no answer
+            stress = loading.nominal(self.material, loading.measure(own.sense * strains)).stress
+        beyond = np.flatnonzero(~(np.abs(stress) <= self.conditions.stress_MPa))
+        return largest if not beyond.size else float(np.r_[0.0, strains][beyond[0]])
 
     def _left(self, covariance: Array) -> float:
         """Log of the generalized variance of the sought constants; infinite where undetermined."""

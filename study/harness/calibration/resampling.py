@@ -243,8 +243,8 @@ def scattered(
     return _inside(_with_moduli(energy, names, values, closed)[0], bounds)
 
 
-#: starts that are fitted at most: the best of the looks, each with other signs of its exponents
-_LOOKED = 6
+#: looks that are fitted at most: of one exponent, and of several, each with other signs
+_LOOKED, _LOOKED_OF_SEVERAL = 6, 3
 
 
 def looked_for(
@@ -277,7 +277,7 @@ def looked_for(
     best_of: dict[tuple[bool, ...], Array] = {}
     for _, values in sorted(seen, key=lambda pair: pair[0]):
         best_of.setdefault(tuple(sorted(values[places] > 0)), values)
-    return list(best_of.values())[:_LOOKED]
+    return list(best_of.values())[:_LOOKED_OF_SEVERAL]
 
 
 def _at_equal_strain(part: FitPart) -> FitPart | None:

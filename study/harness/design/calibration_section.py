@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Annotated, Literal
@@ -233,6 +233,10 @@ class CalibrationDesign:
     def document(self) -> dict[str, object]:
         """How the constants are to be found, as plain values for a hash."""
         return {**values_of(self.asked), "bounds": dict(self.bounds)}
+
+    def bounds_of(self, names: Sequence[str]) -> list[tuple[float, float]]:
+        """Bounds of the file; else those beyond which an energy is not defined, MPa."""
+        return [self.bounds.get(name) or self.material.bounds(name) for name in names]
 
     def pooled(self) -> CalibrationDesign:
         """Copy of which nothing but the constants of all specimens together is asked."""

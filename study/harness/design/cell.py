@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, is_dataclass
+from dataclasses import dataclass, field, is_dataclass
 from functools import cached_property
 from typing import cast, overload
 
@@ -15,13 +15,15 @@ import numpy as np
 from study.ground.canonical import Json
 from study.ground.errors import Fault, InputError
 from study.harness.design.diagnostics import Faults, Table, read_table, read_variant, with_values
-from study.mechanics.measurement.column_text import KINEMATIC, KINETIC
+from study.harness.design.forward_model import ForwardCell, Refinement, Value
+from study.harness.design.forward_section import ForwardModel
+from study.mechanics.measurement.column_text import KINEMATIC, KINETIC, SECOND
 from study.mechanics.measurement.measurement_section import MarkerSpec, MeasurementSpec, groups_of
 from study.mechanics.setup import setup
 from study.mechanics.setup.declaration import shown, table_of, values_of
 from study.mechanics.setup.geometry import INDENTERS, SPECIMENS, Enclosed, Specimen, Surface
 from study.mechanics.setup.material_section import MaterialSection
-from study.mechanics.setup.setup import ForwardModel, Model, Setup
+from study.mechanics.setup.setup import Model, Setup
 from study.mechanics.setup.test_kind import Test
 from study.mechanics.setup.test_section import TEST_KINDS, TestSection
 
@@ -133,6 +135,44 @@ class CellProblem:
     forward: ForwardModel | None = None
     #: Where the places of markers inside the specimen are.
     markers: MarkerSpec | None = None
+    #: Values of the user's own for the templates of its program, and their units.
+    parameters: Mapping[str, Value] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def calibrated_names(self) -> tuple[str, ...]:
+        """Names of the constants that a fit may find."""
+        return tuple(self.material.calibrated_names)
+
+    @property
+    def depth_mm(self) -> float | None:
+        """How far its test goes; None where that is open."""
+        return self.test.displacement_mm
+
+    @property
+    def discretization(self) -> str:
+        """Kind of its elements; nothing where no mesh matters."""
+        if self.is_homogeneous:
+            return ""
+        names = ("space", "element_order", "element_shape", "formulation")
+        return " ".join(str(getattr(self.model, name)) for name in names)
+
+    @property
+    def refinement(self) -> Refinement | None:
+        """Its own mesh refines it, no parameter."""
+        return None
+
+    def faults_in_design(self) -> list[tuple[str, str, str]]:
+        """Where, rule and mend of a course in time, of which a design has no response."""
+        rule, found = "has no place in a design", []
+        mend = "responses compare curves over displacement: `study solve` follows a course"
+        for key, value in (("hold", self.test.hold_s), ("cycles", self.test.cycles)):
+            if value is not None:
+                found.append((f"test.{key}", rule, mend))
+        if self.measurements is not None and self.measurements.columns.time is not None:
+            mend = "give test.speed, or fit the course by `study calibrate`"
+            found.append(("measurements.columns.time", rule, mend))
+        return found
 
     @property
     def setup(self) -> Setup:
@@ -166,7 +206,11 @@ class CellProblem:
             made = test.pop(key)
             if made is not None:
                 test[key] = values_of(made)
-        beside: Config = {} if self.forward is None else {"forward": values_of(self.forward)}
+        beside: Config = {} if self.forward is None else {"forward": self.forward.document()}
+        if self.parameters:
+            beside["parameters"] = dict(self.parameters)
+        if self.units:
+            beside["units"] = dict(self.units)
         if self.markers is not None:
             beside["markers"] = self.markers.as_dict()
         return {
@@ -217,17 +261,17 @@ def _model(model: Model) -> Config:
 class Cell:
     """What a cell of a design computes."""
 
-    problem: CellProblem
+    problem: ForwardCell
     #: How the constants are found.
     method: str
     #: What is predicted by constants that were fitted
     #: without it.
     leave_out: str | None = None
     #: Test that the constants are fitted to, where it is another one.
-    fitted_elsewhere: CellProblem | None = None
+    fitted_elsewhere: ForwardCell | None = None
 
     @property
-    def fitted(self) -> CellProblem:
+    def fitted(self) -> ForwardCell:
         """Test that the constants are fitted to."""
         return self.fitted_elsewhere or self.problem
 
@@ -239,6 +283,8 @@ class Cell:
     def document(self) -> Config:
         """Plain values in internal units."""
         other = self.fitted_elsewhere
+        if not isinstance(self.problem, CellProblem):
+            return self.problem.document()  # of parameters alone nothing is calibrated
         calibration = {
             "method": self.method,
             "problem": None if other is None else other.document(),
@@ -318,6 +364,10 @@ def _check_columns(table: Table, fault: Callable[[str, str, str], None]) -> None
         wanted = given[0] if given else usual
         if isinstance(units, Mapping) and wanted not in units and table.get("unit_row") is not True:
             fault(f"units.{wanted}", "is missing", f'for example {wanted} = "{_UNITS[wanted]}"')
+    first = next((key for key in (*SECOND, *SECOND.values()) if key in columns), None)
+    for key in (*SECOND, *SECOND.values()) if first else ():
+        if key not in columns:
+            fault(f"columns.{key}", f"is missing beside {first}", "a biaxial test has all four")
     if isinstance(units, Mapping) and "time" in columns and "time" not in units:
         fault("units.time", "is missing", 'for example time = "s"')
 
@@ -333,16 +383,17 @@ _UNITS = {
 def _check_course(table: Table, fault: Callable[[str, str, str], None]) -> None:
     """Keep rules that take rows out, or move them, from tests whose course in time matters."""
     columns = table.get("columns")
-    if not isinstance(columns, Mapping) or "time" not in columns:
+    if not isinstance(columns, Mapping) or not {"time", *SECOND} & set(columns):
         return
     asked = {
         "points": table.get("points", "raw") != "raw",
         "range": "range" in table,
         "toe": "toe" in table,
-        "zero": table.get("zero") == "fit",
+        "zero": table.get("zero") == "fit" or ("zero" in table and "time" not in columns),
     }
     mends = {"points": 'write points = "raw"', "zero": 'write zero = "first"'}
-    rule = "has no meaning for a test with a column of time, whose rows all count"
+    what = "a column of time" if "time" in columns else "two directions"
+    rule = f"has no meaning for a test with {what}, whose rows all count"
     for key in (key for key, given in asked.items() if given):
         fault(key, rule, mends.get(key, "leave it out"))
 

@@ -303,8 +303,10 @@ def _children(value: dict[str, object] | list[object]) -> Iterable[object]:
     return value.values() if isinstance(value, dict) else value
 
 
-def flatten(table: Mapping[str, object], prefix: str = "") -> dict[str, object]:
-    """Dotted keys of nested tables; an empty table stays, as what nothing can be.
+def flatten(
+    table: Mapping[str, object], prefix: str = "", whole: Collection[str] = ()
+) -> dict[str, object]:
+    """Dotted keys of nested tables; an empty table stays, as does one that is a value as a whole.
 
     Examples
     --------
@@ -312,7 +314,7 @@ def flatten(table: Mapping[str, object], prefix: str = "") -> dict[str, object]:
     {'model.space': '3d', 'model.mesh': 'fine'}
     """
     flat: dict[str, object] = {}
-    for key, value in _leaves(table, prefix):
+    for key, value in _leaves(table, prefix, whole):
         if key in flat:
             rule = "stands twice, quoted and unquoted"
             raise InputError(Fault(key, rule, "keep one of the two"))
@@ -320,10 +322,12 @@ def flatten(table: Mapping[str, object], prefix: str = "") -> dict[str, object]:
     return flat
 
 
-def _leaves(table: Mapping[str, object], prefix: str) -> Iterable[tuple[str, object]]:
+def _leaves(
+    table: Mapping[str, object], prefix: str, whole: Collection[str]
+) -> Iterable[tuple[str, object]]:
     for key, value in table.items():
-        if isinstance(value, Mapping) and value:
-            yield from _leaves(value, f"{prefix}{key}.")
+        if isinstance(value, Mapping) and value and f"{prefix}{key}" not in whole:
+            yield from _leaves(value, f"{prefix}{key}.", whole)
         else:
             yield f"{prefix}{key}", value
 

@@ -20,6 +20,7 @@ from study.harness.design.diagnostics import (
     quoted_path,
 )
 from study.harness.design.material_table import DISTRIBUTION_KEYS
+from study.harness.design.parameters import number_and_unit
 from study.harness.design.spec import Exclusion, Factor, Level, Span
 from study.harness.design.study_file import ExclusionTable
 from study.mechanics.setup.declaration import MAX_NAME, Bad, choice, name, number, quoted, shown
@@ -48,7 +49,7 @@ def presets_from(table: object, faults: Faults) -> Presets:
 
 
 def _settings(level: object, prefix: str, where: str, faults: Faults) -> Table:
-    settings = flatten(entries(level, where, faults), prefix)
+    settings = flatten(entries(level, where, faults), prefix, overlay.WHOLE)
     for key in settings:
         if not overlay.may_vary(key):
             inner = quoted_path(key.removeprefix(prefix))
@@ -296,6 +297,8 @@ def _end(raw: object, dimension: str) -> tuple[float, str]:
     """Value and unit of one end, the unit as written."""
     if dimension == "number":
         return number()(raw), ""
+    if dimension == overlay.ANY:
+        return number_and_unit(raw)
     parse(raw, dimension)
     match = _QUANTITY.fullmatch(str(raw))
     if match is None:

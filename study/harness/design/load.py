@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from functools import partial
 from importlib import resources
 from pathlib import Path
 from typing import TypeVar
@@ -23,6 +24,8 @@ from study.harness.design.diagnostics import (
     Tables,
     entries,
     is_about,
+    is_known,
+    noted,
     quoted_path,
     read_table,
 )
@@ -34,8 +37,14 @@ from study.harness.design.factors import (
     presets_from,
     set_whole,
 )
+from study.harness.design.forward_section import ValueFile
 from study.harness.design.hypotheses import analysis_from, expected_from
 from study.harness.design.layout_kinds import scheme_from
+from study.harness.design.parameters import (
+    check_names,
+    constraint_of,
+    stands_alone,
+)
 from study.harness.design.resolve import calibration_from, resolve_calibration, resolve_problem
 from study.harness.design.response_tables import responses_from, uncertainty_from
 from study.harness.design.spec import Design, Level
@@ -80,14 +89,9 @@ def check_cells(design: Design, presets: Presets, faults: Faults) -> None:
     if not found and cells:
         for cell in cells:
             for problem in (cell.problem, cell.fitted):
-                test, spec = problem.test, problem.measurements
-                mend = "responses compare curves over displacement: `study solve` follows a course"
-                for key, value in (("hold", test.hold_s), ("cycles", test.cycles)):
-                    if value is not None:
-                        faults.add(f"test.{key}", "has no place in a design", mend)
-                if spec is not None and spec.columns.time is not None:
-                    mend = "give test.speed, or fit the course by `study calibrate`"
-                    faults.add("measurements.columns.time", "has no place in a design", mend)
+                for where, rule, mend in problem.faults_in_design():
+                    faults.add(where, rule, mend)
+        _check_same_names(design, cells, faults)
         _check_responses(design, cells, faults)
         check_replicates(design, cells, faults)
 
@@ -108,6 +112,20 @@ def _check_contrasts(design: Design, faults: Faults) -> None:
             if not any(side.items() <= cell.items() for cell in kept):
                 named = ", ".join(f"{name}={level}" for name, level in side.items())
                 faults.add(where, f"contrast {text!r}: no cell that is run has {named}", "")
+
+
+def _check_same_names(design: Design, cells: Sequence[Cell], faults: Faults) -> None:
+    """Check that a parameter that a level sets has a value in every cell."""
+    names = {name for cell in cells for name in cell.problem.parameters}
+    for name in sorted(names):
+        few = sum(name not in cell.problem.parameters for cell in cells)
+        if few:
+            rule = f"has no value in {few} of {len(cells)} cells"
+            faults.add(f"parameters.{name}", rule, "give it one in [parameters], or in every level")
+    key = design.replicates.key
+    if key is not None and key.partition(".")[2] not in names:
+        rule = f"names {key}, which no cell has"
+        faults.add("replicates.key", rule, "give it a value in [parameters]: seed = 1")
 
 
 def _listed(labels: Sequence[str]) -> str:
@@ -145,9 +163,14 @@ def _check_left(design: Design, faults: Faults) -> None:
 
 
 def _check_responses(design: Design, cells: Sequence[Cell], faults: Faults) -> None:
+    values = {name for cell in cells if cell.problem.forward for name in cell.problem.forward.units}
     for i, response in enumerate(design.responses):
         where = f"response[{i}].name"
-        if response.name in SCORED and any(c.problem.measurements is None for c in cells):
+        if design.is_alone:
+            _check_value(response.name, where, cells, faults)
+        elif response.name in values:
+            pass  # of a program; a cell that it does not predict has none
+        elif response.name in SCORED and any(c.problem.measurements is None for c in cells):
             rule = f"{response.name} compares with measured curves, and there are none"
             faults.add(where, rule, "add [measurements]")
         elif response.name in MARKED:
@@ -155,10 +178,24 @@ def _check_responses(design: Design, cells: Sequence[Cell], faults: Faults) -> N
         elif is_simulated(response.name):
             _check_place(response.name, f"response[{i}].displacement", cells, faults)
         elif response.name and response.name not in RESPONSES:
-            names = {n for c in cells for n in c.problem.material.calibrated_names}
+            names = {n for c in cells for n in c.problem.calibrated_names}
             if response.name not in names:
                 rule = f"no material of this design has a constant {response.name}"
                 faults.add(where, rule, nearest(response.name, sorted(names)))
+
+
+def _check_value(name: str, where: str, cells: Sequence[Cell], faults: Faults) -> None:
+    """Check that the program of every cell leaves a response; a function may return any."""
+    for forward in dict.fromkeys(cell.problem.forward for cell in cells):
+        if forward is None or forward.model == "python" or name in ("seconds", ""):
+            continue
+        if is_simulated(name) and name not in forward.units:
+            if forward.curve is None:
+                rule = f"{name} is one of a curve, and the program leaves none"
+                faults.add(where, rule, "say which: forward.curve = { file, columns, units }")
+        elif name not in forward.units:
+            mend = nearest(name, forward.units) if forward.units else "forward.values = { .. }"
+            faults.add(where, f"no value of the program has the name {name}", mend)
 
 
 def _check_marked(name: str, where: str, cells: Sequence[Cell], faults: Faults) -> None:
@@ -175,7 +212,7 @@ def _check_marked(name: str, where: str, cells: Sequence[Cell], faults: Faults) 
 def _check_place(name: str, where: str, cells: Sequence[Cell], faults: Faults) -> None:
     """Check that every cell is pressed as far as a response looks."""
     place = simulated_at(name)[1]
-    depths = [c.problem.test.displacement_mm for c in cells]
+    depths = [c.problem.depth_mm for c in cells]
     least = min((depth for depth in depths if depth is not None), default=None)
     if place is not None and least is not None and place > least * (1 + 1e-9):
         rule = f"is {place:g} mm, and a cell is pressed {least:g} mm only"
@@ -188,7 +225,7 @@ _NO_CONSTANT = (*SCORED, *MARKED, "seconds")
 
 def check_replicates(design: Design, cells: Sequence[Cell], faults: Faults) -> None:
     """Check that every cell has what its replicates vary."""
-    asked = design.replicates.noise or design.replicates.mesh_seeds
+    asked = design.replicates.noise or design.replicates.mesh_seeds or design.replicates.key
     if design.analysis.error == "replicates" and not asked:
         rule = "is the scatter of replicates, and the design asks for none"
         faults.add("analysis.error", rule, "add [replicates] mesh_seeds = 5 or noise = 200")
@@ -426,9 +463,11 @@ def _design(file: DesignFile, tables: Tables, faults: Faults, source: str, text:
     presets = presets_from(file.presets, faults)
     factors = factors_from(file.factors, presets, faults)
     declared = list(grouped(entries(file.factors, "factors", faults)))
-    excluding = "exclude" in tables
+    excluding = "exclude" in tables or "constraint" in tables
     factors, scheme = scheme_from(file.design, factors, file.study.seed, excluding, faults)
-    responses = responses_from(file.response, faults)
+    alone = stands_alone(tables)
+    responses = responses_from(file.response, _declared(tables, presets), alone, faults)
+    _check_parameters(file, tables, presets, alone, faults)
     uncertain, inputs = uncertainty_from(file.uncertainty, factors, tables, faults)
     _check_asked(tables, faults)
     design = Design(
@@ -460,6 +499,46 @@ def _design(file: DesignFile, tables: Tables, faults: Faults, source: str, text:
     return design
 
 
+def _declared(tables: Table, presets: Presets) -> dict[str, str]:
+    """Units of the values that the programs of a design leave."""
+    forward = tables.get("forward")
+    written = [forward.get("values") if isinstance(forward, Mapping) else None]
+    levels = (level for labels in presets.values() for level in labels.values())
+    written += [level.get("forward.values") for level in levels]
+    found: dict[str, str] = {}
+    for value in written:
+        if isinstance(value, Mapping):  # what is wrong with it is told where its cells are read
+            found |= read_table(ValueFile, value, "forward.values", Faults()).units
+    return found
+
+
+def _check_parameters(
+    file: DesignFile, tables: Table, presets: Presets, alone: bool, faults: Faults
+) -> None:
+    """Check what is said of parameters: by factors, presets, a series, and seeds."""
+    settings = [(key, f"factors.{key}") for key in entries(file.factors, "factors", Faults())]
+    settings = [(key, where) for key, where in settings if key not in presets]
+    settings = [(key, where) for key, where in grouped(dict(settings)).items()]  # type: ignore[misc]
+    for name, labels in presets.items():
+        for label, level in labels.items():
+            settings += [(key, f"presets.{name}.{label}.{key}") for key in level]
+    check_names(tables, settings, faults)
+    for i, one in enumerate(file.constraint):
+        if is_known(one.rule, one.why):
+            read = partial(constraint_of, why=one.why, config=tables)
+            noted(read, one.rule, f"constraint[{i}].rule", faults)
+    converge, replicates = file.converge, file.replicates
+    if converge.key is not None and not alone:
+        rule = "refines a program of parameters alone; here the mesh of [model] is refined"
+        faults.add("converge.key", rule, "leave it out")
+    if converge.formal_order is not None and converge.key is None:
+        faults.add("converge.formal_order", "is the order in converge.key, which is missing",
+                   'write key = "parameters.h"')  # fmt: skip
+    if replicates.key is not None and not alone:
+        rule = "is the seed of a program of parameters alone; here write mesh_seeds or noise"
+        faults.add("replicates.key", rule, "leave it out")
+
+
 def _gives_constants(tables: Table) -> bool:
     """Whether the table ``[material]`` itself has constants, before any level is laid over it."""
     material = tables.get("material")
@@ -477,6 +556,8 @@ def _check_asked(tables: Table, faults: Faults) -> None:
     if {"mesh_seeds", "noise"} <= set(replicates):
         rule = "mesh_seeds and noise are two error terms, with different questions"
         faults.add("replicates", rule, "give one of them, and the other in a study of its own")
+    elif "n" in replicates and "key" not in replicates:
+        faults.add("replicates.key", "is missing beside n", 'for example key = "parameters.seed"')
     elif not replicates:
         faults.add("replicates", "is empty", "write mesh_seeds = 5 or noise = 200")
 

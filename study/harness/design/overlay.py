@@ -10,14 +10,16 @@ from dataclasses import dataclass
 from study.ground.errors import nearest
 from study.ground.units import INTERNAL
 from study.harness.design.diagnostics import Table
+from study.harness.design.forward_section import ForwardModel
 from study.harness.design.material_table import MaterialTable
+from study.harness.design.parameters import is_parameter
 from study.mechanics.material.material import ENERGIES, is_constant_key, is_dimensionless
 from study.mechanics.measurement.measurement_section import MarkerSpec, MeasurementSpec
 from study.mechanics.setup.calibration_table import Calibration
 from study.mechanics.setup.declaration import MAX_NAME, keys_of, written_keys
 from study.mechanics.setup.geometry import INDENTERS, SPECIMENS, FaceMotion, Gravity
 from study.mechanics.setup.material_section import CompressibilityTable
-from study.mechanics.setup.setup import ForwardModel, Model
+from study.mechanics.setup.setup import Model
 from study.mechanics.setup.test_section import TestSection
 
 
@@ -70,7 +72,11 @@ PLACES: Mapping[str, Place] = {
     "forward": Place((ForwardModel,)),
 }
 #: tables that a preset set may be named after
-TABLES = tuple(name for name in PLACES if "." not in name)
+TABLES = (*(name for name in PLACES if "." not in name), "parameters")
+#: keys whose value is a table as a whole, with names that are no keys of ours
+WHOLE = ("forward.files", "forward.curve", "forward.values")
+#: dimension of a key of ``[parameters]``, which may have any unit
+ANY = "parameter"
 #: keys that may differ between the cells of a design, as they are suggested
 VARYING = (
     *(f"{name}.{key}" for name, place in PLACES.items() for key in place.keys),
@@ -98,7 +104,7 @@ def may_vary(key: str) -> bool:
     """
     plain = re.sub(f"^{_REPLACED}", "", key)
     table, _, name = plain.partition(".")
-    return plain in VARYING or (table == "material" and is_constant_key(name))
+    return plain in VARYING or (table == "material" and is_constant_key(name)) or is_parameter(key)
 
 
 def suggestion(key: str) -> str:
@@ -119,6 +125,8 @@ def dimension(key: str) -> str | None:
     last = key.rpartition(".")[2]
     if key in ("measurements.displacement", "measurements.force"):
         return "length" if last == "displacement" else "force"
+    if is_parameter(key):
+        return ANY
     if not may_vary(key):
         return None
     if is_constant_key(last):
@@ -222,6 +230,6 @@ def _measured(key: str, value: object, path: str) -> object:
     if isinstance(value, (list, tuple)):
         return [_measured(key, one, path) for one in value]
     value = getattr(value, "item", lambda: value)()  # a number of numpy becomes one of Python
-    unit = INTERNAL.get("time" if key in _TIMES else dimension(key) or "")
+    unit = INTERNAL.get("time" if key in _TIMES else dimension(key) or "")  # none of ANY
     is_bare = isinstance(value, (int, float)) and not isinstance(value, bool)
     return f"{value!r} {unit}" if unit and is_bare else value

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from study.ground.canonical import Json, plain
 from study.harness.design.cell import Cell
 from study.harness.design.diagnostics import Faults
-from study.harness.design.plausibility import cautions
+from study.harness.design.plausibility import cautions_of
 from study.harness.design.spec import Combination, Design, Factor, Level, Treatment
 
 Groups = tuple[tuple[Treatment, ...], ...]
@@ -209,6 +209,12 @@ def replication(design: Design) -> Replication | None:
             "is an effect larger than the mesh noise at this size? (E3)"
         )
         return Replication("mesh-seeds", asked.mesh_seeds, sentence)
+    if asked.key is not None:
+        sentence = (
+            f"every cell is computed {asked.n} times with other values of {asked.key}, no two "
+            "cells with one: is an effect larger than the scatter of the simulation itself? (E0)"
+        )
+        return Replication("seeds", asked.n, sentence)
     if asked.noise:
         sentence = (
             f"every fit is made {asked.noise} times more, to its curve with resampled residuals: "
@@ -222,7 +228,8 @@ def _factor(design: Design, index: int) -> FactorOverview:
     factor, total = design.factors[index], len(design.treatments)
     calibrates = _calibrates(design, factor.name)
     inert = inert_cells(design, factor.name)
-    note = _note(calibrates, inert, total, design.calibration.method != "none")
+    fits = design.calibration.method != "none" and not design.is_alone
+    note = _note(calibrates, inert, total, fits)
     return FactorOverview(factor.name, factor.labels, calibrates, inert, note)
 
 
@@ -257,7 +264,7 @@ def warnings(design: Design) -> tuple[str, ...]:
     found: dict[str, None] = {}
     for one in design.treatments:
         problem = one.cell.problem
-        found.update(dict.fromkeys(cautions(problem.setup, problem.material)))
+        found.update(dict.fromkeys(cautions_of(problem)))
         spec = problem.measurements
         if spec is not None and spec.fit is not None and spec.fit == spec.score:
             found["cells are scored on the rows they were fitted to: fit, not prediction"] = None

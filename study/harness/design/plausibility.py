@@ -8,6 +8,7 @@ from functools import lru_cache
 
 from study.harness.design.cell import CellProblem
 from study.harness.design.diagnostics import Faults, is_known
+from study.harness.design.forward_model import ForwardCell
 from study.mechanics.material.energy import Compressibility
 from study.mechanics.material.homogeneous import LOADINGS
 from study.mechanics.material.material import ENERGIES, Material
@@ -278,6 +279,13 @@ def cautions(setup: Setup, material: MaterialSection) -> tuple[str, ...]:
 
 #: share of the compression by Euler's load above which a column is cautioned about
 CLOSE_TO_BUCKLING = 0.9
+
+
+def cautions_of(problem: ForwardCell) -> tuple[str, ...]:
+    """Cautions of what a cell computes; of a stranger's program nothing is known to be unusual."""
+    if not isinstance(problem, CellProblem):
+        return ()
+    return cautions(problem.setup, problem.material)
 
 
 def _moduli(material: MaterialSection) -> Iterator[str]:

@@ -32,8 +32,11 @@ from study.harness.design.diagnostics import (
     read_table,
     with_values,
 )
+from study.harness.design.forward_model import Refinement
+from study.harness.design.forward_section import ForwardModel
 from study.harness.design.material_table import material_from
-from study.harness.design.study_file import CalibrationFile, TestTable
+from study.harness.design.parameters import ParameterProblem, parameters_from, stands_alone
+from study.harness.design.study_file import CalibrationFile, Converge, TestTable
 from study.mechanics.setup.calibration_table import (
     ANALYTIC_KEYS,
     Bounds,
@@ -41,15 +44,25 @@ from study.mechanics.setup.calibration_table import (
     Fitting,
     bounds_of,
 )
-from study.mechanics.setup.declaration import values_of
+from study.mechanics.setup.declaration import shown, values_of
 from study.mechanics.setup.material_section import MaterialSection
 
 TABLES = ("specimen", "test", "material", "model", "measurements", "markers", "forward")
 
 
-def resolve(tables: Table, faults: Faults, ratio: float = 1.5) -> Cell:
-    """Resolve a cell: sections in internal units, the displacement filled from the range."""
+def resolve(tables: Table, written: Table, converge: Converge, faults: Faults) -> Cell:
+    """Resolve a cell: sections in internal units, the displacement filled from the range.
+
+    ``written`` are the tables of the file, whose parameters say the units of those of the cell.
+    """
+    if stands_alone(tables):
+        return Cell(_of_parameters(tables, written, converge, faults), "none")
+    ratio = converge.ratio
     problem = resolve_problem(tables, faults, ratio)
+    if "parameters" in tables:
+        first = written.get("parameters")
+        values, units = parameters_from(tables["parameters"], first, faults)
+        problem = replace(problem, parameters=values, units=units)
     asked = calibration_from(tables, bool(problem.material.constants), faults)
     other = None
     if asked.problem is not None:
@@ -58,14 +71,49 @@ def resolve(tables: Table, faults: Faults, ratio: float = 1.5) -> Cell:
         other = resolve_problem({**tables, **own}, faults, ratio, places)
     cell = Cell(problem, asked.method or "auto", asked.leave_out, other)
     if asked.method is not None:
-        _check_method(cell, faults)
+        _check_method(cell, problem, other or problem, faults)
     return cell
 
 
+def _of_parameters(
+    tables: Table, written: Table, converge: Converge, faults: Faults
+) -> ParameterProblem:
+    """Resolve a cell of parameters alone, which a program or a function predicts."""
+    first = written.get("parameters", tables.get("parameters"))
+    values, units = parameters_from(tables.get("parameters", {}), first, faults)
+    forward = forward_from(tables.get("forward", {"model": "python"}), faults)
+    if forward is None or not forward.is_external:
+        if all_about(faults, "parameters"):
+            rule = "predicts nothing of parameters alone"
+            faults.add("forward.model", rule, 'write model = "command" or model = "python"')
+        forward = ForwardModel(model="python")
+    for name in ("measurements", "markers", "calibration"):
+        if name in tables:
+            mend = "leave it out, or describe [specimen], [test], [material] and [model]"
+            faults.add(name, "has no meaning for parameters alone, without a material", mend)
+    name = (converge.key or "").partition(".")[2]
+    if not name:
+        return ParameterProblem(values, units, forward)
+    size = values.get(name)
+    if isinstance(size, bool) or not isinstance(size, float) or size <= 0:
+        rule = f"must be a positive number in every cell, parameters.{name} is {shown(size)}"
+        faults.add("converge.key", rule, "name the mesh size, step or tolerance of your solver")
+    refinement = Refinement(name, converge.formal_order)
+    return ParameterProblem(values, units, forward, refinement)
+
+
 def resolve_problem(
-    tables: Table, faults: Faults, ratio: float = 1.5, places: Mapping[str, str] | None = None
+    tables: Table,
+    faults: Faults,
+    ratio: float = 1.5,
+    places: Mapping[str, str] | None = None,
+    *,
+    all_rows: bool = False,
 ) -> CellProblem:
-    """Resolve specimen, test, material, model and measurements."""
+    """Resolve specimen, test, material, model and measurements.
+
+    With ``all_rows`` measured rows count as they are, unless a number of points is written.
+    """
     at = {name: name for name in TABLES} | dict(places or {})
     specimen = specimen_from(tables.get("specimen", {}), faults, at["specimen"])
     written = tables.get("test", {})
@@ -79,7 +127,7 @@ def resolve_problem(
         table = tables["measurements"]
         spec = measurements_from(table, faults, at["measurements"])
         chosen = isinstance(table, Mapping) and "points" in table
-        if spec is not None and specimen.shape == "homogeneous" and not chosen:
+        if spec is not None and (all_rows or specimen.shape == "homogeneous") and not chosen:
             spec = replace(spec, points="raw")  # every row of a test of material counts
     forward = forward_from(tables.get("forward"), faults, at["forward"])
     markers = markers_from(tables.get("markers"), faults, at["markers"])
@@ -130,6 +178,7 @@ def _check_displacement(
         or spec.range is not None
         or spec.points == "raw"
         or spec.columns.time is not None
+        or spec.columns.is_biaxial
     )
     unread = unread or "markers" in tables  # which say it, or are faulty themselves
     if high is None and not written and not unread:
@@ -160,8 +209,8 @@ def calibration_from(tables: Table, given: bool, faults: Faults) -> Calibration:
     return with_values(found, method="none" if given else "auto")
 
 
-def _check_method(cell: Cell, faults: Faults) -> None:
-    material, test = cell.problem.material, cell.fitted.test
+def _check_method(cell: Cell, problem: CellProblem, fitted: CellProblem, faults: Faults) -> None:
+    material, test = problem.material, fitted.test
     if cell.method == "none":
         if not material.constants and material.model:
             mend = "give them, or let [calibration] find them"
@@ -169,15 +218,15 @@ def _check_method(cell: Cell, faults: Faults) -> None:
         if any(term.share is None or term.range_s for term in material.relaxation):
             rule = "has shares or times to be found, and calibration.method is none"
             faults.add("material.relaxation", rule, "give them, or let [calibration] find them")
-        plausibility.check_stability(cell.problem, faults)
+        plausibility.check_stability(problem, faults)
         return
-    if cell.fitted.measurements is None:
+    if fitted.measurements is None:
         if not any("measurements" in f.where for f in faults):
             mend = "add [measurements], or give the constants"
             faults.add("measurements", "is missing: there is nothing to calibrate with", mend)
         return
     readable = is_known(test.kind, test.interface)
-    if cell.method == "analytic" and readable and not cell.fitted.is_homogeneous:
+    if cell.method == "analytic" and readable and not fitted.is_homogeneous:
         rule = "analytic needs compression of a cylinder or block with both faces frictionless"
         faults.add("calibration.method", rule, 'write method = "auto" or "inverse-fem"')
 
@@ -217,7 +266,7 @@ def _test(tables: Table, test: TestTable, where: str, faults: Faults) -> CellPro
     own = ("test", "measurements", "specimen", "model")
     given = {key: value for key in own if (value := getattr(test, key)) is not None}
     places = {key: f"{where}.{key}" for key in given}
-    return resolve_problem({"test": {}, **tables, **given}, faults, places=places)
+    return resolve_problem({"test": {}, **tables, **given}, faults, places=places, all_rows=True)
 
 
 def _bounds(asked: Fitting, material: MaterialSection | None, faults: Faults) -> Bounds:

@@ -9,9 +9,18 @@ from study.ground import units
 from study.ground.errors import UnitError, nearest
 from study.harness.design import overlay
 from study.harness.design.diagnostics import Faults, Table, entries, noted
+from study.harness.design.forward_section import TAKEN
 from study.harness.design.material_table import DISTRIBUTION_KEYS, PARAMETERS, InputDistribution
+from study.harness.design.parameters import number_in
 from study.harness.design.spec import Factor, Practical, ResponseSpec, Span
-from study.harness.design.study_file import AT_DISPLACEMENT, ResponseTable, response_unit
+from study.harness.design.study_file import (
+    AT_DISPLACEMENT,
+    RESPONSES,
+    SIMULATED,
+    ResponseTable,
+    is_simulated,
+    response_unit,
+)
 from study.mechanics.setup.declaration import Bad, choice, number, quantity, shown
 
 _DIMENSION = {
@@ -21,21 +30,52 @@ _DIMENSION = {
     "mm": "length",
     "N/mm": "stiffness",
     "N mm": "work",
+    "mm^2": "area",
 }
 
 
-def responses_from(tables: Sequence[ResponseTable], faults: Faults) -> tuple[ResponseSpec, ...]:
-    """Responses with their units; a faulty one has no name."""
-    found = [_response(table, f"response[{i}]", faults) for i, table in enumerate(tables)]
+def responses_from(
+    tables: Sequence[ResponseTable], declared: Mapping[str, str], alone: bool, faults: Faults
+) -> tuple[ResponseSpec, ...]:
+    """Responses with their units; a faulty one has no name.
+
+    ``declared`` has the units of the values that a program leaves; a function of parameters alone
+    may return others, whose unit stands in the table of the response.
+    """
+    found = [
+        _response(table, f"response[{i}]", declared, alone, faults)
+        for i, table in enumerate(tables)
+    ]
     given = [response.name for response in found if response.name]
     for name in sorted({n for n in given if given.count(n) > 1}):
         faults.add("response", f"{name} stands {given.count(name)} times", "once is enough")
     return tuple(found)
 
 
-def _response(table: ResponseTable, where: str, faults: Faults) -> ResponseSpec:
-    name = _name(table, where, faults)
-    unit, practical = (response_unit(name) if name else None) or "", None
+def _response(
+    table: ResponseTable, where: str, declared: Mapping[str, str], alone: bool, faults: Faults
+) -> ResponseSpec:
+    name, unit = _name(table, where, faults), None
+    if name in declared:
+        unit = declared[name]
+    elif name and (not alone or is_simulated(name) or name == "seconds"):
+        unit = response_unit(name)
+        if unit is None:
+            valid = (*declared, *RESPONSES, *SIMULATED, "or a constant such as C10")
+            faults.add(
+                f"{where}.name", f"unknown response {shown(name)}", nearest(name[:80], valid)
+            )
+            name = ""
+    elif name in TAKEN:
+        rule = f"{name!r} is a column of the table of cases"
+        faults.add(f"{where}.name", rule, f"call it, for example, {name}_value")
+        name = ""
+    if table.unit is not None and name:
+        if unit is not None and unit != table.unit:
+            rule = f"{name} is in {unit or 'no unit'}, not in {table.unit or 'no unit'}"
+            faults.add(f"{where}.unit", rule, "leave it out, or name the value's own unit")
+        unit = table.unit
+    unit, practical = unit or "", None
     if name and table.practical is not None:
         read = partial(_practical, unit)
         practical = noted(read, table.practical, f"{where}.practical", faults)
@@ -74,8 +114,10 @@ def _practical(unit: str, value: object) -> Practical:
         return Practical(amount, "%", relative=True)
     if unit == "%" and written == "pp":
         return Practical(amount, "pp", relative=False)
-    if unit not in _DIMENSION:
+    if unit == "%":
         raise Bad(f"is not in percentage points, got {shown(value)}", mend)
+    if unit not in _DIMENSION:
+        return Practical(number_in(value, unit), unit, relative=False)
     inside = units.parse(value, _DIMENSION[unit])
     return Practical(units.to_display(inside, "MPa")[0] if unit == "kPa" else inside, unit, False)
 
@@ -109,7 +151,10 @@ def uncertainty_from(
         if isinstance(raw, Mapping):
             read = _distribution(key, raw, kind, span, list(spans), faults)
         else:
-            size = noted(number(0) if kind == "number" else quantity(kind), raw, where, faults)
+            read_size = number(0) if kind == "number" else quantity(kind)
+            if kind == overlay.ANY:
+                read_size = partial(number_in, unit="" if span is None else span.unit)
+            size = noted(read_size, raw, where, faults)
             if size is not None:
                 plain[key] = size
             read = None if size is None or span is None else _about(key, size, kind, span, config)
@@ -180,7 +225,10 @@ def _value(
         return noted(number(0.0) if positive else number(), raw, where, faults)
 
     def read(value: object) -> float:
-        size = units.parse(value, kind) / units.parse(f"1 {span.unit}", kind)
+        if kind == overlay.ANY:
+            size = number_in(value, span.unit)
+        else:
+            size = units.parse(value, kind) / units.parse(f"1 {span.unit}", kind)
         if positive and size <= 0:
             raise Bad(f"must be above 0, got {shown(value)}")
         return size
@@ -190,7 +238,8 @@ def _value(
 
 def _about(key: str, size: float, kind: str, span: Span, config: Table) -> InputDistribution:
     """Make a normal distribution about the value of the file, or the middle of the range."""
-    scale = 1.0 if kind == "number" else units.parse(f"1 {span.unit}", kind)
+    plain = kind in ("number", overlay.ANY)  # of a parameter it was read in the range's unit
+    scale = 1.0 if plain else units.parse(f"1 {span.unit}", kind)
     return InputDistribution(
         "normal", (usual_value(key, kind, span, config), size / scale), span.low, span.high
     )
@@ -205,7 +254,9 @@ def usual_value(key: str, kind: str, span: Span, config: Table) -> float:
     if isinstance(node, bool) or not isinstance(node, str | int | float):
         return middle
     try:
-        if kind == "number":
+        if kind == overlay.ANY:
+            value = number_in(node, span.unit)
+        elif kind == "number":
             value = float(node)
         else:
             value = units.parse(node, kind) / units.parse(f"1 {span.unit}", kind)

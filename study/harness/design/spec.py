@@ -12,10 +12,17 @@ from study.ground.errors import Fault, InputError
 from study.harness.design import overlay
 from study.harness.design.cell import Cell, Config, block_ids
 from study.harness.design.diagnostics import Faults, Table
+from study.harness.design.forward_model import Value
 from study.harness.design.material_table import InputDistribution
+from study.harness.design.parameters import (
+    Constraint,
+    constraints_of,
+    is_parameter,
+    parameters_from,
+    stands_alone,
+)
 from study.harness.design.resolve import resolve
 from study.harness.design.study_file import (
-    MARKED,
     SCORED,
     Analysis,
     Converge,
@@ -23,10 +30,11 @@ from study.harness.design.study_file import (
     Report,
     Sequential,
     Virtual,
-    is_simulated,
 )
+from study.mechanics.material.material import is_constant
 from study.mechanics.measurement.measurement_section import MeasurementSpec
 from study.mechanics.setup.calibration_table import Calibration
+from study.mechanics.setup.declaration import Bad
 from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import Setup
 
@@ -205,8 +213,18 @@ class Design:
     @property
     def asks_for_constants(self) -> bool:
         """Whether constants of the material are responses."""
-        other = {*SCORED, *MARKED, "seconds"}
-        return any(r.name not in other and not is_simulated(r.name) for r in self.responses)
+        names = [response.name for response in self.responses]
+        return not self.is_alone and any(n == "mu0" or is_constant(n) for n in names)
+
+    @cached_property
+    def is_alone(self) -> bool:
+        """Whether it describes parameters alone, for a program or function of somebody else."""
+        return stands_alone(self.config)
+
+    @cached_property
+    def constraints(self) -> tuple[Constraint, ...]:
+        """Inequalities of parameters; cells that break one are left out."""
+        return constraints_of(self.config)
 
     @cached_property
     def is_measured(self) -> bool:
@@ -223,7 +241,25 @@ class Design:
 
     def why_excluded(self, levels: Mapping[str, str]) -> str | None:
         """Reason why a cell is left out; None if it is not."""
-        return next((e.why for e in self.exclusions if e.matches(levels)), None)
+        found = next((e.why for e in self.exclusions if e.matches(levels)), None)
+        if found is not None or not self.constraints:
+            return found
+        values = self._parameters_at(levels)
+        try:
+            broken = [one for one in self.constraints if not one.holds(values)]
+        except Bad as bad:
+            raise InputError(Fault("constraint", bad.rule, bad.mend)) from None
+        return f"{broken[0].why} ({broken[0].text})" if broken else None
+
+    def _parameters_at(self, levels: Mapping[str, str]) -> Mapping[str, Value]:
+        """Values of the parameters of a cell; of faulty ones, told elsewhere, none."""
+        first = self.config.get("parameters", {})
+        table = dict(first) if isinstance(first, Mapping) else {}
+        for factor in self.factors:
+            level = factor.levels[factor.labels.index(levels[factor.name])]
+            own = {k.partition(".")[2]: v for k, v in level.settings.items() if is_parameter(k)}
+            table |= own
+        return parameters_from(table, first, Faults())[0]
 
     @property
     def excluded(self) -> tuple[tuple[Combination, str], ...]:
@@ -252,7 +288,7 @@ class Design:
     def _resolved(self, levels: Sequence[Level], faults: Faults) -> Cell:
         settings = {k: v for level in levels for k, v in level.settings.items()}
         tables = {k: v for k, v in self.config.items() if k in overlay.TABLES}
-        return resolve(overlay.lay(tables, settings), faults, self.converge.ratio)
+        return resolve(overlay.lay(tables, settings), self.config, self.converge, faults)
 
     @cached_property
     def treatments(self) -> tuple[Treatment, ...]:
@@ -327,6 +363,14 @@ class Case:
     def material(self) -> MaterialSection:
         """Energy and constants, as far as these are given."""
         return MaterialSection.of(self.config)
+
+    @property
+    def is_refinable(self) -> bool:
+        """Whether its answer has a numerical error that a refinement shows."""
+        problem = self.treatment.cell.problem
+        if "specimen" not in self.config:
+            return problem.refinement is not None
+        return not self.setup.is_homogeneous
 
     @property
     def label(self) -> str:

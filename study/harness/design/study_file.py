@@ -16,6 +16,8 @@ from study.ground import units
 from study.ground.errors import nearest
 from study.harness.design import overlay
 from study.harness.design.diagnostics import flatten
+from study.harness.design.forward_section import value_unit
+from study.harness.design.parameters import is_parameter
 from study.mechanics.material.material import is_constant, unit_shown
 from study.mechanics.setup.calibration_table import Fitting
 from study.mechanics.setup.declaration import (
@@ -40,7 +42,16 @@ from study.mechanics.setup.setup import MESH_LEVELS
 # Responses of a predicted curve alone, by their names in a study file.
 
 #: responses of a predicted curve alone, with their units; those at a displacement name it, too
-SIMULATED = {"peak_force": "N", "work": "N mm", "force_at": "N", "stiffness_at": "N/mm", "dofs": ""}
+SIMULATED = {
+    "peak_force": "N",
+    "work": "N mm",
+    "force_at": "N",
+    "stiffness_at": "N/mm",
+    "peak_contact_pressure": "kPa",
+    "contact_area": "mm^2",
+    "side_force": "N",
+    "dofs": "",
+}
 
 AT_DISPLACEMENT = ("force_at", "stiffness_at")
 
@@ -116,6 +127,7 @@ RESPONSES_MEND = '[[response]] with name = "relative_rms_force_error"'
 #: least and most meshes of a cell (below five their scatter is not known well enough), and
 #: resamples of a fit (the scatter of 20 is known to 16 %, of 200 to 5 %)
 SEEDS = (5, 1000)
+MOST_SEEDS = 10_000
 RESAMPLES = (20, 10_000)
 #: what may be changed of a case that has no answer
 SMALLER_STEPS = "smaller-steps"
@@ -165,9 +177,24 @@ def _assumed(value: object) -> tuple[str, ...]:
 
 
 def _response_name(value: object) -> str:
-    if not isinstance(value, str) or response_unit(value) is None:
+    """Read a name; whether there is such a response is asked where the forward model is known."""
+    if not isinstance(value, str) or not value.replace("-", "_").isidentifier():
         valid = (*RESPONSES, *SIMULATED, "or a constant such as C10")
         raise Bad(f"unknown response {shown(value)}", nearest(str(value)[:80], valid))
+    return value
+
+
+def _refined_key(value: object) -> str:
+    if not isinstance(value, str) or not is_parameter(value):
+        mend = 'for example key = "parameters.h"; [model] is refined without a key'
+        raise Bad(f"must be a key of [parameters], got {shown(value)}", mend)
+    return value
+
+
+def _seed_key(value: object) -> str:
+    if not isinstance(value, str) or not is_parameter(value):
+        mend = 'for example key = "parameters.seed"'
+        raise Bad(f"must be a key of [parameters], got {shown(value)}", mend)
     return value
 
 
@@ -264,6 +291,9 @@ class Converge:
     qoi: Annotated[str, Reads(choice(*QUANTITIES))] = "peak_force"
     tolerance: Annotated[float | None, Reads(_share)] = None
     budget_s: Duration | None = Field(default=None, validation_alias="budget")
+    #: Mesh size, step or tolerance of a stranger's solver, and the order that it promises in it.
+    key: Annotated[str | None, Reads(_refined_key)] = None
+    formal_order: Annotated[float | None, Reads(number(0, 20))] = None
 
 
 @section
@@ -272,6 +302,9 @@ class Replicates:
 
     mesh_seeds: Annotated[int, Reads(_count(*SEEDS, "the scatter of the mesh is not known"))] = 0
     noise: Annotated[int, Reads(_count(*RESAMPLES, "the scatter of the fits is not known"))] = 0
+    #: Parameter that is the seed of a stochastic simulation, and how many a cell has.
+    key: Annotated[str | None, Reads(_seed_key)] = None
+    n: Annotated[int, Reads(integer(2, MOST_SEEDS))] = 2
 
 
 @dataclass(frozen=True)
@@ -328,6 +361,8 @@ class ResponseTable:
     displacement: Length | None = None
     practical: AsWritten = None
     transform: Annotated[str, Reads(choice("none", "log"))] = "none"
+    #: Of a value that a Python function returns, or a program that says none.
+    unit: Annotated[str | None, Reads(value_unit)] = None
 
 
 @section
@@ -336,6 +371,14 @@ class ExclusionTable:
 
     why: Annotated[str, Reads(_reason, mend='say why: why = "..."')]
     when: Annotated[object, as_written('when = { material = "ogden-1" }')]
+
+
+@section
+class ConstraintTable:
+    """One ``[[constraint]]``: an inequality of parameters, and why cells that break it go."""
+
+    rule: Annotated[str, Reads(text, mend='rule = "inner < 0.9 * outer"')]
+    why: Annotated[str, Reads(_reason, mend='say why: why = "..."')]
 
 
 @section
@@ -356,6 +399,9 @@ class TestTable:
 _Schema = Annotated[int, Reads(_schema, mend=f"write schema = {SCHEMA} on the first line")]
 _Responses = Annotated[tuple[ResponseTable, ...], Rows(1, MAX_RESPONSES, RESPONSES_MEND)]
 _Exclusions = Annotated[tuple[ExclusionTable, ...], Rows(0, MAX_EXCLUSIONS, "write [[exclude]]")]
+_Constraints = Annotated[
+    tuple[ConstraintTable, ...], Rows(0, MAX_EXCLUSIONS, "write [[constraint]]")
+]
 _Tests = Annotated[
     tuple[TestTable, ...], Rows(1, MAX_TESTS, "write [[tests]]", f"must be 1 to {MAX_TESTS} tables")
 ]
@@ -388,6 +434,8 @@ class DesignFile(ProblemFile):
     markers: AsWritten = None
     calibration: AsWritten = None
     forward: AsWritten = None
+    parameters: AsWritten = None
+    constraint: _Constraints = ()
     response: _Responses = ()
     analysis: AnalysisTable = AnalysisTable()
     replicates: Replicates = Replicates()

@@ -2,27 +2,39 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import shutil
 import sys
 import time
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+import zipfile
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TypedDict
+from typing import TypedDict, TypeVar
 
 import numpy as np
 
 from study.ground.arrays import Array
-from study.ground.bounded_file import UnreadableError, read_regular
 from study.ground.canonical import digest
+from study.ground.curve import Curve
 from study.ground.errors import Fault, RefusedError
 from study.ground.working_folder import environment
+from study.harness.design.forward_section import ForwardModel
 from study.harness.external import exchange, program
-from study.harness.external.exchange import NoAnswer, ProgramAnswer, PythonFunction
+from study.harness.external.answers import (
+    NoAnswer,
+    curve_of,
+    files_of,
+    read_text,
+    values_of_files,
+)
+from study.harness.external.exchange import ProgramAnswer, PythonFunction
 from study.mechanics.setup.declaration import section_of
-from study.mechanics.setup.setup import ForwardModel, Problem
+from study.mechanics.setup.setup import Problem
+
+Answer = TypeVar("Answer")
 
 #: word that stands for the interpreter that runs this package
 PYTHON = "python"
@@ -31,6 +43,8 @@ _VERSION_S = 20.0
 _VERSION_BYTES = 65_536
 #: how the return code of a program that wrote a larger file than it may is seen
 _FILE_TOO_LARGE = -25  # SIGXFSZ
+#: bytes of the files of a folder that is kept
+_KEPT_BYTES = 50_000_000
 
 
 class StepReport(TypedDict):
@@ -64,12 +78,18 @@ class Command:
     #: Name of commands, files and programs by their content.
     digest: str = ""
     timeout_s: float | None = None
+    #: Whose folders are kept.
+    keep: str = "none"
 
 
-def solve_by_command(
-    command: Command, problem: Problem, displacement_mm: Array
-) -> tuple[ProgramAnswer, ProgramReport]:
-    """Run the commands for one problem. Shapes: displacement_mm (n,)."""
+def run_commands(
+    command: Command, read: Callable[[Path, str], Answer]
+) -> tuple[Answer, ProgramReport, bytes]:
+    """Run the commands in a fresh folder and read their answer; the folder goes along if kept.
+
+    ``read`` gets the folder and what the commands said. A :class:`NoAnswer` carries the report and
+    the folder, too.
+    """
     document: ProgramReport = {
         "version": said_version(command.version, command.contents),
         "digest": command.digest,
@@ -77,16 +97,35 @@ def solve_by_command(
     }
     limit = None if command.timeout_s is None else time.monotonic() + command.timeout_s
     with program.fresh_folder() as folder:
-        wanted = json.dumps(exchange.request(problem, displacement_mm), indent=1)
-        _write(folder, {**command.contents, exchange.PROBLEM_FILE: wanted})
-        for argv in command.argv:
-            document["steps"].append(_step(argv, folder, command, limit))
-            _check(document["steps"][-1], command)
-        steps = document["steps"]
-        if command.success and not any(command.success in step["output"] for step in steps):
-            rule = f"no command said {command.success!r}: {_last(steps[-1]['output'])}"
-            raise NoAnswer("not-converged", rule)
-        return exchange.answer(_written(folder), displacement_mm), document
+        _write(folder, command.contents)
+        try:
+            logs = []
+            for argv in command.argv:
+                step, log = _step(argv, folder, command, limit)
+                document["steps"].append(step)
+                logs.append(log)
+                _check(step, command)
+            if command.success and not any(command.success in log for log in logs):
+                said = _last(document["steps"][-1]["output"])
+                raise NoAnswer("not-converged", f"no command said {command.success!r}: {said}")
+            answer = read(folder, "\n".join(logs))
+        except NoAnswer as error:
+            error.program = document
+            error.folder = _packed(folder) if command.keep in ("all", "failed") else b""
+            raise
+        return answer, document, _packed(folder) if command.keep == "all" else b""
+
+
+def _packed(folder: Path) -> bytes:
+    """Zip of the regular files of a folder, as far as they have room."""
+    packed, left = io.BytesIO(), _KEPT_BYTES
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        for path in sorted(folder.rglob("*"))[: program.FOLDER_ENTRIES]:
+            if path.is_symlink() or not path.is_file() or path.stat().st_size > left:
+                continue
+            left -= path.stat().st_size
+            archive.write(path, path.relative_to(folder))
+    return packed.getvalue()
 
 
 def path_of(word: str) -> str | None:
@@ -120,7 +159,10 @@ def _write(folder: Path, contents: Mapping[str, str]) -> None:
         (folder / file).write_text(text, encoding="utf-8")
 
 
-def _step(argv: tuple[str, ...], folder: Path, command: Command, limit: float | None) -> StepReport:
+def _step(
+    argv: tuple[str, ...], folder: Path, command: Command, limit: float | None
+) -> tuple[StepReport, str]:
+    """Run one command; more of what it said stands beside its report."""
     path = path_of(argv[0])
     if path is None:
         raise NoAnswer("failed", f"{argv[0]}: there is no such program on this machine")
@@ -129,7 +171,7 @@ def _step(argv: tuple[str, ...], folder: Path, command: Command, limit: float | 
     )
     if ended.excess:
         raise NoAnswer("failed", f"{argv[0]}: was ended, for {ended.excess}")
-    return {"argv": list(argv), "code": ended.code, "output": ended.output}
+    return {"argv": list(argv), "code": ended.code, "output": ended.output}, ended.log
 
 
 def _check(step: StepReport, command: Command) -> None:
@@ -151,17 +193,11 @@ def _last(said: str) -> str:
     return (told or lines or ["no output"])[-1][:200]
 
 
-def _written(folder: Path) -> dict[str, str]:
-    """Texts of the files of an answer; a link, a pipe or a device is none."""
-    texts = {}
-    for name in (exchange.CURVE_FILE, exchange.FACTS_FILE):
-        try:
-            data = read_regular(folder / name, exchange.MAX_BYTES, follow=False)
-        except UnreadableError as error:
-            rule = f"the program wrote no {name}: what stands there {error.rule}"
-            raise NoAnswer("failed", rule) from error
-        if data is not None:
-            texts[name] = data.decode(errors="replace")
+def curve_files(folder: Path) -> dict[str, str]:
+    """Texts of the files of a curve as this package exchanges it."""
+    texts = {exchange.CURVE_FILE: read_text(folder, exchange.CURVE_FILE)}
+    if (folder / exchange.FACTS_FILE).is_symlink() or (folder / exchange.FACTS_FILE).exists():
+        texts[exchange.FACTS_FILE] = read_text(folder, exchange.FACTS_FILE)
     return texts
 
 
@@ -181,6 +217,22 @@ class Solved:
     answer: ProgramAnswer
     seconds: float
     program: ProgramReport | None = None
+    #: Zip of the folder of the case, where it is kept.
+    folder: bytes = b""
+    #: Files that were rendered.
+    rendered: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class ParameterAnswer:
+    """What a program or function found for parameters alone."""
+
+    values: Mapping[str, float]
+    curve: Curve | None
+    seconds: float
+    program: ProgramReport | None = None
+    folder: bytes = b""
+    rendered: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -215,9 +267,10 @@ class External:
             version = None if self.function is None else self.function.version
             return digest(["python", version], DIGITS)
         one = self.section
+        later = {k: v for k, v in one.document().items() if k in ("curve", "values", "reaches")}
         return digest(
             [one.argv, one.success, one.failure, one.version, dict(self.contents),
-             dict(self.programs)],
+             dict(self.programs), *([later] if later else [])],
             DIGITS,
         )  # fmt: skip
 
@@ -231,21 +284,67 @@ class External:
         shown = [f"runs: {' '.join(argv)}" for argv in self.section.argv]
         return [*shown, *(f"with the file {name}" for name in self.contents)]
 
-    def solve(self, problem: Problem, displacement_mm: Array) -> Solved:
-        """Solve one problem. Shapes: displacement_mm (n,)."""
-        began = time.perf_counter()
-        if self.section.model == "python":
-            if self.function is None:
-                raise NoAnswer("failed", "no function was given: study.run(..., forward=f)")
-            found = self.function.solve(problem, displacement_mm)
-            return Solved(found, time.perf_counter() - began)
+    def command(self, contents: Mapping[str, str]) -> Command:
+        """Commands of one solution with the files of its folder."""
         one = self.section
-        made = Command(
-            one.argv, self.contents, one.version, one.success, one.failure, self.digest,
-            one.timeout_s,
+        return Command(
+            one.argv, contents, one.version, one.success, one.failure, self.digest,
+            one.timeout_s, one.keep,
         )  # fmt: skip
-        found, document = solve_by_command(made, problem, displacement_mm)
-        return Solved(found, time.perf_counter() - began, document)
+
+    def solve(
+        self, problem: Problem, displacement_mm: Array, extra: Mapping[str, object] | None = None
+    ) -> Solved:
+        """Solve one problem; ``extra`` are tables of the user's own."""
+        # Shapes: displacement_mm (n,).
+        began, section = time.perf_counter(), self.section
+        request = {**exchange.request(problem, displacement_mm), **(extra or {})}
+        if section.model == "python":
+            answer = self._called.solve(request, displacement_mm, section.units)
+            return Solved(answer, time.perf_counter() - began)
+        context = {"case_id": digest(request), **exchange.context_of(request)}
+        contents, rendered = files_of(section, self.contents, context)
+        contents[exchange.PROBLEM_FILE] = json.dumps(request, indent=1)
+
+        def read(folder: Path, said: str) -> ProgramAnswer:
+            values = {} if section.values is None else values_of_files(section.values, folder, said)
+            if section.curve is None:
+                found = exchange.answer(curve_files(folder), displacement_mm, section.reaches)
+            else:
+                found = exchange.of_curve(
+                    curve_of(section.curve, folder), displacement_mm, section.reaches
+                )
+            return replace(found, values=values)
+
+        found, document, kept = run_commands(self.command(contents), read)
+        return Solved(found, time.perf_counter() - began, document, kept, rendered)
+
+    @property
+    def _called(self) -> PythonFunction:
+        if self.function is None:
+            raise NoAnswer("failed", "no function was given: study.run(..., forward=f)")
+        return self.function
+
+    def answer(self, case: Mapping[str, object]) -> ParameterAnswer:
+        """Ask for the values and the curve of parameters alone."""
+        began, section = time.perf_counter(), self.section
+        if section.model == "python":
+            values, curve = self._called.values(case, section.units)
+            return ParameterAnswer(values, curve, time.perf_counter() - began)
+        contents, rendered = self.rendered(case)
+        contents[exchange.CASE_FILE] = json.dumps(case, indent=1)
+
+        def read(folder: Path, said: str) -> tuple[dict[str, float], Curve | None]:
+            values = {} if section.values is None else values_of_files(section.values, folder, said)
+            return values, None if section.curve is None else curve_of(section.curve, folder)
+
+        (values, curve), document, kept = run_commands(self.command(contents), read)
+        seconds = time.perf_counter() - began
+        return ParameterAnswer(values, curve, seconds, document, kept, rendered)
+
+    def rendered(self, case: Mapping[str, object]) -> tuple[dict[str, str], dict[str, str]]:
+        """Files of the folder of a case of parameters alone, and those that were rendered."""
+        return files_of(self.section, self.contents, case)
 
 
 def _texts(table: Mapping[str, object], key: str) -> dict[str, str]:
@@ -254,6 +353,8 @@ def _texts(table: Mapping[str, object], key: str) -> dict[str, str]:
 
 
 def _deep(value: object) -> object:
+    if isinstance(value, Mapping):
+        return {k: _deep(v) for k, v in value.items()}
     return tuple(_deep(v) for v in value) if isinstance(value, list | tuple) else value
 
 

@@ -13,7 +13,7 @@ import io
 import itertools
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import cast
 
 import numpy as np
@@ -25,11 +25,14 @@ from study.ground.canonical import Json, plain
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
 from study.ground.working_folder import UserImports
+from study.harness.external.answers import NoAnswer, checked_curve, quantity_in
+from study.mechanics.material.material import is_dimensionless
 from study.mechanics.setup.declaration import values_of
 from study.mechanics.setup.setup import Problem
 
 SCHEMA = 1
 PROBLEM_FILE = "problem.json"
+CASE_FILE = "case.json"
 CURVE_FILE = "curve.csv"
 FACTS_FILE = "facts.json"
 DISPLACEMENT = "displacement_mm"
@@ -42,20 +45,10 @@ MAX_BYTES = 20_000_000
 LARGEST = 1e30
 #: unknowns and elements that no mesh has, beyond which a double is not exact
 MOST_ELEMENTS = 2**53
-#: characters of the reason for which there is no answer
-_REASON = 500
 #: share of the displacement asked for that a curve may end before: digits of a text file
 _SHORT = 1e-6
 
 Text = Mapping[str, str]
-
-
-class NoAnswer(Exception):
-    """The program has no answer; carries the status of the record."""
-
-    def __init__(self, status: str, message: str) -> None:
-        super().__init__(message if len(message) <= _REASON else f"{message[:_REASON]}...")
-        self.status = status
 
 
 @dataclass(frozen=True)
@@ -68,6 +61,8 @@ class ProgramAnswer:
     dofs: int = 0
     elements: int = 0
     gradients: tuple[str, ...] = field(default=())
+    #: Further numbers, in the units of the study file.
+    values: Mapping[str, float] = field(default_factory=dict)
 
 
 def request(problem: Problem, displacement_mm: Array) -> dict[str, Json]:
@@ -112,20 +107,43 @@ def _mesh_size(problem: Problem) -> float | None:
     return float(mesh_size(problem.setup))
 
 
-def answer(files: Text, displacement_mm: Array) -> ProgramAnswer:
+def context_of(request: Mapping[str, object]) -> dict[str, object]:
+    """Names of a template: those of a request, with every constant under its own name."""
+    material = request["material"]
+    if not isinstance(material, Mapping):
+        raise TypeError("a request has no material")
+    constants = material["constants_MPa"]
+    found = {k: v for k, v in material.items() if k != "constants_MPa"}
+    if isinstance(constants, Mapping):
+        plain_names = {k: k if is_dimensionless(k) else f"{k}_MPa" for k in constants}
+        found |= {plain_names[k]: v for k, v in constants.items()}
+    return {**request, "material": found}
+
+
+def answer(files: Text, displacement_mm: Array, reaches: bool = True) -> ProgramAnswer:
     """Read what a program wrote. Shapes: displacement_mm (n,)."""
-    if CURVE_FILE not in files:
-        raise NoAnswer("failed", f"the program wrote no {CURVE_FILE}")
     columns = _exchange_columns(files[CURVE_FILE])
     facts = _facts(files.get(FACTS_FILE, "{}"))
-    return at_points(columns, displacement_mm, facts)
+    return at_points(columns, displacement_mm, facts, reaches)
+
+
+def of_curve(curve: Curve, displacement_mm: Array, reaches: bool) -> ProgramAnswer:
+    """Answer of a curve whose columns the study file names. Shapes: displacement_mm (n,)."""
+    columns = {DISPLACEMENT: curve.displacement_mm, FORCE: curve.force_N}
+    return at_points(columns, displacement_mm, {}, reaches)
 
 
 def at_points(
-    columns: Mapping[str, Array], displacement_mm: Array, facts: Mapping[str, int]
+    columns: Mapping[str, Array],
+    displacement_mm: Array,
+    facts: Mapping[str, int],
+    reaches: bool = True,
 ) -> ProgramAnswer:
     """Curve of some columns at the displacements asked for."""
     # Shapes: columns (m,), MPa; displacement_mm (n,).
+    if not reaches and columns[DISPLACEMENT].size:
+        inside = displacement_mm <= columns[DISPLACEMENT][-1] * (1 + _SHORT)
+        displacement_mm = displacement_mm[inside] if inside.any() else displacement_mm
     reached, force = _checked(columns, float(displacement_mm[-1]))
     known = {k.removeprefix(GRADIENT): v for k, v in columns.items() if k.startswith(GRADIENT)}
     try:
@@ -238,17 +256,72 @@ class PythonFunction:
             ) from error
         return cls(text, version.strip())
 
-    def solve(self, problem: Problem, displacement_mm: Array) -> ProgramAnswer:
-        """Curve of a problem; whatever the function raises is a case without an answer."""
-        import cloudpickle
-
-        with UserImports():
-            function: Function = cloudpickle.loads(base64.b64decode(self.text))
+    def __call__(self, case: Mapping[str, object]) -> object:
+        """Call it; whatever it raises is a case without an answer."""
+        function = _unpickled(self.text)
         try:
-            found = function(request(problem, displacement_mm))
+            return function(_attributed(case))  # type: ignore[arg-type]
         except Exception as error:  # noqa: BLE001 - a function of the user may raise anything
             raise NoAnswer("failed", f"{type(error).__name__}: {error}") from error
-        return at_points(_python_function_columns(found, displacement_mm), displacement_mm, {})
+
+    def solve(
+        self, request: Mapping[str, object], displacement_mm: Array, units: Mapping[str, str]
+    ) -> ProgramAnswer:
+        """Curve and further values of a problem."""
+        returned = self(request)
+        values = {}
+        if isinstance(returned, Mapping):
+            values = {k: quantity_in(returned[k], u, str(k)) for k, u in units.items()
+                      if k in returned}  # fmt: skip
+            returned = {k: v for k, v in returned.items() if k not in values}
+        columns = _python_function_columns(cast("ArrayLike", returned), displacement_mm)
+        return replace(at_points(columns, displacement_mm, {}), values=values)
+
+    def values(
+        self, case: Mapping[str, object], units: Mapping[str, str]
+    ) -> tuple[dict[str, float], Curve | None]:
+        """Values of parameters alone, or the curve; a value has the unit of its response."""
+        returned = self(case)
+        if isinstance(returned, Curve):
+            return {}, checked_curve(returned.displacement_mm, returned.force_N, "the function")
+        if not isinstance(returned, Mapping) or not returned:
+            rule = f"the function returned {type(returned).__name__}, not names with numbers"
+            raise NoAnswer("failed", f'{rule}: return {{"peak": 1.5}} or a study.Curve')
+        curve = None
+        if {DISPLACEMENT, FORCE} <= set(returned):
+            columns = [np.asarray(returned[name], dtype=float) for name in (DISPLACEMENT, FORCE)]
+            if columns[0].ndim != 1 or columns[0].shape != columns[1].shape:
+                raise NoAnswer("failed", "the columns of the function's curve differ in length")
+            curve = checked_curve(columns[0], columns[1], "the function's curve")
+            returned = {k: v for k, v in returned.items() if k not in (DISPLACEMENT, FORCE)}
+        scalars = {str(k): getattr(v, "item", lambda v=v: v)() if np.ndim(v) == 0 else v
+                   for k, v in returned.items()}  # fmt: skip
+        return {k: quantity_in(v, units.get(k, ""), k) for k, v in scalars.items()}, curve
+
+
+def _unpickled(text: str) -> Function:
+    """Make the function anew: a case knows nothing of what another one left in it."""
+    import cloudpickle
+
+    with UserImports():
+        function: Function = cloudpickle.loads(base64.b64decode(text))
+    return function
+
+
+class _Attributed(dict[str, object]):
+    """A case whose keys are attributes, too: ``case.parameters.mass``."""
+
+    def __getattr__(self, name: str) -> object:
+        try:
+            return self[name]
+        except KeyError:
+            raise AttributeError(f"the case has no {name!r}: it has {', '.join(self)}") from None
+
+
+def _attributed(value: object) -> object:
+    if isinstance(value, Mapping):
+        return _Attributed({str(k): _attributed(v) for k, v in value.items()})
+    return value
 
 
 def _python_function_columns(

@@ -19,8 +19,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-#: characters of the output of a program that its record keeps
+#: characters of the output of a program that its record keeps, and that numbers are looked for in
 TAIL = 4000
+LOG = 64_000
 #: bytes that a program may say, and that its folder may hold on the disk
 OUTPUT_BYTES = 256_000_000
 FOLDER_BYTES = 4_000_000_000
@@ -42,6 +43,8 @@ class Ended:
     output: str = ""
     #: Its first ones, of which there may be fewer.
     beginning: str = ""
+    #: More of the last ones.
+    log: str = ""
     #: Which limit but that of time it was ended for; empty for none.
     excess: str = ""
 
@@ -111,7 +114,7 @@ def _watched(folder: Path, answer: int, said: int, until: float | None, output_b
         if said in ready:
             part = os.read(said, 1 << 16)
             head = head + part if len(head) < TAIL else head
-            tail, size = (tail + part)[-4 * TAIL :], size + len(part)
+            tail, size = (tail + part)[-4 * LOG :], size + len(part)
             if not part:
                 pipes.remove(said)
             if size > output_bytes:
@@ -121,7 +124,8 @@ def _watched(folder: Path, answer: int, said: int, until: float | None, output_b
             excess = "" if code else "the process that supervised it was killed"
             break
     first, last = head.decode(errors="replace"), tail.decode(errors="replace")
-    return Ended(int(code) if code else None, last[-TAIL:], first[:TAIL], excess)
+    ended = int(code) if code else None
+    return Ended(ended, last[-TAIL:], first[:TAIL], last[-LOG:], excess)
 
 
 def _excess_of(folder: Path) -> str:

@@ -102,6 +102,8 @@ class SolverDocument(TypedDict, total=False):
     energy_mismatch: float
     stabilization_share: float
     snaps_mm: list[float]
+    penetration_mm: float
+    gap_mm: float
     program: ProgramDocument
 
 
@@ -211,6 +213,8 @@ class ExtraDocument(TypedDict, total=False):
     retries: list[RetryDocument]
     mesh_seed: int
     noise_seed: int
+    replicate: int
+    rendered: dict[str, str]
     purpose: str
     of: str
     level: int
@@ -258,6 +262,7 @@ class StoredFitDocument(FitDocument, total=False):
     curve: dict[str, object]
     mesh: MeshDocument
     solver: SolverDocument
+    named_values: dict[str, float]
 
 
 class SolutionDocument(TypedDict, total=False):

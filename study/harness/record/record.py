@@ -280,7 +280,7 @@ def unseal(text: str | bytes, source: str) -> object:
 
 FIXED = ("case_id", "block", "status", "seconds", "dofs")
 #: columns that number the replicates of a cell, and the number of the case that they repeat
-REPLICATES = {"mesh_seed": 1, "noise_seed": 0}
+REPLICATES = {"mesh_seed": 1, "noise_seed": 0, "replicate": 1}
 
 
 def is_repeat(extra: Mapping[str, object]) -> bool:

@@ -168,6 +168,10 @@ class Store(ResultFolder):
                 self._write_index()
         return record
 
+    def write_folder(self, case_id: str, packed: bytes) -> None:
+        """Keep the folder in which a program computed a case, as a zip beside the records."""
+        write_atomic(self.path / "folders" / f"{case_id}.zip", packed, self._system)
+
     def read(self, case_id: str, input_hash: str | None = None) -> Record | None:
         """Record of a case; None if there is none or it is damaged (set aside, and warned)."""
         folder = self._case(case_id)

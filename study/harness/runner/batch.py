@@ -6,6 +6,7 @@ parent, finished results stay, and running again does the rest.
 
 from __future__ import annotations
 
+import base64
 import contextlib
 import math
 import signal
@@ -393,6 +394,9 @@ class _Batch:
         if tried:
             record = replace(record, extra={**record.extra, RETRIES: [dict(n) for n in tried]})
         self.store.write(record, followed=outcome.followed)
+        folder = outcome.result.get("folder")
+        if isinstance(folder, str):
+            self.store.write_folder(record.case_id, base64.b64decode(folder))
 
     def _record(self, outcome: Outcome) -> Record:
         text = outcome.result.get("record")
@@ -433,7 +437,8 @@ def _case_document(work: Work, job: CaseJob, results: Results) -> Document:
         for pair in job.directions
     )  # fmt: skip
     known = job.case.config
-    tables = plain({name: known[name] for name in (*PROBLEM, "markers") if name in known})
+    names = (*PROBLEM, "markers", "parameters", "units")
+    tables = plain({name: known[name] for name in names if name in known})
     frame = _case_frame(work, job)
     return CaseTask(frame, tables, job.forward, directions, _anchor(job, fits)).to_json()
 

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import base64
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
 from study.ground.curve import Curve
-from study.ground.errors import Fault, InputError
+from study.ground.errors import Fault, InputError, nearest
+from study.harness.design.study_file import is_simulated, simulated_at
 from study.harness.execution.task import Received
+from study.harness.external.answers import NoAnswer
 from study.harness.external.command import External
-from study.harness.external.exchange import NoAnswer
 from study.harness.record.document import (
     CurveKey,
     FitDocument,
@@ -26,7 +29,11 @@ from study.harness.record.document import (
 )
 from study.harness.record.record import STATUSES, Record
 from study.harness.runner import response
-from study.harness.runner.fit_summary import PredictedCurve, external_curve
+from study.harness.runner.fit_summary import (
+    PredictedCurve,
+    answer_of_parameters,
+    external_curve,
+)
 from study.harness.runner.job import CaseTask, ScoreTask
 from study.harness.runner.plate_fit import plate_fits
 from study.mechanics.forward import closed_form
@@ -90,28 +97,99 @@ _ANCHORS = Anchors()
 class Stopped(Exception):
     """A part of the case has no answer; carries the status of the record."""
 
-    def __init__(self, status: str, message: str) -> None:
+    def __init__(self, status: str, message: str, cause: NoAnswer | None = None) -> None:
         super().__init__(message)
         self.status = status if status in STATUSES else "failed"
+        self.cause = cause
+
+
+@dataclass(frozen=True)
+class Executed:
+    """Record of a case, and the zip of its folder where that is kept."""
+
+    record: Record
+    folder: bytes = b""
 
 
 def perform(document: Received) -> dict[str, object]:
     """Execute one case: a task for a worker."""
-    record = executed(CaseTask.from_json(document))
-    return {"status": record.status, "message": record.message, "record": record.to_json()}
+    found = executed(CaseTask.from_json(document))
+    record = found.record
+    answer: dict[str, object] = {
+        "status": record.status,
+        "message": record.message,
+        "record": record.to_json(),
+    }
+    if found.folder:
+        answer["folder"] = base64.b64encode(found.folder).decode("ascii")
+    return answer
 
 
-def executed(task: CaseTask) -> Record:
+def executed(task: CaseTask) -> Executed:
     """Execute one case; what has no answer is a status of its record."""
     began = time.perf_counter()
     try:
         for direction in task.directions:
             _check_fit(direction)
-        return _predicted(task) if task.frame.origin.predicts else _refitted(task)
+        if task.is_alone:
+            return _of_parameters(task)
+        return _predicted(task) if task.frame.origin.predicts else Executed(_refitted(task))
     except Stopped as stop:
-        return task.frame.record(stop.status, str(stop), seconds=time.perf_counter() - began)
+        seconds = time.perf_counter() - began
+        record, cause = task.frame.record(stop.status, str(stop), seconds=seconds), stop.cause
+        if cause is None or cause.program is None:
+            return Executed(record)
+        solver = cast("SolverDocument", {"program": cause.program})
+        return Executed(replace(record, solver=solver), cause.folder)
     except InputError as error:
-        return task.frame.record("failed", str(error))
+        return Executed(task.frame.record("failed", str(error)))
+
+
+#: characters of a rendered file that a record keeps
+_RENDERED = 64_000
+
+
+def _of_parameters(task: CaseTask) -> Executed:
+    """Record of a case of parameters alone."""
+    try:
+        found, solver = answer_of_parameters(task.tables, task.frame.case_id)
+    except NoAnswer as error:
+        raise Stopped(error.status, str(error), error) from error
+    known = {**found.values, "seconds": found.seconds}
+    wanted: dict[str, ResponseDocument] = {}
+    for name, unit in task.frame.units.items():
+        value = known.get(name)
+        if value is None and found.curve is not None and is_simulated(name):
+            value = _of_curve(name, found.curve)
+        if value is None:
+            named = nearest(name, found.values) if found.values else "it gives a curve alone"
+            raise Stopped("failed", f"there is no {name} among the answers ({named})")
+        wanted[name] = {"value": float(value), "unit": unit}
+    record = task.frame.record("converged", "")
+    return Executed(
+        replace(
+            record,
+            responses=wanted,
+            curves={} if found.curve is None else {CurveKey("predicted", "all"): found.curve},
+            timings={"predict": found.seconds, "total": found.seconds},
+            solver=solver,
+            extra={**record.extra, **_rendered(found.rendered)},
+        ),
+        found.folder,
+    )
+
+
+def _rendered(files: Mapping[str, str]) -> dict[str, object]:
+    """Files that were rendered for a case, for its record."""
+    return {"rendered": {k: text[:_RENDERED] for k, text in files.items()}} if files else {}
+
+
+def _of_curve(name: str, curve: Curve) -> float:
+    """Response of a curve of somebody else, which must reach the place where it is asked for."""
+    place, end = simulated_at(name)[1], float(curve.displacement_mm[-1])
+    if place is not None and place > end * (1 + 1e-9):
+        raise Stopped("not-converged", f"the curve ends at {end:g} mm, {name} is beyond")
+    return response.SimulatedResponse(name).of(curve)
 
 
 def _check_fit(direction: ScoreTask) -> None:
@@ -126,7 +204,7 @@ def _check_fit(direction: ScoreTask) -> None:
         raise Stopped("unstable", f"the fitted constants are unstable: {stability}")
 
 
-def _predicted(task: CaseTask) -> Record:
+def _predicted(task: CaseTask) -> Executed:
     """Record of a case whose curves are predicted and scored."""
     directions = task.scored
     predictions = [_predict(task, direction) for direction in directions]
@@ -142,9 +220,12 @@ def _predicted(task: CaseTask) -> Record:
     for one in marked:
         means |= marker_responses(task.tables, one)
     means |= {"dofs": {"value": predictions[-1].mesh.get("dofs"), "unit": ""}}
+    for name in predictions[0].values:
+        every = [one.values[name] for one in predictions if name in one.values]
+        means[name] = {"value": float(np.mean(every)), "unit": task.frame.units.get(name, "")}
     steps = _step_uncertainty(task, predictions)
     record = task.frame.record("converged", "")
-    return replace(
+    whole = replace(
         record,
         responses=_wanted(task, means, steps),
         parameters=_parameters(task),
@@ -157,8 +238,10 @@ def _predicted(task: CaseTask) -> Record:
             **record.extra,
             "directions": list(map(_score_document, directions, scores)),
             **({"markers": marked} if marked else {}),
+            **_rendered(predictions[-1].rendered),
         },
     )
+    return Executed(whole, predictions[-1].folder)
 
 
 def _refitted(task: CaseTask) -> Record:
@@ -234,7 +317,7 @@ def _external(
     try:
         return external_curve(tables, constants, at)
     except NoAnswer as error:
-        raise Stopped(error.status, str(error)) from error
+        raise Stopped(error.status, str(error), error) from error
 
 
 #: fewest steps of a curve in closed form beside which nothing was measured: interpolation between

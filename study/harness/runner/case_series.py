@@ -41,7 +41,7 @@ from study.statistics.convergence.grid_convergence import (
 def half_width(
     values: Sequence[float],
     sizes: Sequence[float],
-    formal: float,
+    formal: float | None,
     own: Literal["coarsest", "finest"] = "coarsest",
 ) -> tuple[str, float]:
     """Behaviour of a series from coarse to fine, and half-width for one of its end meshes.
@@ -109,7 +109,12 @@ class CaseSeries:
 
     @property
     def formal(self) -> FormalOrder:
-        """Order that the elements of the study's mesh promise."""
+        """Order that the elements of the study's mesh promise, or a stranger's solver."""
+        refinement = self.base.case.treatment.cell.problem.refinement
+        if refinement is not None:
+            order = refinement.formal_order
+            given = f"as [converge] says of parameters.{refinement.name}"
+            return FormalOrder(order, "nobody says it" if order is None else given)
         return formal_of_case(self.base if self.own == "coarsest" else self.jobs[-1])
 
     @property
@@ -133,6 +138,8 @@ class CaseSeries:
     def sizes(self, records: Sequence[Record]) -> tuple[float, ...]:
         """Mesh sizes of some records by the elements of their meshes, the first as asked for."""
         asked = {job.case.case_id: job for job in self.jobs}
+        if self.base.case.treatment.cell.problem.refinement is not None:
+            return tuple(size_of(asked[record.case_id]) for record in records)
         # another program does not say what its mesh is: it was asked for this one
         sizes = [float(r.mesh.get("mesh_size_mm") or base_size_mm(asked[r.case_id]))
                  for r in records]  # fmt: skip
@@ -140,7 +147,7 @@ class CaseSeries:
         return tuple(series_sizes(sizes, elements, self.base.case.setup, anchor=0))
 
     def half_width(
-        self, values: Sequence[float], sizes: Sequence[float], formal: float
+        self, values: Sequence[float], sizes: Sequence[float], formal: float | None
     ) -> tuple[str, float]:
         """Behaviour of some values from coarse to fine, and half-width on the study's mesh."""
         return half_width(values, steps(sizes, self.ratio), formal, self.own)
@@ -193,6 +200,11 @@ class CaseSeries:
 
     def _note(self, meshes: int) -> str:
         """Which meshes an uncertainty rests on."""
+        refinement = self.base.case.treatment.cell.problem.refinement
+        if refinement is not None:
+            sizes = [f"{size_of(job):.4g}" for job, _ in self.good]
+            of = self.base.case.label if self.own == "coarsest" else "the study's own cells"
+            return f"{of}; {refinement.name} = {sizes[0]} to {sizes[-1]} in {meshes} steps"
         ends = (self.good[0][1], self.good[-1][1])
         unknowns = " to ".join(str(int(record.mesh.get("dofs", 0))) for record in ends)
         if self.own == "finest":
@@ -243,8 +255,9 @@ class CaseSeries:
             return facts.warned(*said)
         qoi = spec.qoi if spec.qoi in values else next(iter(values))
         elements = [int(record.mesh.get("elements", 0)) for record in records]
-        asked = [base_size_mm(job) for job, _ in self.good]
-        sizes = series_sizes(asked, elements, self.base.case.setup)
+        sizes = [size_of(job) for job, _ in self.good]
+        if self.base.case.treatment.cell.problem.refinement is None:
+            sizes = series_sizes(sizes, elements, self.base.case.setup)
         results = judged(sizes, values, formal.order, TOLERANCE)
         return combined(facts, qoi, results, spec.tolerance, said)
 
@@ -254,10 +267,22 @@ class CaseSeries:
             record = self.records.get(job.case.case_id)
             if record is None or not record.converged:
                 why = "it was not computed" if record is None else record.message
-                yield f"the mesh of {base_size_mm(job):.4g} mm gave no answer: {why}"
+                yield f"the mesh of {self._named(job)} gave no answer: {why}"
             elif has_other_mesh(record):
-                size = f"{base_size_mm(job):.4g} mm"
+                size = self._named(job)
                 yield f"the mesh of {size} gave no answer: only a finer one did, on a second try"
+
+    def _named(self, job: CaseJob) -> str:
+        """Size of a mesh with its unit, or the parameter that stands for it."""
+        refinement = job.case.treatment.cell.problem.refinement
+        unit = "mm" if refinement is None else f"({refinement.name})"
+        return f"{size_of(job):.4g} {unit}"
+
+
+def size_of(job: CaseJob) -> float:
+    """Size of the mesh of a case in mm, or the value of the parameter that refines it."""
+    refinement = job.case.treatment.cell.problem.refinement
+    return base_size_mm(job) if refinement is None else refinement.size(job.case.config)
 
 
 def quantities(records: Sequence[Record], units: Mapping[str, str]) -> Values:

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from study.ground.canonical import digest
 from study.ground.errors import InputError
+from study.harness.design.forward_section import FUNCTION_SECONDS
 from study.harness.external.command import External
 from study.harness.runner.fit_problem import FitProblem
 from study.harness.runner.fit_summary import USUAL_EVALUATIONS
@@ -54,7 +55,7 @@ class Costs:
         """Seconds that one test of a fit takes: nothing where it has a closed form."""
         external = External.of(tables)
         if method == "external" and external is not None:
-            return _evaluations(names) * external.section.seconds_s
+            return _evaluations(names) * external.section.price_s
         if method != "inverse-fem":
             return 0.0
         solves = (
@@ -66,7 +67,9 @@ class Costs:
         """Seconds of one case without its fits."""
         config, external = job.case.config, External.of(job.case.config)
         if external is not None and job.origin.predicts and job.forward == "external":
-            return _OVERHEAD_S + job.predictions * external.section.seconds_s
+            quick = external.section.model == "python" and "specimen" not in config
+            overhead = FUNCTION_SECONDS if quick else _OVERHEAD_S
+            return overhead + job.predictions * external.section.price_s
         if not job.origin.predicts or job.forward != "simulation":
             return _OVERHEAD_S
         one, solves = self.solve_seconds(config, job.depth_mm), float(job.predictions)
@@ -98,6 +101,9 @@ class Costs:
 
     def memory_MB(self, config: Tables) -> float:  # noqa: N802
         """Peak memory of one worker at this configuration."""
+        external = External.of(config)
+        if external is not None and (external.section.memory_MB or "specimen" not in config):
+            return external.section.memory_MB or 0.0
         return self._estimate(config, None)[1]
 
     def fit_memory_MB(self, problem: FitProblem) -> float:  # noqa: N802
@@ -108,6 +114,9 @@ class Costs:
     def case_memory_MB(self, job: CaseJob) -> float:  # noqa: N802
         """Peak memory of one case; none worth counting without a simulation of its own."""
         simulated = job.forward == "simulation" and job.origin.predicts
+        if job.forward == "external":
+            external = External.of(job.case.config)
+            return 0.0 if external is None else external.section.memory_MB or 0.0
         return self.memory_MB(job.case.config) if simulated else 0.0
 
     def _estimate(self, config: Tables, depth_mm: float | None) -> tuple[float, float]:

@@ -22,6 +22,7 @@ from study.harness.runner.fit_problem import (
     NOTHING,
     Allowed,
     FitProblem,
+    check_templates,
     fit_problem,
     identity,
     start_problem,
@@ -58,6 +59,8 @@ def mesh_seeded(found: Sequence[Case], design: Design) -> tuple[tuple[Case, Orig
     every block, and those of two cells have nothing to do with each other.
     """
     seeds = design.replicates.mesh_seeds
+    if design.replicates.key is not None:
+        return _reseeded(found, design, design.replicates.key.partition(".")[2])
     if not seeds:
         return tuple((case, Origin()) for case in found)
     _check_count(len(found) * seeds)
@@ -66,6 +69,23 @@ def mesh_seeded(found: Sequence[Case], design: Design) -> tuple[tuple[Case, Orig
         for case in found
         for number in range(1, seeds + 1)
     )
+
+
+def _reseeded(found: Sequence[Case], design: Design, name: str) -> tuple[tuple[Case, Origin], ...]:
+    """Every case with several values of the parameter that seeds a stochastic simulation.
+
+    No two cells share a seed, so that the cases of a cell are true replicates.
+    """
+    count = design.replicates.n
+    _check_count(len(found) * count)
+    made = []
+    for case in found:
+        for number in range(1, count + 1):
+            parameters = {**table_of(case.config, "parameters"), name: _seed(design, case, number)}
+            config = {**case.config, "parameters": parameters}
+            again = repeated(case, ["replicate", number, parameters[name]], config)
+            made.append((again, Origin(replicate=number)))
+    return tuple(made)
 
 
 def _check_count(count: int) -> None:
@@ -159,7 +179,8 @@ class LeftOut:
 
 def distinct_tests(configs: Sequence[Tables]) -> tuple[Tables, ...]:
     """List the tests of a study: its different specimens, tests and measurements."""
-    found = {_name(config): _sections(config) for config in configs}
+    tested = [config for config in configs if "test" in config]
+    found = {_name(config): _sections(config) for config in tested}
     return tuple(found.values())
 
 
@@ -294,7 +315,13 @@ class Computed:
 
 def units_asked(design: Design) -> dict[str, str]:
     """List every response that the records of a design hold, with its unit."""
-    return units_of((response.name for response in design.responses), design.is_measured)
+    if design.is_alone:
+        return {response.name: response.unit for response in design.responses}
+    forwards = {cell.cell.problem.forward for cell in design.treatments}
+    values = {k: u for one in forwards if one is not None for k, u in one.units.items()}
+    names = [response.name for response in design.responses if response.name not in values]
+    asked = {r.name: r.unit for r in design.responses if r.name in values}
+    return units_of(names, design.is_measured) | asked
 
 
 def _common_blocks(cells: Sequence[Treatment], data: DataCache) -> tuple[str, ...]:
@@ -325,7 +352,9 @@ def _distinct(found: Sequence[Case]) -> tuple[Case, ...]:
 def _located(case: Case, places: Sequence[Path], allowed: Allowed = NOTHING) -> Case:
     """Copy a case with its surfaces, and the files of its forward model, found and checked."""
     found = provenance.with_markers(provenance.located(case.config, places), places)
-    return replace(case, config=with_external(found, places, allowed.function))
+    made = with_external(found, places, allowed.function)
+    check_templates(made, case.case_id)
+    return replace(case, config=made)
 
 
 def case_job(
@@ -347,6 +376,8 @@ def _forward_of(case: Case, problem: FitProblem) -> Forward:
     """Where the predicted curves of a case come from."""
     if problem.method in ("inverse-fem", "external") and problem.shares_scored_problem:
         return "fit"
+    if "specimen" not in case.config:
+        return "external"
     forward = case.treatment.cell.problem.forward
     if forward is not None:
         return "closed-form" if forward.model == "closed-form" else "external"
@@ -358,6 +389,8 @@ def _score_pairs(
     case: Case, problem: FitProblem, data: DataCache, design: Design
 ) -> list[ScorePair]:
     """Say what is fitted and what is scored in a case."""
+    if "specimen" not in case.config:
+        return [ScorePair("all", None, None)]
     scored = data.scored(case.config)
     if scored is None:
         return [_simulated(case, problem)]

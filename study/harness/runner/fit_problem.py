@@ -14,15 +14,23 @@ from functools import cached_property
 from pathlib import Path
 from typing import cast
 
+import numpy as np
+
 from study.ground.bounded_file import UnreadableError, read_existing, sha256_of
 from study.ground.canonical import digest, plain
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
 from study.harness.design.cell import Config
-from study.harness.external import command
+from study.harness.design.forward_section import target_and_source
+from study.harness.external import command, exchange
 from study.harness.external.command import External
 from study.harness.external.exchange import PythonFunction
-from study.harness.runner.problem_tables import PROBLEM, CalibrationTable
+from study.harness.runner.problem_tables import (
+    PROBLEM,
+    CalibrationTable,
+    own_tables,
+    with_placeholder,
+)
 from study.harness.runner.provenance import code_version
 from study.mechanics.material.material import ENERGIES
 from study.mechanics.measurement.recording import locate
@@ -69,8 +77,29 @@ def with_external(
         return {**config, "forward": made}
     words = dict.fromkeys([argv[0] for argv in external.section.argv])
     made["programs"] = {word: _program_sha(word) for word in words}
-    made["contents"] = {Path(name).name: _text(name, places) for name in external.section.files}
+    files = map(target_and_source, external.section.files)
+    made["contents"] = {target: _text(source, places) for target, source in files}
     return {**config, "forward": made}
+
+
+def check_templates(config: Tables, case_id: str) -> None:
+    """Render the templates of a case before anything runs: what is wrong with them is told now.
+
+    Constants that a fit has yet to find stand as 1 MPa.
+    """
+    external = External.of(config)
+    if external is None or not external.section.renders:
+        return
+    if "material" not in config:
+        external.rendered({"case_id": case_id, **own_tables(config)})
+        return
+    depth = Setup.of(config).test.displacement_mm or 1.0
+    request = exchange.request(with_placeholder(config, depth), np.array([depth]))
+    section = MaterialSection.of(config)
+    names = dict.fromkeys(section.calibrated_names, 1.0) | dict(section.constants)
+    material = {**table_of(request, "material"), "constants_MPa": names}
+    context = exchange.context_of({**request, "material": material, **own_tables(config)})
+    external.rendered({"case_id": case_id, **context})
 
 
 def _program_sha(word: str) -> str:
@@ -153,7 +182,9 @@ class FitProblem:
 
 
 def fit_problem(tables: Tables) -> FitProblem:
-    """Calibration of the resolved tables of a case."""
+    """Calibration of the resolved tables of a case; of parameters alone there is none."""
+    if "material" not in tables:
+        return FitProblem("none", tables, False)
     section = CalibrationTable.of(tables)
     own = section.problem or {}
     scored = {k: tables[k] for k in PROBLEM if k in tables}

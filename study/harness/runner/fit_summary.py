@@ -11,13 +11,16 @@ import numpy as np
 from study.ground.arrays import Array
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
-from study.harness.external.command import External, Solved, steps_of
-from study.harness.external.exchange import NoAnswer
+from study.harness.external.answers import NoAnswer
+from study.harness.external.command import External, ParameterAnswer, Solved, steps_of
 from study.harness.record.document import FitDocument, MarkerDocument, MeshDocument, SolverDocument
+from study.harness.runner.problem_tables import own_tables
 from study.mechanics.calibration.fit import Fit
 from study.mechanics.calibration.levenberg_marquardt import Status
 from study.mechanics.calibration.residual_function import EvaluationFailed
-from study.mechanics.material.stability import stability
+from study.mechanics.material.homogeneous import MODES, sheared_stretches
+from study.mechanics.material.material import Material
+from study.mechanics.material.stability import StabilityResult, stability
 from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import Setup, Tables, problem_of
 
@@ -41,6 +44,12 @@ class PredictedCurve:
     seconds: float = 0.0
     #: What markers inside the specimen say of it.
     markers: MarkerDocument | None = None
+    #: Further numbers of another program, in the units of the study file.
+    values: Mapping[str, float] = field(default_factory=dict)
+    #: Zip of its folder, where that is kept.
+    folder: bytes = b""
+    #: Files that were rendered for it.
+    rendered: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def of(cls, solution: Solution, seconds: float = 0.0) -> PredictedCurve:
@@ -50,7 +59,8 @@ class PredictedCurve:
 
     def to_json(self) -> dict[str, object]:
         """Plain data, for the store and for workers."""
-        return {"curve": self.curve.as_dict(), "mesh": self.mesh, "solver": self.solver}
+        values = {"named_values": dict(self.values)} if self.values else {}
+        return {"curve": self.curve.as_dict(), "mesh": self.mesh, "solver": self.solver, **values}
 
     @classmethod
     def from_json(cls, document: Mapping[str, object]) -> PredictedCurve:
@@ -59,6 +69,7 @@ class PredictedCurve:
             Curve.from_dict(cast("Mapping[str, object]", document["curve"])),
             cast(MeshDocument, document.get("mesh", {})),
             cast(SolverDocument, document["solver"]),
+            values=cast("Mapping[str, float]", document.get("named_values", {})),
         )
 
 
@@ -77,12 +88,15 @@ def solver_document(solution: Solution) -> SolverDocument:
 
     Units: solution mm.
     """
+    touching = solution.equilibria.contact
     return {
         "name": str(solution.solver),
         "min_j": float(solution.min_j),
         "energy_mismatch": float(solution.energy.largest_mismatch),
         "stabilization_share": float(solution.energy.stabilization_share),
         "snaps_mm": [float(place) for place in solution.energy.jumps_mm],
+        "penetration_mm": max((one.penetration_mm for one in touching), default=0.0),
+        "gap_mm": max((one.gap_mm for one in touching), default=0.0),
     }
 
 
@@ -201,12 +215,7 @@ def _stability(
     if material.mu0 <= 0:
         raise InputError(Fault("fit", f"ended at a shear modulus of {material.mu0:g} MPa"))
     setup = Setup.of(tables)
-    height, is_pressed = setup.height_mm, setup.kind.compresses
-    depth = max(float(curve.displacement_mm.max()) for curve in measured)
-    if height is None or not is_pressed or depth >= height:
-        judged = stability(material)
-    else:
-        judged = stability(material, stretches=np.linspace(1 - depth / height, 1.0, 41))
+    judged = stability_over(material, [(setup, curve.displacement_mm) for curve in measured])
     # only uniaxial failure inside the range makes the answer itself meaningless; the other
     # modes are a warning about using the constants elsewhere
     return {
@@ -215,6 +224,29 @@ def _stability(
         "stability": str(judged.sentence),
         "usable": "uniaxial" not in judged.limits,
     }
+
+
+def stability_over(material: Material, tests: Sequence[tuple[Setup, Array]]) -> StabilityResult:
+    """Drucker's criterion over the stretches of tests, each in its loading, and in the others.
+
+    A loading that no test holds is judged over the stretches of all of them.
+    """
+    held: dict[str, tuple[float, float]] = {}
+    for setup, places in tests:
+        height, kind = setup.height_mm, setup.kind
+        mode = "planar" if kind.shears else kind.mode
+        if height is None or mode not in MODES or kind.takes_indenter:
+            continue
+        share = kind.sense * np.array([0.0, places.min(), places.max()]) / height
+        ends = sheared_stretches(share, setup.test.prestretch or 1.0) if kind.shears else 1 + share
+        low, high = float(np.min(ends)), float(np.max(ends))
+        if low <= 0:
+            continue
+        before = held.get(mode, (1.0, 1.0))
+        held[mode] = (min(low, before[0]), max(high, before[1]))
+    if not held:
+        return stability(material)
+    return stability(material, np.array(list(held.values())), held)
 
 
 def _finite(value: float) -> float | None:
@@ -268,7 +300,7 @@ class InverseExternal:
         self.solves += 1
         try:
             problem = problem_of(self._tables, constants, float(self._points[-1]))
-            return self._external.solve(problem, self._points)
+            return self._external.solve(problem, self._points, own_tables(self._tables))
         except (InputError, NoAnswer) as error:
             raise EvaluationFailed(str(error)) from error
 
@@ -306,14 +338,29 @@ def predicted_of(solved: Solved, external: External) -> PredictedCurve:
     mesh: MeshDocument = {}
     if answer.dofs or answer.elements:
         mesh = {"dofs": answer.dofs, "elements": answer.elements}
-    return PredictedCurve(answer.curve.without_gradients(), mesh, solver, solved.seconds)
+    return PredictedCurve(
+        answer.curve.without_gradients(), mesh, solver, solved.seconds,
+        values=answer.values, folder=solved.folder, rendered=solved.rendered,
+    )  # fmt: skip
 
 
-def _name(solved: Solved, external: External) -> str:
+def _name(solved: Solved | ParameterAnswer, external: External) -> str:
     if external.function is not None:
         return f"Python function, version {external.function.version}"
     said = "" if solved.program is None else solved.program["version"]
     return said or external.section.argv[0][0]
+
+
+def answer_of_parameters(tables: Tables, case_id: str) -> tuple[ParameterAnswer, SolverDocument]:
+    """Answer of a program or function for parameters alone, and how it was found."""
+    external = External.of(tables)
+    if external is None:
+        raise ValueError("these tables name no external forward model")
+    found = external.answer({"case_id": case_id, **own_tables(tables)})
+    solver: SolverDocument = {"name": _name(found, external)}
+    if found.program is not None:
+        solver["program"] = found.program
+    return found, solver
 
 
 def external_curve(
@@ -327,7 +374,8 @@ def external_curve(
     if external is None:
         raise ValueError("these tables name no external forward model")
     problem = problem_of(tables, constants, float(displacement_mm[-1]))
-    found = predicted_of(external.solve(problem, displacement_mm), external)
+    solved = external.solve(problem, displacement_mm, own_tables(tables))
+    found = predicted_of(solved, external)
     mesh = found.mesh
     if mesh and problem.model.mesh_size_mm is not None:
         mesh = {**mesh, "mesh_size_mm": problem.model.mesh_size_mm}

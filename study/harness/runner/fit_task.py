@@ -247,6 +247,11 @@ class InverseFem:
         }
         return Curve(grid, base.force_at(grid) + added, force_gradient=gradient)
 
+    @property
+    def mesh_size_mm(self) -> float | None:
+        """Element size of the last solution; None where there is none."""
+        return None if self._last is None else float(self._last.mesh_size_mm)
+
     def predicted(self, values: Array) -> PredictedCurve | None:
         """Curve at the final constants, with mesh and solver of the last solution."""
         if self._last is None:

@@ -45,9 +45,11 @@ Forward = Literal["fit", "closed-form", "simulation", "external"]
 class Origin:
     """Why a case is computed besides the cells of the design; its record says so."""
 
-    #: Number among the cases that repeat a cell on other meshes, or with resampled residuals.
+    #: Number among the cases that repeat a cell on other meshes, with resampled residuals, or with
+    #: other seeds of a stochastic simulation.
     mesh_seed: int | None = None
     noise_seed: int | None = None
+    replicate: int | None = None
     #: What it serves beside the study's own answer.
     purpose: Literal["refinement", "input"] | None = None
     #: Id of the case that it is compared with.
@@ -169,6 +171,11 @@ class CaseTask:
     directions: tuple[ScoreTask, ...]
     #: The solution that the cases of a cell start from.
     anchor: Anchor | None = None
+
+    @property
+    def is_alone(self) -> bool:
+        """Whether it is one of parameters alone, without a specimen and a material."""
+        return "specimen" not in self.tables
 
     @property
     def scored(self) -> tuple[ScoreTask, ...]:

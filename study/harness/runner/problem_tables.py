@@ -93,6 +93,11 @@ def measurements_of(tables: Tables) -> MeasurementSpec | None:
     return MeasurementSpec.from_dict(spec) if isinstance(spec, Mapping) and spec else None
 
 
+def own_tables(tables: Tables) -> dict[str, object]:
+    """Tables of the user's own that go to a program: parameters and their units."""
+    return {name: dict(table_of(tables, name)) for name in ("parameters", "units")}
+
+
 def gauge_of(setup: Setup) -> Gauge | None:
     """Return what turns recorded strain and stress into displacement and force."""
     if setup.height_mm is None:

@@ -366,7 +366,8 @@ _RIM = (
 class FormalOrder:
     """Order of the force in the mesh size, and what limits it."""
 
-    order: float
+    #: None where a stranger's solver promises none.
+    order: float | None
     why: str
 
 

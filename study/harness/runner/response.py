@@ -153,6 +153,10 @@ class WorkError(CurveResponse):
         return 100 * abs(float(np.trapezoid(residual_N(predicted, measured), d)) / work)
 
 
+#: largest values over the test of what finite elements say of plate or indenter
+CONTACT = ("peak_contact_pressure", "contact_area", "side_force")
+
+
 @dataclass(frozen=True)
 class SimulatedResponse:
     """A number of a predicted curve alone; one at a displacement has it in its name.
@@ -190,6 +194,9 @@ class SimulatedResponse:
         if place is not None:
             ordinate = curve.stiffness_at if name == "stiffness_at" else curve.force_at
             return float(ordinate(place))
+        if name in CONTACT:  # another program or a closed form gives none
+            values = curve.quantities.get(name, np.full(1, np.nan))
+            return float(np.max(values))
         if name == "peak_force":
             return float(curve.force_N.max())
         return _work_of(curve)

@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import re
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -198,6 +200,24 @@ class Staged:
         return "; ".join([self.fit.message, *self.notes])
 
 
+@dataclass(frozen=True)
+class Limits:
+    """What a search may use up."""
+
+    #: Calls of the model in each search.
+    evaluations: int = 200
+    #: Of ``time.monotonic``, s; none by default.
+    deadline_s: float = math.inf
+
+    @property
+    def is_late(self) -> bool:
+        """Whether the time is over."""
+        return time.monotonic() > self.deadline_s
+
+
+NO_LIMITS = Limits()
+
+
 def staged_fit(
     parts: Sequence[FitPart],
     names: tuple[str, ...],
@@ -252,6 +272,7 @@ def begun_stage(
         done = single_stage(
             labels[number], parts, names, starts[number].values, make, bounds, progress, checkpoint
         )
+
         if number + 1 == len(starts) or not _nowhere(done.fit):
             break
         fruitless, number = fruitless + done.fit.evaluations, number + 1
@@ -288,10 +309,11 @@ def single_stage(
     def predict(values: Array) -> list[Curve]:
         return [curve for model in models for curve in model(values)]
 
-    def accepted(iteration: Iteration) -> None:
+    def accepted(iteration: Iteration) -> bool:
         checkpoint.keep(stage, iteration)
         if progress is not None:
             progress(FitStep(stage, names, iteration))
+        return checkpoint.limits.is_late
 
     resume = checkpoint.last(stage)
     if resume is not None:
@@ -310,8 +332,11 @@ def single_stage(
         bounds=bounds,
         callback=accepted,
         resume=resume,
+        max_evaluations=checkpoint.limits.evaluations,
         **TOLERANCES[tolerances if simulated else "closed-form"],
     )
+    if found.status is Status.stopped:
+        found = replace(found, failure="the time of calibration.max_time is over")
     return Staged(found, tuple(models))
 
 
@@ -359,8 +384,8 @@ class CheckpointDocument(TypedDict):
 class Checkpoint:
     """Last accepted iteration of every stage of one fit."""
 
-    def __init__(self, path: Path | None = None, key: str = "") -> None:
-        self.path, self.key = path, key
+    def __init__(self, path: Path | None = None, key: str = "", limits: Limits = NO_LIMITS) -> None:
+        self.path, self.key, self.limits = path, key, limits
         self.stages: dict[str, StageDocument] = {} if path is None else _read(path, key)
 
     def last(self, stage: str) -> Iteration | None:

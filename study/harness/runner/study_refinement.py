@@ -21,7 +21,7 @@ from study.ground.errors import Fault, InputError
 from study.harness.design.cell import case_id, plain
 from study.harness.design.spec import Case
 from study.harness.record.record import Record
-from study.harness.runner.case_series import CaseSeries, force_at_places
+from study.harness.runner.case_series import CaseSeries, force_at_places, size_of
 from study.harness.runner.cost import Costs
 from study.harness.runner.expansion import case_job
 from study.harness.runner.job import CaseJob, Origin, Work, varied
@@ -31,7 +31,7 @@ from study.harness.runner.problem_tables import (
     on_mesh,
     value_named,
 )
-from study.harness.runner.refinement import FEWEST, base_size_mm
+from study.harness.runner.refinement import FEWEST
 from study.mechanics.measurement.measurement_section import Range
 from study.mechanics.setup.declaration import table_of, with_table
 from study.mechanics.setup.geometry import Enclosed
@@ -86,7 +86,7 @@ def refined_series(
     work: Work, base: CaseJob, times: int, records: Mapping[str, Record]
 ) -> CaseSeries:
     """Series of a cell on its own mesh and some finer ones."""
-    size, ratio = base_size_mm(base), work.design.converge.ratio
+    size, ratio = size_of(base), work.design.converge.ratio
     finer = [
         case_job(
             refined(base.case, size / ratio**level),
@@ -114,12 +114,12 @@ def own_series(work: Work, records: Mapping[str, Record]) -> list[CaseSeries]:
     """
     found: dict[str, list[CaseJob]] = {}
     for job in meshed_cells(work):
-        found.setdefault(_column(job.case.config), []).append(job)
+        found.setdefault(_column(job), []).append(job)
     if any(len(jobs) < FEWEST for jobs in found.values()):
         return []
     series = []
     for jobs in found.values():
-        ordered = sorted(jobs, key=lambda job: -base_size_mm(job))
+        ordered = sorted(jobs, key=lambda job: -size_of(job))
         series.append(_series(work, tuple(ordered), records, "finest"))
     return series
 
@@ -133,7 +133,8 @@ def _series(
     """Series with its records; of a surface with another mesh of the study's own size."""
     base = jobs[0 if own == "coarsest" else -1]
     other = None
-    if isinstance(base.case.setup.specimen, Enclosed):
+    alone = "specimen" not in base.case.config
+    if not alone and isinstance(base.case.setup.specimen, Enclosed):
         case = varied(base.case, on_mesh(base.case.config, mesh_seed=OTHER_MESH), PURPOSE)
         origin = Origin(purpose=PURPOSE, of=base.case.case_id, level=0)
         other = case_job(case, work.data, work.design, origin)
@@ -153,13 +154,17 @@ def chosen(work: Work) -> list[CaseJob]:
     """
     groups: dict[str, list[CaseJob]] = {}
     for job in meshed_cells(work):
-        groups.setdefault(discretization_key(job.case.config), []).append(job)
+        problem = job.case.treatment.cell.problem
+        own = problem.discretization if problem.refinement else discretization_key(job.case.config)
+        groups.setdefault(own, []).append(job)
     costs = Costs()
     found = []
     for jobs in groups.values():
-        ordered = sorted(jobs, key=lambda job: len(job.case.material.calibrated_names))
+        ordered = sorted(
+            jobs, key=lambda job: len(job.case.treatment.cell.problem.calibrated_names)
+        )
         priced = _spread(ordered, PRICED_CELLS)
-        finest = [costs.solve_seconds(_twice(work, job).config) for job in priced]
+        finest = [_refined_seconds(work, job, costs) for job in priced]
         cheap = len(jobs) * float(np.mean(finest)) <= ALL_CELLS_S
         found += jobs if cheap else _spread(ordered, FEW_CELLS)
     return found
@@ -177,20 +182,30 @@ def every_cell(work: Work) -> list[CaseJob]:
 
 def meshed_cells(work: Work) -> list[CaseJob]:
     """List those whose answer depends on a mesh: their deformation is not homogeneous."""
-    return [job for job in every_cell(work) if not job.case.setup.is_homogeneous]
+    return [job for job in every_cell(work) if job.case.is_refinable]
 
 
 def _refinements(work: Work, job: CaseJob, costs: Costs) -> int:
     """Count the refinements: two where the second is cheap, one elsewhere."""
-    return 2 if costs.solve_seconds(_twice(work, job).config) < CHEAP_S else 1
+    if job.case.treatment.cell.problem.refinement is not None:
+        return max(2, work.design.converge.levels - 1)
+    return 2 if _refined_seconds(work, job, costs) < CHEAP_S else 1
 
 
-def _twice(work: Work, job: CaseJob) -> Case:
-    return refined(job.case, base_size_mm(job) / work.design.converge.ratio**2)
+def _refined_seconds(work: Work, job: CaseJob, costs: Costs) -> float:
+    """Seconds of a case on the second finer mesh; of a stranger's solver those it says."""
+    if job.case.treatment.cell.problem.refinement is not None:
+        return costs.case_seconds(job)
+    finer = refined(job.case, size_of(job) / work.design.converge.ratio**2)
+    return costs.solve_seconds(finer.config)
 
 
-def refined(case: Case, size_mm: float) -> Case:
-    """Copy a case with another mesh; everything else, the block too, stays."""
+def refined(case: Case, size: float) -> Case:
+    """Copy a case with another mesh in mm, or another value of the parameter that refines it."""
+    refinement = case.treatment.cell.problem.refinement
+    if refinement is not None:
+        return varied(case, refinement.refined(case.config, size), PURPOSE)
+    size_mm = size
     return varied(case, on_mesh(case.config, mesh=None, mesh_size_mm=size_mm), PURPOSE)
 
 
@@ -200,8 +215,11 @@ def discretization_key(tables: Tables) -> str:
     return case_id({k: v for k, v in table_of(tables, "model").items() if k not in apart})
 
 
-def _column(tables: Tables) -> str:
+def _column(job: CaseJob) -> str:
     """Name of a column: everything but the mesh, that of the calibration left out too."""
+    tables, refinement = job.case.config, job.case.treatment.cell.problem.refinement
+    if refinement is not None:
+        return digest(plain(refinement.without(tables)))
     own = CalibrationTable.of(tables).problem or {}
     rest = {k: v for k, v in tables.items() if k not in ("model", "calibration")}
     return digest(

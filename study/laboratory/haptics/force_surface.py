@@ -67,17 +67,17 @@ class SurfaceFunction:
 
     def sentences(self) -> tuple[str, ...]:
         """Say what it is, where it holds and how well."""
-        one = self.surface
-        at = ", ".join(f"{name} = {label}" for name, label in one.labels.items())
-        what = f"{one.response}{f' in {one.unit}' if one.unit else ''}{f' at {at}' if at else ''}"
+        fit = self.surface
+        at = ", ".join(f"{name} = {label}" for name, label in fit.labels.items())
+        what = f"{fit.response}{f' in {fit.unit}' if fit.unit else ''}{f' at {at}' if at else ''}"
         ranges = "; ".join(
             f"{i['argument']} ({i['name']}) {i['low']:g} to {i['high']:g} {i['unit']}".strip()
             for i in self.inputs
         )
         return (
-            f"{what}, from {0 if one.found is None else one.found.runs.response.size} runs.",
+            f"{what}, from {0 if fit.found is None else fit.found.runs.response.size} runs.",
             f"Ranges: {ranges}. Outside of them it raises ValueError: nothing was run there.",
-            f"It is within {self.bound:.3g} {one.unit} of the simulation at about 95 % of the "
+            f"It is within {self.bound:.3g} {fit.unit} of the simulation at about 95 % of the "
             "settings: the largest half width of its intervals.",
         )
 
@@ -118,20 +118,20 @@ class SurfaceFunction:
         )
 
 
-def surface_function(study_name: str, one: FittedSurface) -> SurfaceFunction:
+def surface_function(study_name: str, fitted: FittedSurface) -> SurfaceFunction:
     """Make the function of a surface."""
-    if one.found is None:
-        raise ValueError(one.refused)
-    model, runs = one.found.model, one.found.runs
+    if fitted.found is None:
+        raise ValueError(fitted.refused)
+    model, runs = fitted.found.model, fitted.found.runs
     arguments = _arguments(runs.names)
     inputs = tuple(
         Input(
             name=f.name, argument=arguments[f.name], low=f.low, high=f.high,
-            unit=one.units.get(f.name, ""), log=f.log,
+            unit=fitted.units.get(f.name, ""), log=f.log,
         )
         for f in runs.factors
     )  # fmt: skip
-    name = _identifier(" ".join((study_name, one.response, *one.labels.values())))
+    name = _identifier(" ".join((study_name, fitted.response, *fitted.labels.values())))
     _, half = model.predict(box_points(len(inputs), ASKED))
     bound = float(np.max(half))
     if isinstance(model, QuadraticSurface):
@@ -140,11 +140,11 @@ def surface_function(study_name: str, one: FittedSurface) -> SurfaceFunction:
             Product(inputs=list(t.factors), coefficient=float(c))
             for t, c in zip(polynomial.terms, polynomial.coefficients, strict=True)
         )
-        return SurfaceFunction(name, one, inputs, 0.0, (), products, bound)
+        return SurfaceFunction(name, fitted, inputs, 0.0, (), products, bound)
     each = model.each if isinstance(model, BlockedEmulator) else (model,)
     made = [_part(emulator, len(each)) for emulator in each]
     constant = sum(level for level, _ in made)
-    return SurfaceFunction(name, one, inputs, constant, tuple(p for _, p in made), (), bound)
+    return SurfaceFunction(name, fitted, inputs, constant, tuple(p for _, p in made), (), bound)
 
 
 def _part(emulator: Emulator, blocks: int) -> tuple[float, SurfacePart]:
@@ -152,9 +152,9 @@ def _part(emulator: Emulator, blocks: int) -> tuple[float, SurfacePart]:
     process = emulator.process
     kernel = process.found.kernel
     levels, weights = process.solved
-    own = emulator.combination or 0
+    combination = emulator.combination or 0
     if kernel.categories is not None:
-        weights = weights * kernel.categories.matrix[own, kernel.combination(process.x)]
+        weights = weights * kernel.categories.matrix[combination, kernel.combination(process.x)]
     scale = emulator.scale / blocks
     part = SurfacePart(
         kernel=kernel.family,
@@ -162,7 +162,7 @@ def _part(emulator: Emulator, blocks: int) -> tuple[float, SurfacePart]:
         points=kernel.numbers(process.x).tolist(),
         weights=(scale * process.found.variance * weights).tolist(),
     )
-    return emulator.centre / blocks + scale * float(levels[own]), part
+    return emulator.centre / blocks + scale * float(levels[combination]), part
 
 
 def _arguments(names: tuple[str, ...]) -> dict[str, str]:

@@ -57,7 +57,7 @@ def sentences(law: ForceLaw) -> list[str]:
     """Say where a law holds, how near it is, and what it does elsewhere."""
     held, end = law.held_out, law.force.end_mm
     largest = f"{held.largest_N:.2g} N ({100 * law.relative_error:.2g} % of the largest force)"
-    said = [
+    lines = [
         f"Tested from 0 to {end:g} mm: within {largest} of the simulation on "
         f"{held.force_N.size} points solved between its {law.force.values.size} knots.",
         f"Below 0 mm it is zero and beyond {end:g} mm it goes on straight; no simulation says so, "
@@ -66,7 +66,7 @@ def sentences(law: ForceLaw) -> list[str]:
         f"{law.force.slopes[0]:.4g} N/mm.",
         _monotone(law),
     ]
-    return said + [_range(law, k) for k in range(len(law.ranges))]
+    return lines + [_range(law, k) for k in range(len(law.ranges))]
 
 
 def _monotone(law: ForceLaw) -> str:
@@ -79,18 +79,18 @@ def _monotone(law: ForceLaw) -> str:
 
 
 def _range(law: ForceLaw, k: int) -> str:
-    one = law.ranges[k]
-    factor, unit = (1.0, "") if is_dimensionless(one.name) else (1e3, " kPa")
-    ends = f"{one.name} from {factor * one.low:.4g} to {factor * one.high:.4g}{unit}"
-    if math.isnan(one.largest_N):
+    constant = law.ranges[k]
+    factor, unit = (1.0, "") if is_dimensionless(constant.name) else (1e3, " kPa")
+    ends = f"{constant.name} from {factor * constant.low:.4g} to {factor * constant.high:.4g}{unit}"
+    if math.isnan(constant.largest_N):
         return f"With {ends} alone the simulation does not reach the end: use no such constants."
-    return f"With {ends} alone it is within {one.largest_N:.2g} N, to first order."
+    return f"With {ends} alone it is within {constant.largest_N:.2g} N, to first order."
 
 
 def document(law: ForceLaw) -> dict[str, object]:
     """Document of ``study export --as force-law --json``: plain values, units in the names."""
     # Units: law mm, N, MPa.
-    found = law.standard_uncertainty_at(law.displacement_mm)
+    uncertainty = law.standard_uncertainty_at(law.displacement_mm)
     return {
         "schema": SCHEMA,
         "kind": "force-law",
@@ -120,8 +120,8 @@ def document(law: ForceLaw) -> dict[str, object]:
             for r in law.ranges
         ],
         "standard_uncertainty_N": None
-        if found is None or not np.isfinite(found).all()
-        else found.tolist(),
+        if uncertainty is None or not np.isfinite(uncertainty).all()
+        else uncertainty.tolist(),
         "sentences": sentences(law),
         "version": study.__version__,
     }
@@ -212,7 +212,7 @@ class Wanted:
 
 
 def solved_force_law(
-    name: str, problem: Problem, wanted: Wanted, progress: Progress | None = None
+    name: str, problem: Problem, accuracy: Wanted, progress: Progress | None = None
 ) -> ForceLaw:
     """Force law of a problem, with intervals halved until its error bound is met."""
     say = progress or (lambda text: None)
@@ -221,11 +221,11 @@ def solved_force_law(
         solution = _solved(problem, 2 * intervals)
         law = tabulated(name, problem, _with_origin(solution.curve))
         say(f"{intervals} intervals: {100 * law.relative_error:.2g} % of the largest force")
-        if law.relative_error <= wanted.tolerance or 2 * intervals > MOST_INTERVALS:
+        if law.relative_error <= accuracy.tolerance or 2 * intervals > MOST_INTERVALS:
             break
         intervals *= 2
-    law = replace(law, covariance=wanted.covariance)
-    return replace(law, ranges=tuple(_ranges(law, problem, solution, wanted, say)))
+    law = replace(law, covariance=accuracy.covariance)
+    return replace(law, ranges=tuple(_ranges(law, problem, solution, accuracy, say)))
 
 
 def tabulated(name: str, problem: Problem, curve: Curve) -> ForceLaw:
@@ -233,15 +233,15 @@ def tabulated(name: str, problem: Problem, curve: Curve) -> ForceLaw:
     slopes = curve.stiffness_N_per_mm
     if slopes is None:
         raise ValueError("a force law needs the stiffness of its curve")
-    kept, between = slice(0, None, 2), slice(1, None, 2)
+    knots, between = slice(0, None, 2), slice(1, None, 2)
     step = float(curve.displacement_mm[2])
-    force = force_table(step, curve.force_N[kept], slopes[kept])
+    force = force_table(step, curve.force_N[knots], slopes[knots])
     gradients = {
-        name: gradient_table(step, values[kept]) for name, values in curve.force_gradient.items()
+        name: gradient_table(step, values[knots]) for name, values in curve.force_gradient.items()
     }
     middles = curve.displacement_mm[between]
     there = curve.force_N[between]
-    moved = np.flatnonzero(force.slopes[1:] != slopes[kept][1:]) + 1
+    moved = np.flatnonzero(force.slopes[1:] != slopes[knots][1:]) + 1
     return ForceLaw(
         name=name,
         force=force,
@@ -254,11 +254,11 @@ def tabulated(name: str, problem: Problem, curve: Curve) -> ForceLaw:
 
 def _solved(problem: Problem, steps: int, warm: Solution | None = None) -> Solution:
     """Solution in even steps."""
-    asked = replace(problem, test=replace(problem.test, steps=steps))
-    if asked.test.hold_s is not None or asked.test.cycles is not None:
+    asked_problem = replace(problem, test=replace(problem.test, steps=steps))
+    if asked_problem.test.hold_s is not None or asked_problem.test.cycles is not None:
         rule = "makes a force over time, and a law is one over displacement"
         raise InputError(Fault("test", rule, "leave hold and cycles out"))
-    solution = at_steps(asked, warm=warm)
+    solution = at_steps(asked_problem, warm=warm)
     if not solution.converged:
         rule = f"the simulation ends too early ({solution.status}): {solution.message}"
         mend = "press less deep: a law ends where the simulation does"
@@ -280,18 +280,18 @@ def _with_origin(curve: Curve) -> Curve:
 
 
 def _ranges(
-    law: ForceLaw, problem: Problem, solution: Solution, wanted: Wanted, say: Progress
+    law: ForceLaw, problem: Problem, solution: Solution, accuracy: Wanted, say: Progress
 ) -> list[ConstantRange]:
     """Move every constant alone to both ends of its range, and solve there."""
-    found = []
+    ranges = []
     for name, value in law.constants.items():
-        half = (wanted.half_ranges or {}).get(name, CONSTANT_SHARE * abs(value))
+        half = (accuracy.half_ranges or {}).get(name, CONSTANT_SHARE * abs(value))
         ends = (value - half, value + half)
         # NaN, where one end has no answer, stays NaN
         off = float(np.max([_deviation(law, problem, solution, {name: end}) for end in ends]))
-        found.append(ConstantRange(name, *ends, off))
+        ranges.append(ConstantRange(name, *ends, off))
         say(f"{name} from {ends[0]:.4g} to {ends[1]:.4g}: {off:.2g} N from first order")
-    return found
+    return ranges
 
 
 def _deviation(
@@ -300,7 +300,7 @@ def _deviation(
     """Largest deviation in N at other constants; NaN where the simulation has no answer."""
     moved = replace(problem, material=problem.material.with_constants(constants))
     try:
-        found = _solved(moved, len(solution.curve), solution).curve
+        curve = _solved(moved, len(solution.curve), solution).curve
     except InputError:
         return float("nan")
-    return float(np.abs(law.force_at(found.displacement_mm, constants) - found.force_N).max())
+    return float(np.abs(law.force_at(curve.displacement_mm, constants) - curve.force_N).max())

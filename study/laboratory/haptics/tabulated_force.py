@@ -35,21 +35,21 @@ def monotone_slopes(knots: Array, values: Array, slopes: Array) -> Array:
     >>> monotone_slopes(d, np.array([0.0, 1.0, 1.1]), np.array([1.0, 4.0, 0.1]))
     array([1. , 0.3, 0.1])
     """
-    found = slopes.astype(float)
+    limited = slopes.astype(float)
     chords = np.diff(values) / np.diff(knots)
     sign = np.sign(chords)
-    rising = np.asarray((sign * found[:-1] >= 0) & (sign * found[1:] >= 0))
+    rising = np.asarray((sign * limited[:-1] >= 0) & (sign * limited[1:] >= 0))
     # an interval that is limited may take its neighbor's slope away; each is limited once at most
     for _ in range(chords.size):
-        outside = np.flatnonzero(rising & ~is_monotone(chords, found))
+        outside = np.flatnonzero(rising & ~is_monotone(chords, limited))
         if not outside.size:
             break
         for k in outside:
             chord = chords[k]
-            found[k : k + 2] = np.asarray(
-                np.sign(chord) * np.minimum(np.abs(found[k : k + 2]), STEEPEST * abs(chord))
+            limited[k : k + 2] = np.asarray(
+                np.sign(chord) * np.minimum(np.abs(limited[k : k + 2]), STEEPEST * abs(chord))
             )
-    return found
+    return limited
 
 
 def is_monotone(chords: Array, slopes: Array) -> NDArray[np.bool_]:

@@ -105,29 +105,29 @@ class TriangleSurface:
         centers = self.corners.mean(axis=1)
         radii = np.linalg.norm(self.corners - centers[:, None], axis=2).max(axis=1)
         octave = np.ceil(np.log2(radii / np.median(radii)).clip(1)).astype(int)
-        found = []
+        classes = []
         for k in np.unique(octave):
-            own = np.flatnonzero(octave == k)
-            found.append((own, cKDTree(centers[own]), float(radii[own].max())))
-        return tuple(found)
+            members = np.flatnonzero(octave == k)
+            classes.append((members, cKDTree(centers[members]), float(radii[members].max())))
+        return tuple(classes)
 
     def closest(self, points: Array, *, exact: bool = True) -> Closest:
         """Closest point of the surface to each of some points. Shapes: points (n, 3), mm."""
         distance = np.full(len(points), np.inf)
         triangle = np.zeros(len(points), dtype=np.int64)
         weights = np.zeros((len(points), 3))
-        for own, tree, radius in self._classes:
+        for members, tree, radius in self._classes:
             reach = radius if exact else -np.inf
-            self._search(points, own, tree, reach, (distance, triangle, weights))
-        found = np.einsum("nk,nkj->nj", weights, self.corners[triangle])
+            self._search(points, members, tree, reach, (distance, triangle, weights))
+        nearest = np.einsum("nk,nkj->nj", weights, self.corners[triangle])
         normal = self._pseudo_normals(triangle, weights)
-        outside = ((points - found) * normal).sum(axis=1) >= 0
-        return Closest(found, triangle, weights, np.where(outside, distance, -distance), normal)
+        outside = ((points - nearest) * normal).sum(axis=1) >= 0
+        return Closest(nearest, triangle, weights, np.where(outside, distance, -distance), normal)
 
     def _search(
         self,
         points: Array,
-        own: Ints,
+        members: Ints,
         tree: cKDTree,
         radius: float,
         best: tuple[Array, Ints, Array],
@@ -139,22 +139,22 @@ class TriangleSurface:
         distance, triangle, weights = best
         left, count = np.arange(len(points)), FIRST_CANDIDATES
         while left.size:
-            count = min(count, len(own))
+            count = min(count, len(members))
             step = max(PAIRS_AT_ONCE // count, 1)
             open_ones = []
             for begin in range(0, left.size, step):
                 some = left[begin : begin + step]
                 away, near = tree.query(points[some], k=count)
                 away, near = away.reshape(len(some), -1), near.reshape(len(some), -1)
-                d, w = point_triangle(points[some, None], self.corners[own[near]])
+                d, w = point_triangle(points[some, None], self.corners[members[near]])
                 which = d.argmin(axis=1)
                 row = np.arange(len(some))
                 better = d[row, which] < distance[some]
                 distance[some[better]] = d[row, which][better]
-                triangle[some[better]] = own[near[row, which]][better]
+                triangle[some[better]] = members[near[row, which]][better]
                 weights[some[better]] = w[row, which][better]
                 open_ones.append(some[away[:, -1] - radius < distance[some]])
-            if count == len(own):
+            if count == len(members):
                 return
             left, count = np.concatenate(open_ones), 4 * count
 
@@ -171,14 +171,14 @@ class TriangleSurface:
         normal[on_vertex] = self.vertex_normals[vertex]
         return normal
 
-    def on_rim(self, found: Closest) -> Flags:
+    def on_rim(self, closest: Closest) -> Flags:
         """Which closest points lie on an open edge: beyond it there is no surface, shape (n,)."""
         across = self.triangles[:, [1, 2, 2, 0, 0, 1]].reshape(-1, 2)
         _, edge, times = np.unique(
             np.sort(across, axis=1), axis=0, return_inverse=True, return_counts=True
         )
         rim = (times[edge.ravel()] == 1).reshape(-1, 3)
-        return np.asarray((rim[found.triangle] & (found.weights < ON_EDGE)).any(axis=1))
+        return np.asarray((rim[closest.triangle] & (closest.weights < ON_EDGE)).any(axis=1))
 
 
 def _unit(vectors: Array) -> Array:

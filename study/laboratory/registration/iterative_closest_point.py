@@ -106,22 +106,22 @@ class NormalEquations:
         return turned_about(self.center, step[:3] / self.arm, step[3:])
 
 
-def normal_equations(moved: Array, found: Closest, weights: Array) -> NormalEquations:
+def normal_equations(moved: Array, closest: Closest, weights: Array) -> NormalEquations:
     """Linearize the distances from moved points to their closest ones about their center."""
     # Shapes: moved (n, 3), mm; weights (n,).
     center = np.average(moved, axis=0, weights=weights) if weights.any() else moved.mean(axis=0)
     away = moved - center
     arm = float(np.sqrt(np.average((away**2).sum(axis=1), weights=weights + 1e-300)))
     # between surface and point the normal is the direction of the gap, where there is one
-    gap = moved - found.points
+    gap = moved - closest.points
     length = np.linalg.norm(gap, axis=1)
     sharp = length > 1e-9 * max(arm, 1e-300)
-    normal = found.normal.copy()
-    sign = np.sign(found.distance[sharp])
+    normal = closest.normal.copy()
+    sign = np.sign(closest.distance[sharp])
     normal[sharp] = gap[sharp] / (length[sharp] * np.where(sign == 0, 1, sign))[:, None]
     slope = np.einsum("ni,nij->nj", normal, motion_slopes(away))
     slope[:, :3] /= max(arm, 1e-300)
-    return NormalEquations(found.distance, slope, center, arm, found.points)
+    return NormalEquations(closest.distance, slope, center, arm, closest.points)
 
 
 #: Share of the nearest pairs that count while it is still far: leaves room for 30 % outliers
@@ -197,7 +197,7 @@ class Registration:
             "translation_uncertainty_mm": deviations[3:].tolist(),
             "residual_rms_mm": self.rms_mm,
             "residual_scale_mm": self.scale_mm,
-            "null_space": [str(one) for one in self.sliding],
+            "null_space": [str(motion) for motion in self.sliding],
             "rejected_points": self.rejected,
             "points": self.used,
             "steps": self.steps,
@@ -218,14 +218,14 @@ def usual_starts(surface: TriangleSurface, cloud: Array) -> list[RigidMotion]:
     """Motions to begin from: none, centers together, and principal axes together, four ways."""
     # Shapes: surface mm; cloud (n, 3), mm.
     vertices = surface.points[np.unique(surface.triangles)]
-    target, own = np.median(vertices, axis=0), np.median(cloud, axis=0)
-    starts = [identity(), RigidMotion(np.eye(3), target - own)]
+    target, center = np.median(vertices, axis=0), np.median(cloud, axis=0)
+    starts = [identity(), RigidMotion(np.eye(3), target - center)]
     axes = [np.linalg.svd(p - p.mean(axis=0), full_matrices=False)[2] for p in (vertices, cloud)]
     for signs in ((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)):
         turn = axes[0].T @ np.diag(np.array(signs, dtype=float)) @ axes[1]
         if np.linalg.det(turn) < 0:
             turn = axes[0].T @ np.diag(-np.array(signs, dtype=float)) @ axes[1]
-        starts.append(RigidMotion(turn, target - turn @ own))
+        starts.append(RigidMotion(turn, target - turn @ center))
     return starts
 
 
@@ -237,9 +237,9 @@ def coarse_registration(
     starts = starts or usual_starts(surface, cloud)
     some = _thinned(cloud, COARSE_POINTS)
     first = [_trimmed(surface, some, start, POINT_STEPS, COMPARED) for start in starts]
-    first.sort(key=lambda found: found[0])
+    first.sort(key=lambda candidate: candidate[0])
     last = [_trimmed(surface, some, motion, 0, SETTLED) for _, motion in first[:FINALISTS]]
-    return min(last, key=lambda found: found[0])
+    return min(last, key=lambda candidate: candidate[0])
 
 
 def _thinned(cloud: Array, most: int) -> Array:
@@ -264,18 +264,18 @@ def _trimmed(
     motion, count, last = start, max(int(share * len(cloud)), 3), np.inf
     for number in range(point_steps + NORMAL_STEPS):
         moved = motion(cloud)
-        found = surface.closest(moved, exact=False)
-        kept = np.argsort(np.abs(found.distance), kind="stable")[:count]
-        rms = float(np.sqrt((found.distance[kept] ** 2).mean()))
+        closest = surface.closest(moved, exact=False)
+        nearest = np.argsort(np.abs(closest.distance), kind="stable")[:count]
+        rms = float(np.sqrt((closest.distance[nearest] ** 2).mean()))
         if number > point_steps and abs(last - rms) <= settled * rms:
             break
         last = rms
         if number < point_steps:
-            step = _point_step(moved[kept], found.points[kept])
+            step = _point_step(moved[nearest], closest.points[nearest])
         else:
             weights = np.zeros(len(cloud))
-            weights[kept] = 1.0
-            step = _step(moved, found, weights)
+            weights[nearest] = 1.0
+            step = _step(moved, closest, weights)
         motion = step.after(motion)
     return rms, motion
 
@@ -285,7 +285,7 @@ def _likelier(surface: TriangleSurface, cloud: Array, motion: RigidMotion) -> Ri
     # The nearest three fifths of a body that is larger all around meet the surface best where it is
     # pushed to one side. Nearly all of it meet it best in the middle.
     _, other = _trimmed(surface, cloud, motion, 0, SETTLED, NEARLY_ALL)
-    return min((motion, other), key=lambda one: _surprise(surface, one(cloud)))
+    return min((motion, other), key=lambda motion_tried: _surprise(surface, motion_tried(cloud)))
 
 
 def _surprise(surface: TriangleSurface, cloud: Array) -> float:
@@ -302,15 +302,15 @@ def _surprise(surface: TriangleSurface, cloud: Array) -> float:
     return float(normal + (len(away) - inside.size) * np.log(surface.size))
 
 
-def _point_step(moved: Array, found: Array) -> RigidMotion:
+def _point_step(moved: Array, partner: Array) -> RigidMotion:
     """Motion between points and their closest ones; a shift where those are a single edge."""
-    if on_a_line(found) or on_a_line(moved):
-        return RigidMotion(np.eye(3), (found - moved).mean(axis=0))
-    return fit_pairs(moved, found).motion
+    if on_a_line(partner) or on_a_line(moved):
+        return RigidMotion(np.eye(3), (partner - moved).mean(axis=0))
+    return fit_pairs(moved, partner).motion
 
 
-def _step(moved: Array, found: Closest, weights: Array) -> RigidMotion:
-    system = normal_equations(moved, found, weights)
+def _step(moved: Array, closest: Closest, weights: Array) -> RigidMotion:
+    system = normal_equations(moved, closest, weights)
     return system.motion(system.step(weights))
 
 
@@ -320,11 +320,11 @@ def _refined(surface: TriangleSurface, cloud: Array, motion: RigidMotion) -> Reg
     scale, converged, steps, last = np.inf, False, 0, np.zeros(6)
     for number in range(FINE_STEPS):
         moved = motion(cloud)
-        found = surface.closest(moved)
+        closest = surface.closest(moved)
         if number < SCALE_SETTLES:
-            scale = _fixing_scale(moved, found, max(inlier_scale(found.distance), floor))
-        weights = biweight(found.distance / scale)
-        system = normal_equations(moved, found, weights)
+            scale = _fixing_scale(moved, closest, max(inlier_scale(closest.distance), floor))
+        weights = biweight(closest.distance / scale)
+        system = normal_equations(moved, closest, weights)
         last = step = _shortened(system.step(weights), last)
         steps = number + 1
         small = max(1e-4 * scale / np.sqrt(len(cloud)), 10 * floor)
@@ -343,15 +343,15 @@ def _shortened(step: Array, last: Array) -> Array:
     return step / (1 + back) if back > 0 else step
 
 
-def _fixing_scale(moved: Array, found: Closest, scale: float) -> float:
+def _fixing_scale(moved: Array, closest: Closest, scale: float) -> float:
     """Return the least scale, from a given one up, whose weights free no motion that is fixed."""
     # Where half of a body is met exactly (flat ends) and the rest to the sag of its facets, the
     # robust scale is that of the exact half, and all that fixes the others would be outliers.
     every = np.ones(len(moved))
-    fixed = normal_equations(moved, found, every).fixed(every)
-    while scale < np.abs(found.distance).max():
-        weights = biweight(found.distance / scale)
-        if weights.any() and normal_equations(moved, found, weights).fixed(weights) >= fixed:
+    fixed = normal_equations(moved, closest, every).fixed(every)
+    while scale < np.abs(closest.distance).max():
+        weights = biweight(closest.distance / scale)
+        if weights.any() and normal_equations(moved, closest, weights).fixed(weights) >= fixed:
             break
         scale *= WIDER
     return scale

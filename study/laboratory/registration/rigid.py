@@ -396,10 +396,10 @@ def _consensus(points: Array) -> tuple[Array, float]:
     choices = [points, *(points[rng.choice(len(points), 4, replace=False)] for _ in range(DRAWS))]
     best = (np.inf, points.mean(axis=0), 1.0)
     for k, chosen in enumerate(choices):
-        found = algebraic_sphere(chosen) if k == 0 else _through(chosen)
-        if found is None:
+        sphere = algebraic_sphere(chosen) if k == 0 else _through(chosen)
+        if sphere is None:
             continue
-        center, radius = found
+        center, radius = sphere
         off = float(np.median(np.abs(np.linalg.norm(points - center, axis=1) - radius)))
         if off < best[0]:
             best = (off, center, radius)

@@ -96,9 +96,9 @@ class PropagatedQuantity:
     def at_multiples(self, position: Array, force: Array) -> Array:
         """Relative standard uncertainty with both sensors' errors so many times as large."""
         squares = self.parts**2
-        own = float(squares[self.is_position.astype(bool)].sum())
-        other = float(squares.sum()) - own
-        return np.asarray(np.sqrt(position**2 * own + force**2 * other))
+        of_position_alone = float(squares[self.is_position.astype(bool)].sum())
+        other = float(squares.sum()) - of_position_alone
+        return np.asarray(np.sqrt(position**2 * of_position_alone + force**2 * other))
 
     def allowed_alone(self, relative: float) -> Array:
         """Largest error of every source if there were no other; infinite where it does nothing."""
@@ -131,7 +131,7 @@ class Propagation:
     @property
     def worst(self) -> PropagatedQuantity:
         """Constant with the largest relative uncertainty."""
-        return max(self.constants, key=lambda one: one.relative)
+        return max(self.constants, key=lambda constant: constant.relative)
 
 
 def propagate(
@@ -151,9 +151,9 @@ def propagate(
             "no accuracy of a sensor tells them apart; press deeper, or take a simpler energy"
         )
     pseudo_inverse = inverse @ at.jacobian.T
-    effects = np.stack([_covariance_root(pseudo_inverse, one) for one in sources])
-    given = np.array([one.given for one in sources])
-    of_position = np.array([one.sensor == "position" for one in sources])
+    effects = np.stack([_covariance_root(pseudo_inverse, source) for source in sources])
+    given = np.array([source.given for source in sources])
+    of_position = np.array([source.sensor == "position" for source in sources])
     variance = np.einsum("skn,skn->sk", effects, effects)
     gradient = predicted.jacobian[0]
     force = np.einsum("k,skn->sn", gradient, effects)
@@ -184,9 +184,9 @@ def _covariance_root(pseudo_inverse: Array, source: SensorErrorSource) -> Array:
     moved = pseudo_inverse * source.response
     if not source.is_shared:
         return moved
-    found = np.zeros_like(moved)
-    found[:, 0] = moved.sum(axis=1)
-    return found
+    root = np.zeros_like(moved)
+    root[:, 0] = moved.sum(axis=1)
+    return root
 
 
 #: Tests of one task, whatever the number of workers, so that this changes no digit.
@@ -246,7 +246,7 @@ class Simulation:
     def is_linear(self) -> bool:
         """Whether first order holds for all quantities, and hardly any test failed."""
         enough = self.samples - self.failed >= FEWEST * self.samples
-        return enough and all(one.is_linear for one in self.scatters)
+        return enough and all(scatter.is_linear for scatter in self.scatters)
 
 
 def simulate(
@@ -263,13 +263,13 @@ def simulate(
             key = f"{multiple:g}-{chunk.first}"
             tasks.append(Task(key, _payload(chunk)))
             owners[key] = multiple
-    found: dict[float, Changes] = {multiple: Changes() for multiple in multiples}
+    changes_at: dict[float, Changes] = {multiple: Changes() for multiple in multiples}
     say = progress or (lambda text: None)
     for done, outcome in enumerate(_executor(sampling.fitted, jobs).run(tasks), start=1):
-        found[owners[outcome.key]].add(_changes(outcome.result))
+        changes_at[owners[outcome.key]].add(_changes(outcome.result))
         if done * TOLD // len(tasks) > (done - 1) * TOLD // len(tasks):
             say(f"{done} of {len(tasks)} parts of the simulated tests")
-    return tuple(_simulation(m, sampling.samples, propagation, found[m]) for m in multiples)
+    return tuple(_simulation(m, sampling.samples, propagation, changes_at[m]) for m in multiples)
 
 
 def _chunks(sampling: Sampling, propagation: Propagation, multiple: float) -> Iterator[Chunk]:
@@ -278,7 +278,7 @@ def _chunks(sampling: Sampling, propagation: Propagation, multiple: float) -> It
     drawn = replace(sampling, position=position, force=force)
     stream = (sampling.seed, round(1e6 * multiple))
     rows = tuple(map(tuple, propagation.pseudo_inverse.tolist()))
-    least = min(one.relative for one in propagation.constants)
+    least = min(constant.relative for constant in propagation.constants)
     xtol = max(STEP * multiple * least, SMALLEST_STEP)
     for first in range(0, sampling.samples, CHUNK):
         yield Chunk(drawn, stream, first, min(first + CHUNK, sampling.samples), rows, xtol)
@@ -308,32 +308,41 @@ def _executor(tables: Tables, jobs: int) -> Executor:
 
 
 def _simulation(
-    multiple: float, samples: int, propagation: Propagation, found: Changes
+    multiple: float, samples: int, propagation: Propagation, changes: Changes
 ) -> Simulation:
     """Judge the tests of one multiple."""
-    answered, message = len(found.fitted), next(iter(found.messages), "")
+    answered, message = len(changes.fitted), next(iter(changes.messages), "")
     if answered < FEWEST_TESTS:
         return Simulation(multiple, samples, samples - answered, (), message)
-    linear = np.array(found.linear)
+    linear = np.array(changes.linear)
     force = propagation.force
     pairs = [
-        *zip(propagation.constants, np.array(found.fitted).T, linear.T, strict=True),
-        (force, np.array(found.force_N) - force.value, linear @ propagation.gradient),
+        *zip(propagation.constants, np.array(changes.fitted).T, linear.T, strict=True),
+        (force, np.array(changes.force_N) - force.value, linear @ propagation.gradient),
     ]
-    scatters = tuple(_scatter(one, changed, moved, multiple) for one, changed, moved in pairs)
+    scatters = tuple(
+        _scatter(quantity, changed, moved, multiple) for quantity, changed, moved in pairs
+    )
     return Simulation(multiple, samples, samples - answered, scatters, message)
 
 
-def _scatter(one: PropagatedQuantity, fitted: Array, linear: Array, multiple: float) -> Scatter:
+def _scatter(
+    quantity: PropagatedQuantity, fitted: Array, linear: Array, multiple: float
+) -> Scatter:
     """Compare the scatter of changes with that of first order from the same errors."""
     ratios = _without_each(fitted) / _without_each(linear)
     ratio = float(np.std(fitted, ddof=1) / np.std(linear, ddof=1))
-    n, first_order = fitted.size, multiple * one.relative * abs(one.value)
+    n, first_order = fitted.size, multiple * quantity.relative * abs(quantity.value)
     error = float(np.sqrt((n - 1) / n * np.sum((ratios - ratios.mean()) ** 2)))
     # what the mean of the linear changes is off zero is chance, and the same in both
     shift = float(np.mean(fitted - linear))
     return Scatter(
-        one.name, one.unit, first_order * ratio, ratio, error, shift / (first_order * ratio)
+        quantity.name,
+        quantity.unit,
+        first_order * ratio,
+        ratio,
+        error,
+        shift / (first_order * ratio),
     )
 
 

@@ -326,22 +326,22 @@ def load_requirement(path: str | Path, overrides: Sequence[str] = ()) -> Require
         else:
             rest.append(override)
     faults = Faults()
-    own = {name: tables.pop(name, {}) for name in OWN}
-    position = read_table(PositionAccuracy, own["position"], "position", faults)
-    force = read_table(ForceAccuracy, own["force"], "force", faults)
-    asked = read_table(Requirement, own["requirement"], "requirement", faults)
+    sections = {name: tables.pop(name, {}) for name in OWN}
+    position = read_table(PositionAccuracy, sections["position"], "position", faults)
+    force = read_table(ForceAccuracy, sections["force"], "force", faults)
+    sensors = read_table(Requirement, sections["requirement"], "requirement", faults)
     if not faults and not _has_errors(position, force):
         mend = 'give one, for example [position] noise = "0.1 mm"'
         faults.add("position, force", "neither sensor has an error: nothing to propagate", mend)
-    found = [Fault(f"{source}: {f.where}", f.rule, f.mend) for f in faults]
-    fitted = _problem(tables, source, rest, found)
-    predicted = _predicted(tables, own["predict"], source, rest, found) if fitted else None
-    if found or fitted is None or predicted is None:
-        raise InputError(dict.fromkeys(found))
+    renamed = [Fault(f"{source}: {f.where}", f.rule, f.mend) for f in faults]
+    fitted = _problem(tables, source, rest, renamed)
+    predicted = _predicted(tables, sections["predict"], source, rest, renamed) if fitted else None
+    if renamed or fitted is None or predicted is None:
+        raise InputError(dict.fromkeys(renamed))
     study = read_table(StudyTable, tables.get("study", {}), "study", Faults())
     name = study.name or default_name(source)
     return RequirementFile(
-        name, study.question, study.seed, fitted, predicted, position, force, asked
+        name, study.question, study.seed, fitted, predicted, position, force, sensors
     )
 
 
@@ -377,10 +377,14 @@ def _predicted(
         if key not in REPLACEABLE:
             mend = f"one of {', '.join(REPLACEABLE)}; the material is the fitted one"
             faults.append(Fault(f"{source}: predict.{key}", "unknown key", mend))
-    kept = [one for one in overrides if one.split("=")[0].split(".")[0].strip() not in table]
+    others = [
+        override
+        for override in overrides
+        if override.split("=")[0].split(".")[0].strip() not in table
+    ]
     before = len(faults)
-    found = _problem({**tables, **table}, source, kept, faults)
+    problem = _problem({**tables, **table}, source, others, faults)
     for k in range(before, len(faults)):
-        one = faults[k]
-        faults[k] = Fault(one.where.replace(": ", ": predict.", 1), one.rule, one.mend)
-    return found
+        fault = faults[k]
+        faults[k] = Fault(fault.where.replace(": ", ": predict.", 1), fault.rule, fault.mend)
+    return problem

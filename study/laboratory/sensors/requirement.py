@@ -68,13 +68,18 @@ class SensorRequirement:
 
     def allowed(self, source: int) -> tuple[float, float]:
         """Largest error of a source for all constants: alone, and beside the others as given."""
-        alone = min(one.allowed_alone(self.standard)[source] for one in self.propagation.constants)
-        beside = [one.allowed_beside(self.standard)[source] for one in self.propagation.constants]
-        return float(alone), float(np.min(beside))
+        alone = min(
+            constant.allowed_alone(self.standard)[source] for constant in self.propagation.constants
+        )
+        allowed_jointly = [
+            constant.allowed_beside(self.standard)[source]
+            for constant in self.propagation.constants
+        ]
+        return float(alone), float(np.min(allowed_jointly))
 
     def worst_at(self, position: Array, force: Array) -> Array:
         """Largest expanded relative uncertainty of a constant at multiples of both errors."""
-        each = [one.at_multiples(position, force) for one in self.propagation.constants]
+        each = [constant.at_multiples(position, force) for constant in self.propagation.constants]
         return np.asarray(self.coverage * np.max(each, axis=0))
 
 
@@ -82,25 +87,25 @@ def sensor_requirement(
     file: RequirementFile, jobs: int, progress: Callable[[str], None] | None = None
 ) -> SensorRequirement:
     """Propagate the errors of both sensors, and check that by simulated tests."""
-    asked, depth = file.asked, depth_of(file.fitted)
+    sensors, depth = file.asked, depth_of(file.fitted)
     sampling = Sampling(
-        file.fitted, file.predicted, file.position, file.force, asked.points, asked.samples,
+        file.fitted, file.predicted, file.position, file.force, sensors.points, sensors.samples,
         file.seed,
     )  # fmt: skip
     _check_reach(file, sampling)
     fitted = force_model(file.fitted, sampling.farthest_mm)
-    material, rows = fitted.problem.material, rows_mm(depth, asked.points)
+    material, rows = fitted.problem.material, rows_mm(depth, sensors.points)
     at = fitted(material.values, rows)
     end = depth_of(file.predicted)
     predicted = force_model(file.predicted, end)(material.values, np.array([end]))
     units = ["" if is_dimensionless(name) else "MPa" for name in material.names]
     sources = sources_of(file.position, file.force, at, rows)
-    found = propagate(material.names, material.values, units, at, sources, predicted)
+    propagation = propagate(material.names, material.values, units, at, sources, predicted)
     simulations: tuple[Simulation, ...] = ()
-    if asked.samples:
-        simulations = simulate(sampling, found, asked.multiples, jobs, progress)
+    if sensors.samples:
+        simulations = simulate(sampling, propagation, sensors.multiples, jobs, progress)
     return SensorRequirement(
-        file.name, file.question, asked.accuracy, asked.coverage, rows, at.force_N, found,
+        file.name, file.question, sensors.accuracy, sensors.coverage, rows, at.force_N, propagation,
         simulations, fitted.notes,
     )  # fmt: skip
 
@@ -120,55 +125,55 @@ def _check_reach(file: RequirementFile, sampling: Sampling) -> None:
             raise InputError(Fault("position", rule, mend))
 
 
-def sentences(found: SensorRequirement) -> list[str]:
+def sentences(sensors: SensorRequirement) -> list[str]:
     """Say what is known how well, what it needs, and where first order holds."""
-    worst, k = found.propagation.worst, found.coverage
-    said = [
+    worst, k = sensors.propagation.worst, sensors.coverage
+    lines = [
         f"{worst.name} is known to {percent(k * worst.relative)} (k = {k:g}), the force that is "
-        f"predicted to {percent(k * found.propagation.force.relative)}.",
-        _needed(found),
-        _largest_part(found),
+        f"predicted to {percent(k * sensors.propagation.force.relative)}.",
+        _needed(sensors),
+        _largest_part(sensors),
     ]
-    return [*said, *(_linear(one) for one in found.simulations)]
+    return [*lines, *(_linear(simulation) for simulation in sensors.simulations)]
 
 
-def _needed(found: SensorRequirement) -> str:
-    wanted = percent(found.accuracy)
-    if found.is_met:
+def _needed(sensors: SensorRequirement) -> str:
+    limit = percent(sensors.accuracy)
+    if sensors.is_met:
         return (
-            f"{wanted} for every constant is met; all errors could be "
-            f"{found.needed_multiple:.3g} times as large."
+            f"{limit} for every constant is met; all errors could be "
+            f"{sensors.needed_multiple:.3g} times as large."
         )
     return (
-        f"{wanted} for every constant needs all errors {found.needed_multiple:.3g} times as large."
+        f"{limit} for every constant needs all errors {sensors.needed_multiple:.3g} times as large."
     )
 
 
-def _largest_part(found: SensorRequirement) -> str:
-    worst = found.propagation.worst
+def _largest_part(sensors: SensorRequirement) -> str:
+    worst = sensors.propagation.worst
     shares = worst.parts**2 / worst.relative**2
     largest = int(np.argmax(shares))
-    source = found.propagation.sources[largest]
+    source = sensors.propagation.sources[largest]
     return (
         f"{percent(shares[largest])} of the variance of {worst.name} comes from the "
         f"{source.sensor}'s {source.name} of {size(source, source.given)}."
     )
 
 
-def _linear(one: Simulation) -> str:
-    times = f"At {one.multiple:g} times the given errors"
-    answered = one.samples - one.failed
-    if not one.scatters:
-        return f"{times} {one.failed} of {one.samples} fits have no answer ({one.message})."
-    off = max(one.scatters, key=lambda s: abs(s.ratio - 1))
-    shifted = max(one.scatters, key=lambda s: abs(s.bias))
-    lost = f"; {one.failed} fits have no answer" if one.failed else ""
+def _linear(check: Simulation) -> str:
+    times = f"At {check.multiple:g} times the given errors"
+    answered = check.samples - check.failed
+    if not check.scatters:
+        return f"{times} {check.failed} of {check.samples} fits have no answer ({check.message})."
+    off = max(check.scatters, key=lambda s: abs(s.ratio - 1))
+    shifted = max(check.scatters, key=lambda s: abs(s.bias))
+    lost = f"; {check.failed} fits have no answer" if check.failed else ""
     bias = (
         f", and {shifted.name} is shifted by {shifted.bias:+.2f} standard deviations"
         if abs(shifted.bias) > 0.1
         else ""
     )
-    verdict = "first order holds" if one.is_linear else "first order does not hold"
+    verdict = "first order holds" if check.is_linear else "first order does not hold"
     return (
         f"{times} {verdict}: in {answered} simulated tests {off.name} scatters {off.ratio:.3f} "
         f"+- {2 * off.ratio_error:.3f} times as much as first order says{bias}{lost}."
@@ -189,60 +194,62 @@ def size(source: SensorErrorSource, value: float) -> str:
     return f"{value:.3g} {source.unit}" if source.unit else percent(value)
 
 
-def document(found: SensorRequirement) -> dict[str, object]:
+def document(sensors: SensorRequirement) -> dict[str, object]:
     """Document of ``study require --json``: constants in kPa, exponents plain."""
-    sources = found.propagation.sources
+    sources = sensors.propagation.sources
     return {
-        "name": found.name,
-        "accuracy": found.accuracy,
-        "coverage": found.coverage,
-        "met": found.is_met,
-        "needed_multiple": found.needed_multiple,
-        "quantities": [_quantity(one, sources, found.coverage) for one in found.quantities],
+        "name": sensors.name,
+        "accuracy": sensors.accuracy,
+        "coverage": sensors.coverage,
+        "met": sensors.is_met,
+        "needed_multiple": sensors.needed_multiple,
+        "quantities": [
+            _quantity(quantity, sources, sensors.coverage) for quantity in sensors.quantities
+        ],
         "required": [
             {
-                "sensor": one.sensor,
-                "error": one.name,
-                "unit": one.unit or "1",
-                "given": one.given,
+                "sensor": source.sensor,
+                "error": source.name,
+                "unit": source.unit or "1",
+                "given": source.given,
                 "allowed_alone": _finite(alone),
-                "allowed_beside_the_others": _finite(beside),
+                "allowed_beside_the_others": _finite(jointly),
             }
-            for one, (alone, beside) in zip(sources, _allowed(found), strict=True)
+            for source, (alone, jointly) in zip(sources, _allowed(sensors), strict=True)
         ],
-        "monte_carlo": [_simulation(one) for one in found.simulations],
-        "sentences": sentences(found),
+        "monte_carlo": [_simulation(simulation) for simulation in sensors.simulations],
+        "sentences": sentences(sensors),
     }
 
 
-def _allowed(found: SensorRequirement) -> Sequence[tuple[float, float]]:
-    return [found.allowed(k) for k in range(len(found.propagation.sources))]
+def _allowed(sensors: SensorRequirement) -> Sequence[tuple[float, float]]:
+    return [sensors.allowed(k) for k in range(len(sensors.propagation.sources))]
 
 
 def _quantity(
-    one: PropagatedQuantity, sources: Sequence[SensorErrorSource], coverage: float
+    quantity: PropagatedQuantity, sources: Sequence[SensorErrorSource], coverage: float
 ) -> dict[str, object]:
-    factor = 1e3 if one.unit == "MPa" else 1.0
+    factor = 1e3 if quantity.unit == "MPa" else 1.0
     return {
-        "name": one.name,
-        "unit": "kPa" if one.unit == "MPa" else one.unit,
-        "value": factor * one.value,
-        "relative_standard_uncertainty": one.relative,
-        "relative_expanded_uncertainty": coverage * one.relative,
+        "name": quantity.name,
+        "unit": "kPa" if quantity.unit == "MPa" else quantity.unit,
+        "value": factor * quantity.value,
+        "relative_standard_uncertainty": quantity.relative,
+        "relative_expanded_uncertainty": coverage * quantity.relative,
         "parts": {
             f"{source.sensor}.{source.name}": float(part)
-            for source, part in zip(sources, one.parts, strict=True)
+            for source, part in zip(sources, quantity.parts, strict=True)
         },
     }
 
 
-def _simulation(one: Simulation) -> dict[str, object]:
+def _simulation(simulation: Simulation) -> dict[str, object]:
     return {
-        "multiple": one.multiple,
-        "samples": one.samples,
-        "failed": one.failed,
-        "linear": one.is_linear,
-        "message": one.message,
+        "multiple": simulation.multiple,
+        "samples": simulation.samples,
+        "failed": simulation.failed,
+        "linear": simulation.is_linear,
+        "message": simulation.message,
         "quantities": [
             {
                 "name": s.name,
@@ -251,7 +258,7 @@ def _simulation(one: Simulation) -> dict[str, object]:
                 "ratio_standard_error": s.ratio_error,
                 "bias": s.bias,
             }
-            for s in one.scatters
+            for s in simulation.scatters
         ],
     }
 

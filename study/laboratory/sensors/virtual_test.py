@@ -130,7 +130,7 @@ class Changes:
 def perform(task: dict[str, object]) -> dict[str, object]:
     """Measure and fit the tests of one chunk (in a worker)."""
     chunk = Chunk.of(task)
-    sampling, found = chunk.sampling, Changes()
+    sampling, changes = chunk.sampling, Changes()
     test = _Test(sampling, np.array(chunk.pseudo_inverse), chunk.xtol)
     depth = np.array([depth_of(sampling.predicted)])
     predicted = force_model(sampling.predicted, float(depth[0]))
@@ -139,12 +139,12 @@ def perform(task: dict[str, object]) -> dict[str, object]:
             values, linear = test.measured(np.random.default_rng([*chunk.stream, k]))
             force = predicted(values, depth).force_N[0]
         except (EvaluationFailed, InputError) as error:
-            found.messages.append(str(error))
+            changes.messages.append(str(error))
             continue
-        found.fitted.append((values - test.values).tolist())
-        found.linear.append(linear.tolist())
-        found.force_N.append(float(force))
-    return {"status": "done", **asdict(found)}
+        changes.fitted.append((values - test.values).tolist())
+        changes.linear.append(linear.tolist())
+        changes.force_N.append(float(force))
+    return {"status": "done", **asdict(changes)}
 
 
 def depth_of(tables: Tables) -> float:
@@ -184,7 +184,7 @@ class _Test:
             at = self.model(values, displacement_mm)
             return at.force_N - force_N, at.jacobian
 
-        found = levenberg_marquardt(
+        fit = levenberg_marquardt(
             residual,
             self.values,
             ftol=FTOL,
@@ -194,6 +194,6 @@ class _Test:
             max_evaluations=MOST_EVALUATIONS,
         )
         # a lowest point at which contact sets in is as good a constant as another
-        if not (found.converged or found.status is Status.at_kink):
-            raise EvaluationFailed(found.status.sentence)
-        return found.x
+        if not (fit.converged or fit.status is Status.at_kink):
+            raise EvaluationFailed(fit.status.sentence)
+        return fit.x

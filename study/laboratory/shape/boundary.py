@@ -162,12 +162,12 @@ def _real_sides(mesh: DeformedMesh, symmetry: Symmetry) -> Ints:
     alone = alone[~_in_symmetry(mesh, symmetry, nodes[alone])]
     parts = []
     for k in range(len(sides)):
-        own = alone[number[alone] == k]
-        owners = owner[own]
+        part = alone[number[alone] == k]
+        owners = owner[part]
         pieces = np.array(_pieces(mesh.kind, k))
         split = np.asarray(mesh.cells[owners][:, pieces].reshape(-1, pieces.shape[1]))
-        centers = mesh.points[mesh.cells[owner[own], :corners]].mean(axis=1)
-        parts.append(_turned(mesh.points, split, np.repeat(centers, len(split) // max(len(own), 1),
+        centers = mesh.points[mesh.cells[owner[part], :corners]].mean(axis=1)
+        parts.append(_turned(mesh.points, split, np.repeat(centers, len(split) // max(len(part), 1),
                                                            axis=0)))  # fmt: skip
     return np.concatenate(parts)
 
@@ -362,15 +362,15 @@ def read_body(path: Path, unit: str) -> SimulatedBody:
     if not len(triangles):
         raise InputError(Fault(where, "holds no triangles", "the cloud is given by --scan"))
     try:
-        found = inspect(points, triangles, path.name, unit)
+        surface = inspect(points, triangles, path.name, unit)
     except InputError as error:
         raise InputError(
             [Fault(f.where.replace("specimen.file", "simulation"), f.rule, f.mend)
              for f in error.faults]
         ) from None  # fmt: skip
-    scaled = unit_factor(unit, "length") * found.points
-    notes = tuple(note.replace("specimen.file", "simulation") for note in found.notes)
-    body = BodySurface(scaled, np.zeros_like(scaled), found.triangles)
+    scaled = unit_factor(unit, "length") * surface.points
+    notes = tuple(note.replace("specimen.file", "simulation") for note in surface.notes)
+    body = BodySurface(scaled, np.zeros_like(scaled), surface.triangles)
     return SimulatedBody(body, notes=notes)
 
 

@@ -64,9 +64,9 @@ def read_scan(path: Path, unit: str, body_size: float) -> Scan:
     if alone.mean() > MOST_OUTLIERS:
         rule = f"{int(alone.sum())} of {len(points)} points stand alone: this is no surface"
         raise InputError(Fault(where, rule, "clean the cloud, or scan it more densely"))
-    kept = points[~alone]
-    _check_unit(kept, unit, body_size, where)
-    return Scan(kept, int(alone.sum()), path.name)
+    used = points[~alone]
+    _check_unit(used, unit, body_size, where)
+    return Scan(used, int(alone.sum()), path.name)
 
 
 def _points(path: Path, where: str) -> Array:

@@ -117,7 +117,7 @@ class ShapeDeviation:
     def to_json(self) -> dict[str, Json]:
         """Document of ``study shape --json``; lengths in mm."""
         marked = self.markers
-        found: dict[str, Json] = plain({
+        document: dict[str, Json] = plain({
             "name": self.name,
             "scan": self.scan,
             "outliers": self.outliers,
@@ -134,7 +134,7 @@ class ShapeDeviation:
             "notes": list(self.notes),
             "report": self.report,
         })  # fmt: skip
-        return found
+        return document
 
 
 @dataclass(frozen=True)
@@ -153,14 +153,14 @@ def judge_shape(
     """Compare a simulated body with a scan of the real one."""
     surface, registration, motion = body.deformed, None, identity()
     if options.register:
-        own, start = coarse_registration(surface, scan.points)
-        _check_handedness(surface, scan, own)
+        distance, start = coarse_registration(surface, scan.points)
+        _check_handedness(surface, scan, distance)
         if not options.any_state:
-            _check_state(body, scan, own, start)
+            _check_state(body, scan, distance, start)
         registration = register(surface, scan.points, [start])
         motion = registration.motion
     placed = motion(scan.points)
-    found = surface.closest(placed)
+    closest = surface.closest(placed)
     added = None
     if registration is not None:
         added = float(np.sqrt((registration.uncertainty_at(placed) ** 2).mean()))
@@ -177,9 +177,9 @@ def judge_shape(
         outliers=scan.outliers,
         registration=registration,
         points=placed,
-        distances=found.distance,
-        normals=found.normal,
-        statistics=statistics_of(found.distance, registration),
+        distances=closest.distance,
+        normals=closest.normal,
+        statistics=statistics_of(closest.distance, registration),
         seen=float(surface.areas[near].sum() / surface.areas.sum()),
         registration_uncertainty=added,
         markers=None if markers is None else _marked(body, markers, motion),
@@ -213,34 +213,36 @@ def statistics_of(every: Array, registration: Registration | None = None) -> Sta
     )
 
 
-def _check_handedness(surface: TriangleSurface, scan: Scan, own: float) -> None:
+def _check_handedness(surface: TriangleSurface, scan: Scan, distance: float) -> None:
     """Refuse a cloud whose mirror image fits far better."""
-    if own < RESOLUTION_SHARE * surface.size:
+    if distance < RESOLUTION_SHARE * surface.size:
         return
     other, _ = coarse_registration(surface, scan.points * np.array([-1.0, 1.0, 1.0]))
-    if other < CLEARLY_BETTER * own:
-        rule = f"is mirrored: its mirror image lies {other:.3g} mm from the surface, it {own:.3g}"
+    if other < CLEARLY_BETTER * distance:
+        rule = (
+            f"is mirrored: its mirror image lies {other:.3g} mm from the surface, it {distance:.3g}"
+        )
         mend = "negate one coordinate: the scanner's frame is left-handed"
         raise InputError(Fault(f"--scan: {scan.source}", rule, mend))
 
 
-def _check_state(body: SimulatedBody, scan: Scan, own: float, start: RigidMotion) -> None:
+def _check_state(body: SimulatedBody, scan: Scan, distance: float, start: RigidMotion) -> None:
     """Refuse a scan that the body at rest, or at another displacement, fits far better."""
     size = body.deformed.size
     if body.largest_displacement_mm < RESOLUTION_SHARE * size:
         return
-    if own < RESOLUTION_SHARE * size:
+    if distance < RESOLUTION_SHARE * size:
         return
     others = {
         share: coarse_registration(body.at(share), scan.points, [start])[0]
         for share in OTHER_STATES
     }
     share, least = min(others.items(), key=lambda pair: pair[1])
-    if least < CLEARLY_BETTER * own:
+    if least < CLEARLY_BETTER * distance:
         state = "the body at rest" if share == 0 else f"{100 * share:g} % of the displacement"
         raise RefusedError(
             f"{scan.source}: is a scan of another state: {state} fits it to {least:.3g} mm, the "
-            f"simulated one to {own:.3g} mm. Give the scan of this displacement, or say "
+            f"simulated one to {distance:.3g} mm. Give the scan of this displacement, or say "
             "--any-state if the simulation itself is in doubt"
         )
 
@@ -249,8 +251,8 @@ def _marked(body: SimulatedBody, markers: Markers, motion: RigidMotion) -> Marke
     """Errors of markers, as material points where their places at rest are known."""
     measured = motion(markers.deformed)
     if markers.rest is None:
-        found = body.deformed.closest(measured)
-        return MarkerDeviation(markers.names, measured - found.points, None, False, 0)
+        closest = body.deformed.closest(measured)
+        return MarkerDeviation(markers.names, measured - closest.points, None, False, 0)
     rest = motion(markers.rest)
     errors = measured - rest - body.displacement_at(rest)
     outside = int((~np.isfinite(errors).all(axis=1)).sum())
@@ -266,7 +268,7 @@ def _notes(registration: Registration | None) -> tuple[str, ...]:
         return ("the scan was compared as it lies, without registration",)
     notes = ["a registered deviation holds no rigid motion: what the fit takes up is not seen"]
     if registration.sliding:
-        listed = "; ".join(str(one) for one in registration.sliding)
+        listed = "; ".join(str(motion) for motion in registration.sliding)
         notes.append(f"the shape does not fix: {listed}; the scan was not moved along it")
     if not registration.converged:
         notes.append("the registration did not settle: see its residual")

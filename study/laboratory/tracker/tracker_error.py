@@ -82,18 +82,18 @@ def analyze_displacement(
     commanded = unit_factor(declared.unit, "length") * recording.table.numbers(declared.commanded)
     labels = recording.table.text(declared.commanded)
     stops = [
-        Visit(own.stage, visit.begin + own.begin, visit.begin + own.end)
+        Visit(label.stage, visit.begin + label.begin, visit.begin + label.end)
         for visit in recording.visits
-        for own in visits_to(labels[visit.rows])
+        for label in visits_to(labels[visit.rows])
     ]
     places = np.array([recording.positions[declared.marker][s.rows].mean(axis=0) for s in stops])
-    told = np.array([commanded[stop.begin] for stop in stops])
-    axis, along, off = _straight(places, told)
-    repeat = _repeatability(told, along)
-    at_home = told == told[0]
+    commanded_mm = np.array([commanded[stop.begin] for stop in stops])
+    axis, along, off = _straight(places, commanded_mm)
+    repeat = _repeatability(commanded_mm, along)
+    at_home = commanded_mm == commanded_mm[0]
     measured = (along - along[at_home].mean())[~at_home]
-    wanted = (told - told[0])[~at_home]
-    line = deming_line(wanted, measured, _ratio(declared, repeat, wanted, measured), alpha,
+    steps = (commanded_mm - commanded_mm[0])[~at_home]
+    line = deming_line(steps, measured, _ratio(declared, repeat, steps, measured), alpha,
                        "displacement")  # fmt: skip
     if not 1 / DISPLACEMENT_UNIT_RATIO < line.scale < DISPLACEMENT_UNIT_RATIO:
         rule = f"measured is {line.scale:.4g} times commanded displacement: another unit"
@@ -101,18 +101,20 @@ def analyze_displacement(
         raise InputError(Fault("displacement.unit", rule, mend))
     spread = line.residual_sd if repeat is None else repeat
     home = float(spread / np.sqrt(at_home.sum()))
-    own = line.offset_uncertainty
-    total = float(np.hypot(own, home))
-    half = (line.offset_interval[1] - line.offset) * (total / own if own > 0 else 1.0)
+    line_uncertainty = line.offset_uncertainty
+    total = float(np.hypot(line_uncertainty, home))
+    half = (line.offset_interval[1] - line.offset) * (
+        total / line_uncertainty if line_uncertainty > 0 else 1.0
+    )
     interval = (line.offset - half, line.offset + half)
     return DisplacementResult(
         marker=declared.marker,
-        commanded_mm=wanted,
+        commanded_mm=steps,
         measured_mm=measured,
         line=replace(line, offset_uncertainty=total, offset_interval=interval),
         straightness_rms_mm=float(np.sqrt((off**2).mean())),
         straightness_max_mm=float(off.max()),
-        agreement=limits_of_agreement(measured, wanted, alpha, "displacement"),
+        agreement=limits_of_agreement(measured, steps, alpha, "displacement"),
         repeatability_mm=repeat,
         home_uncertainty_mm=home,
         axis=axis,
@@ -120,22 +122,24 @@ def analyze_displacement(
     )
 
 
-def _straight(places: Array, told: Array) -> tuple[Array, Array, Array]:
+def _straight(places: Array, commanded_mm: Array) -> tuple[Array, Array, Array]:
     """Axis of the straight line through stops, places along it, and distances from it, mm."""
-    if np.unique(told).size < 3:
-        rule = f"there are {np.unique(told).size} commanded positions, a line needs 3 or more"
+    if np.unique(commanded_mm).size < 3:
+        rule = (
+            f"there are {np.unique(commanded_mm).size} commanded positions, a line needs 3 or more"
+        )
         raise InputError(Fault("displacement.commanded", rule, "stop at more positions"))
     away = places - places.mean(axis=0)
     axis = np.linalg.svd(away, full_matrices=False)[2][0]
     along = away @ axis
-    if along @ (told - told.mean()) < 0:
+    if along @ (commanded_mm - commanded_mm.mean()) < 0:
         axis, along = -axis, -along
     return axis, along, np.linalg.norm(away - np.outer(along, axis), axis=1)
 
 
-def _repeatability(told: Array, along: Array) -> float | None:
+def _repeatability(commanded_mm: Array, along: Array) -> float | None:
     """Pooled standard deviation of stops at the same position."""
-    groups = [along[told == value] for value in np.unique(told)]
+    groups = [along[commanded_mm == value] for value in np.unique(commanded_mm)]
     freedom = sum(len(group) - 1 for group in groups)
     if not freedom:
         return None
@@ -143,16 +147,16 @@ def _repeatability(told: Array, along: Array) -> float | None:
 
 
 def _ratio(
-    declared: DisplacementTable, repeat: float | None, wanted: Array, measured: Array
+    declared: DisplacementTable, repeat: float | None, steps: Array, measured: Array
 ) -> float:
     """Variance of a measured over that of a commanded position; infinite for an exact stage."""
     if declared.uncertainty == 0:
         return float("inf")
     if repeat is None:
         # the scatter about a first line holds both errors, each a part of it
-        total = deming_line(wanted, measured, float("inf"), where="displacement").residual_sd ** 2
-        own = max(total - declared.uncertainty**2, 0.1 * total)
-        return float(own / declared.uncertainty**2)
+        total = deming_line(steps, measured, float("inf"), where="displacement").residual_sd ** 2
+        variance = max(total - declared.uncertainty**2, 0.1 * total)
+        return float(variance / declared.uncertainty**2)
     return max(repeat**2, 1e-12 * declared.uncertainty**2) / declared.uncertainty**2
 
 
@@ -276,7 +280,7 @@ def _standard(declared: DistanceTable, root: Path) -> Standard | None:
     apart = spheres[0].center - spheres[1].center
     distance = float(np.linalg.norm(apart))
     along = apart / distance
-    variance = sum(float(along @ one.covariance[:3, :3] @ along) for one in spheres)
+    variance = sum(float(along @ sphere.covariance[:3, :3] @ along) for sphere in spheres)
     return Standard(distance, float(np.hypot(np.sqrt(variance), declared.uncertainty)), (*spheres,))
 
 
@@ -293,9 +297,9 @@ def _stage(recording: TrackerRecording, samples: Array, stage: str, alpha: float
 
     parts = [samples[visit.rows] for visit in recording.visits_of(stage)]
     means = np.array([part.mean() for part in parts])
-    own = np.concatenate(parts)
+    distances = np.concatenate(parts)
     away = np.concatenate([part - part.mean() for part in parts])
-    freedom = max(len(own) - len(parts), 1)
+    freedom = max(len(distances) - len(parts), 1)
     between, interval = None, None
     if len(parts) > 1:
         between = float(means.std(ddof=1))
@@ -304,14 +308,14 @@ def _stage(recording: TrackerRecording, samples: Array, stage: str, alpha: float
     return StageDistance(
         stage=stage,
         visits=len(parts),
-        samples=len(own),
+        samples=len(distances),
         independent=sum(len(part) / correlation_time(part) for part in parts),
         mean_mm=float(means.mean()),
         sd_mm=float(np.sqrt((away**2).sum() / freedom)),
         between_mm=between,
         interval_mm=interval,
-        lowest_mm=float(own.min()),
-        highest_mm=float(own.max()),
+        lowest_mm=float(distances.min()),
+        highest_mm=float(distances.max()),
     )
 
 
@@ -357,21 +361,21 @@ def _drift(recording: TrackerRecording, samples: Array, means: Array, alpha: flo
         visits = recording.visits
     stages = np.array([visit.stage for visit in visits], dtype=object)
     when = np.array([place[visit.rows].mean() for visit in visits])
-    known = np.unique(stages.astype(str))
-    freedom = len(visits) - len(known) - 1
+    levels = np.unique(stages.astype(str))
+    freedom = len(visits) - len(levels) - 1
     if len(visits) < FEWEST_FOR_DRIFT or freedom < 3:
         return None
     x, y = when.copy(), means.copy()
-    for stage in known:
+    for stage in levels:
         x[stages == stage] -= x[stages == stage].mean()
         y[stages == stage] -= y[stages == stage].mean()
     return None if not x.any() else _slope(x, y, freedom, (unit, alpha))
 
 
-def _slope(x: Array, y: Array, freedom: int, said: tuple[str, float]) -> Drift:
+def _slope(x: Array, y: Array, freedom: int, source: tuple[str, float]) -> Drift:
     from scipy.stats import t
 
-    unit, alpha = said
+    unit, alpha = source
     slope = float(x @ y / (x @ x))
     error = float(np.sqrt(((y - slope * x) ** 2).sum() / freedom / (x @ x)))
     half = float(t.ppf(1 - alpha / 2, freedom)) * error
@@ -408,10 +412,10 @@ def _bias(
     bias = float(units.mean()) - standard.distance_mm
     if len(units) < 2:
         return bias, None
-    own = float(units.std(ddof=1)) / np.sqrt(len(units))
-    total = float(np.hypot(own, standard.uncertainty_mm))
+    standard_error = float(units.std(ddof=1)) / np.sqrt(len(units))
+    total = float(np.hypot(standard_error, standard.uncertainty_mm))
     # Welch-Satterthwaite: the standard's own uncertainty counts as known
-    freedom = (len(units) - 1) * (total / own) ** 4 if own > 0 else 1e6
+    freedom = (len(units) - 1) * (total / standard_error) ** 4 if standard_error > 0 else 1e6
     half = float(t.ppf(1 - alpha / 2, min(freedom, 1e6))) * total
     return bias, (bias - half, bias + half)
 
@@ -440,7 +444,7 @@ class TrackerAccuracy:
 
     def to_json(self) -> Document:
         """Document of ``study tracking --json``; lengths in mm."""
-        found: Document = plain(
+        document: Document = plain(
             {
                 "name": self.name,
                 "samples": self.samples,
@@ -453,7 +457,7 @@ class TrackerAccuracy:
                 "report": self.report,
             }
         )
-        return found
+        return document
 
 
 def judge_tracker(declared: TrackingFile, root: Path, name: str) -> TrackerAccuracy:
@@ -480,33 +484,33 @@ def judge_tracker(declared: TrackingFile, root: Path, name: str) -> TrackerAccur
     )
 
 
-def _distance(found: DistanceResult) -> Document:
-    standard, comparison = found.standard, found.comparison
+def _distance(distance: DistanceResult) -> Document:
+    standard, comparison = distance.standard, distance.comparison
     return {
-        "markers": found.markers,
-        "stages": found.stages,
+        "markers": distance.markers,
+        "stages": distance.stages,
         "comparison": None if comparison is None else comparison.to_json(),
-        "comparison_note": found.comparison_note,
-        "drift": found.drift,
+        "comparison_note": distance.comparison_note,
+        "drift": distance.drift,
         "standard": standard
         and {
             "distance_mm": standard.distance_mm,
             "uncertainty_mm": standard.uncertainty_mm,
             "spheres": [sphere.to_json() for sphere in standard.spheres],
         },
-        "bias_mm": found.bias_mm,
-        "bias_interval_mm": found.bias_interval_mm,
+        "bias_mm": distance.bias_mm,
+        "bias_interval_mm": distance.bias_interval_mm,
     }
 
 
-def _reference(found: ReferenceResult) -> Document:
-    kept = {f.name: getattr(found, f.name) for f in fields(found) if f.name != "fit"}
+def _reference(reference: ReferenceResult) -> Document:
+    values = {f.name: getattr(reference, f.name) for f in fields(reference) if f.name != "fit"}
     return {
-        **kept,
-        "registration": found.fit.motion.to_json(),
-        "residuals_mm": found.fit.residuals,
-        "fiducial_registration_error_mm": found.fit.rms,
-        "localization_error_mm": found.fit.localization_error,
-        "scale": found.fit.scale,
-        "left_out_rms_mm": found.left_out_rms_mm,
+        **values,
+        "registration": reference.fit.motion.to_json(),
+        "residuals_mm": reference.fit.residuals,
+        "fiducial_registration_error_mm": reference.fit.rms,
+        "localization_error_mm": reference.fit.localization_error,
+        "scale": reference.fit.scale,
+        "left_out_rms_mm": reference.left_out_rms_mm,
     }

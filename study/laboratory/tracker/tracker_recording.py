@@ -43,7 +43,7 @@ def triple(value: object) -> Triple:
     """Read the names of three columns."""
     if not isinstance(value, list) or len(value) != 3:
         raise Bad(f"must be three columns, got {shown(value)}", 'for example ["x", "y", "z"]')
-    x, y, z = (label(one) for one in value)
+    x, y, z = (label(item) for item in value)
     if len({x, y, z}) < 3:
         raise Bad(f"names a column twice, got {shown(value)}")
     return x, y, z
@@ -188,12 +188,12 @@ def load_tracking(path: str | Path) -> TrackingFile:
         displacement = read_table(DisplacementTable, tables["displacement"], "displacement", faults)
     if "reference" in tables:
         reference = read_table(ReferenceTable, tables["reference"], "reference", faults)
-    found = TrackingFile(tracking, recording, distance, displacement, reference)
+    file = TrackingFile(tracking, recording, distance, displacement, reference)
     if not faults:
-        faults.extend(_across(found))
+        faults.extend(_across(file))
     if faults:
         raise InputError([Fault(f"{source}: {f.where}", f.rule, f.mend) for f in faults])
-    return found
+    return file
 
 
 def is_tracking(path: str | Path) -> bool:
@@ -201,26 +201,32 @@ def is_tracking(path: str | Path) -> bool:
     return "recording" in diagnostics.parse_toml(diagnostics.read_text(path), str(path))
 
 
-def _across(found: TrackingFile) -> Sequence[Fault]:
+def _across(tracking_file: TrackingFile) -> Sequence[Fault]:
     """Faults between tables."""
     faults = Faults()
-    known = found.recording.markers
-    asked = {
-        "distance.markers": found.distance.markers if found.distance else (),
-        "displacement.marker": (found.displacement.marker,) if found.displacement else (),
-        "reference.marker": (found.reference.marker,) if found.reference else (),
+    there = tracking_file.recording.markers
+    needed = {
+        "distance.markers": tracking_file.distance.markers if tracking_file.distance else (),
+        "displacement.marker": (tracking_file.displacement.marker,)
+        if tracking_file.displacement
+        else (),
+        "reference.marker": (tracking_file.reference.marker,) if tracking_file.reference else (),
     }
-    for where, markers in asked.items():
+    for where, markers in needed.items():
         for marker in markers:
-            if marker not in known:
-                faults.add(where, f"no marker {marker!r} in [recording]", nearest(marker, known))
-    if not (found.distance or found.displacement or found.reference):
+            if marker not in there:
+                faults.add(where, f"no marker {marker!r} in [recording]", nearest(marker, there))
+    if not (tracking_file.distance or tracking_file.displacement or tracking_file.reference):
         mend = "write [distance], [displacement] or [reference]"
         faults.add("tracking", "nothing says what to compare the tracker with", mend)
-    if found.reference and found.recording.stage is None:
+    if tracking_file.reference and tracking_file.recording.stage is None:
         mend = 'write stage = "COLUMN" in [recording]'
         faults.add("recording.stage", "is missing: poses pair by it", mend)
-    if found.distance and found.distance.reference and found.distance.spheres:
+    if (
+        tracking_file.distance
+        and tracking_file.distance.reference
+        and tracking_file.distance.spheres
+    ):
         faults.add("distance", "has a reference and spheres", "keep the one that is the standard")
     return faults
 

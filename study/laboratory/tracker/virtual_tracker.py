@@ -126,13 +126,13 @@ def recorded(errors: Errors, markers: int, apart_mm: float) -> Iterator[TrackerS
         for stage, stops in STAGES:
             wrong = errors.visit_sd_mm * random.standard_normal()
             wrong += errors.bias_mm if stage == BIASED else 0.0
-            for told in stops:
-                along = errors.scale * told + errors.stop_sd_mm * random.standard_normal()
+            for commanded in stops:
+                along = errors.scale * commanded + errors.stop_sd_mm * random.standard_normal()
                 spots = along + np.arange(markers) * (apart_mm + wrong)
                 for _ in range(errors.samples):
                     noise = errors.correlation * noise + fresh * random.standard_normal(noise.shape)
                     yield TrackerSample(
-                        time, stage, told, _HOME_MM + spots[:, None] * _AXIS + noise
+                        time, stage, commanded, _HOME_MM + spots[:, None] * _AXIS + noise
                     )
                     time += errors.interval_s
 
@@ -146,13 +146,13 @@ def _recording(
     columns += [moved.commanded] if moved else []
     columns += [column for triple in recording.markers.values() for column in triple]
     factor = unit_factor(recording.unit, "length")
-    told = unit_factor(moved.unit, "length") if moved else 1.0
+    per_mm = unit_factor(moved.unit, "length") if moved else 1.0
     rows = []
-    for one in samples:
-        row = [f"{one.time_s:.3f}"] if recording.time else []
-        row += [one.stage] if recording.stage else []
-        row += [f"{one.commanded_mm / told:g}"] if moved else []
-        row += [f"{v / factor:.7g}" for v in one.places_mm.ravel()]
+    for sample in samples:
+        row = [f"{sample.time_s:.3f}"] if recording.time else []
+        row += [sample.stage] if recording.stage else []
+        row += [f"{sample.commanded_mm / per_mm:g}"] if moved else []
+        row += [f"{v / factor:.7g}" for v in sample.places_mm.ravel()]
         rows.append([v.replace(".", mark) for v in row])
     return _csv(columns, rows, ";" if mark == "," else ",")
 

@@ -35,6 +35,7 @@ from study.mechanics.calibration.serial_correlation import (
     Series,
     effective_rows,
     intervals,
+    row_noise,
 )
 
 
@@ -123,9 +124,13 @@ def _series(
         recorded = recorded_rows(one, predicted, names)
         for weight, rows_used, force, slopes in recorded:
             residual = weight * (force - rows_used.force_N)
+            noise = row_noise(residual, rows_used.places, force)
+            # rows count in units of a common deviation, in which noise that grows is even
+            even = np.ones_like(residual) if noise is None else noise.relative
             own = interpolation_transposed(by_point, places, rows_used.places)
             own /= len(one.recordings) or 1
-            out.append(Series(residual, weight[:, None] * slopes, own / weight))
+            scaled = (weight / even)[:, None] * slopes
+            out.append(Series(residual / even, scaled, own / weight * even))
     return out, known_covariance(priors, names, inverse)
 
 
@@ -205,6 +210,9 @@ class Population:
     #: 95 % intervals of the population's mean, and of the value found in the next specimen.
     mean_ci95: tuple[float, float]
     next_ci95: tuple[float, float]
+    #: Best linear unbiased prediction of each specimen's true value, NaN where its fit has none:
+    #: values are shrunk towards the mean by their own errors (Robinson 1991, Stat. Sci. 6, 15).
+    shrunk: tuple[float, ...] = ()
 
 
 def population(fits: Sequence[Fit]) -> tuple[Population, ...]:
@@ -224,12 +232,20 @@ def _of(name: str, k: int, fits: Sequence[Fit]) -> Population | None:
     mean, deviation = float(values.mean()), float(values.std(ddof=1))
     t = student_t(n - 1)
     of_mean, of_next = t * deviation / math.sqrt(n), t * deviation * math.sqrt(1 + 1 / n)
+    between = max(deviation**2 - within, 0.0)
+    shrunk = [
+        mean + between / (between + one.standard_error[k] ** 2) * (float(one.values[k]) - mean)
+        if any(one is other for other in used)
+        else math.nan
+        for one in fits
+    ]
     return Population(
         name,
         n,
         mean,
         deviation,
-        math.sqrt(max(deviation**2 - within, 0.0)),
+        math.sqrt(between),
         (mean - of_mean, mean + of_mean),
         (mean - of_next, mean + of_next),
+        tuple(map(float, shrunk)),
     )

@@ -133,6 +133,12 @@ class ContactPoints:
         direction = (self.shape[:, :, None] * normal[:, None, :]).reshape(self.size, -1)
         return Meeting(gap + self.allowance_mm, direction, hessian)
 
+    def distance(self, place: Array, moved: Array, displacement_mm: float) -> Array:
+        """Gap of any places of the specimen, shape (n,); before and by the deformation (n, dim)."""
+        if self.small_strain:
+            return self.surface.reference_gap(place, moved, displacement_mm)[0]
+        return self.surface.gap(place + moved, displacement_mm)[0]
+
     def evaluate(
         self, met: Meeting, multiplier: Array, closed: Flags | None = None, glue: Glue | None = None
     ) -> ContactState:

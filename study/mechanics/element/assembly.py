@@ -122,7 +122,7 @@ def assemble(
     # names of their own: fields would be counted as references at every point
     gradients, hoop, pressure_shape, weights, dofs = space
     law, constants, bulk, compliance, kappa = energy
-    positions, data, slots, kept = sums
+    positions, data, slots, kept_sums = sums
     nq, na, dim = gradients.shape[1:]
     n_p, nu, m = pressure_shape.shape[2], dim * na, dofs.shape[1]
     u, f, stress, ratios = np.empty((na, dim)), np.empty(9), np.empty(9), np.empty(nq)
@@ -168,7 +168,7 @@ def assemble(
             place_coupling(coupling, m, K)
             scatter(positions[e], K, data)
             if slots[e] >= 0:
-                kept[slots[e]] = K
+                kept_sums[slots[e]] = K
     return smallest
 
 

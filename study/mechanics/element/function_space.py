@@ -177,8 +177,8 @@ def nodal_volumes(mesh: Mesh, model: Model) -> Array:
     if axisymmetric:
         weights = weights * 2 * np.pi * np.asarray(basis.global_coordinates())[0]
     volumes = np.zeros(basis.N)
-    for own, (shape, *_) in zip(basis.element_dofs, basis.basis, strict=True):
-        np.add.at(volumes, own, (np.asarray(shape) * weights).sum(axis=1))
+    for element_nodes, (shape, *_) in zip(basis.element_dofs, basis.basis, strict=True):
+        np.add.at(volumes, element_nodes, (np.asarray(shape) * weights).sum(axis=1))
     return volumes
 
 
@@ -457,9 +457,9 @@ def slabs(space: Discretization) -> tuple[Slabs, ...]:
     for count in _COUNTS:
         if space.weights.size >= count * _WORTH:
             cuts = [_every_second(_cut(place, count)) for place in places]
-            found = [cut for cut in cuts if all(_apart(phase, space) for phase in cut)]
-            if found:
-                return min(found, key=_gaps)
+            separating = [cut for cut in cuts if all(_apart(phase, space) for phase in cut)]
+            if separating:
+                return min(separating, key=_gaps)
     if space.weights.size >= 2 * _WORTH:
         halves = [_halves(_cut(place, 2), space) for place in places]
         return min(halves, key=lambda phases: phases[1][0].size)

@@ -135,8 +135,8 @@ def height_and_area(specimen: Specimen) -> tuple[float, float]:
         return specimen.height_mm, specimen.area_mm2
     from study.mechanics.surface.closed_surface import body
 
-    found = body(specimen)
-    return found.height_mm, found.volume_mm3 / found.height_mm
+    solid = body(specimen)
+    return solid.height_mm, solid.volume_mm3 / solid.height_mm
 
 
 def homogeneous(
@@ -204,13 +204,13 @@ def between_rows(setup: Setup, material: Material, displacement_mm: Array) -> Cu
     node, weight = np.polynomial.legendre.leggauss(_PLACES)
     begin, width = np.append(0.0, d)[:-1], np.diff(d, prepend=0.0)
     inside = begin[:, None] + width[:, None] * (1 + node) / 2
-    asked, place = np.unique(
+    rows_needed, place = np.unique(
         np.concatenate([d, first, second, inside.ravel()]), return_inverse=True
     )
-    every = at_rows(setup, material, Curve(asked, np.empty(0)))
-    force, one, two, along = np.split(every.force_N[place], d.size * np.arange(1, 4))
+    every = at_rows(setup, material, Curve(rows_needed, np.empty(0)))
+    force, first_force, two, along = np.split(every.force_N[place], d.size * np.arange(1, 4))
     # at the unloaded end a parabola through two places ahead, else both neighbors
-    tangent = np.where(d > h, two - one, 4 * two - one - 3 * force) / (2 * h)
+    tangent = np.where(d > h, two - first_force, 4 * two - first_force - 3 * force) / (2 * h)
     work = np.cumsum(along.reshape(inside.shape) @ weight * width / 2)
     return replace(every.at_points(place[: d.size]), stiffness_N_per_mm=tangent, work_Nmm=work)
 
@@ -227,8 +227,8 @@ def _ramp(setup: Setup, material: Material, d: Array) -> Curve:
     begins = d.size > 0 and d[0] > 0
     rows = np.append(0.0, d) if begins else d
     course = over_time(setup, material, rows, rows / speed)
-    kept = course.at_points(np.arange(int(begins), rows.size))
-    return replace(kept, time_s=None)
+    ramp = course.at_points(np.arange(int(begins), rows.size))
+    return replace(ramp, time_s=None)
 
 
 def _no_speed() -> Fault:
@@ -308,20 +308,23 @@ def solution(problem: Problem) -> Solution:
     if curve.stiffness_N_per_mm is not None:  # known a little further than the last row
         reached &= np.isfinite(curve.stiffness_N_per_mm)
     count = int(d.size if reached.all() else np.argmin(reached))
-    kept = curve.at_points(np.arange(count))
+    rows_done = curve.at_points(np.arange(count))
     status, message = "converged", "closed form of a homogeneous deformation"
     if count < d.size:
         end = d[count - 1] if count else 0.0
         status, message = "unstable", f"the material has no equilibrium state beyond {end:.4g} mm"
     empty = without_answer(problem, status, message, time.perf_counter() - began)
-    reached_mm = float(kept.displacement_mm[-1]) if count else 0.0
-    return replace(empty, curve=kept, reached_mm=reached_mm, solver="closed form")
+    reached_mm = float(rows_done.displacement_mm[-1]) if count else 0.0
+    return replace(empty, curve=rows_done, reached_mm=reached_mm, solver="closed form")
 
 
 def _prescribed(problem: Problem) -> Curve:
     """Curve at the steps of a test, over the course that it prescribes where that matters."""
     setup, material, test = problem.setup, problem.material, problem.test
     course = course_of(test)
+    if setup.kind.mode == "biaxial":
+        rule = "biaxial is a test of measured stretches, which no displacement prescribes"
+        raise InputError(Fault("test.kind", rule, 'calibrate it, or solve kind = "equibiaxial"'))
     if material.relaxation and course is None:
         raise InputError(_no_speed())
     if course is None:
@@ -331,5 +334,5 @@ def _prescribed(problem: Problem) -> Curve:
     begun = Curve(
         np.append(0.0, course.displacement_mm), np.empty(0), time_s=np.append(0.0, course.time_s)
     )
-    found = at_rows(setup, material, begun)
-    return found.at_points(np.arange(1, len(found)))
+    path = at_rows(setup, material, begun)
+    return path.at_points(np.arange(1, len(path)))

@@ -67,10 +67,10 @@ class Anchors:
         if constants == anchor.constants:
             return Prediction(self._solution, self._seconds)
         problem = problem_of(config, constants, depth_mm)
-        found = solve(problem, gradients=False, warm=self._solution)
-        if found.status != "converged":
+        solution = solve(problem, gradients=False, warm=self._solution)
+        if solution.status != "converged":
             return _cold(config, constants, depth_mm, gradients=False)
-        return Prediction(found, self._seconds)
+        return Prediction(solution, self._seconds)
 
     def _prepare(self, config: Tables, depth_mm: float, anchor: Anchor) -> None:
         if anchor.group == self._group:

@@ -246,8 +246,8 @@ class ContactForceLaw:
         slope = self._spline(np.log(ends), 1)
         inside = slope * (self.force(d) - self._beyond(d) * self.stiffness_mm[-1]) / ends
         early = np.where(d < self.depth_mm[0], ends / d, 1.0)
-        found = np.where(d > self.depth_mm[-1], self.stiffness_mm[-1], inside * early)
-        return np.where(np.asarray(depth_mm) > 0, found, 0.0)
+        slopes = np.where(d > self.depth_mm[-1], self.stiffness_mm[-1], inside * early)
+        return np.where(np.asarray(depth_mm) > 0, slopes, 0.0)
 
     def radius(self, depth_mm: Array) -> Array:
         """Contact radius at depths, mm, of their shape."""
@@ -374,21 +374,29 @@ def limits(
     is_series: bool = False,
 ) -> tuple[ValidityLimit, ...]:
     """Depths at which the assumptions of the closed form end, the least first."""
-    found = [ValidityLimit(f"d/h <= {LAYER_DEPTH:g}", LAYER_DEPTH * layer.height_mm)]
+    limits_of_law = [ValidityLimit(f"d/h <= {LAYER_DEPTH:g}", LAYER_DEPTH * layer.height_mm)]
     if isinstance(indenter, Sphere):
-        found.append(ValidityLimit(f"d/R <= {SPHERE_DEPTH:g}", SPHERE_DEPTH * indenter.radius_mm))
+        limits_of_law.append(
+            ValidityLimit(f"d/R <= {SPHERE_DEPTH:g}", SPHERE_DEPTH * indenter.radius_mm)
+        )
     if isinstance(indenter, Flat):
-        found.append(ValidityLimit(f"d/a <= {PUNCH_DEPTH:g}", PUNCH_DEPTH * indenter.radius_mm))
+        limits_of_law.append(
+            ValidityLimit(f"d/a <= {PUNCH_DEPTH:g}", PUNCH_DEPTH * indenter.radius_mm)
+        )
     if isinstance(indenter, Cone) and indenter.shaft_radius_mm is not None:
-        found.append(ValidityLimit("a below the shaft", _depth_at(law, indenter.shaft_radius_mm)))
+        limits_of_law.append(
+            ValidityLimit("a below the shaft", _depth_at(law, indenter.shaft_radius_mm))
+        )
     if is_series and isinstance(indenter, Sphere):
         depth = (SERIES_CHI * layer.height_mm) ** 2 / indenter.radius_mm
-        found.append(ValidityLimit(f"sqrt(R d)/h <= {SERIES_CHI:g}", depth))
+        limits_of_law.append(ValidityLimit(f"sqrt(R d)/h <= {SERIES_CHI:g}", depth))
     else:
-        found.append(ValidityLimit(f"a/h <= {WIDEST:g}", _depth_at(law, WIDEST * layer.height_mm)))
+        limits_of_law.append(
+            ValidityLimit(f"a/h <= {WIDEST:g}", _depth_at(law, WIDEST * layer.height_mm))
+        )
     if area_mm2 is not None:
-        found.append(_column(layer, law, area_mm2))
-    return tuple(sorted(found, key=lambda one: one.depth_mm))
+        limits_of_law.append(_column(layer, law, area_mm2))
+    return tuple(sorted(limits_of_law, key=lambda limit: limit.depth_mm))
 
 
 def _depth_at(law: ContactForceLaw, radius_mm: float) -> float:

@@ -447,30 +447,30 @@ class DeclaredConstants(Energy):
 
     def constant_names(self, order: int = 1) -> tuple[str, ...]:
         """Return the declared ones."""
-        return tuple(one.name for one in self.declared)
+        return tuple(constant.name for constant in self.declared)
 
     def bounds(self, constant: str) -> Bounds:
         """Return the declared range."""
-        one = self._named(constant)
-        return one.low, one.high
+        declared = self._named(constant)
+        return declared.low, declared.high
 
     def is_dimensionless(self, constant: str) -> bool:
         """Whether it is declared so."""
-        return any(one.name == constant and one.is_dimensionless for one in self.declared)
+        return any(item.name == constant and item.is_dimensionless for item in self.declared)
 
     def forbidden(self, constants: Constants) -> dict[str, str]:
         """Constants outside their range, where the energy is not defined or not its own."""
         broken = {}
         for name, value in constants.items():
-            one = self._named(name)
-            if not one.low <= value <= one.high:
-                unit = "" if one.is_dimensionless else " MPa"
-                rule = f"{self.name} takes {name} from {one.low:g} to {one.high:g}{unit}"
+            declared = self._named(name)
+            if not declared.low <= value <= declared.high:
+                unit = "" if declared.is_dimensionless else " MPa"
+                rule = f"{self.name} takes {name} from {declared.low:g} to {declared.high:g}{unit}"
                 broken[name] = f"{rule}, got {value:g}"
         return broken
 
     def _named(self, constant: str) -> Constant:
-        return next(one for one in self.declared if one.name == constant)
+        return next(item for item in self.declared if item.name == constant)
 
 
 def no_counterpart(convention: str, constants: Constants) -> InputError:
@@ -484,5 +484,9 @@ def no_counterpart(convention: str, constants: Constants) -> InputError:
         Whose names the message lists.
     """
     return InputError(
-        Fault("convention", f"{convention} has no energy with {', '.join(constants)}")
+        Fault(
+            "convention",
+            f"{convention} has no energy with {', '.join(constants)}",
+            "fit an energy that it has, or give it this one as a user subroutine (Abaqus: UHYPER)",
+        )
     )

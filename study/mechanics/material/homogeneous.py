@@ -33,8 +33,8 @@ def strain_energy(material: Material, F: Array) -> Array:
         return np.asarray(mu * (dev**2).sum((0, 1)) + pressure / 2 * trace**2)
     stretch, _, J = _spectral(F)
     if (foam := material.compressible) is not None:
-        found = foam.energy_density(material.constants, material.compressibility, stretch)
-        return _reached(material, found)
+        foam_energy = foam.energy_density(material.constants, material.compressibility, stretch)
+        return _reached(material, foam_energy)
     bar = stretch / np.cbrt(J)
     energy = _reached(material, material.isochoric.energy_density(material.constants, bar))
     return energy + _finite(material.bulk) / 2 * (J - 1) ** 2
@@ -227,7 +227,7 @@ def _compressible(
     """Test of an energy whose volume change belongs to all of it."""
     x, t = np.log(stretch), 0 if mode is CONFINED else mode.free_axis
     a, v = np.array(mode.loaded, float), np.array(mode.free, float)
-    known = material.constants, material.compressibility
+    constants_given = material.constants, material.compressibility
 
     def at(z: Array) -> Array:
         log = np.tile(x, z.size // x.size)
@@ -235,16 +235,21 @@ def _compressible(
 
     def lateral(z: Array) -> tuple[Array, Array]:
         sides = at(z)
-        return energy.kirchhoff(*known, sides)[t], energy.kirchhoff_slope(*known, sides, v)[t]
+        return energy.kirchhoff(*constants_given, sides)[t], energy.kirchhoff_slope(
+            *constants_given, sides, v
+        )[t]
 
     nu = poisson_from_bulk(material.mu0, material.bulk)
     loaded = a.sum()  # one or two directions: the strain of small ones begins the search
     narrower = -nu * loaded / (1 - nu * (2 - v.sum()))
     z = np.zeros_like(x) if mode is CONFINED else _safeguarded_newton(lateral, narrower * x)
     sides = at(z)
-    tau, partial = energy.kirchhoff(*known, sides), energy.kirchhoff_gradient(*known, sides)
-    along_x = energy.kirchhoff_slope(*known, sides, a)
-    along_z = energy.kirchhoff_slope(*known, sides, v)
+    tau, partial = (
+        energy.kirchhoff(*constants_given, sides),
+        energy.kirchhoff_gradient(*constants_given, sides),
+    )
+    along_x = energy.kirchhoff_slope(*constants_given, sides, a)
+    along_z = energy.kirchhoff_slope(*constants_given, sides, v)
     gives = np.zeros_like(x) if mode is CONFINED else along_z[0] / along_z[t]
     gradient = {n: (g[0] - gives * g[t]) / stretch for n, g in partial.items()}
     slope = (along_x[0] - gives * along_x[t] - tau[0]) / stretch**2
@@ -480,6 +485,50 @@ def sheared_stretches(shear: Array, prestretch: float = 1.0) -> tuple[Array, Arr
     return longest, np.full(shear.shape, free), prestretch * free / longest
 
 
+def _biaxial(material: Material, stretch: Array) -> Loaded:
+    """Two directions stretched as they like, the third free of stress.
+
+    Shapes: stretch (2 n,), the n of the first direction and the n of the second; stresses too.
+    """
+    if stretch.size % 2:
+        rule = "has stretches of two directions, as many of each"
+        raise InputError(Fault("test.kind", f"biaxial {rule}", "calibrate it to measured rows"))
+    if material.compressible is not None or material.small_strain:
+        rule = f"{material.model} has no closed form of unequal stretches here"
+        raise InputError(Fault("material.model", rule, "take an isochoric energy"))
+    x = np.log(stretch)
+    y = np.roll(x, stretch.size // 2)
+    energy, constants, bulk = material.isochoric, material.constants, material.bulk
+    z, sides = -x - y, deviator(np.array([0.0, 0.0, 1.0]))
+
+    def thickness(z: Array) -> tuple[Array, Array]:
+        times = z.size // x.size
+        log = np.stack([np.tile(x, times), np.tile(y, times), z])
+        J = np.exp(log.sum(0))
+        stress, along = energy.stress_and_slope(constants, np.exp(deviator(log)), sides)
+        return (
+            deviator(stress)[2] + bulk * J * (J - 1),
+            deviator(along)[2] + bulk * (2 * J - 1) * J,
+        )
+
+    with np.errstate(all="ignore"):  # unstable constants may have no equilibrium: NaN says so
+        if not material.incompressible:
+            z = _safeguarded_newton(thickness, z)
+        log = np.stack([x, y, z])
+        bar, J = np.exp(deviator(log)), np.exp(log.sum(0))
+        stress, along = energy.stress_and_slope(constants, bar, sides)
+        partial = energy.principal_stress_gradient(constants, bar)
+        gradient = {n: (g[0] - g[2]) / stretch for n, g in partial.items()}
+        if not material.incompressible:
+            change = deviator(along)
+            by_z = change[2] + bulk * (2 * J - 1) * J
+            dbulk = material.bulk_gradient()
+            for n, g in partial.items():
+                dz = -(deviator(g)[2] + dbulk[n] * J * (J - 1)) / by_z
+                gradient[n] = gradient[n] + (change[0] - change[2]) * dz / stretch
+        return Loaded((stress[0] - stress[2]) / stretch, gradient)
+
+
 def _volumetric(material: Material, stretch: Array) -> Loaded:
     """Equal stretches on all sides: P = K (J - 1) l^2, compression negative."""
     if material.incompressible:
@@ -511,6 +560,7 @@ LOADINGS: Mapping[str, Loading] = {
     "uniaxial": _principal(UNIAXIAL),
     "equibiaxial": _principal(EQUIBIAXIAL),
     "planar": _principal(PLANAR),
+    "biaxial": Loading(_biaxial),
     "confined": _principal(CONFINED, is_volumetric=True),
     "simple-shear": Loading(_simple_shear, is_shear=True),
     "volumetric": Loading(_volumetric, is_volumetric=True),

@@ -46,30 +46,30 @@ def material_name(text: str) -> str:
 
 def remarks(material: Material, converted: Converted) -> tuple[str, ...]:
     """Say what whoever uses the constants elsewhere must know."""
-    said = [_UNITS, f"Drucker's criterion: {stability(material).sentence}."]
+    lines = [_UNITS, f"Drucker's criterion: {stability(material).sentence}."]
     if converted.convention == "febio":
         if material.incompressible:
             finite = f"k = {NEARLY_INCOMPRESSIBLE:g} mu0 there, which must be finite."
-            said.append(f"Incompressible here; {finite}")
+            lines.append(f"Incompressible here; {finite}")
     elif converted.note:
-        said.append(f"{converted.note[0].upper()}{converted.note[1:]}.")
+        lines.append(f"{converted.note[0].upper()}{converted.note[1:]}.")
     if converted.convention == "abaqus" and material.incompressible and not material.small_strain:
-        said.append("Incompressible (D = 0): take hybrid elements, such as C3D8H or C3D10H.")
+        lines.append("Incompressible (D = 0): take hybrid elements, such as C3D8H or C3D10H.")
     if material.relaxation:
-        said.append("The constants are instantaneous ones; K does not relax.")
+        lines.append("The constants are instantaneous ones; K does not relax.")
     if material.relaxation and converted.convention == "febio":
-        said.append(
+        lines.append(
             "FEBio fades the second Piola-Kirchhoff stress without its projection at the present "
             "state: the same where the volume is kept, as k does."
         )
-    return tuple(said)
+    return tuple(lines)
 
 
 def abaqus_text(material: Material, name: str) -> str:
     """Write the lines of a material for an Abaqus input file."""
-    found = material.energy.abaqus(material.constants, material.compressibility)
-    keyword, values = _abaqus_values(material, found)
-    lines = [f"** {line}" for one in remarks(material, found) for line in _wrapped(one)]
+    converted = material.energy.abaqus(material.constants, material.compressibility)
+    keyword, values = _abaqus_values(material, converted)
+    lines = [f"** {line}" for remark in remarks(material, converted) for line in _wrapped(remark)]
     lines += [f"*Material, name={name}"]
     lines += [keyword + (", moduli=instantaneous" if material.relaxation else "")]
     rows = [values[k : k + _PER_LINE] for k in range(0, len(values), _PER_LINE)]
@@ -81,11 +81,11 @@ def abaqus_text(material: Material, name: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _abaqus_values(material: Material, found: Converted) -> tuple[str, list[float]]:
+def _abaqus_values(material: Material, converted: Converted) -> tuple[str, list[float]]:
     """Keyword line and data of a material, a volumetric constant for every term."""
-    constants = dict(found.constants)
+    constants = dict(converted.constants)
     volume = constants.pop("D1", constants.pop("D", None))
-    keyword, terms = found.keyword, 1
+    keyword, terms = converted.keyword, 1
     if keyword.endswith("polynomial"):
         terms = material.energy.order_of(constants)
         keyword = f"{keyword}, n={terms}"
@@ -104,17 +104,17 @@ def _abaqus_values(material: Material, found: Converted) -> tuple[str, list[floa
 
 def febio_text(material: Material, name: str) -> str:
     """Write a FEBio file that holds a material alone."""
-    found = material.energy.febio(material.constants, material.compressibility)
+    converted = material.energy.febio(material.constants, material.compressibility)
     if len(material.relaxation) > MOST_OF_FEBIO:
         rule = f"FEBio takes {MOST_OF_FEBIO} terms at most, got {len(material.relaxation)}"
         raise InputError(Fault("material.relaxation", rule, "calibrate fewer terms"))
-    said = [line for one in remarks(material, found) for line in _wrapped(one)]
-    inner = _febio_material(material, found, name)
+    lines = [line for remark in remarks(material, converted) for line in _wrapped(remark)]
+    inner = _febio_material(material, converted, name)
     return "\n".join(
         [
             '<?xml version="1.0" encoding="UTF-8"?>',
             "<!--",
-            *said,
+            *lines,
             "-->",
             '<febio_spec version="4.0">',
             '  <Module type="solid"/>',
@@ -127,16 +127,21 @@ def febio_text(material: Material, name: str) -> str:
     )
 
 
-def _febio_material(material: Material, found: Converted, name: str) -> list[str]:
-    own = {n: v for n, v in found.constants.items() if n != "k"}
+def _febio_material(material: Material, converted: Converted, name: str) -> list[str]:
+    constants = {n: v for n, v in converted.constants.items() if n != "k"}
     head = f'<material id="1" name="{name}"'
     if material.small_strain:
-        return [f'{head} type="{found.keyword}">', *_elements(own), "</material>"]
+        return [f'{head} type="{converted.keyword}">', *_elements(constants), "</material>"]
     bulk = material.bulk
     volume = {"k": bulk if math.isfinite(bulk) else NEARLY_INCOMPRESSIBLE * material.mu0}
     around = [*_elements(volume), "  <pressure_model>Abaqus</pressure_model>"]
     if not material.relaxation:
-        return [f'{head} type="{found.keyword}">', *_elements(own), *around, "</material>"]
+        return [
+            f'{head} type="{converted.keyword}">',
+            *_elements(constants),
+            *around,
+            "</material>",
+        ]
     fading = {"g0": long_term_share(material.relaxation)}
     fading |= {f"g{k}": float(v) for k, v in enumerate(shares(material.relaxation), 1)}
     fading |= {f"t{k}": float(v) for k, v in enumerate(times(material.relaxation), 1)}
@@ -144,8 +149,8 @@ def _febio_material(material: Material, found: Converted, name: str) -> list[str
         f'{head} type="uncoupled viscoelastic">',
         *around,
         *_elements(fading),
-        f'  <elastic type="{found.keyword}">',
-        *(f"  {line}" for line in _elements(own)),
+        f'  <elastic type="{converted.keyword}">',
+        *(f"  {line}" for line in _elements(constants)),
         "  </elastic>",
         "</material>",
     ]

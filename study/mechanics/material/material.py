@@ -95,8 +95,8 @@ def constant_names(model: str, order: int | None = None) -> tuple[str, ...]:
 
 def is_constant(name: str) -> bool:
     """Whether any energy, or a relaxation, has a constant of this name."""
-    known = any(energy.has_constant(name) for energy in ENERGIES.values())
-    return known or is_of_relaxation(name)
+    is_declared = any(energy.has_constant(name) for energy in ENERGIES.values())
+    return is_declared or is_of_relaxation(name)
 
 
 def is_constant_key(key: str) -> bool:
@@ -157,13 +157,13 @@ class Material:
     relaxation: tuple[RelaxationTerm, ...] = ()
 
     def __post_init__(self) -> None:
-        found = [*_constant_faults(self.energy, self.constants), *self.compressibility.faults()]
-        found += faults(self.relaxation)
+        wrong = [*_constant_faults(self.energy, self.constants), *self.compressibility.faults()]
+        wrong += faults(self.relaxation)
         energy = self.energy
         if isinstance(energy, CompressibleEnergy) and self.poisson_ratio is None:
-            found.append(energy.without_poisson_ratio())
-        if found:
-            raise InputError(found)
+            wrong.append(energy.without_poisson_ratio())
+        if wrong:
+            raise InputError(wrong)
         names = self.energy.ordered(self.constants)
         object.__setattr__(self, "constants", {n: float(self.constants[n]) for n in names})
 

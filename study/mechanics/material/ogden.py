@@ -307,8 +307,8 @@ class OgdenHill(OgdenSeries, CompressibleEnergy):
     def abaqus(self, constants: Constants, compressibility: Compressibility) -> Converted:
         """Abaqus has the same form, with a Poisson's ratio for every term."""
         terms = len(constants) // 2
-        own = {f"nu{k}": _poisson_ratio(compressibility) for k in range(1, terms + 1)}
-        return Converted("abaqus", f"*Hyperfoam, n={terms}", {**constants, **own})
+        poisson_ratios = {f"nu{k}": _poisson_ratio(compressibility) for k in range(1, terms + 1)}
+        return Converted("abaqus", f"*Hyperfoam, n={terms}", {**constants, **poisson_ratios})
 
 
 def _poisson_ratio(compressibility: Compressibility) -> float:

@@ -159,7 +159,7 @@ def _stress_slope(
 
 def _vanish(*derivatives: Array | float) -> bool:
     """Whether derivatives are zero everywhere by the form of W, said by plain zeros."""
-    return all(isinstance(one, float) and one == 0.0 for one in derivatives)
+    return all(isinstance(value, float) and value == 0.0 for value in derivatives)
 
 
 def _shear(slopes: Slopes) -> float:
@@ -197,20 +197,25 @@ class TableEnergy(InvariantEnergy):
 
     def slopes(self, constants: Constants, a: Array, b: Array) -> Slopes:
         """Slopes of the table."""
-        known = _differentiated(self, tuple(constants.items()))
-        return Slopes(_value(known.by_a, a, b), _value(known.by_b, a, b))
+        differentiated = _differentiated(self, tuple(constants.items()))
+        return Slopes(_value(differentiated.by_a, a, b), _value(differentiated.by_b, a, b))
 
     def curvatures(self, constants: Constants, a: Array, b: Array) -> Curvatures:
         """Slopes of the table's derivatives."""
-        known = _differentiated(self, tuple(constants.items()))
-        return Curvatures(*(_value(one, a, b) for one in (known.aa, known.ab, known.bb)))
+        differentiated = _differentiated(self, tuple(constants.items()))
+        return Curvatures(
+            *(
+                _value(table, a, b)
+                for table in (differentiated.aa, differentiated.ab, differentiated.bb)
+            )
+        )
 
     def slope_gradients(self, constants: Constants, a: Array, b: Array) -> dict[str, Slopes]:
         """Slopes of the derivatives of the table."""
-        known = _differentiated(self, tuple(constants.items()))
+        differentiated = _differentiated(self, tuple(constants.items()))
         return {
             name: Slopes(_value(by_a, a, b), _value(by_b, a, b))
-            for name, (by_a, by_b) in known.rates.items()
+            for name, (by_a, by_b) in differentiated.rates.items()
         }
 
 

@@ -47,8 +47,8 @@ def time_name(number: int) -> str:
 
 def is_time(name: str) -> bool:
     """Whether a constant is the time of a term, in s."""
-    found = _NAME.fullmatch(name)
-    return found is not None and found[1] == "time"
+    match = _NAME.fullmatch(name)
+    return match is not None and match[1] == "time"
 
 
 def is_of_relaxation(name: str) -> bool:
@@ -79,22 +79,24 @@ def long_term_share(terms: Iterable[RelaxationTerm]) -> float:
 
 def faults(terms: Sequence[RelaxationTerm], where: str = "material.relaxation") -> list[Fault]:
     """Say what is wrong with numbers, so that no stress could be computed with them."""
-    found = []
+    faults_found = []
     if len(terms) > MOST_TERMS:
         mend = "leave the fastest and the slowest ones out"
-        found.append(Fault(where, f"has {len(terms)} terms, at most {MOST_TERMS} are taken", mend))
+        faults_found.append(
+            Fault(where, f"has {len(terms)} terms, at most {MOST_TERMS} are taken", mend)
+        )
     for number, term in enumerate(terms, 1):
         if not math.isfinite(term.share):
-            found.append(Fault(where, f"share {number} must be finite, got {term.share}"))
+            faults_found.append(Fault(where, f"share {number} must be finite, got {term.share}"))
         if not (math.isfinite(term.time_s) and term.time_s > 0):
             rule = f"time {number} must be positive and finite, got {term.time_s} s"
-            found.append(Fault(where, rule))
-    return found
+            faults_found.append(Fault(where, rule))
+    return faults_found
 
 
 def unphysical(terms: Sequence[RelaxationTerm], where: str = "material.relaxation") -> list[Fault]:
     """Say which shares make a material that gives back more work than was put in."""
-    found = [
+    growing = [
         Fault(where, f"share {number} is {term.share:g}: a stress cannot grow by itself")
         for number, term in enumerate(terms, 1)
         if term.share < 0
@@ -102,5 +104,5 @@ def unphysical(terms: Sequence[RelaxationTerm], where: str = "material.relaxatio
     left = long_term_share(terms)
     if terms and left <= 0:
         rule = f"the shares add up to {1 - left:g}: nothing of the stiffness would be left"
-        found.append(Fault(where, rule, "the sum of all shares must stay below 1"))
-    return found
+        growing.append(Fault(where, rule, "the sum of all shares must stay below 1"))
+    return growing

@@ -55,8 +55,14 @@ def stable_in(mode: Mode, material: Material, stretches: ArrayLike) -> bool:
     return _limit(material, mode, float(given.min()), float(given.max())) is None
 
 
-def stability(material: Material, stretches: ArrayLike = USUAL_STRETCHES) -> StabilityResult:
+def stability(
+    material: Material,
+    stretches: ArrayLike = USUAL_STRETCHES,
+    held: Mapping[str, tuple[float, float]] | None = None,
+) -> StabilityResult:
     """Check Drucker's criterion in uniaxial, equibiaxial and planar loading.
+
+    ``held`` are the least and the largest stretch of loadings that have a range of their own.
 
     Examples
     --------
@@ -65,22 +71,26 @@ def stability(material: Material, stretches: ArrayLike = USUAL_STRETCHES) -> Sta
     'stable in uniaxial, equibiaxial and planar loading from stretch 0.9 to 1'
     """
     given = np.append(np.asarray(stretches, float).ravel(), 1.0)
-    low, high = float(given.min()), float(given.max())
+    usual = (float(given.min()), float(given.max()))
     if material.small_strain:
         return StabilityResult(True, "stable: small strain, positive modulus", {})
     energy, limits, parts = material.energy, {}, []
+    ranges = {m.name: (held or {}).get(m.name, usual) for m in (UNIAXIAL, EQUIBIAXIAL, PLANAR)}
     proven = isinstance(energy, IsochoricEnergy) and energy.always_stable(material.constants)
     for mode in () if proven else (UNIAXIAL, EQUIBIAXIAL, PLANAR):
-        limit = _limit(material, mode, low, high)
+        low, high = ranges[mode.name]
+        limit = _limit(material, mode, min(low, 1.0), max(high, 1.0))
         if limit is not None:
             limits[mode.name] = limit
             parts.append(_failure(material, mode, limit))
-    if not limits:
-        where = f"from stretch {low:.4g} to {high:.4g}"
-        return StabilityResult(
-            True, f"stable in uniaxial, equibiaxial and planar loading {where}", {}
-        )
-    return StabilityResult(False, "unstable (Drucker) " + ", ".join(parts), limits)
+    if limits:
+        return StabilityResult(False, "unstable (Drucker) " + ", ".join(parts), limits)
+    where = {name: f"from stretch {low:.4g} to {high:.4g}" for name, (low, high) in ranges.items()}
+    if len(set(where.values())) == 1:
+        alike = f"uniaxial, equibiaxial and planar loading {where[UNIAXIAL.name]}"
+        return StabilityResult(True, f"stable in {alike}", {})
+    listed = ", ".join(f"{name} loading {words}" for name, words in where.items())
+    return StabilityResult(True, f"stable in {listed}", {})
 
 
 def tangent(material: Material, mode: Mode, stretch: ArrayLike) -> Array:
@@ -149,12 +159,12 @@ def _limit(material: Material, mode: Mode, low: float, high: float) -> float | N
     stable = np.split(_stable(material, mode, np.concatenate(paths)), len(paths))
     if not stable[0][0]:
         return 1.0
-    found = []
+    limits = []
     for path, good in zip(paths, stable, strict=True):
         bad = np.flatnonzero(~good)
         if bad.size:
-            found.append(_first_unstable(material, mode, path[bad[0] - 1], path[bad[0]]))
-    return min(found, key=lambda s: abs(np.log(s))) if found else None
+            limits.append(_first_unstable(material, mode, path[bad[0] - 1], path[bad[0]]))
+    return min(limits, key=lambda s: abs(np.log(s))) if limits else None
 
 
 def _first_unstable(material: Material, mode: Mode, good: float, bad: float) -> float:
@@ -188,9 +198,9 @@ def _stable_in_volume(
             for unit in np.eye(3)
         ]
     hessian = np.moveaxis(np.array(slopes), -1, 0)
-    known = np.asarray(np.isfinite(hessian).all(axis=(1, 2)))
-    values = np.linalg.eigvalsh(np.where(known[:, None, None], hessian, 0.0))
-    return np.asarray(known & (values[:, 0] > 0))
+    is_finite = np.asarray(np.isfinite(hessian).all(axis=(1, 2)))
+    values = np.linalg.eigvalsh(np.where(is_finite[:, None, None], hessian, 0.0))
+    return np.asarray(is_finite & (values[:, 0] > 0))
 
 
 # Where an energy loses its ellipticity: deformation may then gather in bands of no width.

@@ -57,7 +57,7 @@ def accumulated(decay: Array, source: Array, first: Array) -> Array:
 @kernel()
 def free_steps(
     decay: Array, weight: Array, share: Array, stays: float,
-    pull: Array, rate: Array, own: Array, residual: Array,
+    pull: Array, rate: Array, free: Array, residual: Array,
 ) -> Array:  # fmt: skip
     """Solve the linearized condition of a stress-free side at every node, memories included.
 
@@ -66,7 +66,7 @@ def free_steps(
     """
     terms, intervals, _ = decay.shape
     step = np.empty(2 * intervals + 1)
-    total = own[0]
+    total = free[0]
     for k in range(3):
         total += pull[k, 0] * rate[k, 0]
     step[0] = -residual[0] / total
@@ -83,14 +83,14 @@ def free_steps(
             right[j] = -residual[node]
             left[j, 0] = 0.0
             left[j, 1] = 0.0
-            left[j, j] = own[node]
+            left[j, j] = free[node]
             for k in range(3):
                 left[j, j] += pull[k, node] * stays * rate[k, node]
                 for term in range(terms):
                     w = pull[k, node] * share[term]
-                    known = decay[term, n, j] * memory[term, k]
-                    known += weight[term, n, j, 0] * rate[k, begin] * step[begin]
-                    right[j] -= w * known
+                    carried = decay[term, n, j] * memory[term, k]
+                    carried += weight[term, n, j, 0] * rate[k, begin] * step[begin]
+                    right[j] -= w * carried
                     left[j, 0] += w * weight[term, n, j, 1] * rate[k, begin + 1]
                     left[j, 1] += w * weight[term, n, j, 2] * rate[k, begin + 2]
         determinant = left[0, 0] * left[1, 1] - left[0, 1] * left[1, 0]
@@ -199,8 +199,8 @@ class Memory:
 
     def convolved(self, values: Array, memories: Array | None = None) -> Array:
         """Stress that is left of values, shape (parts, nodes)."""
-        known = self.memories(values) if memories is None else memories
-        return np.asarray(self.stays * values + np.einsum("t,tpn->pn", self.shares, known))
+        carried = self.memories(values) if memories is None else memories
+        return np.asarray(self.stays * values + np.einsum("t,tpn->pn", self.shares, carried))
 
     def memory_rate(self, term: int, values: Array, memory: Array) -> Array:
         """Differentiate one memory (parts, nodes) by its time, MPa/s."""
@@ -213,11 +213,11 @@ class Memory:
 
     def by_relaxation(self, values: Array, memories: Array) -> dict[str, Array]:
         """Differentiate what is left of values by every share and time, (parts, nodes) each."""
-        found = {}
+        by_term = {}
         for k, term in enumerate(self.material.relaxation):
-            found[share_name(k + 1)] = memories[k] - values
-            found[time_name(k + 1)] = term.share * self.memory_rate(k, values, memories[k])
-        return found
+            by_term[share_name(k + 1)] = memories[k] - values
+            by_term[time_name(k + 1)] = term.share * self.memory_rate(k, values, memories[k])
+        return by_term
 
 
 def _growing(first: float) -> Array:
@@ -244,8 +244,8 @@ def _weights(x: Array) -> tuple[Array, Array]:
     first, second, first_rate, second_rate = _exponential_functions(x[..., None] * c)
     slope, at_zero = np.array([4.0, -8.0, 4.0]), np.array([-3.0, 4.0, -1.0])
 
-    def joined(one: Array, s: Array) -> Array:
-        return np.asarray(one[..., None] * at_zero + s[..., None] * slope)
+    def joined(block: Array, s: Array) -> Array:
+        return np.asarray(block[..., None] * at_zero + s[..., None] * slope)
 
     return joined(c * first, c**2 * second), joined(c**2 * first_rate, c**3 * second_rate)
 
@@ -409,9 +409,9 @@ class _Condition:
         rate = slope / state.bar**2 - 2 * turn[:, None] * state.values
         side = np.eye(3)[mode.free_axis] - 1 / 3
         J, bulk = state.J, material.bulk
-        own = 2 * (side * turn) @ state.left + bulk * (2 * J - 1) * J * v.sum()
+        second_piola = 2 * (side * turn) @ state.left + bulk * (2 * J - 1) * J * v.sum()
         residual = side @ state.left + bulk * J * (J - 1)
-        return cls(memory, side[:, None] * state.bar**2, rate, own, residual, side)
+        return cls(memory, side[:, None] * state.bar**2, rate, second_piola, residual, side)
 
     def steps(self, residual: Array | None = None) -> Array:
         """Find the free logarithmic stretch's changes that make a residual (or its own) zero."""

@@ -110,6 +110,7 @@ KINEMATIC: Mapping[str, str] = {
     "strain": "ratio",
     "true_strain": "ratio",
     "volume_ratio": "ratio",
+    "stretch_1": "ratio",
 }
 
 #: columns that say how it resisted
@@ -118,7 +119,11 @@ KINETIC: Mapping[str, str] = {
     "stress": "pressure",
     "true_stress": "pressure",
     "pressure": "pressure",
+    "stress_1": "pressure",
 }
+
+#: second direction of a biaxial test, by its first
+SECOND: Mapping[str, str] = {"stretch_1": "stretch_2", "stress_1": "stress_2"}
 
 #: stretch beyond that of rubber and tough gels
 LARGEST_STRETCH = 20.0
@@ -132,10 +137,13 @@ _MODES: Mapping[str, tuple[str, ...]] = {
     "volume_ratio": ("confined", "volumetric"),
     "true_stress": ("uniaxial", "equibiaxial", "planar", "confined", "simple-shear"),
     "pressure": ("volumetric",),
+    "stretch_1": ("biaxial",),
+    "stress_1": ("biaxial",),
 }
 
 _TO_STRETCH: Mapping[str, Callable[[Array], Array]] = {
     "stretch": lambda value: value,
+    "stretch_1": lambda value: value,
     "strain": lambda value: 1 + value,
     "true_strain": np.exp,
 }
@@ -169,6 +177,10 @@ def displacement_and_force(
 
     Shapes: deformed, resisted (rows,), mm, MPa; returns (rows,).
     """
+    if gauge is not None and gauge.mode == "biaxial" and kinematic not in SECOND:
+        rule = "a biaxial test has a stretch and a stress in each of two directions"
+        mend = "name columns stretch_1, stretch_2, stress_1 and stress_2"
+        raise InputError(Fault(where, rule, mend))
     if kinematic == "displacement" and kinetic == "force":
         return deformed, resisted
     known = _checked(kinematic, kinetic, gauge, where)
@@ -185,7 +197,7 @@ def displacement_and_force(
     if not (stretch > 0).all():
         rule = f"{kinematic} of {deformed[np.argmin(stretch)]:g} leaves nothing of the specimen"
         raise InputError(Fault(where, rule, f"check the column and measurements.units: {percent}"))
-    least = 1.0 if kinematic != "stretch" else float(stretch.min())
+    least = float(stretch.min()) if kinematic.startswith("stretch") else 1.0
     if stretch.max() > LARGEST_STRETCH and (least == 1.0 or least > _AT_REST):
         rule = (
             f"{kinematic} up to {deformed[np.argmax(stretch)]:g} means a stretch of "

@@ -90,23 +90,23 @@ def _half_space(indenter: Indenter, depth_mm: float) -> float:
 
 def checked(found: Measurements, setup: Setup) -> Measurements:
     """Copy measurements with a note on every test whose modulus no soft material has."""
-    middle = len(found.displacement_mm) // 2
-    place = float(found.displacement_mm[middle])
     low, high = SOFT_MPA
-    odd: list[tuple[float, float]] = []
+    odd: list[tuple[float, float, float]] = []
     for test in found.tests:
-        force = float(test.force_N[middle])
+        rows = test.recorded.displacement_mm if found.own_rows and test.recorded else None
+        places = found.displacement_mm if rows is None else rows
+        place, force = float(places[len(places) // 2]), float(test.force_N[len(places) // 2])
         modulus = apparent_modulus(setup, place, force) if place > 0 and force > 0 else None
         if modulus is not None and not low <= modulus <= high:
-            odd.append((force, modulus))
+            odd.append((place, force, modulus))
     if not odd:
         return found
-    return replace(found, notes=(*found.notes, _sentence(odd, len(found.tests), place, found)))
+    return replace(found, notes=(*found.notes, _sentence(odd, found)))
 
 
-def _sentence(odd: list[tuple[float, float]], total: int, place: float, found: Measurements) -> str:
+def _sentence(odd: list[tuple[float, float, float]], found: Measurements) -> str:
     """Say which forces are meant, and what would make them plausible."""
-    force, modulus = odd[0]
+    place, force, modulus = odd[0]
     low, high = SOFT_MPA
     factor = _THOUSAND if modulus < low else 1 / _THOUSAND
     likely = low <= modulus * factor <= high
@@ -115,8 +115,8 @@ def _sentence(odd: list[tuple[float, float]], total: int, place: float, found: M
     return (
         f"{', '.join(sorted(found.files)[:2])}: {force:.4g} N at {place:.4g} mm means a Young's "
         f"modulus of about {_in_words(modulus)}, that of {IMPLAUSIBLE} ({_in_words(low)} to "
-        f"{_in_words(high)}; in {len(odd)} of {total} tests){hint}: check measurements.units "
-        "and the size of the specimen"
+        f"{_in_words(high)}; in {len(odd)} of {len(found.tests)} tests){hint}: check "
+        "measurements.units and the size of the specimen"
     )
 
 
@@ -133,6 +133,8 @@ MIN_ROWS = 3
 EQUAL_MM = 1e-9
 #: force of the unloaded specimen over the largest one, from which a zero is asked for
 OFFSET_SHARE = 0.02
+#: share of the range by which raw rows may end before it without a word
+_SHORT = 0.02
 #: times that a test may go further than its range and still be a test for it
 _SAME_SIZE = 5.0
 
@@ -216,12 +218,15 @@ def condition(displacement_mm: Array, force_N: Array, rules: Rules, where: str) 
     every_d, every_f = _turned(displacement_mm, force_N, rules, where, counts)
     phases = phases_of(every_d)
     chosen = rules.branch.of(phases, every_d, every_f, where, is_signed=rules.is_signed)
-    first = chosen if rules.branch.which == "auto" else _first_loading(phases)
+    loadings = [p for p in phases if p.kind == "loading"] or list(phases)
+    first = chosen if rules.branch.which == "auto" else loadings[:1]
     before = _rows_of(first, every_d, every_f)
-    _check_begin(*before, _way_in(displacement_mm, every_d), rules, where)
+    far = int(np.argmax(np.abs(displacement_mm)))
+    way_in = math.copysign(1.0, float(displacement_mm[far] * every_d[far]))
+    _check_begin(*before, way_in, rules, where)
     rules = replace(rules, low_mm=-np.inf) if _is_through_zero(*before, rules) else rules
     d, f = _rows_of(chosen, every_d, every_f)
-    if len(chosen) == 1 and chosen[0].kind == "unloading":
+    if len(chosen) == 1 and (chosen[0].kind == "unloading" or (np.diff(d) < 0).all()):
         d, f = d[::-1], f[::-1]
     _check_torn(d, f, rules, where)
     zero, offset = _zero(*before, rules.zero), _offset(*before, rules)
@@ -238,7 +243,9 @@ def condition(displacement_mm: Array, force_N: Array, rules: Rules, where: str) 
     recorded = Curve(d[within], f[within])
     if rules.is_raw:
         if inside < MIN_ROWS:
-            raise InputError(_too_few(inside, rules, where))
+            raise InputError(_too_few(inside, rules, where, float(d[-1])))
+        if np.isfinite(rules.high_mm) and d[-1] < (1 - _SHORT) * rules.high_mm:
+            counts[f"rows end at {_place(d[-1], rules)}, before the end of the range"] += 1
         places, force = recorded.displacement_mm, recorded.force_N
     else:
         places, force = rules.grid(), _resample(d, f, rules, where, counts)
@@ -249,11 +256,6 @@ def _rows_of(phases: Sequence[Phase], d: Array, f: Array) -> tuple[Array, Array]
     """Rows of some phases, in order."""
     rows = np.concatenate([np.arange(p.first, p.last + 1) for p in phases])
     return d[rows], f[rows]
-
-
-def _first_loading(phases: Sequence[Phase]) -> tuple[Phase, ...]:
-    """Phase in which the specimen was first loaded, which tells the zeros of the recording."""
-    return tuple([p for p in phases if p.kind == "loading"][:1]) or tuple(phases[:1])
 
 
 def _fates(
@@ -356,12 +358,6 @@ def _turned(
         d = -d
         counts[f"displacement reversed (declared sign {rules.sign})"] += d.size
     return d, f
-
-
-def _way_in(recorded: Array, d: Array) -> float:
-    """Sign of the recorded displacement into the specimen."""
-    k = int(np.argmax(np.abs(recorded)))
-    return math.copysign(1.0, float(recorded[k] * d[k]))
 
 
 def _check_begin(d: Array, f: Array, way: float, rules: Rules, where: str) -> None:

@@ -184,11 +184,16 @@ def inspect(path: Path, sheet: str = "") -> Inspection:
     """Look at a recorded file; its numbers are read as ``[measurements]`` would read them."""
     source = path.name
     raw = read_bytes(path, source)
-    data, sheets = unzipped(raw, source), ()
+    data = unzipped(raw, source)
+    sheets: tuple[str, ...] = ()
     if is_workbook(data):
         held = sheets_of(data, source)
         sheets = tuple(held)
-        sheet = sheet or max(held, key=lambda name: _numeric_cells(held[name]), default="")
+        numbers = {
+            name: sum(isinstance(cell, float) for row in rows for cell in row)
+            for name, rows in held.items()
+        }
+        sheet = sheet or max(numbers, key=numbers.__getitem__, default="")
     text, encoding = table_text(raw, source, sheet=sheet)
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     if len(lines) > MAX_ROWS + 1000:
@@ -214,7 +219,13 @@ def inspect(path: Path, sheet: str = "") -> Inspection:
         first = _first_test(columns, block, groups)
         d, f, at = d[first], f[first], [block.at[k] for k in first]
         phases = _place(kinematic, d, f, table, notes)
-        words = [_phase(p, d, f, at) for p in phases]
+        words = [
+            InspectedPhase(
+                p.words, p.cycle, (at[p.first], at[p.last]),
+                (float(d[p.first]), float(f[p.first])), (float(d[p.last]), float(f[p.last])),
+            )
+            for p in phases
+        ]  # fmt: skip
     else:
         missing = "displacement or strain" if not kinematic else "force or stress"
         notes.append(f"no column is known to hold {missing}: name it in columns and units")
@@ -225,10 +236,6 @@ def inspect(path: Path, sheet: str = "") -> Inspection:
         tuple(columns), tuple(words), max((p.cycle for p in phases), default=0),
         table, tuple(notes),
     )  # fmt: skip
-
-
-def _numeric_cells(rows: Sequence[Sequence[object]]) -> int:
-    return sum(isinstance(cell, float) for row in rows for cell in row)
 
 
 # How the text is written: the longest block of lines whose cells are numbers.
@@ -275,11 +282,11 @@ def _block_of(lines: Sequence[str], source: str) -> _Block:
     best: tuple[tuple[int, float, int], str, str] | None = None
     for delimiter in DELIMITERS:
         for decimal in (mark for mark in (".", ",") if mark != DELIMITERS[delimiter]):
-            counts = [_numbers_in(_split(line, delimiter), decimal) for line in lines[:_LOOKED_AT]]
-            width, start = _width_and_start([n for n, _ in counts])
+            pairs = [_numbers_in(_split(line, delimiter), decimal) for line in lines[:_LOOKED_AT]]
+            width, start = _width_and_start([n for n, _ in pairs])
             if not width:
                 continue
-            shares = [n / cells for n, cells in counts[start:] if n == width]
+            shares = [n / cells for n, cells in pairs[start:] if n == width]
             # what splits the same rows into more numbers and fewer other cells is meant
             score = (len(shares), round(float(np.mean(shares)), 2), width)
             if best is None or score > best[0]:
@@ -365,7 +372,9 @@ def _known_unit(word: str) -> tuple[str, str] | None:
 
 def _columns(block: _Block) -> tuple[list[InspectedColumn], list[Array], list[str]]:
     """Columns, their numbers (empty for labels), and notes."""
-    columns, numbers, notes = [], [], []
+    columns: list[InspectedColumn] = []
+    numbers: list[Array] = []
+    notes: list[str] = []
     for k, name in enumerate(block.names):
         cells = tuple(row[k] if k < len(row) else "" for row in block.rows)
         values = parsed_numbers(cells, block.decimal, _thousands(block.decimal))
@@ -549,8 +558,3 @@ def _approach(moved: Array, f: Array) -> bool:
         return False
     y = f[:peak][first] - f[0]
     return float(np.abs(y).max()) < NO_FORCE * TURN * abs(float(f[peak] - f[0]))
-
-
-def _phase(p: Phase, d: Array, f: Array, at: Sequence[int]) -> InspectedPhase:
-    start, end = (float(d[p.first]), float(f[p.first])), (float(d[p.last]), float(f[p.last]))
-    return InspectedPhase(p.words, p.cycle, (at[p.first], at[p.last]), start, end)

@@ -23,6 +23,10 @@ Label = Labels | float | Sequence[str | float]
 Selection = Mapping[str, Label]
 
 
+#: displacements at which repeats are averaged whose rows lie at others in each
+AVERAGED_POINTS = 200
+
+
 @dataclass(frozen=True, eq=False)
 class SingleTest:
     """One recorded test on the common grid: its group labels and force, shape (points,).
@@ -80,6 +84,8 @@ class Measurements:
     files: Mapping[str, str] = field(default_factory=dict)
     #: shape (points,); common times of the rows, where the tests are courses in time.
     time_s: Array | None = None
+    #: Whether every test has its own rows, which no grid is common to.
+    own_rows: bool = False
     _paired: dict[str | None, list[tuple[MeasuredTest, MeasuredTest]]] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
@@ -119,13 +125,13 @@ class Measurements:
                     "repeats on one specimen",
                 )
             )
-        forces = np.array([test.force_N for test in chosen])
+        places, forces, time = self._rows_of(chosen)
         scatter = forces.std(axis=0, ddof=1) if len(chosen) > 1 else None
         recordings = tuple(test.recorded for test in chosen if test.recorded is not None)
         curve = Curve(
-            self.displacement_mm.copy(),
+            places,
             forces.mean(axis=0),
-            time_s=self.time_s,
+            time_s=time,
             recorded=recordings,
         )
         notes = tuple(note for test in chosen for note in test.notes)
@@ -133,6 +139,31 @@ class Measurements:
         return MeasuredTest(
             curve, scatter, len(chosen), shared, notes, recordings, tuple(chosen), rows
         )
+
+    def _rows_of(self, chosen: Sequence[SingleTest]) -> tuple[Array, Array, Array | None]:
+        """Displacements, forces and times of tests that are averaged."""
+        # Shapes: returns (points,), (tests, points), (points,).
+        rows = [test.recorded for test in chosen if test.recorded is not None]
+        if not self.own_rows or len(rows) < len(chosen):
+            forces = np.array([test.force_N for test in chosen])
+            return self.displacement_mm.copy(), forces, self.time_s
+        first = rows[0]
+        same = all(
+            one.places.shape == first.places.shape
+            and np.allclose(one.places, first.places, rtol=1e-9, atol=0)
+            for one in rows
+        )
+        if same:
+            return first.displacement_mm, np.array([one.force_N for one in rows]), first.time_s
+        low = max(float(one.displacement_mm[0]) for one in rows)
+        high = min(float(one.displacement_mm[-1]) for one in rows)
+        if first.time_s is not None or not low < high:
+            rule = "repeats on one specimen lie at other times, or have no range in common"
+            mend = "write a [[tests]] table for each of them"
+            raise InputError(Fault("measurements.average", rule, mend))
+        grid = np.linspace(low, high, AVERAGED_POINTS)
+        shared = [np.interp(grid, one.displacement_mm, one.force_N) for one in rows]
+        return grid, np.array(shared), None
 
     def _row_count(self, block: str | None, chosen: Sequence[SingleTest]) -> RowCount:
         """Rows of the tests of a block, of which some were chosen."""

@@ -12,7 +12,13 @@ from pydantic import Field
 from study.ground import units
 from study.ground.bounded_file import ENCODINGS
 from study.ground.errors import Fault, InputError, UnitError
-from study.mechanics.measurement.column_text import DELIMITERS, KINEMATIC, KINETIC, ColumnLayout
+from study.mechanics.measurement.column_text import (
+    DELIMITERS,
+    KINEMATIC,
+    KINETIC,
+    SECOND,
+    ColumnLayout,
+)
 from study.mechanics.setup.declaration import (
     Bad,
     Force,
@@ -178,6 +184,10 @@ class Columns:
     stress: Column = None
     true_stress: Column = None
     pressure: Column = None
+    stretch_1: Column = None
+    stretch_2: Column = None
+    stress_1: Column = None
+    stress_2: Column = None
     time: Column = None
 
     def named(self, quantities: Iterable[str]) -> list[str]:
@@ -193,6 +203,11 @@ class Columns:
     def kinetic(self) -> str:
         """Quantity that says how it resisted."""
         return next(iter(self.named(KINETIC)), "force")
+
+    @property
+    def is_biaxial(self) -> bool:
+        """Whether there are stretches and stresses in two directions."""
+        return self.kinematic in SECOND
 
     def column(self, quantity: str) -> str:
         """Name of the column of a quantity that has one."""
@@ -216,6 +231,10 @@ class Units:
     stress: _STRESS = None
     true_stress: _STRESS = None
     pressure: _STRESS = None
+    stretch_1: _RATIO = None
+    stretch_2: _RATIO = None
+    stress_1: _STRESS = None
+    stress_2: _STRESS = None
     time: Annotated[str | None, Reads(_unit("time"))] = None
 
     def unit(self, quantity: str) -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -30,7 +30,7 @@ NO_FORCE = 0.05
 class Phase:
     """Consecutive rows on which the displacement goes one way."""
 
-    kind: Literal["loading", "unloading"]
+    kind: Literal["loading", "unloading", "hold"]
     #: Number of the loading that it is, or follows; 0 where the recording begins with the way back.
     cycle: int
     #: First and last row, from 0.
@@ -69,13 +69,33 @@ def phases_of(displacement_mm: Array) -> tuple[Phase, ...]:
         del turns[0]  # the recording begins with the way back
     ends = [-1, *turns, end]
     if not turns or min(np.diff([0, *turns])) < BRANCH_ROWS:
-        return (Phase("loading", 1, 0, end),)
+        return _held(Phase("loading", 1, 0, end), d)
     phases, cycle = [], 0
     for before, last in zip(ends[:-1], ends[1:], strict=True):
         is_loading = bool(d[last] > d[max(before, 0)])
         cycle += is_loading
         phases.append(Phase("loading" if is_loading else "unloading", cycle, before + 1, last))
-    return tuple(phases)
+    return (*phases[:-1], *_held(phases[-1], d))
+
+
+#: share of the travel within which a machine stands, and times the rows that usually do
+_STANDS = 1e-3
+_MANY = 10.0
+
+
+def _held(phase: Phase, d: Array) -> tuple[Phase, ...]:
+    """Part a last loading from the rows on which its end is held; a stress relaxes there."""
+    own = d[phase.rows]
+    first = int(np.argmax(own >= own.max() - _STANDS * float(np.ptp(own))))
+    rows = own.size - 1 - first
+    stands = phase.kind == "loading" and bool((own[first:] >= own[first]).all())
+    if not stands or first < BRANCH_ROWS or rows < max(BRANCH_ROWS, _MANY * _STANDS * own.size):
+        return (phase,)
+    repeats = np.unique(own[:first], return_counts=True)[1].max()
+    if 3 * repeats > rows:
+        return (phase,)
+    at = phase.first + first
+    return (replace(phase, last=at), replace(phase, kind="hold", first=at + 1))
 
 
 def _turns(d: Array, least: float) -> list[int]:
@@ -122,7 +142,9 @@ class Branch:
             if fitting:
                 return (fitting[0],)
             of = "" if number is None else f" of cycle {number}"
-            rule = f"the recording has no {kind}{of}: it holds {_listed(phases)}"
+            held = ", ".join(p.words for p in phases[:6])
+            more = f" and {len(phases) - 6} more" if len(phases) > 6 else ""
+            rule = f"the recording has no {kind}{of}: it holds {held}{more}"
             raise InputError(Fault(where, rule, "write the branch that it has, in measurements"))
         # the only loading: of a specimen that was unloaded before it, and is not loaded backwards
         loadings = [p for p in phases if p.kind == "loading"]
@@ -143,11 +165,6 @@ class Branch:
         rule = f"which of its branches is meant is open: {readings}"
         mend = 'write branch = "loading", "unloading", "all", or the number of a cycle'
         raise InputError(Fault(where, rule, mend))
-
-
-def _listed(phases: Sequence[Phase]) -> str:
-    shown = ", ".join(p.words for p in phases[:6])
-    return shown + (f" and {len(phases) - 6} more" if len(phases) > 6 else "")
 
 
 @dataclass(frozen=True)
@@ -204,6 +221,8 @@ class SpecimenRows:
     @property
     def count(self) -> RowCount:
         """Rows by what became of them."""
-        numbers = np.bincount(self.fate, minlength=len(self.reasons)).tolist()
-        aside = {r: n for r, n in zip(self.reasons[1:], numbers[1:], strict=True) if n}
-        return RowCount(int(self.fate.size), numbers[0], aside)
+        directions = 1 if self.recording is None else self.recording.directions
+        numbers = np.bincount(self.fate, minlength=len(self.reasons)) // directions
+        used, *others = numbers.tolist()
+        aside = {r: n for r, n in zip(self.reasons[1:], others, strict=True) if n}
+        return RowCount(int(self.fate.size) // directions, used, aside)

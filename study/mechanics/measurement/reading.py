@@ -47,8 +47,13 @@ def read_measurements(
     displacement_mm: float | None = None,
     gauge: Gauge | None = None,
     recordings: Recordings | None = None,
+    *,
+    own_rows: bool = False,
 ) -> Measurements:
-    """Read, check and condition all tests that a specification names."""
+    """Read, check and condition all tests that a specification names.
+
+    With ``own_rows``, raw rows of each test may lie at other displacements.
+    """
     rules = usual = rules_of(spec, height_mm, displacement_mm)
     recorded = recordings or read_recordings(spec, Path(root))
     told: list[str] = []
@@ -77,7 +82,12 @@ def read_measurements(
     notes = [*recorded.notes, *first_notes(told), *_summary(done, rules)]
     if rules != usual:
         notes.append(f"the range begins at {rules.low_mm:.4g} mm, where the last test begins")
-    displacement, time = _common_grid(done, rules)
+    own_rows = own_rows and rules.is_raw
+    displacement, time = (
+        (done[0].displacement_mm, done[0].recorded.time_s)
+        if own_rows
+        else _common_grid(done, rules)
+    )
     found = Measurements(
         tuple(tests),
         displacement,
@@ -89,6 +99,7 @@ def read_measurements(
         tuple(notes),
         dict(recorded.files),
         time,
+        own_rows,
     )
     _check_selections(found)
     return found
@@ -118,7 +129,8 @@ def specimens(
             f"{one.where}: a stretch of {longest:.4g} is unusual: {spec.columns.kinematic}, "
             f'{PERCENT} Then write units = {{ {spec.columns.kinematic} = "%" }}'
         )
-    made = replace(made, specimen=replace(made.specimen, recording=one))
+    rows = made.rows // one.directions
+    made = replace(made, rows=rows, specimen=replace(made.specimen, recording=one))
     chosen = [p for p in made.specimen.phases if made.specimen.fate[p.rows].min() == 0]
     if one.time_s is None and (rules.branch.which != "auto" or len(made.specimen.phases) > 1):
         words = " and ".join(

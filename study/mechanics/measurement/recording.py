@@ -15,7 +15,7 @@ from study.ground.arrays import Array
 from study.ground.errors import Fault, InputError, MissingDataError
 from study.ground.tabular import MAX_FAULTS, MAX_ROWS, CsvTable, label_fault
 from study.ground.units import parse
-from study.mechanics.measurement.column_text import KINEMATIC, KINETIC, read_table
+from study.mechanics.measurement.column_text import KINEMATIC, KINETIC, SECOND, read_table
 
 if TYPE_CHECKING:
     from study.mechanics.measurement.measurement_section import Columns, MeasurementSpec
@@ -150,6 +150,8 @@ class Recording:
     lines: tuple[int, ...] = ()
     #: What the columns hold.
     quantities: tuple[str, str] = ("displacement", "force")
+    #: 2 where the rows of a second direction follow those of the first.
+    directions: int = 1
 
 
 @dataclass(frozen=True)
@@ -209,7 +211,8 @@ def _tables(spec: MeasurementSpec, root: Path) -> list[tuple[CsvTable, dict[str,
 
 def _recorded(columns: Columns) -> list[str]:
     """Quantities that have a column."""
-    return [columns.kinematic, columns.kinetic, *columns.named(["time"])]
+    second = list(SECOND.values()) if columns.is_biaxial else []
+    return [columns.kinematic, columns.kinetic, *columns.named([*second, "time"])]
 
 
 def _declared(spec: MeasurementSpec) -> list[str]:
@@ -230,6 +233,8 @@ def _split(
     limits = {spec.columns.kinematic: MAX_TRAVEL_MM, spec.columns.kinetic: MAX_FORCE_N}
     if spec.columns.time is not None:
         limits["time"] = MAX_TIME_S
+    if spec.columns.is_biaxial:
+        limits |= {second: limits[first] for first, second in SECOND.items()}
     read: dict[str, Array] = {}
     faults: list[Fault] = []
     for what, limit in limits.items():
@@ -242,18 +247,7 @@ def _split(
     d, f = read[spec.columns.kinematic], read[spec.columns.kinetic]
     time = read.get("time")
     inside = [name for name in groups if name not in labels]
-    for name, label in labels.items():
-        if rule := label_fault(label):
-            raise InputError(Fault(f"{table.source}: name of the file", f"{name}: {rule}"))
-    clash = [name for name in labels if name in table.columns]
-    if clash:
-        raise InputError(
-            Fault(
-                table.source,
-                f"{clash[0]!r} is both a column and part of the file's name",
-                "rename one of them in the pattern of `files`",
-            )
-        )
+    _check_file_labels(table, labels)
     keys = list(zip(*(table.text(name) for name in inside), strict=True)) or [()] * d.size
     _check_labels(table, inside, keys)
     rows: dict[tuple[str, ...], list[int]] = {}
@@ -264,14 +258,33 @@ def _split(
         ordered = {name: found[name] for name in groups}
         words = ", ".join(f"{n} = {v}" for n, v in ordered.items())
         where = f"{table.source}: {words}" if words else table.source
+        held = (spec.columns.kinematic, spec.columns.kinetic)
+        lines = tuple(table.lines[k] for k in members)
+        if spec.columns.is_biaxial:
+            far, hard = (
+                np.concatenate([read[one][members], read[SECOND[one]][members]]) for one in held
+            )
+            row = np.arange(far.size, dtype=float)
+            yield Recording(where, ordered, far, hard, row, lines * 2, held, 2)
+            continue
         if time is None:
             _check_one_test(table, members, d, where, groups, spec.columns)
         else:
             _check_time(table, members, time, where)
         when = None if time is None else time[members]
-        lines = tuple(table.lines[k] for k in members)
-        held = (spec.columns.kinematic, spec.columns.kinetic)
         yield Recording(where, ordered, d[members], f[members], when, lines, held)
+
+
+def _check_file_labels(table: CsvTable, labels: Mapping[str, str]) -> None:
+    """Refuse labels in the name of a file that cannot be one, or that are also a column."""
+    for name, label in labels.items():
+        if rule := label_fault(label):
+            raise InputError(Fault(f"{table.source}: name of the file", f"{name}: {rule}"))
+    clash = [name for name in labels if name in table.columns]
+    if clash:
+        rule = f"{clash[0]!r} is both a column and part of the file's name"
+        mend = "rename one of them in the pattern of `files`"
+        raise InputError(Fault(table.source, rule, mend))
 
 
 def _check_time(table: CsvTable, members: Sequence[int], time: Array, where: str) -> None:
@@ -354,11 +367,12 @@ def _factor(table: CsvTable, spec: MeasurementSpec, what: str) -> float:
     """Factor from the declared unit of a column to mm, N or MPa."""
     column = spec.columns.column(what)
     row = table.units.get(column)
-    unit = getattr(spec.units, what) or row
+    first = next((one for one, second in SECOND.items() if second == what), what)
+    unit = getattr(spec.units, what) or row or getattr(spec.units, first)
     if unit is None:
         mend = f'write units = {{ {what} = "..." }}'
         raise InputError(Fault(f"{table.source}: column {column!r}", "has no unit", mend))
-    dimension = "time" if what == "time" else {**KINEMATIC, **KINETIC}[what]
+    dimension = "time" if what == "time" else {**KINEMATIC, **KINETIC}[first]
     factor = parse(f"1 {unit}", dimension)
     suffix = _UNIT_SUFFIX.fullmatch(column)
     shown = {

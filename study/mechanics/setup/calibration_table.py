@@ -65,6 +65,9 @@ class Fitting:
     #: Starts of the fit: its own, and others that are drawn.
     starts: Annotated[int, Reads(integer(1, 1000))] = 1
     seed: Annotated[int, Reads(integer(0, 2**32 - 1))] = 0
+    #: Calls of the model in each search, and how long the whole calibration may take, s.
+    max_evaluations: Annotated[int, Reads(integer(1, 100_000))] = 200
+    max_time: Annotated[float | None, Reads(lambda value: units.parse(value, "time"))] = None
     #: How residuals count: by squares, or beyond their noise in proportion.
     loss: Annotated[Loss, Reads(choice(*get_args(Loss)))] = "linear"
     #: ``"analytic"``: Young's modulus of indentations in closed form, curve

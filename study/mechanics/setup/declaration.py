@@ -48,7 +48,7 @@ def section(declared: type[Kind]) -> type[Kind]:
     )
     made: type[Kind] = pydantic_dataclass(frozen=True, config=config)(declared)  # type: ignore[assignment]
     fields: Mapping[str, FieldInfo] = made.__pydantic_fields__  # type: ignore[attr-defined]
-    _DECLARED[made] = tuple(_key(name, one) for name, one in fields.items())
+    _DECLARED[made] = tuple(_key(name, field) for name, field in fields.items())
     return made
 
 
@@ -170,7 +170,9 @@ def _key(name: str, declared: FieldInfo) -> Key:
 def _section_within(declared: FieldInfo) -> type | None:
     """Section of a field that pydantic reads itself; also where it may be None, or a list."""
     options = (declared.annotation, *typing.get_args(declared.annotation))
-    return next((one for one in options if isinstance(one, type) and one in _DECLARED), None)
+    return next(
+        (option for option in options if isinstance(option, type) and option in _DECLARED), None
+    )
 
 
 def _reads_of(declared: FieldInfo) -> Reads | None:
@@ -187,8 +189,8 @@ def written_keys(kind: type) -> tuple[str, ...]:
 
 def table_of(resolved: Mapping[str, object], name: str) -> Mapping[str, object]:
     """Return one of the tables of a document; an empty one where there is none."""
-    found = resolved.get(name)
-    return found if isinstance(found, Mapping) else {}
+    table = resolved.get(name)
+    return table if isinstance(table, Mapping) else {}
 
 
 def with_table(resolved: Mapping[str, object], name: str, **changes: object) -> dict[str, object]:
@@ -210,15 +212,15 @@ def values_of(value: object) -> dict[str, object]:
 def read_section(kind: type[Kind], table: Mapping[str, object]) -> Kind:
     """Read one table of a file."""
     validator = kind.__pydantic_validator__  # type: ignore[attr-defined]
-    found: Kind = validator.validate_python(table, by_alias=True, by_name=False, context=FROM_FILE)
-    return found
+    made: Kind = validator.validate_python(table, by_alias=True, by_name=False, context=FROM_FILE)
+    return made
 
 
 def section_of(where: str, kind: type[Kind], resolved: Mapping[str, object]) -> Kind:
     """Make a section of a resolved table, which may hold more: where a file lies, its checksum."""
-    known = keys_of(kind)
-    values = {k.name: v for k in known if (v := resolved.get(k.name)) is not None}
-    missing = [k.name for k in known if k.is_required and k.name not in values]
+    declared = keys_of(kind)
+    values = {k.name: v for k in declared if (v := resolved.get(k.name)) is not None}
+    missing = [k.name for k in declared if k.is_required and k.name not in values]
     if missing:
         raise InputError(Fault(where, f"{kind.__name__} needs {', '.join(missing)}"))
     return kind(**values)
@@ -427,7 +429,7 @@ def texts(what: str, example: str) -> Callable[[object], tuple[str, ...]]:
     """Reader of a list of texts."""
 
     def read(value: object) -> tuple[str, ...]:
-        if not isinstance(value, list) or not all(isinstance(one, str) for one in value):
+        if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
             raise Bad(f"must be a list of {what}, got {shown(value)}", f'for example ["{example}"]')
         return tuple(value)
 

@@ -99,18 +99,18 @@ class MaterialSection:
     @property
     def calibrated_names(self) -> tuple[str, ...]:
         """Names of the constants that a calibration of this material finds."""
-        own = tuple(self.constants or constant_names(self.model, self.order))
-        return (*own, *self.starts_of_relaxation())
+        names = tuple(self.constants or constant_names(self.model, self.order))
+        return (*names, *self.starts_of_relaxation())
 
     def starts_of_relaxation(self) -> dict[str, float]:
         """Shares, and times that are to be found, where a fit of them starts."""
-        found = {}
+        starts = {}
         for k, term in enumerate(self.relaxation, 1):
             usual = _FADING / len(self.relaxation)
-            found[share_name(k)] = usual if term.share is None else term.share
+            starts[share_name(k)] = usual if term.share is None else term.share
             if term.range_s is not None:
-                found[time_name(k)] = term.time_s
-        return found
+                starts[time_name(k)] = term.time_s
+        return starts
 
     def bounds(self, name: str) -> Bounds:
         """Range in which a constant is looked for where the file gives none."""

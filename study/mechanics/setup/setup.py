@@ -9,21 +9,14 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from study.ground.errors import Fault
 from study.mechanics.material.material import Material
 from study.mechanics.setup.declaration import (
     DERIVED,
-    Bad,
-    Duration,
     Length,
-    Reads,
     finite,
-    relative_path,
     section,
     section_of,
-    shown,
     table_of,
-    text,
     word,
 )
 from study.mechanics.setup.geometry import (
@@ -247,87 +240,3 @@ def known_height_mm(resolved: Mapping[str, object]) -> float | None:
     """Height in mm of a specimen's resolved table; None for a surface that nobody looked for."""
     height = resolved.get("height_mm")
     return None if height is None else finite(height)
-
-
-# The table ``[forward]``: which program predicts the curves of a cell.
-
-Kind = Literal["fem", "closed-form", "command", "python"]
-#: what a table may hold: a chain of programs is short, and adapters are small
-MAX_STEPS = 20
-MAX_WORDS = 200
-MAX_FILES = 50
-#: seconds of one solution by a program that does not say them
-USUAL_SECONDS = 1.0
-
-
-def _argv(value: object) -> tuple[tuple[str, ...], ...]:
-    """Read one command, or several that run one after the other; each is a list of words."""
-    mend = 'for example argv = [["ccx", "-i", "model"]]'
-    if not isinstance(value, list) or not value:
-        raise Bad(f"must be a list of words, or of such lists, got {shown(value)}", mend)
-    steps = [value] if all(isinstance(one, str) for one in value) else value
-    if len(steps) > MAX_STEPS:
-        raise Bad(f"has {len(steps)} commands, the limit is {MAX_STEPS}")
-    return tuple(_words(step, mend) for step in steps)
-
-
-def _words(value: object, mend: str) -> tuple[str, ...]:
-    if not isinstance(value, list) or not value or not all(isinstance(one, str) for one in value):
-        raise Bad(f"a command must be a list of words, got {shown(value)}", mend)
-    if len(value) > MAX_WORDS:
-        raise Bad(f"a command has {len(value)} words, the limit is {MAX_WORDS}")
-    words = tuple(text(one) for one in value)
-    if not words[0]:
-        raise Bad("a command has no program", mend)
-    return words
-
-
-def _version(value: object) -> tuple[str, ...]:
-    return _words(value, 'for example version = ["ccx", "-v"]')
-
-
-def _files(value: object) -> tuple[str, ...]:
-    items = value if isinstance(value, list) else [value]
-    if len(items) > MAX_FILES:
-        raise Bad(f"lists {len(items)} files, the limit is {MAX_FILES}")
-    found = tuple(dict.fromkeys(relative_path(item) for item in items))
-    names = [path.replace("\\", "/").rpartition("/")[2] for path in found]
-    if len(set(names)) < len(names):
-        raise Bad("names two files alike, which would lie on one another", "rename one of them")
-    return found
-
-
-@section
-class ForwardModel:
-    """What predicts a curve."""
-
-    #: The built-in finite elements, the closed form of
-    #: a homogeneous test, programs, or a function given to :func:`study.run`.
-    model: Annotated[Kind, word("fem", "closed-form", "command", "python")] = "fem"
-    #: Commands, run one after the other in a folder of the case; never by a shell.
-    argv: Annotated[tuple[tuple[str, ...], ...], Reads(_argv)] = ()
-    #: Files beside the design that are copied into that folder.
-    files: Annotated[tuple[str, ...], Reads(_files)] = ()
-    #: Command whose first line of output is kept in every record.
-    version: Annotated[tuple[str, ...], Reads(_version)] = ()
-    #: Text that the output of one command must hold, and text that none may hold.
-    success: Annotated[str, Reads(text)] = ""
-    #: Text that the output of one command must hold, and text that none may hold.
-    failure: Annotated[str, Reads(text)] = ""
-    #: What installs the program, for the message where it is missing.
-    install: Annotated[str, Reads(text)] = ""
-    timeout_s: Duration | None = Field(default=None, validation_alias="timeout")
-    #: What one solution takes, for the plan.
-    seconds_s: Duration = Field(default=USUAL_SECONDS, validation_alias="seconds")
-
-    @property
-    def is_external(self) -> bool:
-        """Whether something else than this package predicts."""
-        return self.model in ("command", "python")
-
-    def fault(self, where: str) -> Fault | None:
-        """Say what is missing for its kind."""
-        if self.model == "command" and not self.argv:
-            mend = 'write argv = [["PROGRAM", "ARGUMENT"]]'
-            return Fault(f"{where}.argv", "is missing: model = 'command' runs a program", mend)
-        return None

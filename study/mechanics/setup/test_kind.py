@@ -160,8 +160,8 @@ class Test:
             If neither gives one.
         """
         depth = displacement_mm if self.displacement_mm is None else self.displacement_mm
-        known = replace(self, displacement_mm=depth)
-        return replace(known, displacement_mm=known.depth_mm)
+        deeper = replace(self, displacement_mm=depth)
+        return replace(deeper, displacement_mm=deeper.depth_mm)
 
 
 @dataclass(frozen=True)

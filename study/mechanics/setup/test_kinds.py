@@ -315,6 +315,7 @@ GAUGE_SECTIONS = {
     "tension": GaugeSection("uniaxial"),
     "equibiaxial": GaugeSection("equibiaxial"),
     "planar": GaugeSection("planar"),
+    "biaxial": GaugeSection("biaxial"),
     "simple-shear": GaugeSection("simple-shear"),
     "volumetric": GaugeSection("volumetric", -1.0),
     "confined-compression": GaugeSection("confined", -1.0),

@@ -25,7 +25,13 @@ from study.mechanics.setup.setup import Problem, Setup
 from study.mechanics.solver.buckling import mirrored
 from study.mechanics.solver.load_path import LoadPath
 from study.mechanics.solver.newton import Options
-from study.mechanics.solver.solution import Solution, without_answer
+from study.mechanics.solver.solution import (
+    Solution,
+    contact_gap,
+    contact_pressure,
+    nodal_reactions,
+    without_answer,
+)
 from study.mechanics.solver.solution_cost import size_faults
 from study.mechanics.solver.system import State, System
 from study.mechanics.surface.closed_surface import PLAUSIBLE_MM, body, height_of
@@ -223,7 +229,7 @@ _MIDDLES: dict[str, list[tuple[int, ...]]] = {
 
 @dataclass(frozen=True)
 class Fields:
-    """Fields of one step on the modelled part of the specimen.
+    """Fields of one step on the modelled part of the specimen, or on the whole.
 
     Axisymmetric coordinates are (r, z, 0), so that the axes of a tensor are r, z and hoop.
     """
@@ -235,60 +241,212 @@ class Fields:
     #: Type of the cells as meshio names it.
     kind: str
     cells: Ints
-    #: shape (n_cells, 3, 3); cauchy stress, the mean of each cell, MPa.
-    stress: Array
-    #: shape (n_cells,); J, volume after over volume before.
-    volume_ratio: Array
+    #: Further values by name, one row a node or a cell; nine columns are a tensor row by row.
+    nodal: dict[str, Array]
+    cellular: dict[str, Array]
+    #: What is left out that symmetry would add, and the share of the body that is there.
+    symmetry: str
+    share: float
+    #: Planes of symmetry, by axis and level in mm.
+    planes: tuple[tuple[int, float], ...]
+    #: {-1, 1} by axis, of a buckling mode.
+    parity: tuple[int, ...] = (1, 1, 1)
+
+    def whole(self) -> Fields:
+        """Mirror the part at its planes of symmetry; an axisymmetric one becomes its section."""
+        found = self
+        for axis, level in self.planes:
+            found = found._mirrored(axis, level)
+        made = "the whole body" if self.points[:, 2].any() else "the section through the axis"
+        return replace(found, symmetry=f"{made}, mirrored", planes=(), share=1.0)
+
+    def _mirrored(self, axis: int, level: float) -> Fields:
+        sign = np.ones(3)
+        sign[axis] = -1.0
+        image = self.points * sign
+        image[:, axis] += 2 * level
+        tensor = np.outer(sign, sign).ravel()
+
+        def of(name: str, values: Array) -> Array:
+            columns = 1 if values.ndim == 1 else values.shape[1]
+            if columns == 3 and name in _VECTORS:
+                return values * sign * (self.parity[axis] if name == "buckling_mode" else 1)
+            return values * tensor if columns == 9 else values
+
+        def both(data: dict[str, Array]) -> dict[str, Array]:
+            return {name: np.concatenate([v, of(name, v)]) for name, v in data.items()}
+
+        turned = self.cells[:, _mirror_order(self.kind)] + len(self.points)
+        return replace(
+            self,
+            points=np.vstack([self.points, image]),
+            displacement=np.vstack([self.displacement, self.displacement * sign]),
+            cells=np.vstack([self.cells, turned]),
+            nodal=both(self.nodal),
+            cellular=both(self.cellular),
+        )
 
 
-def fields(solution: Solution) -> Fields:
-    """Fields of the last requested step that converged."""
+#: fields of three columns that are vectors, not three numbers
+_VECTORS = ("reaction_N", "buckling_mode")
+
+#: corners of a cell in the order that its mirror image needs
+_MIRRORED = {
+    "triangle": [1, 0, 2], "quad": [1, 0, 3, 2], "tetra": [1, 0, 2, 3],
+    "hexahedron": [4, 5, 6, 7, 0, 1, 2, 3],
+}  # fmt: skip
+
+
+def _mirror_order(kind: str) -> list[int]:
+    """Nodes of a cell in the order that its mirror image needs."""
+    corners = _MIRRORED[kind.rstrip("0123456789")]
+    middles = [frozenset(m) for m in _MIDDLES.get(kind, [])]
+    moved = [frozenset(corners[c] for c in middle) for middle in middles]
+    return [*corners, *(len(corners) + middles.index(m) for m in moved)]
+
+
+def fields(solution: Solution, step: int = -1) -> Fields:
+    """Fields of a requested step that converged, the last one if none is named."""
     if solution.warm is None or not solution.warm.steps:
         raise InputError(Fault("fields", f"no step converged: {solution.message}"))
-    system, state = solution.warm.system, solution.warm.steps[-1].state
-    space = system.space
-    kind, cells = _cells(space, _upright(system.mesh.points, system.mesh.cells))
+    system, state = solution.warm.system, solution.warm.steps[step].state
+    space, mesh = system.space, system.mesh
+    kind, cells = _cells(space, _upright(mesh.points, mesh.cells))
     used = np.unique(cells)  # bubbles belong to no corner and no side
     F = deformation_gradient(space, system.displacements(state.x))
-    means = space.weights / space.weights.sum(axis=1, keepdims=True)
     # the volume that a linear body sees
     J = np.trace(F) - 2 if system.small_strain else np.linalg.det(np.moveaxis(F, (0, 1), (-2, -1)))
+    stretches, strain = _strains(F, system.small_strain)
+    means = space.weights / space.weights.sum(axis=1, keepdims=True)
+
+    def mean(values: Array) -> Array:
+        each = np.einsum("...eq,eq->e...", values, means)
+        return np.asarray(each.reshape(space.n_elements, -1))
+
+    tensors = {
+        "cauchy_stress_MPa": mean(cauchy_stress(system, state, F, J)),
+        "log_strain": mean(strain),
+        "principal_stretch": mean(stretches),
+    }
+    volumes = space.weights.sum(axis=1)
+    nodal = {name: _at_nodes(space, values, volumes)[used] for name, values in tensors.items()}
+    above, below = nodal_reactions(system, system.assemble(state, tangent=False))
+    nodal["reaction_N"] = _in_space((above + below)[used])
+    nodal["contact_pressure_MPa"] = contact_pressure(system, state, above)[used]
+    nodal["contact_gap_mm"] = contact_gap(system, state)[used]
+    bent = solution.instability
+    if bent is not None and len(bent.mode) == len(space.nodes):
+        nodal["buckling_mode"] = _in_space(bent.mode[used])
+    is_part = system.force_scale > (2.0 if mesh.half_height else 1.0)
+    planes = [(k, 0.0) for k in range(space.dim - 1) if is_part or space.dim == 2]
+    planes += [(space.dim - 1, mesh.height_mm / 2)] if mesh.half_height else []
+    part = "a section from the axis" if space.dim == 2 else "a quarter" if is_part else "the whole"
     return Fields(
         displacement_mm=state.displacement_mm,
         points=_in_space(space.nodes[used]),
         displacement=_in_space(system.displacements(state.x)[used]),
         kind=kind,
         cells=np.searchsorted(used, cells),
-        stress=np.einsum("ijeq,eq->eij", cauchy_stress(system, state, F, J), means),
-        volume_ratio=np.einsum("eq,eq->e", J, means),
+        nodal=nodal,
+        cellular={"J": mean(J)[:, 0], **tensors},
+        symmetry=f"{part} of the body{', its upper half' if mesh.half_height else ''}",
+        share=1.0 / system.force_scale,
+        planes=tuple(planes),
+        parity=(1, 1, 1) if bent is None else bent.parity,
     )
 
 
-def write_vtu(solution: Solution, path: str | Path) -> None:
-    """Write the fields of a solution into a VTU file for ParaView.
+def _strains(F: Array, small: bool) -> tuple[Array, Array]:  # noqa: N803
+    """Principal stretches, largest first, (3, ...), and logarithmic strain along (3, 3, ...)."""
+    matrices = np.moveaxis(F, (0, 1), (-2, -1))
+    if small:
+        strain = (matrices + np.swapaxes(matrices, -2, -1)) / 2 - np.eye(3)
+        stretches = np.asarray(1 + np.linalg.eigvalsh(strain)[..., ::-1], dtype=np.float64)
+        return np.moveaxis(stretches, -1, 0), np.moveaxis(strain, (-2, -1), (0, 1))
+    left, stretches, _ = np.linalg.svd(matrices)
+    strain = np.einsum("...ik,...k,...jk->...ij", left, np.log(stretches), left)
+    stretches = np.asarray(stretches, dtype=np.float64)
+    return np.moveaxis(stretches, -1, 0), np.moveaxis(strain, (-2, -1), (0, 1))
+
+
+def _at_nodes(space: Discretization, values: Array, volumes: Array) -> Array:
+    """Mean over the elements around every node, by their volumes. Shapes: values (n_cells, m)."""
+    share, local = np.zeros((len(space.nodes), 1)), space.element_nodes
+    total = np.zeros((len(space.nodes), values.shape[1]))
+    for k in range(local.shape[1]):
+        np.add.at(total, local[:, k], values * volumes[:, None])
+        np.add.at(share, local[:, k], volumes[:, None])
+    return np.asarray(total / share)
+
+
+def write_vtu(solution: Solution, path: str | Path, step: int = -1, *, whole: bool = False) -> None:
+    """Write the fields of a step into a VTU file for ParaView.
 
     Points are those before the deformation; *Warp By Vector* with ``displacement_mm`` deforms
-    them. Cells carry ``J``, ``mean_stress_MPa`` (negative in compression), ``cauchy_stress_MPa``
-    and ``von_mises_MPa``.
+    them. Cells carry ``J``, ``mean_stress_MPa`` (negative in compression), ``von_mises_MPa``,
+    ``cauchy_stress_MPa``, ``log_strain`` (spatial) and ``principal_stretch``; nodes carry the last
+    three as means of the cells around, ``reaction_N``, ``contact_pressure_MPa``,
+    ``contact_gap_mm`` and, where the specimen buckles, ``buckling_mode``. The data of the file
+    are reactions, moments, displacement and what the mesh leaves out.
     """
     import meshio
 
-    found = fields(solution)
-    mean = np.trace(found.stress, axis1=1, axis2=2) / 3
-    deviator = found.stress - mean[:, None, None] * np.eye(3)
-    cell_data = {
-        "J": found.volume_ratio,
+    found = fields(solution, step)
+    found = found.whole() if whole else found
+    tensor = found.cellular["cauchy_stress_MPa"].reshape(-1, 3, 3)
+    mean = np.trace(tensor, axis1=1, axis2=2) / 3
+    deviator = tensor - mean[:, None, None] * np.eye(3)
+    cellular = {
         "mean_stress_MPa": mean,
         "von_mises_MPa": np.sqrt(1.5 * (deviator**2).sum(axis=(1, 2))),
-        "cauchy_stress_MPa": found.stress.reshape(-1, 9),
+        **found.cellular,
     }
     mesh = meshio.Mesh(
         found.points,
         [(found.kind, found.cells)],
-        point_data={"displacement_mm": found.displacement},
-        cell_data={name: [values] for name, values in cell_data.items()},
+        point_data={"displacement_mm": found.displacement, **found.nodal},
+        cell_data={name: [values] for name, values in cellular.items()},
     )
     mesh.write(path, file_format="vtu")
+    _write_facts(Path(path), solution, step, found)
+
+
+def _write_facts(path: Path, solution: Solution, step: int, found: Fields) -> None:
+    """Add what is of the whole file, which meshio does not write."""
+    above, below = solution.equilibria.plate[step], solution.equilibria.base[step]
+    facts = {"displacement_mm": [found.displacement_mm], "modelled_share": [found.share]}
+    for name, one in (("plate", above), ("base", below)):
+        facts[f"{name}_axial_N"] = [one.axial]
+        facts[f"{name}_side_N"] = [*one.side]
+        facts[f"{name}_moment_Nmm"] = [*one.moment]
+    rows = [
+        f'<DataArray type="Float64" Name="{name}" NumberOfTuples="1" '
+        f'NumberOfComponents="{len(values)}" format="ascii">'
+        f"{' '.join(repr(float(v)) for v in values)}</DataArray>"
+        for name, values in facts.items()
+    ]
+    text, tag = path.read_text(encoding="utf-8"), "<UnstructuredGrid>"
+    at = text.index(tag) + len(tag)
+    data = f"\n<!-- {found.symmetry} -->\n<FieldData>{''.join(rows)}</FieldData>"
+    path.write_text(text[:at] + data + text[at:], encoding="utf-8")
+
+
+def write_series(solution: Solution, path: str | Path, *, whole: bool = False) -> None:
+    """Write every step that was asked for: a ``.pvd`` collection and a ``.vtu`` file a step.
+
+    ParaView shows the displacement of the test as the time.
+    """
+    path = Path(path)
+    steps = () if solution.warm is None else solution.warm.steps
+    rows = []
+    for k, step in enumerate(steps):
+        name = f"{path.stem}_{k + 1:04d}.vtu"
+        write_vtu(solution, path.with_name(name), k, whole=whole)
+        time_mm = repr(float(step.state.displacement_mm))
+        rows.append(f'<DataSet timestep="{time_mm}" part="0" file="{name}"/>')
+    head = '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1">\n<Collection>\n'
+    tail = "\n</Collection>\n</VTKFile>\n"
+    path.write_text(head + "\n".join(rows) + tail, encoding="utf-8")
 
 
 def cauchy_stress(system: System, state: State, F: Array, J: Array) -> Array:

@@ -263,6 +263,7 @@ class LoadPath:
         self.logbook = Logbook(system, problem, self.wanted, every_step=every)
         self.min_j, self.reason = 1.0, ""
         self.instability: Instability | None = None
+        self._known_to_stand, self._local_surplus = 0.0, 0
         self._reach_of: tuple[State, str] | None = None
         self._latest: tuple[NewtonResult, StepGradients] | None = None
 
@@ -276,9 +277,9 @@ class LoadPath:
                 break
             self.logbook.requested += asked
             self.progress(target / self.problem.test.depth_mm)
-        self._look_for_sway()
         if self.options.curve_error and self.warm is None and not self.system.sticks:
             self._fill_in(self.options.curve_error)
+        self._look_back()
         return self
 
     def _targets(self) -> list[tuple[float, bool]]:
@@ -323,21 +324,31 @@ class LoadPath:
         """Whether the state just looked at is unstable, by its own factors if those at hand say so.
 
         Those at hand are of a late Newton iterate and cost nothing. Factors of an earlier step tell
-        nothing of this one; after the last step it gets its own.
+        nothing of this one.
         """
-        here_mm = self.state.displacement_mm
-        count: int | None = None
+        here_mm, count = self.state.displacement_mm, None
         if self.system.kept.factorized_at_mm == here_mm:
             count = surplus(self.system)
-        if count is None and here_mm < (1 - 1e-9) * self.problem.test.depth_mm:
-            return False
-        return count != 0 and is_unstable(self.system, self.state)
+        if count is not None and count > self._local_surplus:
+            if is_unstable(self.system, self.state):
+                return True
+            self._local_surplus = count  # the next one more may be of the body
+        self._known_to_stand = self._known_to_stand if count is None else here_mm
+        return False
 
-    def _look_for_sway(self) -> None:
-        """Drop the steps at which a column sways, which a model of its quarter cannot do."""
+    def _look_back(self) -> None:
+        """Drop the steps from where the last one is unstable, or sways as no quarter can.
+
+        The last step gets factors of its own where those at hand told nothing of it.
+        """
         last = self.logbook.last
-        found = None if last is None else swaying(self.system, self.problem)
-        if last is not None and found is not None and is_unstable(found[0], last):
+        if last is None or self.instability is not None:
+            return
+        if last.displacement_mm > self._known_to_stand and is_unstable(self.system, last):
+            self._refuse(last, self.system)
+            return
+        found = swaying(self.system, self.problem)
+        if found is not None and is_unstable(found[0], last):
             self._refuse(last, *found)
 
     def _refuse(

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from study.ground.arrays import Array
+from study.ground.arrays import Array, Flags, Ints
 from study.ground.curve import Curve, hermite_work
 from study.mechanics.contact.collocation import _ring_shares
 from study.mechanics.contact.contact import TiedPoints
@@ -262,8 +262,8 @@ class Logbook:
     #: Force and stored energy of every step.
     states: list[LoadedState] = field(default_factory=list)
     reached: list[float] = field(default_factory=list)
-    reactions: list[tuple[Resultant, Resultant]] = field(default_factory=list)
-    contacts: list[ContactFigures] = field(default_factory=list)
+    #: What holds the specimen above and below, and what touches it.
+    held: list[tuple[Resultant, Resultant, ContactFigures]] = field(default_factory=list)
     iterations: list[int] = field(default_factory=list)
     warm_steps: list[WarmStep] = field(default_factory=list)
     #: Displacements at which the surface snapped to another equilibrium, mm.
@@ -281,8 +281,7 @@ class Logbook:
         steps = np.array(self.reached[kept:]) * self.problem.test.steps / self._whole_mm
         self.requested -= int((np.abs(steps - np.round(steps)) < 1e-6).sum())
         for column in (
-            self.rows, self.states, self.reached, self.reactions, self.contacts, self.iterations,
-            self.warm_steps,
+            self.rows, self.states, self.reached, self.held, self.iterations, self.warm_steps
         ):  # fmt: skip
             del column[kept:]
         self.snaps = [place for place in self.snaps if place < displacement_mm]
@@ -318,9 +317,8 @@ class Logbook:
         self.states.insert(at, loaded)
         self.reached.insert(at, state.displacement_mm)
         forces, sense = nodal_reactions(self.system, assembly), self.problem.setup.kind.sense
-        self.reactions.insert(at, resultants(self.system, state, forces, sense))
         figures = contact_figures(self.system, state, assembly, forces[0])
-        self.contacts.insert(at, figures)
+        self.held.insert(at, (*resultants(self.system, state, forces, sense), figures))
         self.iterations.insert(at, spent)
         self.pinned = max(self.pinned, _pinned(self.system, assembly, row.force_N))
         self.warm_steps.insert(at, WarmStep(state, row.constants))
@@ -351,8 +349,8 @@ class Logbook:
 
     def equilibria(self) -> Equilibria:
         """Reactions and contact of every step."""
-        plate = tuple(above for above, _ in self.reactions)
-        return Equilibria(plate, tuple(below for _, below in self.reactions), (*self.contacts,))
+        plate, base, contact = (tuple(one[k] for one in self.held) for k in range(3))
+        return Equilibria(plate, base, contact)  # type: ignore[arg-type]
 
     def coarse_intervals(self, error: float) -> list[float]:
         """Middles of the intervals that make interpolation worse than ``error``.
@@ -382,6 +380,7 @@ class Logbook:
             {n: np.array([row.force_gradient[n] for row in self.rows]) for n in self.wanted},
             work_Nmm,
             is_conjugate=self.system.constraints.axial is None,
+            quantities=self.equilibria().quantities(),
         )
 
     def solution(
@@ -449,8 +448,8 @@ class Logbook:
         A specimen that has yet to be reached is no loss, nor is a bonded plate that pulls.
         """
         slides = self.problem.test.interface == "frictionless"
-        pulls = np.array([slides and above.axial < 0 for above, _ in self.reactions], dtype=bool)
-        off = pulls | (np.array([one.area_mm2 for one in self.contacts]) == 0)
+        pulls = np.array([slides and above.axial < 0 for above, _, _ in self.held], dtype=bool)
+        off = pulls | (np.array([figures.area_mm2 for _, _, figures in self.held]) == 0)
         if self.problem.setup.is_whole and not self.problem.setup.contacts:
             return ""
         met = np.flatnonzero(~off)
@@ -527,6 +526,14 @@ class Equilibria:
         """Return those of some of the points, given by their places."""
         plate, base = tuple(self.plate[k] for k in kept), tuple(self.base[k] for k in kept)
         return Equilibria(plate, base, tuple(self.contact[k] for k in kept), self.instability)
+
+    def quantities(self) -> dict[str, Array]:
+        """Responses of each point by their names: kPa, mm^2 and N."""
+        return {
+            "peak_contact_pressure": 1e3 * np.array([c.peak_pressure_MPa for c in self.contact]),
+            "contact_area": np.array([c.area_mm2 for c in self.contact]),
+            "side_force": np.array([float(np.hypot(*one.side)) for one in self.plate]),
+        }
 
     def to_json(self) -> dict[str, object]:
         """Document of ``study solve --json``: N, N mm, mm, MPa and mm^2."""
@@ -614,7 +621,7 @@ def _stretched_areas(system: System, u: Array) -> Array:
     areas = [_facet_areas(x[corners], dim == 2) for x in (space.nodes, space.nodes + u)]
     n, k = len(space.nodes), space.facets.shape[1]
     before, after = (np.bincount(space.facets.ravel(), np.repeat(a, k), n) for a in areas)
-    return np.divide(after, before, out=np.ones(n), where=before > 0)
+    return np.asarray(np.divide(after, before, out=np.ones(n), where=before > 0))
 
 
 def _corners(facet: int, dim: int) -> int:
@@ -622,40 +629,62 @@ def _corners(facet: int, dim: int) -> int:
     return 2 if dim == 2 else 3 if facet in (3, 6) else 4
 
 
-def vertex_pressure(system: System, state: State, force: Array) -> tuple[Array, Array]:
-    """Pressure of nodal forces at the corners of boundary facets, and the corners' areas.
+def _meets(system: System) -> Flags:
+    """Facets that lie in the loaded face, or that a moving surface may meet, shape (n_facets,)."""
+    space = system.space
+    sets = [at_level(space, system.mesh, system.mesh.height_mm)]
+    sets += [points.nodes for points in system.contact if points.surface.speed != 0]
+    within = [np.isin(space.facets, nodes).all(axis=1) for nodes in sets]
+    return np.asarray(np.any(within, axis=0) & (space.facet_weights > 0))  # not along an axis
+
+
+def contact_pressure(system: System, state: State, force: Array) -> Array:
+    """Pressure of nodal forces at the nodes of the boundary, MPa, shape (n_nodes,).
 
     The forces are taken to the hats of the corners (a mid-side node halves its own), which are
     exact moments of the pressure, over the areas of these hats: what quadratic elements have at
-    their nodes has the wrong sign at corners. Both are those after the deformation.
+    their nodes has the wrong sign at corners. Areas are those after the deformation. Between
+    corners it is linear.
 
-    Shapes: force (n_nodes, dim); returns (n_vertices,), MPa and mm^2.
+    Shapes: force (n_nodes, dim).
     """
-    space, count = system.space, len(system.mesh.points)
+    space, n = system.space, len(system.space.nodes)
     places = space.nodes + (0.0 if system.small_strain else system.displacements(state.x))
     touched = np.abs(force).sum(axis=1) > 0
-    chosen = touched[space.facets].any(axis=1) & (space.facet_weights > 0)  # not along an axis
+    chosen = touched[space.facets].any(axis=1) & _meets(system)
     facets, dim = space.facets[chosen], space.dim
     k = _corners(facets.shape[1], dim)
-    areas = _facet_areas(places[facets[:, :k]], dim == 2)
-    shares = np.full((len(facets), k), 1.0 / k)
+    corners = facets[:, :k]
+    areas, shares = _facet_areas(places[corners], dim == 2), np.full((len(facets), k), 1.0 / k)
     if dim == 2:
-        shares = _ring_shares(places[facets[:, :2]][:, :, 0])
-    area = np.bincount(facets[:, :k].ravel(), (areas[:, None] * shares).ravel(), len(space.nodes))
-    hats = force.copy()
-    for corners, between in _MIDDLES[k]:
-        halfway = space.nodes[facets[:, corners]].mean(axis=1)
+        shares = _ring_shares(places[corners][:, :, 0])
+    area = np.bincount(corners.ravel(), (areas[:, None] * shares).ravel(), n)
+    hats, between = force.copy(), list[tuple[Ints, Ints]]()
+    for ends, part in _MIDDLES[k] if facets.shape[1] > k else []:
+        halfway = space.nodes[facets[:, ends]].mean(axis=1)
         apart = np.linalg.norm(space.nodes[facets[:, k:]] - halfway[:, None], axis=2)
-        if apart.size:
-            nodes, first = np.unique(
-                facets[np.arange(len(facets)), k + apart.argmin(axis=1)], return_index=True
-            )
-            for corner in corners:
-                np.add.at(hats, facets[first, corner], between * force[nodes])
-    hats[np.unique(facets[:, k:])] = 0.0
-    size = np.linalg.norm(hats, axis=1)
-    pressure = np.divide(size, area, out=np.zeros_like(size), where=area > 0)
-    return pressure[:count], np.asarray(area[:count], dtype=np.float64)
+        lies = facets[np.arange(len(facets)), k + apart.argmin(axis=1)]
+        nodes, first = np.unique(lies, return_index=True)
+        between.append((nodes, facets[first][:, ends]))
+        for corner in ends:
+            np.add.at(hats, facets[first, corner], part * force[nodes])
+    pressure = np.zeros(n)
+    np.divide(np.linalg.norm(hats, axis=1), area, out=pressure, where=area > 0)
+    for nodes, around in between:
+        pressure[nodes] = pressure[around].mean(axis=1)
+    return pressure
+
+
+def contact_gap(system: System, state: State) -> Array:
+    """Distance of the nodes from the surfaces that they may meet, mm, NaN elsewhere, (n_nodes,)."""
+    gap = np.full(len(system.space.nodes), np.nan)
+    for points in system.contact:
+        if isinstance(points, TiedPoints):
+            continue
+        nodes = np.unique(points.nodes)
+        place, moved = system.space.nodes[nodes], system.displacements(state.x)[nodes]
+        gap[nodes] = np.fmin(gap[nodes], points.distance(place, moved, state.displacement_mm))
+    return gap
 
 
 def contact_figures(
@@ -679,16 +708,11 @@ def contact_figures(
         amid = np.isin(facets, np.setdiff1d(points.nodes[closed], points.nodes[~closed])).all(
             axis=1
         )
-        local_shapes = (
-            *np.eye(facets.shape[1]),
-            *([] if dim == 2 and facets.shape[1] == 3 else [_MIDDLE[facets.shape[1]]]),
-        )
-        for local in local_shapes:
+        k = facets.shape[1]
+        inner = [] if dim == 2 and k == 3 else [_MIDDLE[k]]  # such an edge has a node there
+        for local in (*np.eye(k), *inner):
             place, moved = (np.einsum("a,faj->fj", local, v[facets]) for v in (space.nodes, u))
-            if system.small_strain:
-                off = points.surface.reference_gap(place, moved, state.displacement_mm)[0]
-            else:
-                off = points.surface.gap(place + moved, state.displacement_mm)[0]
+            off = points.distance(place, moved, state.displacement_mm)
             depth = max(depth, float(-off.min(initial=0.0)))
             gap = max(gap, float(off[amid].max(initial=0.0)))
     held = at_level(space, system.mesh, system.mesh.height_mm)
@@ -703,7 +727,7 @@ def contact_figures(
         return ContactFigures()
     normal = force.copy()
     normal[held, :-1] = 0.0  # a held face is sheared as well
-    pressure, _ = vertex_pressure(system, state, normal)
+    pressure = contact_pressure(system, state, normal)
     return ContactFigures(depth, gap, float(pressure.max(initial=0.0)), sector * area)
 
 

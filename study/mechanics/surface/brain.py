@@ -56,12 +56,12 @@ def _grooved(points: Array, brain: Brain) -> Array:
         return np.asarray(z * (brain.height_mm / z.max()))
 
     middle = int(points[:, 2].argmax())
-    found = brentq(
+    depth = brentq(
         lambda by: brain.height_mm - lowered(by)[middle] - brain.fissure_mm,
         0.0,
         0.9 * brain.height_mm,
     )
-    return np.column_stack([points[:, :2], lowered(found)])
+    return np.column_stack([points[:, :2], lowered(depth)])
 
 
 def _stretched(points: Array, extents: Array) -> Array:

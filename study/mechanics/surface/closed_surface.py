@@ -117,10 +117,10 @@ def inspect(points: Array, triangles: Ints, name: str, unit: str) -> Inspected:
         rule += f"{_place(points[triangles[first]].mean(axis=0), unit)})"
         raise InputError(Fault(where, rule, "remove degenerate faces"))
     edges = Edges.of(triangles)
-    found = [*_not_closed(points, edges, unit), *_not_one(points, triangles, edges, unit)]
-    found += _crossing(points, triangles, unit)
-    if found:
-        raise InputError([Fault(where, rule, mend) for rule, mend in found])
+    faults = [*_not_closed(points, edges, unit), *_not_one(points, triangles, edges, unit)]
+    faults += _crossing(points, triangles, unit)
+    if faults:
+        raise InputError([Fault(where, rule, mend) for rule, mend in faults])
     turned, note = _outward(points, triangles, edges)
     return Inspected(points, turned, note)
 
@@ -163,9 +163,9 @@ def _not_closed(points: Array, edges: Edges, unit: str) -> Iterator[tuple[str, s
     rim = edges.ends[edges.count == 1]
     if len(rim):
         _, labels = _components(rim, len(points))
-        own = labels[rim[:, 0]]
-        holes, sizes = np.unique(own, return_counts=True)
-        largest = rim[own == holes[sizes.argmax()]]
+        labels_of_rim = labels[rim[:, 0]]
+        holes, sizes = np.unique(labels_of_rim, return_counts=True)
+        largest = rim[labels_of_rim == holes[sizes.argmax()]]
         near = _place(points[np.unique(largest)].mean(axis=0), unit)
         number = f"{len(holes)} hole{'s' if len(holes) > 1 else ''}"
         rule = f"is not closed: {len(rim)} open edges around {number}, the largest near {near}"
@@ -213,8 +213,8 @@ def _pinched(triangles: Ints, edges: Edges) -> Ints:
         links.append(np.column_stack(corner))
     _, labels = _components(np.vstack(links), triangles.size)
     fans = np.unique(triangles.ravel() * triangles.size + labels)
-    own, count = np.unique(fans // triangles.size, return_counts=True)
-    return np.asarray(own[count > 1])
+    corner_of, count = np.unique(fans // triangles.size, return_counts=True)
+    return np.asarray(corner_of[count > 1])
 
 
 def _cover(triangles: Ints, edges: Edges) -> Ints:
@@ -250,10 +250,10 @@ def _outward(points: Array, triangles: Ints, edges: Edges) -> tuple[Ints, tuple[
 
 
 def _crossing(points: Array, triangles: Ints, unit: str) -> Iterator[tuple[str, str]]:
-    found = first_intersection(points, triangles)
-    if found is None:
+    crossing = first_intersection(points, triangles)
+    if crossing is None:
         return
-    a, b, place, count = found
+    a, b, place, count = crossing
     rule = f"passes through itself: triangles {a + 1} and {b + 1} meet near {_place(place, unit)}"
     rule += f" ({count} such pairs)" if count > 1 else ""
     yield rule, "repair the surface (remove self-intersections)"
@@ -506,33 +506,33 @@ def body(surface: Enclosed) -> Body:
 def _body(surface: Surface, changed: int, size: int) -> Body:
     """Body of a file as it is now; ``changed`` and ``size`` tell versions of it apart."""
     points, triangles = read_triangles(Path(surface.file))
-    found = inspect(points, triangles, Path(surface.file).name, surface.unit)
+    inspected = inspect(points, triangles, Path(surface.file).name, surface.unit)
     scale = unit_mm(surface.unit)
-    turned = turned_up(found.points * scale, surface.axis)
-    notes = (*found.notes, *_implausible(np.ptp(turned, axis=0), surface.unit))
-    return _stood(turned, found.triangles, surface, notes)
+    turned = turned_up(inspected.points * scale, surface.axis)
+    notes = (*inspected.notes, *_implausible(np.ptp(turned, axis=0), surface.unit))
+    return _stood(turned, inspected.triangles, surface, notes)
 
 
 @functools.lru_cache(maxsize=8)
 def _made(brain: Brain) -> Body:
     """Body of a formula, checked as a file would be."""
-    found = inspect(*brain_surface(brain), "brain", "mm")
-    return _stood(found.points, found.triangles, brain, found.notes)
+    inspected = inspect(*brain_surface(brain), "brain", "mm")
+    return _stood(inspected.points, inspected.triangles, brain, inspected.notes)
 
 
 def _stood(turned: Array, triangles: Ints, surface: Enclosed, notes: tuple[str, ...]) -> Body:
     """Stand a surface on z = 0, its loading axis at x = y = 0."""
     low, high = turned.min(axis=0), turned.max(axis=0)
     origin = np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
-    beside = []
+    press_mm = []
     for k, given in enumerate((surface.press_x_mm, surface.press_y_mm)):
         origin[k] = origin[k] if given is None else given
         if not low[k] <= origin[k] <= high[k]:
             rule = f"{given:g} mm is beside the specimen, which reaches from {low[k]:.8g} to "
             mend = "choose press_x and press_y inside its outline"
-            beside.append(Fault(f"specimen.press_{'xy'[k]}", f"{rule}{high[k]:.8g} mm", mend))
-    if beside:
-        raise InputError(beside)
+            press_mm.append(Fault(f"specimen.press_{'xy'[k]}", f"{rule}{high[k]:.8g} mm", mend))
+    if press_mm:
+        raise InputError(press_mm)
     height = float(high[2] - low[2])
     tolerance = surface.plate_tolerance_mm
     within = PLATE_TOLERANCE * height if tolerance is None else tolerance

@@ -44,18 +44,22 @@ MOST_ROWS = 40
 DIGITS = 5
 
 
-def analysis_of_variance(found: AnalysisResult) -> Table:
+def analysis_of_variance(analysis: AnalysisResult) -> Table:
     """Source, DF, SS, MS, F, P for every term, the error and the total."""
-    rows = found.anova.rows
+    rows = analysis.anova.rows
     corrected = any(row.p_gg is not None for row in rows)
     strata = len({row.error for row in rows if row.error}) > 1
-    how = "Seq" if found.anova.type == "I" else "Adj"
+    how = "Seq" if analysis.anova.type == "I" else "Adj"
     columns = ["source", "DF", f"{how} SS", f"{how} MS", "F", "p"]
     columns += ["GG epsilon", "p corrected"] if corrected else []
     columns += ["tested against"] if strata else []
     shown = [_anova_row(row, corrected, strata) for row in rows]
-    if found.anova.ss_total is not None:
-        total = ("total", f"{found.anova.df_total}", significant(found.anova.ss_total, DIGITS))
+    if analysis.anova.ss_total is not None:
+        total = (
+            "total",
+            f"{analysis.anova.df_total}",
+            significant(analysis.anova.ss_total, DIGITS),
+        )
         shown.append((*total, *[""] * (len(columns) - 3)))
     raw = tuple(plain(row) for row in rows)
     return Table("anova", tuple(columns), tuple(shown), 1, int(strata), raw=raw)
@@ -77,9 +81,9 @@ def _anova_row(row: Row, corrected: bool, strata: bool) -> tuple[str, ...]:
     return tuple(cells)
 
 
-def model_summary(found: AnalysisResult) -> Table | None:
+def model_summary(analysis: AnalysisResult) -> Table | None:
     """S, R-sq, adjusted and predicted; None where nothing was left over."""
-    summary = found.variation.summary
+    summary = analysis.variation.summary
     if summary is None:
         return None
     shares = (summary.r_sq, summary.r_sq_adj, summary.r_sq_pred)
@@ -138,21 +142,23 @@ def means(facts: Facts, data: ReportData) -> Table:
 
 def simple_effects(facts: Facts, data: ReportData) -> Table | None:
     """Differences of two levels at each setting of the other factors; None without interaction."""
-    listed = [(e, one) for e in facts.effects for one in e.simple_effects if one.at]
+    listed = [(e, simple) for e in facts.effects for simple in e.simple_effects if simple.at]
     if not listed:
         return None
     sign = "/" if facts.ratio else "\N{MINUS SIGN}"
     rows = tuple(
         (
             term_name(effect.term, data.labels),
-            f"{clean(one.first, 30)} {sign} {clean(one.second, 30)}",
-            ", ".join(f"{term_name(name, data.labels)} {clean(lev, 30)}" for name, lev in one.at),
-            significant(one.difference),
-            interval(*(one.ci or (None, None))),
-            interval(*(one.ci_simultaneous or (None, None))),
-            one.verdict,
+            f"{clean(simple.first, 30)} {sign} {clean(simple.second, 30)}",
+            ", ".join(
+                f"{term_name(name, data.labels)} {clean(lev, 30)}" for name, lev in simple.at
+            ),
+            significant(simple.difference),
+            interval(*(simple.ci or (None, None))),
+            interval(*(simple.ci_simultaneous or (None, None))),
+            simple.verdict,
         )
-        for effect, one in listed
+        for effect, simple in listed
     )
     what = "ratio" if facts.ratio else "difference"
     ends = ("its own interval", "simultaneous interval")
@@ -162,13 +168,13 @@ def simple_effects(facts: Facts, data: ReportData) -> Table | None:
         "it matters where one simultaneous interval lies beyond." + _cut(len(rows))
     )
     raw = tuple(
-        {"factor": e.term, **{k: v for k, v in asdict(one).items() if not isinstance(v, tuple)},
-         "at": "; ".join(f"{name}={lev}" for name, lev in one.at),
-         "low": None if one.ci is None else one.ci[0],
-         "high": None if one.ci is None else one.ci[1],
-         "low_simultaneous": None if one.ci_simultaneous is None else one.ci_simultaneous[0],
-         "high_simultaneous": None if one.ci_simultaneous is None else one.ci_simultaneous[1]}
-        for e, one in listed
+        {"factor": e.term, **{k: v for k, v in asdict(simple).items() if not isinstance(v, tuple)},
+         "at": "; ".join(f"{name}={lev}" for name, lev in simple.at),
+         "low": None if simple.ci is None else simple.ci[0],
+         "high": None if simple.ci is None else simple.ci[1],
+         "low_simultaneous": None if simple.ci_simultaneous is None else simple.ci_simultaneous[0],
+         "high_simultaneous": None if simple.ci_simultaneous is None else simple.ci_simultaneous[1]}
+        for e, simple in listed
     )  # fmt: skip
     return Table("simple effects", columns, rows[:MOST_ROWS], 3, 1, note, raw)
 
@@ -190,15 +196,15 @@ def contrast_table(result: AnalysisResult, name: str, unit: str = "") -> Table:
                *(("Holm's p",) if several else ()), "verdict")  # fmt: skip
     rows = tuple(
         (
-            clean(one.name, 200),
-            significant(one.difference),
-            interval(*(one.ci_simultaneous or (None, None))),
-            significant(one.u, 2),
-            p_value(one.p),
-            *((p_value(one.p_holm),) if several else ()),
-            f"{one.verdict}: {one.why}" if one.why else one.verdict,
+            clean(item.name, 200),
+            significant(item.difference),
+            interval(*(item.ci_simultaneous or (None, None))),
+            significant(item.u, 2),
+            p_value(item.p),
+            *((p_value(item.p_holm),) if several else ()),
+            f"{item.verdict}: {item.why}" if item.why else item.verdict,
         )
-        for one in result.contrasts
+        for item in result.contrasts
     )
     adjusted = ", and Holm's p is adjusted for all of them" if several else ""
     note = (
@@ -208,12 +214,12 @@ def contrast_table(result: AnalysisResult, name: str, unit: str = "") -> Table:
         f"{unit or 'the response'}."
     )
     raw = tuple(
-        {"contrast": one.name, "difference": one.difference, "U": one.u, "p": one.p,
-         "p_holm": one.p_holm,
-         "low": None if one.ci_simultaneous is None else one.ci_simultaneous[0],
-         "high": None if one.ci_simultaneous is None else one.ci_simultaneous[1],
-         "verdict": one.verdict}
-        for one in result.contrasts
+        {"contrast": item.name, "difference": item.difference, "U": item.u, "p": item.p,
+         "p_holm": item.p_holm,
+         "low": None if item.ci_simultaneous is None else item.ci_simultaneous[0],
+         "high": None if item.ci_simultaneous is None else item.ci_simultaneous[1],
+         "verdict": item.verdict}
+        for item in result.contrasts
     )  # fmt: skip
     return Table(f"contrasts {name}", columns, rows, 1, 0, note, raw)
 
@@ -242,24 +248,24 @@ def pairwise(pairs: tuple[PairwiseDifference, ...], facts: Facts, data: ReportDa
     return Table("pairwise comparisons", columns, rows[:MOST_ROWS], 2, 1, note, raw, grouped=True)
 
 
-def against_reference(factor: str, found: Comparisons, data: ReportData) -> Table:
+def against_reference(factor: str, comparisons: Comparisons, data: ReportData) -> Table:
     """Every level against a reference (Dunnett)."""
-    reference = found.pairs[0].second
+    reference = comparisons.pairs[0].second
     rows = tuple(
         (clean(pair.first), significant(pair.difference), interval(pair.lower, pair.upper),
          p_value(pair.p))
-        for pair in found.pairs
+        for pair in comparisons.pairs
     )  # fmt: skip
     name = f"{term_name(factor, data.labels)} against {clean(reference)}"
-    ends = f"simultaneous {level(found.alpha)} interval"
-    columns = ("level", found.effect, ends, "adjusted p")
-    raw = tuple(plain(pair) for pair in found.pairs)
-    return Table(name, columns, rows, 1, 0, f"{found.method}.", raw)
+    ends = f"simultaneous {level(comparisons.alpha)} interval"
+    columns = ("level", comparisons.effect, ends, "adjusted p")
+    raw = tuple(plain(pair) for pair in comparisons.pairs)
+    return Table(name, columns, rows, 1, 0, f"{comparisons.method}.", raw)
 
 
-def checks(found: AnalysisResult) -> Table | None:
+def checks(analysis: AnalysisResult) -> Table | None:
     """Statistic and p of every test of an assumption that applies."""
-    tests, rows = found.assumptions, []
+    tests, rows = analysis.assumptions, []
     rj = tests.normality
     if rj is not None and rj.applicable:
         tabled = str(rj.p_minitab).replace("0.", ".")
@@ -288,9 +294,9 @@ def checks(found: AnalysisResult) -> Table | None:
     return Table("tests of assumptions", columns, tuple(rows), 2, 0, "", raw)
 
 
-def unusual(found: UnusualObservations | None) -> Table | None:
+def unusual(unusual_rows: UnusualObservations | None) -> Table | None:
     """Rows with a large residual, a high leverage or a large Cook's distance."""
-    if found is None or found.rows.empty:
+    if unusual_rows is None or unusual_rows.rows.empty:
         return None
     columns = (
         "row",
@@ -304,7 +310,7 @@ def unusual(found: UnusualObservations | None) -> Table | None:
         "why",
     )  # noqa: E501
     numbers = ("response", "fitted", "residual", "standardized", "leverage", "cook", "press")
-    raw = tuple({str(k): v for k, v in row.items()} for row in found.rows.to_dict("records"))
+    raw = tuple({str(k): v for k, v in row.items()} for row in unusual_rows.rows.to_dict("records"))
     rows = tuple(
         (f"{row['row']}", *(significant(float(str(row[key]))) for key in numbers), str(row["why"]))
         for row in raw[:MOST_ROWS]
@@ -312,9 +318,9 @@ def unusual(found: UnusualObservations | None) -> Table | None:
     return Table("unusual observations", columns, rows, 0, 1, _cut(len(raw)).strip(), raw)
 
 
-def robustness(found: AnalysisResult, data: ReportData) -> Table | None:
+def robustness(analysis: AnalysisResult, data: ReportData) -> Table | None:
     """Give p of every term in each defensible analysis."""
-    table = found.assumptions.robustness
+    table = analysis.assumptions.robustness
     if table is None or not table.p:
         return None
     methods = list(next(iter(table.p.values())))
@@ -323,7 +329,7 @@ def robustness(found: AnalysisResult, data: ReportData) -> Table | None:
          for m in methods), table.agreement[term].split(" in ", 1)[-1])
         for term, p in table.p.items()
     )  # fmt: skip
-    columns = ("term", *methods, f"below {found.request.alpha:g} in")
+    columns = ("term", *methods, f"below {analysis.request.alpha:g} in")
     raw = tuple({"term": term, **p} for term, p in table.p.items())
     return Table("p in the defensible analyses", columns, rows, 1, 1, raw=raw)
 
@@ -352,8 +358,8 @@ class CheckGroup:
     @property
     def consequence(self) -> str:
         """What follows, where it is the same for two responses or more; else empty."""
-        said = [check.consequence for check in self.items if check.consequence]
-        return said[0] if len(said) > 1 and len(set(said)) == 1 else ""
+        texts = [check.consequence for check in self.items if check.consequence]
+        return texts[0] if len(texts) > 1 and len(set(texts)) == 1 else ""
 
     @property
     def agreed(self) -> bool:
@@ -366,16 +372,16 @@ def grouped(made: Sequence[Check]) -> tuple[CheckGroup, ...]:
     by_name: dict[str, list[Check]] = {}
     for check in made:
         by_name.setdefault(check.name, []).append(check)
-    found = [CheckGroup(name, tuple(items)) for name, items in by_name.items()]
-    return tuple(sorted(found, key=lambda group: _ORDER[group.outcome]))
+    groups = [CheckGroup(name, tuple(items)) for name, items in by_name.items()]
+    return tuple(sorted(groups, key=lambda group: _ORDER[group.outcome]))
 
 
-def all_checks(data: ReportData, found: Sequence[Facts]) -> tuple[Check, ...]:
+def all_checks(data: ReportData, all_facts: Sequence[Facts]) -> tuple[Check, ...]:
     """Gather the checks of the run, then the controls, then those of each analysis, worst first."""
     # controls that pass stand under numerical credibility alone
     bad = [check for check in data.controls if check.outcome in ("fail", "caution")]
     made = [*data.checks, *bad, *_of_cases(data)]
-    for facts in found:
+    for facts in all_facts:
         if facts.terms:
             made += [
                 _normality(facts, data.alpha),
@@ -390,43 +396,43 @@ def all_checks(data: ReportData, found: Sequence[Facts]) -> tuple[Check, ...]:
             made.append(
                 Check("Analysis", "fail", why, "No verdict for this response.", facts.title)
             )
-    made += [_surface(one, data) for one in data.surfaces]
+    made += [_surface(surface, data) for surface in data.surfaces]
     return tuple(sorted(made, key=lambda check: _ORDER[check.outcome]))
 
 
 def _of_cases(data: ReportData) -> list[Check]:
-    found = []
+    made = []
     if data.failures:
         finding = sentences.failures(data.failures, len(data.table))
-        found.append(Check("Failed cases", "caution", finding, "See the failure map."))
+        made.append(Check("Failed cases", "caution", finding, "See the failure map."))
     if data.retried:
         finding = tables.retried_sentence(data.retried)
-        told = "They are listed among the failures."
-        found.append(Check("Cases with other settings", "caution", finding, told))
-    return found
+        where = "They are listed among the failures."
+        made.append(Check("Cases with other settings", "caution", finding, where))
+    return made
 
 
-def _surface(one: FittedSurface, data: ReportData) -> Check:
+def _surface(fitted: FittedSurface, data: ReportData) -> Check:
     """Whether a surface predicts runs that it has not seen."""
-    name, of = "Surface predicts runs left out", surface_content.title(one, data)
-    if one.found is None:
-        return Check(name, "fail", clean(one.refused), "No verdict for this response.", of)
-    found = surface_content.quality(one.found)
-    if found >= GIVEN:
-        return Check(name, "pass", surface_content.accuracy(one), of=of)
-    outcome = "caution" if found >= RANKED else "fail"
-    return Check(name, outcome, surface_content.accuracy(one), "Add runs.", of)
+    name, of = "Surface predicts runs left out", surface_content.title(fitted, data)
+    if fitted.found is None:
+        return Check(name, "fail", clean(fitted.refused), "No verdict for this response.", of)
+    q2 = surface_content.quality(fitted.found)
+    if q2 >= GIVEN:
+        return Check(name, "pass", surface_content.accuracy(fitted), of=of)
+    outcome = "caution" if q2 >= RANKED else "fail"
+    return Check(name, outcome, surface_content.accuracy(fitted), "Add runs.", of)
 
 
 def _normality(facts: Facts, alpha: float) -> Check:
-    found, name = facts.assumptions.normality, "Residuals as from a normal distribution"
-    if found is None or found.rj is None:
+    normality, name = facts.assumptions.normality, "Residuals as from a normal distribution"
+    if normality is None or normality.rj is None:
         finding = verdicts.normality(facts, alpha)
         return Check(name, "not applicable", finding, of=facts.title)
     rejected = verdicts.rejects_normality(facts, alpha)
     finding = f"{'rejected' if rejected else 'not rejected'} by Ryan-Joiner"
-    if found.p_exact is not None:
-        finding += f" ({p_phrase(found.p_exact)})"
+    if normality.p_exact is not None:
+        finding += f" ({p_phrase(normality.p_exact)})"
     if not rejected:
         return Check(name, "pass", finding, of=facts.title)
     return Check(
@@ -455,15 +461,15 @@ def _spread(facts: Facts, alpha: float) -> Check:
     if not applicable:
         return Check(name, "not applicable", _untested(tests, alpha), of=facts.title)
     against = [k.capitalize() for k, t in applicable.items() if verdicts.rejects(t, alpha)]
-    said = listing(
+    p_values = listing(
         [f"{k.capitalize()} {p_phrase(verdicts.p_of(t))}" for k, t in applicable.items()]
     )
     if not against:
-        return Check(name, "pass", f"not rejected ({said})", of=facts.title)
+        return Check(name, "pass", f"not rejected ({p_values})", of=facts.title)
     return Check(
         name,
         "caution",
-        f"rejected by {listing(against)} ({said})",
+        f"rejected by {listing(against)} ({p_values})",
         "Intervals are too short for the cells that scatter most and too long for the others.",
         facts.title,
     )
@@ -495,10 +501,10 @@ def _sphericity(facts: Facts, data: ReportData) -> list[Check]:
 
 
 def _additivity(facts: Facts, data: ReportData) -> list[Check]:
-    found = facts.assumptions.non_additivity
-    if found is None or found.p is None or not math.isfinite(found.p):
+    non_additivity = facts.assumptions.non_additivity
+    if non_additivity is None or non_additivity.p is None or not math.isfinite(non_additivity.p):
         return []
-    p = found.p
+    p = non_additivity.p
     name = f"No interaction between cell and {clean(data.block) or 'block'}"
     if p >= data.alpha:
         finding = f"not rejected by Tukey's one-degree test ({p_phrase(p)})"
@@ -517,8 +523,8 @@ def _additivity(facts: Facts, data: ReportData) -> list[Check]:
 
 def _resolution(facts: Facts, data: ReportData) -> Check:
     name = "Effects resolved by the mesh"
-    known = [effect for effect in facts.effects if effect.u_num is not None]
-    if not known:
+    bounded = [effect for effect in facts.effects if effect.u_num is not None]
+    if not bounded:
         return Check(
             name,
             "not applicable",
@@ -528,7 +534,7 @@ def _resolution(facts: Facts, data: ReportData) -> Check:
         )
     open_ones = [effect for effect in facts.effects if effect.verdict == NOT_RESOLVED]
     if not open_ones:
-        finding = f"mesh error, added to the interval, changes no verdict (of {len(known)})"
+        finding = f"mesh error, added to the interval, changes no verdict (of {len(bounded)})"
         return Check(name, "pass", finding, of=facts.title)
     needed = [
         f"below {bound(effect.u_needed, effect, facts)} for {term_name(effect.term, data.labels)}"
@@ -543,21 +549,21 @@ def _resolution(facts: Facts, data: ReportData) -> Check:
 
 def _fragile(facts: Facts, data: ReportData) -> list[Check]:
     """Say which claims fall with one block."""
-    known = [effect for effect in facts.effects if effect.lost_without is not None]
-    if not known:
+    judged = [effect for effect in facts.effects if effect.lost_without is not None]
+    if not judged:
         return []
     block = clean(data.block) or "block"
     name = f"Claims hold with any one {block} left out"
     lost = [
         f"the claim on {term_name(effect.term, data.labels)} fails if "
         f"{_some(effect.lost_without, data)} is left out"
-        for effect in known
+        for effect in judged
         if effect.lost_without
     ]
     if not lost:
         many = {1: "the claim does", 2: "both claims do"}
-        said = many.get(len(known), f"all {len(known)} claims do")
-        return [Check(name, "pass", said, of=facts.title)]
+        finding = many.get(len(judged), f"all {len(judged)} claims do")
+        return [Check(name, "pass", finding, of=facts.title)]
     more = (
         f"Measure more {plural_of(block)} before relying on {'it' if len(lost) == 1 else 'them'}."
     )

@@ -25,20 +25,20 @@ def response_of(row: Conclusion, labels: Labels = None) -> str:
     return name_of(row.response, labels)
 
 
-def summary(beside: Beside, labels: Labels = None) -> tuple[str, ...]:
+def summary(comparison: Beside, labels: Labels = None) -> tuple[str, ...]:
     """Say which conclusions hold: how many, then response by response."""
-    mains = [row for row in beside.conclusions if row.is_main]
-    said = [_count(mains, beside)] if mains else []
-    for rows in _by_response(beside.conclusions).values():
-        said.append(_of_response(rows, beside, labels))
-    return tuple(text for text in said if text)
+    mains = [row for row in comparison.conclusions if row.is_main]
+    lines = [_count(mains, comparison)] if mains else []
+    for rows in _by_response(comparison.conclusions).values():
+        lines.append(_of_response(rows, comparison, labels))
+    return tuple(text for text in lines if text)
 
 
-def _count(rows: Sequence[Conclusion], beside: Beside) -> str:
+def _count(rows: Sequence[Conclusion], comparison: Beside) -> str:
     held = sum(row.holds is True for row in rows)
     broken = sum(row.holds is False for row in rows)
     open_ones = len(rows) - held - broken
-    first, second = (clean(name) for name in beside.names)
+    first, second = (clean(name) for name in comparison.names)
     total = count(len(rows), "conclusion")
     text = f"of {total} about single factors, {held} hold{'s' * (held == 1)} under both"
     text += f" {first} and {second}"
@@ -47,11 +47,11 @@ def _count(rows: Sequence[Conclusion], beside: Beside) -> str:
     return sentence("; ".join([text, *parts]))
 
 
-def _of_response(rows: Sequence[Conclusion], beside: Beside, labels: Labels) -> str:
+def _of_response(rows: Sequence[Conclusion], comparison: Beside, labels: Labels) -> str:
     """One response: what matters in both, what does not, what differs, what is open."""
-    told = [row for row in rows if row.is_main or _strong(row)]
+    mains = [row for row in rows if row.is_main or _strong(row)]
     groups = {
-        kind: [row for row in told if row.conclusion.startswith(kind)]
+        kind: [row for row in mains if row.conclusion.startswith(kind)]
         for kind in (
             study_answers.MATTERS,
             study_answers.NO_DIFFERENCE,
@@ -61,10 +61,10 @@ def _of_response(rows: Sequence[Conclusion], beside: Beside, labels: Labels) -> 
     both = _both(groups[study_answers.MATTERS], groups[study_answers.NO_DIFFERENCE], labels)
     parts = [f"under both: {both}"] if both else []
     for row in groups[study_answers.DIFFERS]:
-        parts.append(f"{_term(row, labels)} differs: {_how(row, beside)}")
-    parts += [f"{_term(row, labels)}: {_how(row, beside)}"
-              for row in told if row.conclusion == study_answers.ONE_CANNOT_TELL]  # fmt: skip
-    never = [_term(row, labels) for row in told if row.conclusion == study_answers.NONE_CAN_TELL]
+        parts.append(f"{_term(row, labels)} differs: {_how(row, comparison)}")
+    parts += [f"{_term(row, labels)}: {_how(row, comparison)}"
+              for row in mains if row.conclusion == study_answers.ONE_CANNOT_TELL]  # fmt: skip
+    never = [_term(row, labels) for row in mains if row.conclusion == study_answers.NONE_CAN_TELL]
     if never:
         parts.append(f"neither study can show whether {listing(never, 'or')} matters")
     text = f"for the {response_of(rows[0], labels)}, {'; '.join(parts)}" if parts else ""
@@ -84,8 +84,8 @@ def _interactions(rows: Sequence[Conclusion], labels: Labels) -> str:
             else (f"; the interaction {_term(quiet[0], labels)} does not matter in either")
         )
     if not small:
-        one = f"the interaction {_term(quiet[0], labels)}"
-        which = one if len(quiet) == 1 else f"any of {count(len(quiet), 'other interaction')}"
+        single = f"the interaction {_term(quiet[0], labels)}"
+        which = single if len(quiet) == 1 else f"any of {count(len(quiet), 'other interaction')}"
         return f"; whether {which} matters cannot be told in one or both"
     return (
         f"; of {count(len(quiet), 'interaction')} that matter in neither, "
@@ -96,7 +96,7 @@ def _interactions(rows: Sequence[Conclusion], labels: Labels) -> str:
 
 def _strong(row: Conclusion) -> bool:
     """Whether an interaction deserves a sentence: it matters in one, or the studies differ."""
-    return not row.is_main and any(one.verdict == MATTERS for one in row.found)
+    return not row.is_main and any(conclusion.verdict == MATTERS for conclusion in row.found)
 
 
 def _both(matter: Sequence[Conclusion], small: Sequence[Conclusion], labels: Labels) -> str:
@@ -114,7 +114,7 @@ def _term(row: Conclusion, labels: Labels) -> str:
 
 
 def _sizes(row: Conclusion) -> str:
-    first, second = (effect_of(row, one) for one in row.found)
+    first, second = (effect_of(row, conclusion) for conclusion in row.found)
     facts = facts_of(row)
     return f"{size(first, facts)} and {size(second, facts)}"
 
@@ -123,32 +123,33 @@ def _lead(row: Conclusion) -> str:
     """Say which level leads in both, or that a tie leaves it open."""
     if not row.is_main or not row.found[0].best:
         return ""
-    best = [clean(one.best) for one in row.found]
+    best = [clean(conclusion.best) for conclusion in row.found]
     if best[0] == best[1]:
         return f", {row.end} with {best[0]} in both"
     return f", {row.end} with {best[0]} and {best[1]}, which lie within what matters"
 
 
-def _how(row: Conclusion, beside: Beside) -> str:
+def _how(row: Conclusion, comparison: Beside) -> str:
     """Verdict and size under each study."""
     facts = facts_of(row)
-    said = []
-    for name, one in zip(beside.names, row.found, strict=True):
-        number = size(effect_of(row, one), facts)
+    parts = []
+    for name, side in zip(comparison.names, row.found, strict=True):
+        number = size(effect_of(row, side), facts)
         number = "" if number == MISSING else number
-        lead = f"{row.end} with {clean(one.best)}" if row.same_best is False else ""
-        why = clean(one.why) if one.verdict == CANNOT_TELL else ""
-        known = ", ".join(part for part in (number, lead, why) if part)
-        said.append(f"{one.verdict} under {clean(name)}{f' ({known})' if known else ''}")
-    return ", ".join(said)
+        lead = f"{row.end} with {clean(side.best)}" if row.same_best is False else ""
+        why = clean(side.why) if side.verdict == CANNOT_TELL else ""
+        details = ", ".join(part for part in (number, lead, why) if part)
+        parts.append(f"{side.verdict} under {clean(name)}{f' ({details})' if details else ''}")
+    return ", ".join(parts)
 
 
-def effect_of(row: Conclusion, found: Found) -> Effect:
+def effect_of(row: Conclusion, conclusion: Found) -> Effect:
     """Effect of one study, as the words of a report want it."""
     return Effect(
-        row.term, (), (), _interval(found.low, found.high), found.effect, found.verdict,
-        "ratio" if row.ratio else "difference", practical=found.practical, p=found.p,
-        u_num=found.u_num, effect_over_u_num=found.over_u_num, why=found.why,
+        row.term, (), (), _interval(conclusion.low, conclusion.high), conclusion.effect,
+            conclusion.verdict,
+        "ratio" if row.ratio else "difference", practical=conclusion.practical, p=conclusion.p,
+        u_num=conclusion.u_num, effect_over_u_num=conclusion.over_u_num, why=conclusion.why,
     )  # fmt: skip
 
 
@@ -162,12 +163,12 @@ def facts_of(row: Conclusion) -> Facts:
     return Facts(ResponseAnalysis(row.response, unit), response_of(row), unit)
 
 
-def answer_lines(beside: Beside | None, labels: Labels = None) -> tuple[str, ...]:
+def answer_lines(comparison: Beside | None, labels: Labels = None) -> tuple[str, ...]:
     """Lines for the answer box: which conclusions hold beside the other study, which do not."""
-    if beside is None:
+    if comparison is None:
         return ()
-    mains = [row for row in beside.conclusions if row.is_main]
-    other = clean(beside.names[1])
+    mains = [row for row in comparison.conclusions if row.is_main]
+    other = clean(comparison.names[1])
     held = _named([row for row in mains if row.holds is True], labels)
     broken = _named([row for row in mains if row.holds is False], labels)
     open_ones = _named([row for row in mains if row.holds is None], labels)
@@ -180,7 +181,7 @@ def answer_lines(beside: Beside | None, labels: Labels = None) -> tuple[str, ...
 
 def _named(rows: Iterable[Conclusion], labels: Labels) -> str:
     """Terms with their verdicts, response by response."""
-    said = []
+    texts = []
     for group in _by_response(rows).values():
         matter = [_term(r, labels) for r in group if r.conclusion == study_answers.MATTERS]
         small = [_term(r, labels) for r in group if r.conclusion == study_answers.NO_DIFFERENCE]
@@ -189,42 +190,42 @@ def _named(rows: Iterable[Conclusion], labels: Labels) -> str:
         parts += [f"{listing(small)} make{'s' * (len(small) == 1)} no practical difference"
                   ] if small else []  # fmt: skip
         parts += [listing(rest)] if rest else []
-        said.append(f"for the {response_of(group[0], labels)}, {' and '.join(parts)}")
-    return "; ".join(said)
+        texts.append(f"for the {response_of(group[0], labels)}, {' and '.join(parts)}")
+    return "; ".join(texts)
 
 
 def _by_response(rows: Iterable[Conclusion]) -> dict[str, list[Conclusion]]:
-    found: dict[str, list[Conclusion]] = {}
+    by_response: dict[str, list[Conclusion]] = {}
     for row in rows:
-        found.setdefault(row.response, []).append(row)
-    return found
+        by_response.setdefault(row.response, []).append(row)
+    return by_response
 
 
-def changes(beside: Beside) -> Table:
+def changes(comparison: Beside) -> Table:
     """Return the inputs that differ, the first thing to read."""
     rows = tuple(
         (clean(c.key, LONGEST), *(clean(_absent(c) if v is None else v, LONGEST) for v in c.values))
-        for c in beside.changes
+        for c in comparison.changes
     )
     raw = tuple(
         {"kind": c.kind, "input": c.key, "first": c.values[0], "second": c.values[1]}
-        for c in beside.changes
+        for c in comparison.changes
     )
-    return Table("changes", ("input", *map(clean, beside.names)), rows, 3, raw=raw)
+    return Table("changes", ("input", *map(clean, comparison.names)), rows, 3, raw=raw)
 
 
 def _absent(change: Change) -> str:
     return "not set" if change.kind in ("design", "truth") else "none"
 
 
-def only_lines(beside: Beside, labels: Labels = None) -> tuple[str, ...]:
+def only_lines(comparison: Beside, labels: Labels = None) -> tuple[str, ...]:
     """Name what only one study has, so that nothing is dropped in silence."""
     groups: dict[tuple[int, str], list[OnlyInOne]] = {}
-    for item in beside.only:
+    for item in comparison.only:
         groups.setdefault((item.study, item.what), []).append(item)
     return tuple(
         sentence(
-            f"only in {clean(beside.names[study])}: {what}{'s' * (len(items) > 1)} "
+            f"only in {clean(comparison.names[study])}: {what}{'s' * (len(items) > 1)} "
             + ", ".join(_only(item, labels) for item in items)
         )
         for (study, what), items in groups.items()
@@ -251,9 +252,9 @@ def quiet_line(rows: Iterable[Conclusion], labels: Labels = None) -> str:
     return " ".join(sentence(f"{kind}: {', '.join(names)}") for kind, names in named)
 
 
-def quiet_lines(beside: Beside, labels: Labels = None) -> tuple[tuple[str, str], ...]:
+def quiet_lines(comparison: Beside, labels: Labels = None) -> tuple[tuple[str, str], ...]:
     """Response and what is known of the interactions that its table leaves out."""
-    groups = _by_response(beside.conclusions).values()
+    groups = _by_response(comparison.conclusions).values()
     lines = [(response_of(rows[0], labels), quiet_line(rows, labels)) for rows in groups]
     return tuple((title, line) for title, line in lines if line)
 
@@ -263,54 +264,54 @@ def short(row: Conclusion) -> str:
     return row.conclusion.partition(":")[0]
 
 
-def table(beside: Beside, labels: Labels = None) -> Table:
+def table(comparison: Beside, labels: Labels = None) -> Table:
     """Two rows a term, one for each study; grouped by response."""
     rows, raw = [], []
-    for group in _by_response(beside.conclusions).values():
+    for group in _by_response(comparison.conclusions).values():
         for row in shown(group):
-            rows += list(_lines(row, beside, labels))
-        raw += [line for row in group for line in _raw(row, beside)]
-    one, other = map(level, beside.alphas)
-    ends = f"{one} interval" if one == other else f"interval ({one}; {other})"
+            rows += list(_lines(row, comparison, labels))
+        raw += [line for row in group for line in _raw(row, comparison)]
+    first, other = map(level, comparison.alphas)
+    ends = f"{first} interval" if first == other else f"interval ({first}; {other})"
     columns = ("response", "factor", "in both", "study", "verdict", "largest difference",
                ends, "effect / u_num", "p", "leading level")  # fmt: skip
     return Table("beside", columns, tuple(rows), 5, 1, raw=tuple(raw), grouped=True)
 
 
-def _lines(row: Conclusion, beside: Beside, labels: Labels) -> Iterator[tuple[str, ...]]:
+def _lines(row: Conclusion, comparison: Beside, labels: Labels) -> Iterator[tuple[str, ...]]:
     facts = facts_of(row)
-    for name, one in zip(beside.names, row.found, strict=True):
-        effect = effect_of(row, one)
+    for name, side in zip(comparison.names, row.found, strict=True):
+        effect = effect_of(row, side)
         yield (
             response_of(row, labels),
             _term(row, labels),
             short(row),
             clean(name),
-            one.verdict if one.verdict else CANNOT_TELL,
+            side.verdict if side.verdict else CANNOT_TELL,
             size(effect, facts),
             size_interval(effect, facts),
             over_numerical(effect),
-            p_value(one.p),
-            f"{clean(one.best)} ({row.end})" if one.best and one.verdict == MATTERS else MISSING,
+            p_value(side.p),
+            f"{clean(side.best)} ({row.end})" if side.best and side.verdict == MATTERS else MISSING,
         )
 
 
-def _raw(row: Conclusion, beside: Beside) -> Iterator[dict[str, object]]:
-    for name, one in zip(beside.names, row.found, strict=True):
+def _raw(row: Conclusion, comparison: Beside) -> Iterator[dict[str, object]]:
+    for name, side in zip(comparison.names, row.found, strict=True):
         yield {
             "response": row.response,
             "factor": row.term,
             "conclusion": row.conclusion,
             "study": name,
-            "verdict": one.verdict,
-            "effect": one.effect,
-            "low": one.low,
-            "high": one.high,
-            "practical": one.practical,
-            "u_num": one.u_num,
-            "effect_over_u_num": one.over_u_num,
-            "p": one.p,
+            "verdict": side.verdict,
+            "effect": side.effect,
+            "low": side.low,
+            "high": side.high,
+            "practical": side.practical,
+            "u_num": side.u_num,
+            "effect_over_u_num": side.over_u_num,
+            "p": side.p,
             "end": row.end,
-            "best": one.best,
+            "best": side.best,
             "scale": "ratio" if row.ratio else "difference",
         }

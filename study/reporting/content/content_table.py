@@ -207,12 +207,12 @@ def named(setting: Mapping[str, str], data: ReportData) -> str:
     return ", ".join(f"{name_of(n, data.labels)} {clean(v)}" for n, v in setting.items())
 
 
-def by_condition(data: ReportData, found: Sequence[Facts]) -> list[str]:
+def by_condition(data: ReportData, all_facts: Sequence[Facts]) -> list[str]:
     """Say at which levels of a condition each choice matters."""
     return [
         line
         for condition in factors_of(data, CONDITION)
-        for facts in found
+        for facts in all_facts
         for effect in facts.effects
         if role(data, effect.term) == CHOICE
         and (line := _one_condition(condition, effect, facts, data))
@@ -220,7 +220,7 @@ def by_condition(data: ReportData, found: Sequence[Facts]) -> list[str]:
 
 
 def _one_condition(condition: str, effect: Effect, facts: Facts, data: ReportData) -> str:
-    found: dict[str, list[str]] = {}
+    by_verdict: dict[str, list[str]] = {}
     for level in data.factors[condition]:
         here = [e for e in effect.simple_effects if dict(e.at).get(condition) == level]
         if not here:
@@ -228,8 +228,8 @@ def _one_condition(condition: str, effect: Effect, facts: Facts, data: ReportDat
         verdict = together([e.verdict for e in here])
         largest = _largest([e for e in here if e.verdict == verdict] or here, effect)
         size = shown_difference(apart(largest.difference, effect), effect, facts)
-        found.setdefault(verdict, []).append(f"{clean(level)} ({size})")
-    parts = [f"{_SAID[verdict]} at {listing(levels)}" for verdict, levels in found.items()]
+        by_verdict.setdefault(verdict, []).append(f"{clean(level)} ({size})")
+    parts = [f"{_SAID[verdict]} at {listing(levels)}" for verdict, levels in by_verdict.items()]
     name, by = term_name(effect.term, data.labels), name_of(condition, data.labels)
     return sentence(f"{name} by {by}, for the {facts.title}: {'; '.join(parts)}")
 
@@ -262,11 +262,11 @@ def together(verdicts: Sequence[str]) -> str:
     return CANNOT_TELL if CANNOT_TELL in verdicts else NOT_RESOLVED
 
 
-def unknowns(data: ReportData, found: Sequence[Facts]) -> list[str]:
+def unknowns(data: ReportData, all_facts: Sequence[Facts]) -> list[str]:
     """Effect of every assumed factor, and whether it has to be measured."""
     lines = []
     for name in factors_of(data, UNKNOWN):
-        effects = [(f, e) for f in found for e in f.effects if e.term == name]
+        effects = [(f, e) for f in all_facts for e in f.effects if e.term == name]
         if effects:
             lines.append(_one_unknown(name_of(name, data.labels), effects))
     return lines

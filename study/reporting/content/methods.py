@@ -19,13 +19,18 @@ MANY = 6
 _SOFTWARE = {"study", "python", "numpy", "scipy", "scikit-fem", "gmsh"}
 
 
-def paragraph(data: ReportData, found: Sequence[Facts]) -> str:
+def paragraph(data: ReportData, all_facts: Sequence[Facts]) -> str:
     """Return the methods paragraph: design, measurements, scoring, statistics, software."""
     parts = [_design(data), _cases(data), _measurements(data), _inputs(data), _scores(data)]
     parts += [_cross_validation(data)]
-    parts += [_statistics(facts, data) for facts in found if facts.terms]
-    parts += [surface_content.method(one, data) for one in data.surfaces]
-    parts += [_intervals(data, found), _checks(found), _numerics(data, found), _software(data)]
+    parts += [_statistics(facts, data) for facts in all_facts if facts.terms]
+    parts += [surface_content.method(surface, data) for surface in data.surfaces]
+    parts += [
+        _intervals(data, all_facts),
+        _checks(all_facts),
+        _numerics(data, all_facts),
+        _software(data),
+    ]
     return " ".join(part for part in parts if part)
 
 
@@ -64,17 +69,21 @@ def _cases(data: ReportData) -> str:
 
 def _scores(data: ReportData) -> str:
     """Say which curves gave constants and which judged them, and how constants were fitted."""
-    said = dict.fromkeys(one.scored_on for one in data.responses if one.scored_on)
-    if not said:
+    scored_on = dict.fromkeys(
+        response.scored_on for response in data.responses if response.scored_on
+    )
+    if not scored_on:
         return ""
     fitted = ""
     if data.fits:
         fitted = "constants were fitted by least squares (Levenberg-Marquardt within bounds); "
-    return sentence(f"{fitted}predictions were scored on {listing([clean(one) for one in said])}")
+    return sentence(
+        f"{fitted}predictions were scored on {listing([clean(curve) for curve in scored_on])}"
+    )
 
 
-def _intervals(data: ReportData, found: Sequence[Facts]) -> str:
-    if not any(effect.low is not None for facts in found for effect in facts.terms):
+def _intervals(data: ReportData, all_facts: Sequence[Facts]) -> str:
+    if not any(effect.low is not None for facts in all_facts for effect in facts.terms):
         return ""
     return sentence(
         f"intervals have a level of {level(data.alpha)} and, over the differences of one effect, "
@@ -144,8 +153,8 @@ def _corrected(facts: Facts) -> str:
     return "Welch-Box over groups" if "Welch-Box" in reason else "Greenhouse-Geisser corrected"
 
 
-def _checks(found: Sequence[Facts]) -> str:
-    if not any(facts.result is not None for facts in found):
+def _checks(all_facts: Sequence[Facts]) -> str:
+    if not any(facts.result is not None for facts in all_facts):
         return ""
     return (
         "Residuals were examined by the Ryan-Joiner test (p simulated for the model matrix), by "
@@ -153,11 +162,11 @@ def _checks(found: Sequence[Facts]) -> str:
     )
 
 
-def _numerics(data: ReportData, found: Sequence[Facts]) -> str:
+def _numerics(data: ReportData, all_facts: Sequence[Facts]) -> str:
     if not data.numerical:
         return ""
     how = "by mesh refinement for each kind of discretization"
-    if any(facts.u_num_by_term for facts in found):
+    if any(facts.u_num_by_term for facts in all_facts):
         how = "for each difference, by following the same difference over a series of meshes"
     return (
         f"Numerical uncertainty was estimated {how}; its bound U was added to both ends of an "
@@ -234,12 +243,12 @@ def glossed(text: str) -> Markup:
     """
     seen: set[str] = set()
     parts, last = [], 0
-    for found in _PATTERN.finditer(text):
-        if found[0] in seen:
+    for match in _PATTERN.finditer(text):
+        if match[0] in seen:
             continue
-        seen.add(found[0])
-        parts += [escape(text[last : found.start()]), explained(found[0])]
-        last = found.end()
+        seen.add(match[0])
+        parts += [escape(text[last : match.start()]), explained(match[0])]
+        last = match.end()
     return Markup("").join([*parts, escape(text[last:])])
 
 

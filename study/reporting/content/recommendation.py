@@ -54,9 +54,9 @@ if TYPE_CHECKING:
     from study.reporting.content.report_facts import Group
 
 
-def best_cell(data: ReportData, found: Sequence[Facts]) -> str:
+def best_cell(data: ReportData, all_facts: Sequence[Facts]) -> str:
     """Name the best cell of the first response that has a better end, and the tie around it."""
-    for facts in found:
+    for facts in all_facts:
         if facts.response.better not in ("lower", "higher"):
             continue
         if content_table.factors_of(data, content_table.CONDITION, content_table.UNKNOWN):
@@ -154,9 +154,9 @@ def cost_front(
     if "seconds" not in data.table or not data.table["seconds"].notna().any():
         return pd.DataFrame(columns=[*factors, "cell", "mean", "seconds", "front", "within"])
     frame = cells(data, facts.name, factors)
-    known = data.table[data.table[facts.name].notna()]
-    keys = cell_names(known, factors)
-    seconds = known["seconds"].astype(float).groupby(keys).mean()
+    answered = data.table[data.table[facts.name].notna()]
+    keys = cell_names(answered, factors)
+    seconds = answered["seconds"].astype(float).groupby(keys).mean()
     frame["seconds"] = frame["cell"].map(seconds)
     frame = frame.dropna(subset=["seconds"]).sort_values(["seconds", "mean"], kind="stable")
     sign = -1.0 if facts.response.better == "higher" else 1.0
@@ -179,13 +179,13 @@ def recommendation(data: ReportData, facts: Facts) -> str:
     chosen = content_table.factors_of(data, content_table.CHOICE)
     if not chosen:
         return "No factor is a choice, so nothing is recommended."
-    said: dict[str, list[str]] = {}
+    by_setting: dict[str, list[str]] = {}
     for setting in content_table.settings(data):
         text = _recommended(content_table.at(data, setting), facts, chosen)
-        said.setdefault(text, []).append(content_table.named(setting, data))
+        by_setting.setdefault(text, []).append(content_table.named(setting, data))
     return " ".join(
         sentence(f"at {listing(where)}: {text}" if where[0] else text)
-        for text, where in said.items()
+        for text, where in by_setting.items()
     )
 
 
@@ -240,15 +240,15 @@ def cheaper(data: ReportData, facts: Facts) -> str:
     """
     if not facts.response.better or "seconds" not in data.table:
         return ""
-    said = [_cheaper_level(data, effect, facts) for effect in facts.effects]
-    return " ".join(text for text in said if text)
+    sentences_of_effects = [_cheaper_level(data, effect, facts) for effect in facts.effects]
+    return " ".join(text for text in sentences_of_effects if text)
 
 
 def _cheaper_level(data: ReportData, effect: Effect, facts: Facts) -> str:
     if not effect.term.startswith("model.") or effect.range is None:
         return ""
-    known = data.table[data.table[facts.name].notna() & data.table["seconds"].notna()]
-    seconds = known["seconds"].astype(float).groupby(known[effect.term].astype(str)).mean()
+    answered = data.table[data.table[facts.name].notna() & data.table["seconds"].notna()]
+    seconds = answered["seconds"].astype(float).groupby(answered[effect.term].astype(str)).mean()
     if len(seconds) < 2:
         return ""
     cheap, dear = str(seconds.idxmin()), str(seconds.idxmax())
@@ -272,24 +272,26 @@ def _cheaper_level(data: ReportData, effect: Effect, facts: Facts) -> str:
     )
 
 
-def would_change(data: ReportData, found: Sequence[Facts]) -> str:
+def would_change(data: ReportData, all_facts: Sequence[Facts]) -> str:
     """Say what would change the answer."""
     if data.surfaces:
         return surface_content.would_change(data)
-    parts = [*_surer(data, found), *_closer_to_reality(data)]
+    parts = [*_surer(data, all_facts), *_closer_to_reality(data)]
     if not parts:
         other = "measurements of another material" if data.is_measured else "other given values"
         parts = [f"a different smallest difference that matters, or {other}"]
     return sentence("; ".join(parts))
 
 
-def _surer(data: ReportData, found: Sequence[Facts]) -> list[str]:
+def _surer(data: ReportData, all_facts: Sequence[Facts]) -> list[str]:
     """More units, or finer meshes: each where it is the cause of a doubt."""
     parts, unit = [], clean(data.block) if data.block else "replicate"
-    unstated = [one.title for one in found if any(_has_no_practical(e) for e in one.effects)]
+    unstated = [
+        facts.title for facts in all_facts if any(_has_no_practical(e) for e in facts.effects)
+    ]
     if unstated:
         parts.append(f"the smallest difference that matters, stated for the {listing(unstated)}")
-    effects = [e for facts in found for e in facts.effects if not _has_no_practical(e)]
+    effects = [e for facts in all_facts for e in facts.effects if not _has_no_practical(e)]
     alone = _names([e for e in effects if e.why == ONE_SPECIMEN], data)
     if alone:
         parts.append(f"measurements of more specimens, for one tells nothing of {listing(alone)} "

@@ -134,13 +134,13 @@ def facts(data: ReportData) -> tuple[Facts, ...]:
 
 def _read(data: ReportData, response: ResponseAnalysis) -> Facts:
     title = clean(response.title or name_of(response.name, data.labels))
-    found = response.result
-    if found is None:
+    result = response.result
+    if result is None:
         warned = (response.refused,) if response.refused else ()
         return Facts(response, title, clean(response.unit), warnings=warned)
-    terms = tuple(_as_designed(effect, data.factors) for effect in found.effects)
+    terms = tuple(_as_designed(effect, data.factors) for effect in result.effects)
     block = clean(data.block) or "block"
-    return Facts(response, title, clean(response.unit), terms, found.notes, block)
+    return Facts(response, title, clean(response.unit), terms, result.notes, block)
 
 
 def _finite(value: _Value) -> _Value:
@@ -156,18 +156,18 @@ def _finite(value: _Value) -> _Value:
 def _as_designed(effect: Effect, factors: Mapping[str, Sequence[str]]) -> Effect:
     """Effect with the levels of a factor, their means and intervals in the order of its design."""
     effect = replace(
-        _finite(effect), simple_effects=tuple(_finite(one) for one in effect.simple_effects)
+        _finite(effect), simple_effects=tuple(_finite(item) for item in effect.simple_effects)
     )
-    wanted = [effect.levels.index(v) for v in factors.get(effect.term, ()) if v in effect.levels]
-    if len(wanted) != len(effect.levels):
+    order = [effect.levels.index(v) for v in factors.get(effect.term, ()) if v in effect.levels]
+    if len(order) != len(effect.levels):
         return effect
     ends, letters = effect.mean_ci95, effect.letters
     return replace(
         effect,
-        levels=tuple(effect.levels[i] for i in wanted),
-        mean=tuple(effect.mean[i] for i in wanted),
-        mean_ci95=None if ends is None else tuple(ends[i] for i in wanted),
-        letters=tuple(letters[i] for i in wanted) if letters else (),
+        levels=tuple(effect.levels[i] for i in order),
+        mean=tuple(effect.mean[i] for i in order),
+        mean_ci95=None if ends is None else tuple(ends[i] for i in order),
+        letters=tuple(letters[i] for i in order) if letters else (),
     )
 
 
@@ -182,17 +182,17 @@ def comparable(data: ReportData, response: str) -> pd.DataFrame:
     Cells answered in half of the blocks or fewer are left out, as in the analysis. All rows
     where there are no blocks, or none that all cells share.
     """
-    known = data.table.dropna(subset=[response])
-    if not data.blocks or "block" not in known or known.empty:
-        return known
+    complete = data.table.dropna(subset=[response])
+    if not data.blocks or "block" not in complete or complete.empty:
+        return complete
     factors = list(data.factors)
-    known = known[answered_often(known, factors, "block", known["block"].nunique())]
-    cell = cell_names(known, factors)
-    per_block = cell.groupby(known["block"].astype(str)).nunique()
+    complete = complete[answered_often(complete, factors, "block", complete["block"].nunique())]
+    cell = cell_names(complete, factors)
+    per_block = cell.groupby(complete["block"].astype(str)).nunique()
     whole = per_block.index[per_block == cell.nunique()]
     if len(whole) in (0, len(per_block)):
-        return known
-    return known[known["block"].astype(str).isin(whole)]
+        return complete
+    return complete[complete["block"].astype(str).isin(whole)]
 
 
 def cells(data: ReportData, response: str, factors: Sequence[str] | None = None) -> pd.DataFrame:
@@ -200,11 +200,11 @@ def cells(data: ReportData, response: str, factors: Sequence[str] | None = None)
     import numpy as np
 
     factors = list(data.factors if factors is None else factors)
-    known = comparable(data, response)
+    rows = comparable(data, response)
     log = any(r.name == response and r.transform == "log" for r in data.responses)
-    values = known[response].astype(float)
-    known = known[factors].astype(str).assign(y=np.log(values) if log else values)
-    grouped = known.groupby(factors, sort=False)["y"].agg(["mean", "count"]).reset_index()
+    values = rows[response].astype(float)
+    rows = rows[factors].astype(str).assign(y=np.log(values) if log else values)
+    grouped = rows.groupby(factors, sort=False)["y"].agg(["mean", "count"]).reset_index()
     if log:
         grouped["mean"] = np.exp(grouped["mean"])
     # where every case failed there is no row to join the levels of
@@ -228,14 +228,14 @@ def groups(data: ReportData, facts: Facts) -> tuple[Group, ...]:
     """Distinct computations of a response, lowest mean first."""
     frame = cells(data, facts.name)
     place = _places(data, facts, frame)
-    found: dict[int, list[int]] = {}
+    members: dict[int, list[int]] = {}
     for row, key in enumerate(place):
-        found.setdefault(key, []).append(row)
+        members.setdefault(key, []).append(row)
     levels = frame[list(data.factors)].astype(str).to_dict("records")
     means = frame["mean"].tolist()
     return tuple(
         Group(float(means[rows[0]]), tuple({str(k): v for k, v in levels[i].items()} for i in rows))
-        for rows in found.values()
+        for rows in members.values()
     )
 
 
@@ -243,9 +243,9 @@ def _places(data: ReportData, facts: Facts, frame: pd.DataFrame) -> list[int]:
     """Index of the group of every cell; a cell that no group names stands alone."""
     analyzed = [name for name, levels in data.factors.items() if len(levels) > 1]
     names = frame[analyzed].astype(str).agg(" ".join, axis=1).tolist() if analyzed else []
-    known = {name: i for i, group in enumerate(facts.copies) for name in group}
+    copy_of = {name: i for i, group in enumerate(facts.copies) for name in group}
     alone = len(facts.copies)
-    return [known.get(name, alone + i) for i, name in enumerate(names or [""] * len(frame))]
+    return [copy_of.get(name, alone + i) for i, name in enumerate(names or [""] * len(frame))]
 
 
 def describe(group: Group, data: ReportData) -> str:

@@ -45,32 +45,35 @@ _SOURCES = {
 }
 
 
-def answer(data: ReportData, found: Sequence[Facts]) -> tuple[str, ...]:
+def answer(data: ReportData, all_facts: Sequence[Facts]) -> tuple[str, ...]:
     """Sentences that answer the study's question: what matters, what does not, so what."""
-    if not any(facts.terms for facts in found):
+    if not any(facts.terms for facts in all_facts):
         if data.failures and len(data.failures) >= len(data.table):
             return _all_failed(data.failures)
         if data.surfaces:
             return surface_content.surface_answer(data)
         return ("No response could be analyzed; the reasons stand below.",)
-    first = [*(_which(data, facts) for facts in found if facts.terms), *_left_out(data, found)]
-    said = (
+    first = [
+        *(_which(data, facts) for facts in all_facts if facts.terms),
+        *_left_out(data, all_facts),
+    ]
+    parts = (
         " ".join(text for text in first if text),
-        _without_verdict(found),
-        *content_table.by_condition(data, found),
-        _one_not_other(data, found),
-        recommendation.best_cell(data, found),
-        *content_table.unknowns(data, found),
+        _without_verdict(all_facts),
+        *content_table.by_condition(data, all_facts),
+        _one_not_other(data, all_facts),
+        recommendation.best_cell(data, all_facts),
+        *content_table.unknowns(data, all_facts),
     )
-    return tuple(text for text in said if text)
+    return tuple(text for text in parts if text)
 
 
 def _all_failed(items: Sequence[Failure]) -> tuple[str, ...]:
     """Say that there is nothing to compare, what the solver said, and where to look."""
-    said: dict[str, int] = {}
+    counts: dict[str, int] = {}
     for item in items:
-        said[item.message or item.status] = said.get(item.message or item.status, 0) + 1
-    message, number = max(said.items(), key=lambda one: one[1])
+        counts[item.message or item.status] = counts.get(item.message or item.status, 0) + 1
+    message, number = max(counts.items(), key=lambda pair: pair[1])
     every = "The only case failed" if len(items) == 1 else f"All {len(items):,} cases failed"
     return (
         f"{every}, so there is nothing to compare.",
@@ -79,21 +82,21 @@ def _all_failed(items: Sequence[Failure]) -> tuple[str, ...]:
     )
 
 
-def _without_verdict(found: Sequence[Facts]) -> str:
+def _without_verdict(all_facts: Sequence[Facts]) -> str:
     """Say which responses could not be analyzed."""
-    titles = [facts.title for facts in found if not facts.terms]
+    titles = [facts.title for facts in all_facts if not facts.terms]
     if not titles:
         return ""
     return f"There is no verdict on the {listing(titles)}: the checks say why."
 
 
-def _left_out(data: ReportData, found: Sequence[Facts]) -> list[str]:
+def _left_out(data: ReportData, all_facts: Sequence[Facts]) -> list[str]:
     """Say which levels failed in too many of their cells to be compared with the others."""
     gone: dict[str, None] = {}
-    for effect in (effect for facts in found for effect in facts.effects):
-        own = [str(level) for level in data.factors.get(effect.term, ())]
-        if effect.levels and set(effect.levels) < set(own):
-            gone.update(dict.fromkeys(clean(o) for o in own if o not in effect.levels))
+    for effect in (effect for facts in all_facts for effect in facts.effects):
+        levels = [str(level) for level in data.factors.get(effect.term, ())]
+        if effect.levels and set(effect.levels) < set(levels):
+            gone.update(dict.fromkeys(clean(o) for o in levels if o not in effect.levels))
     return [f"Left out, because most of their cases failed: {listing(list(gone))}."] if gone else []
 
 
@@ -133,9 +136,9 @@ def _label(effect: Effect, data: ReportData) -> str:
 
 
 def _to_reader(effect: Effect, facts: Facts, data: ReportData) -> str:
-    if one := sole_setting(effect):
-        number = shown_difference(content_table.apart(one.difference, effect), effect, facts)
-        return f"{number} {setting(one, data.labels)}; {size(effect, facts)} on average"
+    if simple := sole_setting(effect):
+        number = shown_difference(content_table.apart(simple.difference, effect), effect, facts)
+        return f"{number} {setting(simple, data.labels)}; {size(effect, facts)} on average"
     return size(effect, facts) if effect.is_ratio else f"{size(effect, facts)} between extremes"
 
 
@@ -147,15 +150,15 @@ def _magnitude(effect: Effect) -> float:
     return abs(effect.range) / effect.practical
 
 
-def _one_not_other(data: ReportData, found: Sequence[Facts]) -> str:
+def _one_not_other(data: ReportData, all_facts: Sequence[Facts]) -> str:
     """Say where a factor is immaterial for one response and material for another."""
     by_factor: dict[str, dict[str, Effect]] = {}
-    for facts in found:
+    for facts in all_facts:
         for effect in facts.effects:
             if content_table.role(data, effect.term) != content_table.CHOICE:
                 continue
             by_factor.setdefault(effect.term, {})[facts.name] = effect
-    titles = {facts.name: facts for facts in found}
+    titles = {facts.name: facts for facts in all_facts}
     contrasts = [
         (unseen, seen)
         for effects in by_factor.values()
@@ -164,7 +167,7 @@ def _one_not_other(data: ReportData, found: Sequence[Facts]) -> str:
         if seen[1].verdict == MATTERS and unseen[1].verdict != MATTERS
     ]
     if not contrasts:
-        return _interactions(data, found)
+        return _interactions(data, all_facts)
     # two claims say more than a claim and a doubt
     (where, unseen), (name, seen) = min(contrasts, key=lambda c: c[0][1].verdict != NO_DIFFERENCE)
     changed = f"the {titles[name].title} by {change(seen, titles[name])}"
@@ -176,15 +179,15 @@ def _one_not_other(data: ReportData, found: Sequence[Facts]) -> str:
     return sentence(f"{choice} changes {changed}; whether it changes the {other} is not shown")
 
 
-def _interactions(data: ReportData, found: Sequence[Facts]) -> str:
+def _interactions(data: ReportData, all_facts: Sequence[Facts]) -> str:
     strong = [
         (facts, effect)
-        for facts in found
+        for facts in all_facts
         for effect in facts.interactions
         if effect.strength == MATTERS
     ]
     if not strong:
-        return _no_interaction(data, found)
+        return _no_interaction(data, all_facts)
     facts, effect = max(strong, key=lambda item: _magnitude(item[1]))
     return sentence(
         f"the factors do not act alone: in the {facts.title}, "
@@ -193,13 +196,13 @@ def _interactions(data: ReportData, found: Sequence[Facts]) -> str:
     )
 
 
-def _no_interaction(data: ReportData, found: Sequence[Facts]) -> str:
-    every = [effect for facts in found for effect in facts.interactions]
+def _no_interaction(data: ReportData, all_facts: Sequence[Facts]) -> str:
+    every = [effect for facts in all_facts for effect in facts.interactions]
     if not every and sum(len(levels) > 1 for levels in data.factors.values()) > 1:
         return "Interactions are no part of this analysis, so it cannot rule them out."
     every_factor = [
         e
-        for facts in found
+        for facts in all_facts
         for e in facts.effects
         if content_table.role(data, e.term) == content_table.CHOICE
     ]
@@ -252,10 +255,10 @@ def _question(term: ErrorTerm, data: ReportData) -> str:
         question = re.sub(r"\bblocks\b", lambda _: plural_of(block), question)
         question = re.sub(r"\bblock\b", lambda _: block, question)
         question = question.replace(f"levels of {block}", plural_of(block))
-    asked = re.fullmatch(r"(.*\?)\s*\((.*)\)", question)
-    said = f"{asked[1]} {sentence(asked[2])}" if asked else question
-    end = "" if said[-1] in ".?" else "."
-    return f"The p-values answer one question: {said}{end}"
+    match = re.fullmatch(r"(.*\?)\s*\((.*)\)", question)
+    text = f"{match[1]} {sentence(match[2])}" if match else question
+    end = "" if text[-1] in ".?" else "."
+    return f"The p-values answer one question: {text}{end}"
 
 
 _BY_TERM = (
@@ -265,19 +268,19 @@ _BY_TERM = (
 _BY_COLUMN = "U, the bound of the numerical error, is the same for every factor."
 
 
-def numerical(found: Sequence[Facts]) -> str:
+def numerical(all_facts: Sequence[Facts]) -> str:
     """Say what the numerical uncertainty beside an effect is; empty where none is known."""
-    known = [facts for facts in found if any(e.u_num is not None for e in facts.terms)]
-    if not known:
+    bounded = [facts for facts in all_facts if any(e.u_num is not None for e in facts.terms)]
+    if not bounded:
         return ""
-    own = [facts for facts in known if facts.u_num_by_term]
-    open_ones = any(e.u_num is None for facts in known for e in facts.effects)
+    by_term = [facts for facts in bounded if facts.u_num_by_term]
+    open_ones = any(e.u_num is None for facts in bounded for e in facts.effects)
     unknown = _NO_BOUND if open_ones else ""
-    if not own:
+    if not by_term:
         return _BY_COLUMN + unknown
-    if len(own) == len(known):
+    if len(by_term) == len(bounded):
         return _BY_TERM + unknown
-    titles = listing([facts.title for facts in own])
+    titles = listing([facts.title for facts in by_term])
     return f"For the {titles}, {_BY_TERM} Elsewhere {_BY_COLUMN}{unknown}"
 
 
@@ -289,15 +292,15 @@ VIRTUAL = (
 )
 
 
-def error_terms(data: ReportData, found: Sequence[Facts]) -> tuple[tuple[str, str], ...]:
+def error_terms(data: ReportData, all_facts: Sequence[Facts]) -> tuple[tuple[str, str], ...]:
     """Statements about the error term, each once, with the responses that it holds for."""
     by_text: dict[str, list[str]] = {}
-    for facts in found:
+    for facts in all_facts:
         for text in (error_term(facts, data), distinct(facts, data)):
             if text:
                 by_text.setdefault(text, []).append(facts.title)
     return tuple(
-        ("" if len(titles) == len(found) > 1 else sentence(listing(titles)), text)
+        ("" if len(titles) == len(all_facts) > 1 else sentence(listing(titles)), text)
         for text, titles in by_text.items()
     )
 

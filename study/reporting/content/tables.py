@@ -51,8 +51,8 @@ def fit_name(fit: FittedConstant, data: ReportData) -> str:
 
 def fit_rank(levels: Mapping[str, str], data: ReportData) -> tuple[int, ...]:
     """Sort key of a fit: its levels in the order of the design."""
-    known = ((data.factors.get(name, ()), level) for name, level in levels.items())
-    return tuple(order.index(level) if level in order else -1 for order, level in known)
+    places = ((data.factors.get(name, ()), level) for name, level in levels.items())
+    return tuple(order.index(level) if level in order else -1 for order, level in places)
 
 
 def fits(data: ReportData) -> Table:
@@ -194,11 +194,11 @@ def _in_order(group: pd.DataFrame, blocks: Sequence[str]) -> pd.DataFrame:
     return group.loc[place.sort_values(kind="stable").index]
 
 
-def case_records(data: ReportData, found: Sequence[Facts]) -> Table | None:
+def case_records(data: ReportData, all_facts: Sequence[Facts]) -> Table | None:
     """Every case with its responses and the name of its record, cell by cell."""
     if data.is_table or "case_id" not in data.table or not 0 < len(data.table) <= MOST:
         return None
-    known = [facts for facts in found if facts.name in data.table]
+    listed = [facts for facts in all_facts if facts.name in data.table]
     blocked = bool(data.block) and "block" in data.table
     rows: list[tuple[str, ...]] = []
     anchors: list[str] = []
@@ -206,7 +206,7 @@ def case_records(data: ReportData, found: Sequence[Facts]) -> Table | None:
         cell = tuple(clean(level) for level in levels)
         for record in group.to_dict("records"):
             block = (clean(str(record["block"])) or MISSING,) if blocked else ()
-            shown = (quantity(record[f.name], f.unit) for f in known)
+            shown = (quantity(record[f.name], f.unit) for f in listed)
             seconds = duration(record.get("seconds"))
             name = clean(str(record["case_id"]), 16)
             rows.append((*cell, *block, clean(str(record["status"])), *shown, seconds, name))
@@ -214,7 +214,7 @@ def case_records(data: ReportData, found: Sequence[Facts]) -> Table | None:
     words = [name_of(factor, data.labels) for factor in data.factors]
     if blocked:
         words.append(name_of("block", {"block": data.block, **data.labels}))
-    columns = (*words, "status", *(facts.title for facts in known), "time", "record")
+    columns = (*words, "status", *(facts.title for facts in listed), "time", "record")
     return Table("records", columns, tuple(rows), len(words) + 1, 1, _NOTE, anchors=tuple(anchors))
 
 
@@ -224,10 +224,10 @@ _NOTE = (
 )
 
 
-def verdicts(found: Sequence[Facts], data: ReportData) -> Table:
+def verdicts(all_facts: Sequence[Facts], data: ReportData) -> Table:
     """One row a factor and response, and interactions that are not negligible."""
     rows, raw = [], []
-    for facts in found:
+    for facts in all_facts:
         strong = [e for e in facts.interactions if e.strength == "matters"]
         for effect in (*facts.effects, *strong):
             rows.append(
@@ -286,7 +286,7 @@ def verdicts(found: Sequence[Facts], data: ReportData) -> Table:
         "p",
         "p (Holm)",
     )
-    return Table("verdicts", columns, tuple(rows), 3, 0, sentences.numerical(found), tuple(raw))
+    return Table("verdicts", columns, tuple(rows), 3, 0, sentences.numerical(all_facts), tuple(raw))
 
 
 def anova(facts: Facts, data: ReportData) -> Table:
@@ -371,20 +371,20 @@ def _fixed(value: float | None, decimals: int = 2) -> str:
     return f"< {least:g}" if 0 < value < least / 2 else f"{value:.{decimals}f}"
 
 
-def matrix(data: ReportData, found: Sequence[Facts]) -> Table:
+def matrix(data: ReportData, all_facts: Sequence[Facts]) -> Table:
     """Every cell: how many cases gave a response, its means, its cost."""
     factors = list(data.factors)
-    known = [facts for facts in found if facts.name in data.table]
+    listed = [facts for facts in all_facts if facts.name in data.table]
     means = {
         facts.name: dict(zip(*_columns(cells(data, facts.name), "cell", "mean"), strict=True))
-        for facts in known
+        for facts in listed
     }
     rows, raw = [], []
     for labels, group in by_cell(data):
-        values = [means[facts.name].get(":".join(labels)) for facts in known]
+        values = [means[facts.name].get(":".join(labels)) for facts in listed]
         done = int((group["status"] == "converged").sum())
         seconds = float(group["seconds"].mean()) if "seconds" in group else None
-        shown = [quantity(v, f.unit) for v, f in zip(values, known, strict=True)]
+        shown = [quantity(v, f.unit) for v, f in zip(values, listed, strict=True)]
         status = f"{done} of {len(group)}"
         rows.append((*(clean(level) for level in labels), status, *shown, duration(seconds)))
         raw.append(
@@ -399,7 +399,7 @@ def matrix(data: ReportData, found: Sequence[Facts]) -> Table:
     columns = (
         *(name_of(f, data.labels) for f in factors),
         "cases",
-        *(facts.title for facts in known),
+        *(facts.title for facts in listed),
         "mean time",
     )
     return Table("cells", columns, tuple(rows), len(factors), raw=tuple(raw))
@@ -482,15 +482,15 @@ def failure_sentences(pattern: FailurePattern, labels: Mapping[str, str]) -> tup
     where = "; ".join(_rule(rule, labels) for rule in pattern.rules)
     bad, rest = pattern.elsewhere
     if where and rest:
-        found = f"Where cases fail: {where}; elsewhere {bad:,} of {rest:,}."
+        text = f"Where cases fail: {where}; elsewhere {bad:,} of {rest:,}."
     elif where:
-        found = f"Where cases fail: {where}."
+        text = f"Where cases fail: {where}."
     else:
-        found = (
+        text = (
             f"{pattern.failed:,} of {pattern.total:,} cases failed. No level of a factor, and no "
             "combination of two or three, holds enough of them to be named as the place."
         )
-    return found, f"Causes: {causes}.", _blamed(pattern, labels)
+    return text, f"Causes: {causes}.", _blamed(pattern, labels)
 
 
 def _rule(rule: FailureRule, labels: Mapping[str, str]) -> str:
@@ -517,21 +517,21 @@ def _blamed(pattern: FailurePattern, labels: Mapping[str, str]) -> str:
 def tests(pattern: FailurePattern, labels: Mapping[str, str]) -> Table:
     """Test of every factor: failed cases by level, p, and p adjusted for their number."""
     rows = tuple(
-        (name_of(one.factor, labels), _p(one.p), _p(one.p_holm), _levels(one), one.method)
-        for one in pattern.tests
+        (name_of(test.factor, labels), _p(test.p), _p(test.p_holm), _levels(test), test.method)
+        for test in pattern.tests
     )
     raw = tuple(
         {
-            "factor": one.factor,
+            "factor": test.factor,
             "level": level,
             "failed": bad,
             "cases": total,
-            "p": one.p,
-            "p_holm": one.p_holm,
-            "method": one.method,
+            "p": test.p,
+            "p_holm": test.p_holm,
+            "method": test.method,
         }
-        for one in pattern.tests
-        for level, (bad, total) in one.counts.items()
+        for test in pattern.tests
+        for level, (bad, total) in test.counts.items()
     )
     note = (
         "Fisher's exact test of levels against failed and not failed (Freeman and Halton 1951 for "
@@ -574,7 +574,7 @@ def retried_table(items: Sequence[Retried], block: str) -> Table:
 
 
 def _levels(test: FailureTest) -> str:
-    shares = sorted(test.counts.items(), key=lambda one: -one[1][0] / one[1][1])
+    shares = sorted(test.counts.items(), key=lambda item: -item[1][0] / item[1][1])
     shown = [f"{clean(level)}: {bad:,} of {total:,}" for level, (bad, total) in shares[:_LISTED]]
     return "; ".join([*shown, *(["\N{HORIZONTAL ELLIPSIS}"] if len(shares) > _LISTED else [])])
 
@@ -594,23 +594,23 @@ def marker_errors(data: ReportData) -> Table:
 
     Units: data mm.
     """
-    shown = sorted(data.markers, key=lambda one: fit_rank(one.levels, data))
-    rows = tuple(_row(one, fit) for one in shown for fit in one.fits)
+    shown = sorted(data.markers, key=lambda case: fit_rank(case.levels, data))
+    rows = tuple(_row(case, fit) for case in shown for fit in case.fits)
     raw = tuple(
         {
-            **one.levels,
-            "state": one.state,
+            **case.levels,
+            "state": case.state,
             "plate": fit["plate"],
             "fitted": fit["fitted"],
             "markers": fit["markers"],
             "error_mm": fit["error_mm"],
-            "floor_mm": one.floor_mm,
+            "floor_mm": case.floor_mm,
             **{f"{name}_{end}": v for name, pair in fit["motion"].items()
                for end, v in zip(("value", "standard_error"), pair, strict=True)},
             **{f"layer_{name}_mm": v for name, v in fit["error_by_layer_mm"].items()},
         }
-        for one in shown
-        for fit in one.fits
+        for case in shown
+        for fit in case.fits
     )  # fmt: skip
     columns = (
         "cell", "state", "plate", "told by", "markers", "RMS error", "floor",
@@ -619,16 +619,16 @@ def marker_errors(data: ReportData) -> Table:
     return Table("marker-errors", columns, rows, 4, 3, raw=raw, grouped=True)
 
 
-def _row(one: MarkedCase, fit: PlateFitDocument) -> tuple[str, ...]:
+def _row(case: MarkedCase, fit: PlateFitDocument) -> tuple[str, ...]:
     motion = fit["motion"]
     return (
-        " \N{MIDDLE DOT} ".join(clean(level) for level in one.levels.values()),
-        clean(one.state),
+        " \N{MIDDLE DOT} ".join(clean(level) for level in case.levels.values()),
+        clean(case.state),
         _PLATES.get(fit["plate"], clean(fit["plate"])),
         f"{clean(fit['fitted'])}",
         f"{fit['markers']}",
         quantity(fit["error_mm"], "mm"),
-        quantity(one.floor_mm, "mm"),
+        quantity(case.floor_mm, "mm"),
         _values(motion, ("down", "x", "y")),
         _values(motion, ("tilt_x", "tilt_y", "twist")),
         _values(motion, ("spread",)),
@@ -637,11 +637,11 @@ def _row(one: MarkedCase, fit: PlateFitDocument) -> tuple[str, ...]:
 
 def _values(motion: dict[str, list[float | None]], names: tuple[str, ...]) -> str:
     """Components with their standard errors where they were fitted."""
-    said = []
+    parts = []
     for name in names:
         value, error = motion.get(name, (None, None))
         if value is None:
-            said.append(MISSING)
+            parts.append(MISSING)
             continue
-        said.append(f"{value:.2f} \N{PLUS-MINUS SIGN} {error:.2f}" if error else f"{value:.4g}")
-    return ", ".join(said).replace("-", MINUS) or MISSING
+        parts.append(f"{value:.2f} \N{PLUS-MINUS SIGN} {error:.2f}" if error else f"{value:.4g}")
+    return ", ".join(parts).replace("-", MINUS) or MISSING

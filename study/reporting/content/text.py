@@ -109,10 +109,10 @@ def sentence(text: str) -> str:
 _MOST = 4
 
 
-def folded(found: Sequence[tuple[str, str]], data: ReportData) -> tuple[str, ...]:
+def folded(warnings: Sequence[tuple[str, str]], data: ReportData) -> tuple[str, ...]:
     """Fold warnings of several responses and terms that differ in names and numbers alone."""
     groups: dict[tuple[str, bool], list[tuple[str, str, str]]] = {}
-    for title, warning in found:
+    for title, warning in warnings:
         term, text = _split(warning, data)
         # warnings about a term may differ in their numbers, others must be the same
         key = re.sub(r"\d+", "#", text) if term else text

@@ -101,48 +101,54 @@ def told(effect: Effect) -> str:
 
 def _unresolved(effect: Effect, facts: Facts, labels: Labels) -> str:
     """Say at which setting the numerical uncertainty leaves a factor open, and what it may be."""
-    one = effect.deciding_simple
+    least = effect.deciding_simple
     if effect.u_needed is None:
         return f", and {clean(effect.why)}"
     below = f"would have to be below {bound(effect.u_needed, effect, facts)}"
-    same = one and not one.at and {one.first, one.second} == set(effect.largest or ())
-    if one is None or (same and one.u is not None):
+    same = least and not least.at and {least.first, least.second} == set(effect.largest or ())
+    if least is None or (same and least.u is not None):
         return f", and its numerical uncertainty {numerical(effect, facts)} {below}"
     # another setting, or another pair of levels, has the larger uncertainty
     where = (
-        setting(one, labels) if one.at else f"between {clean(one.first)} and {clean(one.second)}"
+        setting(least, labels)
+        if least.at
+        else f"between {clean(least.first)} and {clean(least.second)}"
     )
-    known = "which these meshes do not bound" if one.u is None else bound(one.u, effect, facts)
+    bound_text = (
+        "which these meshes do not bound" if least.u is None else bound(least.u, effect, facts)
+    )
     return (
-        f"; {where} it is {shown_difference(one.difference, effect, facts)}, and the numerical "
-        f"uncertainty there, {known}, {below}"
+        f"; {where} it is {shown_difference(least.difference, effect, facts)}, and the numerical "
+        f"uncertainty there, {bound_text}, {below}"
     )
 
 
 def _open_setting(effect: Effect, facts: Facts, labels: Labels) -> str:
     """Name the setting that leaves a factor open although its average does not."""
-    one = effect.deciding_simple
-    if one is None or not effect.depends_on_settings or one.ci is None:
+    least = effect.deciding_simple
+    if least is None or not effect.depends_on_settings or least.ci is None:
         return ""
-    return f"; the largest single one is {simple(one, effect, facts)}, {setting(one, labels)}"
+    return f"; the largest single one is {simple(least, effect, facts)}, {setting(least, labels)}"
 
 
-def simple(one: SimpleEffect, effect: Effect, facts: Facts) -> str:
+def simple(effect_there: SimpleEffect, effect: Effect, facts: Facts) -> str:
     """Return a simple effect with its interval and its numerical uncertainty."""
-    number = shown_difference(one.difference, effect, facts)
-    ends = one.ci_simultaneous if one.verdict == MATTERS else one.ci
+    number = shown_difference(effect_there.difference, effect, facts)
+    ends = effect_there.ci_simultaneous if effect_there.verdict == MATTERS else effect_there.ci
     if ends is None:
         return number
-    shown = span(*ends, decimals(effect), ratio_digits(one.difference) if effect.is_ratio else 3)
-    beside = ""
-    if one.u and not effect.is_ratio:
-        beside = f", numerics {PLUS_MINUS}{THIN}{rounded(one.u, decimals(effect), 2)}"
-    return f"{number} ({shown}{beside})"
+    shown = span(
+        *ends, decimals(effect), ratio_digits(effect_there.difference) if effect.is_ratio else 3
+    )
+    note = ""
+    if effect_there.u and not effect.is_ratio:
+        note = f", numerics {PLUS_MINUS}{THIN}{rounded(effect_there.u, decimals(effect), 2)}"
+    return f"{number} ({shown}{note})"
 
 
-def setting(one: SimpleEffect, labels: Labels = None) -> str:
+def setting(simple: SimpleEffect, labels: Labels = None) -> str:
     """Name a setting: ``at element order linear, mesh fine``."""
-    listed = ", ".join(f"{name_of(name, labels or {})} {clean(level)}" for name, level in one.at)
+    listed = ", ".join(f"{name_of(name, labels or {})} {clean(level)}" for name, level in simple.at)
     return f"at {listed}" if listed else "whatever the other factors"
 
 
@@ -160,15 +166,15 @@ def robust(effect: Effect, facts: Facts) -> str:
 
 
 def _no_difference(effect: Effect, facts: Facts, name: str, numbers: str) -> str:
-    one = effect.deciding_simple
-    if one is None or not effect.depends_on_settings:
+    least = effect.deciding_simple
+    if least is None or not effect.depends_on_settings:
         return (
             f"{name}: no practical difference in the {facts.title}; the largest is {numbers}, "
             f"within {practical(effect, facts)}{_repeatable(effect, facts)}"
         )
     return (
         f"{name}: no practical difference in the {facts.title}, whatever the other factors; the "
-        f"largest at any setting is {simple(one, effect, facts)}, within "
+        f"largest at any setting is {simple(least, effect, facts)}, within "
         f"{practical(effect, facts)}{_repeatable(effect, facts)}"
     )
 
@@ -187,10 +193,11 @@ def _repeatable(effect: Effect, facts: Facts) -> str:
 def _matters(effect: Effect, facts: Facts, name: str, numbers: str, labels: Labels) -> str:
     if effect.largest is None:
         return f"{name}: matters for the {facts.title}, {numbers}"
-    if one := sole_setting(effect):
+    if sole := sole_setting(effect):
         return (
-            f"{name}: matters for the {facts.title} {setting(one, labels)}, where "
-            f"{clean(one.first)} and {clean(one.second)} differ by {simple(one, effect, facts)}; "
+            f"{name}: matters for the {facts.title} {setting(sole, labels)}, where "
+            f"{clean(sole.first)} and {clean(sole.second)} differ by "
+            f"{simple(sole, effect, facts)}; "
             f"on average over the other factors the largest difference is {numbers}"
         )
     low, high = clean(effect.lowest), clean(effect.highest)
@@ -234,12 +241,12 @@ WHAT_IF: tuple[tuple[str, str], ...] = (
 
 def rejects_normality(facts: Facts, alpha: float = 0.05) -> bool:
     """Whether Ryan-Joiner rejects: the simulated p decides, else the tabled one."""
-    found = facts.assumptions.normality
-    if found is None:
+    test_result = facts.assumptions.normality
+    if test_result is None:
         return False
-    if found.p_exact is not None:
-        return found.p_exact < alpha
-    printed = found.p_minitab or ""
+    if test_result.p_exact is not None:
+        return test_result.p_exact < alpha
+    printed = test_result.p_minitab or ""
     number = printed.strip("<> ")
     if not number or printed.startswith(">"):
         return False
@@ -248,18 +255,18 @@ def rejects_normality(facts: Facts, alpha: float = 0.05) -> bool:
 
 def normality(facts: Facts, alpha: float = 0.05) -> str:
     """Ryan-Joiner in one sentence: rejected, not rejected or not applicable."""
-    found = facts.assumptions.normality
-    if found is None or found.rj is None:
-        reason = (found and found.reason) or "there are no residuals to test"
+    test_result = facts.assumptions.normality
+    if test_result is None or test_result.rj is None:
+        reason = (test_result and test_result.reason) or "there are no residuals to test"
         return sentence(f"Ryan-Joiner: not applicable, {reason}")
-    printed = str(found.p_minitab)
+    printed = str(test_result.p_minitab)
     rows = len(facts.assumptions.normality_rows)
-    together = rows > 1 and found.p_exact is not None
+    together = rows > 1 and test_result.p_exact is not None
     named = f"smallest RJ of {rows} contrasts" if together else "RJ"
-    parts = [f"{named} = {found.rj:.4f}", f"n = {found.n}"]
-    if found.p_exact is not None:
+    parts = [f"{named} = {test_result.rj:.4f}", f"n = {test_result.n}"]
+    if test_result.p_exact is not None:
         whole = " for all of them together" if together else ""
-        parts.append(f"simulated {p_phrase(found.p_exact)}{whole}")
+        parts.append(f"simulated {p_phrase(test_result.p_exact)}{whole}")
     if not together:  # that of one contrast would contradict the p of all
         parts.append("tabled p " + (printed if printed[0] in "<>" else f"= {printed}"))
     decision = "rejected" if rejects_normality(facts, alpha) else "not rejected"
@@ -278,44 +285,44 @@ def p_of(test: SpreadTest) -> float | None:
     return test.p if test.p_monte_carlo is None else test.p_monte_carlo
 
 
-def spread(test: str, found: SpreadTest | None, alpha: float = 0.05) -> str:
+def spread(test: str, test_result: SpreadTest | None, alpha: float = 0.05) -> str:
     """Bartlett or Levene in one sentence."""
     title = test.capitalize()
-    if found is None or found.statistic is None:
-        reason = (found and found.reason) or "it was not run"
+    if test_result is None or test_result.statistic is None:
+        reason = (test_result and test_result.reason) or "it was not run"
         return sentence(f"{title}: not applicable, {reason}")
-    decision = "rejected" if rejects(found, alpha) else "not rejected"
-    rough = ", approximate" if found.approximate else ""
-    df = found.df if isinstance(found.df, tuple) else (found.df,)
+    decision = "rejected" if rejects(test_result, alpha) else "not rejected"
+    rough = ", approximate" if test_result.approximate else ""
+    df = test_result.df if isinstance(test_result.df, tuple) else (test_result.df,)
     shown = " and ".join(f"{part:g}" for part in df if part is not None)
     return (
         f"{title}: equal spread is {decision} at {100 * alpha:g}{THIN}% "
-        f"(statistic {significant(found.statistic)}, df {shown}, {p_phrase(p_of(found))}"
-        f"{rough})."
+        f"(statistic {significant(test_result.statistic)}, df {shown}, "
+        f"{p_phrase(p_of(test_result))}{rough})."
     )
 
 
-def additivity(found: NonAdditivityResult, data: ReportData) -> str:
+def additivity(tukey: NonAdditivityResult, data: ReportData) -> str:
     """Tukey's one-degree test in one sentence."""
-    rejected = found.p is not None and found.p < data.alpha
+    rejected = tukey.p is not None and tukey.p < data.alpha
     decision = "rejected" if rejected else "not rejected"
     return (
         f"Tukey's one-degree test: no interaction between cell and {clean(data.block) or 'block'}: "
-        f"{decision} (F = {significant(found.f)}, {p_phrase(found.p)})."
+        f"{decision} (F = {significant(tukey.f)}, {p_phrase(tukey.p)})."
     )
 
 
 def least_sphericity(facts: Facts) -> tuple[str, float] | None:
     """Term with the smallest Greenhouse-Geisser epsilon, and that epsilon."""
-    known = {
-        term: found.epsilon_gg
-        for term, found in facts.assumptions.sphericity.items()
-        if math.isfinite(found.epsilon_gg) and found.df != 0
+    epsilons = {
+        term: sphericity.epsilon_gg
+        for term, sphericity in facts.assumptions.sphericity.items()
+        if math.isfinite(sphericity.epsilon_gg) and sphericity.df != 0
     }
-    if not known:
+    if not epsilons:
         return None
-    term = min(known, key=lambda t: known[t])
-    return term, known[term]
+    term = min(epsilons, key=lambda t: epsilons[t])
+    return term, epsilons[term]
 
 
 def sphericity(facts: Facts, labels: Labels = None) -> str:
@@ -338,9 +345,9 @@ _OF_VERDICT = {MATTERS: HOLDS, NO_DIFFERENCE: FAILS}
 _UNKNOWN = "the study has no answer"
 
 
-def table(data: ReportData, found: Sequence[Facts]) -> Table:
+def table(data: ReportData, all_facts: Sequence[Facts]) -> Table:
     """One row an expectation: what, by whom, what was found, and whether it came true."""
-    by_name = {facts.name: facts for facts in found}
+    by_name = {facts.name: facts for facts in all_facts}
     rows = []
     for item in data.expected:
         facts = by_name.get(item.response)
@@ -386,8 +393,8 @@ def _judged(item: Expected, facts: Facts, data: ReportData) -> tuple[str, str]:
 
 
 def _effect_of(facts: Facts, *factors: str) -> Effect | None:
-    wanted = set(factors)
-    return next((e for e in facts.terms if set(e.term.split(":")) == wanted), None)
+    names = set(factors)
+    return next((e for e in facts.terms if set(e.term.split(":")) == names), None)
 
 
 def _sized(effect: Effect, facts: Facts) -> str:
@@ -396,11 +403,11 @@ def _sized(effect: Effect, facts: Facts) -> str:
 
 def _larger(effects: Sequence[Effect | None], facts: Facts, data: ReportData) -> tuple[str, str]:
     """One effect is larger than another where their intervals do not overlap."""
-    known = [e for e in effects if e is not None and e.range is not None]
-    if len(known) < 2:
+    estimated = [e for e in effects if e is not None and e.range is not None]
+    if len(estimated) < 2:
         return _UNKNOWN, CANNOT_TELL
-    parts = [f"{term_name(e.term, data.labels)} {_sized(e, facts)}" for e in known]
-    (low, high), (other_low, other_high) = (_magnitudes(e) for e in known)
+    parts = [f"{term_name(e.term, data.labels)} {_sized(e, facts)}" for e in estimated]
+    (low, high), (other_low, other_high) = (_magnitudes(e) for e in estimated)
     verdict = HOLDS if low > other_high else FAILS if high < other_low else CANNOT_TELL
     return ", ".join(parts), verdict
 
@@ -454,18 +461,18 @@ def _cells(item: Expected, facts: Facts, data: ReportData) -> tuple[str, str]:
     if any(key not in means for key in keys):
         return _UNKNOWN, CANNOT_TELL
     limit = practical_of(facts, cells(data, facts.name))
-    own = _worse(means[keys[0]], facts)
+    rank = _worse(means[keys[0]], facts)
     if item.kind == "close":
         apart = abs(means[keys[1]] - means[keys[0]])
         verdict = CANNOT_TELL if not limit else HOLDS if apart <= limit else FAILS
         return f"{_difference(apart, limit, facts)} apart, {_from(limit, facts)}", verdict
     ranked = sorted(means, key=lambda key: _worse(means[key], facts))
-    told = [f"{' x '.join(key)} {quantity(means[key], facts.unit)}" for key in ranked[:3]]
+    shown = [f"{' x '.join(key)} {quantity(means[key], facts.unit)}" for key in ranked[:3]]
     if keys[0] not in ranked[:3]:
-        told.append(f"{_cell(item.cells[0])} {quantity(means[keys[0]], facts.unit)}")
-    behind = own - _worse(means[ranked[0]], facts)
+        shown.append(f"{_cell(item.cells[0])} {quantity(means[keys[0]], facts.unit)}")
+    behind = rank - _worse(means[ranked[0]], facts)
     verdict = HOLDS if behind == 0 else CANNOT_TELL if behind <= limit else FAILS
-    return f"{listing(told)}, {_from(limit, facts)}", verdict
+    return f"{listing(shown)}, {_from(limit, facts)}", verdict
 
 
 def _from(limit: float, facts: Facts) -> str:

@@ -54,15 +54,15 @@ VIEWS = (
 )
 
 
-def deviation_points(found: ShapeDeviation) -> pd.DataFrame:
+def deviation_points(deviation: ShapeDeviation) -> pd.DataFrame:
     """Tabulate registered points with their normals and signed distances, mm."""
     import pandas as pd
 
-    n = len(found.distances)
-    kept = np.linspace(0, n - 1, min(n, MOST_POINTS)).astype(int)
-    frame = pd.DataFrame(found.points[kept], columns=["x_mm", "y_mm", "z_mm"])
-    frame[["normal_x", "normal_y", "normal_z"]] = found.normals[kept]
-    frame["deviation_mm"] = found.distances[kept]
+    n = len(deviation.distances)
+    shown = np.linspace(0, n - 1, min(n, MOST_POINTS)).astype(int)
+    frame = pd.DataFrame(deviation.points[shown], columns=["x_mm", "y_mm", "z_mm"])
+    frame[["normal_x", "normal_y", "normal_z"]] = deviation.normals[shown]
+    frame["deviation_mm"] = deviation.distances[shown]
     return frame
 
 
@@ -135,15 +135,15 @@ MOST_STAGES = 12
 LONGEST_ARROW = 0.15
 
 
-def distance_points(found: DistanceResult) -> pd.DataFrame:
+def distance_points(distance: DistanceResult) -> pd.DataFrame:
     """Histogram of the distances of every stage: classes in mm, counts."""
     import pandas as pd
 
-    edges = np.histogram_bin_edges(found.samples_mm, CLASSES)
-    stages = np.array(found.sample_stage, dtype=object)
+    edges = np.histogram_bin_edges(distance.samples_mm, CLASSES)
+    stages = np.array(distance.sample_stage, dtype=object)
     parts = []
-    for stage in dict.fromkeys(found.sample_stage):
-        counts, _ = np.histogram(found.samples_mm[stages == stage], edges)
+    for stage in dict.fromkeys(distance.sample_stage):
+        counts, _ = np.histogram(distance.samples_mm[stages == stage], edges)
         parts.append(
             pd.DataFrame(
                 {"stage": stage, "low_mm": edges[:-1], "high_mm": edges[1:], "samples": counts}
@@ -152,7 +152,7 @@ def distance_points(found: DistanceResult) -> pd.DataFrame:
     return pd.concat(parts, ignore_index=True)
 
 
-def draw_distances(frame: pd.DataFrame, found: DistanceResult) -> Canvas:
+def draw_distances(frame: pd.DataFrame, distance: DistanceResult) -> Canvas:
     """Draw a histogram a stage on one axis, with mean and standard.
 
     Units: found mm.
@@ -163,36 +163,36 @@ def draw_distances(frame: pd.DataFrame, found: DistanceResult) -> Canvas:
     figure = canvas(WIDTH_IN, 0.6 + 1.0 * len(stages))
     axes = np.atleast_1d(figure.subplots(len(stages), 1, sharex=True))
     edges = [*frame["low_mm"].unique(), frame["high_mm"].max()]
-    means = {one.stage: one.mean_mm for one in found.stages}
+    means = {stage.stage: stage.mean_mm for stage in distance.stages}
     for k, (ax, stage) in enumerate(zip(axes, stages, strict=True)):
-        own = frame[frame["stage"] == stage]
-        middles = (own["low_mm"] + own["high_mm"]) / 2
+        rows = frame[frame["stage"] == stage]
+        middles = (rows["low_mm"] + rows["high_mm"]) / 2
         sns.histplot(
-            x=middles, weights=own["samples"], bins=edges, color=color_of(k), alpha=0.8,
+            x=middles, weights=rows["samples"], bins=edges, color=color_of(k), alpha=0.8,
             edgecolor="white", linewidth=0.4, ax=ax,
         )  # fmt: skip
         ax.axvline(means[stage], color=INK, linewidth=1.0)
-        if found.standard is not None:
-            ax.axvline(found.standard.distance_mm, color=MUTED, linewidth=1.0, linestyle="--")
+        if distance.standard is not None:
+            ax.axvline(distance.standard.distance_mm, color=MUTED, linewidth=1.0, linestyle="--")
         ax.set(title=wrap(stage, 60), xlabel="", ylabel="samples")
     axes[-1].set_xlabel("distance between the markers (mm)")
     plain_ticks(axes[-1], "x")
     return figure
 
 
-def displacement_points(found: DisplacementResult) -> pd.DataFrame:
+def displacement_points(displacement: DisplacementResult) -> pd.DataFrame:
     """Commanded and measured displacement of every stop, their mean and difference, mm."""
     import pandas as pd
 
     return pd.DataFrame({
-        "commanded_mm": found.commanded_mm,
-        "measured_mm": found.measured_mm,
-        "mean_mm": (found.commanded_mm + found.measured_mm) / 2,
-        "difference_mm": found.measured_mm - found.commanded_mm,
+        "commanded_mm": displacement.commanded_mm,
+        "measured_mm": displacement.measured_mm,
+        "mean_mm": (displacement.commanded_mm + displacement.measured_mm) / 2,
+        "difference_mm": displacement.measured_mm - displacement.commanded_mm,
     })  # fmt: skip
 
 
-def draw_displacement(frame: pd.DataFrame, found: DisplacementResult) -> Canvas:
+def draw_displacement(frame: pd.DataFrame, displacement: DisplacementResult) -> Canvas:
     """Draw measured on commanded displacement, and their differences with limits of agreement.
 
     Units: found mm.
@@ -204,9 +204,11 @@ def draw_displacement(frame: pd.DataFrame, found: DisplacementResult) -> Canvas:
     sns.scatterplot(frame, x="commanded_mm", y="measured_mm", s=16, color=color_of(0), ax=line)
     ends = np.array([0.0, frame["commanded_mm"].max()])
     ends[0] = min(0.0, frame["commanded_mm"].min())
-    line.plot(ends, found.line.offset + found.line.scale * ends, color=MUTED, linewidth=1.0)
+    line.plot(
+        ends, displacement.line.offset + displacement.line.scale * ends, color=MUTED, linewidth=1.0
+    )
     line.set(xlabel="commanded (mm)", ylabel="measured (mm)", title="regression")
-    agreement = found.agreement
+    agreement = displacement.agreement
     for low, high in (agreement.lower_interval, agreement.upper_interval):
         limits.axhspan(low, high, color=BAND, linewidth=0)
     for value, style in ((agreement.bias, "-"), (agreement.lower, "--"), (agreement.upper, "--")):
@@ -219,23 +221,23 @@ def draw_displacement(frame: pd.DataFrame, found: DisplacementResult) -> Canvas:
     return figure
 
 
-def reference_points(found: ReferenceResult) -> pd.DataFrame:
+def reference_points(reference: ReferenceResult) -> pd.DataFrame:
     """Every pose in the reference's frame with its residual and errors, mm."""
     import pandas as pd
 
-    placed = found.fit.motion(found.positions_mm)
-    columns = {"pose": list(found.poses)}
+    placed = reference.fit.motion(reference.positions_mm)
+    columns = {"pose": list(reference.poses)}
     frame = pd.DataFrame(columns)
     for k, axis in enumerate("xyz"):
         frame[f"{axis}_mm"] = placed[:, k]
-        frame[f"residual_{axis}_mm"] = found.fit.residuals[:, k]
-    frame["residual_mm"] = np.linalg.norm(found.fit.residuals, axis=1)
-    frame["left_out_mm"] = found.left_out_mm
-    frame["expected_mm"] = found.target_error_mm
+        frame[f"residual_{axis}_mm"] = reference.fit.residuals[:, k]
+    frame["residual_mm"] = np.linalg.norm(reference.fit.residuals, axis=1)
+    frame["left_out_mm"] = reference.left_out_mm
+    frame["expected_mm"] = reference.target_error_mm
     return frame
 
 
-def draw_reference(frame: pd.DataFrame, found: ReferenceResult) -> Canvas:
+def draw_reference(frame: pd.DataFrame, reference: ReferenceResult) -> Canvas:
     """Draw residuals over the workspace, and errors pose by pose."""
     import seaborn as sns
 

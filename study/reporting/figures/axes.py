@@ -305,14 +305,14 @@ def _prefix_ids(element: ElementTree.Element, name: str) -> None:
 
 def _plain_font(style: str) -> str:
     """Drop the font family, so that the page's own is inherited; keep size and weight."""
-    kept = []
+    parts = []
     for part in style.split(";"):
         key, _, value = part.strip().partition(":")
         if key == "font":
             size = re.search(r"([\d.]+)px", value)
             weight = re.match(r"\s*(bold|\d00)\b", value)
-            kept += [f"font-size: {size.group(1)}px"] if size else []
-            kept += [f"font-weight: {weight.group(1)}"] if weight else []
+            parts += [f"font-size: {size.group(1)}px"] if size else []
+            parts += [f"font-weight: {weight.group(1)}"] if weight else []
         elif key and key != "font-family":
-            kept.append(f"{key}: {value.strip()}")
-    return "; ".join(kept)
+            parts.append(f"{key}: {value.strip()}")
+    return "; ".join(parts)

@@ -77,10 +77,10 @@ def _titles(cells: Sequence[Document]) -> list[str]:
     levels = [{k: str(v) for k, v in (cell.get("levels") or {}).items()} for cell in cells]
     differ = [
         key
-        for key in dict.fromkeys(key for own in levels for key in own)
-        if key != "response" and len({own.get(key) for own in levels}) > 1
+        for key in dict.fromkeys(key for labels in levels for key in labels)
+        if key != "response" and len({labels.get(key) for labels in levels}) > 1
     ]
-    return [" / ".join(own[key] for key in differ if key in own) for own in levels]
+    return [" / ".join(labels[key] for key in differ if key in labels) for labels in levels]
 
 
 def draw_values(frame: pd.DataFrame) -> Canvas:
@@ -123,8 +123,8 @@ def _value_panel(ax: Axes, part: pd.DataFrame) -> None:
         ax.errorbar(h[:1], v[:1], yerr=[u], color=INK, linewidth=1.0, capsize=3)
     ax.plot(h, v, marker="o", linestyle="none", color=color_of(0), markersize=4.5)
     order_seen = part["observed_order"].iloc[0]
-    known = order_seen is not None and np.isfinite(order_seen)
-    text = f"order {order_seen:.2f}" if known else str(part["behaviour"].iloc[0])
+    is_estimated = order_seen is not None and np.isfinite(order_seen)
+    text = f"order {order_seen:.2f}" if is_estimated else str(part["behaviour"].iloc[0])
     ax.text(
         0.97, _free(h, v), text, transform=ax.transAxes, ha="right", va="center", fontsize=7.5,
         color=MUTED,
@@ -146,8 +146,8 @@ def error_points(cells: Sequence[Document]) -> pd.DataFrame:
     frame = value_points(cells)
     limit = frame["extrapolated"].astype(float)
     frame["error"] = (frame["value"] - limit).abs() / limit.abs()
-    kept: pd.DataFrame = frame[np.isfinite(frame["error"]) & (frame["error"] > 0)]
-    return kept.reset_index(drop=True)
+    positive: pd.DataFrame = frame[np.isfinite(frame["error"]) & (frame["error"] > 0)]
+    return positive.reset_index(drop=True)
 
 
 def draw_errors(frame: pd.DataFrame) -> Canvas:

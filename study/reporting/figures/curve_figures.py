@@ -54,6 +54,8 @@ class FitPanel:
     scatter_N: Array | None
     #: Whether it is a course in time.
     over_time: bool = False
+    #: Whether the rows of two directions stand one after the other.
+    is_biaxial: bool = False
 
 
 def fit_figure(panels: Sequence[FitPanel], title: str) -> str:
@@ -91,6 +93,8 @@ def _draw(panels: Sequence[FitPanel], title: str, total: int) -> Canvas:
 def _axis(panels: Sequence[FitPanel]) -> str:
     """Label of the common axis."""
     kinds = {panel.over_time for panel in panels}
+    if any(panel.is_biaxial for panel in panels):
+        return "row, those of the second direction behind those of the first"
     if len(kinds) > 1:
         return "displacement (mm), or time (s) of a course"
     return "time (s)" if kinds == {True} else "displacement (mm)"
@@ -154,11 +158,11 @@ def _recording_panel(ax: Axes, rows: pd.DataFrame, title: str) -> None:
         ax.plot(part["far"], part["hard"], ".", color=color, markersize=2.4, label=label,
                 zorder=3 if used else 2)  # fmt: skip
     ax.set_title(clean(title, 44), fontsize=7.5)
-    for name, label in (("far_name", ax.set_xlabel), ("hard_name", ax.set_ylabel)):
-        quantity_name = str(rows[name].iloc[0])
+    for column, write in (("far_name", ax.set_xlabel), ("hard_name", ax.set_ylabel)):
+        quantity_name = str(rows[column].iloc[0])
         unit = _UNITS.get(quantity_name)
-        label(f"recorded {quantity_name.replace('_', ' ')}" + (f" ({unit})" if unit else ""),
-              fontsize=8)  # fmt: skip
+        words = f"recorded {quantity_name.replace('_', ' ')}" + (f" ({unit})" if unit else "")
+        write(words, fontsize=8)
     ax.grid(axis="y", color=RULE, linewidth=0.4)
     ax.legend(loc="best", fontsize=6.5)
 
@@ -172,27 +176,27 @@ def layer_points(data: ReportData) -> pd.DataFrame:
 
     rows = [
         {
-            "state": one.state,
-            "group": next(iter(one.levels.values()), "all"),
-            "cell": " / ".join(one.levels.values()),
+            "state": case.state,
+            "group": next(iter(case.levels.values()), "all"),
+            "cell": " / ".join(case.levels.values()),
             "place": place,
             "layer": layer,
             "error_mm": error,
-            "floor_mm": one.floor_mm,
+            "floor_mm": case.floor_mm,
         }
-        for one in data.markers
-        for place, (layer, error) in enumerate(_freest(one).items())
+        for case in data.markers
+        for place, (layer, error) in enumerate(_freest(case).items())
     ]
     if not rows:
         raise ValueError("no marker has a layer")
     return pd.DataFrame(rows)
 
 
-def _freest(one: MarkedCase) -> dict[str, float]:
+def _freest(case: MarkedCase) -> dict[str, float]:
     """Errors by layer under the last of the fits to all markers."""
-    every = [fit for fit in one.fits if fit["fitted"] == "all"]
-    known = every[-1]["error_by_layer_mm"] if every else {}
-    return {layer: math.nan if error is None else error for layer, error in known.items()}
+    every = [fit for fit in case.fits if fit["fitted"] == "all"]
+    errors = every[-1]["error_by_layer_mm"] if every else {}
+    return {layer: math.nan if error is None else error for layer, error in errors.items()}
 
 
 def draw_layers(frame: pd.DataFrame) -> Canvas:
@@ -214,8 +218,8 @@ def draw_layers(frame: pd.DataFrame) -> Canvas:
 
 def _marker_layers_panel(ax: Axes, part: pd.DataFrame, groups: list[str]) -> None:
     for number, group in enumerate(groups):
-        own = part[part["group"] == group]
-        for k, (_, line) in enumerate(own.groupby("cell", sort=False)):
+        rows = part[part["group"] == group]
+        for k, (_, line) in enumerate(rows.groupby("cell", sort=False)):
             label = clean(group, 30) if k == 0 else None
             ax.plot(line["place"], line["error_mm"], color=color_of(number), lw=0.9, label=label)
     floor = part["floor_mm"].dropna()
@@ -317,11 +321,11 @@ def curve_panels(data: ReportData) -> CurvePanels:
     present = dict.fromkeys(pair.block for pair in pairs)
     blocks = [block for block in data.blocks if block in present] or list(present)
     room = max(MOST_PANELS // len(levels), 1)
-    kept = [blocks[i] for i in np.unique(np.linspace(0, len(blocks) - 1, room).astype(int))]
-    panels = tuple((block, level) for block in kept for level in levels)
-    rows = [row for pair in chosen if pair.block in kept for row in _samples(pair, line, panel)]
+    shown = [blocks[i] for i in np.unique(np.linspace(0, len(blocks) - 1, room).astype(int))]
+    panels = tuple((block, level) for block in shown for level in levels)
+    rows = [row for pair in chosen if pair.block in shown for row in _samples(pair, line, panel)]
     frame = pd.DataFrame(rows, columns=list(COLUMNS))
-    return CurvePanels(line, panel, fixed, panels, len(blocks) - len(kept), frame)
+    return CurvePanels(line, panel, fixed, panels, len(blocks) - len(shown), frame)
 
 
 def _first_of_each_block(data: ReportData) -> list[CurvePair]:
@@ -353,7 +357,7 @@ def _changes_measurement(pairs: Sequence[CurvePair], factor: str) -> bool:
         others = (level for name, level in pair.levels.items() if name != factor)
         end = round(float(pair.measured.displacement_mm[-1]), 9)
         ends.setdefault((pair.block, *others), set()).add(end)
-    return any(len(found) > 1 for found in ends.values())
+    return any(len(end) > 1 for end in ends.values())
 
 
 def _spread(pairs: Sequence[CurvePair], factor: str) -> float:
@@ -391,25 +395,25 @@ def measurements(rows: pd.DataFrame) -> tuple[pd.DataFrame, ...]:
     Lines share a measurement as a rule. One that only repeats the beginning of a longer one is
     not returned: its points would cover those of the longer one.
     """
-    lines = [one for _, one in rows.groupby("line", sort=False)]
-    lines.sort(key=lambda one: -float(one["displacement_mm"].max()))
-    found: list[pd.DataFrame] = []
-    for one in lines:
-        if not any(_repeats(one, longer) for longer in found):
-            found.append(one)
-    return tuple(found)
+    lines = [line for _, line in rows.groupby("line", sort=False)]
+    lines.sort(key=lambda line: -float(line["displacement_mm"].max()))
+    longest: list[pd.DataFrame] = []
+    for line in lines:
+        if not any(_repeats(line, longer) for longer in longest):
+            longest.append(line)
+    return tuple(longest)
 
 
-def _repeats(one: pd.DataFrame, longer: pd.DataFrame) -> bool:
+def _repeats(line: pd.DataFrame, longer: pd.DataFrame) -> bool:
     """Whether a measurement agrees with the beginning of a longer one, up to its sampling."""
     d, force = longer["displacement_mm"].to_numpy(), longer["measured_N"].to_numpy()
-    if np.array_equal(one["displacement_mm"].to_numpy(), d):
-        return bool(np.allclose(one["measured_N"], force, rtol=0, atol=SAME_FORCE * force.max()))
-    between = np.interp(one["displacement_mm"], d, force)
+    if np.array_equal(line["displacement_mm"].to_numpy(), d):
+        return bool(np.allclose(line["measured_N"], force, rtol=0, atol=SAME_FORCE * force.max()))
+    between = np.interp(line["displacement_mm"], d, force)
     # a longer curve is sampled more coarsely: a chord leaves a curve by its second difference / 8
     bend = float(np.abs(np.diff(force, 2)).max(initial=0.0))
     scatter = max(bend, SAME_FORCE * float(force.max()))
-    return bool(np.all(np.abs(one["measured_N"] - between) <= scatter))
+    return bool(np.all(np.abs(line["measured_N"] - between) <= scatter))
 
 
 # Small multiples of curves: force above, residual below, on axes that can be compared.
@@ -442,42 +446,42 @@ class PanelScale:
     gap: float
 
 
-def draw_curves(found: CurvePanels, data: ReportData) -> Canvas:
+def draw_curves(panels: CurvePanels, data: ReportData) -> Canvas:
     """Draw every panel: measured points, predictions on them, residuals below."""
-    levels = len(data.factors[found.panel]) if found.panel else 1
-    columns = min(max(levels, (4 // levels) * levels), len(found.panels))
-    rows = -(-len(found.panels) // columns)
-    titles = panel_titles(found, (WIDTH_IN - NAMES_IN) / columns)
+    levels = len(data.factors[panels.panel]) if panels.panel else 1
+    columns = min(max(levels, (4 // levels) * levels), len(panels.panels))
+    rows = -(-len(panels.panels) // columns)
+    titles = panel_titles(panels, (WIDTH_IN - NAMES_IN) / columns)
     lines = max(title.count("\n") + 1 for title in titles)
     high = PAIR_IN + 0.28 + TITLE_LINE_IN * lines
     figure = canvas(WIDTH_IN, 0.72 + high * rows, arranged=False)
-    scales = panel_scales(found, columns)
+    scales = panel_scales(panels, columns)
     axes = _grid(figure, rows, columns, (0.28 + TITLE_LINE_IN * lines) / high)
     for place, (force, residual) in enumerate(axes):
-        if place >= len(found.panels):
+        if place >= len(panels.panels):
             force.set_axis_off()
             residual.set_axis_off()
             continue
-        _plot_panel(force, residual, found.rows(found.panels[place]), scales[place], found, data)
+        _plot_panel(force, residual, panels.rows(panels.panels[place]), scales[place], panels, data)
         force.set_title(titles[place], fontsize=7.5, y=1.0, va="bottom", linespacing=1.15)
-        _ticks(force, residual, place, columns, found)
-        if place % columns == columns - 1 or place == len(found.panels) - 1:
-            _name_lines(force, residual, found, place, scales[place], data)
+        _ticks(force, residual, place, columns, panels)
+        if place % columns == columns - 1 or place == len(panels.panels) - 1:
+            _name_lines(force, residual, panels, place, scales[place], data)
     x_label = "displacement (mm)"
     figure.text(0.45, 0.08 / figure.get_figheight(), x_label, ha="center", fontsize=8.5)
-    _legend(figure, found)
+    _legend(figure, panels)
     return figure
 
 
-def panel_titles(found: CurvePanels, width_in: float) -> tuple[str, ...]:
+def panel_titles(panels: CurvePanels, width_in: float) -> tuple[str, ...]:
     """Title of every panel, wrapped to its width; no two are the same words."""
     width = max(int(width_in / CHARACTER_IN) - 4, 8)
-    parts = [[clean(part, LONGEST_TITLE) for part in panel if part] for panel in found.panels]
+    parts = [[clean(part, LONGEST_TITLE) for part in panel if part] for panel in panels.panels]
     joined = [" \N{MIDDLE DOT} ".join(words) for words in parts]
     if len(set(joined)) < len(joined):
         joined = [f"{number}: {words}" for number, words in enumerate(joined, 1)]
-    if found.is_relative:
-        tops = [_largest(found.rows(panel)["measured_N"]) for panel in found.panels]
+    if panels.is_relative:
+        tops = [_largest(panels.rows(panel)["measured_N"]) for panel in panels.panels]
         joined = [
             f"{words} ({THIN.join(('100', '%', '=', quantity(top, 'N')))})"
             for words, top in zip(joined, tops, strict=True)
@@ -485,12 +489,12 @@ def panel_titles(found: CurvePanels, width_in: float) -> tuple[str, ...]:
     return tuple(wrap(words, width, longest=3 * LONGEST_TITLE) for words in joined)
 
 
-def panel_scales(found: CurvePanels, columns: int) -> tuple[PanelScale, ...]:
+def panel_scales(panels: CurvePanels, columns: int) -> tuple[PanelScale, ...]:
     """Units and limits of every panel: the same forces for all, the same lengths where alike."""
     units, ends, tops, gaps = [], [], [], []
-    for panel in found.panels:
-        rows = found.rows(panel)
-        unit = _largest(rows["measured_N"]) / 100 if found.is_relative else 1.0
+    for panel in panels.panels:
+        rows = panels.rows(panel)
+        unit = _largest(rows["measured_N"]) / 100 if panels.is_relative else 1.0
         unit = unit or 1.0  # a cell that was never computed leaves its panel empty
         residual = (rows["predicted_N"] - rows["measured_N"]).abs()
         units.append(unit)
@@ -499,7 +503,7 @@ def panel_scales(found: CurvePanels, columns: int) -> tuple[PanelScale, ...]:
         gaps.append(max(_largest(residual), _largest(rows["scatter_N"])) / unit)
     top, gap = 1.06 * max(tops) or 1.0, 1.1 * max(gaps) or 1.0
     together = [
-        max(ends if found.has_one_length else ends[place % columns :: columns])
+        max(ends if panels.has_one_length else ends[place % columns :: columns])
         for place in range(len(ends))
     ]
     return tuple(PanelScale(unit, end, top, gap) for unit, end in zip(units, together, strict=True))
@@ -507,8 +511,8 @@ def panel_scales(found: CurvePanels, columns: int) -> tuple[PanelScale, ...]:
 
 def _largest(values: pd.Series[float]) -> float:
     """Return the largest of the known values, 0 if there are none."""
-    known = values.dropna()
-    return float(known.max()) if len(known) else 0.0
+    values_present = values.dropna()
+    return float(values_present.max()) if len(values_present) else 0.0
 
 
 def _grid(figure: Canvas, rows: int, columns: int, titles: float) -> list[tuple[Axes, Axes]]:
@@ -539,34 +543,34 @@ def _plot_panel(
     residual: Axes,
     rows: pd.DataFrame,
     scale: PanelScale,
-    found: CurvePanels,
+    panels: CurvePanels,
     data: ReportData,
 ) -> None:
     residual.set_title("", y=1.0)
     residual.axhline(0, color=INK, linewidth=0.6)
-    for number, one in enumerate(measurements(rows)):
-        _measured(force, residual, one, scale.unit_N, filled=number == 0)
-    for index, name in enumerate(data.factors[found.line]):
-        one = rows[rows["line"] == name]
-        if one.empty:
+    for number, line in enumerate(measurements(rows)):
+        _measured(force, residual, line, scale.unit_N, filled=number == 0)
+    for index, name in enumerate(data.factors[panels.line]):
+        line = rows[rows["line"] == name]
+        if line.empty:
             continue
         look = {"color": color_of(index), "linestyle": DASHES[index % 4], "linewidth": 1.1}
-        predicted = one["predicted_N"] / scale.unit_N
-        gap = predicted - one["measured_N"] / scale.unit_N
-        force.plot(one["displacement_mm"], predicted, **look)
-        residual.plot(one["displacement_mm"], gap, **look)
+        predicted = line["predicted_N"] / scale.unit_N
+        gap = predicted - line["measured_N"] / scale.unit_N
+        force.plot(line["displacement_mm"], predicted, **look)
+        residual.plot(line["displacement_mm"], gap, **look)
     force.set_xlim(0, 1.02 * scale.end_mm)
     force.set_ylim(0, scale.top)
     residual.set_ylim(-scale.gap, scale.gap)
 
 
 def _measured(
-    force: Axes, residual: Axes, one: pd.DataFrame, unit_N: float, *, filled: bool
+    force: Axes, residual: Axes, line: pd.DataFrame, unit_N: float, *, filled: bool
 ) -> None:
     """Points of a measurement, with a band of the standard deviation of its repeats."""
-    d, measured = one["displacement_mm"], one["measured_N"] / unit_N
-    if one["scatter_N"].notna().all():
-        s = one["scatter_N"] / unit_N
+    d, measured = line["displacement_mm"], line["measured_N"] / unit_N
+    if line["scatter_N"].notna().all():
+        s = line["scatter_N"] / unit_N
         force.fill_between(d, measured - s, measured + s, color="#c4cad1", linewidth=0)
         residual.fill_between(d, -s, s, color="#dde2e7", linewidth=0)
     ground = INK if filled else "#ffffff"
@@ -581,9 +585,9 @@ def _measured(
     )
 
 
-def _ticks(force: Axes, residual: Axes, place: int, columns: int, found: CurvePanels) -> None:
+def _ticks(force: Axes, residual: Axes, place: int, columns: int, panels: CurvePanels) -> None:
     """Write numbers at the outer axes only, which hold for all panels of a row or a column."""
-    first, last = place % columns == 0, place + columns >= len(found.panels)
+    first, last = place % columns == 0, place + columns >= len(panels.panels)
     for ax in (force, residual):
         plain_ticks(ax, "y")
         plain_ticks(ax, "x")
@@ -594,33 +598,33 @@ def _ticks(force: Axes, residual: Axes, place: int, columns: int, found: CurvePa
     force.tick_params(labelbottom=False)
     residual.tick_params(labelbottom=last)
     if first:
-        unit = "% of largest" if found.is_relative else "N"
+        unit = "% of largest" if panels.is_relative else "N"
         force.set_ylabel(f"force ({unit})")
-        residual.set_ylabel("resid. (%)" if found.is_relative else "resid. (N)")
+        residual.set_ylabel("resid. (%)" if panels.is_relative else "resid. (N)")
 
 
 def _name_lines(
     force: Axes,
     residual: Axes,
-    found: CurvePanels,
+    panels: CurvePanels,
     place: int,
     scale: PanelScale,
     data: ReportData,
 ) -> None:
     """Write the level of every line to the right of a row, joined to the end of its residual."""
-    rows = found.rows(found.panels[place])
+    rows = panels.rows(panels.panels[place])
     ends: list[tuple[float, float, int, str]] = []
-    for index, name in enumerate(data.factors[found.line]):
-        one = rows[rows["line"] == name].dropna(subset=["predicted_N"])
-        if not one.empty:
-            last = one.iloc[-1]
+    for index, name in enumerate(data.factors[panels.line]):
+        line = rows[rows["line"] == name].dropna(subset=["predicted_N"])
+        if not line.empty:
+            last = line.iloc[-1]
             gap = (last["predicted_N"] - last["measured_N"]) / scale.unit_N
             ends.append((float(gap), float(last["displacement_mm"]), index, name))
     ends.sort()
     # two axes and between them 0.12 of their mean height
     height_pt = 72 * PAIR_IN / (FORCE_SHARE + 1.0 + 0.06 * (FORCE_SHARE + 1.0))
-    wanted = [height_pt * (gap / scale.gap + 1) / 2 for gap, *_ in ends]
-    for (gap, d, index, name), at in zip(ends, spread(wanted, NAME_PT), strict=True):
+    heights = [height_pt * (gap / scale.gap + 1) / 2 for gap, *_ in ends]
+    for (gap, d, index, name), at in zip(ends, spread(heights, NAME_PT), strict=True):
         residual.annotate(
             clean(name, 24),
             xy=(d, gap),
@@ -640,7 +644,7 @@ def _name_lines(
         )
 
 
-def spread(wanted: Sequence[float], distance: float) -> tuple[float, ...]:
+def spread(heights: Sequence[float], distance: float) -> tuple[float, ...]:
     """Places in rising order, at least a distance apart, as near to the wanted ones as they can.
 
     Examples
@@ -650,7 +654,7 @@ def spread(wanted: Sequence[float], distance: float) -> tuple[float, ...]:
     """
     # neighbors that are too near each other become a block around the mean of what they wanted
     blocks: list[list[float]] = []
-    for place in wanted:
+    for place in heights:
         blocks.append([place])
         while len(blocks) > 1 and _low(blocks[-1], distance) - _high(blocks[-2], distance) < (
             distance
@@ -671,14 +675,14 @@ def _high(block: Sequence[float], distance: float) -> float:
     return float(np.mean(block)) + distance * (len(block) - 1) / 2
 
 
-def _legend(figure: Canvas, found: CurvePanels) -> None:
+def _legend(figure: Canvas, panels: CurvePanels) -> None:
     """Say what points and bands are; lines are named where they end."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
     points = Line2D([], [], color=INK, marker="o", markersize=3, linestyle="none", label="measured")
     handles: list[Line2D | Patch] = [points]
-    if found.frame["scatter_N"].notna().any():
+    if panels.frame["scatter_N"].notna().any():
         handles.append(Patch(color="#c4cad1", label="standard deviation of the repeats"))
     figure.legend(
         handles=handles,

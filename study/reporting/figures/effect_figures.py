@@ -162,13 +162,13 @@ def cell_points(data: ReportData, facts: Facts, most: int = 48) -> pd.DataFrame:
     if facts.response.better == "higher":
         ranked = ranked[::-1]
     factors = list(data.factors)
-    known = comparable(data, facts.name)
-    levels = known[factors].astype(str).agg(tuple, axis=1)
-    columns = [*factors, *(["block"] if "block" in known else [])]
+    complete = comparable(data, facts.name)
+    levels = complete[factors].astype(str).agg(tuple, axis=1)
+    columns = [*factors, *(["block"] if "block" in complete else [])]
     parts = []
     for rank, group in enumerate(ranked[:most]):
         first = group.members[0]
-        rows = known[levels == tuple(first[name] for name in factors)]
+        rows = complete[levels == tuple(first[name] for name in factors)]
         parts.append(
             rows[columns].assign(
                 label=describe(group, data),

@@ -114,17 +114,17 @@ def draw_deviation(frame: pd.DataFrame) -> Canvas:
 LEVELS = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 
 
-def map_points(found: SensorRequirement) -> pd.DataFrame:
+def map_points(sensors: SensorRequirement) -> pd.DataFrame:
     """Largest uncertainty of a constant and that of the force, a row for each pair of multiples."""
     import pandas as pd
 
     position, force = (axis.ravel() for axis in np.meshgrid(MULTIPLES, MULTIPLES))
-    predicted = found.coverage * found.propagation.force.at_multiples(position, force)
+    predicted = sensors.coverage * sensors.propagation.force.at_multiples(position, force)
     return pd.DataFrame(
         {
             "position_multiple": position,
             "force_multiple": force,
-            "constants_percent": 100 * found.worst_at(position, force),
+            "constants_percent": 100 * sensors.worst_at(position, force),
             "predicted_force_percent": 100 * predicted,
         }
     )
@@ -147,8 +147,8 @@ def draw_map(frame: pd.DataFrame, wanted_percent: float) -> Canvas:
         levels = [level for level in other if z.min() < level < z.max()]
         lines = ax.contour(x, y, z, levels, colors=[MUTED], linewidths=0.8)
         ax.clabel(lines, fmt=lambda level: f"{level:g} %", fontsize=7.5)
-        wanted = ax.contour(x, y, z, [wanted_percent], colors=[color_of(2)], linewidths=2.0)
-        ax.clabel(wanted, fmt=lambda level: f"{level:g} %", fontsize=7.5)
+        limit = ax.contour(x, y, z, [wanted_percent], colors=[color_of(2)], linewidths=2.0)
+        ax.clabel(limit, fmt=lambda level: f"{level:g} %", fontsize=7.5)
         ax.plot([1], [1], "o", color=INK, markersize=5)
         ax.annotate("as given", (1, 1), xytext=(6, 5), textcoords="offset points", fontsize=7.5)
         log_ticks(ax, "x")
@@ -159,15 +159,19 @@ def draw_map(frame: pd.DataFrame, wanted_percent: float) -> Canvas:
     return figure
 
 
-def part_points(found: SensorRequirement) -> pd.DataFrame:
+def part_points(sensors: SensorRequirement) -> pd.DataFrame:
     """Relative standard uncertainty of every quantity by every error."""
     import pandas as pd
 
     return pd.DataFrame(
         [
-            {"quantity": one.name, "error": f"{s.sensor}: {s.name}", "percent": 100 * float(part)}
-            for one in found.quantities
-            for s, part in zip(found.propagation.sources, one.parts, strict=True)
+            {
+                "quantity": quantity_of.name,
+                "error": f"{s.sensor}: {s.name}",
+                "percent": 100 * float(part),
+            }
+            for quantity_of in sensors.quantities
+            for s, part in zip(sensors.propagation.sources, quantity_of.parts, strict=True)
         ]
     )
 

@@ -74,11 +74,11 @@ def picture(
     svg = render(lambda: draw(points, faces, displacement), name, title or "deformed mesh")
     moved = np.linalg.norm(displacement, axis=1)
     left = "left half before, right half after"
-    said = left if points.shape[1] == 2 else "before on the left, after on the right"
+    sides = left if points.shape[1] == 2 else "before on the left, after on the right"
     if points.shape[1] == 3 and _is_whole(points):
-        said += ", below it from three sides"
+        sides += ", below it from three sides"
     return svg, sentence(
-        f"{count(len(cells), 'cell')}, {said}; the largest displacement is "
+        f"{count(len(cells), 'cell')}, {sides}; the largest displacement is "
         f"{quantity(float(moved.max()), 'mm')}"
     )
 

@@ -50,10 +50,10 @@ if TYPE_CHECKING:
 
 def effects(facts: Facts, data: ReportData) -> str:
     """Name the largest effect, and what the band is."""
-    known = [effect for effect in facts.effects if effect.range is not None]
-    if not known:
+    estimated = [effect for effect in facts.effects if effect.range is not None]
+    if not estimated:
         return ""
-    first = max(known, key=lambda e: abs((e.range or 0) - (1 if e.is_ratio else 0)))
+    first = max(estimated, key=lambda e: abs((e.range or 0) - (1 if e.is_ratio else 0)))
     limit = practical(first, facts)
     text = f"{term_name(first.term, data.labels)} has the largest effect, {size(first, facts)}"
     if first.low is not None:
@@ -80,11 +80,11 @@ def means(facts: Facts, data: ReportData) -> str:
 
 def interactions(facts: Facts, data: ReportData) -> str:
     """Say which interaction is the largest."""
-    known = [e for e in facts.interactions if e.term.count(":") == 1 and e.range is not None]
+    estimated = [e for e in facts.interactions if e.term.count(":") == 1 and e.range is not None]
     key = "lines that are parallel mean that the factors act independently"
-    if not known:
+    if not estimated:
         return sentence(key)
-    first = max(known, key=lambda e: abs((e.range or 0) - (1 if e.is_ratio else 0)))
+    first = max(estimated, key=lambda e: abs((e.range or 0) - (1 if e.is_ratio else 0)))
     row = facts.row(first.term)
     decided = None if row is None else row.p_deciding
     p = "" if decided is None else f", {p_phrase(decided)}"
@@ -119,10 +119,10 @@ def cells(facts: Facts, data: ReportData, frame: pd.DataFrame) -> str:
 
 def residuals(facts: Facts, data: ReportData, n: int) -> str:
     """Summarize the four panels and the test."""
-    found = facts.assumptions.normality
+    normality = facts.assumptions.normality
     verdict = "the test of normality does not apply"
-    if found is not None and found.rj is not None:
-        exact = found.p_exact
+    if normality is not None and normality.rj is not None:
+        exact = normality.p_exact
         rejected = exact is not None and exact < data.alpha
         verdict = f"normality is {'rejected' if rejected else 'not rejected'}"
         verdict += f" ({p_phrase(exact)}, simulated)" if exact is not None else ""
@@ -157,27 +157,27 @@ def front(frame: pd.DataFrame, facts: Facts, limit: float) -> str:
     )
 
 
-def curves(found: CurvePanels, data: ReportData) -> str:
+def curves(panels: CurvePanels, data: ReportData) -> str:
     """Say what is drawn, what is held fixed, and how large the residuals are."""
-    gap = (found.frame["predicted_N"] - found.frame["measured_N"]).abs()
-    worst = found.frame.iloc[int(np.nanargmax(gap.to_numpy()))]
-    held = listing([f"{name_of(k, data.labels)} = {clean(v)}" for k, v in found.fixed.items()])
+    gap = (panels.frame["predicted_N"] - panels.frame["measured_N"]).abs()
+    worst = panels.frame.iloc[int(np.nanargmax(gap.to_numpy()))]
+    held = listing([f"{name_of(k, data.labels)} = {clean(v)}" for k, v in panels.fixed.items()])
     text = (
         f"force above, predicted minus measured below, over the whole of each measurement; the "
         f"largest residual is {quantity(float(gap.max()), 'N')} ({clean(worst['line'])}, "
         f"{clean(worst['block'])})"
     )
-    if found.is_relative:
+    if panels.is_relative:
         text += (
             ". Forces differ too much for one axis in N: each panel is in percent of its largest "
             "measured force, so that residuals can be compared"
         )
-    if found.frame["predicted_N"].isna().any():
+    if panels.frame["predicted_N"].isna().any():
         text += ". A line that ends early belongs to a simulation that stopped there"
     if held:
         text += f". Shown with {held}"
-    if found.left_out:
-        text += f"; {count(found.left_out, 'more block')} not shown"
+    if panels.left_out:
+        text += f"; {count(panels.left_out, 'more block')} not shown"
     return sentence(text)
 
 
@@ -186,19 +186,19 @@ def contrasts(frame: pd.DataFrame, facts: Facts) -> str:
     beyond = frame[frame["active"]]
     m = count(len(frame), "contrast")
     if beyond.empty:
-        said = f"none of the {m} exceeds the margin of error"
+        finding = f"none of the {m} exceeds the margin of error"
     else:
         named = [
             f"{name} ({p_phrase(p)})" for name, p in zip(beyond["name"], beyond["p"], strict=True)
         ]
         shown = named if len(named) <= 5 else [*named[:5], f"{len(named) - 5} more"]
-        said = f"beyond the margin of error, of {m}: {listing(shown)}"
+        finding = f"beyond the margin of error, of {m}: {listing(shown)}"
     unit = "log ratio" if facts.ratio else facts.difference_unit
-    one = quantity(float(frame["margin"].iloc[0]), unit)
+    margin = quantity(float(frame["margin"].iloc[0]), unit)
     every = quantity(float(frame["simultaneous"].iloc[0]), unit)
     return sentence(
-        f"{said}. Dashed: limit of one contrast, {one}; dotted: of all together, {every} (Lenth, "
-        "simulated); contrasts that follow the shaded envelope look like no effect at all"
+        f"{finding}. Dashed: limit of one contrast, {margin}; dotted: of all together, {every} "
+        "(Lenth, simulated); contrasts that follow the shaded envelope look like no effect at all"
     )
 
 
@@ -210,11 +210,12 @@ def constants(frame: pd.DataFrame, data: ReportData) -> str:
     text = f"each mark is one fit with its 95{THIN}% interval"
     grouped = sure.groupby(["constant", "place"])["value"]
     apart = (grouped.std() / grouped.mean().abs()).median()
-    own = (sure["standard_error"] / sure["value"].abs()).median()
-    if apart == apart and own == own:  # both are numbers
+    relative_error = (sure["standard_error"] / sure["value"].abs()).median()
+    if apart == apart and relative_error == relative_error:  # both are numbers
         text = (
             f"a constant differs between {plural_of(unit)} by {_by(float(apart))} (median "
-            f"standard deviation), one fit alone is uncertain by {_by(float(own))}; {text}"
+            f"standard deviation), one fit alone is uncertain by {_by(float(relative_error))}; "
+            f"{text}"
         )
     if vague:
         text += f"; hollow: {vague} of {len(frame)} that the data do not determine"
@@ -328,24 +329,24 @@ def of_study(data: ReportData) -> dict[str, Figure]:
         ``curves``, ``constants``, ``markers``, ``convergence``, ``validation``, ``failures``: those
         that the study has data for.
     """
-    found: dict[str, Figure] = {}
+    figures: dict[str, Figure] = {}
     if data.curves:
-        found["curves"] = make("curves", "Measured and predicted force", lambda: _curves(data))
+        figures["curves"] = make("curves", "Measured and predicted force", lambda: _curves(data))
     if any(fit.value is not None for fit in data.fits):
-        found["constants"] = make("constants", "Fitted constants", lambda: _constants(data))
-    if any(fit["error_by_layer_mm"] for one in data.markers for fit in one.fits):
-        found["markers"] = make("markers", "Errors by layer", lambda: _markers(data))
+        figures["constants"] = make("constants", "Fitted constants", lambda: _constants(data))
+    if any(fit["error_by_layer_mm"] for marker in data.markers for fit in marker.fits):
+        figures["markers"] = make("markers", "Errors by layer", lambda: _markers(data))
     if data.convergence:
-        found["convergence"] = make(
+        figures["convergence"] = make(
             "convergence", "Value against mesh size", lambda: _convergence(data)
         )
     if data.validation:
-        found["validation"] = make(
+        figures["validation"] = make(
             "validation", "Comparison error along the curve", lambda: _validation(data)
         )
     if data.failures:
-        found["failures"] = make("failures", "Failure map", lambda: _failures(data))
-    return found
+        figures["failures"] = make("failures", "Failure map", lambda: _failures(data))
+    return figures
 
 
 def of_recordings(frame: pd.DataFrame) -> Figure:
@@ -494,8 +495,8 @@ def _front(data: ReportData, facts: Facts) -> Drawn:
 
 
 def _curves(data: ReportData) -> Drawn:
-    found = curve_figures.curve_panels(data)
-    return found.frame, lambda: curve_figures.draw_curves(found, data), curves(found, data)
+    panels = curve_figures.curve_panels(data)
+    return panels.frame, lambda: curve_figures.draw_curves(panels, data), curves(panels, data)
 
 
 def _failures(data: ReportData) -> Drawn:

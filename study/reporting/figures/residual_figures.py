@@ -46,21 +46,21 @@ def contrasts(facts: Facts, data: ReportData) -> pd.DataFrame:
     """Every contrast with its half-normal score and limits, the largest first."""
     import pandas as pd
 
-    found = facts.lenth
-    if found is None:
+    lenth = facts.lenth
+    if lenth is None:
         raise ValueError("there are no single contrasts: the design is replicated")
     frame = pd.DataFrame(
         {
-            "contrast": list(found.names),
-            "name": [_name(name, data) for name in found.names],
-            "size": np.abs(np.asarray(found.values, dtype=float)),
-            "score": np.asarray(found.half_normal, dtype=float),
-            "p": np.asarray(found.p, dtype=float),
-            "margin": found.me,
-            "simultaneous": found.sme,
+            "contrast": list(lenth.names),
+            "name": [_name(name, data) for name in lenth.names],
+            "size": np.abs(np.asarray(lenth.values, dtype=float)),
+            "score": np.asarray(lenth.half_normal, dtype=float),
+            "p": np.asarray(lenth.p, dtype=float),
+            "margin": lenth.me,
+            "simultaneous": lenth.sme,
         }
     ).sort_values("size", ascending=False, kind="stable", ignore_index=True)
-    low, high = _envelope(len(frame), found.pse, data.seed)
+    low, high = _envelope(len(frame), lenth.pse, data.seed)
     return frame.assign(active=frame["size"] > frame["margin"], low=low, high=high)
 
 
@@ -256,11 +256,11 @@ def _normal_plot(ax: Axes, frame: pd.DataFrame, facts: Facts, seed: int, label: 
     ax.plot(
         frame["score"], values, "o", markersize=3.2, alpha=0.8, color=color_of(0), markeredgewidth=0
     )
-    found = facts.assumptions.normality
-    if found is not None and found.rj is not None:
-        text = f"RJ = {found.rj:.4f}"
-        if found.p_exact is not None:
-            text += f", simulated p {_with_sign(p_value(found.p_exact))}"
+    normality = facts.assumptions.normality
+    if normality is not None and normality.rj is not None:
+        text = f"RJ = {normality.rj:.4f}"
+        if normality.p_exact is not None:
+            text += f", simulated p {_with_sign(p_value(normality.p_exact))}"
         ax.text(0.03, 0.96, text, transform=ax.transAxes, va="top", fontsize=8)
     ax.set(title="normal plot, with 95 % envelope", xlabel="normal score", ylabel=label)
 
@@ -433,13 +433,15 @@ def drawn_words(points: pd.DataFrame) -> str:
 
 def four_in_one_caption(points: pd.DataFrame, facts: Facts, alpha: float) -> str:
     """Name the panels, and say whether normality is rejected."""
-    found = facts.assumptions.normality
+    normality = facts.assumptions.normality
     verdict = "the test of normality does not apply"
-    if found is not None and found.rj is not None:
-        p = found.p_exact
-        said = f" ({p_phrase(p)}, simulated)" if p is not None else ""
+    if normality is not None and normality.rj is not None:
+        p = normality.p_exact
+        p_text = f" ({p_phrase(p)}, simulated)" if p is not None else ""
         rejected = p is not None and p < alpha
-        verdict = f"normality is {'rejected' if rejected else 'not rejected'} by Ryan-Joiner{said}"
+        verdict = (
+            f"normality is {'rejected' if rejected else 'not rejected'} by Ryan-Joiner{p_text}"
+        )
     return sentence(
         f"{count(len(points), 'residual')}; {verdict}. The order is that of the rows in the file: "
         f"the run order only if they were written down as they were run{drawn_words(points)}"
@@ -484,11 +486,11 @@ def _probability(
     ax.plot(ends, ends * spread, color=MUTED, linewidth=0.8)
     ax.plot(shown["score"], shown["residual"], "o", markersize=3.2, alpha=0.8, color=color_of(0),
             markeredgewidth=0)  # fmt: skip
-    found = facts.assumptions.normality
-    if found is not None and found.rj is not None:
-        p = p_value(found.p_exact)
-        tail = "" if found.p_exact is None else f", p {p if p[0] in '<>' else f'= {p}'}"
-        text = f"RJ = {found.rj:.4f}{tail}"
+    normality = facts.assumptions.normality
+    if normality is not None and normality.rj is not None:
+        p = p_value(normality.p_exact)
+        tail = "" if normality.p_exact is None else f", p {p if p[0] in '<>' else f'= {p}'}"
+        text = f"RJ = {normality.rj:.4f}{tail}"
         ax.text(0.03, 0.97, text, transform=ax.transAxes, va="top", fontsize=8)
     ax.set(title="normal probability plot", xlabel="normal score", ylabel=label)
 
@@ -519,8 +521,8 @@ def draw_against_factors(points: pd.DataFrame, facts: Facts, data: ReportData) -
 def influence_caption(points: pd.DataFrame, limit: float | None) -> str:
     """Say how many rows move the fit."""
     moving = 0 if limit is None else int((points["cook"] > limit).sum())
-    said = f"{count(moving, 'row')} beyond it" if moving else "no row is beyond it"
-    line = "" if limit is None else f"; beyond {limit:.2g} a row moves the fit, and {said}"
+    finding = f"{count(moving, 'row')} beyond it" if moving else "no row is beyond it"
+    line = "" if limit is None else f"; beyond {limit:.2g} a row moves the fit, and {finding}"
     return sentence(
         "left, Cook's distance of every row; right, standardized residual against leverage, with "
         f"lines at \N{MINUS SIGN}2 and 2{line}{drawn_words(points)}"

@@ -40,44 +40,50 @@ _COLUMNS = 4
 Drawn = tuple["pd.DataFrame", "Callable[[], Canvas]", str]
 
 
-def drawings(one: FittedSurface, data: ReportData) -> dict[str, tuple[str, Callable[[], Drawn]]]:
+def drawings(fitted: FittedSurface, data: ReportData) -> dict[str, tuple[str, Callable[[], Drawn]]]:
     """Title and maker of every figure of one surface, by kind."""
-    found = one.found
-    if found is None:
+    surface = fitted.found
+    if surface is None:
         return {}
     made: dict[str, tuple[str, Callable[[], Drawn]]] = {}
-    if any(item.index is not None for item in found.sensitivity):
-        made["shares"] = ("Shares of the variance", lambda: _shares(found, one, data))
-    made["profiles"] = ("Along each factor", lambda: _profiles(found, one, data))
-    if len(found.runs.factors) > 1:
-        made["contours"] = ("Over the two strongest factors", lambda: _contours(found, one, data))
-    if left_out(found) is not None:
-        made["left-out"] = ("Runs predicted from the others", lambda: _left_out(found, one, data))
+    if any(item.index is not None for item in surface.sensitivity):
+        made["shares"] = ("Shares of the variance", lambda: _shares(surface, fitted, data))
+    made["profiles"] = ("Along each factor", lambda: _profiles(surface, fitted, data))
+    if len(surface.runs.factors) > 1:
+        made["contours"] = (
+            "Over the two strongest factors",
+            lambda: _contours(surface, fitted, data),
+        )
+    if left_out(surface) is not None:
+        made["left-out"] = (
+            "Runs predicted from the others",
+            lambda: _left_out(surface, fitted, data),
+        )
     return made
 
 
-def _profiles(found: SurfaceAnalysis, one: FittedSurface, data: ReportData) -> Drawn:
+def _profiles(surface: SurfaceAnalysis, fitted: FittedSurface, data: ReportData) -> Drawn:
     import pandas as pd
 
-    order = strongest(found)
-    told = {p.factor: p for p in profiles(found)}
+    order = strongest(surface)
+    by_factor = {p.factor: p for p in profiles(surface)}
     frame = pd.concat(
         pd.DataFrame(
             {"factor": n, "setting": p.setting, "value": p.value, "low": p.low, "high": p.high}
         )
-        for n, p in ((name, told[name]) for name in order)
+        for n, p in ((name, by_factor[name]) for name in order)
     )
-    sizes = [quantity(told[name].range, clean(one.unit)) for name in order]
+    sizes = [quantity(by_factor[name].range, clean(fitted.unit)) for name in order]
     named = [name_of(name, data.labels) for name in order]
     caption = sentence(
-        f"{title(one, data)} along each factor with the others in the middle of their "
+        f"{title(fitted, data)} along each factor with the others in the middle of their "
         f"ranges; bands are 95 % intervals of the prediction. It changes by up to "
         f"{listing([f'{s} ({n})' for s, n in zip(sizes, named, strict=True)])}."
     )
-    return frame, lambda: _draw_profiles(frame, one, data), caption
+    return frame, lambda: _draw_profiles(frame, fitted, data), caption
 
 
-def _draw_profiles(frame: pd.DataFrame, one: FittedSurface, data: ReportData) -> Canvas:
+def _draw_profiles(frame: pd.DataFrame, fitted: FittedSurface, data: ReportData) -> Canvas:
     names = list(dict.fromkeys(frame["factor"]))
     columns = min(_COLUMNS, len(names))
     rows = math.ceil(len(names) / columns)
@@ -90,35 +96,37 @@ def _draw_profiles(frame: pd.DataFrame, one: FittedSurface, data: ReportData) ->
         part = frame[frame["factor"] == names[place]]
         ax.fill_between(part["setting"], part["low"], part["high"], color=BAND)
         ax.plot(part["setting"], part["value"], color=color_of(0))
-        ax.set_xlabel(_axis(names[place], one, data))
+        ax.set_xlabel(_axis(names[place], fitted, data))
         ax.set_xmargin(0)
         plain_ticks(ax, "x")
     for ax in axes[:, 0]:
-        ax.set_ylabel(_response(one, data))
+        ax.set_ylabel(_response(fitted, data))
     return figure
 
 
-def _contours(found: SurfaceAnalysis, one: FittedSurface, data: ReportData) -> Drawn:
+def _contours(surface: SurfaceAnalysis, fitted: FittedSurface, data: ReportData) -> Drawn:
     import pandas as pd
 
-    pair = strongest(found)[:2]
-    told = contour(found, pair)
-    x, y = np.meshgrid(told.x, told.y)
-    frame = pd.DataFrame({pair[0]: x.ravel(), pair[1]: y.ravel(), "value": told.value.ravel()})
-    low, high = told.value.min(), told.value.max()
-    unit = clean(one.unit)
-    others = "; the others are in the middle of their ranges" if len(found.runs.factors) > 2 else ""
+    pair = strongest(surface)[:2]
+    grid = contour(surface, pair)
+    x, y = np.meshgrid(grid.x, grid.y)
+    frame = pd.DataFrame({pair[0]: x.ravel(), pair[1]: y.ravel(), "value": grid.value.ravel()})
+    low, high = grid.value.min(), grid.value.max()
+    unit = clean(fitted.unit)
+    others = (
+        "; the others are in the middle of their ranges" if len(surface.runs.factors) > 2 else ""
+    )
     caption = sentence(
-        f"{title(one, data)} goes from {quantity(low, unit)} to "
+        f"{title(fitted, data)} goes from {quantity(low, unit)} to "
         f"{quantity(high, unit)} over {name_of(pair[0], data.labels)} and "
         f"{name_of(pair[1], data.labels)}{others}. Points are the runs."
     )
-    return frame, lambda: _draw_contours(frame, told.runs, one, data), caption
+    return frame, lambda: _draw_contours(frame, grid.runs, fitted, data), caption
 
 
 def _draw_contours(
     frame: pd.DataFrame, runs: np.ndarray[tuple[int, ...], np.dtype[np.float64]],
-    one: FittedSurface, data: ReportData,
+    fitted: FittedSurface, data: ReportData,
 ) -> Canvas:  # fmt: skip
     across, up = frame.columns[:2]
     table = frame.pivot_table(index=up, columns=across, values="value")
@@ -129,19 +137,19 @@ def _draw_contours(
     ax.contour(x, y, z, levels=filled.levels, colors="white", linewidths=0.6)
     ax.scatter(runs[:, 0], runs[:, 1], s=9, color=INK, linewidths=0)
     bar = figure.colorbar(filled, ax=ax, pad=0.015, aspect=30)
-    bar.set_label(_response(one, data))
+    bar.set_label(_response(fitted, data))
     bar.outline.set_visible(False)
-    ax.set_xlabel(_axis(across, one, data))
-    ax.set_ylabel(_axis(up, one, data))
+    ax.set_xlabel(_axis(across, fitted, data))
+    ax.set_ylabel(_axis(up, fitted, data))
     plain_ticks(ax, "x")
     plain_ticks(ax, "y")
     return figure
 
 
-def _shares(found: SurfaceAnalysis, one: FittedSurface, data: ReportData) -> Drawn:
+def _shares(surface: SurfaceAnalysis, fitted: FittedSurface, data: ReportData) -> Drawn:
     import pandas as pd
 
-    items = sorted(found.sensitivity, key=lambda item: item.rank)
+    items = sorted(surface.sensitivity, key=lambda item: item.rank)
     frame = pd.DataFrame(
         [
             {
@@ -159,7 +167,7 @@ def _shares(found: SurfaceAnalysis, one: FittedSurface, data: ReportData) -> Dra
     alone = float(frame["alone"].sum())
     caption = sentence(
         f"{name_of(str(first['factor']), data.labels)} carries "
-        f"{percent(float(first['total']))} of the variance of {title(one, data)} when every "
+        f"{percent(float(first['total']))} of the variance of {title(fitted, data)} when every "
         f"factor is uniform over its range. Bars are total indices with intervals of about 95 %, "
         f"rings what the factor does alone; all factors alone sum to {percent(min(alone, 1.0))}, "
         "the rest is interaction."
@@ -184,42 +192,42 @@ def _draw_shares(frame: pd.DataFrame, data: ReportData) -> Canvas:
     return figure
 
 
-def _left_out(found: SurfaceAnalysis, one: FittedSurface, data: ReportData) -> Drawn:
+def _left_out(surface: SurfaceAnalysis, fitted: FittedSurface, data: ReportData) -> Drawn:
     import pandas as pd
 
-    told = left_out(found)
-    if told is None:
+    errors = left_out(surface)
+    if errors is None:
         raise ValueError("no run can be left out")
-    frame = pd.DataFrame({"simulated": told.observed, "predicted": told.predicted})
-    worst = float(np.abs(told.observed - told.predicted).max())
+    frame = pd.DataFrame({"simulated": errors.observed, "predicted": errors.predicted})
+    worst = float(np.abs(errors.observed - errors.predicted).max())
     caption = (
-        f"Each run of {title(one, data)} against what a surface fitted to all the others predicts; "
-        f"the worst is off by {quantity(worst, clean(one.unit))}, and Q2 is "
-        f"{min(quality(found), 0.9999):.4g}{' or more' if quality(found) > 0.9999 else ''} "
+        f"Each run of {title(fitted, data)} against what a surface fitted to all the others "
+        f"predicts; the worst is off by {quantity(worst, clean(fitted.unit))}, and Q2 is "
+        f"{min(quality(surface), 0.9999):.4g}{' or more' if quality(surface) > 0.9999 else ''} "
         "(1 is perfect, 0 no better than the mean)."
     )
-    return frame, lambda: _draw_left_out(frame, one, data), caption
+    return frame, lambda: _draw_left_out(frame, fitted, data), caption
 
 
-def _draw_left_out(frame: pd.DataFrame, one: FittedSurface, data: ReportData) -> Canvas:
+def _draw_left_out(frame: pd.DataFrame, fitted: FittedSurface, data: ReportData) -> Canvas:
     figure = canvas(WIDTH_IN, 3.9)
     ax: Axes = figure.subplots()
     ends = [float(frame.min().min()), float(frame.max().max())]
     ax.plot(ends, ends, color=MUTED, linewidth=0.8)
     ax.scatter(frame["simulated"], frame["predicted"], s=14, color=color_of(0), linewidths=0)
     ax.set_box_aspect(1)
-    ax.set_xlabel(f"run: {_response(one, data)}")
+    ax.set_xlabel(f"run: {_response(fitted, data)}")
     ax.set_ylabel("predicted from the others")
     plain_ticks(ax, "x")
     plain_ticks(ax, "y")
     return figure
 
 
-def _axis(factor: str, one: FittedSurface, data: ReportData) -> str:
-    unit = clean(one.units.get(factor, ""))
+def _axis(factor: str, fitted: FittedSurface, data: ReportData) -> str:
+    unit = clean(fitted.units.get(factor, ""))
     return clean(name_of(factor, data.labels), 40) + (f" ({unit})" if unit else "")
 
 
-def _response(one: FittedSurface, data: ReportData) -> str:
-    unit = clean(one.unit)
-    return clean(name_of(one.response, data.labels), 40) + (f" ({unit})" if unit else "")
+def _response(fitted: FittedSurface, data: ReportData) -> str:
+    unit = clean(fitted.unit)
+    return clean(name_of(fitted.response, data.labels), 40) + (f" ({unit})" if unit else "")

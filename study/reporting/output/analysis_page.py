@@ -83,24 +83,24 @@ def prepare(report: AnalysisReport) -> page.Contents:
 
 
 def _tables(report: AnalysisReport, item: Facts) -> dict[str, Table]:
-    found, data = report.found, report.data
-    known: dict[str, Table | None] = {"verdicts": tables.verdicts((item,), data)}
-    if found.anova.rows:
-        known |= {
-            "anova": analysis_content.analysis_of_variance(found),
-            "summary": analysis_content.model_summary(found),
+    analysis, data = report.found, report.data
+    made: dict[str, Table | None] = {"verdicts": tables.verdicts((item,), data)}
+    if analysis.anova.rows:
+        made |= {
+            "anova": analysis_content.analysis_of_variance(analysis),
+            "summary": analysis_content.model_summary(analysis),
             "coefficients": analysis_content.coefficients(report.coefficients, item),
             "means": analysis_content.means(item, data),
             "simple": analysis_content.simple_effects(item, data),
             "contrasts": analysis_content.contrasts(item),
             "pairs": analysis_content.pairwise(report.pairs, item, data),
-            "checks": analysis_content.checks(found),
+            "checks": analysis_content.checks(analysis),
             "unusual": analysis_content.unusual(report.unusual),
-            "robustness": analysis_content.robustness(found, data),
+            "robustness": analysis_content.robustness(analysis, data),
         }
     if report.reference is not None:
-        known["reference"] = analysis_content.against_reference(*report.reference, data)
-    return {name: table for name, table in known.items() if table is not None}
+        made["reference"] = analysis_content.against_reference(*report.reference, data)
+    return {name: table for name, table in made.items() if table is not None}
 
 
 def _figures(report: AnalysisReport, item: Facts) -> dict[str, Figure]:
@@ -165,20 +165,20 @@ _NO_VERDICT = (
 
 def _tested(report: AnalysisReport, item: Facts) -> str:
     """Which terms differ by Holm's p, and which are not shown to."""
-    known = [e for e in item.terms if e.p_holm is not None]
-    if not known:
+    tested = [e for e in item.terms if e.p_holm is not None]
+    if not tested:
         return "There is no error term, so nothing is tested."
-    names = {e.term: term_name(e.term, report.data.labels) for e in known}
+    names = {e.term: term_name(e.term, report.data.labels) for e in tested}
     shown = [
-        f"{clean(names[e.term])} ({p_phrase(e.p_holm)})" for e in known if _below(e.p_holm, item)
+        f"{clean(names[e.term])} ({p_phrase(e.p_holm)})" for e in tested if _below(e.p_holm, item)
     ]
-    rest = [clean(names[e.term]) for e in known if not _below(e.p_holm, item)]
+    rest = [clean(names[e.term]) for e in tested if not _below(e.p_holm, item)]
     parts = []
     if shown:
         parts.append(f"an effect is shown of {listing(shown)}")
     if rest:
         parts.append(f"none is shown of {listing(rest, 'or')}")
-    size = f"at {item.alpha:g}, adjusted by Holm for {count(len(known), 'term')}"
+    size = f"at {item.alpha:g}, adjusted by Holm for {count(len(tested), 'term')}"
     return sentence(f"for {clean(item.title)}, {'; '.join(parts)} ({size})")
 
 
@@ -210,8 +210,8 @@ def render(report: AnalysisReport, contents: page.Contents) -> str:
 
 
 def _warnings(report: AnalysisReport) -> tuple[str, ...]:
-    said = (*report.data.warnings, *report.found.notes)
-    return tuple(sentence(clean(text)) for text in dict.fromkeys(said))
+    texts = (*report.data.warnings, *report.found.notes)
+    return tuple(sentence(clean(text)) for text in dict.fromkeys(texts))
 
 
 def _methods(contents: page.Contents) -> str:
@@ -237,44 +237,44 @@ def write_analysis(
     table and figure, every figure as SVG, ``rows.csv`` (every row with fit, residual, leverage)
     and ``numbers.json``, the document of ``study analyze --json``.
     """
-    asked = write.checked_formats(formats)
+    chosen = write.checked_formats(formats)
     folder = Path(out_dir)
     stem = slug(f"{report.data.name} {report.found.request.response}")
     contents = prepare(report)
-    beside = data_folder(folder, stem)
-    _write_data(report, contents, beside)
+    files = data_folder(folder, stem)
+    _write_data(report, contents, files)
     html, latex, portable = (folder / f"{stem}.{suffix}" for suffix in ("html", "tex", "pdf"))
-    if "html" in asked or "pdf" in asked:
+    if "html" in chosen or "pdf" in chosen:
         replace_file(html, render(report, contents))
-    if "tex" in asked:
+    if "tex" in chosen:
         shown = [(name, t) for name, t in contents.tables.items() if name in _IN_LATEX]
         captions = [(t.name.capitalize(), t) for _, t in shown]
         replace_file(latex, latex_document(captions, _methods(contents)))
-    if "pdf" in asked:
+    if "pdf" in chosen:
         write.print_page(html, portable)
-    return {"html": html, "pdf": html, "tex": latex, "csv": beside / "rows.csv"}[asked[0]]
+    return {"html": html, "pdf": html, "tex": latex, "csv": files / "rows.csv"}[chosen[0]]
 
 
 _IN_LATEX = ("verdicts", "anova", "coefficients", "means", "pairs", "reference")
 
 
-def _write_data(report: AnalysisReport, contents: page.Contents, beside: Path) -> None:
+def _write_data(report: AnalysisReport, contents: page.Contents, files: Path) -> None:
     numbers = report.found.to_json()
     text = json.dumps(numbers, indent=1, allow_nan=False)
-    replace_file(beside / "numbers.json", text + "\n")
+    replace_file(files / "numbers.json", text + "\n")
     rows = report.found.data.residuals if report.rows is None else report.rows
-    replace_file(beside / "rows.csv", write.of_frame(rows))
+    replace_file(files / "rows.csv", write.of_frame(rows))
     sizes = [contents.sections[0].anova] if contents.sections[0].anova is not None else []
     for table in (*contents.tables.values(), *sizes):
         records = write.of_records(table.raw) if table.raw else write.of_rows(
             table.columns, table.rows
         )  # fmt: skip
-        replace_file(beside / f"table-{slug(table.name)}.csv", records)
+        replace_file(files / f"table-{slug(table.name)}.csv", records)
     for figure in contents.all_figures:
         if figure.data is not None:
-            replace_file(beside / f"figure-{figure.name}.csv", write.of_frame(figure.data))
+            replace_file(files / f"figure-{figure.name}.csv", write.of_frame(figure.data))
         if figure.svg:
-            replace_file(beside / f"figure-{figure.name}.svg", figure.svg + "\n")
+            replace_file(files / f"figure-{figure.name}.svg", figure.svg + "\n")
 
 
 # The page of a verb about one thing: answer, figures, tables, warnings, data beside it.
@@ -300,12 +300,12 @@ def write_answer(page: AnswerPage, out_dir: str | Path) -> Path:
     """Write a page, and the CSV of its figures and tables in a folder beside it."""
     folder = Path(out_dir)
     stem = f"{slug(page.name)}-{page.stem}"
-    beside = data_folder(folder, stem)
+    files = data_folder(folder, stem)
     for figure in page.figures:
         if figure.data is not None:
-            replace_file(beside / f"figure-{figure.name}.csv", write.of_frame(figure.data))
+            replace_file(files / f"figure-{figure.name}.csv", write.of_frame(figure.data))
     for table in page.tables:
-        replace_file(beside / f"table-{slug(table.name)}.csv", write.of_records(table.raw))
+        replace_file(files / f"table-{slug(table.name)}.csv", write.of_records(table.raw))
     text = _environment().get_template("answer.html.j2").render(
         kind=page.kind, name=clean(page.name), question=clean(page.question), answer=page.answer,
         figures=page.figures, tables=page.tables, warnings=page.warnings,

@@ -42,14 +42,14 @@ def write_convergence(
     cells = list(document.get("cells", [document]))
     figures = convergence_figures(cells, document.get("fronts", ()), meshes, window)
     tables = [series_table(cells), *sources_tables(cells)]
-    found = [
+    verdicts = [
         f"{convergence.label_of(cell)}: {text}" if len(cells) > 1 else str(text)
         for cell in cells
         for text in cell.get("warnings") or ()
     ]
     page = AnswerPage(
         "mesh convergence", "convergence", name, question, answers(cells, document), figures,
-        tables, [clean(line) for line in dict.fromkeys(found)],
+        tables, [clean(line) for line in dict.fromkeys(verdicts)],
     )  # fmt: skip
     return write_answer(page, out_dir)
 
@@ -62,17 +62,19 @@ def convergence_figures(
 ) -> list[Figure]:
     """Value against size, error against size, error against seconds, meshes."""
     shown = [cell for cell in cells if len(cell.get("value", ())) > 1]
-    found = []
+    figures = []
     if shown:
-        found.append(make("convergence-values", "Value against mesh size", lambda: _values(shown)))
+        figures.append(
+            make("convergence-values", "Value against mesh size", lambda: _values(shown))
+        )
     if any(cell["extrapolated"] is not None for cell in shown):
-        found.append(make("convergence-errors", "Error and formal order", lambda: _errors(shown)))
+        figures.append(make("convergence-errors", "Error and formal order", lambda: _errors(shown)))
     for k, front in enumerate(fronts):
         name = f"convergence-front-{k + 1}"
-        found.append(make(name, "Error against seconds", partial(_front, front)))
+        figures.append(make(name, "Error against seconds", partial(_front, front)))
     if meshes:
-        found.append(make("convergence-meshes", "Meshes", lambda: _meshes(meshes, window)))
-    return found
+        figures.append(make("convergence-meshes", "Meshes", lambda: _meshes(meshes, window)))
+    return figures
 
 
 def _values(cells: Sequence[Document]) -> Drawn:
@@ -123,12 +125,12 @@ def answers(cells: Sequence[Document], document: Document) -> list[str]:
 
 def formal_orders(cells: Sequence[Document]) -> list[str]:
     """Say which order is to be expected, and why, once for every reason."""
-    known = [
+    orders = [
         (float(cell["formal_order"]), str(cell["formal_reason"]))
         for cell in cells
         if cell.get("formal_reason") and cell.get("formal_order")
     ]
-    return [f"Formal order {order:.3g}: {clean(why)}." for order, why in dict.fromkeys(known)]
+    return [f"Formal order {order:.3g}: {clean(why)}." for order, why in dict.fromkeys(orders)]
 
 
 def series_table(cells: Sequence[Document]) -> Table:

@@ -66,18 +66,19 @@ def constants(law: ForceLaw) -> Table:
     Units: returns kPa, MPa.
     """
     rows, raw = [], []
-    for one in law.ranges:
-        factor, unit = (1.0, "") if is_dimensionless(one.name) else (1e3, " kPa")
-        value = law.constants[one.name]
+    for constant in law.ranges:
+        factor, unit = (1.0, "") if is_dimensionless(constant.name) else (1e3, " kPa")
+        value = law.constants[constant.name]
         rows.append((
-            one.name, f"{significant(factor * value, 4)}{unit}",
-            f"{significant(factor * one.low, 4)} to {significant(factor * one.high, 4)}{unit}",
-            MISSING if math.isnan(one.largest_N) else f"{significant(one.largest_N)} N",
+            constant.name, f"{significant(factor * value, 4)}{unit}",
+            f"{significant(factor * constant.low, 4)} to "
+            f"{significant(factor * constant.high, 4)}{unit}",
+            MISSING if math.isnan(constant.largest_N) else f"{significant(constant.largest_N)} N",
         ))  # fmt: skip
         row: Mapping[str, object] = {
-            "constant": one.name, "value": value, "low": one.low, "high": one.high,
-            "unit": "" if is_dimensionless(one.name) else "MPa",
-            "largest_N": None if math.isnan(one.largest_N) else one.largest_N,
+            "constant": constant.name, "value": value, "low": constant.low, "high": constant.high,
+            "unit": "" if is_dimensionless(constant.name) else "MPa",
+            "largest_N": None if math.isnan(constant.largest_N) else constant.largest_N,
         }  # fmt: skip
         raw.append(row)
     columns = ("constant", "of the table", "range that was solved", "largest deviation")
@@ -88,43 +89,45 @@ def constants(law: ForceLaw) -> Table:
 # The page of sensor requirements: answer, map, parts, what each error may be, Monte Carlo.
 
 
-def write_requirement(found: SensorRequirement, out_dir: str | Path) -> Path:
+def write_requirement(sensors: SensorRequirement, out_dir: str | Path) -> Path:
     """Write the page of sensor requirements."""
-    tables = [errors(found), quantities(found)]
-    if any(one.scatters for one in found.simulations):
-        tables.append(simulations(found))
+    tables = [errors(sensors), quantities(sensors)]
+    if any(simulation.scatters for simulation in sensors.simulations):
+        tables.append(simulations(sensors))
     page = AnswerPage(
-        "sensor requirements", "requirement", found.name,
-        found.question or "How accurate must the sensors be?",
-        [clean(line) for line in requirement_sentences(found)],
-        requirement_figures(found), tables, warnings(found),
+        "sensor requirements", "requirement", sensors.name,
+        sensors.question or "How accurate must the sensors be?",
+        [clean(line) for line in requirement_sentences(sensors)],
+        requirement_figures(sensors), tables, warnings(sensors),
     )  # fmt: skip
     return write_answer(page, out_dir)
 
 
-def warnings(found: SensorRequirement) -> list[str]:
+def warnings(sensors: SensorRequirement) -> list[str]:
     """Say where the answer, which is of first order, must not be trusted."""
-    return [clean(note) for note in found.notes] + [
-        f"At {one.multiple:g} times the given errors first order does not hold: take scatter and "
-        "shift of the simulated tests there, not the map."
-        for one in found.simulations
-        if not one.is_linear
+    return [clean(note) for note in sensors.notes] + [
+        f"At {simulation.multiple:g} times the given errors first order does not hold: take "
+        "scatter and shift of the simulated tests there, not the map."
+        for simulation in sensors.simulations
+        if not simulation.is_linear
     ]
 
 
-def requirement_figures(found: SensorRequirement) -> list[Figure]:
+def requirement_figures(sensors: SensorRequirement) -> list[Figure]:
     """Map of accuracies, and parts of the uncertainty."""
-    plane, parts = haptic_figures.map_points(found), haptic_figures.part_points(found)
-    wanted = 100 * found.accuracy
+    plane, parts = haptic_figures.map_points(sensors), haptic_figures.part_points(sensors)
+    percent_wanted = 100 * sensors.accuracy
     caption = (
-        f"Expanded uncertainty (k = {found.coverage:g}) with all errors of a sensor so many times "
-        f"as large as given; in the green region it is {wanted:g} % or less. To first order."
+        f"Expanded uncertainty (k = {sensors.coverage:g}) with all errors of a sensor so many "
+        "times "
+        f"as large as given; in the green region it is {percent_wanted:g} % or less. To first "
+        "order."
     )
     return [
         make(
             "requirement-map",
             "Position against force accuracy",
-            lambda: (plane, lambda: haptic_figures.draw_map(plane, wanted), caption),
+            lambda: (plane, lambda: haptic_figures.draw_map(plane, percent_wanted), caption),
         ),
         make(
             "requirement-parts",
@@ -138,61 +141,61 @@ def requirement_figures(found: SensorRequirement) -> list[Figure]:
     ]
 
 
-def errors(found: SensorRequirement) -> Table:
+def errors(sensors: SensorRequirement) -> Table:
     """Every error: as given, and as large as it may be.
 
     Units: found mm, N.
     """
     rows, raw = [], []
-    for k, source in enumerate(found.propagation.sources):
-        alone, beside = found.allowed(k)
+    for k, source in enumerate(sensors.propagation.sources):
+        alone, jointly = sensors.allowed(k)
         rows.append((
             source.sensor, source.name, size(source, source.given), size(source, alone),
-            size(source, beside),
+            size(source, jointly),
         ))  # fmt: skip
         raw.append({
             "sensor": source.sensor, "error": source.name, "unit": source.unit or "1",
-            "given": source.given, "allowed_alone": alone, "allowed_beside": beside,
+            "given": source.given, "allowed_alone": alone, "allowed_beside": jointly,
         })  # fmt: skip
-    wanted = percent(found.accuracy)
+    limit = percent(sensors.accuracy)
     columns = ("sensor", "error", "given", "allowed alone", "allowed beside the others")
     note = (
-        f"For {wanted} (k = {found.coverage:g}) of every constant: alone, with all other errors "
+        f"For {limit} (k = {sensors.coverage:g}) of every constant: alone, with all other errors "
         "zero; beside the others as given (none: they are too large already)."
     )
     return Table("Errors", columns, tuple(rows), 2, raw=tuple(raw), note=note)
 
 
-def quantities(found: SensorRequirement) -> Table:
+def quantities(sensors: SensorRequirement) -> Table:
     """Constants and predicted force with their uncertainties.
 
     Units: found MPa, kPa.
     """
     rows, raw = [], []
-    for one in found.quantities:
-        factor, unit = (1e3, "kPa") if one.unit == "MPa" else (1.0, one.unit)
-        value = f"{significant(factor * one.value, 4)} {unit}".strip()
+    for item in sensors.quantities:
+        factor, unit = (1e3, "kPa") if item.unit == "MPa" else (1.0, item.unit)
+        value = f"{significant(factor * item.value, 4)} {unit}".strip()
         rows.append(
-            (one.name, value, percent(one.relative), percent(found.coverage * one.relative))
+            (item.name, value, percent(item.relative), percent(sensors.coverage * item.relative))
         )
         raw.append({
-            "quantity": one.name, "value": factor * one.value, "unit": unit,
-            "relative_standard_uncertainty": one.relative,
+            "quantity": item.name, "value": factor * item.value, "unit": unit,
+            "relative_standard_uncertainty": item.relative,
         })  # fmt: skip
-    columns = ("quantity", "value", "standard uncertainty", f"expanded (k = {found.coverage:g})")
+    columns = ("quantity", "value", "standard uncertainty", f"expanded (k = {sensors.coverage:g})")
     return Table("Quantities", columns, tuple(rows), 1, raw=tuple(raw))
 
 
-def simulations(found: SensorRequirement) -> Table:
+def simulations(sensors: SensorRequirement) -> Table:
     """Scatter in simulated tests beside that of first order."""
     rows, raw = [], []
-    for one in found.simulations:
-        for s in one.scatters:
+    for run in sensors.simulations:
+        for s in run.scatters:
             rows.append((
-                f"{one.multiple:g}", s.name, f"{s.ratio:.3f}", f"{s.ratio_error:.3f}",
+                f"{run.multiple:g}", s.name, f"{s.ratio:.3f}", f"{s.ratio_error:.3f}",
                 f"{s.bias:+.2f}", "first order holds" if s.is_linear else "first order fails",
             ))  # fmt: skip
-            raw.append({"multiple": one.multiple, "samples": one.samples, "failed": one.failed,
+            raw.append({"multiple": run.multiple, "samples": run.samples, "failed": run.failed,
                         **vars(s)})  # fmt: skip
     columns = ("multiple", "quantity", "scatter over first order", "its error", "shift", "verdict")
     note = "The shift of the mean is in standard deviations."

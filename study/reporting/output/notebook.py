@@ -23,15 +23,16 @@ class Shown(ABC):
     def _repr_html_(self) -> str:
         """Tables in HTML."""
         return "\n".join(
-            one.to_html(index=False, na_rep="", float_format=self._number) for one in self.tables()
+            frame.to_html(index=False, na_rep="", float_format=self._number)
+            for frame in self.tables()
         )
 
     def __repr__(self) -> str:
         """Tables in text."""
         return "\n\n".join(
-            one.to_string(index=False, na_rep="", float_format=self._number)
-            for one in self.tables()
-            if len(one)
+            frame.to_string(index=False, na_rep="", float_format=self._number)
+            for frame in self.tables()
+            if len(frame)
         )
 
     def _number(self, value: float) -> str:

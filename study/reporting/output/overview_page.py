@@ -37,8 +37,8 @@ def render_overview(states: Sequence[StudyState]) -> tuple[str, str]:
     """Return the page of every study, and the policy that lets it run its own script and style."""
     script, style = _own("overview.js"), _own("style.css") + _own("overview.css")
     text: str = _environment().get_template("overview.html.j2").render(
-        running=[one for one in states if one.progress is not None],
-        others=[one for one in states if one.progress is None],
+        running=[state for state in states if state.progress is not None],
+        others=[state for state in states if state.progress is None],
         script=script,
         style=style,
         clean=clean,

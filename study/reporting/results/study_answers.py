@@ -16,32 +16,32 @@ from study.statistics.surfaces.surface_optimum import Goal
 from study.statistics.surfaces.surface_optimum import ResponseSpread
 
 
-def document(beside: Beside) -> dict[str, object]:
+def document(comparison: Beside) -> dict[str, object]:
     """Comparison as plain JSON."""
     from dataclasses import asdict
 
     rows = []
-    for row in beside.conclusions:
-        found = [asdict(f) for f in row.found]
-        for one in found:
-            ends = (one.pop("low"), one.pop("high"))
-            one["ci95"] = None if None in ends else list(ends)
-            one["effect_over_u_num"] = one.pop("over_u_num")
+    for row in comparison.conclusions:
+        conclusions = [asdict(f) for f in row.found]
+        for conclusion in conclusions:
+            ends = (conclusion.pop("low"), conclusion.pop("high"))
+            conclusion["ci95"] = None if None in ends else list(ends)
+            conclusion["effect_over_u_num"] = conclusion.pop("over_u_num")
         rows.append(
             {
                 "response": row.response, "factor": row.term, "unit": row.unit,
                 "scale": "ratio" if row.ratio else "difference",
                 "conclusion": row.conclusion, "holds": row.holds,
-                "end": row.end or None, "same_best": row.same_best, "found": found,
+                "end": row.end or None, "same_best": row.same_best, "found": conclusions,
             }
         )  # fmt: skip
-    changed = [{"kind": c.kind, "key": c.key, "values": list(c.values)} for c in beside.changes]
+    changed = [{"kind": c.kind, "key": c.key, "values": list(c.values)} for c in comparison.changes]
     only = [
-        {"what": o.what, "name": o.name, "study": beside.names[o.study], "why": o.why}
-        for o in beside.only
+        {"what": o.what, "name": o.name, "study": comparison.names[o.study], "why": o.why}
+        for o in comparison.only
     ]
-    said = [text.replace("\N{NO-BREAK SPACE}", " ") for text in beside.summary]
-    return {"summary": said, "changes": changed, "conclusions": rows, "only_in_one": only}
+    summary = [text.replace("\N{NO-BREAK SPACE}", " ") for text in comparison.summary]
+    return {"summary": summary, "changes": changed, "conclusions": rows, "only_in_one": only}
 
 
 MATTERS = "holds in both: matters"
@@ -173,12 +173,12 @@ def fates(design: Design, records: Sequence[Record]) -> list[CaseFate]:
     }
     return [
         CaseFate(
-            {name: parts.get(name, {}).get(level, level) for name, level in one.levels.items()},
-            one.block or "",
-            not one.converged,
-            "" if one.converged else cause(one.status, one.message),
+            {name: parts.get(name, {}).get(level, level) for name, level in record.levels.items()},
+            record.block or "",
+            not record.converged,
+            "" if record.converged else cause(record.status, record.message),
         )
-        for one in records
+        for record in records
     ]
 
 
@@ -265,15 +265,15 @@ class Recommendation:
     def to_json(self) -> dict[str, object]:
         """Plain values."""
         limits = [
-            {"limit": one.words, "response": one.response, "unit": one.unit, "value": value,
+            {"limit": bound.words, "response": bound.response, "unit": bound.unit, "value": value,
              "low": low, "high": high}
-            for one, (value, low, high) in zip(self.bounds, self.limited, strict=True)
+            for bound, (value, low, high) in zip(self.bounds, self.limited, strict=True)
         ]  # fmt: skip
         run = self.confirmed
-        told: dict[str, object] | None = None
+        confirmed: dict[str, object] | None = None
         if run is not None:
             values = {n: v if np.isfinite(v) else None for n, v in run.values.items()}
-            told = {"settings": dict(run.settings), "values": values,
+            confirmed = {"settings": dict(run.settings), "values": values,
                     "inside_interval": run.predicted, "keeps_limits": run.kept}  # fmt: skip
         return {
             "goal": self.goal,
@@ -290,7 +290,7 @@ class Recommendation:
             "at_end_of_range": list(self.at_end),
             "over_what_is_not_chosen": None if self.spread is None else vars(self.spread),
             "rivals": [{"settings": dict(at), "value": value} for at, value in self.rivals],
-            "confirmed": told,
+            "confirmed": confirmed,
             "notes": list(self.notes),
         }
 
@@ -382,19 +382,19 @@ class Inverted:
     @property
     def sentence(self) -> str:
         """What the curve determines, in a sentence."""
-        loose = [one.name for one in self.inputs if one.open_low or one.open_high]
+        loose = [item.name for item in self.inputs if item.open_low or item.open_high]
         if not loose:
             return "the curve determines every input that was asked for"
         if self.combinations:
-            told = " and ".join(one.words for one in self.combinations)
-            return f"the curve does not determine {', '.join(loose)} alone; it determines {told}"
+            combinations = " and ".join(combination.words for combination in self.combinations)
+            return f"the curve does not determine {', '.join(loose)} alone; it determines {combinations}"
         return f"the curve does not determine {', '.join(loose)} inside of what was run"
 
     def to_json(self) -> dict[str, object]:
         """Plain values."""
         return {
-            "inputs": [vars(one) | {"verdict": one.verdict} for one in self.inputs],
-            "combinations": [vars(one) | {"words": one.words} for one in self.combinations],
+            "inputs": [vars(item) | {"verdict": item.verdict} for item in self.inputs],
+            "combinations": [vars(combination) | {"words": combination.words} for combination in self.combinations],
             "sentence": self.sentence,
             "held": dict(self.held),
             "units": dict(self.units),
@@ -403,9 +403,9 @@ class Inverted:
             "relative_rms": self.relative,
             "rows": self.rows,
             "q2": self.q2,
-            "members": [dict(one) for one in self.members],
+            "members": [dict(member) for member in self.members],
             "best_run": None if self.best_run is None else _run_json(self.best_run),
-            "end_runs": [_run_json(one) for one in self.end_runs],
+            "end_runs": [_run_json(run) for run in self.end_runs],
             "notes": list(self.notes),
         }
 

@@ -352,11 +352,11 @@ class StudyResult:
             for analysis in self.analyses
             if analysis.result is not None
             for row in analysis.result.verdicts()
-        ] + [row for one in self.surfaces for row in one.verdicts]
+        ] + [row for surface in self.surfaces for row in surface.verdicts]
 
     def to_json(self) -> dict[str, object]:
         """Document of ``study run --json``."""
-        found: dict[str, object] = {
+        answer: dict[str, object] = {
             "study": self.design.name,
             "cases": self.cases,
             "predicted_seconds": self.predicted_seconds,
@@ -364,20 +364,20 @@ class StudyResult:
             "verdicts": self.verdicts,
             "warnings": list(self.warnings),
         }
-        asked = [
-            {"response": one.name, **plain(contrast)}
-            for one in self.analyses
-            if one.result is not None
-            for contrast in one.result.contrasts
+        contrasts = [
+            {"response": analysis.name, **plain(contrast)}
+            for analysis in self.analyses
+            if analysis.result is not None
+            for contrast in analysis.result.contrasts
         ]
-        if asked:
-            found["contrasts"] = asked
+        if contrasts:
+            answer["contrasts"] = contrasts
         if self.failed:
-            found["failures"] = self.failure_pattern.to_json()
+            answer["failures"] = self.failure_pattern.to_json()
         if self.surfaces:
-            found["surfaces"] = [one.to_json() for one in self.surfaces]
+            answer["surfaces"] = [surface.to_json() for surface in self.surfaces]
         if self.adaptive:
-            found["adaptive"] = [dict(step) for step in self.adaptive]
+            answer["adaptive"] = [dict(step) for step in self.adaptive]
         if self.beside is not None:
-            found["beside"] = document(self.beside)
-        return found
+            answer["beside"] = document(self.beside)
+        return answer

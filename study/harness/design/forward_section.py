@@ -1,0 +1,319 @@
+"""The table ``[forward]``: which program predicts, from which files, and how its answer is read."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from study.ground import units
+from study.ground.errors import Fault
+from study.mechanics.setup.declaration import (
+    Bad,
+    Duration,
+    Reads,
+    flag,
+    keys_of,
+    measured,
+    name,
+    relative_path,
+    section,
+    shown,
+    text,
+    word,
+)
+
+Kind = Literal["fem", "closed-form", "command", "python"]
+#: what a table may hold: a chain of programs is short, and adapters are small
+MAX_STEPS = 20
+MAX_WORDS = 200
+MAX_FILES = 50
+MAX_VALUES = 200
+MAX_PATTERN = 200
+#: seconds of one solution by a program that does not say them, and of a Python function
+USUAL_SECONDS = 1.0
+FUNCTION_SECONDS = 1e-3
+#: a file whose name ends so is rendered; every other one is copied
+TEMPLATE = ".j2"
+#: where a number stands in the pattern of a value that is looked for in a log
+NUMBER = "(number)"
+_NUMBER_PATTERN = r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?)"
+#: what stands in a table of cases under a name of its own
+TAKEN = ("case_id", "block", "status", "seconds", "dofs", "replicate", "mesh_seed", "noise_seed")
+
+
+def _argv(value: object) -> tuple[tuple[str, ...], ...]:
+    """Read one command, or several that run one after the other; each is a list of words."""
+    mend = 'for example argv = [["ccx", "-i", "model"]]'
+    if not isinstance(value, list) or not value:
+        raise Bad(f"must be a list of words, or of such lists, got {shown(value)}", mend)
+    steps = [value] if all(isinstance(one, str) for one in value) else value
+    if len(steps) > MAX_STEPS:
+        raise Bad(f"has {len(steps)} commands, the limit is {MAX_STEPS}")
+    return tuple(_words(step, mend) for step in steps)
+
+
+def _words(value: object, mend: str) -> tuple[str, ...]:
+    if not isinstance(value, list) or not value or not all(isinstance(one, str) for one in value):
+        raise Bad(f"a command must be a list of words, got {shown(value)}", mend)
+    if len(value) > MAX_WORDS:
+        raise Bad(f"a command has {len(value)} words, the limit is {MAX_WORDS}")
+    words = tuple(text(one) for one in value)
+    if not words[0]:
+        raise Bad("a command has no program", mend)
+    return words
+
+
+def _version(value: object) -> tuple[str, ...]:
+    return _words(value, 'for example version = ["ccx", "-v"]')
+
+
+def file_name(value: object) -> str:
+    """Read the name of a file in the folder of a case."""
+    path = relative_path(value)
+    if "/" in path or "\\" in path:
+        rule = f"must be a file of the folder of the case, got {shown(value)}"
+        raise Bad(rule, "write its name without a folder")
+    return path
+
+
+def _files(value: object) -> tuple[str | tuple[str, str], ...]:
+    """Read files that are copied, or names in the folder of a case with the file of each."""
+    if isinstance(value, Mapping):
+        found: list[str | tuple[str, str]] = [
+            (file_name(target), relative_path(source)) for target, source in value.items()
+        ]
+    else:
+        items = value if isinstance(value, list) else [value]
+        found = list(dict.fromkeys(relative_path(item) for item in items))
+    if len(found) > MAX_FILES:
+        raise Bad(f"lists {len(found)} files, the limit is {MAX_FILES}")
+    targets = [target for target, _ in map(target_and_source, found)]
+    if len(set(targets)) < len(targets):
+        raise Bad("names two files alike, which would lie on one another", "rename one of them")
+    return tuple(found)
+
+
+def target_and_source(file: str | tuple[str, str]) -> tuple[str, str]:
+    """Name of a file in the folder of a case, and its path beside the design.
+
+    Examples
+    --------
+    >>> target_and_source("solvers/a.py"), target_and_source(("model.inp", "model.inp.j2"))
+    (('a.py', 'solvers/a.py'), ('model.inp', 'model.inp.j2'))
+    """
+    if isinstance(file, str):
+        return file.replace("\\", "/").rpartition("/")[2], file
+    return file[0], file[1]
+
+
+def _column(value: object) -> str | int:
+    """Read the name of a column, or its number from 1 on."""
+    if isinstance(value, int) and not isinstance(value, bool):
+        if not 1 <= value <= 1000:
+            raise Bad(f"must be the number of a column from 1 on, got {value}")
+        return value
+    return name(value)
+
+
+def value_unit(value: object) -> str:
+    """Read a unit; ``""`` and ``"1"`` are those of a plain number."""
+    if not isinstance(value, str):
+        raise Bad(f"must be the text of a unit, got {shown(value)}", 'for example "kPa"')
+    plain = " ".join(value.split())
+    if plain in ("", "1"):
+        return ""
+    if plain != "%" and not units.is_known(plain):
+        raise Bad(f"is an unknown unit: {shown(value)}", 'write "1" for a plain number')
+    return plain
+
+
+@section
+class CurveColumns:
+    """Columns of a curve, by name or by number."""
+
+    displacement: Annotated[str | int, Reads(_column, mend='displacement = "u"')]
+    force: Annotated[str | int, Reads(_column, mend='force = "f"')]
+
+
+@section
+class CurveUnits:
+    """Units of the columns of a curve."""
+
+    displacement: Annotated[str, Reads(value_unit)] = "mm"
+    force: Annotated[str, Reads(value_unit)] = "N"
+
+
+@section
+class CurveFile:
+    """The file of a curve, its columns and units."""
+
+    file: Annotated[str, Reads(file_name, mend='file = "curve.csv"')]
+    columns: CurveColumns
+    units: CurveUnits = CurveUnits()
+
+
+#: name of a value, its unit, and the pattern, file and unit of a value of a log ("" for none)
+Sources = tuple[tuple[str, str, str, str, str], ...]
+
+
+def _sources(value: object) -> Sources:
+    """Read the values that a program leaves: ``peak = "kPa"``, or where they stand in a log."""
+    mend = 'for example { peak = "kPa", Fz = { log = "Fz = (number) N" } }'
+    if not isinstance(value, Mapping) or not value:
+        raise Bad(f"must be a table of names and units, got {shown(value)}", mend)
+    if len(value) > MAX_VALUES:
+        raise Bad(f"has {len(value)} names, the limit is {MAX_VALUES}")
+    found = []
+    for key, one in value.items():
+        if not str(key).replace("-", "_").isidentifier() or key in TAKEN:
+            rule = f"has the name {shown(key)}, which cannot be a response"
+            raise Bad(rule, "a name has letters, digits, - and _ and begins with a letter")
+        if not isinstance(one, Mapping):
+            found.append((str(key), value_unit(one), "", "", ""))
+            continue
+        if unknown := [k for k in one if k not in ("log", "unit", "file")]:
+            raise Bad(f"{key} has the unknown key {shown(unknown[0])}", "log, unit, file")
+        pattern, unit = pattern_of(one.get("log"))
+        given = value_unit(one["unit"]) if "unit" in one else unit
+        file = file_name(one["file"]) if "file" in one else ""
+        found.append((str(key), given, pattern, file, unit or given))
+    return tuple(found)
+
+
+def pattern_of(value: object) -> tuple[str, str]:
+    """Regular expression of a pattern with ``(number)``, and the unit that follows it.
+
+    Examples
+    --------
+    >>> pattern, unit = pattern_of("Fz = (number) kN")
+    >>> re.search(pattern, "last Fz = -1.5E+01 kN")[1], unit
+    ('-1.5E+01', 'kN')
+    """
+    mend = f'for example log = "Fz = {NUMBER} N"'
+    if not isinstance(value, str) or value.count(NUMBER) != 1:
+        raise Bad(f"log must be a text with {NUMBER} once, got {shown(value)}", mend)
+    if len(value) > MAX_PATTERN:
+        raise Bad(f"log has {len(value)} characters, the limit is {MAX_PATTERN}", mend)
+    pattern = value.replace(NUMBER, _NUMBER_PATTERN)
+    try:
+        groups = re.compile(pattern).groups
+    except (re.error, OverflowError, RecursionError) as error:
+        raise Bad(f"log is no regular expression ({error}): {shown(value)}", mend) from None
+    if groups != 1:
+        raise Bad("log has brackets besides those of the number", r"write (?: ) or \( instead")
+    after = re.match(r"\s*\[?([A-Za-z%][\w*/^%]*)", value.partition(NUMBER)[2])
+    unit = after[1] if after is not None and units.is_known(after[1]) else ""
+    return pattern, unit
+
+
+@section
+class ValueFile:
+    """Named numbers that a program leaves, each a response, and the file that they stand in."""
+
+    names: Annotated[Sources, Reads(_sources, mend='names = { peak = "kPa" }')]
+    file: Annotated[str, Reads(file_name)] = ""
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of every value."""
+        return {key: unit for key, unit, *_ in self.names}
+
+
+@section
+class ForwardModel:
+    """What predicts a curve, values, or both."""
+
+    #: The built-in finite elements, the closed form of
+    #: a homogeneous test, programs, or a function given to :func:`study.run`.
+    model: Annotated[Kind, word("fem", "closed-form", "command", "python")] = "fem"
+    #: Commands, run one after the other in a folder of the case; never by a shell.
+    argv: Annotated[tuple[tuple[str, ...], ...], Reads(_argv)] = ()
+    #: Files beside the design that are copied into that folder, or with a name there; those that
+    #: end in ``.j2`` are rendered.
+    files: Annotated[tuple[str | tuple[str, str], ...], Reads(_files)] = ()
+    #: Command whose first line of output is kept in every record.
+    version: Annotated[tuple[str, ...], Reads(_version)] = ()
+    #: Text that the output of one command must hold, and text that none may hold.
+    success: Annotated[str, Reads(text)] = ""
+    failure: Annotated[str, Reads(text)] = ""
+    #: What installs the program, for the message where it is missing.
+    install: Annotated[str, Reads(text)] = ""
+    timeout_s: Duration | None = Field(default=None, validation_alias="timeout")
+    #: What one solution takes, for the plan.
+    seconds_s: Duration = Field(default=USUAL_SECONDS, validation_alias="seconds")
+    #: Where the curve stands, if not in ``curve.csv`` with the names of this package.
+    curve: CurveFile | None = None
+    #: Further numbers that it leaves.
+    values: ValueFile | None = None
+    #: Whether a curve shorter than the test is a failure.
+    reaches: Annotated[bool, Reads(flag)] = True
+    #: What one solution takes at most, for what runs at once.
+    memory_MB: Annotated[float | None, measured("memory")] = Field(  # noqa: N815
+        default=None, validation_alias="memory"
+    )
+    #: Whose folders are kept beside the records.
+    keep: Annotated[Literal["all", "failed", "none"], word("all", "failed", "none")] = "none"
+
+    @property
+    def is_external(self) -> bool:
+        """Whether something else than this package predicts."""
+        return self.model in ("command", "python")
+
+    @property
+    def price_s(self) -> float:
+        """Seconds of one solution for the plan; a Python function that says none is quick."""
+        is_quick = self.model == "python" and self.seconds_s == USUAL_SECONDS
+        return FUNCTION_SECONDS if is_quick else self.seconds_s
+
+    @property
+    def renders(self) -> bool:
+        """Whether a file is made of a template."""
+        named = (file for file in self.files if not isinstance(file, str))
+        return any(source.endswith(TEMPLATE) for _, source in named)
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of every named value."""
+        return {} if self.values is None else self.values.units
+
+    def document(self) -> dict[str, object]:
+        """Plain values; keys that decide no number, and those left out that came later, are not."""
+        later = {"curve": None, "values": None, "reaches": True}
+        found: dict[str, object] = {}
+        for key in keys_of(ForwardModel):
+            value = getattr(self, key.name)
+            if key.name in ("memory_MB", "keep") or value == later.get(key.name, ...):
+                continue
+            found[key.name] = _plain_section(value)
+        return found
+
+    def fault(self, where: str) -> Fault | None:
+        """Say what is missing for its kind, or stands in the way of its answer."""
+        if self.model == "command" and not self.argv:
+            mend = 'write argv = [["PROGRAM", "ARGUMENT"]]'
+            return Fault(f"{where}.argv", "is missing: model = 'command' runs a program", mend)
+        given = {target for target, _ in map(target_and_source, self.files)}
+        read = {"" if self.curve is None else self.curve.file}
+        if self.values is not None:
+            read |= {self.values.file, *(file for *_, file, _ in self.values.names)}
+            if self.model == "command" and not self.values.file:
+                bare = [key for key, _, pattern, *_ in self.values.names if not pattern]
+                if bare:
+                    rule = f"is missing: nothing says where {bare[0]} stands"
+                    mend = 'write file = "out.json", or a pattern of the log'
+                    return Fault(f"{where}.values.file", rule, mend)
+        if both := sorted((given & read) - {""}):
+            rule = f"holds {both[0]}, which is also read: a program that writes nothing would leave"
+            mend = "give the file that goes along another name"
+            return Fault(f"{where}.files", f"{rule} it as the answer", mend)
+        return None
+
+
+def _plain_section(value: object) -> object:
+    """Value of a key; of a section within it the mapping of its values."""
+    if isinstance(value, CurveFile | CurveColumns | CurveUnits | ValueFile):
+        return {k.name: _plain_section(getattr(value, k.name)) for k in keys_of(type(value))}
+    return value

@@ -1,0 +1,247 @@
+"""Answers of a stranger's program: a curve, named values, numbers of a log, each with its unit."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from study.ground import units
+from study.ground.arrays import Array
+from study.ground.bounded_file import UnreadableError, parse_json, read_regular
+from study.ground.curve import Curve
+from study.ground.errors import UnitError, nearest
+from study.harness.design.forward_section import (
+    TEMPLATE,
+    CurveFile,
+    ForwardModel,
+    ValueFile,
+    target_and_source,
+)
+from study.harness.external.template import rendered
+
+#: bytes of a file that is read, and characters of a line of it
+MOST_BYTES = 20_000_000
+_LINE = 2000
+#: magnitude that no number of an answer has
+LARGEST = 1e30
+
+
+class NoAnswer(Exception):
+    """The program has no answer; carries the status of the record."""
+
+    #: characters of the reason
+    REASON = 500
+
+    def __init__(self, status: str, message: str) -> None:
+        cut = f"{message[: self.REASON]}..."
+        super().__init__(message if len(message) <= self.REASON else cut)
+        self.status = status
+        #: What ran, and the zip of its folder where that is kept.
+        self.program: object = None
+        self.folder = b""
+
+
+def files_of(
+    section: ForwardModel, contents: Mapping[str, str], context: Mapping[str, object]
+) -> tuple[dict[str, str], dict[str, str]]:
+    """Files of the folder of a case, and of these the ones that were rendered."""
+    made, found = dict(contents), {}
+    for file in section.files:
+        target, source = target_and_source(file)
+        if not isinstance(file, str) and source.endswith(TEMPLATE):
+            made[target] = found[target] = rendered(contents[target], context, source)
+    return made, found
+
+
+# Answers: a curve, named values of JSON or CSV, numbers of a log; each in the unit asked for.
+
+
+def read_text(folder: Path, name: str) -> str:
+    """Text of a file that a program left; a link, a pipe or a device is none."""
+    try:
+        data = read_regular(folder / name, MOST_BYTES, follow=False)
+    except UnreadableError as error:
+        rule = f"the program wrote no {name}: what stands there {error.rule}"
+        raise NoAnswer("failed", rule) from error
+    if data is None:
+        raise NoAnswer("failed", f"the program wrote no {name}")
+    return data.decode("utf-8-sig", errors="replace")
+
+
+def curve_of(asked: CurveFile, folder: Path) -> Curve:
+    """Curve of a file, in mm and N."""
+    header, rows = _rows(read_text(folder, asked.file), asked.file)
+    columns = []
+    for role in ("displacement", "force"):
+        column, unit = getattr(asked.columns, role), getattr(asked.units, role)
+        into = "mm" if role == "displacement" else "N"
+        values = _column(header, rows, column, asked.file)
+        columns.append(values * converted(1.0, unit, into, f"{role} of {asked.file}"))
+    return checked_curve(columns[0], columns[1], asked.file)
+
+
+def checked_curve(displacement_mm: Array, force_N: Array, what: str) -> Curve:  # noqa: N803
+    """Curve of two columns, shape (n,), that are finite and rise."""
+    for values in (displacement_mm, force_N):
+        if not np.all(np.isfinite(values)):
+            raise NoAnswer("not-converged", f"{what} holds a number that is not finite")
+        if np.abs(values).max(initial=0.0) > LARGEST:
+            raise NoAnswer("failed", f"{what} holds a number beyond {LARGEST:g}")
+    if displacement_mm.size == 0 or displacement_mm[0] < 0 or np.any(np.diff(displacement_mm) <= 0):
+        raise NoAnswer("failed", f"the displacement of {what} does not rise from 0 on")
+    if displacement_mm[0] == 0:  # the unloaded state is no step
+        displacement_mm, force_N = displacement_mm[1:], force_N[1:]
+    if displacement_mm.size == 0:
+        raise NoAnswer("failed", f"{what} holds no point beyond the unloaded state")
+    try:
+        return Curve(displacement_mm, force_N).with_tangents()
+    except (ValueError, ArithmeticError) as error:
+        raise NoAnswer("failed", f"{what} is no curve: {error}") from error
+
+
+def _rows(text: str, name: str) -> tuple[list[str], list[list[str]]]:
+    """Header and rows of a table; the header is empty where the first row is one of numbers."""
+    lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    if not lines:
+        raise NoAnswer("failed", f"{name} is empty")
+    if len(lines) > 1_000_000:
+        raise NoAnswer("failed", f"{name} has more than a million rows")
+    delimiter = next((one for one in (",", ";", "\t") if one in lines[0]), None)
+    try:
+        split = [line.split() for line in lines] if delimiter is None else [
+            [cell.strip() for cell in row]
+            for row in csv.reader(io.StringIO("\n".join(lines)), delimiter=delimiter)
+        ]  # fmt: skip
+    except csv.Error as error:
+        raise NoAnswer("failed", f"{name}: {error}") from error
+    if all(_is_number(cell) for cell in split[0]):
+        return [], split
+    return split[0], split[1:]
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        return math.isfinite(float(cell)) or True
+    except ValueError:
+        return False
+
+
+def _column(header: list[str], rows: list[list[str]], column: str | int, name: str) -> Array:
+    if isinstance(column, str):
+        if header.count(column) != 1:
+            known = ", ".join(header[:20]) or "numbers alone, without a header"
+            raise NoAnswer("failed", f"{name} needs one column {column!r}, it has {known}")
+        place = header.index(column)
+    else:
+        place = column - 1
+    values = []
+    for number, row in enumerate(rows, 2 if header else 1):
+        if place >= len(row):
+            raise NoAnswer("failed", f"{name}:{number}: has {len(row)} columns, not {place + 1}")
+        values.append(_number(row[place], f"{name}:{number}"))
+    return np.array(values, dtype=float)
+
+
+def _number(value: object, where: str) -> float:
+    """Finite number of an answer."""
+    text = value.strip().replace("D", "E").replace("d", "e") if isinstance(value, str) else value
+    try:
+        if isinstance(text, bool) or not isinstance(text, str | int | float):
+            raise ValueError  # noqa: TRY301
+        number = float(text)
+    except ValueError:
+        shown = json.dumps(value, default=str)[:60]
+        raise NoAnswer("failed", f"{where}: is no number: {shown}") from None
+    if not math.isfinite(number):
+        raise NoAnswer("not-converged", f"{where}: is {number}, not a finite number")
+    if abs(number) > LARGEST:
+        raise NoAnswer("failed", f"{where}: is {number:g}, beyond {LARGEST:g}")
+    return number
+
+
+def converted(value: float, unit: str, into: str, where: str) -> float:
+    """Convert a number to the unit that the study file names."""
+    try:
+        return units.converted(value, unit, into)
+    except UnitError as error:
+        rule = f"{where}: {error.faults[0].rule}"
+        raise NoAnswer("failed", f"{rule}; the study file asks for {into or 'no unit'}") from error
+
+
+def values_of_files(asked: ValueFile, folder: Path, output: str) -> dict[str, float]:
+    """Every named value that a program left in its file or said in its output."""
+    tables: Mapping[str, object] = {}
+    if asked.file and any(not pattern for _, _, pattern, *_ in asked.names):
+        tables = _table(read_text(folder, asked.file), asked.file)
+    found = {}
+    for name, unit, pattern, file, written in asked.names:
+        if pattern:
+            place = file or (asked.file if not tables else "") or "output"
+            text = output if place == "output" else read_text(folder, place)
+            found[name] = converted(_logged(text, pattern, place, name), written, unit, place)
+        elif name not in tables:
+            mend = nearest(name, list(tables)[:50])
+            raise NoAnswer("failed", f"{asked.file} has no value {name!r} ({mend})")
+        else:
+            found[name] = quantity_in(tables[name], unit, f"{name} of {asked.file}")
+    return found
+
+
+def quantity_in(value: object, unit: str, where: str) -> float:
+    """Read a plain number, ``"12 kPa"`` or ``{"value": 12, "unit": "kPa"}`` in a unit."""
+    if isinstance(value, Mapping):
+        number = _number(value.get("value"), where)
+        return converted(number, str(value.get("unit", unit)), unit, where)
+    if isinstance(value, str):
+        try:
+            number, written = units.split(value)
+        except UnitError:
+            return _number(value, where)
+        if math.isfinite(number):
+            return _number(converted(number, written, unit, where), where)
+    return _number(value, where)
+
+
+def _table(text: str, name: str) -> Mapping[str, object]:
+    """Names and values of a JSON object, or of a CSV of one row, or of rows of names."""
+    if name.lower().endswith(".json"):
+        try:
+            found = parse_json(text, name)
+        except UnreadableError as error:
+            raise NoAnswer("failed", str(error)) from error
+        if not isinstance(found, dict):
+            raise NoAnswer("failed", f"{name} must be an object of names and values")
+        return found
+    header, rows = _rows(text, name)
+    if _is_by_rows(header):
+        return {row[0]: _with_unit(row) for row in rows if len(row) > 1}
+    if len(rows) != 1 or len(rows[0]) != len(header):
+        rule = f"has {len(rows)} rows below {len(header)} names, of which there may be one"
+        raise NoAnswer("failed", f"{name}: {rule}; or write name,value in every row")
+    return dict(zip(header, rows[0], strict=True))
+
+
+def _is_by_rows(header: Sequence[str]) -> bool:
+    return [cell.lower() for cell in header[:2]] == ["name", "value"]
+
+
+def _with_unit(row: Sequence[str]) -> object:
+    return {"value": row[1], "unit": row[2]} if len(row) > 2 and row[2] else row[1]
+
+
+def _logged(text: str, pattern: str, place: str, name: str) -> float:
+    """Last number that a pattern has in a log."""
+    expression, last = re.compile(pattern), None
+    for line in text.splitlines():
+        for match in expression.finditer(line[:_LINE]):
+            last = match[1]
+    if last is None:
+        raise NoAnswer("failed", f"{place} has no {name}: nothing fits {pattern[:80]!r}")
+    return _number(last, f"{name} of {place}")

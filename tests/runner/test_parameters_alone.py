@@ -1,0 +1,298 @@
+"""Studies of parameters alone: a stranger's program or function, end to end through the verbs."""
+
+import json
+import math
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from study import api
+from study.ground import errors
+
+
+def loads(text):
+    """Design of a text."""
+    return api.load_design(tomllib.loads(text))
+
+
+HEAD = """
+schema = 1
+[study]
+name = "spring"
+question = "What decides the overshoot of a damped spring?"
+[parameters]
+mass = "2 kg"
+stiffness = "800 N/m"
+damping = "12 N s/m"
+force = "50 N"
+"""
+FACTORS = """
+[factors]
+parameters.stiffness = ["800 N/m", "1.2 kN/m"]
+parameters.damping = ["12 N s/m", "20 N s/m"]
+"""
+RESPONSES = """
+[[response]]
+name = "peak"
+unit = "mm"
+practical = "1 mm"
+[[response]]
+name = "static"
+unit = "mm"
+"""
+DECLARED = RESPONSES.replace('unit = "mm"\n', "")
+PROGRAM = """
+[forward]
+model = "command"
+argv = [["python", "spring.py"]]
+files = { "input.txt" = "input.txt.j2", "spring.py" = "spring.py" }
+values = { file = "out.json", names = { peak = "mm", static = { log = "x = (number) m" } } }
+"""
+TEMPLATE = "".join(
+    f"{name} {{{{ parameters.{name} }}}}\n" for name in ("mass", "stiffness", "damping", "force")
+)
+CODE = """
+import json, math
+p = {k: float(v) for k, v in (line.split() for line in open("input.txt"))}
+z = p["damping"] / (2 * math.sqrt(p["stiffness"] * p["mass"]))
+x = p["force"] / p["stiffness"]
+peak = x * (1 + math.exp(-math.pi * z / math.sqrt(1 - z * z)))
+json.dump({"peak": {"value": peak, "unit": "m"}}, open("out.json", "w"))
+print("x =", repr(x), "m")
+"""
+
+
+def overshoot(stiffness, damping, mass=2.0, force=50.0):
+    """Peak of the step response of a damped spring, mm."""
+    z = damping / (2 * math.sqrt(stiffness * mass))
+    return 1e3 * force / stiffness * (1 + math.exp(-math.pi * z / math.sqrt(1 - z * z)))
+
+
+def spring(case):
+    p = case.parameters
+    return {
+        "peak": overshoot(p.stiffness, p.damping, p.mass, p.force),
+        "static": 1e3 * p["force"] / p["stiffness"],
+    }
+
+
+def run(text, folder, forward=spring, **more):
+    return api.run(
+        loads(text), forward=forward, version="1", jobs=1, reports=None,
+        results=folder / "results", **more,
+    )  # fmt: skip
+
+
+def program(folder):
+    (folder / "design.toml").write_text(HEAD + PROGRAM + FACTORS + DECLARED)
+    (folder / "input.txt.j2").write_text(TEMPLATE)
+    (folder / "spring.py").write_text(CODE)
+    return folder / "design.toml"
+
+
+def effect_of(found, response, factor):
+    verdicts = [v for v in found.verdicts if (v["response"], v["factor"]) == (response, factor)]
+    return verdicts[0]["effect"]
+
+
+def expected_effect(factor):
+    """Difference of the means of the two levels of a factor, by the formula."""
+    k, d = (800.0, 1200.0), (12.0, 20.0)
+    if factor == "parameters.stiffness":
+        return abs(sum(overshoot(k[0], c) - overshoot(k[1], c) for c in d) / 2)
+    return abs(sum(overshoot(s, d[0]) - overshoot(s, d[1]) for s in k) / 2)
+
+
+@pytest.mark.parametrize("factor", ["parameters.stiffness", "parameters.damping"])
+def test_effects_of_a_function_are_those_of_the_formula(tmp_path, factor):
+    found = run(HEAD + FACTORS + RESPONSES, tmp_path)
+    assert effect_of(found, "peak", factor) == pytest.approx(expected_effect(factor), rel=1e-9)
+
+
+def test_effects_of_a_program_with_a_template_are_those_of_the_formula(tmp_path):
+    design = program(tmp_path)
+    with pytest.raises(errors.RefusedError, match=r"python spring\.py"):
+        api.run(design, results=tmp_path / "results", reports=None)
+    words = [sys.executable, "-m", "study", "run", design.name, "--json", "--jobs", "1"]
+    digest = api.plan(design).digest
+    done = subprocess.run(
+        [*words, f"--allow-commands={digest}"], cwd=tmp_path, capture_output=True, text=True,
+        check=False, env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    verdicts = json.loads(done.stdout)["verdicts"]
+    for factor in ("parameters.stiffness", "parameters.damping"):
+        effect = next(v for v in verdicts if (v["response"], v["factor"]) == ("peak", factor))
+        assert effect["effect"] == pytest.approx(expected_effect(factor), rel=1e-9)
+    record = api.open_study(tmp_path / "results" / "spring").records[0]
+    assert "stiffness 800" in record.extra["rendered"]["input.txt"]
+    assert record.solver["program"]["steps"][0]["code"] == 0
+    assert record.response("static") == pytest.approx(0.0625, rel=1e-12)
+    again = api.plan(design, results=tmp_path / "results")
+    assert (again.done, again.missing) == (4, 0)
+    page = (tmp_path / "reports" / "spring" / "spring.html").read_text()
+    assert "2 kg" in page
+    assert (
+        "calibrat"
+        not in page.lower().split("</style>")[-1].split("<script")[0].split("warnings")[0]
+    )
+
+
+@pytest.mark.parametrize(
+    ("changed", "into", "said"),
+    [
+        (
+            "parameters.force",
+            "parameters.forse",
+            r"input\.txt\.j2:4: unknown name parameters\.fors",
+        ),
+        ("parameters.mass", "specimen.mass", r"input\.txt\.j2:1: unknown name specimen"),
+        ("{{ parameters.mass }}", "{% if %}", r"input\.txt\.j2:1: is no template"),
+        ("{{ parameters.mass }}", "{{ ''.__class__ }}", r"input\.txt\.j2:1: cannot be rendered"),
+        ("{{ parameters.mass }}", "{{ 'a' * 10**9 }}", r"input\.txt\.j2:1: cannot be rendered"),
+    ],
+)
+def test_a_template_that_is_wrong_is_told_by_the_plan(tmp_path, changed, into, said):
+    design = program(tmp_path)
+    path = tmp_path / "input.txt.j2"
+    path.write_text(path.read_text().replace(changed, into))
+    with pytest.raises(errors.InputError, match=said):
+        api.plan(design)
+
+
+@pytest.mark.parametrize(
+    ("code", "said"),
+    [
+        ('json.dump({"peak": "many"}, open("out.json", "w"))', "is no number"),
+        ('json.dump({"peak": 1e999}, open("out.json", "w"))', "not a finite number|out.json"),
+        ('json.dump({"peak": "5 kg"}, open("out.json", "w"))', "is in kg"),
+        ('json.dump({"peek": 5}, open("out.json", "w"))', "did you mean 'peek'"),
+        ("pass", "wrote no out.json"),
+        ("raise SystemExit(3)", "return code 3"),
+        ('open("out.json", "w").write("[")', "out.json"),
+    ],
+)
+def test_a_program_without_an_answer_is_a_status_of_its_case(tmp_path, code, said):
+    design = program(tmp_path)
+    path = tmp_path / "spring.py"
+    good = 'json.dump({"peak": {"value": peak, "unit": "m"}}, open("out.json", "w"))'
+    path.write_text(CODE.replace(good, f'if p["stiffness"] > 1000: {good}\nelse: {code}'))
+    found = api.run(design, results=tmp_path / "results", reports=None, allow_commands=True, jobs=1)
+    failed = [record for record in found.records if not record.converged]
+    assert len(failed) == 2
+    assert len(found.records) == 4
+    for record in failed:
+        assert re.search(said, record.message), record.message
+        assert record.levels["parameters.stiffness"] == "800 N/m"
+        assert record.solver["program"]["steps"]
+
+
+@pytest.mark.parametrize(
+    ("changed", "into", "said"),
+    [
+        ('mass = "2 kg"', 'mass = "2 kgg"', "unknown unit 'kgg'"),
+        ('mass = "2 kg"', "mass = [1, 2]", "a number, a text or a flag"),
+        ('mass = "2 kg"', "low = 2", "word of the study file"),
+        ('mass = "2 kg"', '"a b" = 2', "letters, digits"),
+        ('"1.2 kN/m"', '"1.2 kg"', "not of the kind of N/m"),
+        ('"1.2 kN/m"', '"stiff"', "is a text here and a number in"),
+        ("parameters.damping =", "parameters.dampin =", "did you mean 'damping'"),
+        ('unit = "mm"\npractical = "1 mm"', 'unit = "mm"\npractical = "1 kg"', "must be a length"),
+        ('unit = "mm"\npractical', 'unit = "mmm"\npractical', "unknown unit"),
+        ('name = "static"', 'name = "dofs"', "dofs is in no unit"),
+        ("[[response]]", '[measurements]\nfile = "a.csv"\n[[response]]', "without a material"),
+        ("[factors]", '[converge]\nkey = "parameters.h"\n[factors]', "positive number"),
+        ("[factors]", '[converge]\nkey = "model.h"\n[factors]', "key of \\[parameters\\]"),
+        ("[factors]", '[replicates]\nkey = "parameters.seed"\n[factors]', "which no cell has"),
+        ("[factors]", "[replicates]\nn = 5\n[factors]", "is missing beside n"),
+        ("[factors]", '[[constraint]]\nrule = "mas < 3"\nwhy = "x"\n[factors]', "mean 'mass'"),
+        ("[factors]", '[[constraint]]\nrule = "f(mass) < 3"\nwhy = "x"\n[factors]', "alone"),
+        ("[factors]", '[[constraint]]\nrule = "mass < force"\nwhy = "x"\n[factors]', "one unit"),
+    ],
+)
+def test_bad_input_is_a_sentence_with_its_mend(changed, into, said):
+    text = (HEAD + FACTORS + RESPONSES).replace(changed, into, 1)
+    with pytest.raises(errors.InputError, match=said):
+        loads(text).treatments  # noqa: B018
+
+
+@pytest.mark.parametrize(
+    "name", ["class", "lambda", "true", "items", "get", "script", "keys", "h-1"]
+)
+def test_words_of_other_languages_are_names_of_parameters(tmp_path, name):
+    (tmp_path / "a.j2").write_text(f'{{{{ parameters["{name}"] }}}} {{{{ parameters.scale_ }}}}')
+    text = HEAD.replace("mass =", f'{name} = 7\nscale_ = "<b>"\nmass =') + PROGRAM.replace(
+        '"input.txt.j2"', '"a.j2"'
+    )
+    (tmp_path / "spring.py").write_text("")
+    (tmp_path / "d.toml").write_text(text + FACTORS + RESPONSES.replace('unit = "mm"\n', ""))
+    assert api.plan(tmp_path / "d.toml").total == 4
+
+
+def test_a_file_that_goes_along_is_never_read_as_the_answer():
+    text = PROGRAM.replace('"input.txt" = "input.txt.j2"', '"out.json" = "old.json"')
+    with pytest.raises(errors.InputError, match=r"out\.json, which is also read"):
+        loads(HEAD + text + FACTORS + RESPONSES.replace('unit = "mm"\n', "")).treatments  # noqa: B018
+
+
+def test_cells_that_break_a_constraint_are_left_out_with_the_reason():
+    rule = '[[constraint]]\nrule = "damping * damping < 0.48 * stiffness"\nwhy = "damped enough"\n'
+    design = loads(HEAD + rule + FACTORS + RESPONSES)
+    assert [(one.label, why) for one, why in design.excluded] == [
+        ("800 N/m / 20 N s/m", "damped enough (damping * damping < 0.48 * stiffness)")
+    ]
+    assert len(design.treatments) == 3
+
+
+def test_seeds_are_true_replicates(tmp_path):
+    def noisy(case):
+        import random
+
+        p = case["parameters"]
+        return {"peak": p["stiffness"] / 100 + random.Random(p["seed"]).gauss(0, 1), "static": 1.0}
+
+    text = HEAD + 'seed = 1\n[replicates]\nkey = "parameters.seed"\nn = 6\n' + FACTORS + RESPONSES
+    found = run(text, tmp_path, noisy)
+    assert len(found.records) == 24
+    assert found.table["peak"].nunique() == 24
+    peak = next(one for one in found.analyses if one.name == "peak").result
+    assert peak.error_term.source == "E0"
+    assert peak.error_term.df == 20
+
+
+def test_a_function_that_is_not_repeatable_is_told_with_both_answers(tmp_path):
+    def drawn(case):
+        import os
+
+        return {"peak": float(int.from_bytes(os.urandom(4), "big")), "static": 1.0}
+
+    presets = (
+        '[presets.twin.a]\nparameters.mass = "2 kg"\n[presets.twin.b]\nparameters.mass = "2 kg"\n'
+    )
+    text = HEAD + presets + '[factors]\ntwin = ["a", "b"]\n' + RESPONSES
+    found = run(text, tmp_path, drawn)
+    told = [one for one in found.warnings if "different answers" in one]
+    assert len(told) == 1
+    assert all(record.case_id in told[0] for record in found.records)
+
+
+def test_a_curve_of_a_function_has_the_responses_of_a_curve(tmp_path):
+    def curve(case):
+        import numpy as np
+
+        d = np.linspace(0.1, 2.0, 20)
+        return {"displacement_mm": d, "force_N": case.parameters.stiffness / 1000 * d}
+
+    responses = (
+        '[[response]]\nname = "work"\n[[response]]\nname = "force_at"\ndisplacement = "1 mm"\n'
+    )
+    found = run(HEAD + FACTORS + responses, tmp_path, curve)
+    for record in found.records:
+        stiffness = 0.8 if record.levels["parameters.stiffness"] == "800 N/m" else 1.2
+        assert record.response("force_at_1_mm") == pytest.approx(stiffness)
+        assert record.response("work") == pytest.approx(0.5 * stiffness * 4)
