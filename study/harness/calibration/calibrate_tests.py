@@ -270,7 +270,8 @@ def calibrate(
     limits = Limits(config.asked.max_evaluations, time.monotonic() + allowed)
     checkpoint = _checkpoint(folder, config, curves, limits)
     setting = setting_of(config, curves, progress, checkpoint, begin)
-    done, starts, others = setting.fitted(curves, checkpoint), None, ()
+    done, starts = setting.fitted(curves, checkpoint), None
+    others: tuple[Staged, ...] = ()
     if begin is None:
         done, starts, others = from_all_starts(setting, curves, done)
     found = done.fit

@@ -146,6 +146,8 @@ def numerical_bound(
     return ConstantBound(names, sizes, values, mesh, steps)
 
 
+#: order that is assumed where the elements promise none
+_LOWEST_ORDER = 1.0
 #: factor of safety of two meshes, whose order is assumed (Roache 1994)
 _SAFETY = 3.0
 
@@ -174,7 +176,8 @@ def estimated_bound(
                 mesh, steps = [*mesh, *zeros], [*steps, *zeros]
                 continue
             here, size = model(constants), model.mesh_size_mm or 0.0
-            share = _SAFETY / (_RATIO ** _order(part, names, constants) - 1)
+            order = _order(part, names, constants) or _LOWEST_ORDER
+            share = _SAFETY / (_RATIO**order - 1)
             coarse = on_mesh(part.tables, mesh_size_mm=_RATIO * size)
             mesh += [
                 share * e for e in _moved(replace(part, tables=coarse), names, constants, here)
@@ -188,9 +191,9 @@ def estimated_bound(
     inverse, _ = scaled_inverse(weights[:, None] * jacobian)
     used = np.concatenate([one.weights > 0 for one in measured])
     by_force = inverse @ (weights[:, None] ** 2 * jacobian).T
-    bounds = [np.abs(by_force @ np.concatenate(one)[used]) for one in (mesh, steps)]
-    sizes = (_RATIO, 1.0)
-    return ConstantBound(names, sizes, constants[None], *bounds, is_estimate=True)
+    by_mesh, by_steps = (np.abs(by_force @ np.concatenate(one)[used]) for one in (mesh, steps))
+    values = constants[None]
+    return ConstantBound(names, (_RATIO, 1.0), values, by_mesh, by_steps, is_estimate=True)
 
 
 def _moved(

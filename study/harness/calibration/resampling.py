@@ -262,7 +262,7 @@ def looked_for(
     energy, own = ENERGIES[name], dict(zip(names, start.tolist(), strict=True))
     plain = {n for n in names if energy.is_dimensionless(n) and not is_of_relaxation(n)}
     looks = [one for one in energy.looks(names) if set(one) == plain] if plain else []
-    free = [one for part in parts if (one := _at_equal_strain(part)) is not None]
+    free = [made for part in parts if (made := _at_equal_strain(part)) is not None]
     seen: list[tuple[float, Array]] = []
     for one in looks:
         values, squares = _inside(np.array([{**own, **one}[n] for n in names]), bounds), np.inf

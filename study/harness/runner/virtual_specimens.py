@@ -52,6 +52,7 @@ def write_tests(folder: Path) -> list[Path]:
     rng = np.random.default_rng(_SEED)
     stretch, shear = np.linspace(1.0, 2.2, 25), np.linspace(0.0, 1.0, 21)
     shortened = np.linspace(1.0, 0.7, 16)
+    folder.mkdir(parents=True, exist_ok=True)
     return [
         _write(folder / "tension.csv", "stretch", stretch, _stress("uniaxial", stretch, rng)),
         _write(

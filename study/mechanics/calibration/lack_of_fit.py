@@ -145,7 +145,7 @@ def _largest_distance(rows: int) -> float:
     Above the 99.9 % point of the largest distance in simulated noise: 14.3 of 8 rows, 9.6 of 10,
     6.7 of 20, 5.3 of 50 and 5.1 of 100 (2,000 to 6,000 draws each).
     """
-    return 6.0 + 400 / rows**1.8
+    return float(6.0 + 400 / rows**1.8)
 
 
 @dataclass(frozen=True)
@@ -320,7 +320,7 @@ def _of_rows(one: _Recording, robust: Collection[str]) -> list[_Finding]:
     (places,) = np.nonzero(far & (size > _OFF * float(np.abs(one.predicted_N).max())))
     if not places.size:
         return []
-    rows = tuple(_suspect(one, k) for k in places)
+    rows = tuple(_suspect(one, int(k)) for k in places)
     listed = ", ".join(str(row.row) for row in rows[:8]) + (", ..." if len(rows) > 8 else "")
     gone = float(np.sum(one.residual[places] ** 2) / np.sum(one.residual**2))
     mend = 'leave out what was misread, or write calibration.loss = "soft-l1"'
@@ -340,7 +340,7 @@ def _of_rows(one: _Recording, robust: Collection[str]) -> list[_Finding]:
 def _suspect(one: _Recording, place: int) -> SuspectRow:
     return SuspectRow(
         one.label,
-        int(place) + 1,
+        place + 1,
         float(one.rows.displacement_mm[place]),
         float(one.rows.force_N[place]),
         float(one.predicted_N[place]),
