@@ -481,7 +481,7 @@ class SummaryAnalysis:
         """Verdict of each pair: a claim where both intervals make it."""
         if self.practical is None:
             return [None] * len(self.tukey.pairs)
-        found = []
+        found: list[str | None] = []
         for pooled, own in zip(self.tukey.pairs, self.games_howell.pairs, strict=True):
             claims = {claim(one.lower, one.upper, self.practical) for one in (pooled, own)}
             found.append(claims.pop() or CANNOT_TELL if len(claims) == 1 else CANNOT_TELL)

@@ -194,13 +194,12 @@ def without_gaps(
     block: str | None,
     model: Model,
 ) -> tuple[pd.DataFrame, tuple[str, ...]]:
-    """Rows of the levels between which every effect of the model can be estimated.
+    """Rows without the levels of which half of the cells or more have no answer.
 
-    A combination of levels that the model needs and that has no answer anywhere (an energy that
-    is stretched beyond its ellipticity on every fine mesh) would leave not only its own effect
-    but every other one without an estimate: an average over cells one of which is empty. The
-    level with the largest share of its cells unanswered is then left out, and that is said,
-    until nothing is missing or a factor would be down to one level.
+    Such a level (an energy that is stretched beyond its ellipticity on every fine mesh) would
+    leave all its siblings with few settings at which they can be compared. It is left out, and
+    that is said. A combination of levels that fails, while each is sound by itself, leaves no
+    level out: its factors are judged at the settings that have answers.
     """
     designed = _designed(design, factors)
     complete = table.dropna(subset=[response])
@@ -215,7 +214,7 @@ def without_gaps(
         has = sum(cell in answered for cell in cells_here)
         notes.append(
             f"{level} ({factors[place]}) has an answer in {has} of {len(cells_here)} cells: it is "
-            "left out of this analysis, whose effects need every combination of levels"
+            "left out of this analysis"
         )
         designed = [cell for cell in designed if cell[place] != level]
         table = table[table[factors[place]].astype(str) != level]
@@ -239,5 +238,6 @@ def _worst(
             for place, level in zip(term, empty, strict=True):
                 if len({cell[place] for cell in designed}) > _FEWEST:
                     is_answered = [cell in answered for cell in designed if cell[place] == level]
-                    shares[place, level] = 1 - sum(is_answered) / len(is_answered)
+                    if 2 * sum(is_answered) <= len(is_answered):
+                        shares[place, level] = 1 - sum(is_answered) / len(is_answered)
     return max(sorted(shares), key=lambda key: shares[key], default=None)

@@ -161,10 +161,10 @@ def _print_checks(found: AnalysisResult) -> None:
     for test in (found.assumptions.anderson_darling, found.assumptions.shapiro_wilk):
         if test is not None and test.p is not None:
             rows.append([test.name, _number(test.statistic, 4), _p(test.p), ""])
-    for test in found.assumptions.spread.values():
-        if test.applicable:
-            label = f"Levene ({test.center})" if isinstance(test, LeveneResult) else "Bartlett"
-            rows.append([label, _number(test.statistic, 4), _p(test.p), _p(test.p_monte_carlo)])
+    for one in found.assumptions.spread.values():
+        if one.applicable:
+            label = f"Levene ({one.center})" if isinstance(one, LeveneResult) else "Bartlett"
+            rows.append([label, _number(one.statistic, 4), _p(one.p), _p(one.p_monte_carlo)])
     if found.assumptions.fligner is not None:
         statistic, p = found.assumptions.fligner
         rows.append(["Fligner-Killeen", _number(statistic, 4), _p(p), ""])

@@ -398,3 +398,36 @@ def test_three_rows_of_a_cell_share_what_they_tell_of_the_scatter() -> None:
     assert variance == pytest.approx([(1 + pooled) / 2, (0.04 + pooled) / 2, pooled])
     assert df.tolist() == [4, 4, 4]
     assert own_variances(y, cell)[0] == pytest.approx([1, 0.04, np.inf])
+
+
+@pytest.mark.parametrize("specimens", [2, 4])
+def test_a_declared_model_of_groups_of_blocks_is_held_against_its_lack_of_fit(
+    specimens: int,
+) -> None:
+    table = crossed(m=2, k=specimens, b=3)
+    random = np.random.default_rng(1)
+    bend = 1.5 * (2 * table["m"] - 1) * (table["b"] - 1)
+    scatter = np.repeat(random.normal(0, 2, 2 * specimens), 3) + random.normal(0, 0.05, len(table))
+    table = table.assign(s=10 * table["m"] + table["k"], y=bend + scatter)
+    declared = anova(table, "y", ["m", "b"], block="s", model=1, practical=1.0, exact=False)
+    assert NO_DIFFERENCE not in {declared.effect(f).verdict for f in "mb"}
+    if specimens > 2:
+        assert "leaves out interactions" in declared.effect("b").why
+        whole = anova(table, "y", ["m", "b"], block="s", practical=1.0, exact=False)
+        assert whole.effect("b").verdict == MATTERS
+
+
+def test_a_declared_model_of_a_split_plot_is_held_against_its_lack_of_fit() -> None:
+    table = crossed(s=5, a=2, b=3)
+    random = np.random.default_rng(1)
+    plots = np.repeat(random.normal(0, 2, 5), 6) + np.repeat(random.normal(0, 0.2, 10), 3)
+    bend = 1.5 * (2 * table["a"] - 1) * (table["b"] - 1)
+    table["y"] = plots + bend + random.normal(0, 0.1, 30)
+    found = anova(table, "y", ["a", "b"], block="s", whole_plot="a", model=1, practical=1.0,
+                  exact=False)  # fmt: skip
+    assert found.effect("a").verdict == CANNOT_TELL
+    assert "leaves out interactions" in found.effect("a").why
+    flat = table.assign(y=plots + random.normal(0, 0.1, 30))
+    sound = anova(flat, "y", ["a", "b"], block="s", whole_plot="a", model=1, practical=1.0,
+                  exact=False)  # fmt: skip
+    assert sound.effect("b").verdict == NO_DIFFERENCE

@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 import pytest
-from scipy.stats import nct
+from scipy.integrate import quad
+from scipy.stats import chi2, nct, norm
 from scipy.stats import t as student
 
 from study.ground.errors import InputError
@@ -109,3 +110,20 @@ def test_cost_counts_every_solve() -> None:
 def test_bad_plans(blocks, sd, practical, u) -> None:
     with pytest.raises(InputError):
         verdict_probabilities(blocks, sd, practical, 0.0, u=u)
+
+
+@pytest.mark.parametrize("blocks", [2, 3, 9])
+@pytest.mark.parametrize("u", [0.0, 0.4])
+def test_no_difference_is_integrated_up_to_its_kink(blocks: int, u: float) -> None:
+    """Beyond it the interval is wider than the band; a rule across it erred by 1e-3."""
+    sd, df = 0.8, blocks - 1
+    error = sd / blocks**0.5
+    t = float(student.ppf(0.975, df)) * error
+
+    def density(s: float) -> float:
+        inside = 2 * norm.cdf((1 - u - t * s) / error) - 1
+        return float(max(0.0, inside) * 2 * df * s * chi2.pdf(df * s * s, df))
+
+    theirs = quad(density, 0, (1 - u) / t, epsabs=1e-12)[0]
+    found = verdict_probabilities(blocks, sd, 1.0, 0.0, u=u)
+    assert found.no_practical_difference == pytest.approx(theirs, abs=1e-9)

@@ -92,7 +92,7 @@ def test_total_indices_are_those_of_the_closed_form(ran: Answer) -> None:
     assert set(shown) == set(FACTORS)
     assert all(row["p"] is None for row in shown.values())
     # the least effect of the radius: 2 mm at the softest and tallest, six times what matters
-    assert shown["specimen.radius"]["verdict"] == "matters"
+    assert shown["specimen.radius"]["verdict"] == "matters, if confirmed"
 
 
 def test_a_prediction_is_the_closed_form_within_its_interval(

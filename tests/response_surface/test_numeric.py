@@ -117,7 +117,7 @@ def test_practical_difference_decides_ranges(tmp_path: Path) -> None:
     path = table(tmp_path / "t.csv", lambda x: 10 * x[:, 0] + 0.1 * x[:, 1] + x[:, 0] ** 3, 2, 40)
     answer = analyze(path, "x1,x2", "--practical", "2", "--json").json
     first, second = answer["sensitivity"]
-    assert first["verdict"] == "matters"
+    assert first["verdict"] == "matters, if confirmed"
     assert len(first["confirm"]) == 2
     assert second["verdict"] == "no practical difference"
     assert second["confirm"] == []
@@ -166,7 +166,7 @@ def test_emulators_of_blocks_are_compared_over_blocks(tmp_path: Path) -> None:
     t = 3.182 * np.std(slopes, ddof=1) / 2.0
     assert first["range"] == pytest.approx(np.mean(slopes), abs=0.05)
     assert first["range_bound"] == pytest.approx(t, abs=0.1)
-    assert first["verdict"] == "matters"
+    assert first["verdict"] == "matters, if confirmed"
     assert second["range"] == pytest.approx(1.0, abs=0.05)  # the sine has its top inside
     share = np.array(slopes) ** 2 / 12
     share /= share + np.var(np.sin(3 * np.linspace(0, 1, 100_001)))

@@ -297,8 +297,9 @@ def sensitivity(one: FittedSurface, data: ReportData) -> Table | None:
         "one."
     )
     if found.kind == "quadratic":
-        rows, columns = tuple((row[0], *row[3:]) for row in rows), (columns[0], *columns[3:])
-        return Table(_table_name("sensitivity", one), columns, rows, 1, 1, moved)
+        short = tuple((row[0], *row[3:]) for row in rows)
+        heads = (columns[0], *columns[3:])
+        return Table(_table_name("sensitivity", one), heads, short, 1, 1, moved)
     note = (
         "Shares of the variance of the response when every factor is uniform over its range: by "
         "the factor alone (first-order Sobol index) and with all its interactions (total index), "

@@ -226,7 +226,8 @@ _NOTE = (
 
 def verdicts(all_facts: Sequence[Facts], data: ReportData) -> Table:
     """One row a factor and response, and interactions that are not negligible."""
-    rows, raw = [], []
+    rows: list[tuple[str, ...]] = []
+    raw: list[dict[str, object]] = []
     for facts in all_facts:
         strong = [e for e in facts.interactions if e.strength == "matters"]
         for effect in (*facts.effects, *strong):
@@ -259,8 +260,8 @@ def verdicts(all_facts: Sequence[Facts], data: ReportData) -> Table:
                     "scale": "ratio" if effect.is_ratio else "difference",
                 }
             )
-    for row in (row for one in data.surfaces for row in one.verdicts):
-        at, ends = dict(row["at"]), row["ci95"] or (None, None)
+    for one, row in ((surface, row) for surface in data.surfaces for row in surface.verdicts):
+        ends = row["ci95"] if isinstance(row["ci95"], list) else [None, None]
         raw.append(
             {
                 "response": row["response"],
@@ -272,7 +273,7 @@ def verdicts(all_facts: Sequence[Facts], data: ReportData) -> Table:
                 "practical": row["practical"],
                 "u_num": row["u_num"],
                 "scale": "range",
-                "at": ", ".join(f"{name}={level}" for name, level in at.items()),
+                "at": ", ".join(f"{name}={level}" for name, level in one.labels.items()),
             }
         )
     columns = (
@@ -507,6 +508,16 @@ def _blamed(pattern: FailurePattern, labels: Mapping[str, str]) -> str:
         for test in pattern.tests
         if test.p_holm < _ALPHA
     ]
+    pairs = [rule for rule in pattern.rules if len(rule.settings) > 1]
+    joint = " and of ".join(
+        listing(
+            [f"{name_of(name, labels)} {clean(level)}" for name, level in rule.settings.items()]
+        )
+        for rule in pairs
+    )
+    if pairs:
+        alone = f"; {listing(blamed)} differ already by themselves" if blamed else ""
+        return f"What fails is the combination of {joint}{alone}."
     if not blamed:
         return (
             "No factor's levels differ in how often their cases fail by more than chance explains."

@@ -217,7 +217,7 @@ def _mark_cells(ax: Axes, frame: pd.DataFrame, means: pd.DataFrame) -> None:
     """Draw a row of points a computation, its mean on top and the lines of the blocks behind."""
     import seaborn as sns
 
-    if "block" in frame and frame["block"].nunique() <= 40:
+    if "block" in frame and 0 < frame["block"].nunique() <= 40:
         sns.lineplot(
             frame,
             x="value",

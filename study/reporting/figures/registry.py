@@ -70,7 +70,7 @@ def means(facts: Facts, data: ReportData) -> str:
     shares = [
         (row.share, term_name(row.term, data.labels))
         for row in facts.rows
-        if row.term in data.factors and row.share is not None
+        if row.term in data.factors and row.share is not None and row.df
     ]
     text = listing([f"{name} {share(part)}" for part, name in sorted(shares, reverse=True)])
     band = "two means inside the shaded band differ by less than what matters"

@@ -244,6 +244,11 @@ class AnalysisRequest:
     simulated: bool = True
 
     @property
+    def any_type(self) -> bool:
+        """Whether the table decides the type: a study's own "II" is meant for complete ones."""
+        return self.sums == "auto" or (self.records and self.sums == "II")
+
+    @property
     def interval_seed(self) -> int | None:
         """Seed of simultaneous intervals; None where they are not simulated."""
         return self.seed if self.simulated else None
@@ -351,14 +356,14 @@ def kind_of(
     out: AnalysisOutcome, even: bool, why: str = "unbalanced"
 ) -> tuple[str, AnalysisOutcome]:
     """Type of the sums; unbalanced data take Type III with sum contrasts, and say so."""
-    kind = out.request.sums
+    kind = "auto" if out.request.any_type else out.request.sums
     if even:
         return ("II" if kind == "auto" else kind), out
     if kind == "auto" and out.structure.empty_cells:
         n = out.structure.empty_cells
         cells = "1 cell is empty" if n == 1 else f"{n} cells are empty"
         return "I", out.warn(f"{cells}: Type I, each term given those before it")
-    if kind == "auto" or (out.request.records and kind == "II"):
+    if kind == "auto":
         return "III", out.warn(f"{why}: Type III with sum-to-zero contrasts")
     return kind, out.warn(f"{why}: Type {kind} as asked")
 

@@ -618,7 +618,7 @@ def _with_empty_cells(
     if len(kept) < len(terms) and reduced.is_full and reduced.is_orthogonal():
         return replace(structure, empty_cells=0), terms
     ordered = request.model == "full" or isinstance(request.model, int)
-    if len(kept) == len(terms) or not ordered or request.sums != "auto":
+    if len(kept) == len(terms) or not ordered or not request.any_type:
         return structure, terms
     lost = [term_name(t) for t in terms if t not in kept]
     listed = ", ".join(lost[:8]) + (f" and {len(lost) - 8} more" if len(lost) > 8 else "")

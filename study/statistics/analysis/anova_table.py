@@ -181,11 +181,11 @@ class Effect:
 
     def to_json(self) -> dict[str, object]:
         """Document of the effect; without a practical difference its verdicts are null."""
-        document: dict[str, object] = plain(self)
+        document: dict[str, object] = {**plain(self)}
         if self.practical is None:
             document["verdict"] = None
-            simple = [{**plain(e), "verdict": None} for e in self.simple_effects]
-            document["simple_effects"] = simple
+            every = [{**plain(e), "verdict": None} for e in self.simple_effects]
+            document["simple_effects"] = every
         return document
 
     @property
@@ -215,13 +215,20 @@ class Effect:
 
     @property
     def highest(self) -> str:
-        """Level with the largest mean."""
-        return max(self._known_means, key=lambda pair: pair[1])[0]
+        """Level with the largest mean; where some are not known, that of the largest difference."""
+        return self._extreme(0)
 
     @property
     def lowest(self) -> str:
-        """Level with the smallest mean."""
-        return min(self._known_means, key=lambda pair: pair[1])[0]
+        """Level with the smallest mean, likewise."""
+        return self._extreme(1)
+
+    def _extreme(self, side: int) -> str:
+        pairs = list(zip(self.levels, self.mean, strict=False))
+        if self.largest is not None and any(mean is None for _, mean in pairs):
+            return self.largest[side]
+        known = [(level, mean) for level, mean in pairs if mean is not None]
+        return (min if side else max)(known, key=lambda pair: pair[1])[0]
 
     @property
     def largest_simple(self) -> SimpleEffect | None:
@@ -248,11 +255,6 @@ class Effect:
         if self.is_ratio:
             return math.log(self.low) - u > math.log(self.practical)
         return self.low - u > self.practical
-
-    @property
-    def _known_means(self) -> list[tuple[str, float]]:
-        pairs = zip(self.levels, self.mean, strict=False)
-        return [(level, mean) for level, mean in pairs if mean is not None]
 
     def distance(self, one: SimpleEffect) -> float:
         """How far a simple effect is from no difference, on the scale of the analysis."""

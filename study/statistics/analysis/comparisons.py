@@ -302,15 +302,18 @@ _STIRLING = 25.0
 
 
 @lru_cache(maxsize=256)
-def scale_rule(df: float) -> tuple[Array, Array]:
-    """Nodes and weights of expectations over s = sqrt(chi2_df / df), up to infinite ``df``."""
+def scale_rule(df: float, end: float = math.inf) -> tuple[Array, Array]:
+    """Nodes and weights of expectations over s = sqrt(chi2_df / df), up to infinite ``df``.
+
+    Of functions that are zero from ``end`` on, where they have a kink, the rule ends there.
+    """
     from scipy.special import gammainccinv, gammaincinv, gammaln
 
     if df > _NORMAL:
-        return np.ones(1), np.ones(1)
+        return np.ones(1), np.ones(1) * (end > 1)
     a = df / 2
     low = math.sqrt(2 * float(gammaincinv(a, 1e-14)) / df)
-    high = math.sqrt(2 * float(gammainccinv(a, 1e-14)) / df)
+    high = min(math.sqrt(2 * float(gammainccinv(a, 1e-14)) / df), max(end, low))
     nodes, weights = _legendre(128)
     s = low + (high - low) * (nodes + 1) / 2
     if a < _STIRLING:

@@ -279,6 +279,36 @@ def every_term(out: AnalysisOutcome, layout: CellLayout) -> tuple[Term, ...] | N
     return full
 
 
+def rival_of_every_term(
+    out: AnalysisOutcome, whole: Factored, at: Callable[[float], Sample]
+) -> tuple[list[Rival], list[str]]:
+    """Rival of the full model, where a coefficient that the declared one leaves out may not be 0.
+
+    ``at`` gives the full model's sample at an error probability; the coefficients are tested one
+    by one, at that of doubt over their number.
+    """
+    places = [whole.matrix.of(term) for term in whole.matrix.terms if _is_left_out(term, out)]
+    if not places:
+        return [], []
+    columns = np.concatenate([np.arange(p.start, p.stop) for p in places])
+    rows = np.vstack([np.zeros(whole.columns.shape[1]), np.eye(whole.columns.shape[1])[columns]])
+    m = len(columns)
+    found = at(DOUBT / m)(Differences(rows, np.arange(1, m + 1), np.zeros(m, dtype=np.int64)))
+    if found.error is None:
+        return [], []
+    with np.errstate(invalid="ignore"):
+        seen = np.abs(found.value) > found.error * found.single
+    if not seen.any():
+        return [], []
+    note = f"lack of fit of the declared model: {int(seen.sum())} of {m} coefficients that it "
+    note += "leaves out may not be zero"
+    return [Rival(f"{LACK_OF_FIT} ({note})", at(out.request.alpha), matrix=whole.matrix)], [note]
+
+
+def _is_left_out(term: Term, out: AnalysisOutcome) -> bool:
+    return bool(term) and term not in out.terms and set(term) <= set(out.data.factors)
+
+
 def _lack_of_fit_over_blocks(fit: Factored, whole: Factored, y: Array) -> tuple[float, str]:
     """P of the terms left out, all together and each direction, against their own interactions."""
     from scipy.special import fdtrc, stdtr

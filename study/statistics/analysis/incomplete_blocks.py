@@ -119,13 +119,15 @@ def _rivals(
     out: AnalysisOutcome, model: MixedCells, sandwich: Sandwich
 ) -> tuple[list[Rival], list[str]]:
     """Rivals where blocks lack cells, and what was seen of the declared model."""
-    rivals, notes = limit_rivals(out, model.sample, block_means(out)), []
+    rivals = limit_rivals(out, model.sample, block_means(out))
+    notes: list[str] = []
     if reading := reading_error(out):
 
         def coarse(asked: Differences) -> Estimates:
             known = model.sample(asked)
             least = reading * np.linalg.norm(model.along(asked.rows), axis=1)
-            return replace(known, error=np.maximum(known.error, least))
+            error = least if known.error is None else np.maximum(known.error, least)
+            return replace(known, error=error)
 
         rivals.insert(0, Rival(COARSE, coarse))
 

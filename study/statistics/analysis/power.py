@@ -223,12 +223,15 @@ def _claimed(
     from scipy.special import ndtr, stdtrit
 
     error = sd / math.sqrt(blocks)
+    t = float(stdtrit(blocks - 1, 1 - alpha / 2)) * error
     s, weights = scale_rule(blocks - 1)
-    half = float(stdtrit(blocks - 1, 1 - alpha / 2)) * error * s
-    outer, inner = practical + u + half, practical - u - half
+    outer = practical + u + t * s
     above = ndtr((truth - outer) / error) + ndtr((-outer - truth) / error)
+    # no interval that is wider than the band lies within it
+    s, narrow = scale_rule(blocks - 1, (practical - u) / t)
+    inner = practical - u - t * s
     within = ndtr((inner - truth) / error) - ndtr((-inner - truth) / error)
-    return float(weights @ above), float(weights @ np.maximum(within, 0.0))
+    return float(weights @ above), float(narrow @ np.maximum(within, 0.0))
 
 
 def planned_verdicts(

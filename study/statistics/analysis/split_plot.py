@@ -24,9 +24,11 @@ from study.statistics.analysis.gate import (
     COARSE,
     Rival,
     block_means,
+    every_term,
     judge_factors,
     limit_rivals,
     reading_error,
+    rival_of_every_term,
 )
 from study.statistics.analysis.linear_model import (
     ALIAS_TOLERANCE,
@@ -116,6 +118,9 @@ def split_plot(out: AnalysisOutcome, plots: Plots) -> AnalysisOutcome:
     if reading := reading_error(out):
         coarse = _over_strata(out, whole, [basis for _, basis in bases], strata, reading=reading)
         rivals = [Rival(COARSE, coarse), *rivals]
+    if (full := every_term(out, data.layout)) is not None:
+        more, notes = _rival_of_every_term(out, full, plots, bases)
+        rivals, out = [*rivals, *more], out.warn(*notes)
     simple = judge_factors(out, data.layout, whole, sample, rivals)
     effects = []
     for term in out.terms:
@@ -143,6 +148,21 @@ def split_plot(out: AnalysisOutcome, plots: Plots) -> AnalysisOutcome:
         fit=error_ledger.within_fit(data, out.y, plots=plots.code),
         plots=plots.code,
     )
+
+
+def _rival_of_every_term(
+    out: AnalysisOutcome, full: Sequence[Term], plots: Plots, bases: list[tuple[str, Array]]
+) -> tuple[list[Rival], list[str]]:
+    """Rival of the model with every interaction, each stratum with the scatter that this leaves."""
+    matrix = model_matrix(out.data.layout, full)
+    whole = factor(matrix, out.y)
+    strata = _strata(replace(out, terms=tuple(full)), matrix, plots, bases)
+
+    def at(alpha: float) -> Sample:
+        asked = replace(out, request=replace(out.request, alpha=alpha))
+        return _over_strata(asked, whole, [basis for _, basis in bases], strata, reading=0.0)
+
+    return rival_of_every_term(out, whole, at)
 
 
 def _over_strata(

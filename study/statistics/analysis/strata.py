@@ -42,8 +42,16 @@ from study.statistics.analysis.effects import (
     size,
     t_quantile,
     term_rows,
+    with_pooled_error,
 )
-from study.statistics.analysis.gate import judge_factors, rivals_over_blocks, rivals_over_groups
+from study.statistics.analysis.gate import (
+    every_term,
+    judge_factors,
+    refusal,
+    rival_of_every_term,
+    rivals_over_blocks,
+    rivals_over_groups,
+)
 from study.statistics.analysis.linear_model import (
     CellLayout,
     Term,
@@ -112,7 +120,8 @@ def own_groups(out: AnalysisOutcome, plots: Plots) -> AnalysisOutcome | None:
     )
     if out.request.error == "own":
         choice = replace(choice, reason="asked for")
-    effects = _welch_effects(out, rows, table, apart) if apart else _effects(out, rows, errors)
+    effects, notes = _effects(out, rows, errors, table, members)
+    out = out.warn(*notes)
     listed = [rows[t] for t in out.terms if t in rows]
     return replace(
         out,
@@ -238,26 +247,56 @@ def _sphere(part: _Part, fit: Factored) -> SphericityResult:
     return sphericity(scores @ helmert[:, 1 : scores.shape[1] + 1].T)
 
 
-def _welch_effects(
-    out: AnalysisOutcome, rows: dict[Term, Row], table: Crossed, groups: Sequence[Ints]
-) -> tuple[Effect, ...]:
-    """Effects with variances of their own in each group of blocks, and simple effects."""
+#: blocks of a group that tell a scatter
+_FEWEST_IN_GROUP = 2
+_LONE_BLOCK = "a group has one block: nothing tells how another one of that group would differ"
+
+
+def _effects(
+    out: AnalysisOutcome,
+    rows: dict[Term, Row],
+    errors: list[Row],
+    table: Crossed,
+    groups: Sequence[Ints],
+) -> tuple[tuple[Effect, ...], list[str]]:
+    """Effects and verdicts with variances of their own in each group, and what was seen besides.
+
+    Where a group has two blocks, sizes have the pooled error of their stratum.
+    """
     data, asked = out.data, out.request
     index = {name: i for i, name in enumerate(table.blocks)}
     names = data.layout.levels[str(data.block)]
     of_row = np.array([index.get(names[c], -1) for c in data.layout.codes[str(data.block)]])
     kept = of_row >= 0
     layout = CellLayout(data.layout.levels, {f: c[kept] for f, c in data.layout.codes.items()})
-    fit = factor(model_matrix(layout, out.terms), out.y[kept])
-    per_row = (fit.model.inverse @ fit.q.T) * (out.y[kept] - fit.shift)
-    added = per_row @ np.eye(len(table.blocks))[of_row[kept]]
-    sample = over_groups(fit, added, groups, asked.alpha, asked.interval_seed)
-    rivals = rivals_over_groups(out, fit, added, groups, sample)
+    fewest = min(len(group) for group in groups)
+    seed = asked.interval_seed if fewest >= LEAST_OWN else None
+
+    def fitted(terms: Sequence[Term]) -> tuple[Factored, Array]:
+        fit = factor(model_matrix(layout, terms), out.y[kept])
+        per_row = (fit.model.inverse @ fit.q.T) * (out.y[kept] - fit.shift)
+        return fit, per_row @ np.eye(len(table.blocks))[of_row[kept]]
+
+    fit, added = fitted(out.terms)
+    sample = over_groups(fit, added, groups, asked.alpha, seed)
+    notes: list[str] = []
+    if fewest < _FEWEST_IN_GROUP:
+        rivals = [refusal(_LONE_BLOCK)]
+        sample = with_pooled_error(fit, fit.rss, fit.df_residual, asked.alpha, seed)
+    else:
+        rivals = rivals_over_groups(out, fit, added, groups, sample)
+        if (full := every_term(out, layout)) is not None:
+            whole, parts = fitted(full)
+            more, notes = rival_of_every_term(
+                out, whole, lambda alpha: over_groups(whole, parts, groups, alpha, seed)
+            )
+            rivals += more
     simple = judge_factors(out, layout, fit, sample, rivals)
-    return tuple(
-        size(_welch_estimate(out, fit, term, rows, added, groups), out.scale, simple)
-        for term in out.terms
-    )
+    if fewest >= LEAST_OWN:
+        estimates = [_welch_estimate(out, fit, t, rows, added, groups) for t in out.terms]
+    else:
+        estimates = _pooled_estimates(out, rows, errors)
+    return tuple(size(one, out.scale, simple) for one in estimates), notes
 
 
 def _welch_estimate(
@@ -301,11 +340,13 @@ def sum_of_covariances(value: Array, groups: Sequence[Ints]) -> Array:
     return np.asarray(np.sum(parts, axis=0))
 
 
-def _effects(out: AnalysisOutcome, rows: dict[Term, Row], errors: list[Row]) -> tuple[Effect, ...]:
-    """Effects with the pooled error of their stratum."""
+def _pooled_estimates(
+    out: AnalysisOutcome, rows: dict[Term, Row], errors: list[Row]
+) -> list[TermEstimate]:
+    """Estimates with the pooled error of their stratum."""
     whole = factor(model_matrix(out.data.layout, out.terms), out.y)
     by_error = {row.term: row for row in errors}
-    effects = []
+    found = []
     for term in out.terms:
         row = rows.get(term, Row(term_name(term), 0, 0.0))
         against = by_error.get(row.error or "")
@@ -314,8 +355,8 @@ def _effects(out: AnalysisOutcome, rows: dict[Term, Row], errors: list[Row]) -> 
         estimate = pooled_estimate(
             out.data.layout, whole, term, df, row.p_deciding, out.request.alpha, rss
         )
-        effects.append(size(replace(estimate, mean_half=None), out.scale))
-    return tuple(effects)
+        found.append(replace(estimate, mean_half=None))
+    return found
 
 
 # -------------------------------------------------------------------------------------------------

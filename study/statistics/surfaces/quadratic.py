@@ -452,19 +452,19 @@ class QuadraticSurface:
         small = Small(practical, float(np.ptp(self.runs.response)))
         k, found = self.polynomial.k, []
         for j in range(k):
-            bound = u + (2.0 * self.loo.largest if self.error == "none" else self._scatter(j))
+            known = self.error == "none"
+            bound = u + (2.0 * self.loo.largest if known else self._scatter(j, self.covariance))
             value = effect_range(lambda x: self.polynomial.value(2.0 * x - 1.0), k, j, bound, small)
             sure = practical is not None and is_confirmed(self.runs, j, practical + u)
             found.append(replace(value, confirmed=sure))
         return tuple(found)
 
-    def _scatter(self, j: int) -> float:
+    def _scatter(self, j: int, covariance: Array) -> float:
         """Half width of every difference of two settings of one factor together."""
         from scipy import stats
 
-        assert self.covariance is not None
         own = [i for i, term in enumerate(self.polynomial.terms) if j in term.factors]
-        p, spread = len(own), self.covariance[np.ix_(own, own)]
+        p, spread = len(own), covariance[np.ix_(own, own)]
         points = box_points(self.polynomial.k, 256)
         steps = np.linspace(-1.0, 1.0, 5)
         along = np.repeat(points[None], steps.size, axis=0)

@@ -1,0 +1,109 @@
+"""R's own data sets: the rows come from R, the figures from ``validation/statistics``."""
+
+from __future__ import annotations
+
+import csv
+import shutil
+import subprocess
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+import study
+from study.statistics.analysis.anova import anova
+from study.statistics.analysis.mixed_model import mixed_model
+
+FOLDER = Path(__file__).parents[2] / "validation" / "statistics"
+FIGURES = {
+    (row["data"], row["term"], row["quantity"]): float(row["value"])
+    for row in csv.DictReader((FOLDER / "r_datasets.csv").read_text().splitlines()[1:])
+}
+
+
+@pytest.fixture(scope="module")
+def rows(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    if shutil.which("Rscript") is None:
+        pytest.skip("R is not installed, and the rows of its data sets stay there")
+    folder = tmp_path_factory.mktemp("rows")
+    script = ["Rscript", str(FOLDER / "r_datasets.R"), "rows", str(folder)]
+    made = subprocess.run(script, capture_output=True, text=True, check=False)
+    if made.returncode:
+        pytest.skip(f"R lacks MASS or lme4: {made.stderr[-200:]}")
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("name", "formula", "options"),
+    [
+        ("npk", "yield ~ (N + P + K)^2 + Error(block)", {"error": "pooled"}),
+        ("warpbreaks", "breaks ~ wool * tension", {}),
+        ("ToothGrowth", "len ~ supp * dose", {}),
+        ("InsectSprays", "count ~ spray", {}),
+    ],
+)
+def test_analyses_of_variance(rows: Path, name: str, formula: str, options: dict[str, str]) -> None:
+    found = study.analyze(rows / f"{name}.csv", formula, copies="independent", exact=False,
+                          **options)  # fmt: skip
+    terms = [row for row in found.anova.rows if (name, row.term, "f") in FIGURES]
+    assert len(terms) == sum(key[0] == name and key[2] == "f" for key in FIGURES)
+    for row in terms:
+        assert row.f == pytest.approx(FIGURES[name, row.term, "f"], rel=1e-9)
+        assert row.p == pytest.approx(FIGURES[name, row.term, "p"], rel=1e-7)
+
+
+def test_spread_of_insect_sprays(rows: Path) -> None:
+    table = pd.read_csv(rows / "InsectSprays.csv")
+    found = anova(table, "count", ["spray"], copies="independent", exact=False)
+    tests = found.assumptions
+    assert tests.bartlett is not None
+    assert tests.bartlett.statistic == pytest.approx(FIGURES["InsectSprays", "", "bartlett"])
+    assert tests.fligner is not None
+    assert tests.fligner[0] == pytest.approx(FIGURES["InsectSprays", "", "fligner"])
+    welch = anova(table, "count", ["spray"], copies="independent", error="welch", exact=False)
+    row = welch.anova.row("spray")
+    assert row.f == pytest.approx(FIGURES["InsectSprays", "spray", "welch_f"], rel=1e-9)
+    assert row.p == pytest.approx(FIGURES["InsectSprays", "spray", "welch_p"], rel=1e-7)
+
+
+def test_the_split_plot_of_oats(rows: Path) -> None:
+    found = study.analyze(rows / "oats.csv", "Y ~ N * V + Error(B/V)", exact=False)
+    for term in ("N", "V", "N:V"):
+        assert found.anova.row(term).f == pytest.approx(FIGURES["oats", term, "f"], rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "response", "factors", "random", "sds"),
+    [
+        ("oats_lost", "Y", ["N", "V"], ["B", "B:V"], {"B": "B", "B:V": "V:B"}),
+        ("Pastes", "strength", [], ["batch", "batch:cask"],
+         {"batch": "batch", "batch:cask": "cask:batch"}),
+        ("Dyestuff", "Yield", [], ["Batch"], {"Batch": "Batch"}),
+    ],
+)  # fmt: skip
+def test_variances_of_mixed_models(
+    rows: Path, name: str, response: str, factors: list[str], random: list[str],
+    sds: dict[str, str],
+) -> None:  # fmt: skip
+    table = pd.read_csv(rows / f"{name}.csv")
+    blocks = "B" if factors else None
+    inner = ["V"] if factors else random
+    found = mixed_model(table, response, factors, block=blocks, random=inner, model=1)
+    sd = {c.source: c.sd for c in found.components}
+    for ours, theirs in sds.items():
+        assert sd[ours] == pytest.approx(FIGURES[name, theirs, "sd"], rel=1e-6)
+    if name == "oats_lost":
+        term = next(t for t in found.terms if t.term == "N")
+        assert term.f == pytest.approx(FIGURES[name, "N", "f"], rel=1e-6)
+        assert term.df_error == pytest.approx(FIGURES[name, "N", "df_error"], rel=1e-6)
+
+
+def test_plants_that_take_up_carbon(rows: Path) -> None:
+    table = pd.read_csv(rows / "CO2.csv")
+    model = ["Type", "Treatment", "conc", "Type:Treatment"]
+    found = mixed_model(table, "uptake", ["Type", "Treatment", "conc"], block="Plant", model=model)
+    sd = {c.source: c.sd for c in found.components}
+    assert sd["Plant"] == pytest.approx(FIGURES["CO2", "Plant", "sd"], rel=1e-6)
+    term = next(t for t in found.terms if t.term == "conc")
+    assert term.f == pytest.approx(FIGURES["CO2", "conc", "f"], rel=1e-6)
+    assert term.df_error == pytest.approx(FIGURES["CO2", "conc", "df_error"], rel=1e-6)
