@@ -55,29 +55,29 @@ def contrasts(found: AnalysisResult, asked: str | Sequence[str]) -> tuple[Contra
     return linear_contrast.contrasts(_cells(found), asked)
 
 
-def _cells(found: AnalysisResult) -> Cells:
+def _cells(analysis: AnalysisResult) -> Cells:
     """Rows of an analysis on its scale, with what matters."""
-    request, rows = found.request, found.data.residuals
+    request, rows = analysis.request, analysis.data.residuals
     values = rows["response"].to_numpy(dtype=float)
-    log, mean = request.scale.is_log, found.data.grand_mean
+    log, mean = request.scale.is_log, analysis.data.grand_mean
     limit, unit = request.scale.practical, 1 / mean if log else 1.0
     practical = None if limit is None else limit.on_scale(mean, request.scale.transform)
-    bound = request.scale.bound([e.term for e in found.effects], unit)
+    bound = request.scale.bound([e.term for e in analysis.effects], unit)
     # blocks are specimens where they are no seeds of a mesh and no refits to resampled noise
-    resampled = found.error_term.source == "E2"
+    resampled = analysis.error_term.source == "E2"
     specimens = request.specimens
-    if specimens is None and "block" in rows and found.error_term.source not in ("E2", "E3"):
+    if specimens is None and "block" in rows and analysis.error_term.source not in ("E2", "E3"):
         specimens = rows["block"].nunique()
     scale = Scale(request.scale.transform, practical, bound, False, unit, specimens)
-    levels = {e.term: e.levels for e in found.effects if e.is_main}
+    levels = {e.term: e.levels for e in analysis.effects if e.is_main}
     table = rows.assign(y=np.log(values) if log else values)
     cells = Cells(table, levels, scale, request.alpha, request.seed, resampled)
-    if all(row.error != "REML" for row in found.anova.rows):
+    if all(row.error != "REML" for row in analysis.anova.rows):
         return cells
     of_all = {**levels, "block": tuple(dict.fromkeys(table["block"]))}
     codes = {name: pd.Categorical(table[name], of_all[name]).codes.astype(np.int64)
              for name in of_all}  # fmt: skip
-    terms = [tuple(e.term.split(":")) for e in found.effects]
+    terms = [tuple(e.term.split(":")) for e in analysis.effects]
     model, *_ = mixed_cells(
         CellLayout(of_all, codes),
         terms,
@@ -89,13 +89,13 @@ def _cells(found: AnalysisResult) -> Cells:
     return cells if model is None else replace(cells, estimate=model.between)
 
 
-def with_contrasts(found: AnalysisResult, asked: Sequence[str]) -> AnalysisResult:
+def with_contrasts(analysis: AnalysisResult, texts: Sequence[str]) -> AnalysisResult:
     """Give a result the differences that its design declares."""
-    if not asked:
-        return found
-    together, faults = linear_contrast.possible_contrasts(_cells(found), asked)
+    if not texts:
+        return analysis
+    together, faults = linear_contrast.possible_contrasts(_cells(analysis), texts)
     notes = [f"{fault.where}: {fault.rule}" for fault in faults]
-    return replace(found, contrasts=together).noted(*notes)
+    return replace(analysis, contrasts=together).noted(*notes)
 
 
 # What a number of specimens can show, before they are tested: probability of a claim, and cost.
@@ -183,16 +183,16 @@ def power(
         raise InputError(Fault("--sd", f"must be a positive number, got {sd!r}"))
     warnings: list[str] = []
     blocks, seconds = _planned(loaded, design_root(loaded, data), warnings)
-    found: list[ContrastDetection] = []
+    detections: list[ContrastDetection] = []
     for response in loaded.responses:
         if response.practical is None:
             warnings.append(f"{response.name}: nothing says which difference matters")
             continue
-        found += _detections(loaded, response, sd, results, seconds, counts, warnings)
-    if not found and all(r.practical is None for r in loaded.responses):
+        detections += _detections(loaded, response, sd, results, seconds, counts, warnings)
+    if not detections and all(r.practical is None for r in loaded.responses):
         mend = 'write, for example, practical = "2 pp" in its [[response]]'
         raise InputError(Fault("response", "none says which difference matters", mend))
-    return Power(loaded.name, blocks, tuple(found), tuple(warnings))
+    return Power(loaded.name, blocks, tuple(detections), tuple(warnings))
 
 
 def _planned(design: Design, root: Path, warnings: list[str]) -> tuple[int, float | None]:
@@ -216,20 +216,26 @@ def _detections(
     counts: Sequence[int],
     warnings: list[str],
 ) -> list[ContrastDetection]:
-    known = _known(design, response, results)
-    practical = _practical(response, known)
+    known_scatter = _known(design, response, results)
+    practical = _practical(response, known_scatter)
     if practical is None:
         warnings.append(
             f"{response.name}: its practical difference is a share of a mean that no result gives "
             "yet; run the design once, or state it in the unit of the response"
         )
         return []
-    u = 0.0 if known is None else known[1]
-    choices = [(sd, "as given")] if sd else [] if known is None else [(known[0], "of the results")]
+    u = 0.0 if known_scatter is None else known_scatter[1]
+    choices = (
+        [(sd, "as given")]
+        if sd
+        else []
+        if known_scatter is None
+        else [(known_scatter[0], "of the results")]
+    )
     choices = choices or [(share * practical, f"assumed: {share:g} of what matters")
                           for share in ASSUMED]  # fmt: skip
     cells = len(design.treatments)
-    wanted = (0.8, 0.9)
+    powers = (0.8, 0.9)
     return [
         ContrastDetection(
             response.name,
@@ -240,20 +246,20 @@ def _detections(
             source,
             u,
             planned_verdicts(counts, spread, practical, u=u, cells=cells, seconds=seconds),
-            tuple(zip(wanted, fewest_blocks(spread, practical, u=u, wanted=wanted), strict=True)),
+            tuple(zip(powers, fewest_blocks(spread, practical, u=u, wanted=powers), strict=True)),
         )
         for spread, source in choices
         if spread
     ]
 
 
-def _practical(response: ResponseSpec, known: tuple[float, float, float] | None) -> float | None:
+def _practical(response: ResponseSpec, scatter: tuple[float, float, float] | None) -> float | None:
     limit = threshold(response.practical)
-    if limit is None or (known is None and limit.relative and response.transform != "log"):
+    if limit is None or (scatter is None and limit.relative and response.transform != "log"):
         return None
-    if known is None and response.transform == "log" and not limit.relative:
+    if scatter is None and response.transform == "log" and not limit.relative:
         return None
-    return limit.on_scale(1.0 if known is None else known[2], response.transform)
+    return limit.on_scale(1.0 if scatter is None else scatter[2], response.transform)
 
 
 def _known(
@@ -264,29 +270,29 @@ def _known(
     if not folder.is_dir():
         return None
     try:
-        found = analyze(str(folder), response.name)
+        analysis = analyze(str(folder), response.name)
     except StudyError:
         return None
-    spread = _scatter(found)
-    if spread is None or found.data.grand_mean is None:
+    spread = _scatter(analysis)
+    if spread is None or analysis.data.grand_mean is None:
         return None
-    u = max((e.u_num for e in found.effects if e.u_num is not None), default=0.0)
-    log = found.request.scale.transform == "log"
-    return spread, u / found.data.grand_mean if log else u, found.data.grand_mean
+    u = max((e.u_num for e in analysis.effects if e.u_num is not None), default=0.0)
+    log = analysis.request.scale.transform == "log"
+    return spread, u / analysis.data.grand_mean if log else u, analysis.data.grand_mean
 
 
-def _scatter(found: AnalysisResult) -> float | None:
+def _scatter(analysis: AnalysisResult) -> float | None:
     """Largest standard deviation over blocks of a simple effect, on the working scale."""
     from scipy.special import stdtrit
 
-    if found.error_term.source != "E1":
+    if analysis.error_term.source != "E1":
         return None
-    blocks = found.data.residuals["block"].nunique()
-    t = float(stdtrit(blocks - 1, 1 - found.request.alpha / 2))
-    change = math.log if found.request.scale.transform == "log" else float
+    blocks = analysis.data.residuals["block"].nunique()
+    t = float(stdtrit(blocks - 1, 1 - analysis.request.alpha / 2))
+    change = math.log if analysis.request.scale.transform == "log" else float
     halves = [
         (change(e.ci[1]) - change(e.ci[0])) / 2
-        for effect in found.effects
+        for effect in analysis.effects
         for e in effect.simple_effects
         if e.ci is not None
     ]

@@ -120,10 +120,10 @@ def fitted_together(
     Where runs are few at each combination, a common emulator is fitted beside one of each; the
     one is taken that predicts left-out runs better where it predicts them worst.
     """
-    wanted = {kind_of(one, surface) for one in every}
+    kinds = {kind_of(runs, surface) for runs in every}
     enough = RUNS_A_FACTOR * len(every[0].factors)
-    few = min(len(one.distinct()[0]) for one in every) < enough
-    if len(every) < 2 or wanted != {"emulator"} or not few:
+    few = min(len(runs.distinct()[0]) for runs in every) < enough
+    if len(every) < 2 or kinds != {"emulator"} or not few:
         return None
     blocked = len(set(every[0].blocks)) > 1
     try:
@@ -131,18 +131,18 @@ def fitted_together(
     except RefusedError:
         return None
     try:
-        apart = [(fit_blocks if blocked else fit_emulator)(one) for one in every]
+        apart = [(fit_blocks if blocked else fit_emulator)(runs) for runs in every]
     except RefusedError:
         return common
-    worst = [min(one.q2 for one in models) for models in (common, apart)]
+    worst = [min(model.q2 for model in models) for models in (common, apart)]
     return common if worst[0] >= worst[1] else tuple(apart)
 
 
 def announce_cost(runs: Runs, announce: Callable[[str], None] | None) -> None:
     """Say beforehand what an emulator of many runs will take."""
-    own = [runs.blocks.count(name) for name in set(runs.blocks)] or [runs.response.size]
-    seconds = sum(expected_seconds(n) for n in own)
-    if announce is not None and seconds > LONG and max(own) <= LARGEST:
+    sizes = [runs.blocks.count(name) for name in set(runs.blocks)] or [runs.response.size]
+    seconds = sum(expected_seconds(n) for n in sizes)
+    if announce is not None and seconds > LONG and max(sizes) <= LARGEST:
         announce(f"an emulator of {runs.response.size} runs takes about {seconds:.0f} s")
 
 
@@ -151,19 +151,19 @@ def difference_of(practical: float | str | None, response: Array) -> float | Non
 
     Shapes: response (n,).
     """
-    asked = threshold(practical)
-    return None if asked is None else asked.on_scale(float(response.mean()), "none")
+    limit = threshold(practical)
+    return None if limit is None else limit.on_scale(float(response.mean()), "none")
 
 
 def remarks(runs: Runs, surface: str) -> list[str]:
     """Say why runs that fill the box got a quadratic surface."""
-    said, few = [], _few(runs)
+    lines, few = [], _few(runs)
     if surface == "auto" and few and max(runs.levels()) > GRID_LEVELS:
-        said.append(
+        lines.append(
             f"a quadratic surface: an emulator needs at least {FEWEST_SETTINGS} settings of every "
             f"factor, {', '.join(few)} has fewer"
         )
-    return said
+    return lines
 
 
 def kind_of(runs: Runs, surface: str) -> str:
@@ -192,34 +192,36 @@ def runs_of(
     if not numeric:
         raise InputError(Fault("--numeric", "is missing", "name the columns of the factors"))
     values = table.numbers(response, missing=MISSING)
-    kept = np.isfinite(values)
+    answered = np.isfinite(values)
     notes = []
-    if not kept.all():
-        rows = ", ".join(str(table.lines[k]) for k in np.flatnonzero(~kept)[:10])
+    if not answered.all():
+        rows = ", ".join(str(table.lines[k]) for k in np.flatnonzero(~answered)[:10])
         notes.append(
-            f"{count(int((~kept).sum()), 'run')} without a response left out: lines {rows}"
+            f"{count(int((~answered).sum()), 'run')} without a response left out: lines {rows}"
         )
-    if kept.sum() < 2:
+    if answered.sum() < 2:
         raise InputError(Fault(table.source, "has fewer than two runs with a response"))
-    asked = [_asked(item, table) for item in numeric]
-    names = [name for name, _, _, _ in asked]
+    declared = [_asked(item, table) for item in numeric]
+    names = [name for name, _, _, _ in declared]
     _check_plain(table, names)
     if len({*names, response, block}) < len(names) + 2:
         rule = f"a column stands twice among {', '.join(names)}, the response and the block"
         raise InputError(Fault("--numeric", rule, "name every column once"))
-    columns = {name: table.numbers(name)[kept] for name in names}
-    factors = tuple(_factor(columns[name], name, low, high, log) for name, low, high, log in asked)
+    columns = {name: table.numbers(name)[answered] for name in names}
+    factors = tuple(
+        _factor(columns[name], name, low, high, log) for name, low, high, log in declared
+    )
     coded = np.column_stack([factor.coded(columns[factor.name]) for factor in factors])
-    labels = () if block is None else tuple(np.array(table.text(block))[kept].tolist())
-    return Runs(response, factors, coded, values[kept], labels), kept, notes
+    labels = () if block is None else tuple(np.array(table.text(block))[answered].tolist())
+    return Runs(response, factors, coded, values[answered], labels), answered, notes
 
 
 def _check_plain(table: CsvTable, names: Sequence[str]) -> None:
     """Refuse cells with units, once a column: they may differ from row to row."""
     faults = []
     for name in names:
-        told = [_WITH_UNIT.fullmatch(cell) for cell in table.text(name)]
-        units = list(dict.fromkeys(one["unit"] for one in told if one is not None))
+        units_typed = [_WITH_UNIT.fullmatch(cell) for cell in table.text(name)]
+        units = list(dict.fromkeys(match["unit"] for match in units_typed if match is not None))
         if units:
             rule = f"has units in its cells: {', '.join(units[:5])}"
             mend = f"keep numbers in one unit alone, and name it in the header: {name}_{units[0]}"
@@ -322,7 +324,7 @@ def fit_surface(
         decimal=decimal, announce=announce,
     )  # fmt: skip
     # without labels there is one, and what keeps it from being fitted is raised
-    return next(one.found for one in alone if one.found is not None)
+    return next(fitted.found for fitted in alone if fitted.found is not None)
 
 
 def fit_surfaces(  # noqa: PLR0913  # the public face: one keyword for each thing that may be asked
@@ -378,8 +380,8 @@ def fit_surfaces(  # noqa: PLR0913  # the public face: one keyword for each thin
     """
     check_kind(surface)
     table = tabular.read_csv(Path(source), numbers=[response], decimal=decimal)
-    runs, kept, notes = runs_of(table, response, numeric, block)
-    places, rows = _places(table, factors, kept, {*runs.names, response, block})
+    runs, answered, notes = runs_of(table, response, numeric, block)
+    places, rows = _places(table, factors, answered, {*runs.names, response, block})
     if kind_of(runs, surface) == "emulator":
         announce_cost(runs, announce)
     difference = difference_of(practical, runs.response)
@@ -395,33 +397,35 @@ def fit_surfaces(  # noqa: PLR0913  # the public face: one keyword for each thin
         )
         for k, (place, here) in enumerate(zip(places, rows, strict=True))
     ]
-    if all(one.found is None for one in each):
+    if all(fitted.found is None for fitted in each):
         raise RefusedError(f"no combination carries a surface: {each[0].refused}")
     each = _noted(each, (*table.notes, *notes), surface)
-    return tuple(replace(one, differences=differences(one, each, places[0])) for one in each)
+    return tuple(
+        replace(fitted, differences=differences(fitted, each, places[0])) for fitted in each
+    )
 
 
 def _places(
-    table: CsvTable, factors: Sequence[str], kept: Flags, taken: set[str | None]
+    table: CsvTable, factors: Sequence[str], answered: Flags, taken: set[str | None]
 ) -> tuple[list[dict[str, str]], list[Flags]]:
     """List combinations of labels that have runs, and which of the runs with a response."""
     twice = [name for name in factors if name in taken or list(factors).count(name) > 1]
     if twice:
         rule = f"{twice[0]!r} stands twice among factors, numbers, response and block"
         raise InputError(Fault("--factors", rule, "name every column once"))
-    columns = {name: np.array(table.text(name))[kept] for name in factors}
+    columns = {name: np.array(table.text(name))[answered] for name in factors}
     levels = [list(dict.fromkeys(column.tolist())) for column in columns.values()]
-    every = np.ones(kept.sum(), dtype=bool)
-    named = (dict(zip(factors, one, strict=True)) for one in itertools.product(*levels))
-    found = [
+    every = np.ones(answered.sum(), dtype=bool)
+    named = (dict(zip(factors, levels_of, strict=True)) for levels_of in itertools.product(*levels))
+    rows_of = [
         (place, np.all([every, *(columns[name] == at for name, at in place.items())], axis=0))
         for place in named
     ]
-    found = [(place, here) for place, here in found if here.any()]
-    if len(found) > MOST_COMBINATIONS:
-        rule = f"make {len(found)} combinations, and each gets a surface of its own"
+    rows_of = [(place, here) for place, here in rows_of if here.any()]
+    if len(rows_of) > MOST_COMBINATIONS:
+        rule = f"make {len(rows_of)} combinations, and each gets a surface of its own"
         raise InputError(Fault("--factors", rule, f"at most {MOST_COMBINATIONS}: name fewer"))
-    return [place for place, _ in found], [here for _, here in found]
+    return [place for place, _ in rows_of], [here for _, here in rows_of]
 
 
 def _some(runs: Runs, here: Flags) -> Runs:
@@ -450,13 +454,13 @@ def _level_surfaces_fitted(
 ) -> FittedSurface:
     """Surface at one combination, or why there is none: raised where there are no labels."""
     try:
-        one = fitted(_some(runs, here), surface) if model is None else model
-        found = told(one, practical, 0.0)
+        fitted_model = fitted(_some(runs, here), surface) if model is None else model
+        made = told(fitted_model, practical, 0.0)
     except StudyError as error:
         if not place:
             raise
         return FittedSurface(runs.name, "", None, str(error), place, practical)
-    return FittedSurface(runs.name, "", found, "", place, practical)
+    return FittedSurface(runs.name, "", made, "", place, practical)
 
 
 def _noted(
@@ -464,32 +468,32 @@ def _noted(
 ) -> list[FittedSurface]:
     """Add what is to be said of every surface, and of their table once, with the first."""
     noted, left = [], of_table
-    for one in each:
-        if one.found is None:
-            noted.append(one)
+    for fitted in each:
+        if fitted.found is None:
+            noted.append(fitted)
             continue
-        said = (*left, *remarks(one.found.runs, surface))
-        noted.append(replace(one, found=one.found.noted(*said)))
+        lines = (*left, *remarks(fitted.found.runs, surface))
+        noted.append(replace(fitted, found=fitted.found.noted(*lines)))
         left = ()
     return noted
 
 
 def differences(
-    one: FittedSurface, each: Sequence[FittedSurface], first: Mapping[str, str]
+    fitted: FittedSurface, each: Sequence[FittedSurface], first: Mapping[str, str]
 ) -> tuple[LevelDifference, ...]:
     """Compare a surface with those at the first levels of the other factors, one at a time."""
     made = []
     for name, base in first.items():
-        wanted = {**one.labels, name: base}
+        labels_wanted = {**fitted.labels, name: base}
         # runs at some combinations of labels may be missing
-        other = next((found for found in each if dict(found.labels) == wanted), one)
-        mine, theirs = (None if s.found is None else s.found.model for s in (one, other))
-        if one is other or not (isinstance(mine, _EMULATORS) and isinstance(theirs, _EMULATORS)):
+        other = next((partner for partner in each if dict(partner.labels) == labels_wanted), fitted)
+        mine, theirs = (None if s.found is None else s.found.model for s in (fitted, other))
+        if fitted is other or not (isinstance(mine, _EMULATORS) and isinstance(theirs, _EMULATORS)):
             continue
-        limits = [s.practical for s in (one, other) if s.practical is not None]
+        limits = [s.practical for s in (fitted, other) if s.practical is not None]
         limit = min(limits) if limits else None
-        names = (name, one.labels[name], base)
-        made.append(level_difference(names, (mine, theirs), limit, one.bound or 0.0))
+        names = (name, fitted.labels[name], base)
+        made.append(level_difference(names, (mine, theirs), limit, fitted.bound or 0.0))
     return tuple(made)
 
 
@@ -505,10 +509,10 @@ SEE_SURFACE = "its factors are numbers: see the surface"
 def is_numeric(design: Design) -> bool:
     """Whether a surface over the ranges of a design answers its question."""
     ranged = any(factor.span is not None for factor in design.factors)
-    asked = design.analysis.surface
-    if not ranged or asked == "none":
+    kind = design.analysis.surface
+    if not ranged or kind == "none":
         return False
-    return asked != "auto" or design.scheme.kind in _FOR_SURFACES
+    return kind != "auto" or design.scheme.kind in _FOR_SURFACES
 
 
 def surfaces(
@@ -521,19 +525,23 @@ def surfaces(
     if not is_numeric(design):
         return ()
     others = [factor for factor in design.factors if factor.span is None]
-    own = [record for record in records if not is_repeat(record.extra)]
+    originals = [record for record in records if not is_repeat(record.extra)]
     combinations = itertools.product(*(factor.labels for factor in others))
     places = [dict(zip([f.name for f in others], labels, strict=True)) for labels in combinations]
-    found: list[FittedSurface] = []
+    fitted_all: list[FittedSurface] = []
     for response in design.responses:
         half_width = _half_width(response.name, records, numerical)
-        asked = _Asked(design, response, half_width, *_answered(design, response.name, own))
-        together = _study_surface_together(asked, places, own)
-        each = [_study_surface_fitted(asked, labels, own, together.get(place))
+        question = _Asked(
+            design, response, half_width, *_answered(design, response.name, originals)
+        )
+        together = _study_surface_together(question, places, originals)
+        each = [_study_surface_fitted(question, labels, originals, together.get(place))
                 for place, labels in enumerate(places)]  # fmt: skip
         first = {factor.name: factor.labels[0] for factor in others}
-        found += [replace(one, differences=differences(one, each, first)) for one in each]
-    return tuple(found)
+        fitted_all += [
+            replace(fitted, differences=differences(fitted, each, first)) for fitted in each
+        ]
+    return tuple(fitted_all)
 
 
 @dataclass(frozen=True)
@@ -554,7 +562,7 @@ class _Asked:
     ) -> tuple[list[Record], int]:
         """Collect the runs with an answer at some levels, and count those without."""
         here = [r for r in records if all(r.levels[n] == label for n, label in labels.items())]
-        answered = [one for one in here if one.value(self.response.name) is not None]
+        answered = [record for record in here if record.value(self.response.name) is not None]
         return answered, len(here) - len(answered)
 
     def runs(self, records: Sequence[Record]) -> Runs:
@@ -563,17 +571,17 @@ class _Asked:
 
 
 def _study_surface_together(
-    asked: _Asked, places: Sequence[Mapping[str, str]], records: Sequence[Record]
+    question: _Asked, places: Sequence[Mapping[str, str]], records: Sequence[Record]
 ) -> Mapping[int, Emulator | BlockedEmulator]:
     """Fit the runs at all combinations of levels together, where that predicts better."""
-    design = asked.design
+    design = question.design
     sizes = [len(f.labels) for f in design.factors if f.span is None]
     try:
-        every = [asked.runs(asked.good(labels, records)[0]) for labels in places]
-        found = fitted_together(every, sizes, design.analysis.surface)
+        every = [question.runs(question.good(labels, records)[0]) for labels in places]
+        models = fitted_together(every, sizes, design.analysis.surface)
     except StudyError:
         return {}
-    return {} if found is None else dict(enumerate(found))
+    return {} if models is None else dict(enumerate(models))
 
 
 def runs_at(
@@ -598,38 +606,38 @@ def _half_width(
 
 
 def _study_surface_fitted(
-    asked: _Asked,
+    question: _Asked,
     labels: Mapping[str, str],
     records: Sequence[Record],
     model: Emulator | BlockedEmulator | None,
 ) -> FittedSurface:
-    design, response = asked.design, asked.response
-    good, lost = asked.good(labels, records)
+    design, response = question.design, question.response
+    good, lost = question.good(labels, records)
     # each of two settings may be off by its own bound
-    bound = None if asked.half_width is None else 2.0 * asked.half_width
+    bound = None if question.half_width is None else 2.0 * question.half_width
     practical = None
     units_of = {f.name: f.span.unit for f in design.factors if f.span is not None}
     try:
-        runs = asked.runs(good)
+        runs = question.runs(good)
         limit = threshold(response.practical)
         if limit is not None:
             practical = limit.on_scale(float(runs.response.mean()), "none")
-        one = fitted(runs, design.analysis.surface) if model is None else model
-        found = told(one, practical, bound or 0.0).noted(*_left_out(lost), *asked.ends)
-        uncertain, refused = _propagated(design, found)
-        found = found.noted(refused) if refused else found
+        fitted_model = fitted(runs, design.analysis.surface) if model is None else model
+        made = told(fitted_model, practical, bound or 0.0).noted(*_left_out(lost), *question.ends)
+        uncertain, refused = _propagated(design, made)
+        made = made.noted(refused) if refused else made
     except StudyError as error:
         return FittedSurface(
             response.name, response.unit, None, str(error), labels, practical, bound, units_of
         )
-    words = {name: one.words(units_of[name]) for name, one in design.inputs.items()}
+    words = {name: span.words(units_of[name]) for name, span in design.inputs.items()}
     return FittedSurface(
-        response.name, response.unit, found, "", labels, practical, bound, units_of, uncertain,
+        response.name, response.unit, made, "", labels, practical, bound, units_of, uncertain,
         words,
     )  # fmt: skip
 
 
-def _propagated(design: Design, found: SurfaceAnalysis) -> tuple[Propagated | None, str]:
+def _propagated(design: Design, made: SurfaceAnalysis) -> tuple[Propagated | None, str]:
     """Carry uncertain inputs through a surface; a refusal is a sentence."""
     if not design.inputs:
         return None, ""
@@ -639,7 +647,7 @@ def _propagated(design: Design, found: SurfaceAnalysis) -> tuple[Propagated | No
         if f.span is not None and f.name not in design.inputs
     }
     try:
-        return propagate(found, design.inputs, fixed, design.seed), ""
+        return propagate(made, design.inputs, fixed, design.seed), ""
     except StudyError as error:
         return None, str(error)
 
@@ -661,8 +669,8 @@ def _coded(design: Design, factors: Sequence[NumericFactor], records: Sequence[R
     columns = []
     ranged = [factor for factor in design.factors if factor.span is not None]
     for factor, numeric in zip(ranged, factors, strict=True):
-        known = settings_of(factor)
-        settings = [known[record.levels[factor.name]] for record in records]
+        coded_of = settings_of(factor)
+        settings = [coded_of[record.levels[factor.name]] for record in records]
         columns.append(numeric.coded(np.array(settings, dtype=np.float64)))
     return np.column_stack(columns)
 
@@ -678,19 +686,19 @@ def _answered(
     good = np.array([record.value(response) is not None for record in records], dtype=bool)
     if good.all() or not good.any():
         return factors, ()
-    found, ends = [], []
-    for one, every, own in zip(factors, coded.T, coded[good].T, strict=True):
-        low, high = one.low, one.high
+    complete, ends = [], []
+    for factor, every, its_values in zip(factors, coded.T, coded[good].T, strict=True):
+        low, high = factor.low, factor.high
         # what is one share of the sample from an end is as near as runs are to each other
         near = 2.0 / len(records)
-        if every.min() < own.min() and own.min() > near - 1.0:
-            low = one.setting(float(own.min()))
-            ends.append(_end(one.name, "below", low))
-        if every.max() > own.max() and own.max() < 1.0 - near:
-            high = one.setting(float(own.max()))
-            ends.append(_end(one.name, "above", high))
-        found.append(replace(one, low=low, high=high) if low < high else one)
-    return tuple(found), tuple(ends)
+        if every.min() < its_values.min() and its_values.min() > near - 1.0:
+            low = factor.setting(float(its_values.min()))
+            ends.append(_end(factor.name, "below", low))
+        if every.max() > its_values.max() and its_values.max() < 1.0 - near:
+            high = factor.setting(float(its_values.max()))
+            ends.append(_end(factor.name, "above", high))
+        complete.append(replace(factor, low=low, high=high) if low < high else factor)
+    return tuple(complete), tuple(ends)
 
 
 def _end(name: str, side: str, value: float) -> str:
@@ -715,23 +723,23 @@ def _runs(
 
 
 def write_surface_page(
-    found: Sequence[FittedSurface],
+    fits: Sequence[FittedSurface],
     out_dir: str | Path,
     *,
     source: AnalysisSource,
     formats: Sequence[str] = ("html",),
 ) -> Path:
     """Write the page of the surfaces of one response, with the CSV of its tables and figures."""
-    runs = next(one.found for one in found if one.found is not None).runs
-    check_taken([*runs.names, *found[0].labels])
-    return write(_report_data(found, runs, source), out_dir, formats)
+    runs = next(fitted.found for fitted in fits if fitted.found is not None).runs
+    check_taken([*runs.names, *fits[0].labels])
+    return write(_report_data(fits, runs, source), out_dir, formats)
 
 
-def _report_data(found: Sequence[FittedSurface], runs: Runs, source: AnalysisSource) -> ReportData:
-    practical = found[0].practical
-    table = _table(found)
+def _report_data(fits: Sequence[FittedSurface], runs: Runs, source: AnalysisSource) -> ReportData:
+    practical = fits[0].practical
+    table = _table(fits)
     ends = {f.name: (f.low, f.high) for f in runs.factors}
-    labels = list(found[0].labels)
+    labels = list(fits[0].labels)
     return ReportData(
         name=source.name,
         question=f"How does {runs.name} depend on {', '.join([*labels, *runs.names])}?",
@@ -748,19 +756,21 @@ def _report_data(found: Sequence[FittedSurface], runs: Runs, source: AnalysisSou
         provenance=provenance(source),
         commands=source.commands(),
         scheme=f"a table of {len(table):,} rows was analyzed",
-        cells=sum(len(one.found.runs.distinct()[0]) for one in found if one.found is not None),
+        cells=sum(
+            len(fitted.found.runs.distinct()[0]) for fitted in fits if fitted.found is not None
+        ),
         labels={name: name for name in (runs.name, *labels, *runs.names)},
-        surfaces=tuple(found),
+        surfaces=tuple(fits),
         ranges={name: f"{low:g} to {high:g}" for name, (low, high) in ends.items()},
         is_table=True,
     )
 
 
-def _table(found: Sequence[FittedSurface]) -> pd.DataFrame:
+def _table(fits: Sequence[FittedSurface]) -> pd.DataFrame:
     """Rows as a report wants them: settings, block, status, the response under its own name."""
     import pandas as pd
 
-    parts = [_rows(one.found.runs, one.labels) for one in found if one.found is not None]
+    parts = [_rows(fitted.found.runs, fitted.labels) for fitted in fits if fitted.found is not None]
     frame = pd.concat(parts, ignore_index=True)
     frame.insert(0, "case_id", [str(n + 1) for n in range(len(frame))])
     return frame

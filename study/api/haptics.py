@@ -135,8 +135,8 @@ def source_of(path: Path, case: str, test: int, overrides: Sequence[str]) -> For
 def material_of(path: Path, case: str, test: int, overrides: Sequence[str]) -> tuple[str, Material]:
     """Read the name and the material of a problem; a calibrated one needs no displacement."""
     if path.suffix != ".json":
-        found = source_of(path, case, test, overrides)
-        return found.name, found.problem.material
+        case_source = source_of(path, case, test, overrides)
+        return case_source.name, case_source.problem.material
     document = _document(path)
     values, _ = _constants(cast("Mapping[str, Mapping[str, object]]", document["parameters"]))
     tables = _test_of(document, path, test)
@@ -160,25 +160,27 @@ def _written(path: Path, overrides: Sequence[str]) -> ForceLawSource:
 
 def _calibrated(path: Path, number: int) -> ForceLawSource:
     """Test of a finished calibration, with the constants and their covariance."""
-    found = _document(path)
-    tables = _test_of(found, path, number)
-    values, errors = _constants(cast("Mapping[str, Mapping[str, object]]", found["parameters"]))
-    rows = cast("Sequence[Sequence[object]]", found["correlation"])
+    calibration = _document(path)
+    tables = _test_of(calibration, path, number)
+    values, errors = _constants(
+        cast("Mapping[str, Mapping[str, object]]", calibration["parameters"])
+    )
+    rows = cast("Sequence[Sequence[object]]", calibration["correlation"])
     correlation = np.array([[_float(value) for value in row] for row in rows])
     size = np.array(list(errors.values()))
     covariance = np.outer(size, size) * correlation
-    name = str(found["name"])
+    name = str(calibration["name"])
     return ForceLawSource(
-        f"{name}-test-{number}" if len(cast("list[object]", found["tests"])) > 1 else name,
+        f"{name}-test-{number}" if len(cast("list[object]", calibration["tests"])) > 1 else name,
         problem_of(tables, values),
         _half_ranges(values, errors),
         covariance if np.isfinite(covariance).all() else None,
     )
 
 
-def _test_of(found: Mapping[str, object], path: Path, number: int) -> Tables:
+def _test_of(calibration: Mapping[str, object], path: Path, number: int) -> Tables:
     """Tables of a test of a calibration, counted from 1."""
-    tests = cast("Sequence[Tables]", found["tests"])
+    tests = cast("Sequence[Tables]", calibration["tests"])
     if not 1 <= number <= len(tests):
         rule = f"there is no test {number} in {path}, which has {len(tests)}"
         raise InputError(Fault("--test", rule, f"1 to {len(tests)}"))
@@ -187,9 +189,9 @@ def _test_of(found: Mapping[str, object], path: Path, number: int) -> Tables:
 
 def _config_of(record: Record, design: Design, blocks: Sequence[str]) -> Config:
     """Document of the cell that a case is of, or repeats on another mesh."""
-    known = cases_by_id(design, blocks).get(record.case_id)
-    if known is not None:
-        return known.config
+    cases_of = cases_by_id(design, blocks).get(record.case_id)
+    if cases_of is not None:
+        return cases_of.config
     for cell in design.treatments:
         if cell.levels == record.levels:
             return cell.config
@@ -225,16 +227,16 @@ def _document(path: Path) -> Mapping[str, object]:
     """Document of a calibration that converged."""
     mend = "name the calibration.json that `study calibrate` wrote"
     try:
-        found = read_json(path)
+        contents = read_json(path)
     except UnreadableError as error:
         raise InputError(Fault(str(path), error.rule, mend)) from None
     needed = {"status", "name", "parameters", "correlation", "tests"}
-    if not isinstance(found, Mapping) or not needed <= set(found):
+    if not isinstance(contents, Mapping) or not needed <= set(contents):
         raise InputError(Fault(str(path), "is no document of a calibration", mend))
-    if found["status"] != "converged":
-        rule = f"ended as {found['status']}: its constants are no result"
+    if contents["status"] != "converged":
+        rule = f"ended as {contents['status']}: its constants are no result"
         raise InputError(Fault(str(path), rule, "see its message"))
-    return found
+    return contents
 
 
 def _recorded(path: Path, case: str) -> ForceLawSource:
@@ -337,10 +339,10 @@ def export(
     if form in PROGRAMS:
         name, material = material_of(Path(source), case, test, overrides)
         return export_material(name, material, form, Path(out))
-    found = source_of(Path(source), case, test, overrides)
-    check(found.problem.material, None)
-    wanted = Wanted(tolerance, found.half_ranges, found.covariance)
-    law = solved_force_law(found.name, found.problem, wanted, progress)
+    case_source = source_of(Path(source), case, test, overrides)
+    check(case_source.problem.material, None)
+    accuracy = Wanted(tolerance, case_source.half_ranges, case_source.covariance)
+    law = solved_force_law(case_source.name, case_source.problem, accuracy, progress)
     warnings = _warnings(law, tolerance)
     folder = Path(out)
     made = files(law, folder)
@@ -352,13 +354,13 @@ def export(
 
 
 def _warnings(law: ForceLaw, tolerance: float) -> tuple[str, ...]:
-    said = []
+    warnings = []
     if law.relative_error > tolerance:
-        said.append(
+        warnings.append(
             f"the error bound is {100 * law.relative_error:.2g} % of the largest force, not "
             f"{100 * tolerance:.2g} %: a finer mesh bends the curve less where contact begins"
         )
-    return tuple(said)
+    return tuple(warnings)
 
 
 # What the sensors of a test must be for constants as accurate as wanted.
@@ -375,8 +377,8 @@ class Required:
 
     def to_json(self) -> dict[str, object]:
         """Document of ``study require --json``."""
-        found = requirement_document(self.requirement)
-        return {**found, "report": str(self.page), "warnings": list(self.warnings)}
+        document = requirement_document(self.requirement)
+        return {**document, "report": str(self.page), "warnings": list(self.warnings)}
 
 
 def require(
@@ -422,8 +424,8 @@ def require(
         fitted=provenance.located(file.fitted, places),
         predicted=provenance.located(file.predicted, places),
     )
-    found = sensor_requirement(file, jobs or default_jobs(), progress)
-    return Required(found, write_requirement(found, out), tuple(warnings(found)))
+    sensors = sensor_requirement(file, jobs or default_jobs(), progress)
+    return Required(sensors, write_requirement(sensors, out), tuple(warnings(sensors)))
 
 
 # The surfaces of a study as functions that need no package.
@@ -442,7 +444,7 @@ class SurfaceExport:
     def to_json(self) -> dict[str, object]:
         """Document of ``study export --as emulator --json``."""
         return {
-            "functions": [one.document() for one in self.functions],
+            "functions": [function.document() for function in self.functions],
             "files": [str(path) for path in self.paths],
             "warnings": list(self.warnings),
         }
@@ -479,19 +481,21 @@ def export_surface(
         If the study has no surface, or not that response; nothing is written.
     """
     study = open_study(path, results) if isinstance(path, str | Path) else path
-    names = list(dict.fromkeys(one.response for one in study.surfaces))
+    names = list(dict.fromkeys(fitted.response for fitted in study.surfaces))
     if response is not None and names and response not in names:
         raise InputError(Fault("--response", f"there is no {response!r}", nearest(response, names)))
-    asked = [one for one in study.surfaces if response in (None, one.response)]
-    good = [one for one in asked if one.found is not None]
+    chosen = [fitted for fitted in study.surfaces if response in (None, fitted.response)]
+    good = [fitted for fitted in chosen if fitted.found is not None]
     if not good:
         rule = "has no surface that could be a function"
-        said = next((one.refused for one in asked), "no factor is a range")
-        raise InputError(Fault(study.design.name, rule, said))
-    made = tuple(surface_function(study.design.name, one) for one in good)
+        reason = next((fitted.refused for fitted in chosen), "no factor is a range")
+        raise InputError(Fault(study.design.name, rule, reason))
+    made = tuple(surface_function(study.design.name, fitted) for fitted in good)
     folder = Path(out)
-    texts = {place: text for one in made for place, text in one.files(folder).items()}
+    texts = {place: text for function in made for place, text in function.files(folder).items()}
     for place, text in texts.items():
         write_atomic(place, text.encode())
-    missing = tuple(f"{one.response}: {one.refused}" for one in asked if one.found is None)
+    missing = tuple(
+        f"{fitted.response}: {fitted.refused}" for fitted in chosen if fitted.found is None
+    )
     return SurfaceExport(made, tuple(texts), missing)

@@ -94,20 +94,24 @@ def invert(  # noqa: PLR0913  # the public face: one keyword for each thing that
         If the emulator does not predict left-out curves (a Q2 below .9), or no curve agrees.
     """
     study = api.open_study(path, results) if isinstance(path, str | Path) else path
-    known = _known(study, dict(at or {}))
+    given = _known(study, dict(at or {}))
     curve, notes = _read(Path(to), columns, in_units, decimal), []
     more = joined(study.design, Store(study.folder), study.manifest)
     every = [*study.records, *more.records]
-    here = [one for one in every if all(one.levels[n] == v for n, v in known.labels.items())]
+    here = [
+        record for record in every if all(record.levels[n] == v for n, v in given.labels.items())
+    ]
     records = [
-        one for one in here if one.converged and not is_repeat(one.extra) and one.first_prediction()
+        record
+        for record in here
+        if record.converged and not is_repeat(record.extra) and record.first_prediction()
     ]
     curve, cut = _covered(curve, records, Path(to))
     notes += cut
-    found, runs, said = _solved(
-        study, known, curve, records, _share(within), confirming, permission
+    answer, runs, said = _solved(
+        study, given, curve, records, _share(within), confirming, permission
     )
-    return _told(study, known, curve, found, runs, [*notes, *said])
+    return _told(study, given, curve, answer, runs, [*notes, *said])
 
 
 @dataclass(frozen=True)
@@ -159,7 +163,7 @@ def _known(study: StudyResult, at: Mapping[str, Setting]) -> _Known:
             faults.append(Fault(name, rule, f"--at {name}={factor.labels[0]}"))
     if len([n for n in ranges if n not in at]) == 0:
         faults.append(Fault("--at", "holds every number", "leave those out that are asked for"))
-    if any(one.block is not None for one in study.records):
+    if any(record.block is not None for record in study.records):
         rule = "is a study with measurements: its constants come from fits"
         faults.append(Fault(design.name, rule, "use study calibrate, or a study of simulations"))
     if faults:
@@ -191,7 +195,11 @@ def _covered(
     curve: _Measured, records: Sequence[Record], source: Path
 ) -> tuple[_Measured, list[str]]:
     """Rows that every run reaches, and what is to be said of the others."""
-    ends = [float(one.displacement_mm[-1]) for r in records if (one := r.first_prediction())]
+    ends = [
+        float(curve_of_run.displacement_mm[-1])
+        for r in records
+        if (curve_of_run := r.first_prediction())
+    ]
     if not ends:
         raise InputError(Fault(str(source), "no run has a curve to compare with"))
     inside = curve.displacement <= min(ends) * (1 + 1e-9)
@@ -200,8 +208,8 @@ def _covered(
         mend = "give the study a longer test.displacement"
         raise InputError(Fault(str(source), rule, mend))
     lost = int((~inside).sum())
-    said = [f"{lost} rows beyond {min(ends):.4g} mm are left out: the runs end there"]
-    return _Measured(curve.displacement[inside], curve.force[inside]), said if lost else []
+    lines = [f"{lost} rows beyond {min(ends):.4g} mm are left out: the runs end there"]
+    return _Measured(curve.displacement[inside], curve.force[inside]), lines if lost else []
 
 
 def _runs(study: StudyResult, records: Sequence[Record]) -> Runs:
@@ -218,7 +226,7 @@ def _runs(study: StudyResult, records: Sequence[Record]) -> Runs:
 
 def _fitted(
     study: StudyResult,
-    known: _Known,
+    given: _Known,
     curve: _Measured,
     records: Sequence[Record],
     share: float | None,
@@ -228,24 +236,24 @@ def _fitted(
     curves = np.array([c.force_at(curve.displacement) for r in records
                        if (c := r.first_prediction())])  # fmt: skip
     model = fit_curves(runs, curves, study.design.seed)
-    held = np.array([runs.coded_inside(n, known.numbers[n]) if n in known.numbers else np.nan
+    held = np.array([runs.coded_inside(n, given.numbers[n]) if n in given.numbers else np.nan
                      for n in runs.names])  # fmt: skip
     size = float(np.sqrt(np.mean(curve.force**2)))
     largest = None if share is None else share * size
-    found = agreeing(model, curve.force, held, largest=largest)
-    residual = np.asarray(curve.force - model.value(found.at[None, :])[0])
+    solutions = agreeing(model, curve.force, held, largest=largest)
+    residual = np.asarray(curve.force - model.value(solutions.at[None, :])[0])
     if share is None and residual.size >= _TOO_FEW:
         square = float(residual @ residual)
         worth = effective_rows(
             residual.size, float(residual[1:] @ residual[:-1]) / square if square > 0 else 0.0
         )
-        found = agreeing(model, curve.force, held, rows_worth=worth)
-    return _Found(model, found, residual)
+        solutions = agreeing(model, curve.force, held, rows_worth=worth)
+    return _Found(model, solutions, residual)
 
 
 def _solved(
     study: StudyResult,
-    known: _Known,
+    given: _Known,
     curve: _Measured,
     records: list[Record],
     share: float | None,
@@ -253,46 +261,46 @@ def _solved(
     permission: Permission | None,
 ) -> tuple[_Found, tuple[Checked, ...], list[str]]:
     """Let the true model run at the best setting until the emulator says the same there."""
-    own = permission or Permission()
-    found = _fitted(study, known, curve, records, share)
+    allowed = permission or Permission()
+    answer = _fitted(study, given, curve, records, share)
     if not confirming:
-        _check_agrees(found, curve, share)
-        return found, (), []
+        _check_agrees(answer, curve, share)
+        return answer, (), []
     run, notes = None, list[str]()
     for _ in range(ROUNDS):
-        run, record = _run(study, known, curve, found, found.set.at, own)
+        run, record = _run(study, given, curve, answer, answer.set.at, allowed)
         if record is None:
             break
         force = _force(record, curve)
-        missed = force - found.model.value(_runs(study, [*records, record]).coded[-1:])[0]
-        if record.case_id not in {one.case_id for one in records}:
+        missed = force - answer.model.value(_runs(study, [*records, record]).coded[-1:])[0]
+        if record.case_id not in {record.case_id for record in records}:
             records.append(record)
-            found = _fitted(study, known, curve, records, share)
-        if (apart := float(np.sqrt(np.mean(missed**2)))) <= found.model.loo_rms:
+            answer = _fitted(study, given, curve, records, share)
+        if (apart := float(np.sqrt(np.mean(missed**2)))) <= answer.model.loo_rms:
             break
     else:
         notes.append(
             f"after {ROUNDS} runs at the best setting the emulator still misses the true model "
-            f"there by {apart:.3g} N, more than its own error of {found.model.loo_rms:.3g} N: add "
+            f"there by {apart:.3g} N, more than its own error of {answer.model.loo_rms:.3g} N: add "
             "runs near that setting to the study"
         )
-    _check_agrees(found, curve, share)
+    _check_agrees(answer, curve, share)
     ends = []
-    if found.set.combinations or found.set.open_low.any() or found.set.open_high.any():
-        ends = [_run(study, known, curve, found, one, own)[0] for one in found.set.ends]
-    first = [] if run is None else [_judged(run, found)]
-    return found, (*first, *(_judged(one, found) for one in ends)), notes
+    if answer.set.combinations or answer.set.open_low.any() or answer.set.open_high.any():
+        ends = [_run(study, given, curve, answer, at_end, allowed)[0] for at_end in answer.set.ends]
+    first = [] if run is None else [_judged(run, answer)]
+    return answer, (*first, *(_judged(checked, answer) for checked in ends)), notes
 
 
-def _judged(run: Checked, found: _Found) -> Checked:
+def _judged(run: Checked, answer: _Found) -> Checked:
     # settings of a run are rounded to a ten-thousandth of their range
-    return Checked(run.settings, run.rms, bool(run.rms <= 1.02 * found.set.limit))
+    return Checked(run.settings, run.rms, bool(run.rms <= 1.02 * answer.set.limit))
 
 
-def _check_agrees(found: _Found, curve: _Measured, share: float | None) -> None:
-    if share is None or found.set.rms <= found.set.limit:
+def _check_agrees(answer: _Found, curve: _Measured, share: float | None) -> None:
+    if share is None or answer.set.rms <= answer.set.limit:
         return
-    best = found.set.rms / float(np.sqrt(np.mean(curve.force**2)))
+    best = answer.set.rms / float(np.sqrt(np.mean(curve.force**2)))
     rule = f"no curve inside of what was run agrees within {100 * share:.3g} %: the best misses"
     mend = "widen the ranges, ask for less, or look for what the model lacks"
     raise RefusedError(str(Fault("invert", f"{rule} {100 * best:.3g} %", mend)))
@@ -300,15 +308,15 @@ def _check_agrees(found: _Found, curve: _Measured, share: float | None) -> None:
 
 def _run(
     study: StudyResult,
-    known: _Known,
+    given: _Known,
     curve: _Measured,
-    found: _Found,
+    answer: _Found,
     at: Array,
     permission: Permission,
 ) -> tuple[Checked, Record | None]:
     """Run the true model at a setting."""
-    settings = found.model.runs.settings(at)
-    records = confirm(study, settings, known.labels, permission)
+    settings = answer.model.runs.settings(at)
+    records = confirm(study, settings, given.labels, permission)
     record = records[0] if records and records[0].converged else None
     levels = dict(records[0].levels) if records else {}
     if record is None:
@@ -326,32 +334,32 @@ def _force(record: Record, curve: _Measured) -> Array:
 
 def _told(
     study: StudyResult,
-    known: _Known,
+    given: _Known,
     curve: _Measured,
-    found: _Found,
+    answer: _Found,
     runs: Sequence[Checked],
     notes: Sequence[str],
 ) -> Inverted:
-    own, result = found.model.runs, found.set
-    told = {f.name: f.span.unit for f in study.design.factors if f.span is not None}
-    ends = [own.settings(one) for one in (result.at, result.low, result.high)]
+    own, result = answer.model.runs, answer.set
+    units_of = {f.name: f.span.unit for f in study.design.factors if f.span is not None}
+    ends = [own.settings(point) for point in (result.at, result.low, result.high)]
     inputs = tuple(
-        InputSet(n, told[n], ends[0][n], ends[1][n], ends[2][n],
+        InputSet(n, units_of[n], ends[0][n], ends[1][n], ends[2][n],
                  bool(result.open_low[j]), bool(result.open_high[j]))
-        for j, n in enumerate(own.names) if n not in known.numbers
+        for j, n in enumerate(own.names) if n not in given.numbers
     )  # fmt: skip
     combinations = tuple(
-        Determined({n: float(e) for n, e in zip(own.names, one.exponents, strict=True) if e},
-                   one.value, one.ratio)
-        for one in result.combinations
+        Determined({n: float(e) for n, e in zip(own.names, pair.exponents, strict=True) if e},
+                   pair.value, pair.ratio)
+        for pair in result.combinations
     )  # fmt: skip
-    said = [*notes]
-    if runs and not all(one.agrees for one in runs):
-        said.append("a run of the true model does not agree: add runs to the study")
+    notes_of = [*notes]
+    if runs and not all(run.agrees for run in runs):
+        notes_of.append("a run of the true model does not agree: add runs to the study")
     size = float(np.sqrt(np.mean(curve.force**2)))
-    members = tuple(own.settings(one) for one in result.points)
+    members = tuple(own.settings(point) for point in result.points)
     return Inverted(
-        inputs, combinations, {**known.labels, **known.numbers}, told, result.rms, result.limit,
-        result.rms / size, curve.force.size, found.model.q2, members,
-        runs[0] if runs else None, tuple(runs[1:]), tuple(said),
+        inputs, combinations, {**given.labels, **given.numbers}, units_of, result.rms, result.limit,
+        result.rms / size, curve.force.size, answer.model.q2, members,
+        runs[0] if runs else None, tuple(runs[1:]), tuple(notes_of),
     )  # fmt: skip

@@ -51,31 +51,33 @@ def show(
         block=flags["--block"],
         practical=flags["--practical"],
         decimal=flags["--decimal"] or ".",
-        announce=lambda said: output.warn([said]),
+        announce=lambda text: output.warn([text]),
     )
-    found = [one.found for one in every if one.found is not None]
-    notes = dict.fromkeys(note for one in found for note in one.notes)
-    output.warn([*notes, *[f"{_at(one)}: {one.refused}" for one in every if one.found is None]])
+    carried = [fitted.found for fitted in every if fitted.found is not None]
+    notes = dict.fromkeys(note for surface_found in carried for note in surface_found.notes)
+    output.warn(
+        [*notes, *[f"{_at(fitted)}: {fitted.refused}" for fitted in every if fitted.found is None]]
+    )
     page = _page(every, source, {"--numeric": ",".join(numeric), "--surface": surface}, flags)
     if as_json:
-        told = {"surfaces": [one.to_json() for one in every]}
-        document = told if flags["--factors"] else found[0].to_json()
+        surfaces_document = {"surfaces": [fitted.to_json() for fitted in every]}
+        document = surfaces_document if flags["--factors"] else carried[0].to_json()
         output.print_json(document if page is None else document | {"report": str(page)})
         return
-    for one in every:
-        print_fitted(one)
+    for fitted in every:
+        print_fitted(fitted)
     if page is not None:
         print(f"\nreport: {page}")
 
 
-def _at(one: FittedSurface) -> str:
-    return ", ".join(f"{name} = {label}" for name, label in one.labels.items())
+def _at(fitted: FittedSurface) -> str:
+    return ", ".join(f"{name} = {label}" for name, label in fitted.labels.items())
 
 
 def _page(
     every: Sequence[FittedSurface],
     source: Path,
-    asked: dict[str, str],
+    numeric: dict[str, str],
     flags: Mapping[str, str | None],
 ) -> Path | None:
     """Write the page where one is asked for."""
@@ -85,7 +87,7 @@ def _page(
     from study.api.analyzing import AnalysisSource as Source
     from study.api.fitting_surfaces import write_surface_page
 
-    given = {flag: value for flag, value in flags.items() if value} | asked
+    given = {flag: value for flag, value in flags.items() if value} | numeric
     formats = names(flags["--format"]) or ["html"]
     return write_surface_page(every, folder, source=Source(source, given), formats=formats)
 
@@ -128,22 +130,24 @@ def settings(text: str) -> dict[str, str]:
     >>> settings("specimen.height=3 mm, material.C10 = 5 kPa")
     {'specimen.height': '3 mm', 'material.C10': '5 kPa'}
     """
-    found: dict[str, str] = {}
+    settings_typed: dict[str, str] = {}
     for part in text.split(","):
         name, equals, value = (piece.strip(" \"'") for piece in part.partition("="))
-        if not equals or not name or not value or name in found:
+        if not equals or not name or not value or name in settings_typed:
             rule = f"cannot read {part.strip()!r}"
             raise InputError(Fault("--at", rule, "write thickness='3 mm',C10='5 kPa', each once"))
-        found[name] = value
-    return found
+        settings_typed[name] = value
+    return settings_typed
 
 
-def print_predictions(found: Sequence[PredictedAnswer]) -> None:
+def print_predictions(predictions: Sequence[PredictedAnswer]) -> None:
     """Print a row for every response."""
     rows = [["Response", "Prediction", "95 % interval"]]
-    for one in found:
-        ends = f"{one.low[0]:.4g} to {one.high[0]:.4g}"
-        rows.append([one.response, f"{one.value[0]:.4g} {one.unit}".strip(), ends])
+    for prediction in predictions:
+        ends = f"{prediction.low[0]:.4g} to {prediction.high[0]:.4g}"
+        rows.append(
+            [prediction.response, f"{prediction.value[0]:.4g} {prediction.unit}".strip(), ends]
+        )
     output.table(rows)
     output.paragraph(
         "predicted by a surface fitted to the runs; about 95 of 100 simulations at such settings "
@@ -151,59 +155,61 @@ def print_predictions(found: Sequence[PredictedAnswer]) -> None:
     )
 
 
-def print_fitted(one: FittedSurface) -> None:
+def print_fitted(fitted: FittedSurface) -> None:
     """Print the surface of a response of a study."""
-    if one.found is None:
+    if fitted.found is None:
         return
-    at = _at(one)
-    unit, in_unit = (f" in {one.unit}", f" {one.unit}") if one.unit else ("", "")
-    print(f"\n{one.response}{unit}{' at ' if at else ''}{at}")
-    print_surface(one.found, one.units)
-    for told in one.differences:
+    at = _at(fitted)
+    unit, in_unit = (f" in {fitted.unit}", f" {fitted.unit}") if fitted.unit else ("", "")
+    print(f"\n{fitted.response}{unit}{' at ' if at else ''}{at}")
+    print_surface(fitted.found, fitted.units)
+    for difference in fitted.differences:
         output.paragraph(
-            f"{told.factor} = {told.level} less {told.other}: {told.mean:.3g}{in_unit} on average "
-            f"over the ranges, {told.low:.3g} to {told.high:.3g} at 95 % of the settings "
-            f"(each +- {told.bound:.2g}): {told.verdict}"
+            f"{difference.factor} = {difference.level} less {difference.other}: "
+            f"{difference.mean:.3g}{in_unit} on average "
+            f"over the ranges, {difference.low:.3g} to {difference.high:.3g} at 95 % of the "
+            f"settings (each +- {difference.bound:.2g}): {difference.verdict}"
         )
-    _print_uncertain(one)
+    _print_uncertain(fitted)
 
 
-def _print_uncertain(one: FittedSurface) -> None:
+def _print_uncertain(fitted: FittedSurface) -> None:
     """Print the response's distribution where inputs are uncertain."""
-    told = one.uncertain
-    if told is None:
+    uncertain = fitted.uncertain
+    if uncertain is None:
         return
-    ends = told.percentiles
+    ends = uncertain.percentiles
     print(
-        f"with uncertain inputs: mean {told.mean.value:.4g}, standard deviation "
-        f"{told.sd.value:.3g}, 95 % between {ends[2.5].value:.4g} and {ends[97.5].value:.4g}; the "
-        f"surface itself may err by {told.mean.own:.2g} in the mean"
+        f"with uncertain inputs: mean {uncertain.mean.value:.4g}, standard deviation "
+        f"{uncertain.sd.value:.3g}, 95 % between {ends[2.5].value:.4g} and "
+        f"{ends[97.5].value:.4g}; the "
+        f"surface itself may err by {uncertain.mean.own:.2g} in the mean"
     )
     rows = [["Uncertain input", "Distribution", "S", "T", "Gain if known twice as well"]]
-    for item in told.inputs:
+    for item in uncertain.inputs:
         index = item.index
         shares = ["-", "-"] if index is None else [f"{index.first:.3f}", f"{index.total:.3f}"]
-        gain = f"{100 * told.gain(item):.1f} % of the sd"
-        rows.append([item.name, one.inputs.get(item.name, ""), *shares, gain])
+        gain = f"{100 * uncertain.gain(item):.1f} % of the sd"
+        rows.append([item.name, fitted.inputs.get(item.name, ""), *shares, gain])
     output.table(rows)
 
 
-def print_surface(found: SurfaceAnalysis, units: Mapping[str, str] | None = None) -> None:
+def print_surface(surface: SurfaceAnalysis, units: Mapping[str, str] | None = None) -> None:
     """Print model, error, factors and extremes of a surface, settings with their units."""
     from study.statistics.surfaces.quadratic import QuadraticSurface
 
-    model = found.model
+    model = surface.model
     if isinstance(model, QuadraticSurface):
         _print_quadratic(model, units or {})
-        _print_sensitivity(found, units or {})
+        _print_sensitivity(surface, units or {})
     else:
         runs = model.runs
         blocks = f", one emulator for each of {len(set(runs.blocks))} blocks" if runs.blocks else ""
         print(f"Gaussian process: {runs.response.size} runs of {len(runs.factors)} factors{blocks}")
         print(f"leave-one-out: rms {output.number(model.loo_rms)}, Q2 {model.q2:.3f}\n")
-        _print_sensitivity(found, units or {})
-    for word, extreme in (("smallest", found.smallest), ("largest", found.largest)):
-        print(f"{word} predicted: {_extreme(found, extreme, units or {})}")
+        _print_sensitivity(surface, units or {})
+    for word, extreme in (("smallest", surface.smallest), ("largest", surface.largest)):
+        print(f"{word} predicted: {_extreme(surface, extreme, units or {})}")
 
 
 def _print_quadratic(model: QuadraticSurface, units: Mapping[str, str]) -> None:
@@ -233,9 +239,9 @@ def _print_quadratic(model: QuadraticSurface, units: Mapping[str, str]) -> None:
         print(f"stationary point ({point.kind}): {point.value:.4g} at {at}; eigenvalues {values}")
 
 
-def _print_sensitivity(found: SurfaceAnalysis, units: Mapping[str, str]) -> None:
+def _print_sensitivity(surface: SurfaceAnalysis, units: Mapping[str, str]) -> None:
     rows = [["Rank", "Factor", "S", "T", "Range", "Verdict"]]
-    for item in sorted(found.sensitivity, key=lambda item: item.rank):
+    for item in sorted(surface.sensitivity, key=lambda item: item.rank):
         row = [str(item.rank), item.factor]
         index, effect = item.index, item.range
         row += ["-", "-"] if index is None else [
@@ -246,13 +252,13 @@ def _print_sensitivity(found: SurfaceAnalysis, units: Mapping[str, str]) -> None
             continue
         row.append(f"{effect.value:.4g} +- {effect.bound:.2g}")
         rows.append([*row, effect.told])
-    if found.sensitivity:
-        output.table(rows, f"Sensitivity: {found.runs.name}")
+    if surface.sensitivity:
+        output.table(rows, f"Sensitivity: {surface.runs.name}")
         print()
-    for item in found.sensitivity:
+    for item in surface.sensitivity:
         if item.range is not None and item.range.claims:
             ends = [
-                _surface_tables_settings(found.runs.settings(at), units)
+                _surface_tables_settings(surface.runs.settings(at), units)
                 for at in item.range.confirm
             ]
             print(f"confirm {item.factor}: run {ends[0]}\n    and {ends[1]}")
@@ -266,11 +272,11 @@ def _share(value: float, interval: tuple[float, float]) -> str:
     return f"{value:.3f} ({interval[0]:.3f} to {interval[1]:.3f})"
 
 
-def _extreme(found: SurfaceAnalysis, extreme: Extreme, units: Mapping[str, str]) -> str:
-    at = _surface_tables_settings(found.runs.settings(extreme.at), units)
+def _extreme(surface: SurfaceAnalysis, extreme: Extreme, units: Mapping[str, str]) -> str:
+    at = _surface_tables_settings(surface.runs.settings(extreme.at), units)
     # NaN where no run can be left out
-    known = math.isfinite(extreme.half_width)
-    error = f" +- {extreme.half_width:.2g}" if known else ", error unknown,"
+    is_bounded = math.isfinite(extreme.half_width)
+    error = f" +- {extreme.half_width:.2g}" if is_bounded else ", error unknown,"
     return f"{extreme.value:.4g}{error} at {at}"
 
 
@@ -283,89 +289,97 @@ def _surface_tables_settings(settings: Mapping[str, float], units: Mapping[str, 
 # What optimize and invert show in a terminal.
 
 
-def print_recommendations(found: Sequence[Recommendation]) -> None:
+def print_recommendations(recommendations: Sequence[Recommendation]) -> None:
     """Print the best setting, what is predicted there, and the run that confirms it."""
-    for number, one in enumerate(found):
+    for number, recommended in enumerate(recommendations):
         if number:
             print()
-        _print_recommendation(one)
+        _print_recommendation(recommended)
 
 
-def _print_recommendation(one: Recommendation) -> None:
-    word = "smallest" if one.goal == "minimize" else "largest"
-    held = _optimum_tables_settings(one.held, one.units)
-    unit = f" {one.unit}" if one.unit else ""
+def _print_recommendation(recommended: Recommendation) -> None:
+    word = "smallest" if recommended.goal == "minimize" else "largest"
+    held = _optimum_tables_settings(recommended.held, recommended.units)
+    unit = f" {recommended.unit}" if recommended.unit else ""
     print(
-        f"{word} {one.response}: {one.value:.3g}{unit}, 95 % interval {one.low:.3g} to "
-        f"{one.high:.3g}{unit}"
+        f"{word} {recommended.response}: {recommended.value:.3g}{unit}, 95 % interval "
+        f"{recommended.low:.3g} to {recommended.high:.3g}{unit}"
     )
     rows = [["Choice", "Best setting", ""]]
-    for name, value in one.settings.items():
-        end = "at an end of what was run" if name in one.at_end else ""
-        rows.append([name, _setting(value, one.units.get(name, "")), end])
+    for name, value in recommended.settings.items():
+        end = "at an end of what was run" if name in recommended.at_end else ""
+        rows.append([name, _setting(value, recommended.units.get(name, "")), end])
     output.table(rows)
     if held:
         print(f"held, not recommended: {held}")
-    if one.bounds:
-        _print_limits(one)
-    if one.spread is not None:
-        limits = f"; the limits hold at {100 * one.spread.kept:.0f} % of them" if one.bounds else ""
-        output.paragraph(
-            f"over what was run of the inputs that are not chosen, {one.response} there goes from "
-            f"{one.spread.low:.3g} to {one.spread.high:.3g}{unit}{limits}"
+    if recommended.bounds:
+        _print_limits(recommended)
+    if recommended.spread is not None:
+        limits = (
+            f"; the limits hold at {100 * recommended.spread.kept:.0f} % of them"
+            if recommended.bounds
+            else ""
         )
-    for at, value in one.rivals:
-        print(f"best with {_optimum_tables_settings(at, one.units)}: {value:.3g}{unit}")
-    if one.confirmed is not None:
-        _print_confirmed(one)
+        output.paragraph(
+            f"over what was run of the inputs that are not chosen, {recommended.response} there "
+            "goes from "
+            f"{recommended.spread.low:.3g} to {recommended.spread.high:.3g}{unit}{limits}"
+        )
+    for at, value in recommended.rivals:
+        print(f"best with {_optimum_tables_settings(at, recommended.units)}: {value:.3g}{unit}")
+    if recommended.confirmed is not None:
+        _print_confirmed(recommended)
 
 
-def _print_limits(one: Recommendation) -> None:
+def _print_limits(recommended: Recommendation) -> None:
     rows = [["Limit", "Predicted", "95 % interval"]]
-    for bound, (value, low, high) in zip(one.bounds, one.limited, strict=True):
+    for bound, (value, low, high) in zip(recommended.bounds, recommended.limited, strict=True):
         rows.append([bound.words, f"{value:.3g}", f"{low:.3g} to {high:.3g}"])
     output.table(rows)
-    if one.assurance == "predicted":
+    if recommended.assurance == "predicted":
         output.paragraph(
             "the limits hold for the prediction, not at the unfavourable end of its interval: no "
             "setting keeps them there"
         )
 
 
-def _print_confirmed(one: Recommendation) -> None:
-    run = one.confirmed
+def _print_confirmed(recommended: Recommendation) -> None:
+    run = recommended.confirmed
     if run is None:
         return
     rows = [["True model", "Run", "Predicted interval"]]
-    intervals = [(one.low, one.high), *((low, high) for _, low, high in one.limited)]
+    intervals = [
+        (recommended.low, recommended.high),
+        *((low, high) for _, low, high in recommended.limited),
+    ]
     for (name, value), (low, high) in zip(run.values.items(), intervals, strict=True):
         rows.append([name, f"{value:.4g}", f"{low:.4g} to {high:.4g}"])
     output.table(rows)
     inside = "inside of" if run.predicted else "outside of"
-    limits = "" if not one.bounds else "; limits kept" if run.kept else "; limits not kept"
+    limits = "" if not recommended.bounds else "; limits kept" if run.kept else "; limits not kept"
     print(f"the confirming run lies {inside} the predicted interval{limits}")
 
 
-def print_inverted(found: Inverted) -> None:
+def print_inverted(inverted: Inverted) -> None:
     """Print the set of inputs that agree, what of it is determined, and the true model's runs."""
     rows = [["Input", "Best", "Settings that agree", ""]]
-    for one in found.inputs:
-        unit = f" {one.unit}" if one.unit else ""
-        ends = f"{one.low:.4g} to {one.high:.4g}{unit}"
-        rows.append([one.name, f"{one.best:.4g}{unit}", ends, one.verdict])
+    for item in inverted.inputs:
+        unit = f" {item.unit}" if item.unit else ""
+        ends = f"{item.low:.4g} to {item.high:.4g}{unit}"
+        rows.append([item.name, f"{item.best:.4g}{unit}", ends, item.verdict])
     output.table(rows)
-    output.paragraph(found.sentence)
-    for told in found.combinations:
-        percent = 100 * (told.ratio - 1)
-        print(f"{told.words} = {told.value:.4g}, within {percent:.2g} %")
-    held = _optimum_tables_settings(found.held, found.units)
+    output.paragraph(inverted.sentence)
+    for combination in inverted.combinations:
+        percent = 100 * (combination.ratio - 1)
+        print(f"{combination.words} = {combination.value:.4g}, within {percent:.2g} %")
+    held = _optimum_tables_settings(inverted.held, inverted.units)
     if held:
         print(f"known: {held}")
     print(
-        f"best curve: misses {found.rms:.3g} N rms ({100 * found.relative:.3g} %) over "
-        f"{found.rows} rows; a curve agrees up to {found.limit:.3g} N"
+        f"best curve: misses {inverted.rms:.3g} N rms ({100 * inverted.relative:.3g} %) over "
+        f"{inverted.rows} rows; a curve agrees up to {inverted.limit:.3g} N"
     )
-    _print_runs(found.best_run, found.end_runs)
+    _print_runs(inverted.best_run, inverted.end_runs)
 
 
 def _print_runs(best: Checked | None, ends: Sequence[Checked]) -> None:

@@ -17,6 +17,7 @@ from study.ground.errors import InputError, RefusedError
 from study.laboratory.registration.closest_point import TriangleSurface
 from study.laboratory.registration.rigid import RigidMotion, turned_about
 from study.laboratory.shape.shape_deviation import ShapeOptions as Options
+from study.reporting.output.accuracy_page import scan_answers
 from tests.registration.bodies import egg, scan
 
 #: Lubricated compression of an incompressible cylinder: stretch 0.8 along, 0.8^-1/2 across.
@@ -302,3 +303,19 @@ def test_a_missing_file_is_refused(tmp_path: Path) -> None:
     surface, _ = moved_egg(tmp_path, MOTION)
     with pytest.raises(InputError, match="there is no file"):
         study.shape(surface, tmp_path / "none.ply")
+
+
+def test_points_without_weight_are_set_aside_and_counted(tmp_path: Path) -> None:
+    """A part of the table in the scan says nothing of the body, nor of its mean deviation."""
+    surface, _ = moved_egg(tmp_path, MOTION)
+    rng = np.random.default_rng(12)
+    body = scan(egg(), 2000, rng)
+    noise = rng.normal(0, 0.002, body.shape)
+    table = rng.uniform(-1.6, 1.6, (500, 3)) * egg().size / 2 + [0, 0, egg().size]
+    cloud = write_csv(tmp_path / "table.csv", MOTION(np.vstack([body + noise, table])))
+    found = study.shape(surface, cloud)
+    assert found.statistics.set_aside + found.outliers == pytest.approx(500, abs=25)
+    assert found.statistics.rms < 0.005
+    assert found.statistics.largest_set_aside > 1
+    said = " ".join(scan_answers(found))
+    assert "without weight in the registration" in said

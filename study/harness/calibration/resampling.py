@@ -243,8 +243,10 @@ def scattered(
     return _inside(_with_moduli(energy, names, values, closed)[0], bounds)
 
 
-#: looks that are fitted at most: of one exponent, and of several, each with other signs
-_LOOKED, _LOOKED_OF_SEVERAL = 6, 3
+#: looks that are fitted at most of one exponent
+_LOOKED = 6
+#: the same of several, each with other signs
+_LOOKED_OF_SEVERAL = 3
 
 
 def looked_for(

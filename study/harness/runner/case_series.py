@@ -33,11 +33,9 @@ from study.statistics.convergence.grid_convergence import (
     CAUTIOUS,
     ConvergenceResult,
     NumericalUncertainty,
+    assumed_order,
     grid_convergence,
 )
-
-#: Order at most where only two meshes exist: bonded corners limit it to one.
-ASSUMED_ORDER = 1.0
 
 
 def half_width(
@@ -54,10 +52,10 @@ def half_width(
     --------
     >>> half_width([1.4, 1.2, 1.1], [4.0, 2.0, 1.0], 1.0, "finest")[0]
     'monotone'
-    >>> round(half_width([1.1, 1.0], [2.0, 1.0], 2.0)[1], 10)
-    0.6
+    >>> round(half_width([1.1, 1.0], [2.0, 1.0], 2.0)[1], 6)
+    0.780381
     """
-    order = min(formal or ASSUMED_ORDER, ASSUMED_ORDER) if len(values) == 2 else formal
+    order = assumed_order(formal) if len(values) == 2 else formal
     result = grid_convergence(sizes, values, formal_order=order)
     bound = result.u_num if own == "finest" else result.bound_of(values[0])
     return result.behaviour, math.inf if bound is None else bound

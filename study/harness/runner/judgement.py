@@ -23,7 +23,11 @@ from study.harness.runner.refinement import (
 )
 from study.harness.runner.solve_task import Solver, SolveResult, SolveTask, solutions
 from study.mechanics.setup.setup import Setup, Tables, problem_of
-from study.statistics.convergence.grid_convergence import ConvergenceResult, grid_convergence
+from study.statistics.convergence.grid_convergence import (
+    ConvergenceResult,
+    assumed_order,
+    grid_convergence,
+)
 
 # -------------------------------------------------------------------------------------------------
 # Errors of mesh, load steps and solver tolerance side by side.
@@ -297,9 +301,8 @@ def judge(
     )
     if len(kept) < FEWEST:
         if len(kept) == FEWEST - 1:
-            pair = judged(
-                representative_sizes(kept, series.setup), curve_values(kept), formal.order
-            )
+            sizes, order = representative_sizes(kept, series.setup), assumed_order(formal.order)
+            pair = judged(sizes, curve_values(kept), order)
             of_two = pair[series.spec.qoi]
             verdict = f"{facts.main.verdict}; {of_two.verdict}"
             facts = replace(facts, main=replace(of_two, verdict=verdict))

@@ -56,7 +56,7 @@ def stem_of(name: str) -> str:
 def sentences(law: ForceLaw) -> list[str]:
     """Say where a law holds, how near it is, and what it does elsewhere."""
     held, end = law.held_out, law.force.end_mm
-    largest = f"{held.largest_N:.2g} N ({100 * law.relative_error:.2g} % of the largest force)"
+    largest = f"{held.bound_N:.2g} N ({100 * law.relative_error:.2g} % of the largest force)"
     lines = [
         f"Tested from 0 to {end:g} mm: within {largest} of the simulation on "
         f"{held.force_N.size} points solved between its {law.force.values.size} knots.",
@@ -105,7 +105,7 @@ def document(law: ForceLaw) -> dict[str, object]:
         "monotone": law.is_monotone,
         "limited_mm": [float(law.displacement_mm[k]) for k in law.limited],
         "error_bound": {
-            "force_N": law.held_out.largest_N,
+            "force_N": law.held_out.bound_N,
             "relative": law.relative_error,
             "at_mm": law.held_out.worst_mm,
             "points": law.held_out.force_N.size,
@@ -191,6 +191,8 @@ FEWEST_INTERVALS = 4
 #: Most intervals of a table. Each doubling divides the error of a smooth force by 16; where 320
 #: do not reach the tolerance, contact on the mesh is what bends the curve.
 MOST_INTERVALS = 320
+#: Points of a path for each interval of the table: all but one are kept out of it.
+PARTS = 4
 #: Error bound over the largest force. Hands tell forces apart by 5 to 10 % (Jones 1989).
 TOLERANCE = 2e-3
 #: Share of each constant by which it is moved to see what first order leaves out.
@@ -218,7 +220,7 @@ def solved_force_law(
     say = progress or (lambda text: None)
     intervals = max(problem.test.steps, FEWEST_INTERVALS)
     while True:
-        solution = _solved(problem, 2 * intervals)
+        solution = _solved(problem, PARTS * intervals)
         law = tabulated(name, problem, _with_origin(solution.curve))
         say(f"{intervals} intervals: {100 * law.relative_error:.2g} % of the largest force")
         if law.relative_error <= accuracy.tolerance or 2 * intervals > MOST_INTERVALS:
@@ -229,7 +231,7 @@ def solved_force_law(
 
 
 def tabulated(name: str, problem: Problem, curve: Curve) -> ForceLaw:
-    """Tabulate every other point of a curve that begins at the origin; judge by the others."""
+    """Tabulate every fourth point of a curve that begins at the origin; judge by the others."""
     slopes = curve.stiffness_N_per_mm
     if slopes is None:
         raise ValueError("a force law needs the stiffness of its curve")
@@ -239,7 +241,7 @@ def tabulated(name: str, problem: Problem, curve: Curve) -> ForceLaw:
     gradients = {
         name: gradient_table(step, values[knots]) for name, values in curve.force_gradient.items()
     }
-    middles = curve.displacement_mm[between]
+    others = curve.displacement_mm[between]
     there = curve.force_N[between]
     moved = np.flatnonzero(force.slopes[1:] != slopes[knots][1:]) + 1
     return ForceLaw(
@@ -248,7 +250,7 @@ def tabulated(name: str, problem: Problem, curve: Curve) -> ForceLaw:
         gradients=gradients,
         constants=dict(problem.material.constants),
         limited=tuple(int(k) for k in moved),
-        held_out=HeldOut(middles, there, force.at(middles) - there),
+        held_out=HeldOut(others, there, force.at(others) - there),
     )
 
 
@@ -268,8 +270,8 @@ def _solved(problem: Problem, steps: int, warm: Solution | None = None) -> Solut
 
 def _with_origin(curve: Curve) -> Curve:
     """Begin a curve at the unloaded state, with the slope that its work implies."""
-    # the law's first interval ends at the second point, whose work is known best
-    first = curve.at_points(np.arange(1, len(curve), 2)).slope_at_origin()
+    # the law's first interval ends at the fourth point, whose work is known best
+    first = curve.at_points(np.arange(PARTS - 1, len(curve), PARTS)).slope_at_origin()
     slopes = curve.stiffness_N_per_mm
     return Curve(
         np.r_[0.0, curve.displacement_mm],

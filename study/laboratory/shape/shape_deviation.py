@@ -15,7 +15,7 @@ from study.laboratory.registration.iterative_closest_point import (
     coarse_registration,
     register,
 )
-from study.laboratory.registration.rigid import RigidMotion, identity
+from study.laboratory.registration.rigid import RigidMotion, biweight, identity
 from study.laboratory.shape.boundary import SimulatedBody
 from study.laboratory.shape.scan import Markers, Scan
 
@@ -34,7 +34,11 @@ SEEN_SPACINGS = 3.0
 
 @dataclass(frozen=True)
 class Statistics:
-    """Signed distances, positive where the scan lies outside the simulated surface, mm."""
+    """Signed distances, positive where the scan lies outside the simulated surface, mm.
+
+    Of the points that count: those without weight in the registration are set aside, unless they
+    are the most, as of a body that is larger all around.
+    """
 
     points: int
     #: Mean with its sign, of the sizes, root mean square, standard deviation.
@@ -46,6 +50,9 @@ class Statistics:
     percentiles: dict[str, float]
     #: 95 % of the sizes are below.
     absolute_p95: float
+    #: Points without weight, and the largest distance among them.
+    set_aside: int = 0
+    largest_set_aside: float | None = None
 
 
 @dataclass(frozen=True)
@@ -172,7 +179,7 @@ def judge_shape(
         points=placed,
         distances=closest.distance,
         normals=closest.normal,
-        statistics=statistics_of(closest.distance),
+        statistics=statistics_of(closest.distance, registration),
         seen=float(surface.areas[near].sum() / surface.areas.sum()),
         registration_uncertainty=added,
         markers=None if markers is None else _marked(body, markers, motion),
@@ -181,8 +188,13 @@ def judge_shape(
     )
 
 
-def statistics_of(distances: Array) -> Statistics:
-    """Describe signed distances. Shapes: distances (n,), mm."""
+def statistics_of(every: Array, registration: Registration | None = None) -> Statistics:
+    """Describe signed distances. Shapes: every (n,), mm."""
+    aside = np.zeros(every.shape, dtype=bool)
+    if registration is not None and registration.scale_mm > 0:
+        aside = biweight(every / registration.scale_mm) == 0
+        aside &= aside.mean() < 0.5
+    distances = every[~aside]
     sizes = np.abs(distances)
     return Statistics(
         points=len(distances),
@@ -196,6 +208,8 @@ def statistics_of(distances: Array) -> Statistics:
             for q, value in zip(PERCENTILES, np.percentile(distances, PERCENTILES), strict=True)
         },
         absolute_p95=float(np.percentile(sizes, 95)),
+        set_aside=int(aside.sum()),
+        largest_set_aside=float(np.abs(every[aside]).max()) if aside.any() else None,
     )
 
 

@@ -87,8 +87,8 @@ def analyze_reference(
     declared: ReferenceTable, recording: TrackerRecording, root: Path
 ) -> ReferenceResult:
     """Judge a tracker by a reference that measured the same poses."""
-    wanted = [declared.stage, *declared.position, *(c for t in declared.axes or () for c in t)]
-    table = read_csv(root / declared.file, required=wanted, source=declared.file)
+    columns = [declared.stage, *declared.position, *(c for t in declared.axes or () for c in t)]
+    table = read_csv(root / declared.file, required=columns, source=declared.file)
     poses, rows = _paired(declared, recording, table)
     factor = unit_factor(declared.unit, "length")
     fixed = factor * coordinates(table, declared.position)[rows]
@@ -110,7 +110,7 @@ def analyze_reference(
         raise InputError(Fault("recording.markers", rule, mend))
     turned = None
     if declared.axes is not None:
-        further = [factor * coordinates(table, one)[rows] for one in declared.axes]
+        further = [factor * coordinates(table, axis)[rows] for axis in declared.axes]
         _check_axes(fixed, further, poses, declared.file)
         second = further[1]
         x = further[0] - fixed
@@ -225,11 +225,13 @@ def _lever_arm(
     ratio = (plain - squares) / 3 / (squares / freedom) if squares > 0 else np.inf
     errors = []
     for k in range(n):
-        kept = np.arange(n) != k
-        own, own_arm, _, _ = _with_arm(moving[kept], fixed[kept], turned[kept], motion)
-        errors.append(own(moving[k : k + 1])[0] - fixed[k] - turned[k] @ own_arm)
+        others = np.arange(n) != k
+        arm_without, own_arm, _, _ = _with_arm(
+            moving[others], fixed[others], turned[others], motion
+        )
+        errors.append(arm_without(moving[k : k + 1])[0] - fixed[k] - turned[k] @ own_arm)
     mean = _mean_rotation(turned)
-    angles = [np.linalg.norm(rotation_vector(mean.T @ one)) for one in turned]
+    angles = [np.linalg.norm(rotation_vector(mean.T @ turn)) for turn in turned]
     return LeverArm(
         arm_mm=arm,
         uncertainty_mm=np.sqrt(np.diag(covariance)),
@@ -256,12 +258,14 @@ def _with_arm(
         seen = fixed + np.einsum("nij,j->ni", turned, values[6:])
         return np.asarray((seen - motion_of(values)(moving)).ravel())
 
-    found = least_squares(residuals, np.zeros(9), x_scale="jac", xtol=1e-12, ftol=1e-14)
-    settled(found, "position of the reference")
-    squares = float((found.fun**2).sum())
-    freedom = max(found.fun.size - 9, 1)
-    covariance = np.linalg.pinv(found.jac.T @ found.jac, rcond=1e-14)[6:, 6:] * squares / freedom
-    return motion_of(found.x), np.asarray(found.x[6:]), covariance, squares
+    solution = least_squares(residuals, np.zeros(9), x_scale="jac", xtol=1e-12, ftol=1e-14)
+    settled(solution, "position of the reference")
+    squares = float((solution.fun**2).sum())
+    freedom = max(solution.fun.size - 9, 1)
+    covariance = (
+        np.linalg.pinv(solution.jac.T @ solution.jac, rcond=1e-14)[6:, 6:] * squares / freedom
+    )
+    return motion_of(solution.x), np.asarray(solution.x[6:]), covariance, squares
 
 
 def _mean_rotation(turned: Array) -> Array:

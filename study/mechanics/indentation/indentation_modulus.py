@@ -270,7 +270,7 @@ def read_curves(
         raise InputError(Fault("measurements.columns", rule, mend))
     rules = rules_of(replace(spec, points="raw"), height_mm, displacement_mm)
     recorded = read_recordings(spec, root)
-    found: list[RecordedCurve] = []
+    curves: list[RecordedCurve] = []
     faults: list[Fault] = []
     told: list[str] = []
     counts: list[RowCount] = []
@@ -280,16 +280,16 @@ def read_curves(
         except InputError as error:
             faults += error.faults
             nothing = np.empty(0)
-            found.append(RecordedCurve(one.where, one.groups, nothing, nothing, str(error)))
+            curves.append(RecordedCurve(one.where, one.groups, nothing, nothing, str(error)))
             counts.append(RowCount(one.kinetic.size, 0, {"of unreadable curves": one.kinetic.size}))
             continue
         told += did
         counts.append(test.specimen.count)
-        found.append(RecordedCurve(one.where, one.groups, test.displacement_mm, test.force_N))
-    if all(one.fault for one in found):
+        curves.append(RecordedCurve(one.where, one.groups, test.displacement_mm, test.force_N))
+    if all(curve.fault for curve in curves):
         raise InputError(faults)
     notes = (*recorded.notes, *first_notes(told))
-    return tuple(found), (*notes, RowCount.sum_of(counts).sentence)
+    return tuple(curves), (*notes, RowCount.sum_of(counts).sentence)
 
 
 # Moduli of the curves of a test, gathered by unit, and what is wrong with them.
@@ -305,15 +305,15 @@ class FittedCurve:
 
     def to_json(self) -> dict[str, object]:
         """Plain values, moduli in kPa."""
-        found = asdict(self.found)
-        low_high = found.pop("interval_MPa")
+        document = asdict(self.found)
+        low_high = document.pop("interval_MPa")
         return {
             "label": self.label,
             "groups": dict(self.groups),
-            "modulus_kPa": _kilo(found.pop("modulus_MPa")),
-            "standard_error_kPa": _kilo(found.pop("error_MPa")),
+            "modulus_kPa": _kilo(document.pop("modulus_MPa")),
+            "standard_error_kPa": _kilo(document.pop("error_MPa")),
             "ci95_kPa": None if low_high is None else [_kilo(v) for v in low_high],
-            **found,
+            **document,
         }
 
 
@@ -342,17 +342,17 @@ class IndentationModulus:
     @property
     def rows(self) -> int:
         """Rows in contact."""
-        return sum(one.found.rows for one in self.curves)
+        return sum(curve.found.rows for curve in self.curves)
 
     @property
     def rows_outside(self) -> int:
         """Rows beyond a limit, which no fit uses."""
-        return sum(one.found.rows_outside for one in self.curves)
+        return sum(curve.found.rows_outside for curve in self.curves)
 
     @property
     def fitted(self) -> int:
         """Curves that have a modulus."""
-        return sum(one.found.status == "fitted" for one in self.curves)
+        return sum(curve.found.status == "fitted" for curve in self.curves)
 
     def to_json(self) -> dict[str, object]:
         """Plain values, moduli in kPa."""
@@ -363,7 +363,7 @@ class IndentationModulus:
             "theory": self.theory,
             "poisson_ratio": self.poisson_ratio,
             "height_mm": self.height_mm,
-            "limits": [one.to_json() for one in self.limits],
+            "limits": [limit.to_json() for limit in self.limits],
             "youngs_modulus": self._estimate(1.0),
             "shear_modulus": self._estimate(1 / (2 * (1 + self.poisson_ratio))),
             "block": self.block,
@@ -372,21 +372,21 @@ class IndentationModulus:
             "curves_fitted": self.fitted,
             "rows": self.rows,
             "rows_outside": self.rows_outside,
-            "curves": [one.to_json() for one in self.curves],
+            "curves": [curve.to_json() for curve in self.curves],
             "warnings": list(self.warnings),
         }
 
     def _estimate(self, factor: float) -> dict[str, object] | None:
-        found = self.estimate
-        if found is None:
+        estimate = self.estimate
+        if estimate is None:
             return None
-        interval = found.interval_MPa
+        interval = estimate.interval_MPa
         return {
-            "median_kPa": _kilo(factor * found.value_MPa),
+            "median_kPa": _kilo(factor * estimate.value_MPa),
             "ci95_kPa": None if interval is None else [_kilo(factor * v) for v in interval],
-            "interval": found.kind,
-            "units": found.units,
-            "quartiles_kPa": [_kilo(factor * v) for v in found.quartiles_MPa],
+            "interval": estimate.kind,
+            "units": estimate.units,
+            "quartiles_kPa": [_kilo(factor * v) for v in estimate.quartiles_MPa],
         }
 
 
@@ -404,14 +404,14 @@ class AnalyticCalibration:
     @property
     def is_complete(self) -> bool:
         """Whether every test has a modulus."""
-        return all(one.estimate is not None for one in self.tests)
+        return all(test.estimate is not None for test in self.tests)
 
     def to_json(self) -> dict[str, object]:
         """Document of ``study calibrate --method analytic --json``."""
         return {
             "name": self.name,
             "method": "analytic",
-            "tests": [one.to_json() for one in self.tests],
+            "tests": [test.to_json() for test in self.tests],
             "notes": list(self.notes),
             "seconds": self.seconds,
         }
@@ -458,13 +458,13 @@ def indentation_modulus(
         test.indenter, test.layer, _DEEPER * deepest, theory=test.theory, paraboloid=test.paraboloid
     )
     series = test.theory == "dimitriadis"
-    found = limits(test.indenter, test.layer, law, area_mm2=test.area_mm2, is_series=series)
-    fitted = tuple(FittedCurve(c.label, c.groups, _fitted(test, c, law, found)) for c in curves)
+    validity = limits(test.indenter, test.layer, law, area_mm2=test.area_mm2, is_series=series)
+    fitted = tuple(FittedCurve(c.label, c.groups, _fitted(test, c, law, validity)) for c in curves)
     moduli: dict[str, list[float]] = {}
-    for one in fitted:
-        if one.found.modulus_MPa is not None:
-            unit = one.label if test.spec.block is None else one.groups[test.spec.block]
-            moduli.setdefault(unit, []).append(one.found.modulus_MPa)
+    for curve in fitted:
+        if curve.found.modulus_MPa is not None:
+            unit = curve.label if test.spec.block is None else curve.groups[test.spec.block]
+            moduli.setdefault(unit, []).append(curve.found.modulus_MPa)
     units = {unit: float(np.median(values)) for unit, values in moduli.items()}
     result = IndentationModulus(
         test=number,
@@ -473,12 +473,12 @@ def indentation_modulus(
         theory=test.theory,
         poisson_ratio=test.layer.poisson_ratio,
         height_mm=height,
-        limits=found,
+        limits=validity,
         curves=fitted,
         block=test.spec.block,
         unit_moduli_MPa=units,
         estimate=_estimate(fitted, units),
-        warnings=tuple(_warnings(test, fitted, found, law, deepest)),
+        warnings=tuple(_warnings(test, fitted, validity, law, deepest)),
     )
     return result, notes
 
@@ -487,7 +487,7 @@ def _fitted(
     test: IndentationTest,
     curve: RecordedCurve,
     law: ContactForceLaw,
-    found: Sequence[ValidityLimit],
+    validity: Sequence[ValidityLimit],
 ) -> CurveModulus:
     if curve.fault:
         return CurveModulus("unreadable", curve.fault)
@@ -496,7 +496,7 @@ def _fitted(
         curve.force_N,
         law,
         poisson_ratio=test.layer.poisson_ratio,
-        deepest_mm=found[0].depth_mm,
+        deepest_mm=validity[0].depth_mm,
         find_contact=test.find_contact,
     )
 
@@ -504,33 +504,35 @@ def _fitted(
 def _estimate(fitted: Sequence[FittedCurve], units: Mapping[str, float]) -> MedianEstimate | None:
     if not units:
         return None
-    own = [one.found.interval_MPa for one in fitted if one.found.interval_MPa is not None]
-    return median_estimate(list(units.values()), own[0] if len(own) == 1 else None)
+    intervals = [
+        curve.found.interval_MPa for curve in fitted if curve.found.interval_MPa is not None
+    ]
+    return median_estimate(list(units.values()), intervals[0] if len(intervals) == 1 else None)
 
 
 def _warnings(
     test: IndentationTest,
     fitted: Sequence[FittedCurve],
-    found: Sequence[ValidityLimit],
+    validity: Sequence[ValidityLimit],
     law: ContactForceLaw,
     deepest_mm: float,
 ) -> list[str]:
-    said = []
-    rows = sum(one.found.rows for one in fitted)
-    outside = sum(one.found.rows_outside for one in fitted)
+    lines = []
+    rows = sum(curve.found.rows for curve in fitted)
+    outside = sum(curve.found.rows_outside for curve in fitted)
     if outside:
-        said.append(
+        lines.append(
             f"{100 * outside / rows:.3g} % of the rows in contact ({outside} of {rows}) lie deeper "
-            f"than {found[0].depth_mm:.4g} mm ({found[0].what}) and are not fitted"
+            f"than {validity[0].depth_mm:.4g} mm ({validity[0].what}) and are not fitted"
         )
-    for status, count in Counter(one.found.status for one in fitted).items():
+    for status, count in Counter(curve.found.status for curve in fitted).items():
         if status != "fitted":
-            first = next(one for one in fitted if one.found.status == status)
-            said.append(f"{count} of {len(fitted)} curves are {status}: {first.label}: "
+            first = next(curve for curve in fitted if curve.found.status == status)
+            lines.append(f"{count} of {len(fitted)} curves are {status}: {first.label}: "
                         f"{first.found.message}")  # fmt: skip
     if words := caution(test.indenter):
-        said.append(words)
-    return [*said, *_support(test, law, min(found[0].depth_mm, deepest_mm))]
+        lines.append(words)
+    return [*lines, *_support(test, law, min(validity[0].depth_mm, deepest_mm))]
 
 
 def _support(test: IndentationTest, law: ContactForceLaw, depth_mm: float) -> list[str]:

@@ -535,6 +535,11 @@ def _resolution(facts: Facts, data: ReportData) -> Check:
     open_ones = [effect for effect in facts.effects if effect.verdict == NOT_RESOLVED]
     if not open_ones:
         finding = f"mesh error, added to the interval, changes no verdict (of {len(bounded)})"
+        unbounded = [term_name(e.term, data.labels) for e in facts.effects if e.u_num is None]
+        if unbounded:
+            finding += f"; no bound is known for {listing(unbounded)}"
+            mend = "That verdict holds at this mesh; refine further."
+            return Check(name, "caution", finding, mend, facts.title)
         return Check(name, "pass", finding, of=facts.title)
     needed = [
         f"below {bound(effect.u_needed, effect, facts)} for {term_name(effect.term, data.labels)}"

@@ -56,6 +56,12 @@ def scan_answers(deviation: ShapeDeviation) -> list[str]:
         f"{count(s.points, 'point')} of {deviation.scan} show {share(deviation.seen)} of the "
         f"surface; {count(deviation.outliers, 'isolated point')} left out.",
     ]
+    if s.largest_set_aside is not None:
+        lines.append(
+            f"{count(s.set_aside, 'point')} without weight in the registration, up to "
+            f"{quantity(s.largest_set_aside, 'mm')} away, set aside in these figures: look at them "
+            "in the picture, for a part that is missing or dented is among them too."
+        )
     if deviation.registration is not None:
         lines += _registration(deviation.registration, deviation.registration_uncertainty or 0.0)
     if deviation.markers is not None:
@@ -106,6 +112,7 @@ def scan_tables(deviation: ShapeDeviation) -> list[Table]:
     values = {
         "mean": s.mean, "mean of sizes": s.mean_absolute, "RMS": s.rms, "SD": s.sd,
         "largest": s.largest, "95 % of sizes": s.absolute_p95,
+        **({} if s.largest_set_aside is None else {"largest set aside": s.largest_set_aside}),
         **{f"percentile {name[1:]}": value for name, value in s.percentiles.items()},
     }  # fmt: skip
     rows = tuple((name, significant(value)) for name, value in values.items())

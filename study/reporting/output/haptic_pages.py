@@ -53,7 +53,7 @@ def force_law_figures(law: ForceLaw) -> list[Figure]:
                 deviations,
                 lambda: haptic_figures.draw_deviation(deviations),
                 f"At points between the knots that were solved and kept out; the band is the "
-                f"error bound of {law.held_out.largest_N:.2g} N."
+                f"error bound of {law.held_out.bound_N:.2g} N."
                 + (" What the calibration leaves open comes on top." if uncertain else ""),
             ),
         ),

@@ -94,64 +94,69 @@ class Contents:
         """Figures in the order of the page."""
         drawn = [section.figures for section in self.sections]
         drawn += [section.figures for section in self.surfaces]
-        return (*(figure for own in drawn for figure in own.values()), *self.figures.values())
+        return (
+            *(figure for figures_of_section in drawn for figure in figures_of_section.values()),
+            *self.figures.values(),
+        )
 
 
 def prepare(data: ReportData, worker: Worker | None = None) -> Contents:
     """Compute every sentence, table and figure of a report."""
     of_study = partial(registry.of_study, data)
     figures = of_study if worker is None else worker.begin(of_study)
-    found = facts(data)
-    known: dict[str, Table] = {
-        "verdicts": tables.verdicts(found, data),
-        "cells": tables.matrix(data, found),
+    all_facts = facts(data)
+    made: dict[str, Table] = {
+        "verdicts": tables.verdicts(all_facts, data),
+        "cells": tables.matrix(data, all_facts),
     }
     if data.fits:
-        known["fits"] = fit_tables.fits(data)
-        known["every_fit"] = fit_tables.every_fit(data)
+        made["fits"] = fit_tables.fits(data)
+        made["every_fit"] = fit_tables.every_fit(data)
     if data.markers:
-        known["markers"] = marker_tables.marker_errors(data)
+        made["markers"] = marker_tables.marker_errors(data)
     if data.numerical:
-        known["numerical"] = tables.numerical(data.numerical, data)
+        made["numerical"] = tables.numerical(data.numerical, data)
     if data.expected:
-        known["expected"] = hypotheses.table(data, found)
+        made["expected"] = hypotheses.table(data, all_facts)
     if data.validation:
-        known["validation"] = convergence_figures.table(data.validation, data.block)
+        made["validation"] = convergence_figures.table(data.validation, data.block)
     if data.beside is not None:
-        known["beside"] = comparison_content.table(data.beside, data.labels)
-        known["changes"] = comparison_content.changes(data.beside)
+        made["beside"] = comparison_content.table(data.beside, data.labels)
+        made["changes"] = comparison_content.changes(data.beside)
     if data.failures:
-        known["failures"] = tables.failures(data)
+        made["failures"] = tables.failures(data)
     if data.retried:
-        known["retried"] = failed_cases.retried_table(data.retried, data.block)
+        made["retried"] = failed_cases.retried_table(data.retried, data.block)
     if data.failure_pattern is not None and data.failure_pattern.tests:
-        known["failure_tests"] = failed_cases.tests(data.failure_pattern, data.labels)
-    sections = tuple(_section(data, item) for item in found if item.terms or not data.surfaces)
-    over = tuple(_surface(data, one) for one in data.surfaces)
-    for one in over:
-        known |= {
-            t.name: t for t in (one.sensitivity, one.coefficients, one.uncertain) if t is not None
+        made["failure_tests"] = failed_cases.tests(data.failure_pattern, data.labels)
+    sections = tuple(_section(data, item) for item in all_facts if item.terms or not data.surfaces)
+    over = tuple(_surface(data, surface) for surface in data.surfaces)
+    for section in over:
+        made |= {
+            t.name: t
+            for t in (section.sensitivity, section.coefficients, section.uncertain)
+            if t is not None
         }
-    records = case_records.case_records(data, found)
+    records = case_records.case_records(data, all_facts)
     if records is not None:
-        known["cells"] = replace(known["cells"], follow=case_records.CELL)
-    return Contents(data, found, sections, figures(), known, over, records)
+        made["cells"] = replace(made["cells"], follow=case_records.CELL)
+    return Contents(data, all_facts, sections, figures(), made, over, records)
 
 
-def _surface(data: ReportData, one: FittedSurface) -> SurfaceSection:
-    named = surface_content.title(one, data)
+def _surface(data: ReportData, fitted: FittedSurface) -> SurfaceSection:
+    named = surface_content.title(fitted, data)
     stem = f"surface-{registry.slug(named)}"
     return SurfaceSection(
-        one,
+        fitted,
         named,
         stem,
-        surface_content.surface_lines(one, data),
-        surface_content.sensitivity(one, data),
-        surface_content.coefficients(one, data),
-        surface_content.table(one, data),
+        surface_content.surface_lines(fitted, data),
+        surface_content.sensitivity(fitted, data),
+        surface_content.coefficients(fitted, data),
+        surface_content.table(fitted, data),
         {
             kind: registry.make(f"{stem}-{kind}", f"{words}: {named}", maker)
-            for kind, (words, maker) in surface_figures.drawings(one, data).items()
+            for kind, (words, maker) in surface_figures.drawings(fitted, data).items()
         },
     )
 
@@ -297,8 +302,8 @@ def _groups(table: Table) -> list[tuple[str, list[tuple[str, ...]]]]:
 def _warnings(contents: Contents) -> tuple[str, ...]:
     over = bool(contents.surfaces)  # a table of levels that a surface replaces is not missed
     read = [item for item in contents.found if item.terms or not over]
-    found = [(item.title, warning) for item in read for warning in item.warnings]
-    return (*dict.fromkeys(contents.data.warnings), *folded(found, contents.data))
+    pairs = [(item.title, warning) for item in read for warning in item.warnings]
+    return (*dict.fromkeys(contents.data.warnings), *folded(pairs, contents.data))
 
 
 def _environment() -> Environment:
@@ -376,12 +381,12 @@ def response_note(response: ResponseAnalysis) -> str:
 
 def data_folder(folder: Path, stem: str) -> Path:
     """Make the folder for what a page was drawn from, beside the page."""
-    beside = own_folder(folder, f"{stem}-data")
+    files = own_folder(folder, f"{stem}-data")
     try:
-        beside.mkdir(parents=True, exist_ok=True)
+        files.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise write_error(beside, error) from error
-    return beside
+        raise write_error(files, error) from error
+    return files
 
 
 def replace_file(path: Path, text: str) -> None:

@@ -27,6 +27,7 @@ from study.statistics.convergence.grid_convergence import (
     NOISE_SHARE,
     SAFE,
     MeshBounds,
+    assumed_order,
     series_bounds,
 )
 
@@ -35,8 +36,6 @@ from study.statistics.convergence.grid_convergence import (
 DIFFERENCE_SHARE = 1.6
 #: Smallest share of the sum of the cells' bounds that the bound of a difference may have.
 FLOOR = 0.1
-#: Two meshes show no order: this share of the expected one is assumed.
-ASSUMED_SHARE = 0.7
 #: Share of the refined cells' mean bound that a difference of other cells inherits.
 INHERITED_SHARE = 0.2
 
@@ -92,10 +91,9 @@ class ContrastUncertainty:
 def _finest(
     value: Array, mesh_size: Sequence[float], formal: float | None, noise: float | Array | None
 ) -> MeshBounds:
-    """Bounds of the finest three meshes; two show no order, so a share of the expected is taken."""
-    if value.shape[-1] == 2:
-        formal = ASSUMED_SHARE * min(NO_ORDER if formal is None else formal, 1.0)
-    return series_bounds(mesh_size, value, formal, noise=noise)
+    """Bounds of the finest two or three meshes."""
+    order = assumed_order(formal) if value.shape[-1] == 2 else formal
+    return series_bounds(mesh_size, value, order, noise=noise)
 
 
 def response_bounds(
