@@ -9,6 +9,7 @@ import signal
 import struct
 import subprocess
 import sys
+import threading
 import urllib.request
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ from pathlib import Path
 
 import pytest
 
+from study.ground import working_folder
 from tests.cli.small import write_files
 from tests.cli.test_numeric_factors import CENTRE
 from tests.cli.test_numeric_factors import DESIGN as RANGES
@@ -242,6 +244,7 @@ def test_every_other_verb(hostile: Hostile, tmp_path: Path) -> None:
     tasks = [
         ["new", "mine.toml"],
         ["inspect", "m.csv"],
+        ["import", "bowl.csv", "--factors", "x,y", "--responses", "f", "--name", "imported"],
         ["plan", *small],
         ["virtual", "made", "--from", *small[:1], "--specimens", "2"],
         ["power", *small],
@@ -310,6 +313,25 @@ def test_a_run_on_a_cluster_that_was_started_there(
     assert json.loads(done.stdout)["cases"]["done"] == 12
     assert "warning: DASK_CONFIG=dask.yaml is ignored" in done.stderr
     hostile.assert_untouched()
+
+
+def test_the_package_imports_nothing_beside_or_below_a_users_function() -> None:
+    """Another thread, or a module of the user's that imports this package, imports for itself."""
+    code = "def asks(): return _package_imports(sys._getframe())"
+    asks = []
+    for name in ("study.api.somewhere", "mine"):
+        space = {"__name__": name, "sys": sys, "_package_imports": working_folder._package_imports}
+        exec(code, space)
+        asks.append(space["asks"])
+    package, user = asks
+    answers = []
+    with working_folder.UserImports():
+        assert package()
+        assert not user()
+        thread = threading.Thread(target=lambda: answers.append(package()))
+        thread.start()
+        thread.join()
+    assert answers == [True]
 
 
 #: a user's own function, from a module of his beside his notebook

@@ -120,15 +120,17 @@ def leave() -> None:
 class UserImports:
     """Context in which this package loads a user's function, with the modules that it is from."""
 
-    depth = 0
+    #: calls that have opened the context: what this package imports below one of them, or in
+    #: another thread, is no import of the user's
+    frames: "list[FrameType]" = []
 
     def __enter__(self) -> None:
         """Let modules of the working folder in."""
-        UserImports.depth += 1
+        UserImports.frames.append(sys._getframe(1))
 
     def __exit__(self, *error: object) -> None:
         """Keep them out again."""
-        UserImports.depth -= 1
+        UserImports.frames.remove(sys._getframe(1))
 
 
 class SafeChildren:
@@ -177,7 +179,7 @@ def _hook(path: str) -> FileFinder:
 
 def _package_imports(frame: "FrameType | None") -> bool:
     """Whether this package is nearer to an import, in the stack of calls, than a user's code."""
-    while frame is not None and not UserImports.depth:
+    while frame is not None and frame not in UserImports.frames:
         name = str(frame.f_globals.get("__name__", ""))
         if name.partition(".")[0] == _PACKAGE:
             return True
