@@ -116,17 +116,13 @@ def judge_factors(
                 found[name] = SimpleEffects(name, CANNOT_TELL, out.structure.undecided, ())
             continue
         for rival in rivals:
-            if not _claimed(printed) & set(rival.claims):
+            if not {e.verdict for e in printed.effects} & set(CLAIMS) & set(rival.claims):
                 continue
             limit = rival.practical or scale.practical
             other = judged(rival.matrix or fit.matrix, rival.sample, practical=limit)
             printed = _agreed(printed, other, rival)
         found[name] = printed
     return found
-
-
-def _claimed(found: SimpleEffects) -> set[str]:
-    return {effect.verdict for effect in found.effects} & set(CLAIMS)
 
 
 def _agreed(printed: SimpleEffects, other: SimpleEffects | None, rival: Rival) -> SimpleEffects:

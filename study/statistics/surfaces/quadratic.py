@@ -486,6 +486,11 @@ class QuadraticSurface:
         return largest * float(stats.t.ppf(1 - 0.025 / len(points), self.df))
 
     @property
+    def q2(self) -> float:
+        """Leave-one-out Q2; NaN where no run can be left out."""
+        return float("nan") if self.loo is None else self.loo.q2
+
+    @property
     def half_width(self) -> float:
         """Twice the rms leave-one-out error, in the response's unit; NaN if it is not known."""
         return self.smallest.half_width

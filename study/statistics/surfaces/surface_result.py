@@ -213,8 +213,10 @@ def analysis_of_emulator(
 ) -> SurfaceAnalysis:
     """Ask an emulator for all that its Q2 allows."""
     k, unrun = len(found.runs.factors), never_run(found.runs)
-    rough_low, rough_high = extremes(found.value, k, 0.0)
-    low, high = (_with_interval(found, extreme) for extreme in (rough_low, rough_high))
+    low, high = (
+        replace(extreme, half_width=float(found.predict(extreme.at[None, :])[1][0]))
+        for extreme in extremes(found.value, k, 0.0)
+    )
     twice = 2 * found.runs.response.size
     if found.gate == "refused":
         note = f"Q2 {found.q2:.2f} is below .7: no indices; add runs, {twice} in all"
@@ -236,11 +238,6 @@ def analysis_of_emulator(
     if any(item.claims for item in ranges):
         notes.append("matters holds once the two predicted extremes were run: see confirm")
     return SurfaceAnalysis(found, told, low, high, tuple(notes))
-
-
-def _with_interval(found: Emulator | BlockedEmulator, extreme: Extreme) -> Extreme:
-    _, half = found.predict(extreme.at[None, :])
-    return Extreme(extreme.at, extreme.value, float(half[0]))
 
 
 def _test(test: SurfaceFTest | None) -> Document | None:
