@@ -644,15 +644,19 @@ def contact_pressure(system: System, state: State, force: Array) -> Array:
     The forces are taken to the hats of the corners (a mid-side node halves its own), which are
     exact moments of the pressure, over the areas of these hats: what quadratic elements have at
     their nodes has the wrong sign at corners. Areas are those after the deformation. Between
-    corners it is linear.
+    corners it is linear. Side forces of prescribed unknowns are shear of a held face, or what
+    symmetry takes: no pressure.
 
     Shapes: force (n_nodes, dim).
     """
-    space, n = system.space, len(system.space.nodes)
+    space, n, dim, force = system.space, len(system.space.nodes), system.space.dim, force.copy()
+    held = np.setdiff1d(system.constraints.dofs, system.constraints.pins)
+    held = held[(held < space.n_displacement) & (held % dim < dim - 1)]
+    force[held // dim, held % dim] = 0.0
     places = space.nodes + (0.0 if system.small_strain else system.displacements(state.x))
     touched = np.abs(force).sum(axis=1) > 0
     chosen = touched[space.facets].any(axis=1) & _meets(system)
-    facets, dim = space.facets[chosen], space.dim
+    facets = space.facets[chosen]
     k = _corners(facets.shape[1], dim)
     corners = facets[:, :k]
     areas, shares = _facet_areas(places[corners], dim == 2), np.full((len(facets), k), 1.0 / k)
@@ -693,6 +697,7 @@ def contact_figures(
     """How well the moving surface fits, and what it presses with. Shapes: force (n_nodes, dim)."""
     space, dim, u = system.space, system.space.dim, system.displacements(state.x)
     depth, gap, area, touches = 0.0, 0.0, 0.0, False
+    ratio, moved_by = _stretched_areas(system, u), 0.0 if system.small_strain else u
     for points, touch in zip(system.contact, assembly.contact, strict=True):
         if isinstance(points, TiedPoints) or points.surface.speed == 0:
             continue
@@ -700,7 +705,6 @@ def contact_figures(
         if not closed.any():
             continue
         touches = True
-        ratio = _stretched_areas(system, u)
         stretched = np.einsum("ck,ck->c", points.shape, ratio[points.nodes])
         area += float((points.weights * stretched)[closed].sum())
         members = np.isin(space.facets, points.nodes).all(axis=1)
@@ -720,14 +724,13 @@ def contact_figures(
     face = np.isin(space.facets, np.intersect1d(held, driven)).all(axis=1)
     if face.any():
         k = _corners(space.facets.shape[1], dim)
-        area += float(_facet_areas((space.nodes + u)[space.facets[face, :k]], dim == 2).sum())
+        corners = (space.nodes + moved_by)[space.facets[face, :k]]
+        area += float(_facet_areas(corners, dim == 2).sum())
         touches = True
     sector = system.force_scale / (2.0 if system.mesh.half_height else 1.0)
     if not touches:
         return ContactFigures()
-    normal = force.copy()
-    normal[held, :-1] = 0.0  # a held face is sheared as well
-    pressure = contact_pressure(system, state, normal)
+    pressure = contact_pressure(system, state, force)
     return ContactFigures(depth, gap, float(pressure.max(initial=0.0)), sector * area)
 
 
