@@ -23,16 +23,15 @@ from study.mechanics.mesh.solid import surface_faults
 from study.mechanics.mesh.structured import Mesh
 from study.mechanics.setup.geometry import Enclosed, Surface
 from study.mechanics.setup.setup import Problem, Setup
-from study.mechanics.solver.buckling import mirrored
-from study.mechanics.solver.load_path import LoadPath
-from study.mechanics.solver.newton import Options
-from study.mechanics.solver.solution import (
-    Solution,
+from study.mechanics.solver.equilibrium import (
     contact_gap,
     contact_pressure,
+    mirrored,
     nodal_reactions,
-    without_answer,
 )
+from study.mechanics.solver.load_path import LoadPath
+from study.mechanics.solver.newton import Options
+from study.mechanics.solver.solution import Solution, without_answer
 from study.mechanics.solver.solution_cost import size_faults
 from study.mechanics.solver.system import State, System
 from study.mechanics.surface.closed_surface import PLAUSIBLE_MM, body, height_of
