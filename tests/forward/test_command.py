@@ -16,7 +16,7 @@ import pytest
 
 from study.api.opened_study import open_study
 from study.ground.errors import RefusedError
-from study.harness.external import command, exchange, program
+from study.harness.external import command, exchange
 from study.harness.external.answers import NoAnswer
 from study.harness.external.command import Command
 from study.harness.external.exchange import PythonFunction
@@ -266,7 +266,7 @@ def test_the_output_lies_out_of_reach_of_the_program(deed):
 
 
 def test_output_without_end_ends_the_program(monkeypatch):
-    monkeypatch.setattr(program.run, "__defaults__", (None, 1_000_000, None))
+    monkeypatch.setattr(command.run, "__defaults__", (None, 1_000_000, None))
     found = refusal(script("while True: print('x' * 1000)"))
     assert (found.status, "said more than 1 MB" in str(found)) == ("failed", True)
 
@@ -286,15 +286,15 @@ def test_a_version_without_end_is_its_first_line():
     ],
 )
 def test_a_disk_is_not_filled(monkeypatch, deed, said):
-    monkeypatch.setattr(program, "FOLDER_BYTES", 10_000_000)
-    monkeypatch.setattr(program, "FOLDER_ENTRIES", 500)
+    monkeypatch.setattr(command, "FOLDER_BYTES", 10_000_000)
+    monkeypatch.setattr(command, "FOLDER_ENTRIES", 500)
     text = f"import time\nfor k in range(10**6):\n    {deed}\n    time.sleep(.001)\n"
     found = refusal(script(text))
     assert (found.status, said in str(found)) == ("failed", True), str(found)
 
 
 def test_a_file_larger_than_the_folder_may_be_is_said(monkeypatch):
-    monkeypatch.setattr(program, "FOLDER_BYTES", 10_000_000)
+    monkeypatch.setattr(command, "FOLDER_BYTES", 10_000_000)
     found = refusal(Command((("dd", "if=/dev/zero", "of=big", "bs=1M", "count=100"),), {}))
     assert "wrote a file of more than 0.01 GB" in str(found)
 
