@@ -103,7 +103,7 @@ def _writes(call: ast.Call) -> bool:
     """Whether a call opens a file to write it anew: nothing that is there is read."""
     if isinstance(call.func, ast.Name) and call.func.id == "open":
         modes = call.args[1:2]
-    elif isinstance(call.func, ast.Attribute) and call.func.attr == "open":
+    elif isinstance(call.func, ast.Attribute) and call.func.attr in ("open", "ZipFile"):
         modes = call.args[:2]  # of a path, or of a module such as gzip
     else:
         return False

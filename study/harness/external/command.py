@@ -23,9 +23,10 @@ from typing import TypedDict, TypeVar
 import numpy as np
 
 from study.ground.arrays import Array
+from study.ground.bounded_file import read_regular
 from study.ground.canonical import digest
 from study.ground.curve import Curve
-from study.ground.errors import Fault, RefusedError
+from study.ground.errors import Fault, RefusedError, StoreError
 from study.ground.working_folder import environment
 from study.harness.design.forward_section import ForwardModel
 from study.harness.external import exchange
@@ -285,10 +286,11 @@ def _packed(folder: Path) -> bytes:
     packed, left = io.BytesIO(), _KEPT_BYTES
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
         for path in sorted(folder.rglob("*"))[:FOLDER_ENTRIES]:
-            if path.is_symlink() or not path.is_file() or path.stat().st_size > left:
-                continue
-            left -= path.stat().st_size
-            archive.write(path, path.relative_to(folder))
+            with contextlib.suppress(StoreError):  # no file, or too large
+                content = read_regular(path, left, follow=False)
+                if content is not None:
+                    left -= len(content)
+                    archive.writestr(str(path.relative_to(folder)), content)
     return packed.getvalue()
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from study.ground.arrays import Array, Ints
+from study.ground.bounded_file import MAX_HASHED_BYTES, read_regular
 from study.ground.compilation import vectors_alone
 from study.ground.errors import Fault, InputError, MeshError
 from study.mechanics.element.function_space import Discretization, deformation_gradient
@@ -425,7 +426,8 @@ def _write_facts(path: Path, solution: Solution, step: int, found: Fields) -> No
         f"{' '.join(repr(float(v)) for v in values)}</DataArray>"
         for name, values in facts.items()
     ]
-    text, tag = path.read_text(encoding="utf-8"), "<UnstructuredGrid>"
+    written = read_regular(path, MAX_HASHED_BYTES) or b""
+    text, tag = written.decode(), "<UnstructuredGrid>"
     at = text.index(tag) + len(tag)
     data = f"\n<!-- {found.symmetry} -->\n<FieldData>{''.join(rows)}</FieldData>"
     path.write_text(text[:at] + data + text[at:], encoding="utf-8")
