@@ -65,6 +65,8 @@ peak = x * (1 + math.exp(-math.pi * z / math.sqrt(1 - z * z)))
 json.dump({"peak": {"value": peak, "unit": "m"}}, open("out.json", "w"))
 print("x =", repr(x), "m")
 """
+#: 10 thousand million rounds without a letter
+WITHOUT_END = "{% for a in range(99999) %}{% for b in range(99999) %}{% endfor %}{% endfor %}"
 
 
 def overshoot(stiffness, damping, mass=2.0, force=50.0):
@@ -155,6 +157,8 @@ def test_effects_of_a_program_with_a_template_are_those_of_the_formula(tmp_path)
         ("{{ parameters.mass }}", "{% if %}", r"input\.txt\.j2:1: is no template"),
         ("{{ parameters.mass }}", "{{ ''.__class__ }}", r"input\.txt\.j2:1: cannot be rendered"),
         ("{{ parameters.mass }}", "{{ 'a' * 10**9 }}", r"input\.txt\.j2:1: cannot be rendered"),
+        ("{{ parameters.mass }}", "{{ '%0999999999d' % 1 }}", r"j2:1: cannot.*MemoryError"),
+        ("{{ parameters.mass }}", WITHOUT_END, r"j2:1: cannot.*more than 5 s of computing"),
     ],
 )
 def test_a_template_that_is_wrong_is_told_by_the_plan(tmp_path, changed, into, said):
@@ -211,6 +215,7 @@ def test_a_program_without_an_answer_is_a_status_of_its_case(tmp_path, code, sai
         ("[factors]", '[replicates]\nkey = "parameters.seed"\n[factors]', "which no cell has"),
         ("[factors]", "[replicates]\nn = 5\n[factors]", "is missing beside n"),
         ("[factors]", '[[constraint]]\nrule = "mas < 3"\nwhy = "x"\n[factors]', "mean 'mass'"),
+        ("[factors]", f'[[constraint]]\nrule = "mass < {10**400}"\nwhy = "x"\n[factors]', "alone"),
         ("[factors]", '[[constraint]]\nrule = "f(mass) < 3"\nwhy = "x"\n[factors]', "alone"),
         ("[factors]", '[[constraint]]\nrule = "mass < force"\nwhy = "x"\n[factors]', "one unit"),
     ],

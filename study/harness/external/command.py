@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import itertools
 import json
 import os
 import select
@@ -152,27 +153,34 @@ def _watched(folder: Path, answer: int, said: int, until: float | None, output_b
     return Ended(ended, last[-TAIL:], first[:TAIL], last[-LOG:], excess)
 
 
-def _excess_of(folder: Path) -> str:
-    """Which limit what lies in a folder is beyond; empty for none."""
-    size = entries = 0
+def _entries(folder: Path) -> Iterator[os.DirEntry[str]]:
+    """Files and folders in a folder of any depth; links are not followed."""
     waiting = [str(folder)]
     while waiting:
-        try:
-            with os.scandir(waiting.pop()) as inside:
-                for entry in inside:
-                    entries += 1
-                    if entry.is_dir(follow_symlinks=False):
-                        waiting.append(entry.path)
-                    with contextlib.suppress(FileNotFoundError):
-                        size += 512 * entry.stat(follow_symlinks=False).st_blocks
-                    if size > FOLDER_BYTES:
-                        return f"its folder holds more than {FOLDER_BYTES / 1e9:g} GB"
-                    if entries > FOLDER_ENTRIES:
-                        return f"its folder holds more than {FOLDER_ENTRIES} files"
-        except (FileNotFoundError, NotADirectoryError):
-            continue  # it was there a moment ago
-        except OSError as error:
-            return f"its folder holds a folder that cannot be read ({error.strerror})"
+        # what was there a moment ago may be gone
+        with (
+            contextlib.suppress(FileNotFoundError, NotADirectoryError),
+            os.scandir(waiting.pop()) as inside,
+        ):
+            for entry in inside:
+                if entry.is_dir(follow_symlinks=False):
+                    waiting.append(entry.path)
+                yield entry
+
+
+def _excess_of(folder: Path) -> str:
+    """Which limit what lies in a folder is beyond; empty for none."""
+    size = 0
+    try:
+        for number, entry in enumerate(_entries(folder), 1):
+            with contextlib.suppress(FileNotFoundError):
+                size += 512 * entry.stat(follow_symlinks=False).st_blocks
+            if size > FOLDER_BYTES:
+                return f"its folder holds more than {FOLDER_BYTES / 1e9:g} GB"
+            if number > FOLDER_ENTRIES:
+                return f"its folder holds more than {FOLDER_ENTRIES} files"
+    except OSError as error:
+        return f"its folder holds a folder that cannot be read ({error.strerror})"
     return ""
 
 
@@ -285,12 +293,16 @@ def _packed(folder: Path) -> bytes:
     """Zip of the regular files of a folder, as far as they have room."""
     packed, left = io.BytesIO(), _KEPT_BYTES
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
-        for path in sorted(folder.rglob("*"))[:FOLDER_ENTRIES]:
+        paths: list[str] = []
+        with contextlib.suppress(OSError):  # a folder that cannot be read
+            paths.extend(entry.path for entry in itertools.islice(_entries(folder), FOLDER_ENTRIES))
+        for path in sorted(paths):
             with contextlib.suppress(StoreError):  # no file, or too large
                 content = read_regular(path, left, follow=False)
                 if content is not None:
                     left -= len(content)
-                    archive.writestr(str(path.relative_to(folder)), content)
+                    name = os.path.relpath(path, folder).encode(errors="replace").decode()
+                    archive.writestr(name, content)
     return packed.getvalue()
 
 
@@ -444,10 +456,12 @@ class External:
         if self.section.model == "python":
             version = None if self.function is None else self.function.version
             return digest(["python", version], DIGITS)
-        one = self.section
-        later = {k: v for k, v in one.document().items() if k in ("curve", "values", "reaches")}
+        section = self.section
+        later = {k: v for k, v in section.document().items() if k in ("curve", "values", "reaches")}
+        if section.rendered:  # the same text is another file where it is copied
+            later["rendered"] = section.rendered
         return digest(
-            [one.argv, one.success, one.failure, one.version, dict(self.contents),
+            [section.argv, section.success, section.failure, section.version, dict(self.contents),
              dict(self.programs), *([later] if later else [])],
             DIGITS,
         )  # fmt: skip
