@@ -139,6 +139,8 @@ def test_effects_of_a_program_with_a_template_are_those_of_the_formula(tmp_path)
     assert (again.done, again.missing) == (4, 0)
     page = (tmp_path / "reports" / "spring" / "spring.html").read_text()
     assert "2 kg" in page
+    assert "the numerical error of the program, which [converge] would show" in page
+    assert "mesh, which was not tried" not in page
     assert (
         "calibrat"
         not in page.lower().split("</style>")[-1].split("<script")[0].split("warnings")[0]
@@ -403,8 +405,12 @@ def test_runs_of_elsewhere_become_a_study(tmp_path):
     again = api.report(found.folder, reports=tmp_path / "reports")
     assert again.report.is_file()
     assert api.verify("runs", results=tmp_path / "r", reports=tmp_path / "reports").agrees
-    copies = api.import_runs(tmp_path / "runs.csv", **asked, name="copies", results=tmp_path / "r")
+    copies = api.import_runs(
+        tmp_path / "runs.csv", **asked, practical="peak_force=2 N", name="copies",
+        results=tmp_path / "r",
+    )  # fmt: skip
     assert copies.analyses[0].result.error_term.source == "E0"
+    assert {v["practical"] for v in copies.verdicts} == {2.0}
 
 
 @pytest.mark.parametrize(
