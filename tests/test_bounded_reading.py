@@ -37,7 +37,6 @@ EXCEPTIONS = {
     ("study/api/calibrating.py", "read_text"): "a file of the package",
     ("study/api/study.py", "read_text"): "a file of the package",
     ("study/harness/design/load.py", "read_text"): "a file of the package",
-    ("study/reporting/output/overview_page.py", "read_text"): "a file of the package",
     ("study/reporting/output/page.py", "read_text"): "a file of the package",
     ("study/ground/compilation.py", "read_bytes"): "sources of the package",
     ("study/ground/compilation.py", "open"): "the lock of the cache of kernels, which is not read",

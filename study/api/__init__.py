@@ -19,8 +19,8 @@ _HOME = {
     "power": "study.api.contrast_power",
     "run_sheet": "study.api.planning",
     "status": "study.api.planning",
-    "why": "study.api.explaining",
-    "explain": "study.api.explaining",
+    "why": "study.api.comparison",
+    "explain": "study.api.comparison",
     "report": "study.api.study",
     "serve": "study.api.serving",
     "open_study": "study.api.opened_study",
@@ -49,8 +49,8 @@ _HOME = {
     "export": "study.api.haptics",
     "export_surface": "study.api.haptics",
     "require": "study.api.haptics",
-    "tracking": "study.api.accuracy",
-    "shape": "study.api.accuracy",
+    "tracking": "study.api.haptics",
+    "shape": "study.api.haptics",
 }
 __all__ = list(_HOME)  # noqa: PLE0605
 

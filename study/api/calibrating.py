@@ -197,10 +197,10 @@ def calibrate(
     )
     if numerics and found.converged:
         bound = numerical_bound(config, root, found.fit, progress)
-        document = bound.as_dict()
-        found = replace(
-            found, numerics=document, numerical=document, fit=with_numerical(found.fit, bound)
-        )
+        found = replace(found, numerics=bound.as_dict())
+        if not bound.failure:  # in place of the estimate, which the intervals hold so far
+            scattered = replace(found.fit, ci95=found.minima[0].ci95)
+            found = replace(found, numerical=found.numerics, fit=with_numerical(scattered, bound))
     if folder is not None:
         save_calibration(found, folder)
     return Calibrated.of(found)

@@ -10,7 +10,7 @@ from pathlib import Path
 from study.api.folders import RESULTS
 from study.api.opened_study import Study, open_study
 from study.ground.canonical import digest
-from study.ground.errors import Fault, InputError
+from study.ground.errors import Fault, InputError, nearest
 from study.ground.tabular import CsvTable, label_fault, names_of, read_csv
 from study.harness.design.factors import level_label
 from study.harness.design.forward_section import TAKEN
@@ -40,6 +40,7 @@ def import_runs(
     block: str | None = None,
     name: str | None = None,
     decimal: str = ".",
+    practical: str = "",
     results: str | Path = RESULTS,
 ) -> Study:
     """Make a study of a table of runs, one row a run.
@@ -59,6 +60,9 @@ def import_runs(
         Name of the study; by default that of the file.
     decimal : {".", ","}
         Mark of decimals.
+    practical : str
+        Smallest difference that matters of each response, with commas: ``peak=1 N,work=5 % of
+        mean``; without one there is no verdict.
     results : str or Path
         Folder of all results.
 
@@ -80,7 +84,12 @@ def import_runs(
     table = read_csv(Path(path), required=needed, numbers=(), decimal=decimal)
     _check(table, columns, units)
     rows = _rows(table, columns, units, failed, block)
-    design = _design(name or default_name(str(path)), columns, units, rows, Path(path).name)
+    sizes = {k: size for k, size in _units(practical).items() if k}
+    if unknown := [k for k in sizes if k not in units]:
+        rule = f"{unknown[0]!r} is no response"
+        raise InputError(Fault("--practical", rule, nearest(unknown[0], units)))
+    name = name or default_name(str(path))
+    design = _design(name, columns, units, sizes, rows, Path(path).name)
     blocks = tuple(dict.fromkeys(row.block for row in rows if row.block is not None))
     records = _records(design, blocks, rows, units, table.sha256)
     store = Store(own_folder(Path(results), design.name))
@@ -187,7 +196,12 @@ def _label(cell: str) -> str:
 
 
 def _design(
-    name: str, columns: Sequence[str], units: Mapping[str, str], rows: Sequence[_Run], source: str
+    name: str,
+    columns: Sequence[str],
+    units: Mapping[str, str],
+    practical: Mapping[str, str],
+    rows: Sequence[_Run],
+    source: str,
 ) -> Design:
     """Design whose cells are those of some runs."""
     labels = {c: list(dict.fromkeys(row.levels[c] for row in rows)) for c in map(_factor, columns)}
@@ -206,7 +220,10 @@ def _design(
         "forward": {"model": "python"},
         "presets": presets,
         "factors": labels,
-        "response": [{"name": n, "unit": unit} for n, unit in units.items()],
+        "response": [
+            {"name": n, "unit": unit} | ({"practical": practical[n]} if practical.get(n) else {})
+            for n, unit in units.items()
+        ],
     }
     if len(cells) > 1:
         tables["design"] = {"kind": "listed", "treatments": cells}

@@ -273,7 +273,7 @@ def _solved(
             break
         force = _force(record, curve)
         missed = force - answer.model.value(_runs(study, [*records, record]).coded[-1:])[0]
-        if record.case_id not in {record.case_id for record in records}:
+        if record.case_id not in {earlier.case_id for earlier in records}:
             records.append(record)
             answer = _fitted(study, given, curve, records, share)
         if (apart := float(np.sqrt(np.mean(missed**2)))) <= answer.model.loo_rms:

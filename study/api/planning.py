@@ -30,8 +30,7 @@ from study.harness.runner.cost import Costs, program_calls
 from study.harness.runner.expansion import expand
 from study.harness.runner.fit_problem import externals
 from study.harness.runner.solve_task import is_kept
-from study.harness.runner.space_comparison import in_blocks, upcoming
-from study.harness.runner.study_refinement import own_series, refinement_work
+from study.harness.runner.study_refinement import in_blocks, own_series, refinement_work, upcoming
 from study.harness.runner.tasks import default_jobs
 
 if TYPE_CHECKING:

@@ -27,8 +27,13 @@ from study.harness.record.index import CURRENT, FileStamp
 from study.harness.record.record import CONVERGED, unseal
 from study.reporting.content.text import clean
 from study.reporting.figures.registry import slug
-from study.reporting.output.overview_page import StudyProgress, StudyState, render_overview
-from study.reporting.output.page import policy_hash, table_script
+from study.reporting.output.page import (
+    StudyProgress,
+    StudyState,
+    policy_hash,
+    render_overview,
+    table_script,
+)
 
 # State of every study, read from its folders without changing a byte of them.
 #

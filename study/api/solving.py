@@ -317,7 +317,7 @@ def write_picture(solution: Solution, path: str | Path) -> None:
     points, cells, moved = solution.points, solution.cells, solution.displacement
     bent, warm = solution.instability, solution.warm
     if bent is not None and warm is not None and not solution.converged:
-        from study.mechanics.solver.buckling import mirrored
+        from study.mechanics.solver.equilibrium import mirrored
 
         mesh, height = warm.system.mesh, warm.system.height_mm
         mode = bent.mode[: len(points)]

@@ -14,7 +14,7 @@ from study.ground.arrays import Array
 from study.ground.canonical import digest
 from study.ground.errors import StoreError
 from study.harness.record.document import NumericalCells, NumericalRow, fault_of_series
-from study.harness.runner import refinement, space_comparison, study_refinement
+from study.harness.runner import refinement, study_refinement
 from study.harness.runner.batch import Progress, computing, run_batch
 from study.harness.runner.case_series import COSTS, PLACES, CaseSeries, places_of
 from study.harness.runner.cost import Costs
@@ -78,7 +78,7 @@ def compare_spaces(
     executor: Executor | None = None,
 ) -> None:
     """Solve the equivalent cylinder of a block in both spaces, where a study holds both."""
-    pairs = space_comparison.pairs(work, store.on_demand(work.input_hashes))
+    pairs = study_refinement.pairs(work, store.on_demand(work.input_hashes))
     if not pairs:
         return
     workers = jobs or default_jobs()
@@ -91,7 +91,7 @@ def compare_spaces(
         results[key] = result
         watch.finished(key)
     rows = [
-        space_comparison.compared(pair, *(results[task.key] for task in pair.tasks))
+        study_refinement.compared(pair, *(results[task.key] for task in pair.tasks))
         for pair in pairs
     ]
     with store.lock():

@@ -351,7 +351,7 @@ def _print_further_bounds(found: Document) -> None:
     """Say how the numerical bound was had, and what the bootstrap gives."""
     bound = found.get("numerics") or found.get("numerical")
     if bound is not None:
-        print(f"{bound['sentence']}; the intervals hold it")
+        print(bound["sentence"])
     if "bootstrap" in found:
         drawn = found["bootstrap"]
         said = "; ".join(

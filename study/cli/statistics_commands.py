@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
@@ -264,19 +264,6 @@ def analyze(
     """Analyze a study's results, or any CSV with one row a run."""
     from study import api
 
-    if summary:
-        from study.api.analyzing import analyze_summary
-        from study.cli import analysis_tables
-
-        groups = analyze_summary(
-            source, names(factors), names(summary), practical=practical, alpha=alpha or 0.05,
-            decimal=decimal,
-        )  # fmt: skip
-        if as_json:
-            output.print_json(groups.to_json())
-        else:
-            analysis_tables.print_summaries(groups)
-        return
     if welch and error:
         raise InputError(Fault("--welch", f"is an error of its own, beside --error {error}"))
     error = "welch" if welch else error
@@ -304,6 +291,9 @@ def analyze(
         "--format": formats, "--random": random, "--covariates": covariates,
         "--contrast": "; ".join(contrast or ()),
     }  # fmt: skip
+    if summary:
+        _show_moments(source, names(summary), flags | {"--numeric": numeric}, alpha, as_json)
+        return
     if numeric and surface != "none":
         surface_tables.show(source, names(numeric), surface, flags, as_json)
         return
@@ -326,6 +316,31 @@ def analyze(
     _show(analysis, _Beside(_compared(analysis, reference), page), as_json)
     if not as_json and all(e.verdict == "cannot tell" for e in analysis.effects if e.is_main):
         _hint_practical(practical)
+
+
+#: flags that groups of which only moments are known have a use for; a format has a default
+_OF_MOMENTS = {"--factors", "--practical", "--alpha", "--decimal", "--format"}
+
+
+def _show_moments(
+    source: Path, columns: Sequence[str], flags: Flags, alpha: float | None, as_json: bool
+) -> None:
+    """Compare groups of which mean, standard deviation and number of rows are known."""
+    rule, mend = "has no meaning for groups of which only moments are known", "leave it out"
+    useless = [flag for flag, value in flags.items() if value and flag not in _OF_MOMENTS]
+    if useless:
+        raise InputError([Fault(flag, rule, mend) for flag in useless])
+    from study.api.analyzing import analyze_summary
+    from study.cli import analysis_tables
+
+    groups = analyze_summary(
+        source, names(flags["--factors"]), columns, practical=flags["--practical"],
+        alpha=0.05 if alpha is None else alpha, decimal=flags["--decimal"] or ".",
+    )  # fmt: skip
+    if as_json:
+        output.print_json(groups.to_json())
+    else:
+        analysis_tables.print_summaries(groups)
 
 
 @dataclass(frozen=True)

@@ -154,6 +154,9 @@ def import_(
     ] = None,
     name: Annotated[str | None, typer.Option(help="Name of the study; that of the file.")] = None,
     decimal: Annotated[str, typer.Option(help="Mark of decimals.")] = ".",
+    practical: Annotated[
+        str, typer.Option(help="Smallest difference that matters: peak=1 N,work=5 % of mean.")
+    ] = "",
     results: Results = RESULTS,
     reports: Reports = REPORTS,
     as_json: Json = False,
@@ -163,7 +166,7 @@ def import_(
 
     made = api.import_runs(
         file, factors, responses, failed=failed, block=block, name=name, decimal=decimal,
-        results=results,
+        practical=practical, results=results,
     )  # fmt: skip
     _finish(api.report(made.folder, reports=reports), as_json, _folders(results, reports))
 

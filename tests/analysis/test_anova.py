@@ -221,7 +221,7 @@ def test_missing_response_switches_to_type_three() -> None:
         ({"a": "one"}, {}, "needs at least two levels"),
         ({"y": "text"}, {}, "is not a number"),
         ({}, {"error": "own"}, "no block is named"),
-        ({}, {"error": "best"}, "must be auto, pooled or own"),
+        ({}, {"error": "best"}, "must be auto, pooled, own or welch"),
         ({}, {"type": "IV"}, "must be auto, I, II or III"),
         ({}, {"model": ["a:z"]}, "'z' is no factor"),
         ({"y": -1.0}, {"transform": "sqrt"}, "must be none or log"),

@@ -220,3 +220,17 @@ def test_welch_needs_rows_in_every_cell(table: pd.DataFrame) -> None:
     one = table.groupby("a", as_index=False).first()
     with pytest.raises(InputError, match="two rows or more in every cell"):
         anova(pd.concat([one, one.iloc[1:].assign(y=3.0)]), "y", ["a"], error="welch")
+
+
+def test_welch_says_what_the_rows_of_a_cell_are() -> None:
+    rng = np.random.default_rng(3)
+    rows = pd.DataFrame({"a": np.repeat(["p", "q", "r"], 6), "y": rng.normal(size=18)})
+    seeds = anova(rows, "y", ["a"], error="welch", replicates="mesh-seeds", exact=False)
+    pooled = anova(rows, "y", ["a"], replicates="mesh-seeds", exact=False)
+    assert (seeds.error_term.source, seeds.error_term.question) == (
+        "E3",
+        pooled.error_term.question,
+    )
+    assert set(pooled.notes) & set(seeds.notes)
+    with pytest.raises(InputError, match="resamples of one curve"):
+        anova(rows, "y", ["a"], error="welch", replicates="noise")

@@ -89,3 +89,12 @@ def test_moments_alone_are_compared(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert found["verdicts"] == ["matters", "cannot tell", "matters"]
     path.write_text("mix,m,s,n\np,1,0,3\nq,2,1,1\n", encoding="utf-8")
     assert run(["analyze", str(path), "--factors", "mix", "--summary", "m,s,n"]) == 2
+
+
+@pytest.mark.parametrize("extra", [["--alpha", "0"], ["--block", "b"], ["--welch"], ["m ~ mix"]])
+def test_what_moments_have_no_use_for_is_refused(tmp_path: Path, extra: list[str]) -> None:
+    path = tmp_path / "moments.csv"
+    path.write_text("mix,m,s,n,b\np,1,1,3,u\nq,2,1,4,v\n", encoding="utf-8")
+    asked_for = ["analyze", str(path), "--factors", "mix", "--summary", "m,s,n"]
+    assert run(asked_for) == 0
+    assert run([*asked_for, *extra]) == 2

@@ -110,7 +110,7 @@ def test_simulated_responses_are_those_of_the_closed_form(folder: Path) -> None:
     force = shown["peak_force", "material.C10"]
     assert force["verdict"] == "matters"
     assert force["practical"] == PRACTICAL_N
-    assert shown["force_at_2.5_mm", "material.C10"]["verdict"] == "cannot tell"  # no practical
+    assert shown["force_at_2.5_mm", "material.C10"]["verdict"] is None  # no practical
 
     # 2 % of area at 10 kPa are 0.10 N, and 0.20 N is what matters
     assert _by_hand(10, 10.1)["peak_force"] - _by_hand(10, 10)["peak_force"] < PRACTICAL_N

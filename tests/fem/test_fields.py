@@ -13,7 +13,7 @@ import pytest
 from study.api import solving
 from study.ground.errors import InputError, StoreError
 from study.mechanics.material.material import Material
-from study.mechanics.setup.geometry import Block, Cylinder
+from study.mechanics.setup.geometry import Block, Cone, Cylinder
 from study.mechanics.setup.test_kind import Test
 from study.mechanics.solver.finite_element_solution import fields, solve, write_vtu
 from tests.fem.problems import NEO_HOOKEAN, compression
@@ -156,6 +156,25 @@ def test_uniform_strain_is_said_at_cells_and_nodes() -> None:
     stress = -found.cellular["cauchy_stress_MPa"][:, 4].mean()
     np.testing.assert_allclose(pressure[top], stress, rtol=1e-3)
     np.testing.assert_allclose(pressure[~top], 0.0)
+
+
+@pytest.mark.parametrize("indenter", [None, Cone(60.0)])
+def test_pressure_of_nodes_is_no_shear(indenter: Cone | None) -> None:
+    """The largest of the fields is the peak pressure; a held face and an axis bear shear, too."""
+    problem = compression(Cylinder(1.0, 1.0), 0.2, mesh_size_mm=0.2)
+    if indenter is not None:
+        test = Test("indentation", 0.1, "frictionless", "bonded", 4, indenter)
+        problem = replace(problem, test=test)
+    solution = solve(problem, gradients=False)
+    pressure = fields(solution).nodal["contact_pressure_MPa"]
+    peak = solution.equilibria.contact[-1].peak_pressure_MPa
+    assert float(pressure.max()) == pytest.approx(peak, rel=1e-9)
+
+
+def test_a_small_strain_face_keeps_its_area() -> None:
+    problem = compression(Cylinder(1.0, 1.0), 0.1, "frictionless", material=SMALL)
+    figures = solve(problem, gradients=False).equilibria.contact[-1]
+    assert figures.area_mm2 == pytest.approx(np.pi, rel=1e-3)
 
 
 def test_a_series_has_every_step_and_what_holds_the_body(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Interface, Test
 from study.mechanics.setup.test_kinds import buckling_strain
-from study.mechanics.solver.buckling import mirrored, surplus
+from study.mechanics.solver.equilibrium import mirrored, surplus
 from study.mechanics.solver.finite_element_solution import follow, solve
 from study.mechanics.solver.load_path import gives_way, smallest_stiffness
 from study.mechanics.solver.newton import Options

@@ -1,5 +1,6 @@
 """Other programs as forward models, end to end: consent, curves, failures, gradients, names."""
 
+import io
 import json
 import math
 import os
@@ -8,6 +9,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,8 +18,9 @@ import pytest
 
 from study.api.opened_study import open_study
 from study.ground.errors import RefusedError
-from study.harness.external import command, exchange, program
-from study.harness.external.answers import NoAnswer
+from study.harness.design.forward_section import ValueFile
+from study.harness.external import command, exchange
+from study.harness.external.answers import NoAnswer, values_of_files
 from study.harness.external.command import Command
 from study.harness.external.exchange import PythonFunction
 from study.mechanics.setup.setup import problem_of
@@ -266,7 +269,7 @@ def test_the_output_lies_out_of_reach_of_the_program(deed):
 
 
 def test_output_without_end_ends_the_program(monkeypatch):
-    monkeypatch.setattr(program.run, "__defaults__", (None, 1_000_000, None))
+    monkeypatch.setattr(command.run, "__defaults__", (None, 1_000_000, None))
     found = refusal(script("while True: print('x' * 1000)"))
     assert (found.status, "said more than 1 MB" in str(found)) == ("failed", True)
 
@@ -286,15 +289,15 @@ def test_a_version_without_end_is_its_first_line():
     ],
 )
 def test_a_disk_is_not_filled(monkeypatch, deed, said):
-    monkeypatch.setattr(program, "FOLDER_BYTES", 10_000_000)
-    monkeypatch.setattr(program, "FOLDER_ENTRIES", 500)
+    monkeypatch.setattr(command, "FOLDER_BYTES", 10_000_000)
+    monkeypatch.setattr(command, "FOLDER_ENTRIES", 500)
     text = f"import time\nfor k in range(10**6):\n    {deed}\n    time.sleep(.001)\n"
     found = refusal(script(text))
     assert (found.status, said in str(found)) == ("failed", True), str(found)
 
 
 def test_a_file_larger_than_the_folder_may_be_is_said(monkeypatch):
-    monkeypatch.setattr(program, "FOLDER_BYTES", 10_000_000)
+    monkeypatch.setattr(command, "FOLDER_BYTES", 10_000_000)
     found = refusal(Command((("dd", "if=/dev/zero", "of=big", "bs=1M", "count=100"),), {}))
     assert "wrote a file of more than 0.01 GB" in str(found)
 
@@ -494,3 +497,31 @@ def test_the_curve_of_a_coarse_program_is_a_spline_through_its_steps():
         {},
     )
     np.testing.assert_allclose(found.curve.force_N, [0.125, 15.625, 27.0], rtol=1e-12)
+
+
+def test_a_folder_is_kept_whatever_its_names_and_depth(tmp_path):
+    code = (
+        "import os\n"
+        "open(b'odd-\\xff.txt', 'w').write('odd')\n"
+        "for _ in range(1200): os.mkdir('d'); os.chdir('d')\n"
+        "open('deep.txt', 'w').write('deep')\n"
+    )
+    made = Command((("python", "make.py"),), {"make.py": code}, keep="all")
+    _, _, packed = command.run_commands(made, lambda folder, said: None)
+    names = zipfile.ZipFile(io.BytesIO(packed)).namelist()
+    assert {"make.py", "odd-?.txt"} <= set(names)
+    assert [name for name in names if name.endswith("d/deep.txt")]
+
+
+def test_a_pattern_that_would_search_for_ever_is_a_status():
+    source = (("x", "", r"(?:a+)+b([-+]?\d+)", "", ""),)
+    with pytest.raises(NoAnswer, match="more than 5 s of computing: write it without a repeat"):
+        values_of_files(ValueFile(names=source), Path(), "a" * 40 + "!")
+
+
+def test_a_digest_tells_a_rendered_file_from_a_copied_one():
+    def digest_of(source):
+        table = {"model": "command", "argv": (("python", "a.py"),), "files": (("a.py", source),)}
+        return command.External.of({"forward": {**table, "contents": {"a.py": "{{ 1 }}"}}}).digest
+
+    assert digest_of("a.py.j2") != digest_of("a.py")

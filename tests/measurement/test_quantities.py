@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from study.ground.errors import InputError
-from study.mechanics.measurement.column_text import ColumnLayout as Layout
-from study.mechanics.measurement.column_text import Gauge, displacement_and_force
+from study.mechanics.measurement.measurement_section import ColumnLayout as Layout
 from study.mechanics.measurement.measurement_section import Columns, MeasurementSpec, Units
 from study.mechanics.measurement.reading import read_measurements
+from study.mechanics.measurement.recording import Gauge, displacement_and_force
 
 PULLED = Gauge(area_mm2=4.0, length_mm=20.0, mode="uniaxial", sense=1.0, is_homogeneous=True)
 #: elongation 5 mm and 12 N of a gauge section of 20 mm and 4 mm^2: l = 1.25, P = 3 MPa

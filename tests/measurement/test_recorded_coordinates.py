@@ -9,9 +9,9 @@ import pytest
 
 from study.ground.errors import InputError
 from study.harness.design.overlay import may_vary
-from study.mechanics.measurement.column_text import Gauge
 from study.mechanics.measurement.measurement_section import MeasurementSpec, Range
 from study.mechanics.measurement.reading import read_measurements
+from study.mechanics.measurement.recording import Gauge
 from tests.record.samples import Spec
 
 #: 6 mm of travel, 3 N/mm: what every file below records in its own coordinates

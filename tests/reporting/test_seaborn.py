@@ -90,6 +90,15 @@ def test_cells(data: ReportData, error: Facts, used: list[str]):
     assert len(ax.lines) == frame["block"].nunique()
 
 
+def test_cells_of_a_design_without_blocks_have_no_lines(data: ReportData, error: Facts):
+    """A column of blocks that holds none: parameters alone, each cell computed once."""
+    frame = effect_figures.cell_points(data, error).drop_duplicates("rank").assign(block=None)
+    (ax,) = effect_figures.draw_cells(frame, error, 0.5).axes
+    assert not ax.lines
+    *strips, _ = points(ax)
+    assert len(np.vstack(strips)) == len(frame)
+
+
 def test_interactions(data: ReportData, error: Facts, used: list[str]):
     frame = effect_figures.pair_means(data, error)
     axes = effect_figures.draw_interactions(frame, error, data.factors, data).axes

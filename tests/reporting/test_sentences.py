@@ -10,6 +10,7 @@ import pytest
 from study.reporting.content import content_table, report_facts, sentences, verdicts
 from study.reporting.content.recommendation import best_cell, cheaper, recommendation, would_change
 from study.reporting.content.report_facts import Facts, Group, describe, facts, groups
+from study.reporting.figures import registry, residual_figures
 from study.reporting.output.page import prepare, render
 from study.reporting.results.study_result import Failure, ReportData, ResponseAnalysis
 from study.statistics.analysis.analysis_request import AnalysisRequest
@@ -302,7 +303,7 @@ def test_the_number_beside_an_effect_is_explained():
     known = replace(error(), terms=(effect(MATTERS, u_num=0.04),))
     own = with_result(known, Assumptions(), u_num_by_term=True)
     assert "is the same for every factor" in sentences.numerical([known])
-    assert "of the difference itself" in sentences.numerical([own, own])
+    assert "mesh error of the difference" in sentences.numerical([own, own])
     mixed = sentences.numerical([own, known])
     assert mixed.startswith("For the relative RMS force error, U bounds")
     assert "Elsewhere U, the bound" in mixed
@@ -354,3 +355,19 @@ def test_what_would_change_an_effect_that_the_mesh_leaves_open(data: ReportData)
     text = would_change(data, [few, coarse])
     assert "would narrow the interval of plates; finer meshes could resolve order" in flat(text)
     assert "narrow" not in would_change(data, [coarse])
+
+
+def test_a_caption_judges_normality_as_the_checks_do(data: ReportData):
+    """Without a simulated p the tabled one decides, in the captions of figures too."""
+    item = facts(data)[0]
+    tested = item.assumptions.normality
+    assert item.result is not None
+    assert tested is not None
+    for p, word in (("< 0.010", "rejected"), ("> 0.100", "not rejected")):
+        tabled = replace(tested, p_exact=None, p_minitab=p)
+        assumptions = replace(item.assumptions, normality=tabled)
+        result = replace(item.result, assumptions=assumptions)
+        changed = replace(item, response=replace(item.response, result=result))
+        assert f"normality is {word} by" in registry.residuals(changed, data, 20)
+        caption = residual_figures.four_in_one_caption(pd.DataFrame(), changed, 0.05)
+        assert f"normality is {word} by" in caption

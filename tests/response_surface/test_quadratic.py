@@ -8,6 +8,7 @@ from scipy import stats
 
 from study.ground.arrays import Array
 from study.ground.errors import InputError, RefusedError
+from study.statistics.surfaces.emulator import is_confirmed
 from study.statistics.surfaces.quadratic import QuadraticPolynomial as Polynomial
 from study.statistics.surfaces.quadratic import (
     against_blocks,
@@ -316,3 +317,22 @@ def test_quarters_of_the_box_without_a_run_are_named() -> None:
     part = coded[~((coded > 0).all(axis=1))]
     (said,) = never_run(Runs("y", factors, part, np.arange(float(len(part)))))
     assert "x1 above 5 with x2 above 2" in said
+
+
+def test_a_surface_that_judges_no_factor_ranks_them_by_what_they_change() -> None:
+    """As many runs as terms leave no error; the second factor changes three times as much."""
+    coded = np.array([[-1.0, -1], [1, -1], [-1, 1], [1, 1], [0, 0], [0, 1]])
+    analysis = analysis_of_quadratic(fit_quadratic(unit_runs(coded, coded @ [1.0, 3.0])), 0.5)
+    assert any("no factor is judged" in note for note in analysis.notes)
+    assert [(i.factor, i.rank, i.range) for i in analysis.sensitivity] == [
+        ("x1", 2, None), ("x2", 1, None)
+    ]  # fmt: skip
+
+
+def test_repeated_runs_confirm_by_their_mean_in_any_order() -> None:
+    coded = np.array([[-1.0, 0], [1, 0], [1, 0], [1, 0], [1, 1]])
+    response = np.array([0.0, 0.2, 0.1, 3.0, 0.0])
+    for last in range(1, 4):
+        order = [0, *(i for i in range(1, 4) if i != last), last, 4]
+        assert is_confirmed(unit_runs(coded, response[order]), 0, 1.0)
+        assert not is_confirmed(unit_runs(coded, response[order]), 0, 1.2)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from study import api
@@ -73,6 +74,17 @@ def test_the_terminal_shows_it_beside_the_interval(folder: Path) -> None:
     assert "numerics" in said.out.splitlines()[1]
     assert said.out.count("+-") == 2
     assert "numerics: from fits on meshes of 1, 0.667, 0.444 times the element size" in said.out
+
+
+def test_intervals_hold_the_numerical_error_once(folder: Path) -> None:
+    """Bounds by fits on more meshes stand in place of the estimate, not beside it."""
+    found = api.calibrate(written(folder, "coarse"), data=folder, numerics=True)
+    bound, numerical = found.numerics, found.numerical
+    assert bound is not None
+    assert numerical == bound
+    half, of_rows = (0.5 * np.diff(fit.ci95)[:, 0] for fit in (found.fit, found.minima[0]))
+    u_kPa = np.array([bound["u"][name] for name in found.fit.names])  # type: ignore[index]  # noqa: N806
+    np.testing.assert_allclose(half, np.hypot(of_rows, 1e-3 * u_kPa), rtol=1e-9)
 
 
 def test_a_closed_form_has_no_numerical_error(tmp_path: Path) -> None:

@@ -65,6 +65,8 @@ peak = x * (1 + math.exp(-math.pi * z / math.sqrt(1 - z * z)))
 json.dump({"peak": {"value": peak, "unit": "m"}}, open("out.json", "w"))
 print("x =", repr(x), "m")
 """
+#: 10 thousand million rounds without a letter
+WITHOUT_END = "{% for a in range(99999) %}{% for b in range(99999) %}{% endfor %}{% endfor %}"
 
 
 def overshoot(stiffness, damping, mass=2.0, force=50.0):
@@ -137,6 +139,8 @@ def test_effects_of_a_program_with_a_template_are_those_of_the_formula(tmp_path)
     assert (again.done, again.missing) == (4, 0)
     page = (tmp_path / "reports" / "spring" / "spring.html").read_text()
     assert "2 kg" in page
+    assert "the numerical error of the program, which [converge] would show" in page
+    assert "mesh, which was not tried" not in page
     assert (
         "calibrat"
         not in page.lower().split("</style>")[-1].split("<script")[0].split("warnings")[0]
@@ -155,6 +159,8 @@ def test_effects_of_a_program_with_a_template_are_those_of_the_formula(tmp_path)
         ("{{ parameters.mass }}", "{% if %}", r"input\.txt\.j2:1: is no template"),
         ("{{ parameters.mass }}", "{{ ''.__class__ }}", r"input\.txt\.j2:1: cannot be rendered"),
         ("{{ parameters.mass }}", "{{ 'a' * 10**9 }}", r"input\.txt\.j2:1: cannot be rendered"),
+        ("{{ parameters.mass }}", "{{ '%0999999999d' % 1 }}", r"j2:1: cannot.*MemoryError"),
+        ("{{ parameters.mass }}", WITHOUT_END, r"j2:1: cannot.*more than 5 s of computing"),
     ],
 )
 def test_a_template_that_is_wrong_is_told_by_the_plan(tmp_path, changed, into, said):
@@ -211,6 +217,7 @@ def test_a_program_without_an_answer_is_a_status_of_its_case(tmp_path, code, sai
         ("[factors]", '[replicates]\nkey = "parameters.seed"\n[factors]', "which no cell has"),
         ("[factors]", "[replicates]\nn = 5\n[factors]", "is missing beside n"),
         ("[factors]", '[[constraint]]\nrule = "mas < 3"\nwhy = "x"\n[factors]', "mean 'mass'"),
+        ("[factors]", f'[[constraint]]\nrule = "mass < {10**400}"\nwhy = "x"\n[factors]', "alone"),
         ("[factors]", '[[constraint]]\nrule = "f(mass) < 3"\nwhy = "x"\n[factors]', "alone"),
         ("[factors]", '[[constraint]]\nrule = "mass < force"\nwhy = "x"\n[factors]', "one unit"),
     ],
@@ -398,8 +405,12 @@ def test_runs_of_elsewhere_become_a_study(tmp_path):
     again = api.report(found.folder, reports=tmp_path / "reports")
     assert again.report.is_file()
     assert api.verify("runs", results=tmp_path / "r", reports=tmp_path / "reports").agrees
-    copies = api.import_runs(tmp_path / "runs.csv", **asked, name="copies", results=tmp_path / "r")
+    copies = api.import_runs(
+        tmp_path / "runs.csv", **asked, practical="peak_force=2 N", name="copies",
+        results=tmp_path / "r",
+    )  # fmt: skip
     assert copies.analyses[0].result.error_term.source == "E0"
+    assert {v["practical"] for v in copies.verdicts} == {2.0}
 
 
 @pytest.mark.parametrize(

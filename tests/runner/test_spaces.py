@@ -20,8 +20,7 @@ from study.harness.runner.cost import Costs
 from study.harness.runner.expansion import expand
 from study.harness.runner.job import Work
 from study.harness.runner.solve_task import SolveResult, in_process, kept, solutions
-from study.harness.runner.space_comparison import compared, pairs, upcoming
-from study.harness.runner.study_refinement import refinement_work
+from study.harness.runner.study_refinement import compared, pairs, refinement_work, upcoming
 from study.harness.runner.virtual_specimens import usual_generator, write_virtual
 from tests.forward.test_finite_element import finished
 

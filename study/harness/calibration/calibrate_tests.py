@@ -68,6 +68,7 @@ from study.mechanics.calibration.residual_function import EvaluationFailed
 from study.mechanics.material.material import Material, is_dimensionless
 from study.mechanics.material.stability import check
 from study.mechanics.measurement.conditioning import is_caution
+from study.mechanics.measurement.recording import LARGEST_STRETCH
 from study.mechanics.setup.declaration import table_of
 
 if TYPE_CHECKING:
@@ -246,10 +247,6 @@ def _simpler(problem: FitProblem) -> list[FitProblem]:
         chain.insert(0, before)
         before = start_problem(before)
     return chain
-
-
-#: largest stretch that soft materials are tested to; a strain in per cent read as a ratio is beyond
-_LARGEST_STRETCH = 20.0
 
 
 def calibrate(
@@ -431,7 +428,7 @@ def _implausible_stretches(
         if setup.height_mm is None or setup.kind.compresses or setup.test.indenter is not None:
             continue
         stretch = 1 + float(np.abs(places).max()) / setup.height_mm
-        if stretch > _LARGEST_STRETCH:
+        if stretch > LARGEST_STRETCH:
             why = (
                 f"{one.label}: a stretch of {stretch:.4g} is not plausible: check units, strain = "
                 '"%" may be meant'

@@ -80,12 +80,13 @@ class ConstantBound:
             return (
                 f"numerics: from one mesh of {_RATIO:g} times the element size and twice the load "
                 "steps, through the sensitivities: "
-                "the order is assumed, the factor of safety 3; --numerics fits on more meshes"
+                "the order is assumed, the factor of safety 3; the intervals hold it; --numerics "
+                "fits on more meshes"
             )
         sizes = ", ".join(f"{size:.3g}" for size in self.sizes)
         return (
             f"numerics: from fits on meshes of {sizes} times the element size, and with twice "
-            "the load steps"
+            "the load steps; the intervals hold it"
         )
 
     def as_dict(self) -> dict[str, object]:

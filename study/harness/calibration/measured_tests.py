@@ -107,14 +107,13 @@ def noise_of(one: MeasuredTest, grows: float = math.inf) -> Array | None:
     It grows with a power of the force that is estimated, where that is ``grows`` standard errors
     above zero. Mean of all repeats; None where they say nothing.
     """
-    recordings = [one.curve.at_points(np.arange(len(one.curve)))]
-    recordings = list(one.recordings) or recordings
-    found = []
+    recordings = one.recordings or (one.curve,)
+    deviations = []
     for rows in recordings:
         noise = row_noise(rows.force_N, rows.places, rows.force_N, grows=grows)
         if noise is not None:
-            found.append(np.interp(one.curve.places, rows.places, noise.deviation))
-    return np.sqrt(np.mean(np.square(found), axis=0) / len(recordings)) if found else None
+            deviations.append(np.interp(one.curve.places, rows.places, noise.deviation))
+    return np.sqrt(np.mean(np.square(deviations), axis=0) / len(recordings)) if deviations else None
 
 
 def problem_of(tables: Tables) -> FitProblem:

@@ -17,8 +17,14 @@ from study.ground.errors import Fault, InputError
 from study.harness.design.diagnostics import Faults, Table, read_table, read_variant, with_values
 from study.harness.design.forward_model import ForwardCell, Refinement, Value
 from study.harness.design.forward_section import ForwardModel
-from study.mechanics.measurement.column_text import KINEMATIC, KINETIC, SECOND
-from study.mechanics.measurement.measurement_section import MarkerSpec, MeasurementSpec, groups_of
+from study.mechanics.measurement.measurement_section import (
+    KINEMATIC,
+    KINETIC,
+    SECOND,
+    MarkerSpec,
+    MeasurementSpec,
+    groups_of,
+)
 from study.mechanics.setup import setup
 from study.mechanics.setup.declaration import shown, table_of, values_of
 from study.mechanics.setup.geometry import INDENTERS, SPECIMENS, Enclosed, Specimen, Surface

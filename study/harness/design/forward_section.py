@@ -269,10 +269,10 @@ class ForwardModel:
         return FUNCTION_SECONDS if is_quick else self.seconds_s
 
     @property
-    def renders(self) -> bool:
-        """Whether a file is made of a template."""
+    def rendered(self) -> list[str]:
+        """Names, in the folder of a case, of the files that are made of a template."""
         named = (file for file in self.files if not isinstance(file, str))
-        return any(source.endswith(TEMPLATE) for _, source in named)
+        return sorted(target for target, source in named if source.endswith(TEMPLATE))
 
     @property
     def units(self) -> dict[str, str]:

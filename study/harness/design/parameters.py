@@ -271,7 +271,8 @@ def _comparison(rule: str) -> ast.Compare:
     allowed = (ast.Compare, ast.BinOp, ast.UnaryOp, ast.USub, ast.Name, ast.Load, ast.Constant)
     for node in nodes:
         if not isinstance(node, (*allowed, *_OPERATORS, *_COMPARISONS)) or (
-            isinstance(node, ast.Constant) and type(node.value) not in (int, float)
+            isinstance(node, ast.Constant)
+            and (type(node.value) not in (int, float) or not node.value < 1e300)  # type: ignore[operator]
         ):
             raise Bad(f"may have numbers, names, + - * / and < <= > >= alone: {shown(rule)}", mend)
     return tree

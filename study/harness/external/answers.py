@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
+import functools
 import io
 import json
 import math
 import re
-from collections.abc import Mapping, Sequence
+import resource
+import signal
+import threading
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,15 +22,170 @@ from study.ground import units
 from study.ground.arrays import Array
 from study.ground.bounded_file import UnreadableError, parse_json, read_regular
 from study.ground.curve import Curve
-from study.ground.errors import UnitError, nearest
+from study.ground.errors import Fault, InputError, UnitError, nearest
 from study.harness.design.forward_section import (
-    TEMPLATE,
     CurveFile,
     ForwardModel,
     ValueFile,
     target_and_source,
 )
-from study.harness.external.template import rendered
+
+if TYPE_CHECKING:
+    from jinja2 import Environment, Template
+
+# Input files, rendered by Jinja2 in a sandbox over the resolved case.
+
+#: characters of a rendered file, and of a text that a template repeats
+MOST_RENDERED = 20_000_000
+_MOST_REPEATED = 100_000
+#: seconds of this process that a template or the patterns of a log take, and bytes that they add
+_MOST_SECONDS = 5.0
+_MOST_MEMORY = 500_000_000
+_NEAR = "\t"
+
+
+@contextlib.contextmanager
+def _limited() -> Iterator[None]:
+    """Context with limits of its own time and memory, for texts of strangers: templates, patterns.
+
+    Signals reach the main thread alone: that of a command and of a worker process.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def stop(*_: object) -> None:
+        raise TimeoutError(f"takes more than {_MOST_SECONDS:g} s of computing")
+
+    pages = 0
+    with contextlib.suppress(OSError):  # Linux alone tells
+        pages = int((read_regular("/proc/self/statm") or b"0").split()[0])
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    most = pages * resource.getpagesize() + _MOST_MEMORY
+    if pages and (soft == resource.RLIM_INFINITY or most < soft):
+        resource.setrlimit(resource.RLIMIT_AS, (most, hard))
+    handler = signal.signal(signal.SIGVTALRM, stop)
+    signal.setitimer(signal.ITIMER_VIRTUAL, _MOST_SECONDS)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_VIRTUAL, 0)
+        signal.signal(signal.SIGVTALRM, handler)
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+
+
+class Names:
+    """A table as templates see it: its keys alone, whatever words they are."""
+
+    __slots__ = ("_table", "_title")
+
+    def __init__(self, title: str, table: Mapping[str, object]) -> None:
+        self._title, self._table = title, table
+
+    def __getitem__(self, key: object) -> object:
+        """Value of a key; a table within it likewise."""
+        value = self._table[str(key)]
+        return Names(f"{self._title}.{key}", value) if isinstance(value, Mapping) else value
+
+    def __contains__(self, key: object) -> bool:
+        return key in self._table
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._table)
+
+    def __len__(self) -> int:
+        return len(self._table)
+
+
+@functools.cache
+def _sandbox() -> Environment:
+    """Sandbox that names what is unknown, and whose products stay small."""
+    # loaded where a template is: most studies have none
+    from jinja2 import StrictUndefined
+    from jinja2.exceptions import SecurityError
+    from jinja2.sandbox import ImmutableSandboxedEnvironment
+    from jinja2.utils import missing
+
+    class Unknown(StrictUndefined):
+        """A name that is not there, and what is near to it."""
+
+        __slots__ = ()
+
+        @property
+        def _undefined_message(self) -> str:
+            name, owner = str(self._undefined_name), self._undefined_obj
+            if isinstance(owner, Names):
+                near = nearest(name, owner)
+                return f"unknown name {owner._title}.{name}{_NEAR}{near}"
+            return f"unknown name {name}" if owner is missing else super()._undefined_message
+
+    class Sandbox(ImmutableSandboxedEnvironment):
+        """Sandbox that does not repeat texts and lists without end."""
+
+        intercepted_binops = frozenset(["*", "**"])
+
+        def call_binop(self, context: object, operator: str, left: object, right: object) -> object:
+            """Multiply and raise numbers."""
+            sizes = [len(one) for one in (left, right) if isinstance(one, str | list | tuple)]
+            counts = [one for one in (left, right) if isinstance(one, int | float)]
+            large = operator == "**" and any(abs(one) > 1000 for one in counts)
+            if large or (sizes and counts and max(sizes) * max(counts) > _MOST_REPEATED):
+                raise SecurityError("makes a text or a number of more than 100,000 digits")
+            return self.binop_table[operator](left, right)
+
+    return Sandbox(undefined=Unknown, keep_trailing_newline=True, autoescape=False)
+
+
+@functools.lru_cache(maxsize=256)
+def _template(text: str) -> Template:
+    return _sandbox().from_string(text)
+
+
+def rendered(text: str, context: Mapping[str, object], source: str) -> str:
+    """Text of a template over a case; an unknown name is an :class:`InputError` with its line."""
+    from jinja2.exceptions import (
+        SecurityError,
+        TemplateError,
+        TemplateSyntaxError,
+        UndefinedError,
+    )
+
+    names = {k: Names(k, v) if isinstance(v, Mapping) else v for k, v in context.items()}
+    size, parts = 0, []
+    try:
+        with _limited():
+            for part in _template(text).generate(**names):
+                size += len(part)
+                if size > MOST_RENDERED:
+                    raise SecurityError(f"renders more than {MOST_RENDERED / 1e6:g} MB")
+                parts.append(part)
+    except TemplateSyntaxError as error:
+        rule = f"is no template: {error.message}"
+        raise InputError(Fault(f"{source}:{error.lineno}", rule, "mend the braces there")) from None
+    except UndefinedError as error:
+        rule, _, near = str(error).partition(_NEAR)
+        top = rule.removeprefix("unknown name ")
+        mend = near or (nearest(top, context) if top != rule else "")
+        raise InputError(Fault(f"{source}:{_line(error)}", rule, mend)) from None
+    except (
+        TemplateError, ArithmeticError, TypeError, ValueError, LookupError, TimeoutError,
+        MemoryError, RecursionError,
+    ) as error:  # fmt: skip
+        where = f"{source}:{_line(error)}"
+        rule = f"cannot be rendered: {type(error).__name__}: {str(error)[:200] or 'no memory'}"
+        raise InputError(Fault(where, rule, "see what the template does there")) from None
+    return "".join(parts)
+
+
+def _line(error: BaseException) -> int:
+    """Line of a template in which an error arose."""
+    trace, line = error.__traceback__, 1
+    while trace is not None:
+        if trace.tb_frame.f_code.co_filename == "<template>":
+            line = trace.tb_lineno
+        trace = trace.tb_next
+    return line
+
 
 #: bytes of a file that is read, and characters of a line of it
 MOST_BYTES = 20_000_000
@@ -52,12 +213,12 @@ def files_of(
     section: ForwardModel, contents: Mapping[str, str], context: Mapping[str, object]
 ) -> tuple[dict[str, str], dict[str, str]]:
     """Files of the folder of a case, and of these the ones that were rendered."""
-    made, found = dict(contents), {}
-    for file in section.files:
-        target, source = target_and_source(file)
-        if not isinstance(file, str) and source.endswith(TEMPLATE):
-            made[target] = found[target] = rendered(contents[target], context, source)
-    return made, found
+    templates = dict(map(target_and_source, section.files))
+    made = {
+        target: rendered(contents[target], context, templates[target])
+        for target in section.rendered
+    }
+    return {**contents, **made}, made
 
 
 # Answers: a curve, named values of JSON or CSV, numbers of a log; each in the unit asked for.
@@ -183,8 +344,8 @@ def values_of_files(asked: ValueFile, folder: Path, output: str) -> dict[str, fl
     found = {}
     for name, unit, pattern, file, written in asked.names:
         if pattern:
-            place = file or (asked.file if not tables else "") or "output"
-            text = output if place == "output" else read_text(folder, place)
+            place = file or (asked.file if not tables else "")
+            text, place = (read_text(folder, place) if place else output), place or "output"
             found[name] = converted(_logged(text, pattern, place, name), written, unit, place)
         elif name not in tables:
             mend = nearest(name, list(tables)[:50])
@@ -239,9 +400,14 @@ def _with_unit(row: Sequence[str]) -> object:
 def _logged(text: str, pattern: str, place: str, name: str) -> float:
     """Last number that a pattern has in a log."""
     expression, last = re.compile(pattern), None
-    for line in text.splitlines():
-        for match in expression.finditer(line[:_LINE]):
-            last = match[1]
+    try:
+        with _limited():
+            for line in text.splitlines():
+                for match in expression.finditer(line[:_LINE]):
+                    last = match[1]
+    except TimeoutError as error:
+        rule = f"{place}: looking for {name} with {pattern[:80]!r} {error}"
+        raise NoAnswer("failed", f"{rule}: write it without a repeat within a repeat") from None
     if last is None:
         raise NoAnswer("failed", f"{place} has no {name}: nothing fits {pattern[:80]!r}")
     return _number(last, f"{name} of {place}")

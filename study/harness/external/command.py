@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import contextlib
 import io
+import itertools
 import json
 import os
+import select
 import shutil
+import subprocess
 import sys
+import tempfile
 import time
+import uuid
 import zipfile
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypedDict, TypeVar
@@ -24,7 +30,7 @@ from study.ground.curve import Curve
 from study.ground.errors import Fault, RefusedError, StoreError
 from study.ground.working_folder import environment
 from study.harness.design.forward_section import ForwardModel
-from study.harness.external import exchange, program
+from study.harness.external import exchange
 from study.harness.external.answers import (
     NoAnswer,
     curve_of,
@@ -35,6 +41,171 @@ from study.harness.external.answers import (
 from study.harness.external.exchange import ProgramAnswer, PythonFunction
 from study.mechanics.setup.declaration import section_of
 from study.mechanics.setup.setup import Problem
+
+# One run of a program: supervised, within limits of time, output and disk, with nothing left.
+
+#: characters of the output of a program that its record keeps, and that numbers are looked for in
+TAIL = 4000
+LOG = 64_000
+#: bytes that a program may say, and that its folder may hold on the disk
+OUTPUT_BYTES = 256_000_000
+FOLDER_BYTES = 4_000_000_000
+#: files and folders that its folder may hold
+FOLDER_ENTRIES = 100_000
+
+_LAUNCHER = Path(__file__).with_name("launcher.py")
+#: seconds between two looks at the folder, at least; and in which a launcher ends
+_LOOK_S = 0.25
+_LAUNCHER_S = 15.0
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a program ended."""
+
+    #: Return code, negative for a signal; None where it was ended.
+    code: int | None
+    output: str = ""
+    #: Its first ones, of which there may be fewer.
+    beginning: str = ""
+    #: More of the last ones.
+    log: str = ""
+    #: Which limit but that of time it was ended for; empty for none.
+    excess: str = ""
+
+
+@contextmanager
+def fresh_folder() -> Iterator[Path]:
+    """Folder for one case, removed whatever a program made of it."""
+    home = Path(tempfile.mkdtemp(prefix="study-case-"))
+    folder = home / "case"
+    folder.mkdir()
+    try:
+        yield folder
+    finally:
+        _remove(home)
+
+
+def run(
+    argv: Sequence[str],
+    folder: Path,
+    until: float | None = None,
+    output_bytes: int = OUTPUT_BYTES,
+    environment: Mapping[str, str] | None = None,
+) -> Ended:
+    """Run a program in a folder, and end all that it started with it."""
+    lifeline, held = os.pipe()
+    answer, status = os.pipe()
+    said, output = os.pipe()
+    process = None
+    try:
+        process = subprocess.Popen(
+            [sys.executable, "-I", "-S", str(_LAUNCHER), str(lifeline), str(status),
+             str(FOLDER_BYTES), *argv],
+            cwd=folder, env=environment, stdin=subprocess.DEVNULL, stdout=output, stderr=output,
+            pass_fds=(lifeline, status), start_new_session=True,
+        )  # fmt: skip
+        for end in (lifeline, status, output):
+            os.close(end)
+        lifeline = status = output = -1
+        return _watched(folder, answer, said, until, output_bytes)
+    except OSError as error:  # of a folder that is gone, or more words than the system takes
+        return Ended(None, excess=f"it could not be run ({error.strerror})")
+    finally:
+        for end in (held, answer, said, lifeline, status, output):
+            if end >= 0:
+                os.close(end)
+        if process is not None:  # it ends all, for its lifeline is closed
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(_LAUNCHER_S)
+            process.kill()
+            process.wait()
+
+
+def _watched(folder: Path, answer: int, said: int, until: float | None, output_bytes: int) -> Ended:
+    """Follow a program by its two pipes until it ends, or comes to a limit."""
+    head, tail, size, code, excess = b"", b"", 0, b"", ""
+    look = time.monotonic() + _LOOK_S
+    pipes = [answer, said]
+    while not excess:
+        now = time.monotonic()
+        if until is not None and now >= until:
+            break
+        if now >= look:
+            excess = _excess_of(folder)
+            look = time.monotonic() + max(_LOOK_S, 10 * (time.monotonic() - now))
+        wait = look if until is None else min(look, until)
+        ready, _, _ = select.select(pipes, [], [], max(wait - time.monotonic(), 0.0))
+        if said in ready:
+            part = os.read(said, 1 << 16)
+            head = head + part if len(head) < TAIL else head
+            tail, size = (tail + part)[-4 * LOG :], size + len(part)
+            if not part:
+                pipes.remove(said)
+            if size > output_bytes:
+                excess = f"it said more than {output_bytes / 1e6:g} MB"
+        elif answer in ready:
+            code = os.read(answer, 64)
+            excess = "" if code else "the process that supervised it was killed"
+            break
+    first, last = head.decode(errors="replace"), tail.decode(errors="replace")
+    ended = int(code) if code else None
+    return Ended(ended, last[-TAIL:], first[:TAIL], last[-LOG:], excess)
+
+
+def _entries(folder: Path) -> Iterator[os.DirEntry[str]]:
+    """Files and folders in a folder of any depth; links are not followed."""
+    waiting = [str(folder)]
+    while waiting:
+        # what was there a moment ago may be gone
+        with (
+            contextlib.suppress(FileNotFoundError, NotADirectoryError),
+            os.scandir(waiting.pop()) as inside,
+        ):
+            for entry in inside:
+                if entry.is_dir(follow_symlinks=False):
+                    waiting.append(entry.path)
+                yield entry
+
+
+def _excess_of(folder: Path) -> str:
+    """Which limit what lies in a folder is beyond; empty for none."""
+    size = 0
+    try:
+        for number, entry in enumerate(_entries(folder), 1):
+            with contextlib.suppress(FileNotFoundError):
+                size += 512 * entry.stat(follow_symlinks=False).st_blocks
+            if size > FOLDER_BYTES:
+                return f"its folder holds more than {FOLDER_BYTES / 1e9:g} GB"
+            if number > FOLDER_ENTRIES:
+                return f"its folder holds more than {FOLDER_ENTRIES} files"
+    except OSError as error:
+        return f"its folder holds a folder that cannot be read ({error.strerror})"
+    return ""
+
+
+def _remove(home: Path) -> None:
+    """Remove a folder of any depth: folders in it are moved to its top before they are emptied."""
+    # ``shutil.rmtree`` calls itself for every level, and ends in a RecursionError at a thousand.
+    waiting = [home]
+    while waiting:
+        path = waiting.pop()
+        with contextlib.suppress(OSError), os.scandir(path) as inside:
+            for entry in list(inside):
+                with contextlib.suppress(OSError):
+                    if entry.is_dir(follow_symlinks=False):
+                        os.chmod(entry.path, 0o700)
+                        top = home / uuid.uuid4().hex
+                        os.rename(entry.path, top)
+                        waiting.append(top)
+                    else:
+                        os.unlink(entry.path)
+        if path != home:
+            with contextlib.suppress(OSError):
+                os.rmdir(path)
+    with contextlib.suppress(OSError):
+        os.rmdir(home)
+
 
 Answer = TypeVar("Answer")
 
@@ -98,7 +269,7 @@ def run_commands(
         "steps": [],
     }
     limit = None if command.timeout_s is None else time.monotonic() + command.timeout_s
-    with program.fresh_folder() as folder:
+    with fresh_folder() as folder:
         _write(folder, command.contents)
         try:
             logs = []
@@ -122,12 +293,16 @@ def _packed(folder: Path) -> bytes:
     """Zip of the regular files of a folder, as far as they have room."""
     packed, left = io.BytesIO(), _KEPT_BYTES
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
-        for path in sorted(folder.rglob("*"))[: program.FOLDER_ENTRIES]:
+        paths: list[str] = []
+        with contextlib.suppress(OSError):  # a folder that cannot be read
+            paths.extend(entry.path for entry in itertools.islice(_entries(folder), FOLDER_ENTRIES))
+        for path in sorted(paths):
             with contextlib.suppress(StoreError):  # no file, or too large
                 content = read_regular(path, left, follow=False)
                 if content is not None:
                     left -= len(content)
-                    archive.writestr(str(path.relative_to(folder)), content)
+                    name = os.path.relpath(path, folder).encode(errors="replace").decode()
+                    archive.writestr(name, content)
     return packed.getvalue()
 
 
@@ -141,12 +316,10 @@ def said_version(argv: tuple[str, ...], contents: Mapping[str, str]) -> str:
     path = path_of(argv[0]) if argv else None
     if path is None:
         return ""
-    with program.fresh_folder() as folder:
+    with fresh_folder() as folder:
         _write(folder, contents)
         until = time.monotonic() + _VERSION_S
-        ended = program.run(
-            [path, *argv[1:]], folder, until, _VERSION_BYTES, _environment(argv, contents)
-        )
+        ended = run([path, *argv[1:]], folder, until, _VERSION_BYTES, _environment(argv, contents))
     lines = ended.beginning.splitlines()
     return next((line.strip()[:200] for line in lines if line.strip()), "")
 
@@ -169,9 +342,7 @@ def _step(
     path = path_of(argv[0])
     if path is None:
         raise NoAnswer("failed", f"{argv[0]}: there is no such program on this machine")
-    ended = program.run(
-        [path, *argv[1:]], folder, limit, environment=_environment(argv, command.contents)
-    )
+    ended = run([path, *argv[1:]], folder, limit, environment=_environment(argv, command.contents))
     if ended.excess:
         raise NoAnswer("failed", f"{argv[0]}: was ended, for {ended.excess}")
     return {"argv": list(argv), "code": ended.code, "output": ended.output}, ended.log
@@ -182,7 +353,7 @@ def _check(step: StepReport, command: Command) -> None:
     if step["code"] is None:
         raise NoAnswer("timeout", f"{name}: stopped after {command.timeout_s:g} s")
     if step["code"] == _FILE_TOO_LARGE:
-        most = f"{program.FOLDER_BYTES / 1e9:g} GB"
+        most = f"{FOLDER_BYTES / 1e9:g} GB"
         raise NoAnswer("failed", f"{name}: was ended, for it wrote a file of more than {most}")
     if step["code"] != 0:
         raise NoAnswer("failed", f"{name}: return code {step['code']}: {_last(said)}")
@@ -285,10 +456,12 @@ class External:
         if self.section.model == "python":
             version = None if self.function is None else self.function.version
             return digest(["python", version], DIGITS)
-        one = self.section
-        later = {k: v for k, v in one.document().items() if k in ("curve", "values", "reaches")}
+        section = self.section
+        later = {k: v for k, v in section.document().items() if k in ("curve", "values", "reaches")}
+        if section.rendered:  # the same text is another file where it is copied
+            later["rendered"] = section.rendered
         return digest(
-            [one.argv, one.success, one.failure, one.version, dict(self.contents),
+            [section.argv, section.success, section.failure, section.version, dict(self.contents),
              dict(self.programs), *([later] if later else [])],
             DIGITS,
         )  # fmt: skip

@@ -75,7 +75,9 @@ def with_external(
         if function is not None:
             made |= {"function": function.text, "function_version": function.version}
         return {**config, "forward": made}
-    words = dict.fromkeys([argv[0] for argv in external.section.argv])
+    words = [argv[0] for argv in external.section.argv]
+    # a program that should say its version and is missing says none, which is no fault
+    words += filter(command.path_of, external.section.version[:1])
     made["programs"] = {word: _program_sha(word) for word in words}
     files = map(target_and_source, external.section.files)
     made["contents"] = {target: _text(source, places) for target, source in files}
@@ -88,7 +90,7 @@ def check_templates(config: Tables, case_id: str) -> None:
     Constants that a fit has yet to find stand as 1 MPa.
     """
     external = External.of(config)
-    if external is None or not external.section.renders:
+    if external is None or not external.section.rendered:
         return
     if "material" not in config:
         external.rendered({"case_id": case_id, **own_tables(config)})

@@ -10,8 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from study.mechanics.forward.closed_form import height_and_area
-from study.mechanics.measurement.column_text import Gauge
 from study.mechanics.measurement.measurement_section import MeasurementSpec
+from study.mechanics.measurement.recording import Gauge
 from study.mechanics.setup.declaration import table_of, with_table
 from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import Problem, Setup, Tables

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -25,6 +26,7 @@ from study.mechanics.calibration.residual_function import MeasuredCurve
 from study.mechanics.calibration.serial_correlation import (
     FEWEST_ROWS,
     Mixture,
+    RowNoise,
     Series,
     row_noise,
     trend,
@@ -215,6 +217,10 @@ class _Recording:
     def residual(self) -> Array:
         return np.asarray(self.predicted_N - self.rows.force_N)
 
+    @cached_property
+    def noise(self) -> RowNoise | None:
+        return row_noise(self.residual, self.rows.places, self.predicted_N)
+
     @property
     def weighted_force(self) -> Array:
         return np.asarray(self.weight * self.rows.force_N)
@@ -302,8 +308,8 @@ def _scatter(group: Sequence[_Recording]) -> float:
     """Sum of squares that rows and the differences of recordings leave, weighted."""
     total = 0.0
     for one in group:
-        noise = row_noise(one.residual, one.rows.places, one.predicted_N)
-        total += 0.0 if noise is None else float(np.sum((one.weight * noise.deviation) ** 2))
+        if one.noise is not None:
+            total += float(np.sum((one.weight * one.noise.deviation) ** 2))
     if len(group) > 1:
         grid, rows = _on_one_grid(group)
         apart = rows - rows.mean(axis=0)
@@ -320,8 +326,7 @@ def _on_one_grid(group: Sequence[_Recording]) -> tuple[Array, Array]:
 
 def _of_rows(one: _Recording, robust: Collection[str]) -> list[_Finding]:
     """Single rows far from their neighbors."""
-    noise = row_noise(one.residual, one.rows.places, one.predicted_N)
-    if noise is None:
+    if (noise := one.noise) is None:
         return []
     largest = float(np.abs(one.rows.force_N).max())
     size = np.abs(noise.distance * noise.deviation)
@@ -384,7 +389,7 @@ def _trend_of_one(found: Fit, one: _Recording) -> tuple[float, Array]:
     terms = min(_MOST_TERMS, max(_FEWEST_TERMS, n // _ROWS_A_TERM))
     if n < FEWEST_ROWS or not free.any():
         return 1.0, np.zeros(0)
-    noise = row_noise(one.residual, one.rows.places, one.predicted_N)
+    noise = one.noise
     # half of the growth: rows of small force would hide a misfit of the larger ones
     grows = noise is not None and noise.power > 0
     size = one.weight if noise is None or not grows else 1 / np.sqrt(noise.relative)

@@ -23,7 +23,7 @@ from study.ground.bounded_file import (
 from study.ground.errors import Fault, InputError, UnitError
 from study.ground.tabular import MAX_ROWS, UNIT_CELL, is_number, parsed_numbers
 from study.ground.units import unit_factor
-from study.mechanics.measurement.column_text import DELIMITERS, KINEMATIC, KINETIC
+from study.mechanics.measurement.measurement_section import DELIMITERS, KINEMATIC, KINETIC
 from study.mechanics.measurement.phases import NO_FORCE, TURN, Phase, phases_of
 
 #: rows in a row that a block of numbers has at least

@@ -11,8 +11,8 @@ import numpy as np
 from study.ground.arrays import Array, Flags
 from study.ground.errors import Fault, InputError
 from study.ground.units import unit_factor
-from study.mechanics.measurement.column_text import read_table
 from study.mechanics.measurement.measurement_section import MarkerSpec
+from study.mechanics.measurement.recording import read_table
 from study.mechanics.setup.geometry import Block
 
 #: fewest markers that can tell seven components of a motion from their own scatter

@@ -12,13 +12,6 @@ from pydantic import Field
 from study.ground import units
 from study.ground.bounded_file import ENCODINGS
 from study.ground.errors import Fault, InputError, UnitError
-from study.mechanics.measurement.column_text import (
-    DELIMITERS,
-    KINEMATIC,
-    KINETIC,
-    SECOND,
-    ColumnLayout,
-)
 from study.mechanics.setup.declaration import (
     Bad,
     Force,
@@ -37,6 +30,92 @@ from study.mechanics.setup.declaration import (
     unit_of_length,
     word,
 )
+
+#: what may part the cells of a file, by its name in a study file; found out where it is not said
+DELIMITERS: Mapping[str, str | None] = {
+    "comma": ",",
+    "semicolon": ";",
+    "tab": "\t",
+    "space": None,
+}
+
+
+@dataclass(frozen=True)
+class ColumnLayout:
+    """How a text differs from a plain CSV file."""
+
+    skip_lines: int = 0
+    #: Beginning of lines that hold no row; none if empty.
+    comment: str = ""
+    #: One of :data:`DELIMITERS`; empty where the file shows it.
+    delimiter: str = ""
+    #: Whether a line names the columns; without one their names are 1, 2 and so on.
+    header: bool = True
+    #: Encoding, sheet of a workbook and mark of thousands; found where they are empty.
+    encoding: str = ""
+    sheet: str = ""
+    thousands: str = ""
+    #: Whether the line below the names holds units; None where the file shows it.
+    unit_row: bool | None = None
+
+    def plain(self, text: str, decimal: str) -> tuple[str, list[int], str]:
+        r"""Text with a header line, where its lines stand, and its delimiter if that is known.
+
+        Examples
+        --------
+        >>> ColumnLayout(1, "#", "space").plain("of 1944\nl  P\n# first row\n1.02   0.0255", ".")
+        ('l\tP\n1.02\t0.0255', [2, 4], '\t')
+        >>> ColumnLayout(header=False).plain("1.02, 0.0255\n1.1, 0.12", ".")
+        ('1,2\n1.02, 0.0255\n1.1, 0.12', [1, 1, 2], ',')
+        """
+        lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+        at = [
+            k
+            for k, line in enumerate(lines, 1)
+            if k > self.skip_lines and not (self.comment and line.lstrip().startswith(self.comment))
+        ]
+        lines = [lines[k - 1] for k in at]
+        first = next((line for line in lines if line.strip()), "")
+        own = self.delimiter
+        if not self.header:
+            own = own or _shown_by(first, ";" if decimal == "," else ",")
+        mark = "\t" if own == "space" else DELIMITERS[own] or "" if own else ""
+        if own == "space":
+            lines = ["\t".join(line.split()) for line in lines]
+        if not self.header:
+            widest = max((line.count(mark) + 1 for line in lines), default=0)
+            lines.insert(0, mark.join(str(k + 1) for k in range(widest)))
+            at.insert(0, at[0] if at else 1)
+        return "\n".join(lines), at, mark
+
+
+def _shown_by(line: str, mark: str) -> str:
+    """Name of the delimiter that a line of numbers shows; spaces where it shows no other."""
+    names = [name for name, sign in DELIMITERS.items() if sign in (mark, ";", "\t")]
+    return next((name for name in names if (DELIMITERS[name] or "") in line), "space")
+
+
+#: columns that say how far the specimen was deformed, and their dimension
+KINEMATIC: Mapping[str, str] = {
+    "displacement": "length",
+    "stretch": "ratio",
+    "strain": "ratio",
+    "true_strain": "ratio",
+    "volume_ratio": "ratio",
+    "stretch_1": "ratio",
+}
+
+#: columns that say how it resisted
+KINETIC: Mapping[str, str] = {
+    "force": "force",
+    "stress": "pressure",
+    "true_stress": "pressure",
+    "pressure": "pressure",
+    "stress_1": "pressure",
+}
+
+#: second direction of a biaxial test, by its first
+SECOND: Mapping[str, str] = {"stretch_1": "stretch_2", "stress_1": "stress_2"}
 
 MAX_POINTS = 100_000
 MAX_SKIPPED = 1000
@@ -172,7 +251,7 @@ class Columns:
     """Columns of a measured file: one that says how far, one that says how hard.
 
     The pair is displacement and force, or measures of strain and stress
-    (:mod:`study.mechanics.measurement.column_text`). A third one may say when.
+    (:mod:`study.mechanics.measurement.recording`). A third one may say when.
     """
 
     displacement: Column = None

@@ -14,7 +14,6 @@ import numpy as np
 from study.ground.arrays import Array
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, nearest
-from study.mechanics.measurement.column_text import Gauge, displacement_and_force
 from study.mechanics.measurement.conditioning import (
     OFFSET,
     PERCENT,
@@ -28,7 +27,14 @@ from study.mechanics.measurement.conditioning import (
 )
 from study.mechanics.measurement.measured_test import Measurements, SingleTest
 from study.mechanics.measurement.phases import Branch, RowCount
-from study.mechanics.measurement.recording import Recording, Recordings, capped, read_recordings
+from study.mechanics.measurement.recording import (
+    Gauge,
+    Recording,
+    Recordings,
+    capped,
+    displacement_and_force,
+    read_recordings,
+)
 
 if TYPE_CHECKING:
     from study.mechanics.measurement.measurement_section import MeasurementSpec
@@ -137,8 +143,8 @@ def specimens(
             p.words + (f" (lines {one.lines[p.first]} to {one.lines[p.last]})" if one.lines else "")
             for p in chosen[:3]
         )
-        asked = rules.branch.which
-        how = "" if asked == "auto" else f", branch = {asked if isinstance(asked, int) else asked}"
+        which = rules.branch.which
+        how = "" if which == "auto" else f", branch = {which}"
         notes.append(f"{one.where}: {words}{how}")
     return made, notes
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from study.ground.arrays import Array, Ints
-from study.ground.bounded_file import MAX_HASHED_BYTES, read_regular
+from study.ground.bounded_file import read_existing
 from study.ground.compilation import vectors_alone
 from study.ground.errors import Fault, InputError, MeshError
 from study.mechanics.element.function_space import Discretization, deformation_gradient
@@ -23,16 +23,15 @@ from study.mechanics.mesh.solid import surface_faults
 from study.mechanics.mesh.structured import Mesh
 from study.mechanics.setup.geometry import Enclosed, Surface
 from study.mechanics.setup.setup import Problem, Setup
-from study.mechanics.solver.buckling import mirrored
-from study.mechanics.solver.load_path import LoadPath
-from study.mechanics.solver.newton import Options
-from study.mechanics.solver.solution import (
-    Solution,
+from study.mechanics.solver.equilibrium import (
     contact_gap,
     contact_pressure,
+    mirrored,
     nodal_reactions,
-    without_answer,
 )
+from study.mechanics.solver.load_path import LoadPath
+from study.mechanics.solver.newton import Options
+from study.mechanics.solver.solution import Solution, without_answer
 from study.mechanics.solver.solution_cost import size_faults
 from study.mechanics.solver.system import State, System
 from study.mechanics.surface.closed_surface import PLAUSIBLE_MM, body, height_of
@@ -426,11 +425,10 @@ def _write_facts(path: Path, solution: Solution, step: int, found: Fields) -> No
         f"{' '.join(repr(float(v)) for v in values)}</DataArray>"
         for name, values in facts.items()
     ]
-    written = read_regular(path, MAX_HASHED_BYTES) or b""
-    text, tag = written.decode(), "<UnstructuredGrid>"
-    at = text.index(tag) + len(tag)
-    data = f"\n<!-- {found.symmetry} -->\n<FieldData>{''.join(rows)}</FieldData>"
-    path.write_text(text[:at] + data + text[at:], encoding="utf-8")
+    grid = "<UnstructuredGrid>"
+    data = f"{grid}\n<!-- {found.symmetry} -->\n<FieldData>{''.join(rows)}</FieldData>"
+    written = read_existing(path, limit=path.stat().st_size)
+    path.write_bytes(written.replace(grid.encode(), data.encode(), 1))
 
 
 def write_series(solution: Solution, path: str | Path, *, whole: bool = False) -> None:

@@ -12,7 +12,7 @@ from study.mechanics.contact.contact import BESIDES, face_motions
 from study.mechanics.element.function_space import at_level, deformation_gradient
 from study.mechanics.material.stability import always_elliptic, ellipticity
 from study.mechanics.setup.setup import Problem
-from study.mechanics.solver.buckling import (
+from study.mechanics.solver.equilibrium import (
     Instability,
     is_unstable,
     least_stiffness,

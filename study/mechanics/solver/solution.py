@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from study.ground.arrays import Array, Flags, Ints
+from study.ground.arrays import Array
 from study.ground.curve import Curve, hermite_work
-from study.mechanics.contact.collocation import _ring_shares
-from study.mechanics.contact.contact import TiedPoints
-from study.mechanics.element.function_space import _facet_areas, at_level
 from study.mechanics.setup.geometry import Enclosed
 from study.mechanics.setup.setup import Problem
-from study.mechanics.solver.buckling import Instability
+from study.mechanics.solver.equilibrium import (
+    ContactFigures,
+    Equilibria,
+    Instability,
+    Resultant,
+    contact_figures,
+    nodal_reactions,
+    resultants,
+)
 from study.mechanics.solver.internal_force import StoredEnergy
 from study.mechanics.solver.sensitivity import Rate, StepGradients
 from study.mechanics.solver.system import Assembly, State, System
@@ -481,254 +485,6 @@ class Logbook:
         if isinstance(self.problem.specimen, Enclosed):
             said += body(self.problem.specimen).notes
         return "; ".join(said)
-
-
-class Resultant(NamedTuple):
-    """Force and moment of what the specimen is held by, on the whole specimen.
-
-    ``side`` and ``moment`` are those that act on the specimen. Moments are about the middle of the
-    face as it stands.
-    """
-
-    #: Against the loading: positive where it resists, N.
-    axial: float
-    #: shape (2,); along x and y, N.
-    side: Array
-    #: shape (3,); N mm.
-    moment: Array
-
-
-class ContactFigures(NamedTuple):
-    """What the moving surface does to the specimen at one step; zeros without a touching point."""
-
-    #: Deepest node or middle of a touching facet below the surface, mm.
-    penetration_mm: float = 0.0
-    #: Farthest node from the surface amid closed points, mm.
-    gap_mm: float = 0.0
-    #: Largest contact pressure over the area of a node, both as they are after the deformation.
-    peak_pressure_MPa: float = 0.0  # noqa: N815
-    #: Area of closed points and held faces after the deformation.
-    area_mm2: float = 0.0
-
-
-@dataclass(frozen=True)
-class Equilibria:
-    """Equilibria of the points of a curve: what holds them, what touches, whether they stand."""
-
-    #: Of the plate or indenter that moves, and of what is below, one a point.
-    plate: tuple[Resultant, ...] = ()
-    base: tuple[Resultant, ...] = ()
-    contact: tuple[ContactFigures, ...] = ()
-    #: Where the equilibrium becomes unstable; the curve ends before.
-    instability: Instability | None = None
-
-    def at_points(self, kept: NDArray[np.int64]) -> Equilibria:
-        """Return those of some of the points, given by their places."""
-        plate, base = tuple(self.plate[k] for k in kept), tuple(self.base[k] for k in kept)
-        return Equilibria(plate, base, tuple(self.contact[k] for k in kept), self.instability)
-
-    def quantities(self) -> dict[str, Array]:
-        """Responses of each point by their names: kPa, mm^2 and N."""
-        return {
-            "peak_contact_pressure": 1e3 * np.array([c.peak_pressure_MPa for c in self.contact]),
-            "contact_area": np.array([c.area_mm2 for c in self.contact]),
-            "side_force": np.array([float(np.hypot(*one.side)) for one in self.plate]),
-        }
-
-    def to_json(self) -> dict[str, object]:
-        """Document of ``study solve --json``: N, N mm, mm, MPa and mm^2."""
-        figures = ContactFigures._fields
-        return {
-            "reaction": {
-                name: {
-                    "axial": [one.axial for one in body],
-                    "side": [one.side.tolist() for one in body],
-                    "moment": [one.moment.tolist() for one in body],
-                }
-                for name, body in (("plate", self.plate), ("base", self.base))
-            },
-            "contact": {name: [getattr(one, name) for one in self.contact] for name in figures},
-            "instability": None if self.instability is None else self.instability.to_json(),
-        }
-
-
-def nodal_reactions(system: System, assembly: Assembly) -> tuple[Array, Array]:
-    """Split the forces on nodes into those of what moves and of what is below, (n_nodes, dim)."""
-    space, mesh, held = system.space, system.mesh, system.constraints
-    dim, above, below = space.dim, np.zeros(space.n_displacement), np.zeros(space.n_displacement)
-    top = np.zeros(len(space.nodes), dtype=bool)
-    top[at_level(space, mesh, mesh.height_mm)] = True
-    dofs = np.setdiff1d(held.dofs[held.dofs < space.n_displacement], held.pins)
-    upper = top[dofs // dim]
-    above[dofs[upper]] = assembly.residual[dofs[upper]]
-    below[dofs[~upper]] = assembly.residual[dofs[~upper]]
-    for points, touch in zip(system.contact, assembly.contact, strict=True):
-        onto = below if points.surface.speed == 0 else above
-        # without the springs' share, which equilibrium does not count either
-        carried = points.forces(touch) - points.regularization(touch)
-        np.subtract.at(onto, points.dofs(dim).ravel(), carried.ravel())
-    return above.reshape(-1, dim), below.reshape(-1, dim)
-
-
-def resultants(
-    system: System, state: State, forces: tuple[Array, Array], sense: float
-) -> tuple[Resultant, Resultant]:
-    """Add up the forces on the nodes by what moves and by what is below."""
-    space, mesh, dim = system.space, system.mesh, system.space.dim
-    sector = system.force_scale / (2.0 if mesh.half_height else 1.0)
-    moved = 0.0 if system.small_strain else system.displacements(state.x)
-    places, is_part = space.nodes + moved, dim < 3 or sector > 1
-    middle = np.zeros(3)
-    if not is_part:
-        top = at_level(space, mesh, mesh.height_mm)
-        middle = places[top].mean(axis=0) if top.size else middle
-    found = []
-    for force, sign, about in ((forces[0], sense, middle), (forces[1], -sense, np.zeros(3))):
-        side, moment = np.zeros(2), np.zeros(3)
-        if not is_part:  # symmetry leaves none of them
-            side = force[:, :2].sum(axis=0)
-            moment = np.cross(places - about, force).sum(axis=0)
-        found.append(Resultant(sign * sector * float(force[:, -1].sum()), side, moment))
-    if mesh.half_height:
-        return found[0], found[0]
-    return found[0], found[1]
-
-
-#: corners of a facet between which further nodes lie, and their part of such a node's force
-_MIDDLES: dict[int, list[tuple[list[int], float]]] = {
-    2: [([0, 1], 0.5)],
-    3: [([0, 1], 0.5), ([1, 2], 0.5), ([2, 0], 0.5)],
-    4: [([0, 1], 0.5), ([1, 2], 0.5), ([2, 3], 0.5), ([3, 0], 0.5), ([0, 1, 2, 3], 0.25)],
-}
-
-
-#: shape functions in the middle of a facet, by the number of its nodes
-_MIDDLE = {
-    2: np.full(2, 0.5),
-    3: np.full(3, 1 / 3),
-    4: np.full(4, 0.25),
-    6: np.repeat([-1 / 9, 4 / 9], 3),
-    9: np.r_[np.zeros(8), 1.0],
-}
-
-
-def _stretched_areas(system: System, u: Array) -> Array:
-    """Area around every node of the boundary over what it was, shape (n_nodes,); 1 elsewhere."""
-    space, dim = system.space, system.space.dim
-    if system.small_strain:
-        return np.ones(len(space.nodes))
-    corners = space.facets[:, : _corners(space.facets.shape[1], dim)]
-    areas = [_facet_areas(x[corners], dim == 2) for x in (space.nodes, space.nodes + u)]
-    n, k = len(space.nodes), space.facets.shape[1]
-    before, after = (np.bincount(space.facets.ravel(), np.repeat(a, k), n) for a in areas)
-    return np.asarray(np.divide(after, before, out=np.ones(n), where=before > 0))
-
-
-def _corners(facet: int, dim: int) -> int:
-    """Corners of a facet with so many nodes."""
-    return 2 if dim == 2 else 3 if facet in (3, 6) else 4
-
-
-def _meets(system: System) -> Flags:
-    """Facets that lie in the loaded face, or that a moving surface may meet, shape (n_facets,)."""
-    space = system.space
-    sets = [at_level(space, system.mesh, system.mesh.height_mm)]
-    sets += [points.nodes for points in system.contact if points.surface.speed != 0]
-    within = [np.isin(space.facets, nodes).all(axis=1) for nodes in sets]
-    return np.asarray(np.any(within, axis=0) & (space.facet_weights > 0))  # not along an axis
-
-
-def contact_pressure(system: System, state: State, force: Array) -> Array:
-    """Pressure of nodal forces at the nodes of the boundary, MPa, shape (n_nodes,).
-
-    The forces are taken to the hats of the corners (a mid-side node halves its own), which are
-    exact moments of the pressure, over the areas of these hats: what quadratic elements have at
-    their nodes has the wrong sign at corners. Areas are those after the deformation. Between
-    corners it is linear.
-
-    Shapes: force (n_nodes, dim).
-    """
-    space, n = system.space, len(system.space.nodes)
-    places = space.nodes + (0.0 if system.small_strain else system.displacements(state.x))
-    touched = np.abs(force).sum(axis=1) > 0
-    chosen = touched[space.facets].any(axis=1) & _meets(system)
-    facets, dim = space.facets[chosen], space.dim
-    k = _corners(facets.shape[1], dim)
-    corners = facets[:, :k]
-    areas, shares = _facet_areas(places[corners], dim == 2), np.full((len(facets), k), 1.0 / k)
-    if dim == 2:
-        shares = _ring_shares(places[corners][:, :, 0])
-    area = np.bincount(corners.ravel(), (areas[:, None] * shares).ravel(), n)
-    hats, between = force.copy(), list[tuple[Ints, Ints]]()
-    for ends, part in _MIDDLES[k] if facets.shape[1] > k else []:
-        halfway = space.nodes[facets[:, ends]].mean(axis=1)
-        apart = np.linalg.norm(space.nodes[facets[:, k:]] - halfway[:, None], axis=2)
-        lies = facets[np.arange(len(facets)), k + apart.argmin(axis=1)]
-        nodes, first = np.unique(lies, return_index=True)
-        between.append((nodes, facets[first][:, ends]))
-        for corner in ends:
-            np.add.at(hats, facets[first, corner], part * force[nodes])
-    pressure = np.zeros(n)
-    np.divide(np.linalg.norm(hats, axis=1), area, out=pressure, where=area > 0)
-    for nodes, around in between:
-        pressure[nodes] = pressure[around].mean(axis=1)
-    return pressure
-
-
-def contact_gap(system: System, state: State) -> Array:
-    """Distance of the nodes from the surfaces that they may meet, mm, NaN elsewhere, (n_nodes,)."""
-    gap = np.full(len(system.space.nodes), np.nan)
-    for points in system.contact:
-        if isinstance(points, TiedPoints):
-            continue
-        nodes = np.unique(points.nodes)
-        place, moved = system.space.nodes[nodes], system.displacements(state.x)[nodes]
-        gap[nodes] = np.fmin(gap[nodes], points.distance(place, moved, state.displacement_mm))
-    return gap
-
-
-def contact_figures(
-    system: System, state: State, assembly: Assembly, force: Array
-) -> ContactFigures:
-    """How well the moving surface fits, and what it presses with. Shapes: force (n_nodes, dim)."""
-    space, dim, u = system.space, system.space.dim, system.displacements(state.x)
-    depth, gap, area, touches = 0.0, 0.0, 0.0, False
-    for points, touch in zip(system.contact, assembly.contact, strict=True):
-        if isinstance(points, TiedPoints) or points.surface.speed == 0:
-            continue
-        closed = touch.active if state.glue is None else touch.active | state.glue.held
-        if not closed.any():
-            continue
-        touches = True
-        ratio = _stretched_areas(system, u)
-        stretched = np.einsum("ck,ck->c", points.shape, ratio[points.nodes])
-        area += float((points.weights * stretched)[closed].sum())
-        members = np.isin(space.facets, points.nodes).all(axis=1)
-        facets = space.facets[members & np.isin(space.facets, points.nodes[closed]).any(axis=1)]
-        amid = np.isin(facets, np.setdiff1d(points.nodes[closed], points.nodes[~closed])).all(
-            axis=1
-        )
-        k = facets.shape[1]
-        inner = [] if dim == 2 and k == 3 else [_MIDDLE[k]]  # such an edge has a node there
-        for local in (*np.eye(k), *inner):
-            place, moved = (np.einsum("a,faj->fj", local, v[facets]) for v in (space.nodes, u))
-            off = points.distance(place, moved, state.displacement_mm)
-            depth = max(depth, float(-off.min(initial=0.0)))
-            gap = max(gap, float(off[amid].max(initial=0.0)))
-    held = at_level(space, system.mesh, system.mesh.height_mm)
-    driven = system.constraints.dofs[system.constraints.rate != 0] // dim
-    face = np.isin(space.facets, np.intersect1d(held, driven)).all(axis=1)
-    if face.any():
-        k = _corners(space.facets.shape[1], dim)
-        area += float(_facet_areas((space.nodes + u)[space.facets[face, :k]], dim == 2).sum())
-        touches = True
-    sector = system.force_scale / (2.0 if system.mesh.half_height else 1.0)
-    if not touches:
-        return ContactFigures()
-    normal = force.copy()
-    normal[held, :-1] = 0.0  # a held face is sheared as well
-    pressure = contact_pressure(system, state, normal)
-    return ContactFigures(depth, gap, float(pressure.max(initial=0.0)), sector * area)
 
 
 def _pinned(system: System, assembly: Assembly, force: float) -> float:

@@ -21,7 +21,7 @@ from study.reporting.content.numbers import (
     significant,
 )
 from study.reporting.content.report_facts import Facts
-from study.reporting.content.text import clean, count, listing, plural_of, term_name
+from study.reporting.content.text import clean, listing, plural_of, term_name
 from study.reporting.results.study_result import Check, ReportData
 from study.statistics.analysis.anova_table import Row
 from study.statistics.analysis.simple_effects import NOT_RESOLVED
@@ -417,7 +417,7 @@ def _surface(fitted: FittedSurface, data: ReportData) -> Check:
     name, of = "Surface predicts runs left out", surface_content.title(fitted, data)
     if fitted.found is None:
         return Check(name, "fail", clean(fitted.refused), "No verdict for this response.", of)
-    q2 = surface_content.quality(fitted.found)
+    q2 = fitted.found.model.q2
     if q2 >= GIVEN:
         return Check(name, "pass", surface_content.accuracy(fitted), of=of)
     outcome = "caution" if q2 >= RANKED else "fail"
@@ -538,7 +538,8 @@ def _resolution(facts: Facts, data: ReportData) -> Check:
         unbounded = [term_name(e.term, data.labels) for e in facts.effects if e.u_num is None]
         if unbounded:
             finding += f"; no bound is known for {listing(unbounded)}"
-            mend = "That verdict holds at this mesh; refine further."
+            holds = "These verdicts hold" if len(unbounded) > 1 else "That verdict holds"
+            mend = f"{holds} at this mesh; refine further."
             return Check(name, "caution", finding, mend, facts.title)
         return Check(name, "pass", finding, of=facts.title)
     needed = [
@@ -557,11 +558,10 @@ def _fragile(facts: Facts, data: ReportData) -> list[Check]:
     judged = [effect for effect in facts.effects if effect.lost_without is not None]
     if not judged:
         return []
-    block = clean(data.block) or "block"
-    name = f"Claims hold with any one {block} left out"
+    name = f"Claims hold with any one {facts.block} left out"
     lost = [
         f"the claim on {term_name(effect.term, data.labels)} fails if "
-        f"{_some(effect.lost_without, data)} is left out"
+        f"{verdicts.blocks_needed(effect, facts)} is left out"
         for effect in judged
         if effect.lost_without
     ]
@@ -569,14 +569,6 @@ def _fragile(facts: Facts, data: ReportData) -> list[Check]:
         many = {1: "the claim does", 2: "both claims do"}
         finding = many.get(len(judged), f"all {len(judged)} claims do")
         return [Check(name, "pass", finding, of=facts.title)]
-    more = (
-        f"Measure more {plural_of(block)} before relying on {'it' if len(lost) == 1 else 'them'}."
-    )
+    claims = "it" if len(lost) == 1 else "them"
+    more = f"Measure more {plural_of(facts.block)} before relying on {claims}."
     return [Check(name, "caution", listing(lost), more, facts.title)]
-
-
-def _some(blocks: Sequence[str], data: ReportData) -> str:
-    block = clean(data.block) or "block"
-    named = [clean(name) for name in blocks]
-    several = f"any one of {count(len(named), block)}"
-    return f"{block} {listing(named, 'or')}" if len(named) < 4 else several

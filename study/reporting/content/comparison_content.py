@@ -145,16 +145,13 @@ def _how(row: Conclusion, comparison: Beside) -> str:
 
 def effect_of(row: Conclusion, conclusion: Found) -> Effect:
     """Effect of one study, as the words of a report want it."""
+    low, high = conclusion.low, conclusion.high
+    ends = None if low is None or high is None else (low, high)
     return Effect(
-        row.term, (), (), _interval(conclusion.low, conclusion.high), conclusion.effect,
-            conclusion.verdict,
+        row.term, (), (), ends, conclusion.effect, conclusion.verdict,
         "ratio" if row.ratio else "difference", practical=conclusion.practical, p=conclusion.p,
         u_num=conclusion.u_num, effect_over_u_num=conclusion.over_u_num, why=conclusion.why,
     )  # fmt: skip
-
-
-def _interval(low: float | None, high: float | None) -> tuple[float, float] | None:
-    return None if low is None or high is None else (low, high)
 
 
 def facts_of(row: Conclusion) -> Facts:

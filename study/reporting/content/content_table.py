@@ -23,7 +23,7 @@ from study.reporting.content.numbers import (
 from study.reporting.content.report_facts import Facts
 from study.reporting.content.text import clean, listing, name_of, sentence, term_name
 from study.reporting.results.study_result import ReportData
-from study.statistics.analysis.anova_table import Effect, SimpleEffect
+from study.statistics.analysis.anova_table import Effect
 from study.statistics.analysis.simple_effects import (
     CANNOT_TELL,
     MATTERS,
@@ -226,7 +226,7 @@ def _one_condition(condition: str, effect: Effect, facts: Facts, data: ReportDat
         if not here:
             return ""
         verdict = together([e.verdict for e in here])
-        largest = _largest([e for e in here if e.verdict == verdict] or here, effect)
+        largest = max([e for e in here if e.verdict == verdict] or here, key=effect.distance)
         size = shown_difference(apart(largest.difference, effect), effect, facts)
         by_verdict.setdefault(verdict, []).append(f"{clean(level)} ({size})")
     parts = [f"{_SAID[verdict]} at {listing(levels)}" for verdict, levels in by_verdict.items()]
@@ -239,10 +239,6 @@ def apart(difference: float, effect: Effect) -> float:
     if effect.is_ratio:
         return max(difference, 1 / difference) if difference > 0 else difference
     return abs(difference)
-
-
-def _largest(effects: Sequence[SimpleEffect], effect: Effect) -> SimpleEffect:
-    return max(effects, key=effect.distance)
 
 
 def together(verdicts: Sequence[str]) -> str:

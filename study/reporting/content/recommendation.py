@@ -319,7 +319,11 @@ def _surer(data: ReportData, all_facts: Sequence[Facts]) -> list[str]:
     if coarse:
         parts.append(f"finer meshes could resolve {listing(coarse)}")
     if not data.is_measured and effects and all(e.u_num is None for e in effects):
-        parts.append("a refined mesh, which was not tried, could move every result")
+        has_mesh = "dofs" in data.table and data.table["dofs"].notna().any()
+        untried = "a refined mesh, which was not tried"
+        if not has_mesh:
+            untried = "the numerical error of the program, which [converge] would show"
+        parts.append(f"{untried}, could move every result")
     return parts
 
 

@@ -129,21 +129,13 @@ def would_change(data: ReportData) -> str:
     """Say what would make the answer surer."""
     good = [one.found for one in data.surfaces if one.found is not None]
     parts = []
-    poor = [found for found in good if not quality(found) >= 0.9]
+    poor = [found for found in good if not found.model.q2 >= 0.9]
     if poor or len(good) < len(data.surfaces):
         parts.append("more runs would make the surface surer")
     if any(i.range is not None and i.range.claims for found in good for i in found.sensitivity):
         parts.append("the two runs that confirm each factor could overturn what is said of it")
     parts.append("wider ranges may show more, for nothing is said beyond those that were run")
     return sentence("; ".join(parts))
-
-
-def quality(found: SurfaceAnalysis) -> float:
-    """Leave-one-out Q2; NaN where no run can be left out."""
-    model = found.model
-    if not isinstance(model, QuadraticSurface):
-        return model.q2
-    return float("nan") if model.loo is None else model.loo.q2
 
 
 def accuracy(one: FittedSurface) -> str:
@@ -162,7 +154,7 @@ def accuracy(one: FittedSurface) -> str:
         runs += ", which learns from those at the other levels,"
     return (
         f"A {kind} of {runs} predicts each from all the others within "
-        f"{quantity(rms, clean(one.unit))} (root mean square; Q2 {_q2(quality(found))})."
+        f"{quantity(rms, clean(one.unit))} (root mean square; Q2 {_q2(found.model.q2)})."
     )
 
 

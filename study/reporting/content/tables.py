@@ -377,8 +377,7 @@ def matrix(data: ReportData, all_facts: Sequence[Facts]) -> Table:
     factors = list(data.factors)
     listed = [facts for facts in all_facts if facts.name in data.table]
     means = {
-        facts.name: dict(zip(*_columns(cells(data, facts.name), "cell", "mean"), strict=True))
-        for facts in listed
+        facts.name: cells(data, facts.name).set_index("cell")["mean"].to_dict() for facts in listed
     }
     rows, raw = [], []
     for labels, group in by_cell(data):
@@ -404,10 +403,6 @@ def matrix(data: ReportData, all_facts: Sequence[Facts]) -> Table:
         "mean time",
     )
     return Table("cells", columns, tuple(rows), len(factors), raw=tuple(raw))
-
-
-def _columns(frame: pd.DataFrame, *names: str) -> list[list[object]]:
-    return [frame[name].tolist() for name in names]
 
 
 def numerical(items: Sequence[NumericalUncertainty], data: ReportData) -> Table:

@@ -156,13 +156,16 @@ def robust(effect: Effect, facts: Facts) -> str:
     """Say whether a claim holds with any one block left out; empty where that is not known."""
     if effect.lost_without is None:
         return ""
-    block = facts.block
     if not effect.lost_without:
-        return f"; so with any one {block} left out"
-    named = [clean(name) for name in effect.lost_without]
-    several = f"any one of {count(len(named), block)}"
-    which = f"{block} {listing(named, 'or')}" if len(named) < 4 else several
-    return f"; fragile: the claim fails if {which} is left out"
+        return f"; so with any one {facts.block} left out"
+    return f"; fragile: the claim fails if {blocks_needed(effect, facts)} is left out"
+
+
+def blocks_needed(effect: Effect, facts: Facts) -> str:
+    """Name the blocks without any one of which a claim is not made."""
+    named = [clean(name) for name in effect.lost_without or ()]
+    several = f"any one of {count(len(named), facts.block)}"
+    return f"{facts.block} {listing(named, 'or')}" if len(named) < 4 else several
 
 
 def _no_difference(effect: Effect, facts: Facts, name: str, numbers: str) -> str:
@@ -251,6 +254,16 @@ def rejects_normality(facts: Facts, alpha: float = 0.05) -> bool:
     if not number or printed.startswith(">"):
         return False
     return float(number) <= alpha if printed.startswith("<") else float(number) < alpha
+
+
+def normality_phrase(facts: Facts, alpha: float) -> str:
+    """Ryan-Joiner as a caption says it."""
+    test_result = facts.assumptions.normality
+    if test_result is None or test_result.rj is None:
+        return "the test of normality does not apply"
+    p = "" if test_result.p_exact is None else f" ({p_phrase(test_result.p_exact)}, simulated)"
+    rejected = "rejected" if rejects_normality(facts, alpha) else "not rejected"
+    return f"normality is {rejected} by Ryan-Joiner{p}"
 
 
 def normality(facts: Facts, alpha: float = 0.05) -> str:

@@ -153,10 +153,7 @@ def distance_points(distance: DistanceResult) -> pd.DataFrame:
 
 
 def draw_distances(frame: pd.DataFrame, distance: DistanceResult) -> Canvas:
-    """Draw a histogram a stage on one axis, with mean and standard.
-
-    Units: found mm.
-    """
+    """Draw a histogram a stage on one axis, with mean and standard."""
     import seaborn as sns
 
     stages = list(dict.fromkeys(frame["stage"]))[:MOST_STAGES]
@@ -193,10 +190,7 @@ def displacement_points(displacement: DisplacementResult) -> pd.DataFrame:
 
 
 def draw_displacement(frame: pd.DataFrame, displacement: DisplacementResult) -> Canvas:
-    """Draw measured on commanded displacement, and their differences with limits of agreement.
-
-    Units: found mm.
-    """
+    """Draw measured on commanded displacement, and their differences with limits of agreement."""
     import seaborn as sns
 
     figure = canvas(WIDTH_IN, 3.4)

@@ -28,6 +28,7 @@ from study.reporting.content.text import (
     sentence,
     term_name,
 )
+from study.reporting.content.verdicts import normality_phrase
 from study.reporting.figures import (
     axes,
     convergence_figures,
@@ -119,17 +120,10 @@ def cells(facts: Facts, data: ReportData, frame: pd.DataFrame) -> str:
 
 def residuals(facts: Facts, data: ReportData, n: int) -> str:
     """Summarize the four panels and the test."""
-    normality = facts.assumptions.normality
-    verdict = "the test of normality does not apply"
-    if normality is not None and normality.rj is not None:
-        exact = normality.p_exact
-        rejected = exact is not None and exact < data.alpha
-        verdict = f"normality is {'rejected' if rejected else 'not rejected'}"
-        verdict += f" ({p_phrase(exact)}, simulated)" if exact is not None else ""
     return sentence(
         f"{count(n, 'residual')} of block and cell, one cell for each distinct computation; "
-        f"{verdict}. Run order means nothing for deterministic runs, so residuals stand against "
-        "the factors instead"
+        f"{normality_phrase(facts, data.alpha)}. Run order means nothing for deterministic runs, "
+        "so residuals stand against the factors instead"
     )
 
 

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.reporting.content.numbers import p_phrase, p_value
+from study.reporting.content.numbers import p_value
 from study.reporting.content.report_facts import Facts
 from study.reporting.content.text import clean, count, name_of, sentence, term_name
+from study.reporting.content.verdicts import normality_phrase
 from study.reporting.figures.axes import (
     BAND,
     INK,
@@ -433,18 +434,10 @@ def drawn_words(points: pd.DataFrame) -> str:
 
 def four_in_one_caption(points: pd.DataFrame, facts: Facts, alpha: float) -> str:
     """Name the panels, and say whether normality is rejected."""
-    normality = facts.assumptions.normality
-    verdict = "the test of normality does not apply"
-    if normality is not None and normality.rj is not None:
-        p = normality.p_exact
-        p_text = f" ({p_phrase(p)}, simulated)" if p is not None else ""
-        rejected = p is not None and p < alpha
-        verdict = (
-            f"normality is {'rejected' if rejected else 'not rejected'} by Ryan-Joiner{p_text}"
-        )
     return sentence(
-        f"{count(len(points), 'residual')}; {verdict}. The order is that of the rows in the file: "
-        f"the run order only if they were written down as they were run{drawn_words(points)}"
+        f"{count(len(points), 'residual')}; {normality_phrase(facts, alpha)}. The order is that of "
+        "the rows in the file: the run order only if they were written down as they were run"
+        f"{drawn_words(points)}"
     )
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.reporting.content.numbers import percent, quantity
-from study.reporting.content.surface_content import quality, title
+from study.reporting.content.surface_content import title
 from study.reporting.content.text import clean, listing, name_of, sentence
 from study.reporting.figures.axes import (
     BAND,
@@ -203,7 +203,7 @@ def _left_out(surface: SurfaceAnalysis, fitted: FittedSurface, data: ReportData)
     caption = (
         f"Each run of {title(fitted, data)} against what a surface fitted to all the others "
         f"predicts; the worst is off by {quantity(worst, clean(fitted.unit))}, and Q2 is "
-        f"{min(quality(surface), 0.9999):.4g}{' or more' if quality(surface) > 0.9999 else ''} "
+        f"{min(surface.model.q2, 0.9999):.4g}{' or more' if surface.model.q2 > 0.9999 else ''} "
         "(1 is perfect, 0 no better than the mean)."
     )
     return frame, lambda: _draw_left_out(frame, fitted, data), caption

@@ -43,10 +43,7 @@ if TYPE_CHECKING:
 
 
 def scan_answers(deviation: ShapeDeviation) -> list[str]:
-    """Say in a few sentences what was found.
-
-    Units: found mm.
-    """
+    """Say in a few sentences what was found."""
     s = deviation.statistics
     lines = [
         f"The scan lies {quantity(s.mean_absolute, 'mm')} from the simulated surface on average "
@@ -104,10 +101,7 @@ def _markers(markers: MarkerDeviation) -> Iterator[str]:
 
 
 def scan_tables(deviation: ShapeDeviation) -> list[Table]:
-    """Statistics of the deviation, and markers.
-
-    Units: found mm.
-    """
+    """Statistics of the deviation, and markers."""
     s = deviation.statistics
     values = {
         "mean": s.mean, "mean of sizes": s.mean_absolute, "RMS": s.rms, "SD": s.sd,
@@ -138,10 +132,7 @@ def _marker_table(markers: MarkerDeviation) -> Table:
 
 
 def tracker_answers(accuracy: TrackerAccuracy) -> list[str]:
-    """Say in a few sentences what was found.
-
-    Units: found mm.
-    """
+    """Say in a few sentences what was found."""
     lines = [f"{count(accuracy.samples, 'sample')} of {count(accuracy.markers, 'marker')}."]
     if accuracy.distance is not None:
         lines += _tracker_distance(accuracy.distance, accuracy.alpha)
@@ -255,10 +246,7 @@ def _lever_arm(arm: LeverArm, reference: ReferenceResult) -> str:
 
 
 def tracker_tables(accuracy: TrackerAccuracy) -> list[Table]:
-    """Stages, stops and poses.
-
-    Units: found mm.
-    """
+    """Stages, stops and poses."""
     made = []
     if accuracy.distance is not None:
         made.append(_stages(accuracy.distance, accuracy.alpha))
@@ -333,11 +321,8 @@ def write_accuracy(page: AccuracyPage, out_dir: str | Path) -> Path:
     """Write a page, with the data of its figures and tables beside it."""
     folder, stem = Path(out_dir), f"{slug(page.name)}-{slug(page.kicker)}"
     files = data_folder(folder, stem)
-    for figure in page.figures:
-        if figure.data is not None:
-            replace_file(files / f"figure-{figure.name}.csv", write.of_frame(figure.data))
-    for table in page.tables:
-        replace_file(files / f"table-{slug(table.name)}.csv", write.of_records(table.raw))
+    write.write_figures(files, page.figures, drawn=False)
+    write.write_tables(files, page.tables)
     numbers = json.dumps(page.document, indent=1, allow_nan=False)
     replace_file(files / "numbers.json", numbers + "\n")
     text = _environment().get_template("accuracy.html.j2").render(
@@ -350,10 +335,7 @@ def write_accuracy(page: AccuracyPage, out_dir: str | Path) -> Path:
 
 
 def tracker_page(accuracy: TrackerAccuracy) -> AccuracyPage:
-    """Page of a tracker.
-
-    Units: found mm.
-    """
+    """Page of a tracker."""
     figures = []
     if (distance := accuracy.distance) is not None:
         figures.append(
@@ -411,10 +393,7 @@ def _page_poses(reference: ReferenceResult) -> Drawn:
 
 
 def shape_page(deviation: ShapeDeviation) -> AccuracyPage:
-    """Page of a scanned surface.
-
-    Units: found mm.
-    """
+    """Page of a scanned surface."""
     frame = accuracy_figures.deviation_points(deviation)
     return AccuracyPage(
         kicker="Shape deviation",

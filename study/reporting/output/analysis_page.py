@@ -265,16 +265,8 @@ def _write_data(report: AnalysisReport, contents: page.Contents, files: Path) ->
     rows = report.found.data.residuals if report.rows is None else report.rows
     replace_file(files / "rows.csv", write.of_frame(rows))
     sizes = [contents.sections[0].anova] if contents.sections[0].anova is not None else []
-    for table in (*contents.tables.values(), *sizes):
-        records = write.of_records(table.raw) if table.raw else write.of_rows(
-            table.columns, table.rows
-        )  # fmt: skip
-        replace_file(files / f"table-{slug(table.name)}.csv", records)
-    for figure in contents.all_figures:
-        if figure.data is not None:
-            replace_file(files / f"figure-{figure.name}.csv", write.of_frame(figure.data))
-        if figure.svg:
-            replace_file(files / f"figure-{figure.name}.svg", figure.svg + "\n")
+    write.write_tables(files, (*contents.tables.values(), *sizes))
+    write.write_figures(files, contents.all_figures)
 
 
 # The page of a verb about one thing: answer, figures, tables, warnings, data beside it.
@@ -301,11 +293,8 @@ def write_answer(page: AnswerPage, out_dir: str | Path) -> Path:
     folder = Path(out_dir)
     stem = f"{slug(page.name)}-{page.stem}"
     files = data_folder(folder, stem)
-    for figure in page.figures:
-        if figure.data is not None:
-            replace_file(files / f"figure-{figure.name}.csv", write.of_frame(figure.data))
-    for table in page.tables:
-        replace_file(files / f"table-{slug(table.name)}.csv", write.of_records(table.raw))
+    write.write_figures(files, page.figures, drawn=False)
+    write.write_tables(files, page.tables)
     text = _environment().get_template("answer.html.j2").render(
         kind=page.kind, name=clean(page.name), question=clean(page.question), answer=page.answer,
         figures=page.figures, tables=page.tables, warnings=page.warnings,

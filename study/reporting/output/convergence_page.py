@@ -42,14 +42,14 @@ def write_convergence(
     cells = list(document.get("cells", [document]))
     figures = convergence_figures(cells, document.get("fronts", ()), meshes, window)
     tables = [series_table(cells), *sources_tables(cells)]
-    verdicts = [
+    warnings = [
         f"{convergence.label_of(cell)}: {text}" if len(cells) > 1 else str(text)
         for cell in cells
         for text in cell.get("warnings") or ()
     ]
     page = AnswerPage(
         "mesh convergence", "convergence", name, question, answers(cells, document), figures,
-        tables, [clean(line) for line in dict.fromkeys(verdicts)],
+        tables, [clean(line) for line in dict.fromkeys(warnings)],
     )  # fmt: skip
     return write_answer(page, out_dir)
 

@@ -142,10 +142,7 @@ def requirement_figures(sensors: SensorRequirement) -> list[Figure]:
 
 
 def errors(sensors: SensorRequirement) -> Table:
-    """Every error: as given, and as large as it may be.
-
-    Units: found mm, N.
-    """
+    """Every error: as given, and as large as it may be."""
     rows, raw = [], []
     for k, source in enumerate(sensors.propagation.sources):
         alone, jointly = sensors.allowed(k)
@@ -167,10 +164,7 @@ def errors(sensors: SensorRequirement) -> Table:
 
 
 def quantities(sensors: SensorRequirement) -> Table:
-    """Constants and predicted force with their uncertainties.
-
-    Units: found MPa, kPa.
-    """
+    """Constants and predicted force with their uncertainties."""
     rows, raw = [], []
     for item in sensors.quantities:
         factor, unit = (1e3, "kPa") if item.unit == "MPa" else (1.0, item.unit)

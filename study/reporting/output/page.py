@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gzip
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -42,7 +42,6 @@ if TYPE_CHECKING:
 
     from study.harness.execution.local import Worker
     from study.statistics.surfaces.surface_profile import FittedSurface
-
 
 _VERSION = "version of "
 
@@ -255,13 +254,7 @@ def render(contents: Contents) -> str:
 
 def table_script() -> Markup:
     """Return the script that sorts and searches tables, as it stands in the page."""
-    from importlib.resources import files
-
-    from markupsafe import Markup
-
-    text = (files("study.reporting") / "templates" / "tables.js").read_text(encoding="utf-8")
-    # a file of this package, without a word of a user
-    return Markup(text)  # noqa: S704
+    return _packaged("tables.js")
 
 
 def policy_hash(script: str) -> str:
@@ -402,3 +395,54 @@ def replace_packed(path: Path, text: str) -> None:
 def replace_bytes(path: Path, data: bytes) -> None:
     """Write the bytes of a file beside, then rename; see :func:`replace_file`."""
     write_atomic(path, data, flush=False)
+
+
+# The page that watches studies: those at work with their progress, and all others.
+
+
+@dataclass(frozen=True)
+class StudyProgress:
+    """How many computations of how many a runner has done, and the same in words."""
+
+    done: int
+    total: int
+    said: str
+
+
+@dataclass(frozen=True)
+class StudyState:
+    """One study as its folders show it: its cases in words, and the address of its report."""
+
+    name: str
+    question: str
+    cases: str
+    progress: StudyProgress | None
+    page: str
+
+
+def render_overview(states: Sequence[StudyState]) -> tuple[str, str]:
+    """Return the page of every study, and the policy that lets it run its own script and style."""
+    script, style = _packaged("overview.js"), _packaged("style.css") + _packaged("overview.css")
+    text: str = _environment().get_template("overview.html.j2").render(
+        running=[state for state in states if state.progress is not None],
+        others=[state for state in states if state.progress is None],
+        script=script,
+        style=style,
+        clean=clean,
+    )  # fmt: skip
+    policy = (
+        f"default-src 'none'; style-src '{policy_hash(style)}'; "
+        f"script-src '{policy_hash(script)}'; connect-src 'self'; img-src data:; "
+        "form-action 'none'; base-uri 'none'; frame-ancestors 'none'"
+    )
+    return text, policy
+
+
+def _packaged(name: str) -> Markup:
+    """Text of a file of this package, which holds no word of a user."""
+    from importlib.resources import files
+
+    from markupsafe import Markup
+
+    text = (files("study.reporting") / "templates" / name).read_text(encoding="utf-8")
+    return Markup(text)  # noqa: S704

@@ -30,7 +30,7 @@ from study.reporting.content.content_table import Table
 from study.reporting.content.methods import paragraph
 from study.reporting.content.numbers import MINUS, MISSING, THIN, TIMES
 from study.reporting.content.text import clean
-from study.reporting.figures.registry import slug
+from study.reporting.figures.registry import Figure, slug
 from study.reporting.output.page import (
     Contents,
     data_folder,
@@ -153,11 +153,7 @@ def _written(contents: Contents, folder: Path, chosen: Sequence[str]) -> Path:
     replace_file(files / "cases.csv", of_frame(report_data.table))
     if report_data.curves:
         replace_packed(files / "curves.csv.gz", _points(report_data.curves))
-    for figure in contents.all_figures:
-        if figure.data is not None:
-            replace_file(files / f"figure-{figure.name}.csv", of_frame(figure.data))
-        if figure.svg:
-            replace_file(files / f"figure-{figure.name}.svg", figure.svg + "\n")
+    write_figures(files, contents.all_figures)
     html, latex, portable = (folder / f"{stem}.{suffix}" for suffix in ("html", "tex", "pdf"))
     if "html" in chosen or "pdf" in chosen:
         replace_file(html, render(contents))
@@ -194,10 +190,23 @@ def checked_formats(formats: Sequence[str]) -> tuple[str, ...]:
 def _tables(contents: Contents, files: Path) -> None:
     made: list[Table] = list(contents.tables.values())
     every = [table for section in contents.sections for table in (section.anova, section.contrasts)]
-    made += [table for table in every if table is not None]
-    for table in made:
+    write_tables(files, [*made, *(table for table in every if table is not None)])
+
+
+def write_tables(files: Path, tables: Iterable[Table]) -> None:
+    """Write the CSV of tables: their numbers, or their cells where no numbers stand behind."""
+    for table in tables:
         text = of_records(table.raw) if table.raw else of_rows(table.columns, table.rows)
         replace_file(files / f"table-{slug(table.name)}.csv", text)
+
+
+def write_figures(files: Path, figures: Iterable[Figure], *, drawn: bool = True) -> None:
+    """Write the CSV of figures, and what is drawn as SVG."""
+    for figure in figures:
+        if figure.data is not None:
+            replace_file(files / f"figure-{figure.name}.csv", of_frame(figure.data))
+        if figure.svg and drawn:
+            replace_file(files / f"figure-{figure.name}.svg", figure.svg + "\n")
 
 
 def _numbers(contents: Contents, files: Path) -> None:

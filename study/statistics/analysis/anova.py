@@ -90,7 +90,7 @@ def assemble(out: AnalysisOutcome) -> AnalysisResult:
         out.request,
         out.error,
         out.anova,
-        _variation(out),
+        Variation(_shares(out), out.lenth, out.summary),
         holm(out.effects),
         Detection(
             _back(out, out.scale.practical),
@@ -102,10 +102,6 @@ def assemble(out: AnalysisOutcome) -> AnalysisResult:
         _summary_of_data(out, None if fit is None else fit.columns),
         tuple(dict.fromkeys(out.warnings)),
     )
-
-
-def _variation(out: AnalysisOutcome) -> Variation:
-    return Variation(_shares(out), out.lenth, out.summary)
 
 
 def _summary_of_data(out: AnalysisOutcome, model_matrix: Array | None) -> DataSummary:
@@ -545,7 +541,7 @@ def _found(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisOutcome:
         notes.append("repeats of a cell within a block are averaged: they are nested in it")
     plots = whole_plots(out.data, request.layout.whole_plot)
     data = out.data
-    y = _transformed(data, request)
+    y = np.asarray(np.log(data.y)) if request.scale.is_log else data.y
     scale = scale_of(out, y)
     low, high = range_of_bounds(out, scale)
     out = replace(out, y=y, scale=scale, u_cells=low, u_raw=high)
@@ -701,7 +697,3 @@ def _require_positive(data: Data, request: AnalysisRequest) -> None:
     if request.scale.is_log and data.y.min() <= 0:
         rule = f"the log needs positive values, got {data.y.min():g}"
         raise InputError(Fault(f"response {request.response!r}", rule))
-
-
-def _transformed(data: Data, request: AnalysisRequest) -> Array:
-    return np.asarray(np.log(data.y)) if request.scale.is_log else data.y

@@ -136,13 +136,14 @@ def pooled_estimate(
         return TermEstimate(term, levels, component, mean, None, None, None, p, settings)
     covariance = fit.unscaled_covariance() * rss / df
     spread = np.einsum("ij,ij->i", mean_rows @ covariance, mean_rows)
+    df_term = int(np.prod([len(layout.levels[name]) - 1 for name in term]))
     return TermEstimate(
         term,
         levels,
         component,
         mean,
         component_rows @ covariance @ component_rows.T,
-        pooled_critical(len(levels), _df_of(layout, term), df, len(term) == 1, alpha),
+        pooled_critical(len(levels), df_term, df, len(term) == 1, alpha),
         t_quantile(alpha / 2, df) * np.sqrt(np.maximum(spread, 0)),
         p,
         settings,
@@ -177,10 +178,6 @@ def sampled_estimate(
 def settings_of(layout: CellLayout, term: Term) -> tuple[tuple[str, ...], ...]:
     """Levels of the factors of a term in every combination, in the order of its components."""
     return tuple(product(*(layout.levels[name] for name in term)))
-
-
-def _df_of(layout: CellLayout, term: Term) -> int:
-    return int(np.prod([len(layout.levels[name]) - 1 for name in term]))
 
 
 @overload

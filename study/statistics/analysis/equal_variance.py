@@ -166,7 +166,7 @@ def bartlett(
     from scipy.special import chdtrc
 
     df = np.array([v.size - 1 for v in named.values()], dtype=float)
-    variance = np.array([_variance(v) for v in named.values()])
+    variance = np.array([(v - v[0]).var(ddof=1) for v in named.values()])
     t = float(_bartlett_statistic(variance, df))
     k = len(named) - 1
     p_mc = None
@@ -187,11 +187,6 @@ def _simulated_bartlett(
         for drawn in design.draws(simulations, seed)
     ]
     return np.concatenate(parts)
-
-
-def _variance(values: Array) -> float:
-    shifted = values - values[0]
-    return float(shifted.var(ddof=1))
 
 
 def _bartlett_statistic(variance: Array, df: Array) -> Array:

@@ -24,7 +24,12 @@ from study.statistics.analysis.effects import (
     with_pseudo_error,
 )
 from study.statistics.analysis.equal_variance import welch_tests
-from study.statistics.analysis.gate import judge_factors, refusal, rivals_of_rows
+from study.statistics.analysis.gate import (
+    LEAST_CONTRASTS,
+    judge_factors,
+    refusal,
+    rivals_of_rows,
+)
 from study.statistics.analysis.linear_model import (
     CellLayout,
     Term,
@@ -151,7 +156,7 @@ def choose(s: Situation, error: str) -> Choice:
             "is the effect larger than the interactions declared negligible?",
             "assumption: the interactions left out of the model are zero",
         )
-    if s.sparse_ready and s.contrasts >= 7:
+    if s.sparse_ready and s.contrasts >= LEAST_CONTRASTS:
         return Choice(
             "E6",
             NONE,
@@ -302,9 +307,13 @@ def welch(out: AnalysisOutcome) -> AnalysisOutcome:
     if counts.min() < 2:
         rule = f"needs two rows or more in every cell, and {(counts < 2).sum()} cells hold one"
         raise InputError(Fault("--welch", rule, "leave it out, or add rows"))
+    if out.replicates == "noise":
+        rule = "takes the rows of a cell as independent, and resamples of one curve are not"
+        raise InputError(Fault("--welch", rule, "leave it out"))
     fit = factor(model_matrix(data.layout, out.terms), out.y)
     sums = term_sums(fit, "III")
-    out = out.warn(*alias_warnings(sums))
+    choice = _replicates(_situation(out, fit, sums))
+    out = out.warn(*alias_warnings(sums), *choice.cautions)
     tests = welch_tests(data.layout, data.cell, out.y, out.terms)
     rows = []
     for s in sums:
@@ -322,8 +331,8 @@ def welch(out: AnalysisOutcome) -> AnalysisOutcome:
         for term in out.terms
     ]
     error = ErrorTerm(
-        "E0",
-        "is the effect larger than the run-to-run scatter within a cell?",
+        choice.source,
+        choice.question,
         {row.term: row.df_error for row in rows if row.df_error is not None},
         "as asked for: every cell has a variance of its own (Welch, Johansen 1980; intervals of "
         "one factor by Games and Howell)",

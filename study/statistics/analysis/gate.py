@@ -116,17 +116,13 @@ def judge_factors(
                 found[name] = SimpleEffects(name, CANNOT_TELL, out.structure.undecided, ())
             continue
         for rival in rivals:
-            if not _claimed(printed) & set(rival.claims):
+            if not {e.verdict for e in printed.effects} & set(CLAIMS) & set(rival.claims):
                 continue
             limit = rival.practical or scale.practical
             other = judged(rival.matrix or fit.matrix, rival.sample, practical=limit)
             printed = _agreed(printed, other, rival)
         found[name] = printed
     return found
-
-
-def _claimed(found: SimpleEffects) -> set[str]:
-    return {effect.verdict for effect in found.effects} & set(CLAIMS)
 
 
 def _agreed(printed: SimpleEffects, other: SimpleEffects | None, rival: Rival) -> SimpleEffects:
@@ -146,14 +142,12 @@ def _agreed(printed: SimpleEffects, other: SimpleEffects | None, rival: Rival) -
         if printed.verdict == MATTERS
         else left == {NO_DIFFERENCE} and whole == NO_DIFFERENCE
     )
-    if stands and effects == printed.effects:
-        always = tuple(pair for pair in printed.always if other and pair in other.always)
-        return replace(printed, always=always)
-    printed = replace(printed, effects=effects, withdrawn=(*printed.withdrawn, rival.why))
-    if stands:
-        always = tuple(pair for pair in printed.always if other and pair in other.always)
-        return replace(printed, always=always)
-    return replace(printed, verdict=CANNOT_TELL, why=rival.why, always=())
+    if not stands or effects != printed.effects:
+        printed = replace(printed, effects=effects, withdrawn=(*printed.withdrawn, rival.why))
+    if not stands:
+        return replace(printed, verdict=CANNOT_TELL, why=rival.why, always=())
+    always = tuple(pair for pair in printed.always if other and pair in other.always)
+    return replace(printed, always=always)
 
 
 def reading_error(out: AnalysisOutcome) -> float:
@@ -287,7 +281,9 @@ def rival_of_every_term(
     ``at`` gives the full model's sample at an error probability; the coefficients are tested one
     by one, at that of doubt over their number.
     """
-    places = [whole.matrix.of(term) for term in whole.matrix.terms if _is_left_out(term, out)]
+    factors = set(out.data.factors)
+    left_out = [t for t in whole.matrix.terms if t and t not in out.terms and set(t) <= factors]
+    places = [whole.matrix.of(term) for term in left_out]
     if not places:
         return [], []
     columns = np.concatenate([np.arange(p.start, p.stop) for p in places])
@@ -303,10 +299,6 @@ def rival_of_every_term(
     note = f"lack of fit of the declared model: {int(seen.sum())} of {m} coefficients that it "
     note += "leaves out may not be zero"
     return [Rival(f"{LACK_OF_FIT} ({note})", at(out.request.alpha), matrix=whole.matrix)], [note]
-
-
-def _is_left_out(term: Term, out: AnalysisOutcome) -> bool:
-    return bool(term) and term not in out.terms and set(term) <= set(out.data.factors)
 
 
 def _lack_of_fit_over_blocks(fit: Factored, whole: Factored, y: Array) -> tuple[float, str]:

@@ -110,7 +110,8 @@ def own_groups(out: AnalysisOutcome, plots: Plots) -> AnalysisOutcome | None:
     for part_term, part in _parts(out, table, within, block, fit).items():
         if part.values.shape[0] > 1:
             spheres[term_name(part_term)] = _sphere(part, fit)
-        errors.append(_error_row(part))
+        ss = float(np.sum(part.residual**2))
+        errors.append(Row(part.name, part.df, ss, ss / part.df))
         for group_term, direction in _directions(fit, kind, part_term):
             term = tuple(f for f in out.data.factors if f in (*part_term, *group_term))
             if term in out.terms:
@@ -230,11 +231,6 @@ def _f(
             epsilon = found.df1 / (part.values.shape[0] * direction.shape[1])
             return found.f, epsilon, found.df2 / epsilon
     return pooled, epsilon_gg(part.residual @ part.residual.T), part.df
-
-
-def _error_row(part: _Part) -> Row:
-    ss = float(np.sum(part.residual**2))
-    return Row(part.name, part.df, ss, ss / part.df)
 
 
 def _sphere(part: _Part, fit: Factored) -> SphericityResult:

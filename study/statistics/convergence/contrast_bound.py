@@ -150,7 +150,8 @@ def _within(
     """Bound of the part of a contrast that lies in one discretization."""
     first = series[cells[0]]
     meshes = min(len(series[cell].value) for cell in cells)
-    ratios = [_ratios(series[cell].mesh_size[:meshes]) for cell in cells]
+    sizes = np.array([series[cell].mesh_size[:meshes] for cell in cells])
+    ratios = sizes[:, 1:] / sizes[:, :-1]
     if meshes < 2 or any(not np.allclose(r, ratios[0], rtol=0.05) for r in ratios):
         return None
     w = np.array([weights[cell] for cell in cells])
@@ -167,11 +168,6 @@ def _within(
     u = min(max(float(bound), FLOOR * ceiling), ceiling)
     method = "two meshes" if meshes == 2 else "three meshes"
     return ContrastUncertainty(u, 0.0, float(order), method)
-
-
-def _ratios(mesh_size: Sequence[float]) -> Array:
-    size = np.asarray(mesh_size)
-    return np.asarray(size[1:] / size[:-1])
 
 
 def limit_of(series: CellSeries) -> tuple[float, float] | None:

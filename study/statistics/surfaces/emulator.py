@@ -71,8 +71,8 @@ class EffectRange:
 def is_confirmed(runs: Runs, j: int, least: float) -> bool:
     """Whether two runs that differ in factor j alone differ by more than ``least``.
 
-    Over blocks their mean difference less its 95 % interval counts. Settings of confirming runs
-    are rounded to a ten-thousandth of their range.
+    Runs repeated at one setting count by their mean, over blocks their mean difference less its
+    95 % interval. Settings of confirming runs are rounded to a ten-thousandth of their range.
     """
     from scipy import stats
 
@@ -85,10 +85,12 @@ def is_confirmed(runs: Runs, j: int, least: float) -> bool:
     for group in np.flatnonzero(np.bincount(place) > 1):
         each: dict[tuple[float, float], list[float]] = {}
         for rows in where.values():
-            here = [i for i in rows if place[i] == group]
-            values = {round(float(runs.coded[i, j]), 3): float(runs.response[i]) for i in here}
+            values: dict[float, list[float]] = {}
+            for i in (i for i in rows if place[i] == group):
+                values.setdefault(round(float(runs.coded[i, j]), 3), []).append(runs.response[i])
             for a, b in combinations(sorted(values), 2):
-                each.setdefault((a, b), []).append(values[a] - values[b])
+                difference = float(np.mean(values[a]) - np.mean(values[b]))
+                each.setdefault((a, b), []).append(difference)
         for found in each.values():
             n = len(found)
             if n == len(where) and n != 2:

@@ -449,15 +449,18 @@ class QuadraticSurface:
             return None
         if self.error == "none" and not self.loo.q2 >= CARRIED:
             return None
-        small = Small(practical, float(np.ptp(self.runs.response)))
-        k, found = self.polynomial.k, []
-        for j in range(k):
-            known = self.error == "none"
-            bound = u + (2.0 * self.loo.largest if known else self._scatter(j, self.covariance))
-            value = effect_range(lambda x: self.polynomial.value(2.0 * x - 1.0), k, j, bound, small)
+        small, ranges = Small(practical, float(np.ptp(self.runs.response))), []
+        for j in range(self.polynomial.k):
+            exact = self.error == "none"
+            bound = u + (2.0 * self.loo.largest if exact else self._scatter(j, self.covariance))
             sure = practical is not None and is_confirmed(self.runs, j, practical + u)
-            found.append(replace(value, confirmed=sure))
-        return tuple(found)
+            ranges.append(replace(self.range_along(j, bound, small), confirmed=sure))
+        return tuple(ranges)
+
+    def range_along(self, j: int, bound: float = 0.0, small: Small | None = None) -> EffectRange:
+        """Range along factor j, judged where a bound and what is too small are given."""
+        value, small = self.polynomial.value, small or Small(None, 0.0)
+        return effect_range(lambda x: value(2.0 * x - 1.0), self.polynomial.k, j, bound, small)
 
     def _scatter(self, j: int, covariance: Array) -> float:
         """Half width of every difference of two settings of one factor together."""
@@ -481,6 +484,11 @@ class QuadraticSurface:
         if free > 0:
             return largest * float(np.sqrt(p * self.df / free * stats.f.ppf(0.95, p, free)))
         return largest * float(stats.t.ppf(1 - 0.025 / len(points), self.df))
+
+    @property
+    def q2(self) -> float:
+        """Leave-one-out Q2; NaN where no run can be left out."""
+        return float("nan") if self.loo is None else self.loo.q2
 
     @property
     def half_width(self) -> float:

@@ -118,7 +118,7 @@ def propagate(
 ) -> Propagated:
     """Carry the distributions of inputs through a surface."""
     model = found.model
-    q2 = _q2(model)
+    q2 = model.q2
     if not q2 >= RANKED:
         rule = f"Q2 is {q2:.2f}, below {RANKED}: nothing is said of uncertain inputs"
         raise RefusedError(str(Fault("uncertainty", rule, "add runs")))
@@ -175,12 +175,6 @@ def _value(model: Model, coded: Array) -> Array:
     if isinstance(model, QuadraticSurface):
         return model.polynomial.value(coded)
     return model.value(coded)
-
-
-def _q2(model: Model) -> float:
-    if not isinstance(model, QuadraticSurface):
-        return model.q2
-    return float("nan") if model.loo is None else model.loo.q2
 
 
 def _numbers(values: Array) -> Array:

@@ -194,16 +194,18 @@ def analysis_of_quadratic(
             "no stationary point established inside the region; confirm the best predicted "
             "setting by a run there"
         )
-    ranges = None if practical is None else found.ranges(practical, u)
-    told: tuple[Sensitivity, ...] = ()
-    if ranges is not None:
-        ranks = np.argsort(np.argsort([-one.value for one in ranges])).tolist()
-        names = zip(found.runs.names, ranks, ranges, strict=True)
-        told = tuple(Sensitivity(name, rank + 1, None, one) for name, rank, one in names)
-    elif practical is not None:
-        told = tuple(Sensitivity(n, i + 1, None, None) for i, n in enumerate(found.runs.names))
-        said.append("no factor is judged: a quadratic does not carry these runs, or fits them all")
-    return SurfaceAnalysis(found, told, found.smallest, found.largest, tuple(said))
+    judged: tuple[Sensitivity, ...] = ()
+    if practical is not None:
+        names = found.runs.names
+        ranges = found.ranges(practical, u)
+        sizes = [found.range_along(j).value for j in range(len(names))]
+        ranks = np.argsort(np.argsort([-size for size in sizes])).tolist()
+        every = zip(names, ranks, ranges or [None] * len(names), strict=True)
+        judged = tuple(Sensitivity(name, rank + 1, None, item) for name, rank, item in every)
+        if ranges is None:
+            rule = "no factor is judged: a quadratic does not carry these runs, or fits them all"
+            said.append(rule)
+    return SurfaceAnalysis(found, judged, found.smallest, found.largest, tuple(said))
 
 
 def analysis_of_emulator(
@@ -211,8 +213,10 @@ def analysis_of_emulator(
 ) -> SurfaceAnalysis:
     """Ask an emulator for all that its Q2 allows."""
     k, unrun = len(found.runs.factors), never_run(found.runs)
-    rough_low, rough_high = extremes(found.value, k, 0.0)
-    low, high = (_with_interval(found, extreme) for extreme in (rough_low, rough_high))
+    low, high = (
+        replace(extreme, half_width=float(found.predict(extreme.at[None, :])[1][0]))
+        for extreme in extremes(found.value, k, 0.0)
+    )
     twice = 2 * found.runs.response.size
     if found.gate == "refused":
         note = f"Q2 {found.q2:.2f} is below .7: no indices; add runs, {twice} in all"
@@ -234,11 +238,6 @@ def analysis_of_emulator(
     if any(item.claims for item in ranges):
         notes.append("matters holds once the two predicted extremes were run: see confirm")
     return SurfaceAnalysis(found, told, low, high, tuple(notes))
-
-
-def _with_interval(found: Emulator | BlockedEmulator, extreme: Extreme) -> Extreme:
-    _, half = found.predict(extreme.at[None, :])
-    return Extreme(extreme.at, extreme.value, float(half[0]))
 
 
 def _test(test: SurfaceFTest | None) -> Document | None:

@@ -1,0 +1,495 @@
+"""What holds a specimen in equilibrium, what touches it, and whether the equilibrium stands.
+
+At a minimum of the energy the tangent of a mixed body has one negative eigenvalue for every
+pressure and no other: contact springs only add to the rest. A factorization counts them
+(Sylvester's law of inertia). A model of a half or quarter sees the modes that have its
+symmetry. Those that have not are seen by the tangent of the same state and the same mesh with
+other conditions on a plane of symmetry: what moves along it is held there, what crosses it is
+free, so that the two sides sway together (Healey 1988, Comput. Methods Appl. Mech. Eng. 67, 257).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from study.ground.arrays import Array, Flags, Ints
+from study.mechanics.contact.collocation import _ring_shares
+from study.mechanics.contact.contact import Constraints, TiedPoints, prescribed_rates
+from study.mechanics.element.function_space import _SAME, Pattern, _facet_areas, at_level
+from study.mechanics.mesh.structured import Mesh
+from study.mechanics.setup.setup import Problem, Setup
+from study.mechanics.setup.test_kinds import buckling_strain
+from study.mechanics.solver.internal_force import Tangent
+from study.mechanics.solver.linear_solver import (
+    KeptFactors,
+    SingularMatrixError,
+    _orthogonalized,
+    make_solver,
+)
+from study.mechanics.solver.system import Assembly, ContactTerms, Latest, State, System
+
+#: share of the strain by Euler's load above which hidden modes are looked for: elements bend
+#: too stiffly, never too softly, and a bonded column is a little stiffer than a free one
+SUSPICIOUS = 0.6
+
+#: vectors of a Lanczos iteration: the least stiffness of a state next to an instability is far
+#: from all others
+_LANCZOS = 40
+
+#: share of the volume in a mode below which it is one of a few elements: at the rim of a punch in
+#: linear hexahedra it is 0.0003, in a column that sways 0.3
+LOCAL_SHARE = 0.05
+
+#: residual of an eigenvector over its eigenvalue at which the iteration ends
+_LANCZOS_TOLERANCE = 1e-4
+
+
+@dataclass(frozen=True)
+class Instability:
+    """Where an equilibrium becomes unstable, and the way in which it gives way."""
+
+    #: Where the least stiffness passes zero, by a line between the two steps.
+    displacement_mm: float
+    #: The last step that is stable and the first that is not.
+    stable_mm: float
+    unstable_mm: float
+    #: {"x", "y", ""}: direction of a sway that the model's symmetry hides.
+    sway: str
+    #: shape (n_nodes, dim); motion of the nodes of the modelled part, the largest of length 1.
+    mode: Array
+    #: {-1, 1} by axis: the same motion mirrored, where the model has a plane of symmetry.
+    parity: tuple[int, ...] = (1, 1, 1)
+
+    def to_json(self) -> dict[str, object]:
+        """Document of ``study solve --json``, without the mode."""
+        return {
+            "displacement_mm": self.displacement_mm,
+            "stable_mm": self.stable_mm,
+            "unstable_mm": self.unstable_mm,
+            "sway": self.sway or None,
+        }
+
+    @property
+    def sentence(self) -> str:
+        """Name it, for a message."""
+        how = f"the specimen buckles in {self.sway}" if self.sway else "another shape costs less"
+        return (
+            f"the equilibrium becomes unstable at {self.displacement_mm:.3g} mm (stable at "
+            f"{self.stable_mm:.4g} mm, unstable at {self.unstable_mm:.4g} mm): {how}"
+        )
+
+
+def surplus(system: System) -> int | None:
+    """Negative eigenvalues of the last factorized tangent beyond one for each pressure."""
+    negative = system.solver.negative_pivots()
+    return None if negative is None else negative - pressures(system)
+
+
+def pressures(system: System) -> int:
+    """Count the free pressures."""
+    return int(np.count_nonzero(system.pattern.free >= system.space.n_displacement))
+
+
+def is_unstable(system: System, state: State) -> bool:
+    """Whether the whole body has a way to give way at a state, assembled and factorized here.
+
+    Where pivots tell nothing, the least stiffness does. A mode of a few elements is a crease, or
+    one of the elements alone (linear hexahedra at the rim of a punch have some): it is left to
+    what is said of snaps and of meshes.
+    """
+    system.assemble(state)
+    try:
+        system.factorize()
+    except SingularMatrixError:
+        return True
+    if surplus(system) == 0:
+        return False
+    stiffness, mode = least_stiffness(system)
+    return stiffness < 0 and volume_share(system, mode) > LOCAL_SHARE
+
+
+def volume_share(system: System, mode: Array) -> float:
+    """Share of the volume that takes part in a mode (Bell and Dean 1970, participation ratio)."""
+    space = system.space
+    each, local = np.zeros(len(space.nodes)), space.element_nodes
+    np.add.at(each, local, space.weights.sum(axis=1)[:, None] / local.shape[1])
+    square = (mode**2).sum(axis=1)
+    return float((each @ square) ** 2 / (each @ square**2) / each.sum())
+
+
+def least_stiffness(system: System) -> tuple[float, Array]:
+    """Lowest stiffness of the last factorized tangent, N/mm, and its mode, shape (n_nodes, dim).
+
+    Lanczos iteration with the compliance of the displacements, which has a negative eigenvalue
+    wherever the stiffness has one: just past zero it is the largest of all. Of several negative
+    ones it is that of the mode in which most of the body takes part.
+    """
+    free = system.pattern.free
+    moves = free < system.space.n_displacement
+
+    def compliance(v: Array) -> Array:
+        return np.where(moves, system.back_substitute(v), 0.0)
+
+    start = np.where(moves, np.random.default_rng(0).standard_normal(free.size), 0.0)
+    basis = [start / np.linalg.norm(start)]
+    steps = min(_LANCZOS, int(moves.sum()))
+    reduced, values, vectors = np.zeros((steps + 1, steps)), np.zeros(1), np.ones((1, 1))
+    for j in range(steps):
+        w = compliance(basis[j])
+        column = _orthogonalized(w, basis)
+        reduced[: j + 2, j] = column
+        square = reduced[: j + 1, : j + 1]
+        values, vectors = np.linalg.eigh((square + square.T) / 2)
+        k = 0 if values[0] < 0 else -1  # without a negative one the softest way counts
+        if column[-1] * abs(vectors[-1, k]) <= _LANCZOS_TOLERANCE * abs(values[k]):
+            break
+        basis.append(w / column[-1])
+
+    def of(k: int) -> tuple[float, Array]:
+        motion = np.zeros(system.space.n)
+        motion[free] = np.column_stack(basis[: len(values)]) @ vectors[:, k]
+        mode = system.displacements(motion)
+        return 1.0 / float(values[k]), mode / np.linalg.norm(mode, axis=1).max()
+
+    negative = [of(int(k)) for k in np.flatnonzero(values < 0)]
+    return max(negative, key=lambda one: volume_share(system, one[1]), default=of(-1))
+
+
+def swaying(system: System, problem: Problem) -> tuple[System, str, tuple[int, ...]] | None:
+    """Equations of the sway that a quarter of a column hides, its direction and its parities.
+
+    A column sways where it is thinnest: to one side between bonded plates, and to both sides,
+    one plate against the other, where one of them lets it slide. None where Euler's load is far
+    away, or where the model hides nothing.
+    """
+    setup, space, mesh = problem.setup, system.space, system.mesh
+    critical = buckling_strain(setup.test, setup.specimen)
+    strain = setup.test.depth_mm / system.height_mm
+    if space.dim < 3 or mesh.is_whole or system.small_strain or critical is None:
+        return None
+    if setup.is_whole or strain < SUSPICIOUS * critical:
+        return None
+    width = getattr(setup.specimen, "width_mm", 0.0)
+    axis = 1 if width > getattr(setup.specimen, "depth_mm", width) else 0
+    turns = mesh.half_height and setup.test.interface == "frictionless"
+    held = _sway_constraints(system, setup, axis, turns=turns)
+    pattern = Pattern.build(space.dofs, space.n, held.dofs)
+    direct = make_solver(pattern, system.solver.name, plane=False)
+    equations = replace(
+        system,
+        constraints=held,
+        contact_terms=ContactTerms.at(system.contact, space.dim, pattern),
+        tangent=Tangent.of(pattern, space.dofs),
+        kept=KeptFactors(direct, pattern),
+        latest=Latest(),
+    )
+    parity = (-1 if axis == 0 else 1, -1 if axis == 1 else 1, -1 if turns else 1)
+    return equations, "xy"[axis], parity
+
+
+def _sway_constraints(system: System, setup: Setup, axis: int, *, turns: bool) -> Constraints:
+    """Hold what a sway along ``axis`` does not move; with ``turns`` also on the middle plane."""
+    space, mesh = system.space, system.mesh
+    tol, rate = _SAME * mesh.height_mm, prescribed_rates(setup, space, mesh)
+    planes = [(i, 0.0, i == axis) for i in (0, 1)]
+    if mesh.half_height:
+        planes.append((2, mesh.height_mm / 2, turns))
+    if turns:  # the condition of the lower face holds the middle plane
+        middle = {3 * int(n) + 2 for n in at_level(space, mesh, mesh.height_mm / 2)}
+        rate = {dof: v for dof, v in rate.items() if dof not in middle}
+    is_continuous = setup.model.element_shape == "simplex" and space.n > space.n_displacement
+    for i, level, crossed in planes:
+        nodes = np.flatnonzero(np.abs(space.nodes[:, i] - level) < tol)
+        for along in range(3):
+            if crossed != (along == i):
+                rate |= {int(n) * 3 + along: 0.0 for n in nodes}
+        if crossed and is_continuous:
+            corners = np.flatnonzero(np.abs(mesh.points[:, i] - level) < tol)
+            rate |= {space.n_displacement + int(c): 0.0 for c in corners}
+    if not any(dof % 3 == axis and dof < space.n_displacement for dof in rate):
+        rate[int(np.argmin(np.abs(space.nodes).sum(axis=1))) * 3 + axis] = 0.0  # it may slide
+    return Constraints.of(rate)
+
+
+def mirrored(
+    mesh: Mesh, moved: Array, parity: tuple[int, ...], height_mm: float
+) -> tuple[Mesh, Array]:
+    """Whole body of a quarter or an eighth, and the motion of its points.
+
+    Shapes: moved (n_points, 3); parity of that motion by axis.
+    """
+    points, cells = mesh.points, mesh.cells
+    planes = [(0, 0.0), (1, 0.0), *([(2, height_mm / 2)] if mesh.half_height else [])]
+    for axis, level in planes:
+        image, shift = points.copy(), moved.copy()
+        image[:, axis] = 2 * level - image[:, axis]
+        shift *= parity[axis]
+        shift[:, axis] *= -1
+        on_plane = np.abs(points[:, axis] - level) < _SAME * height_mm
+        number = np.where(on_plane, np.arange(len(points)), 0)
+        number[~on_plane] = len(points) + np.arange(np.count_nonzero(~on_plane))
+        turned = _turned(number[cells])
+        points = np.vstack([points, image[~on_plane]])
+        moved = np.vstack([moved, shift[~on_plane]])
+        cells = np.vstack([cells, turned])
+    return replace(mesh, points=points, cells=cells, half_height=False, is_whole=True), moved
+
+
+def _turned(cells: Array) -> Array:
+    """Mirrored cells in the order of their corners that gives a positive volume."""
+    order = [4, 5, 6, 7, 0, 1, 2, 3] if cells.shape[1] == 8 else [0, 1, 3, 2]
+    return cells[:, order]
+
+
+# Forces that hold the specimen, and figures of its contact.
+
+
+class Resultant(NamedTuple):
+    """Force and moment of what the specimen is held by, on the whole specimen.
+
+    ``side`` and ``moment`` are those that act on the specimen. Moments are about the middle of the
+    face as it stands.
+    """
+
+    #: Against the loading: positive where it resists, N.
+    axial: float
+    #: shape (2,); along x and y, N.
+    side: Array
+    #: shape (3,); N mm.
+    moment: Array
+
+
+class ContactFigures(NamedTuple):
+    """What the moving surface does to the specimen at one step; zeros without a touching point."""
+
+    #: Deepest node or middle of a touching facet below the surface, mm.
+    penetration_mm: float = 0.0
+    #: Farthest node from the surface amid closed points, mm.
+    gap_mm: float = 0.0
+    #: Largest contact pressure over the area of a node, both as they are after the deformation.
+    peak_pressure_MPa: float = 0.0  # noqa: N815
+    #: Area of closed points and held faces after the deformation.
+    area_mm2: float = 0.0
+
+
+@dataclass(frozen=True)
+class Equilibria:
+    """Equilibria of the points of a curve: what holds them, what touches, whether they stand."""
+
+    #: Of the plate or indenter that moves, and of what is below, one a point.
+    plate: tuple[Resultant, ...] = ()
+    base: tuple[Resultant, ...] = ()
+    contact: tuple[ContactFigures, ...] = ()
+    #: Where the equilibrium becomes unstable; the curve ends before.
+    instability: Instability | None = None
+
+    def at_points(self, kept: Ints) -> Equilibria:
+        """Return those of some of the points, given by their places."""
+        plate, base = tuple(self.plate[k] for k in kept), tuple(self.base[k] for k in kept)
+        return Equilibria(plate, base, tuple(self.contact[k] for k in kept), self.instability)
+
+    def quantities(self) -> dict[str, Array]:
+        """Responses of each point by their names: kPa, mm^2 and N."""
+        return {
+            "peak_contact_pressure": 1e3 * np.array([c.peak_pressure_MPa for c in self.contact]),
+            "contact_area": np.array([c.area_mm2 for c in self.contact]),
+            "side_force": np.array([float(np.hypot(*one.side)) for one in self.plate]),
+        }
+
+    def to_json(self) -> dict[str, object]:
+        """Document of ``study solve --json``: N, N mm, mm, MPa and mm^2."""
+        figures = ContactFigures._fields
+        return {
+            "reaction": {
+                name: {
+                    "axial": [one.axial for one in body],
+                    "side": [one.side.tolist() for one in body],
+                    "moment": [one.moment.tolist() for one in body],
+                }
+                for name, body in (("plate", self.plate), ("base", self.base))
+            },
+            "contact": {name: [getattr(one, name) for one in self.contact] for name in figures},
+            "instability": None if self.instability is None else self.instability.to_json(),
+        }
+
+
+def nodal_reactions(system: System, assembly: Assembly) -> tuple[Array, Array]:
+    """Split the forces on nodes into those of what moves and of what is below, (n_nodes, dim)."""
+    space, mesh, held = system.space, system.mesh, system.constraints
+    dim, above, below = space.dim, np.zeros(space.n_displacement), np.zeros(space.n_displacement)
+    top = np.zeros(len(space.nodes), dtype=bool)
+    top[at_level(space, mesh, mesh.height_mm)] = True
+    dofs = np.setdiff1d(held.dofs[held.dofs < space.n_displacement], held.pins)
+    upper = top[dofs // dim]
+    above[dofs[upper]] = assembly.residual[dofs[upper]]
+    below[dofs[~upper]] = assembly.residual[dofs[~upper]]
+    for points, touch in zip(system.contact, assembly.contact, strict=True):
+        onto = below if points.surface.speed == 0 else above
+        # without the springs' share, which equilibrium does not count either
+        carried = points.forces(touch) - points.regularization(touch)
+        np.subtract.at(onto, points.dofs(dim).ravel(), carried.ravel())
+    return above.reshape(-1, dim), below.reshape(-1, dim)
+
+
+def resultants(
+    system: System, state: State, forces: tuple[Array, Array], sense: float
+) -> tuple[Resultant, Resultant]:
+    """Add up the forces on the nodes by what moves and by what is below."""
+    space, mesh, dim = system.space, system.mesh, system.space.dim
+    sector = system.force_scale / (2.0 if mesh.half_height else 1.0)
+    moved = 0.0 if system.small_strain else system.displacements(state.x)
+    places, is_part = space.nodes + moved, dim < 3 or sector > 1
+    middle = np.zeros(3)
+    if not is_part:
+        top = at_level(space, mesh, mesh.height_mm)
+        middle = places[top].mean(axis=0) if top.size else middle
+    bodies = []
+    for force, sign, about in ((forces[0], sense, middle), (forces[1], -sense, np.zeros(3))):
+        side, moment = np.zeros(2), np.zeros(3)
+        if not is_part:  # symmetry leaves none of them
+            side = force[:, :2].sum(axis=0)
+            moment = np.cross(places - about, force).sum(axis=0)
+        bodies.append(Resultant(sign * sector * float(force[:, -1].sum()), side, moment))
+    return bodies[0], bodies[0 if mesh.half_height else 1]
+
+
+#: corners of a facet between which further nodes lie, and their part of such a node's force
+_MIDDLES: dict[int, list[tuple[list[int], float]]] = {
+    2: [([0, 1], 0.5)],
+    3: [([0, 1], 0.5), ([1, 2], 0.5), ([2, 0], 0.5)],
+    4: [([0, 1], 0.5), ([1, 2], 0.5), ([2, 3], 0.5), ([3, 0], 0.5), ([0, 1, 2, 3], 0.25)],
+}
+
+#: shape functions in the middle of a facet, by the number of its nodes
+_MIDDLE = {
+    2: np.full(2, 0.5),
+    3: np.full(3, 1 / 3),
+    4: np.full(4, 0.25),
+    6: np.repeat([-1 / 9, 4 / 9], 3),
+    9: np.r_[np.zeros(8), 1.0],
+}
+
+
+def _stretched_areas(system: System, u: Array) -> Array:
+    """Area around every node of the boundary over what it was, shape (n_nodes,); 1 elsewhere."""
+    space, dim = system.space, system.space.dim
+    if system.small_strain:
+        return np.ones(len(space.nodes))
+    corners = space.facets[:, : _corners(space.facets.shape[1], dim)]
+    areas = [_facet_areas(x[corners], dim == 2) for x in (space.nodes, space.nodes + u)]
+    n, k = len(space.nodes), space.facets.shape[1]
+    before, after = (np.bincount(space.facets.ravel(), np.repeat(a, k), n) for a in areas)
+    return np.asarray(np.divide(after, before, out=np.ones(n), where=before > 0))
+
+
+def _corners(facet: int, dim: int) -> int:
+    """Corners of a facet with so many nodes."""
+    return 2 if dim == 2 else 3 if facet in (3, 6) else 4
+
+
+def _meets(system: System) -> Flags:
+    """Facets that lie in the loaded face, or that a moving surface may meet, shape (n_facets,)."""
+    space = system.space
+    sets = [at_level(space, system.mesh, system.mesh.height_mm)]
+    sets += [points.nodes for points in system.contact if points.surface.speed != 0]
+    within = [np.isin(space.facets, nodes).all(axis=1) for nodes in sets]
+    return np.asarray(np.any(within, axis=0) & (space.facet_weights > 0))  # not along an axis
+
+
+def contact_pressure(system: System, state: State, force: Array) -> Array:
+    """Pressure of nodal forces at the nodes of the boundary, MPa, shape (n_nodes,).
+
+    The forces are taken to the hats of the corners (a mid-side node halves its own), which are
+    exact moments of the pressure, over the areas of these hats: what quadratic elements have at
+    their nodes has the wrong sign at corners. Areas are those after the deformation. Between
+    corners it is linear. Side forces of prescribed unknowns are shear of a held face, or what
+    symmetry takes: no pressure.
+
+    Shapes: force (n_nodes, dim).
+    """
+    space, n, dim, force = system.space, len(system.space.nodes), system.space.dim, force.copy()
+    held = np.setdiff1d(system.constraints.dofs, system.constraints.pins)
+    held = held[(held < space.n_displacement) & (held % dim < dim - 1)]
+    force[held // dim, held % dim] = 0.0
+    places = space.nodes + (0.0 if system.small_strain else system.displacements(state.x))
+    touched = np.abs(force).sum(axis=1) > 0
+    chosen = touched[space.facets].any(axis=1) & _meets(system)
+    facets = space.facets[chosen]
+    k = _corners(facets.shape[1], dim)
+    corners = facets[:, :k]
+    areas, shares = _facet_areas(places[corners], dim == 2), np.full((len(facets), k), 1.0 / k)
+    if dim == 2:
+        shares = _ring_shares(places[corners][:, :, 0])
+    area = np.bincount(corners.ravel(), (areas[:, None] * shares).ravel(), n)
+    hats, between = force.copy(), list[tuple[Ints, Ints]]()
+    for ends, part in _MIDDLES[k] if facets.shape[1] > k else []:
+        halfway = space.nodes[facets[:, ends]].mean(axis=1)
+        apart = np.linalg.norm(space.nodes[facets[:, k:]] - halfway[:, None], axis=2)
+        lies = facets[np.arange(len(facets)), k + apart.argmin(axis=1)]
+        nodes, first = np.unique(lies, return_index=True)
+        between.append((nodes, facets[first][:, ends]))
+        for corner in ends:
+            np.add.at(hats, facets[first, corner], part * force[nodes])
+    pressure = np.zeros(n)
+    np.divide(np.linalg.norm(hats, axis=1), area, out=pressure, where=area > 0)
+    for nodes, around in between:
+        pressure[nodes] = pressure[around].mean(axis=1)
+    return pressure
+
+
+def contact_gap(system: System, state: State) -> Array:
+    """Distance of the nodes from the surfaces that they may meet, mm, NaN elsewhere, (n_nodes,)."""
+    gap = np.full(len(system.space.nodes), np.nan)
+    for points in system.contact:
+        if isinstance(points, TiedPoints):
+            continue
+        nodes = np.unique(points.nodes)
+        place, moved = system.space.nodes[nodes], system.displacements(state.x)[nodes]
+        gap[nodes] = np.fmin(gap[nodes], points.distance(place, moved, state.displacement_mm))
+    return gap
+
+
+def contact_figures(
+    system: System, state: State, assembly: Assembly, force: Array
+) -> ContactFigures:
+    """How well the moving surface fits, and what it presses with. Shapes: force (n_nodes, dim)."""
+    space, dim, u = system.space, system.space.dim, system.displacements(state.x)
+    depth, gap, area, touches = 0.0, 0.0, 0.0, False
+    ratio, moved_by = _stretched_areas(system, u), 0.0 if system.small_strain else u
+    for points, touch in zip(system.contact, assembly.contact, strict=True):
+        if isinstance(points, TiedPoints) or points.surface.speed == 0:
+            continue
+        closed = touch.active if state.glue is None else touch.active | state.glue.held
+        if not closed.any():
+            continue
+        touches = True
+        stretched = np.einsum("ck,ck->c", points.shape, ratio[points.nodes])
+        area += float((points.weights * stretched)[closed].sum())
+        members = np.isin(space.facets, points.nodes).all(axis=1)
+        facets = space.facets[members & np.isin(space.facets, points.nodes[closed]).any(axis=1)]
+        amid = np.isin(facets, np.setdiff1d(points.nodes[closed], points.nodes[~closed])).all(
+            axis=1
+        )
+        k = facets.shape[1]
+        inner = [] if dim == 2 and k == 3 else [_MIDDLE[k]]  # such an edge has a node there
+        for local in (*np.eye(k), *inner):
+            place, moved = (np.einsum("a,faj->fj", local, v[facets]) for v in (space.nodes, u))
+            off = points.distance(place, moved, state.displacement_mm)
+            depth = max(depth, float(-off.min(initial=0.0)))
+            gap = max(gap, float(off[amid].max(initial=0.0)))
+    held = at_level(space, system.mesh, system.mesh.height_mm)
+    driven = system.constraints.dofs[system.constraints.rate != 0] // dim
+    face = np.isin(space.facets, np.intersect1d(held, driven)).all(axis=1)
+    if face.any():
+        k = _corners(space.facets.shape[1], dim)
+        corners = (space.nodes + moved_by)[space.facets[face, :k]]
+        area += float(_facet_areas(corners, dim == 2).sum())
+        touches = True
+    sector = system.force_scale / (2.0 if system.mesh.half_height else 1.0)
+    if not touches:
+        return ContactFigures()
+    pressure = contact_pressure(system, state, force)
+    return ContactFigures(depth, gap, float(pressure.max(initial=0.0)), sector * area)
