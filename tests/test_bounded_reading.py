@@ -101,9 +101,14 @@ def calls_of(tree: ast.Module) -> set[str]:
 
 def _writes(call: ast.Call) -> bool:
     """Whether a call opens a file to write it anew: nothing that is there is read."""
-    if isinstance(call.func, ast.Name) and call.func.id == "open":
+    if (
+        isinstance(call.func, ast.Name)
+        and call.func.id == "open"
+        or isinstance(call.func, ast.Attribute)
+        and call.func.attr == "ZipFile"
+    ):
         modes = call.args[1:2]
-    elif isinstance(call.func, ast.Attribute) and call.func.attr in ("open", "ZipFile"):
+    elif isinstance(call.func, ast.Attribute) and call.func.attr == "open":
         modes = call.args[:2]  # of a path, or of a module such as gzip
     else:
         return False
@@ -141,7 +146,14 @@ def test_the_search_sees_a_reader(code: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "code", ["open('x', 'w')", "Path('x').open('xb')", "open('x', mode='w')", "read_table(kind)"]
+    "code",
+    [
+        "open('x', 'w')",
+        "Path('x').open('xb')",
+        "open('x', mode='w')",
+        "read_table(kind)",
+        "zipfile.ZipFile(stream, 'w')",
+    ],
 )
 def test_the_search_lets_a_writer_pass(code: str) -> None:
     assert not calls_of(ast.parse(code))
