@@ -78,13 +78,13 @@ def jobs_of(folder: Path, data: Path | None, left_out: Counter[str]) -> list[Job
 def _configs(design: Any, blocks: Sequence[str], data: Path | None) -> dict[Any, Config]:
     """Resolve every case, by its levels, its block and the number of its mesh."""
     from study.harness.design.spec import cases
-    from study.harness.runner.expansion import mesh_seeded
+    from study.harness.runner.expansion import seeded
     from study.harness.runner.provenance import located
 
     places = () if data is None else (data.resolve(),)
     return {
         _name(case.levels, case.block, origin.mesh_seed): located(case.config, places)
-        for case, origin in mesh_seeded(cases(design, blocks), design)
+        for case, origin in seeded(cases(design, blocks), design)
     }
 
 

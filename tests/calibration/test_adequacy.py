@@ -60,6 +60,7 @@ def test_good_fits_are_called_good(kind, points):
     assert rate(kind, points, 60, 7) <= 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.verify
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("points", [10, 30, 100, 500])

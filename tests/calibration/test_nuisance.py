@@ -279,6 +279,7 @@ def test_an_offset_is_found_wherever_its_prior_lets_it_be(tmp_path, sigmas):
         assert found.fit.standard_error[0] < 0.03 * 5e-3
 
 
+@pytest.mark.slow
 @pytest.mark.verify
 def test_fifty_draws_of_offsets_and_zeros_of_both_signs(tmp_path):
     rng, inside = np.random.default_rng(99), np.zeros(3)

@@ -33,6 +33,8 @@ def contact_radius(solution: Solution) -> float:
     state, points = solution.warm.steps[-1].state, solution.warm.system.contact[0]
     radius = points.interpolated(solution.warm.system.space.nodes)[:, 0]
     touching = state.multipliers[0] > 0 if state.glue is None else state.glue.held
+    if points.first_touch is not None:  # the node on the axis carries nothing once another touches
+        radius, touching = radius[~points.first_touch], touching[~points.first_touch]
     return float(radius[touching].max() + radius[~touching].min()) / 2
 
 

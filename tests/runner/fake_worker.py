@@ -20,6 +20,7 @@ from study.mechanics.forward import closed_form, finite_element
 from study.mechanics.mesh.mesher import mesh_size
 from study.mechanics.setup.geometry import Cylinder
 from study.mechanics.setup.setup import Problem
+from study.mechanics.solver.equilibrium import Equilibria
 from study.mechanics.solver.solution import EnergyBalance
 
 BONDED = 1.4
@@ -64,6 +65,7 @@ def outcome(problem: Problem, status: str, message: str) -> SimpleNamespace:
         status=status, message=message, curve=curve, newton_iterations=(3,) * test.steps,
         dofs=100, elements=10, mesh_hash="fake", mesh_size_mm=size, solver="fake", min_j=0.9,
         reached_mm=float(d[-1]), seconds={}, energy=EnergyBalance(curve.force_N, 0 * d, 0 * d),
+        equilibria=Equilibria(),
     )  # fmt: skip
 
 

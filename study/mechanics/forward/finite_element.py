@@ -2,7 +2,8 @@
 
 The specimens of a cell differ in their constants alone. The first specimen's problem is
 solved cold, with gradients; every other one starts from its load steps, moved along their
-sensitivities, and needs a few iterations where a cold start needs dozens. The anchor is a
+sensitivities, and needs a few iterations where a cold start needs dozens. Steps between the
+requested ones are added by each curve for itself, as by a cold solution. The anchor is a
 function of the cell and not of what was computed before, so that a resumed study gives
 the same digits.
 """
@@ -66,8 +67,11 @@ class Anchors:
             return _cold(config, constants, depth_mm, gradients=False)
         if constants == anchor.constants:
             return Prediction(self._solution, self._seconds)
+        from study.mechanics.solver.newton import Options
+
         problem = problem_of(config, constants, depth_mm)
-        solution = solve(problem, gradients=False, warm=self._solution)
+        apart = Options(same_points=False)
+        solution = solve(problem, gradients=False, warm=self._solution, options=apart)
         if solution.status != "converged":
             return _cold(config, constants, depth_mm, gradients=False)
         return Prediction(solution, self._seconds)

@@ -86,12 +86,15 @@ class OgdenSeries(Energy):
         }
 
     def looks(self, names: Collection[str]) -> list[dict[str, float]]:
-        """Exponents of either sign: a sum of squares has minima on both sides of zero."""
+        """Exponents of either sign: a sum of squares has minima on both sides of zero.
+
+        The largest belongs to the first term, as at the usual start.
+        """
         terms = self.order_of(names)
         sizes = LOOKS if terms == 1 else FEW_LOOKS
         signed = sorted((*sizes, *(-size for size in sizes)))
         return [
-            {f"alpha{k}": alpha for k, alpha in enumerate(chosen, 1)}
+            {f"alpha{k}": alpha for k, alpha in enumerate(reversed(chosen), 1)}
             for chosen in combinations(signed, terms)
         ]
 

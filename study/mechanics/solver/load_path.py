@@ -250,6 +250,7 @@ class LoadPath:
         self.warm = warm.warm if warm is not None else None
         steps = () if self.warm is None else self.warm.steps
         self._warm_steps = {step.state.displacement_mm: step for step in steps}
+        self._follows = self.warm is not None and options.same_points
         self.progress = progress or (lambda _: None)
         self.rest: State | None = system.start()  # None where the weight has no equilibrium
         if system.weight is not None:
@@ -277,19 +278,20 @@ class LoadPath:
                 break
             self.logbook.requested += asked
             self.progress(target / self.problem.test.depth_mm)
-        if self.options.curve_error and self.warm is None and not self.system.sticks:
+        if self.options.curve_error and not self._follows and not self.system.sticks:
             self._fill_in(self.options.curve_error)
         self._look_back()
         return self
 
     def _targets(self) -> list[tuple[float, bool]]:
-        """Displacements, and whether they are requested; an earlier solve's are gone through too.
+        """Displacements, and whether they are requested; an earlier solve's may be among them.
 
         Curves of one problem then have the same points, and their difference is one of forces.
         """
         test = self.problem.test
         asked = [test.depth_mm * k / test.steps for k in range(1, test.steps + 1)]
-        added = [d for d in self._warm_steps if d < asked[-1] and self.logbook.every_step]
+        followed = self._warm_steps if self._follows and self.logbook.every_step else ()
+        added = [d for d in followed if d < asked[-1]]
         near = 1e-9 * self.system.height_mm
         others = [d for d in added if min(abs(d - own) for own in asked) > near]
         return sorted([(d, True) for d in asked] + [(d, False) for d in others])

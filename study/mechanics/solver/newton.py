@@ -293,7 +293,8 @@ class Options:
     for comparisons with codes and tables that do so. ``snaps = False`` ends a run at the first
     limit point instead of looking for an equilibrium beyond it. ``curve_error`` asks for steps
     between the requested ones where the curve bends, until the estimated error of its
-    interpolation is below this share of the force (root mean square over the displacement).
+    interpolation is below this share of the force (root mean square over the displacement). A run
+    that starts from an earlier solve takes that one's points (``same_points``), or adds its own.
     """
 
     newton: NewtonSettings = field(default_factory=NewtonSettings)
@@ -302,6 +303,7 @@ class Options:
     side_contact: bool = True
     snaps: bool = True
     curve_error: float | None = None
+    same_points: bool = True
 
 
 # -------------------------------------------------------------------------------------------------
