@@ -194,7 +194,7 @@ ANALYSES: dict[str, tuple[str, ...]] = {
     "splitplot": ("--response y --factors mix,speed --block specimen --whole-plot mix",),
 }
 #: tables that are no data but figures of another program
-REFERENCES = {"reference_r", "reference_packages"}
+REFERENCES = {"reference_r", "reference_packages", "r_datasets"}
 #: an incompressible cylinder between frictionless plates, whose size and constant have ranges
 RANGES = """
 schema = 1

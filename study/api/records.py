@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from study.api.uncertainty import numerical_bound
+from study.api.uncertainty import finest_mesh, numerical_bound
 from study.ground.errors import InputError
 from study.ground.tabular import names_of
 from study.harness.design.load import is_constant
@@ -71,7 +71,10 @@ def _asked(
     rows = rows_for(table(list(records)), response.name, names, spec.error, block)
     factors = [factor.name for factor in design.factors if len(factor.levels) > 1]
     model = spec.model if isinstance(spec.model, (str, int)) else list(spec.model)
-    whole, gaps = without_gaps(design, rows.table, response.name, factors, rows.block, model)
+    finest = finest_mesh(design, records)
+    whole, gaps = without_gaps(
+        design, rows.table, response.name, factors, rows.block, model, finest
+    )
     u_num = numerical_bound(design, numerical, records, whole, response.name, response.transform)
     request = AnalysisRequest(
         response.name,
@@ -193,13 +196,16 @@ def without_gaps(
     factors: Sequence[str],
     block: str | None,
     model: Model,
+    finest: tuple[str, str] | None = None,
 ) -> tuple[pd.DataFrame, tuple[str, ...]]:
     """Rows without the levels of which half of the cells or more have no answer.
 
-    Such a level (an energy that is stretched beyond its ellipticity on every fine mesh) would
-    leave all its siblings with few settings at which they can be compared. It is left out, and
-    that is said. A combination of levels that fails, while each is sound by itself, leaves no
-    level out: its factors are judged at the settings that have answers.
+    Such a level would leave all its siblings with few settings at which they can be compared. It
+    is left out, and that is said. So is a level (an energy that is stretched beyond its
+    ellipticity on every fine mesh) without any answer at ``finest``, factor and level of the
+    finest mesh: what differs on coarser meshes may be their errors. Any other combination of
+    levels that fails, while each is sound by itself, leaves no level out: its factors are judged
+    at the settings that have answers.
     """
     designed = _designed(design, factors)
     complete = table.dropna(subset=[response])
@@ -207,8 +213,9 @@ def without_gaps(
         complete = complete[answered_often(complete, factors, block, table[block].nunique())]
     answered = {tuple(map(str, row)) for row in complete[list(factors)].to_numpy()}
     terms = [[factors.index(name) for name in term] for term in terms_of(factors, model)]
+    fine = None if finest is None else (factors.index(finest[0]), finest[1])
     notes = []
-    while (worst := _worst(designed, answered, terms)) is not None:
+    while (worst := _worst(designed, answered, terms, fine)) is not None:
         place, level = worst
         cells_here = [cell for cell in designed if cell[place] == level]
         has = sum(cell in answered for cell in cells_here)
@@ -227,7 +234,10 @@ def _designed(design: Design, factors: Sequence[str]) -> list[Cell]:
 
 
 def _worst(
-    designed: Sequence[Cell], answered: set[Cell], terms: Sequence[Sequence[int]]
+    designed: Sequence[Cell],
+    answered: set[Cell],
+    terms: Sequence[Sequence[int]],
+    fine: tuple[int, str] | None,
 ) -> tuple[int, str] | None:
     """Level with most of its cells unanswered, of those that leave a combination empty."""
     answered_cells = [cell for cell in designed if cell in answered]
@@ -237,7 +247,9 @@ def _worst(
         for empty in {tuple(cell[i] for i in term) for cell in designed} - has:
             for place, level in zip(term, empty, strict=True):
                 if len({cell[place] for cell in designed}) > _FEWEST:
-                    is_answered = [cell in answered for cell in designed if cell[place] == level]
-                    if 2 * sum(is_answered) <= len(is_answered):
-                        shares[place, level] = 1 - sum(is_answered) / len(is_answered)
+                    cells = [cell for cell in designed if cell[place] == level]
+                    on_finest = [cell for cell in cells if fine and cell[fine[0]] == fine[1]]
+                    share = sum(cell in answered for cell in cells) / len(cells)
+                    if share <= 0.5 or (on_finest and answered.isdisjoint(on_finest)):
+                        shares[place, level] = 1 - share
     return max(sorted(shares), key=lambda key: shares[key], default=None)

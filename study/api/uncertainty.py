@@ -388,6 +388,13 @@ def mesh_factor(design: Design) -> str | None:
     return found[0] if len(found) == 1 else None
 
 
+def finest_mesh(design: Design, records: Sequence[Record]) -> tuple[str, str] | None:
+    """Factor whose levels are meshes, and its finest level; None without, or with no one order."""
+    mesh = mesh_factor(design)
+    meshes = None if mesh is None else _ordered(design, records, mesh)
+    return None if mesh is None or meshes is None else (mesh, meshes[-1])
+
+
 def _ordered(design: Design, records: Sequence[Record], mesh: str) -> list[str] | None:
     """Meshes from coarse to fine; None where that order differs between columns."""
     if mesh == design.converge.key:

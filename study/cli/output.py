@@ -220,8 +220,8 @@ def print_nuisance(nuisance: Document) -> None:
     table(rows, "nuisance parameters")
     if any(entry["treated"] == "fitted" and entry["uncertainty"] for entry in nuisance.values()):
         print(
-            "the expected value of a fitted parameter enters the fit as one row, as if it were "
-            "measured"
+            "the expected value of a fitted parameter enters the fit as one row that nobody "
+            "measured (a pseudo-observation)"
         )
 
 

@@ -59,6 +59,9 @@ class _WorkingFolderFinder(FileFinder):
 class _SettingsFinder:
     """Libraries that read settings in the working folder, imported from another folder."""
 
+    #: working folders that are left while a library is loaded: it imports nothing from them either
+    left: "list[str]" = []
+
     @staticmethod
     def find_spec(
         fullname: str, path: "Sequence[str] | None" = None, target: "ModuleType | None" = None
@@ -73,12 +76,14 @@ class _SettingsFinder:
 
             def load_elsewhere(module: "ModuleType") -> None:
                 here = os.open(".", os.O_RDONLY)
+                _SettingsFinder.left.append(os.getcwd())
                 os.chdir(os.path.dirname(os.path.abspath(__file__)))
                 try:
                     load(module)
                 finally:
                     os.fchdir(here)
                     os.close(here)
+                    _SettingsFinder.left.pop()
 
             spec.loader.exec_module = load_elsewhere  # type: ignore[method-assign]
         return spec
@@ -99,7 +104,7 @@ def is_working_folder(path: str) -> bool:
         here = os.getcwd()
     except OSError:  # it was removed
         return path == ""
-    return here != _HOME and os.path.realpath(path) == here
+    return os.path.realpath(path) in {here, *_SettingsFinder.left} - {_HOME}
 
 
 def leave() -> None:

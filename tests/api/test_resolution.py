@@ -230,6 +230,17 @@ def test_a_material_without_the_finest_mesh_is_left_out(design: Design) -> None:
     assert u_of(result, "material") == pytest.approx(0.5, rel=0.05)
 
 
+def test_an_error_of_coarse_meshes_alone_is_no_effect_of_a_material(design: Design) -> None:
+    """The mesh error of ogden-1 is half as large again, and it has no answer on the finest."""
+    records = [
+        r
+        for r in records_of(design, lambda levels: 3.0 if levels["material"] == "ogden-1" else 2.0)
+        if (r.levels["material"], r.levels["model.mesh"]) != ("ogden-1", "fine")
+    ]
+    result, _ = analyzed(design, records)
+    assert result.effect("material").range == pytest.approx(4.0, abs=0.05)
+
+
 def bound_of(
     design: Design, records: Sequence[Record], numerical: Sequence[NumericalUncertainty]
 ) -> NumericalBound | None:

@@ -177,14 +177,14 @@ def test_a_plan_says_start_batch_budget_and_cost(
 
 def test_it_ends_where_every_factor_has_a_verdict(tmp_path: Path) -> None:
     text = DESIGN.replace("q2 = 0.99", 'until = "verdict"').replace('"0.2 N"', '"2 N"')
-    text = text.replace("start = 20", "start = 40").replace("budget = 28", "budget = 40")
+    text = text.replace("start = 20", "start = 40").replace("budget = 28", "budget = 44")
     found = ran(tmp_path, text)
     last = found.to_json()["adaptive"][-1]
     verdicts = {row["factor"]: row["verdict"] for row in found.verdicts}
     if last["stopped"] == "every factor has a verdict":
         assert "cannot tell" not in verdicts.values()
     else:
-        assert "budget of 40" in last["stopped"]
+        assert "budget of 44" in last["stopped"]
     # 0.3 N along the height, by the formula
     assert verdicts["specimen.height"] != "matters"
 

@@ -45,8 +45,8 @@ def test_interruption_is_130_and_resumable(home: Path, number: int) -> None:
     with subprocess.Popen(
         [*PROGRAM, "run", "small.toml", "--data", "data", "--jobs", "1"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        # a shell in the background hands on that Ctrl-C is ignored
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+        # a shell in the background hands on that Ctrl-C is ignored, nohup that SIGHUP is
+        preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),
     ) as process:  # fmt: skip
         assert process.stderr is not None
         # the first line of progress: the first computation is stored

@@ -55,6 +55,6 @@ def perform(task: dict[str, Any]) -> dict[str, Any]:
     return {"status": "converged", "value": task.get("value", 0) + 1}
 
 
-def never_up() -> None:
+def never_up(_parent: int) -> None:
     """Stop a worker before it can say that it is there."""
     os.kill(os.getpid(), signal.SIGSTOP)

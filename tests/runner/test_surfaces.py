@@ -112,7 +112,7 @@ def test_files_elsewhere_are_refused(home: Path, name: str, said: str) -> None:
     ("old", "new", "said"),
     [
         ('unit = "mm"\n', "", "specimen.unit: is missing"),
-        ('unit = "mm"', 'unit = "kPa"', "no unit of length"),
+        ('unit = "mm"', 'unit = "kPa"', "must be a length unit"),
         ('unit = "mm"', 'unit = "mm"\nradius = "3 mm"', "unknown key"),
         ("[model]", '[model]\nspace = "axisymmetric"', "no axis of symmetry"),
         ("[model]", '[model]\nelement_shape = "hexahedron"', "tetrahedra"),

@@ -97,7 +97,8 @@ def _left_out(data: ReportData, all_facts: Sequence[Facts]) -> list[str]:
         levels = [str(level) for level in data.factors.get(effect.term, ())]
         if effect.levels and set(effect.levels) < set(levels):
             gone.update(dict.fromkeys(clean(o) for o in levels if o not in effect.levels))
-    return [f"Left out, because most of their cases failed: {listing(list(gone))}."] if gone else []
+    why = "half of their cases or more failed, or every one on the finest mesh"
+    return [f"Left out, because {why}: {listing(list(gone))}."] if gone else []
 
 
 def _which(data: ReportData, facts: Facts) -> str:
