@@ -115,6 +115,7 @@ def assert_equal(found: StudyResult, expected: StudyResult) -> None:
     assert len(found.numerical) > 0
 
 
+@pytest.mark.usefixtures("processes")  # a solver that other tests used may round otherwise
 def test_a_study_that_loses_a_worker_gives_the_table_of_a_local_run(
     folder: Path, tmp_path: Path
 ) -> None:
