@@ -245,7 +245,6 @@ def test_every_other_verb(hostile: Hostile, tmp_path: Path) -> None:
         ["new", "mine.toml"],
         ["inspect", "m.csv"],
         ["import", "bowl.csv", "--factors", "x,y", "--responses", "f", "--name", "imported"],
-        ["import", "bowl.csv", "--factors", "x,y", "--responses", "f", "--name", "imported"],
         ["plan", *small],
         ["virtual", "made", "--from", *small[:1], "--specimens", "2"],
         ["power", *small],
