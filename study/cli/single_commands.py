@@ -287,7 +287,8 @@ class _Line:
 
 
 def _print_calibration(found: Document) -> None:
-    _print_constants(found)
+    bound = found.get("numerics") or found.get("numerical")
+    _print_constants(found, bound)
     output.print_nuisance(found["nuisance"])
     if "shear_moduli" in found:
         both = found["shear_moduli"]
@@ -295,7 +296,7 @@ def _print_calibration(found: Document) -> None:
               f"{both['long_term']:.5g} kPa after all relaxation")  # fmt: skip
     if "converted" in found:
         _print_converted(found["converted"])
-    _print_further_bounds(found)
+    _print_further_bounds(found, bound)
     if found["serial_correlation"]:
         print(_rows_sentence(found["serial_correlation"]))
     _print_curves("", found["curves"])
@@ -329,10 +330,9 @@ def _print_calibration(found: Document) -> None:
     output.warn(found["warnings"])
 
 
-def _print_constants(found: Document) -> None:
+def _print_constants(found: Document, bound: Document | None) -> None:
     rows = [["constant", "value", "unit", "standard error", "95 % interval", "numerics",
              "profile interval"]]  # fmt: skip
-    bound = found.get("numerics") or found.get("numerical")
     for name, entry in found["parameters"].items():
         u = "-" if bound is None else f"+-{output.number(bound['u'][name], 2)}"
         profile = found["profiles"].get(name, {}).get("interval")
@@ -347,9 +347,8 @@ def _print_constants(found: Document) -> None:
     output.table(rows, found["model"])
 
 
-def _print_further_bounds(found: Document) -> None:
+def _print_further_bounds(found: Document, bound: Document | None) -> None:
     """Say how the numerical bound was had, and what the bootstrap gives."""
-    bound = found.get("numerics") or found.get("numerical")
     if bound is not None:
         print(bound["sentence"])
     if "bootstrap" in found:

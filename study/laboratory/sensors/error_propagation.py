@@ -32,9 +32,6 @@ from study.mechanics.setup.setup import Setup, Tables
 # at displacement d differs by zero + scale_F F + noise_F - F' (offset + scale_d d + noise_d); all
 # but the noise are the same in all rows of a test.
 
-#: Largest multiple that a requirement is looked for at: beyond it a sensor need not be there.
-UNLIMITED = 1e6
-
 
 @dataclass(frozen=True)
 class SensorErrorSource:

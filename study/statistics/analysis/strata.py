@@ -746,9 +746,6 @@ def sentences(found: NestedUnits, alpha: float) -> list[str]:
 # the seeds, and the question is whether another mesh of this size would change it. Seeds that
 # differ between cells are replicates within cells.
 
-#: seeds that a plan should ask for: with 5 the power at correlation .5 is .26, with 8 .53
-SEEDS_WANTED = 8
-
 
 class SeedRole(StrEnum):
     """What the seeds of a study are."""
