@@ -44,6 +44,13 @@ def data_dir() -> Path:
     return folder
 
 
+@pytest.fixture(autouse=True)
+def _solutions_of_this_test_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let no test see what another one solved, perhaps by a solver that it put in place of ours."""
+    if fit_task := sys.modules.get("study.harness.runner.fit_task"):
+        monkeypatch.setattr(fit_task, "_unit_solutions", {})
+
+
 @pytest.fixture(scope="session", autouse=True)
 def _tasks_in_this_process() -> Iterator[None]:
     """Do what a study computes here: a process takes a second to start, and gives the same numbers.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -101,6 +101,21 @@ class Curve:
         t = (places - knots[k]) / width
         bulge = 60.0 * self._missed_mean()[k] * t * (1.0 - t) * (1.0 - 2.0 * t) / width
         return np.asarray(cubic + bulge)
+
+    def times(self, factor: float, *, without: Collection[str] = ()) -> Curve:
+        """Multiply force, tangent, work and all quantities but those named; gradients go."""
+        slope, work = self.stiffness_N_per_mm, self.work_Nmm
+        return replace(
+            self,
+            force_N=factor * self.force_N,
+            stiffness_N_per_mm=None if slope is None else factor * slope,
+            force_gradient={},
+            work_Nmm=None if work is None else factor * work,
+            quantities={
+                name: values if name in without else factor * values
+                for name, values in self.quantities.items()
+            },
+        )
 
     def interpolation_error_N(self) -> Array:  # noqa: N802
         """Estimate how far the force between neighboring points is off. Shapes: returns (n,).

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -82,6 +83,34 @@ def test_inverse_fem_recovers_constants_through_the_solver(monkeypatch: pytest.M
     assert found.start_seconds == start.seconds
 
 
+def of_two_constants() -> dict[str, Any]:
+    """A second-order solid on a mesh that no cheaper problem goes before."""
+    coarse = {"space": "axisymmetric", "element_order": "linear", "mesh": "coarse"}
+    return {**config("reduced-polynomial", "bonded", order=2), "model": coarse}
+
+
+def test_equal_problems_of_one_constant_are_solved_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    problems: list[Any] = []
+
+    def counted(problem: Any, **options: Any) -> SimpleNamespace:
+        problems.append(problem)
+        return solve(problem, **options)
+
+    monkeypatch.setattr(finite_element, "solve", counted)
+    problem = fit_problem(config("neo-hookean", "bonded"))
+    base = curve("neo-hookean", {"C10": 8e-3})
+    factor = BONDED * (1 + 1e-3 * _size())
+    for share in (1.0, 2.5):
+        measured = Curve(base.displacement_mm, share * factor * base.force_N)
+        found = fitted(FitTask(problem, (measured,)))
+        assert found.constants == pytest.approx({"C10": share * 8e-3}, rel=2e-3)
+        assert found.fit["solves"] == 1
+    assert len(problems) == 1
+    shallower = replace(base, displacement_mm=0.9 * base.displacement_mm)
+    fitted(FitTask(problem, (shallower,)))
+    assert len(problems) == 2
+
+
 def _size() -> float:
     from study.mechanics.mesh.mesher import mesh_size
     from study.mechanics.setup.setup import problem_of
@@ -102,7 +131,7 @@ def test_a_solver_that_stops_is_a_rejected_step_and_a_status(
         return found
 
     monkeypatch.setattr(finite_element, "solve", stops)
-    problem = fit_problem(config("neo-hookean", "bonded"))
+    problem = fit_problem(of_two_constants())
     found = fitted(FitTask(problem, (curve("neo-hookean", {"C10": 8e-3}),)))
     assert found.status == "not-converged"
     assert len(calls) > 2  # it tried shorter steps before it gave up
@@ -117,11 +146,11 @@ def test_a_solver_that_stops_from_a_warm_start_is_asked_again(
             found.status, found.message = "not-converged", "stopped"
         return found
 
-    truth = {"C10": 8e-3}
-    base = curve("neo-hookean", truth)
+    truth = {"C10": 7e-3, "C20": -1e-3}
+    base = curve("reduced-polynomial", truth)
     measured = Curve(base.displacement_mm, BONDED * (1 + 1e-3 * _size()) * base.force_N)
     monkeypatch.setattr(finite_element, "solve", lost)
-    problem = fit_problem(config("neo-hookean", "bonded"))
+    problem = fit_problem(of_two_constants())
     found = fitted(FitTask(problem, (measured,)))
     assert found.status == "converged", found.message
     assert found.constants == pytest.approx(truth, rel=2e-3)

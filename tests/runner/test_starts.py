@@ -67,7 +67,11 @@ def fitted(config: dict[str, Any], start: np.ndarray, **options: Any) -> Staged:
     parts = [Part("inverse-fem", config, (measured,))]
     Softening.calls = 0
 
-    def make(method: str, own: Mapping[str, Any], *_: Any) -> Callable[..., list[Curve]]:
+    def make(
+        method: str, own: Mapping[str, Any], curves: Any, names: Sequence[str]
+    ) -> Callable[..., list[Curve]]:
+        if tuple(names) != NAMES:
+            raise EvaluationFailed("no forces of a solid of one constant")
         return Softening(own)
 
     return staged_fit(parts, NAMES, start, make, **options)

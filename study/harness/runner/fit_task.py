@@ -10,7 +10,7 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -28,12 +28,20 @@ from study.harness.runner.fit_summary import (
     described,
     status_of,
 )
-from study.harness.runner.staged_fit import Checkpoint, FitPart, Predict, single_stage, staged_fit
+from study.harness.runner.staged_fit import (
+    Checkpoint,
+    FitPart,
+    Predict,
+    is_proportional,
+    single_stage,
+    staged_fit,
+)
 from study.mechanics.calibration.fit import Fit
 from study.mechanics.calibration.fit_influence import with_serial_correlation
 from study.mechanics.calibration.residual_function import EvaluationFailed, MeasuredCurve
 from study.mechanics.forward import closed_form, finite_element
 from study.mechanics.material.material import ENERGIES
+from study.mechanics.setup.declaration import with_table
 from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import Problem, Setup, Tables, problem_of
 
@@ -165,7 +173,9 @@ def fitted_model(
     """
     if method == "external":
         return InverseExternal(tables, measured, names)
-    make = closed_form_model if method == "closed-form" else InverseFem
+    if method == "closed-form":
+        return closed_form_model(tables, measured, names)
+    make = ProportionalFem if is_proportional(tables, names) else InverseFem
     return make(tables, measured, names)
 
 
@@ -259,6 +269,79 @@ class InverseFem:
         return replace(
             PredictedCurve.of(self._last), curve=self.curves[np.asarray(values).tobytes()]
         )
+
+
+@dataclass(frozen=True)
+class _UnitSolution:
+    """What is kept of a solution at a constant of 1 MPa."""
+
+    status: str
+    message: str
+    newton_iterations: int
+    predicted: PredictedCurve
+
+
+#: solutions that a process holds, each a curve and a few numbers
+_MOST_SOLUTIONS = 256
+
+_unit_solutions: dict[str, _UnitSolution] = {}
+
+
+def _unit_solution(tables: Tables, name: str, depth_mm: float) -> _UnitSolution:
+    """Solution at a constant of 1 MPa, which a process finds once for equal problems."""
+    key = digest([with_table(tables, "material", constants=None), depth_mm], 32)
+    if key not in _unit_solutions:
+        problem = problem_of(tables, {name: 1.0}, depth_mm)
+        solution = finite_element.solve(problem, gradients=False, cutbacks=_CUTBACKS)
+        while len(_unit_solutions) >= _MOST_SOLUTIONS:
+            del _unit_solutions[next(iter(_unit_solutions))]
+        _unit_solutions[key] = _UnitSolution(
+            solution.status,
+            solution.message,
+            int(sum(solution.newton_iterations)),
+            PredictedCurve.of(solution),
+        )
+    return _unit_solutions[key]
+
+
+class ProportionalFem(InverseFem):
+    """Forces of a solid with one constant: those at 1 MPa times the constant.
+
+    Equal problems are solved once in a process, whatever curves of whichever specimens they are
+    fitted to.
+    """
+
+    _unit: _UnitSolution | None = None
+
+    def _solved(self, values: Array) -> Curve:
+        modulus, name = float(values[0]), self._names[0]
+        if modulus <= 0:
+            raise EvaluationFailed(f"{name} must be above 0, got {modulus:.6g} MPa")
+        try:
+            self._unit = _unit_solution(self._tables, name, self._depth)
+        except InputError as error:
+            raise EvaluationFailed(str(error)) from error
+        self.solves, self.newton_iterations = 1, self._unit.newton_iterations
+        if self._unit.status != "converged":
+            raise EvaluationFailed(f"{self._unit.status}: {self._unit.message}")
+        return self._unit.predicted.curve.times(modulus, without=["contact_area"])
+
+    def _at(self, curve: Curve, grid: Array) -> Curve:
+        """Interpolate the force, whose gradient is the force at 1 MPa."""
+        unit = cast(_UnitSolution, self._unit).predicted.curve
+        gradient = {self._names[0]: unit.force_at(grid)}
+        return Curve(grid, curve.force_at(grid), force_gradient=gradient)
+
+    @property
+    def mesh_size_mm(self) -> float | None:
+        """Element size of the solution; None before it is found."""
+        return None if self._unit is None else self._unit.predicted.mesh["mesh_size_mm"]
+
+    def predicted(self, values: Array) -> PredictedCurve | None:
+        """Curve at the final constant."""
+        if self._unit is None:
+            return None
+        return replace(self._unit.predicted, curve=self.curves[np.asarray(values).tobytes()])
 
 
 def _spline(knots: Array, values: Array, at: Array) -> Array:

@@ -29,7 +29,10 @@ from study.harness.runner.problem_tables import on_mesh
 from study.mechanics.calibration.fit import fit
 from study.mechanics.calibration.levenberg_marquardt import Iteration, Status
 from study.mechanics.calibration.residual_function import EvaluationFailed
+from study.mechanics.material.material import ENERGIES, constant_names
 from study.mechanics.material.relaxation import is_of_relaxation
+from study.mechanics.setup.declaration import table_of
+from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import MESH_LEVELS, Setup, Tables
 
 if TYPE_CHECKING:
@@ -158,6 +161,8 @@ class FitPart:
     tables: Tables
     #: Curves of this test, of one or several specimens of equal size.
     measured: tuple[MeasuredCurve, ...]
+    #: Tables of the wanted problem, where this is a cheaper one.
+    wanted: Tables | None = None
 
 
 @dataclass(frozen=True)
@@ -304,7 +309,7 @@ def single_stage(
     checkpoint: Checkpoint,
 ) -> Staged:
     """Fit on the given meshes from one start."""
-    models = [make(p.method, p.tables, [m.curve for m in p.measured], names) for p in parts]
+    models = [model_of(part, names, make) for part in parts]
 
     def predict(values: Array) -> list[Curve]:
         return [curve for model in models for curve in model(values)]
@@ -346,9 +351,70 @@ def cheaper(part: FitPart) -> FitPart | None:
         return None
     setup = Setup.of(part.tables)
     if setup.model.space == "3d" and not setup.is_whole:
-        return replace(part, tables=on_mesh(part.tables, space="axisymmetric"))
-    coarse = _coarse(setup)
-    return None if coarse is None else replace(part, tables=on_mesh(part.tables, **coarse))
+        changes: dict[str, object] | None = {"space": "axisymmetric"}
+    else:
+        changes = _coarse(setup)
+    if changes is None:
+        return None
+    return replace(part, tables=on_mesh(part.tables, **changes), wanted=part.tables)
+
+
+def model_of(part: FitPart, names: Sequence[str], make: MakeModel) -> Predict:
+    """Model of a part; forces of a cheaper problem are multiplied to those of the wanted one.
+
+    The factor at each displacement is that of a neo-Hookean solid, whose force on either mesh is
+    known once for all constants.
+    """
+    curves = [one.curve for one in part.measured]
+    model = make(part.method, part.tables, curves, names)
+    if part.wanted is None:
+        return model
+    try:
+        cheap = _neo_hookean(part.tables, curves, make)
+        wanted = _neo_hookean(part.wanted, curves, make)
+    except EvaluationFailed:
+        return model
+    factors = [
+        np.where(one > 0, other / np.where(one > 0, one, 1.0), 1.0)
+        for one, other in zip(cheap, wanted, strict=True)
+    ]
+
+    def predict(values: Array) -> list[Curve]:
+        return [
+            replace(
+                curve,
+                force_N=factor * curve.force_N,
+                force_gradient={n: factor * g for n, g in curve.force_gradient.items()},
+            )
+            for curve, factor in zip(model(values), factors, strict=True)
+        ]
+
+    return predict
+
+
+def _neo_hookean(tables: Tables, curves: Sequence[Curve], make: MakeModel) -> list[Array]:
+    """Predict the forces of a neo-Hookean solid of C10 = 1 MPa at the measured points, N."""
+    kept = {k: v for k, v in table_of(tables, "material").items() if k in _OF_VOLUME}
+    alone = {**tables, "material": {"model": "neo-hookean", **kept}}
+    if not is_proportional(alone, ("C10",)):
+        raise EvaluationFailed("its force is not proportional to its constant")
+    return [curve.force_N for curve in make("inverse-fem", alone, curves, ("C10",))(np.ones(1))]
+
+
+#: keys of a material that say how it resists a change of volume
+_OF_VOLUME = ("poisson_ratio", "incompressible", "bulk_modulus_MPa")
+
+
+def is_proportional(tables: Tables, names: Sequence[str]) -> bool:
+    """Whether all stresses scale with the one constant that is fitted, hence the force, too."""
+    section, test = MaterialSection.of(tables), Setup.of(tables).test
+    fixed = section.compressibility.bulk_modulus_MPa is not None or section.relaxation
+    one_modulus = (
+        tuple(names) == constant_names(section.model, section.order)
+        and len(names) == 1
+        and not ENERGIES[section.model].is_dimensionless(names[0])
+    )
+    return one_modulus and not fixed and not test.weight_N_mm3
 
 
 def _coarse(setup: Setup) -> dict[str, object] | None:
