@@ -48,6 +48,7 @@ def test_no_file_beside_the_page_runs_a_name(
     # a name such as ../../x leads nowhere else
     assert all(path.is_relative_to(tmp_path / "report") for path in files)
     assert report.parent == tmp_path / "report"
+    assert "Figure missing" not in report.read_text("utf-8")
     kinds = {path.suffix for path in files}
     assert {".svg", ".csv", ".tex", ".html"} <= kinds
     for path in files:
