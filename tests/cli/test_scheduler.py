@@ -32,7 +32,11 @@ FEM = (
     DESIGN.replace('mesh = "coarse"', 'mesh_size = "6 mm"')
     .replace("steps = 10", "steps = 3")
     .replace("swap = true", "")
-)
+    .replace('material = ["neo-hookean", "mooney-rivlin"]\n', "")
+    .replace('[presets.material.neo-hookean]\nmodel = "neo-hookean"\n', "")
+    .replace('[presets.material.mooney-rivlin]\nmodel = "mooney-rivlin"\n', "")
+    .replace("[material]\n", '[material]\nmodel = "neo-hookean"\n')
+) + '[report]\nformat = ["csv"]\n'
 
 
 #: a closed form, and a program that gives its answer only when a file is there
@@ -127,7 +131,7 @@ def test_a_study_that_loses_a_worker_gives_the_table_of_a_local_run(
         cluster.workers[0].kill()
         out, err = run.communicate(timeout=CAP_S)
     assert run.returncode == 0, err
-    assert json.loads(out)["cases"] == {"total": 8, "done": 8, "failed": 0, "missing": 0}
+    assert json.loads(out)["cases"] == {"total": 4, "done": 4, "failed": 0, "missing": 0}
     local = api.run(
         folder / "small.toml", data=folder / "data", jobs=2, results=tmp_path / "local",
         reports=None,
