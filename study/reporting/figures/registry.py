@@ -317,21 +317,7 @@ def of_response(
 
 
 def of_study(data: ReportData, *, drawn: bool = True) -> dict[str, Figure]:
-    """Figures that belong to no single response.
-
-    Parameters
-    ----------
-    data : ReportData
-        Its curves, fits, markers, series of meshes, comparisons and failures have figures.
-    drawn : bool
-        Whether there are drawings beside the data.
-
-    Returns
-    -------
-    dict of str to Figure
-        ``curves``, ``constants``, ``markers``, ``convergence``, ``validation``, ``failures``: those
-        that the study has data for.
-    """
+    """Figures by kind that belong to no single response: those that the study has data for."""
     makers: dict[str, tuple[str, Callable[[ReportData], Drawn]]] = {}
     if data.curves:
         makers["curves"] = ("Measured and predicted force", _curves)
