@@ -29,8 +29,28 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
 # The same examples every time, and no deadline: the first call of a kernel compiles it.
-settings.register_profile("study", deadline=None, derandomize=True)
-settings.load_profile("study")
+settings.register_profile("few", deadline=None, derandomize=True, max_examples=25)
+settings.register_profile("many", deadline=None, derandomize=True, max_examples=200)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Try many examples in the long verification, and few in the suite."""
+    settings.load_profile("many" if is_verification(config) else "few")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Let every test by examples belong to the long verification too."""
+    if is_verification(config):
+        for item in items:
+            if item.get_closest_marker("hypothesis"):
+                item.add_marker(pytest.mark.verify)
+
+
+def is_verification(config: pytest.Config) -> bool:
+    """Whether this is ``make verify``."""
+    return config.getoption("markexpr") == "verify"
+
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -49,6 +69,18 @@ def _solutions_of_this_test_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let no test see what another one solved, perhaps by a solver that it put in place of ours."""
     if fit_task := sys.modules.get("study.harness.runner.fit_task"):
         monkeypatch.setattr(fit_task, "_unit_solutions", {})
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _nothing_flushed() -> Iterator[None]:
+    """Leave files to the cache of the system: what a test writes need outlive no power failure.
+
+    A small study flushes 64 times. What a failure at each operation of the disk leaves behind is
+    tested by a file system that forgets what was not flushed (``tests/record/disk.py``).
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda handle: None)
+        yield
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -65,17 +65,20 @@ SETTINGS = {
 DRIVER = """
 import sys
 del sys.path[0]
-import json, pathlib, signal
+import json, os, pathlib, signal, threading, time
 from study.cli.app import run
 sys.path.insert(0, "")
 codes = []
-signal.signal(signal.SIGALRM, signal.default_int_handler)
+def stop_after_the_first_record():
+    while not any(pathlib.Path("results/demo/fits").glob("*.json")):
+        time.sleep(0.1)
+    os.kill(os.getpid(), signal.SIGINT)
 for arguments in json.load(open(sys.argv[1])):
     if arguments[0] == "why":
         record = next(pathlib.Path("results/ranges/cases").rglob("record.json"))
         arguments.append(record.parent.name)
-    if arguments[0] == "demo":  # takes minutes and is stopped: its processes have started then
-        signal.setitimer(signal.ITIMER_REAL, 5.0)
+    if arguments[0] == "demo":  # takes minutes; stopped once its processes did something
+        threading.Thread(target=stop_after_the_first_record, daemon=True).start()
     try:
         codes.append([arguments[0], run(arguments)])
     except BaseException as error:

@@ -192,7 +192,7 @@ def meshed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, StudyResult]
     home = tmp_path_factory.mktemp("meshed")
     study = api.run(
         loads(MESHES, "small.toml"), data=data(home / "data"), jobs=1,
-        results=home / "results", reports=home / "reports",
+        results=home / "results", reports=home / "reports", formats=("csv",),
     )  # fmt: skip
     return home, study
 

@@ -12,7 +12,7 @@ from tests.cli.random_tables import random_table
 from tests.cli.small import Answer, study
 
 #: tables in the suite, and in `make verify`
-FEW = 300
+FEW = 80
 MANY = 10_000
 #: every so many tables are shown as text, and as a page
 TEXT = 3
@@ -57,14 +57,14 @@ def check_page(seed: int, answer: Answer) -> None:
 def test_random_tables_are_answered_or_refused_in_words(tmp_path: Path) -> None:
     codes = [examine(seed, tmp_path) for seed in range(FEW)]
     # tables that only were refused would show nothing of the analysis
-    assert codes.count(0) > FEW // 4
+    assert codes.count(0) > FEW // 8
 
 
 @pytest.mark.slow
 @pytest.mark.verify
 def test_many_random_tables(tmp_path: Path) -> None:
-    for seed in range(FEW, MANY):
-        examine(seed, tmp_path)
+    codes = [examine(seed, tmp_path) for seed in range(FEW, MANY)]
+    assert codes.count(0) > MANY // 4
 
 
 def test_rows_that_are_fitted_exactly_have_a_page(tmp_path: Path) -> None:

@@ -25,10 +25,10 @@ def test_a_second_process_changes_no_byte(done: Path, monkeypatch: pytest.Monkey
 
     monkeypatch.setattr(study, "Worker", Watched)
     monkeypatch.setattr(study, "default_jobs", lambda: 2)
-    report("small", reports=done / "one")
+    report("small", reports=done / "one", formats=["html"])
     assert not begun
     monkeypatch.setattr(study, "MANY_CASES", 1)
-    report("small", reports=done / "two")
+    report("small", reports=done / "two", formats=["html"])
     assert begun == ["of_study"]
     one, two = files(done / "one"), files(done / "two")
     assert any(path.name == "figure-curves.svg" for path in one)

@@ -40,6 +40,8 @@ energy = ["soft", "stiff"]
 [[response]]
 name = "work_error"
 practical = "1 pp"
+[report]
+format = ["csv"]
 """
 
 

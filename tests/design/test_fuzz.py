@@ -22,7 +22,7 @@ test = { kind = "compression", interface = "bonded", displacement = "3 mm" }
 material = { model = "neo-hookean", C10 = "5 kPa", poisson_ratio = 0.45 }
 """
 LOADERS = (loads, loads_problem, loads_calibration)
-quick = settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow])
+quick = settings(suppress_health_check=[HealthCheck.too_slow])
 
 
 def survives(text: str | bytes) -> None:

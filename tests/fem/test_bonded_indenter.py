@@ -111,6 +111,8 @@ def test_what_has_touched_does_not_slip() -> None:
         np.testing.assert_allclose(after[kept], before[kept], atol=1e-6)
 
 
+@pytest.mark.slow
+@pytest.mark.verify
 def test_sticking_is_stiffer_by_as_much_in_both_spaces() -> None:
     ratios = []
     for space in ("axisymmetric", "3d"):

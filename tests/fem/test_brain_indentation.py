@@ -77,7 +77,7 @@ def test_a_clamp_carries_what_the_indenter_presses(order: str) -> None:
 
 
 def test_weight_is_carried_by_the_clamp_too() -> None:
-    problem = pressed(BRAIN, 0.5, element_order="quadratic")
+    problem = pressed(BRAIN, 0.5)
     heavy = replace(problem.test, gravity=Gravity(980.0))
     top, below = force(replace(problem, test=heavy))
     weight = 9.80665 * 980e-9 * body(BRAIN).volume_mm3

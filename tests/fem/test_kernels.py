@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from study.mechanics.element.point_law import (
@@ -81,7 +81,6 @@ def test_tangent_is_the_derivative_of_the_stress(seed: int) -> None:
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=40)
 def test_objective_and_isotropic(seed: int) -> None:
     F, Q = random_gradient(seed), rotation(seed + 1)
     P, _, _ = stress(F, FULL_TABLE)

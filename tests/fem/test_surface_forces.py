@@ -172,7 +172,10 @@ def test_a_mixed_linear_pair_and_another_axis(tmp_path: Path) -> None:
     assert found == pytest.approx(-80 * float(uniaxial(GEL, 0.9)), rel=1e-6)
 
 
-@pytest.mark.parametrize("interface", ["frictionless", "bonded"])
+@pytest.mark.parametrize(
+    "interface",
+    ["frictionless", pytest.param("bonded", marks=[pytest.mark.slow, pytest.mark.verify])],
+)
 def test_an_indented_box_is_a_block(block: Surface, interface: str) -> None:
     problem = indented(block, Sphere(3), 0.4)
     test = replace(problem.test, interface=interface, steps=4)  # type: ignore[arg-type]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from study.ground.errors import InputError
@@ -34,7 +34,6 @@ def files(draw):
 broken_gzip = st.binary(max_size=60).map(lambda tail: b"\x1f\x8b" + tail)
 
 
-@settings(max_examples=400)
 @given(data=st.one_of(files(), st.binary(max_size=400), broken_gzip))
 @example(b"d,f\n" + b'"' * 50)
 @example(b"d,f\n0,0\n1,1e308\n2,-1e308\n4,1e308\n")

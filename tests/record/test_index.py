@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from study.ground.bounded_file import read_regular
@@ -137,7 +137,6 @@ def test_an_entry_as_young_as_the_index_is_not_believed(tmp_path: Path, read: li
     assert read == ["a1"]
 
 
-@settings(max_examples=100, deadline=None)
 @given(
     st.binary(max_size=300)
     | st.recursive(

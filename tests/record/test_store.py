@@ -288,7 +288,6 @@ def test_json_names_what_was_not_finite(tmp_path):
     json.loads((tmp_path / "study.json").read_text())
 
 
-@settings(max_examples=60)
 @given(st.binary(max_size=200))
 def test_any_bytes_as_a_stored_file(tmp_path_factory, data):
     path = tmp_path_factory.mktemp("fuzz")
@@ -367,6 +366,4 @@ def test_any_order_of_run_kill_damage_and_resume(tmp_path):
     class Machine(StoreMachine):
         folder = tmp_path
 
-    run_state_machine_as_test(
-        Machine, settings=settings(max_examples=40, stateful_step_count=12, deadline=None)
-    )
+    run_state_machine_as_test(Machine, settings=settings(stateful_step_count=12))

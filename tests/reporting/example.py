@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from study.ground.curve import Curve
+from study.reporting.output.page import prepare, render
 from study.reporting.results.study_result import (
     Check,
     CurvePair,
@@ -40,6 +41,11 @@ CURL = {
     "reduced-polynomial-2": 0.02,
     "reduced-polynomial-3": -0.01,
 }
+
+
+def undrawn(data: ReportData) -> str:
+    """Page without its drawings, which take most of the time."""
+    return render(prepare(data, drawn=False))
 
 
 def example(**changes: Any) -> ReportData:

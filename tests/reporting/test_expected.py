@@ -9,8 +9,8 @@ import pytest
 from study.harness.design.spec import Expected
 from study.reporting.content import verdicts
 from study.reporting.content.report_facts import facts
-from study.reporting.output.page import build
 from study.reporting.results.study_result import ReportData
+from tests.reporting.example import undrawn
 
 SCORE, MODULUS = "relative_rms_force_error", "mu0"
 BEST = {"material": "reduced-polynomial-3", "plates": "bonded"}
@@ -70,7 +70,7 @@ def test_what_the_study_cannot_answer_is_said(data: ReportData) -> None:
 @pytest.mark.parametrize("stated", [True, False])
 def test_the_page_shows_them_where_there_are_any(data: ReportData, stated: bool) -> None:
     item = Expected("matters", ("plates",), (), MODULUS, "<b>me</b>")
-    page = build(replace(data, expected=(item,) if stated else ()))
+    page = undrawn(replace(data, expected=(item,) if stated else ()))
     assert ('id="expected"' in page) is stated
     assert "<b>me</b>" not in page
 

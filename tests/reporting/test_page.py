@@ -16,7 +16,7 @@ from study.reporting.content.text import folded
 from study.reporting.figures import effect_figures
 from study.reporting.output.page import Contents, build, policy_hash, prepare, render, table_script
 from study.reporting.results.study_result import Check, Failure, ReportData, ResponseAnalysis
-from tests.reporting.example import FACTORS, with_failures
+from tests.reporting.example import FACTORS, undrawn, with_failures
 
 SECTIONS = [
     "answer",
@@ -105,10 +105,10 @@ def test_a_second_script_would_be_found(html: str):
     assert not is_local("javascript:alert(1)")
 
 
-def test_an_unfinished_study_says_so_at_the_top(data: ReportData):
-    assert "Unfinished study" not in build(data)
+def test_an_unfinished_study_says_so_at_the_top(data: ReportData, html: str):
+    assert "Unfinished study" not in html
     half = replace(data, table=data.table.iloc[: len(data.table) // 2])
-    page = build(half)
+    page = undrawn(half)
     # 288 cases: 4 x 2 x 2 x 2 cells of 9 phantoms
     assert "144 of 288 cases have ended" in page
     assert page.index("Unfinished study") < page.index('id="answer"')
@@ -176,7 +176,7 @@ def test_a_broken_figure_is_named_and_the_rest_survives(monkeypatch, data: Repor
 
 
 def test_failures_are_listed_with_their_map():
-    page = build(replace(with_failures(), responses=(), curves=()))
+    page = undrawn(replace(with_failures(), responses=(), curves=()))
     assert "3 cases of 288" in page
     assert "Failure map" in page
     assert "the step could not be halved further" in page
@@ -192,7 +192,7 @@ def test_assumed_inputs_are_labelled(html: str):
 
 def test_refused_analysis_still_makes_a_report(data: ReportData):
     refused = ResponseAnalysis("mu0", "kPa", refused="copies pose as replicates")
-    page = build(replace(data, responses=(refused,), curves=()))
+    page = undrawn(replace(data, responses=(refused,), curves=()))
     assert "Not analyzed. copies pose as replicates" in page
     assert "No response could be analyzed" in page
 
@@ -290,7 +290,7 @@ def test_smallest_possible_report():
         {"case_id": ["a", "b"], "f": ["x", "y"], "status": "converged", "y": [1.0, 2.0]}
     )
     data = ReportData("tiny", "", {"f": ("x", "y")}, table, (ResponseAnalysis("y", "N"),))
-    assert "tiny" in build(data)
+    assert "tiny" in undrawn(data)
 
 
 def test_all_cases_failed():
@@ -306,7 +306,7 @@ def test_all_cases_failed():
         (ResponseAnalysis("y", "N", refused="nothing to analyze"),),
         failures=failed,
     )
-    page = build(data)
+    page = undrawn(data)
     assert "2 cases of 2" in page
     assert "nothing to analyze" in page
 
@@ -368,9 +368,13 @@ def hostile(data: ReportData, evil: str) -> ReportData:
     )
 
 
+DRAWN = pytest.param(True, marks=[pytest.mark.slow, pytest.mark.verify])
+
+
+@pytest.mark.parametrize("drawn", [False, DRAWN])
 @pytest.mark.parametrize("evil", CORPUS, ids=range(len(CORPUS)))
-def test_hostile_names_are_shown_and_never_run(data: ReportData, evil: str):
-    page = build(hostile(data, evil))
+def test_hostile_names_are_shown_and_never_run(data: ReportData, evil: str, drawn: bool):
+    page = render(prepare(hostile(data, evil), drawn=drawn))
     seen = parsed(page)
     assert not seen.tags & {"img", "iframe", "link"}
     assert only_our_script(page)

@@ -11,9 +11,8 @@ import pytest
 
 from study.reporting.content import methods, sentences
 from study.reporting.content.report_facts import facts
-from study.reporting.output.page import build
 from study.reporting.results.study_result import Failure, ReportData
-from tests.reporting.example import unreplicated
+from tests.reporting.example import undrawn, unreplicated
 
 #: what no sentence of a report says, and what it says instead
 NOT_USED = {
@@ -66,7 +65,7 @@ def breaches(text: str) -> list[str]:
 
 def test_no_sentence_has_a_word_that_is_not_used(html: str):
     assert breaches(words(html)) == []
-    assert breaches(words(build(unreplicated()))) == []
+    assert breaches(words(undrawn(unreplicated()))) == []
 
 
 def test_the_list_of_words_finds_a_breach():
@@ -94,7 +93,7 @@ def all_failed(data: ReportData) -> ReportData:
 
 
 def test_a_study_of_which_every_case_failed_has_a_page(data: ReportData):
-    page = words(build(all_failed(data)))
+    page = words(undrawn(all_failed(data)))
     assert "All 288 cases failed, so there is nothing to compare." in page
     assert "What 288 of 288 reported: no equilibrium beyond 0.4 mm" in page
     assert "Nothing can be recommended" in page

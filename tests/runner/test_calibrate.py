@@ -13,7 +13,7 @@ import pytest
 from study import api
 from study.cli.app import run
 from study.ground.errors import InputError
-from study.harness.calibration import calibrate_tests, measured_tests
+from study.harness.calibration import calibrate_tests, measured_tests, model_comparison
 from study.harness.calibration.calibration_result import CalibrationResult
 from study.harness.design.load import load_calibration
 from study.harness.runner import fit_task, staged_fit
@@ -149,7 +149,22 @@ def test_the_command_prints_it_and_writes_its_files(
     assert "abaqus" in capsys.readouterr().err
 
 
-def test_energies_are_weighed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    "names",
+    [
+        pytest.param((), marks=[pytest.mark.slow, pytest.mark.verify]),
+        ("neo-hookean", "mooney-rivlin", "reduced-polynomial-2", "gent"),
+    ],
+    ids=["all", "some"],
+)
+def test_energies_are_weighed(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    names: tuple[str, ...],
+) -> None:
+    some = [one for one in model_comparison.CANDIDATES if not names or one[2] in names]
+    monkeypatch.setattr(model_comparison, "CANDIDATES", tuple(some))
     write(tmp_path / "a.csv", "reduced-polynomial", RP2, noise=0.02)
     path = case(tmp_path, [{"range": '["1 %", "30 %"]'}])
     choice = api.choose_energy(path, data=tmp_path)

@@ -1,18 +1,15 @@
 """Studies of parameters alone: a stranger's program or function, end to end through the verbs."""
 
-import json
 import math
 import os
 import re
-import subprocess
-import sys
 import tomllib
-from pathlib import Path
 
 import pytest
 
 from study import api
 from study.ground import errors
+from tests.cli.small import study
 
 
 def loads(text):
@@ -116,18 +113,15 @@ def test_effects_of_a_function_are_those_of_the_formula(tmp_path, factor):
     assert effect_of(found, "peak", factor) == pytest.approx(expected_effect(factor), rel=1e-9)
 
 
-def test_effects_of_a_program_with_a_template_are_those_of_the_formula(tmp_path):
+def test_effects_of_a_program_with_a_template_are_those_of_the_formula(tmp_path, monkeypatch):
     design = program(tmp_path)
     with pytest.raises(errors.RefusedError, match=r"python spring\.py"):
         api.run(design, results=tmp_path / "results", reports=None)
-    words = [sys.executable, "-m", "study", "run", design.name, "--json", "--jobs", "1"]
+    monkeypatch.chdir(tmp_path)
     digest = api.plan(design).digest
-    done = subprocess.run(
-        [*words, f"--allow-commands={digest}"], cwd=tmp_path, capture_output=True, text=True,
-        check=False, env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])},
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    verdicts = json.loads(done.stdout)["verdicts"]
+    done = study("run", design.name, "--json", "--jobs", 1, f"--allow-commands={digest}")
+    assert done.code == 0, done.err
+    verdicts = done.json["verdicts"]
     for factor in ("parameters.stiffness", "parameters.damping"):
         effect = next(v for v in verdicts if (v["response"], v["factor"]) == ("peak", factor))
         assert effect["effect"] == pytest.approx(expected_effect(factor), rel=1e-9)
@@ -160,10 +154,11 @@ def test_effects_of_a_program_with_a_template_are_those_of_the_formula(tmp_path)
         ("{{ parameters.mass }}", "{{ ''.__class__ }}", r"input\.txt\.j2:1: cannot be rendered"),
         ("{{ parameters.mass }}", "{{ 'a' * 10**9 }}", r"input\.txt\.j2:1: cannot be rendered"),
         ("{{ parameters.mass }}", "{{ '%0999999999d' % 1 }}", r"j2:1: cannot.*MemoryError"),
-        ("{{ parameters.mass }}", WITHOUT_END, r"j2:1: cannot.*more than 5 s of computing"),
+        ("{{ parameters.mass }}", WITHOUT_END, r"j2:1: cannot.*more than 0.5 s of computing"),
     ],
 )
-def test_a_template_that_is_wrong_is_told_by_the_plan(tmp_path, changed, into, said):
+def test_a_template_that_is_wrong_is_told_by_the_plan(tmp_path, monkeypatch, changed, into, said):
+    monkeypatch.setattr("study.harness.external.answers._MOST_SECONDS", 0.5)
     design = program(tmp_path)
     path = tmp_path / "input.txt.j2"
     path.write_text(path.read_text().replace(changed, into))
@@ -274,7 +269,6 @@ def test_seeds_are_true_replicates(tmp_path):
 
 def test_a_function_that_is_not_repeatable_is_told_with_both_answers(tmp_path):
     def drawn(case):
-        import os
 
         return {"peak": float(int.from_bytes(os.urandom(4), "big")), "static": 1.0}
 
@@ -305,8 +299,13 @@ def test_a_curve_of_a_function_has_the_responses_of_a_curve(tmp_path):
         assert record.response("work") == pytest.approx(0.5 * stiffness * 4)
 
 
-def test_a_bound_covers_the_error_of_a_solver_of_second_order(tmp_path):
-    """200 random parameter sets; 95 % is the bar, and the error of each is known."""
+# where 95 % hold, fewer than 52 of 60 do in 0.3 %; of 200, 190 is the bar itself
+@pytest.mark.parametrize(
+    ("rows", "bar"),
+    [(6, 52), pytest.param(20, 190, marks=[pytest.mark.slow, pytest.mark.verify])],
+)
+def test_a_bound_covers_the_error_of_a_solver_of_second_order(tmp_path, rows, bar):
+    """Random parameter sets, of each of which the error is known; 95 % is the bar."""
 
     def coefficients(i, j):
         import random
@@ -322,7 +321,7 @@ def test_a_bound_covers_the_error_of_a_solver_of_second_order(tmp_path):
     tables = {
         "study": {"name": "second-order"},
         "parameters": {"i": 1, "j": 1, "h": 0.5},
-        "factors": {"parameters.i": list(range(20)), "parameters.j": list(range(10))},
+        "factors": {"parameters.i": list(range(rows)), "parameters.j": list(range(10))},
         "converge": {"key": "parameters.h", "formal_order": 2},
         "response": [{"name": "y", "practical": 0.5}],
     }
@@ -333,8 +332,8 @@ def test_a_bound_covers_the_error_of_a_solver_of_second_order(tmp_path):
         abs(row.value - coefficients(*map(int, row.levels.values()))[0]) <= row.u_num
         for row in found.numerical
     ]
-    assert len(covered) == 200
-    assert sum(covered) >= 190
+    assert len(covered) == 10 * rows
+    assert sum(covered) >= bar
     effect = next(v for v in found.verdicts if v["factor"] == "parameters.i")
     assert effect["u_num"] > 0
 

@@ -13,7 +13,7 @@ import pytest
 import study
 from study.cli.app import run
 from study.ground.arrays import Array
-from study.ground.errors import InputError, RefusedError
+from study.ground.errors import InputError
 from study.laboratory.registration.closest_point import TriangleSurface
 from study.laboratory.registration.rigid import RigidMotion, turned_about
 from study.laboratory.shape.shape_deviation import ShapeOptions as Options
@@ -213,12 +213,13 @@ def test_the_known_pair_of_brain_surfaces(data_dir: Path) -> None:
     assert found.statistics.largest == pytest.approx(2.461, abs=5e-4)
 
 
-def test_a_scan_of_the_body_at_rest_is_refused(tmp_path: Path) -> None:
+def test_a_scan_of_the_body_at_rest_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     cloud = write_csv(tmp_path / "scan.csv", MOTION(cylinder(20.0, 30.0, 2000, 7)))
     file = problem(tmp_path)
-    with pytest.raises(RefusedError, match=r"another state: the body at rest fits it"):
-        study.shape(file, cloud)
     assert run(["shape", str(file), "--scan", str(cloud), "--reports", str(tmp_path)]) == 3
+    assert "another state: the body at rest fits it" in capsys.readouterr().err
     found = study.shape(file, cloud, options=Options(any_state=True))
     assert found.statistics.rms > 0.5
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -235,8 +236,8 @@ class Figure:
 Drawn = tuple["pd.DataFrame", "Callable[[], Canvas]", str]
 
 
-def make(name: str, title: str, compute: Callable[[], Drawn]) -> Figure:
-    """Compute and draw one figure; any failure becomes its ``missing``.
+def make(name: str, title: str, compute: Callable[[], Drawn], *, drawn: bool = True) -> Figure:
+    """Compute one figure and draw it where asked; any failure becomes its ``missing``.
 
     Parameters
     ----------
@@ -246,18 +247,22 @@ def make(name: str, title: str, compute: Callable[[], Drawn]) -> Figure:
         Heading, and accessible name of the drawing.
     compute : callable
         Returns the data, a function that draws them, and the caption.
+    drawn : bool
+        Whether there is a drawing beside the data, which takes most of the time.
     """
     frame: pd.DataFrame | None = None
     try:
         frame, draw, caption = compute()
-        svg = axes.render(draw, name, title)
+        svg = axes.render(draw, name, title) if drawn else ""
     except Exception as error:  # the numbers must reach the reader whatever the drawing does
         why = f"{type(error).__name__}: {error}"
         return Figure(name, title, data=frame, missing=why[:300])
     return Figure(name, title, caption, svg, frame)
 
 
-def of_response(data: ReportData, facts: Facts, without: Collection[str] = ()) -> dict[str, Figure]:
+def of_response(
+    data: ReportData, facts: Facts, without: Collection[str] = (), *, drawn: bool = True
+) -> dict[str, Figure]:
     """Figures of one response by kind, but those ``without``; none where it was not analyzed.
 
     Parameters
@@ -267,7 +272,9 @@ def of_response(data: ReportData, facts: Facts, without: Collection[str] = ()) -
     facts : Facts
         The response; its title and unit are shortened in the figures.
     without : collection of str
-        Kinds that are not drawn, for example ``"cells"``.
+        Kinds that are left out, for example ``"cells"``.
+    drawn : bool
+        Whether there are drawings beside the data.
 
     Returns
     -------
@@ -303,44 +310,31 @@ def of_response(data: ReportData, facts: Facts, without: Collection[str] = ()) -
     if facts.response.better and "seconds" in data.table:
         makers["front"] = ("Cost against accuracy", lambda: _front(data, facts))
     return {
-        kind: make(f"{stem}-{kind}", f"{title}: {facts.title}", maker)
+        kind: make(f"{stem}-{kind}", f"{title}: {facts.title}", maker, drawn=drawn)
         for kind, (title, maker) in makers.items()
         if kind not in without
     }
 
 
-def of_study(data: ReportData) -> dict[str, Figure]:
-    """Figures that belong to no single response.
-
-    Parameters
-    ----------
-    data : ReportData
-        Its curves, fits, markers, series of meshes, comparisons and failures are drawn.
-
-    Returns
-    -------
-    dict of str to Figure
-        ``curves``, ``constants``, ``markers``, ``convergence``, ``validation``, ``failures``: those
-        that the study has data for.
-    """
-    figures: dict[str, Figure] = {}
+def of_study(data: ReportData, *, drawn: bool = True) -> dict[str, Figure]:
+    """Figures by kind that belong to no single response: those that the study has data for."""
+    makers: dict[str, tuple[str, Callable[[ReportData], Drawn]]] = {}
     if data.curves:
-        figures["curves"] = make("curves", "Measured and predicted force", lambda: _curves(data))
+        makers["curves"] = ("Measured and predicted force", _curves)
     if any(fit.value is not None for fit in data.fits):
-        figures["constants"] = make("constants", "Fitted constants", lambda: _constants(data))
+        makers["constants"] = ("Fitted constants", _constants)
     if any(fit["error_by_layer_mm"] for marker in data.markers for fit in marker.fits):
-        figures["markers"] = make("markers", "Errors by layer", lambda: _markers(data))
+        makers["markers"] = ("Errors by layer", _markers)
     if data.convergence:
-        figures["convergence"] = make(
-            "convergence", "Value against mesh size", lambda: _convergence(data)
-        )
+        makers["convergence"] = ("Value against mesh size", _convergence)
     if data.validation:
-        figures["validation"] = make(
-            "validation", "Comparison error along the curve", lambda: _validation(data)
-        )
+        makers["validation"] = ("Comparison error along the curve", _validation)
     if data.failures:
-        figures["failures"] = make("failures", "Failure map", lambda: _failures(data))
-    return figures
+        makers["failures"] = ("Failure map", _failures)
+    return {
+        kind: make(kind, title, partial(maker, data), drawn=drawn)
+        for kind, (title, maker) in makers.items()
+    }
 
 
 def of_recordings(frame: pd.DataFrame) -> Figure:

@@ -99,9 +99,9 @@ class Contents:
         )
 
 
-def prepare(data: ReportData, worker: Worker | None = None) -> Contents:
-    """Compute every sentence, table and figure of a report."""
-    of_study = partial(registry.of_study, data)
+def prepare(data: ReportData, worker: Worker | None = None, *, drawn: bool = True) -> Contents:
+    """Compute every sentence, table and figure of a report; without drawings for tables alone."""
+    of_study = partial(registry.of_study, data, drawn=drawn)
     figures = of_study if worker is None else worker.begin(of_study)
     all_facts = facts(data)
     made: dict[str, Table] = {
@@ -128,8 +128,10 @@ def prepare(data: ReportData, worker: Worker | None = None) -> Contents:
         made["retried"] = failed_cases.retried_table(data.retried, data.block)
     if data.failure_pattern is not None and data.failure_pattern.tests:
         made["failure_tests"] = failed_cases.tests(data.failure_pattern, data.labels)
-    sections = tuple(_section(data, item) for item in all_facts if item.terms or not data.surfaces)
-    over = tuple(_surface(data, surface) for surface in data.surfaces)
+    sections = tuple(
+        _section(data, item, drawn) for item in all_facts if item.terms or not data.surfaces
+    )
+    over = tuple(_surface(data, surface, drawn) for surface in data.surfaces)
     for section in over:
         made |= {
             t.name: t
@@ -142,7 +144,7 @@ def prepare(data: ReportData, worker: Worker | None = None) -> Contents:
     return Contents(data, all_facts, sections, figures(), made, over, records)
 
 
-def _surface(data: ReportData, fitted: FittedSurface) -> SurfaceSection:
+def _surface(data: ReportData, fitted: FittedSurface, drawn: bool) -> SurfaceSection:
     named = surface_content.title(fitted, data)
     stem = f"surface-{registry.slug(named)}"
     return SurfaceSection(
@@ -154,13 +156,13 @@ def _surface(data: ReportData, fitted: FittedSurface) -> SurfaceSection:
         surface_content.coefficients(fitted, data),
         surface_content.table(fitted, data),
         {
-            kind: registry.make(f"{stem}-{kind}", f"{words}: {named}", maker)
+            kind: registry.make(f"{stem}-{kind}", f"{words}: {named}", maker, drawn=drawn)
             for kind, (words, maker) in surface_figures.drawings(fitted, data).items()
         },
     )
 
 
-def _section(data: ReportData, item: Facts) -> Section:
+def _section(data: ReportData, item: Facts, drawn: bool) -> Section:
     strata = tables.strata(item, data) if item.rows else None
     judged = [effect for effect in item.terms if effect.is_main or effect.strength == "matters"]
     return Section(
@@ -170,7 +172,7 @@ def _section(data: ReportData, item: Facts) -> Section:
         contrasts=analysis_content.contrasts(item),
         anova=tables.anova(item, data) if item.rows else None,
         strata=strata if strata is not None and strata.rows else None,
-        figures=registry.of_response(data, item),
+        figures=registry.of_response(data, item, drawn=drawn),
         assumptions=_assumptions(data, item),
         recommendation=_recommendation(data, item),
         cheaper=recommendation.cheaper(data, item),

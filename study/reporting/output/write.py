@@ -134,14 +134,15 @@ def write(
     """Write a report into a folder and return its main file.
 
     The page is ``<name>.html``; beside it ``<name>-data/`` holds the CSV of every figure and
-    table, ``cases.csv`` (one row a case), ``curves.csv.gz`` (every measured and predicted
-    point) and ``numbers.json``, the statistics as the interface defines them: enough to compute
-    every figure again. Files are replaced whole, never left half written.
+    table, ``cases.csv`` (one row a case), ``curves.csv.gz`` (every measured and predicted point)
+    and ``numbers.json``, enough to compute every figure again; and, unless CSV is all that is asked
+    for, each figure as SVG. Files are replaced whole, never left half written.
     """
     chosen = checked_formats(formats)
     folder = Path(out_dir)
     with uncollected():
-        return _written(prepare(report_data, worker), folder, chosen)
+        drawn = chosen != ("csv",)
+        return _written(prepare(report_data, worker, drawn=drawn), folder, chosen)
 
 
 def _written(contents: Contents, folder: Path, chosen: Sequence[str]) -> Path:
