@@ -7,7 +7,6 @@
         index.json                  what each record says of itself, so that counting reads none
         fits/<fit_id>.json          calibrations shared by cases
         cases/<case_id>/record.json
-        cases/<case_id>/fields-<hash>.npz
         cases/<case_id>/*.corrupt-1 what was damaged, set aside
 """
 
@@ -18,23 +17,17 @@ import hashlib
 import os
 from collections import defaultdict
 from collections.abc import Collection, Mapping
-from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import cast
 
-from numpy.typing import ArrayLike
-
 from study.ground.curve import Curve
 from study.ground.errors import NewerSchemaError, StoreError
-from study.harness.record import document
 from study.harness.record.atomic_files import write_atomic
 from study.harness.record.document import (
-    MAX_FIELD_BYTES,
     CurveKey,
     ManifestDocument,
     SolutionDocument,
-    Stored,
     StoredFitDocument,
     fault_of_curves,
     fault_of_fits,
@@ -144,29 +137,15 @@ def laid_by(input_hash: str) -> str:
 class Store(ResultFolder):
     """Records, shared fits and manifests of one study."""
 
-    def write(
-        self,
-        record: Record,
-        fields: Mapping[str, ArrayLike] | None = None,
-        *,
-        followed: bool = False,
-    ) -> Record:
-        """Store a record, whole or not at all, and after its fields."""
-        folder = self._case(record.case_id)
-        name = ""
-        if fields:
-            name, data = document.pack(fields)
-            record = replace(record, extra={**record.extra, "fields": name})
-            write_atomic(folder / name, data, self._system)
-        path = folder / CURRENT
+    def write(self, record: Record, *, followed: bool = False) -> None:
+        """Store a record, whole or not at all."""
+        path = self._case(record.case_id) / CURRENT
         self._lay_by(record)
         self._write(path, record.to_json().encode(), followed)
-        self._drop_other_fields(folder, name)
         if self._locked:
             self._index.note(record, FileStamp.of(path))
             if self._index.is_due:
                 self._write_index()
-        return record
 
     def write_folder(self, case_id: str, packed: bytes) -> None:
         """Keep the folder in which a program computed a case, as a zip beside the records."""
@@ -203,19 +182,6 @@ class Store(ResultFolder):
     def read_all(self) -> list[Record]:
         """Every valid record, by case id: the order of the runs leaves no trace."""
         return [record for name in self._case_ids() if (record := self.read(name)) is not None]
-
-    def read_fields(self, record: Record) -> dict[str, Stored]:
-        """Arrays kept with a record; empty if it has none."""
-        name = record.extra.get("fields")
-        if not name:
-            return {}
-        if not isinstance(name, str) or not document.is_name(name):
-            raise StoreError(f"case {record.case_id}: {name!r} is no name of a field file")
-        path = self._case(record.case_id) / name
-        data = self._bytes(path, MAX_FIELD_BYTES)
-        if data is None or not document.fits(name, data):
-            raise StoreError(f"{path}: is missing or damaged; delete the case to run it again")
-        return document.unpack(data, path)
 
     def survey(self, input_hashes: Mapping[str, str]) -> Survey:
         """Sort the wanted cases into done, failed and missing."""
@@ -380,10 +346,3 @@ class Store(ResultFolder):
             return []
         except OSError as error:
             raise StoreError(f"{folder}: cannot be read ({error.strerror or error})") from error
-
-    def _drop_other_fields(self, folder: Path, keep: str) -> None:
-        for name in os.listdir(folder):
-            if document.is_name(name) and name != keep:
-                self._flush()  # the record that names them is gone for good
-                with contextlib.suppress(OSError):  # only space is lost
-                    self._system.unlink(folder / name)
