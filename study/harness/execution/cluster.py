@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import copy
 import functools
 import hashlib
 import json
@@ -19,7 +20,7 @@ import time
 import uuid
 from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, is_dataclass
 from multiprocessing.util import Finalize
 from pathlib import Path
 from typing import Protocol
@@ -209,14 +210,14 @@ class Processes:
         self,
         place: tuple[str, int],
         perform: Perform,
-        text: str,
+        payloads: Sequence[object],
         limit_s: float | None,
         unwanted: Callable[[], bool],
     ) -> Answer:
-        """Do one task; never raises, never dies."""
+        """Do some tasks; never raises, never dies."""
         process = self._taken(place, perform)
         try:
-            return _watched(process, text, limit_s, unwanted)
+            return _watched(process, payloads, limit_s, unwanted)
         finally:
             self._put_back(place, process)
 
@@ -279,11 +280,14 @@ class Processes:
 
 
 def _watched(
-    process: Process, text: str, limit_s: float | None, unwanted: Callable[[], bool]
+    process: Process,
+    payloads: Sequence[object],
+    limit_s: float | None,
+    unwanted: Callable[[], bool],
 ) -> Answer:
     """Answer of a process, or what became of it."""
     done: queue.SimpleQueue[tuple[object, Answer]] = queue.SimpleQueue()
-    process.start(text, done, None)
+    process.start(payloads, done, None)
     ends = time.monotonic() + (float("inf") if limit_s is None else limit_s)
     while True:
         try:
@@ -297,7 +301,7 @@ def _watched(
             answer = Answer(death="stopped")
         elif answer is None and limit_s is not None and time.monotonic() >= ends:
             process.kill()
-            return Answer(json.dumps(stopped_late(limit_s)))
+            return Answer(json.dumps([stopped_late(limit_s)]))
         if answer is not None:
             if answer.death:
                 process.kill()
@@ -325,10 +329,25 @@ def keep_files(run: str, files: Mapping[str, bytes]) -> None:
     _COPIES[run] = folder, copies
 
 
+def with_copies(value: object, copies: Mapping[str, str]) -> object:
+    """Tasks in which the path of each file of the study's machine is that of its copy here."""
+    if isinstance(value, str):
+        return copies.get(value, value)
+    if isinstance(value, dict):
+        return {name: with_copies(item, copies) for name, item in value.items()}
+    if isinstance(value, list | tuple) and type(value) in (list, tuple):
+        return type(value)(with_copies(item, copies) for item in value)
+    if is_dataclass(value) and not isinstance(value, type):
+        changed = copy.copy(value)
+        changed.__dict__.update({k: with_copies(v, copies) for k, v in vars(value).items()})
+        return changed
+    return value
+
+
 def serve(
-    place: tuple[str, int], perform: Perform, text: str, limit_s: float | None
+    place: tuple[str, int], perform: Perform, payloads: Sequence[object], limit_s: float | None
 ) -> tuple[str, str]:
-    """Do one task on a worker: what the cluster calls."""
+    """Do some tasks on a worker: what the cluster calls."""
     from distributed import get_worker
 
     worker = get_worker()
@@ -338,9 +357,9 @@ def serve(
         known = worker.state.tasks.get(key)
         return known is None or known.state in ("cancelled", "released", "forgotten")
 
-    for path, copy in _COPIES.get(place[0], ("", {}))[1].items():
-        text = text.replace(json.dumps(path), json.dumps(copy))
-    answer = HERE.perform(place, perform, text, limit_s, unwanted)
+    copies = _COPIES.get(place[0], ("", {}))[1]
+    there = [with_copies(payload, copies) for payload in payloads] if copies else payloads
+    answer = HERE.perform(place, perform, there, limit_s, unwanted)
     return answer.text, answer.death
 
 
@@ -384,19 +403,19 @@ class RemoteSlot:
     number: int
     worker: ClusterWorker | None = None
     future: Pending | None = None
-    waiting: tuple[str, Done, object] | None = None
+    waiting: tuple[Sequence[object], Done, object] | None = None
     end: Callable[[Answer], None] | None = None
 
-    def start(self, text: str, done: Done, ticket: object) -> None:
-        """Begin a task given as JSON, at once or when a worker comes."""
-        self.waiting = text, done, ticket
+    def start(self, payloads: Sequence[object], done: Done, ticket: object) -> None:
+        """Begin some tasks, at once or when a worker comes."""
+        self.waiting = payloads, done, ticket
         self.begin()
 
     def begin(self) -> None:
         """Send what waits to a worker, if there is one."""
         if self.waiting is None or not self.crew.place(self):
             return
-        (text, done, ticket), self.waiting = self.waiting, None
+        (payloads, done, ticket), self.waiting = self.waiting, None
         told: list[bool] = []
 
         def end(answer: Answer) -> None:
@@ -406,7 +425,7 @@ class RemoteSlot:
                 done.put((ticket, answer))
 
         self.end = end
-        self.future = self.crew.send(self.number, self.worker, text)
+        self.future = self.crew.send(self.number, self.worker, payloads)
         self.future.add_done_callback(functools.partial(self._ended, end))
 
     def kill(self) -> None:
@@ -498,13 +517,15 @@ class Crew:
             best.load, slot.worker = best.load + 1, best
         return slot.worker is not None
 
-    def send(self, number: int, worker: ClusterWorker | None, text: str) -> Pending:
-        """Submit a task to one worker."""
+    def send(
+        self, number: int, worker: ClusterWorker | None, payloads: Sequence[object]
+    ) -> Pending:
+        """Submit tasks to one worker."""
         if worker is None:
             raise RuntimeError("a slot without a worker sends no task")
         self._check_scheduler()
         return self.client.submit(
-            serve, (self.name, number), self.perform, text, self.limit_s,
+            serve, (self.name, number), self.perform, payloads, self.limit_s,
             workers=[worker.address], pure=False, key=f"study-{self.name}-{uuid.uuid4().hex}",
         )  # fmt: skip
 
@@ -599,8 +620,8 @@ def _lost(error: BaseException | None = None) -> str:
     )
 
 
-# Tasks on a Dask cluster that exists. Tasks and results travel as text, so that workers share no
-# disk with the study; where a worker is gone, its tasks are done once more elsewhere.
+# Tasks on a Dask cluster that exists. Tasks travel whole and results as text, so that workers share
+# no disk with the study; where a worker is gone, its tasks are done once more elsewhere.
 
 
 @dataclass(frozen=True)

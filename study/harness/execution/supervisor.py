@@ -20,7 +20,7 @@ from study.harness.execution.task import (
     Perform,
     Results,
     Task,
-    answer,
+    answers,
     stopped_late,
 )
 
@@ -175,7 +175,7 @@ START_LIMIT_S = 60.0
 
 @dataclass(frozen=True)
 class Answer:
-    """What a slot says of its task: JSON of the result, how its worker died, or that it began."""
+    """What a slot says of its tasks: JSON of the results, how its worker died, or that it began."""
 
     text: str = ""
     death: str = ""
@@ -186,9 +186,12 @@ class Slot(Protocol):
     """Room for one task at a time, whose death, hang or bug costs that task alone."""
 
     def start(
-        self, text: str, done: queue.SimpleQueue[tuple[object, Answer]], ticket: object
+        self,
+        payloads: Sequence[object],
+        done: queue.SimpleQueue[tuple[object, Answer]],
+        ticket: object,
     ) -> bool | None:
-        """Begin a task given as JSON, at once: whatever blocks does so elsewhere."""
+        """Begin some tasks, at once: whatever blocks does so elsewhere."""
         # Puts ``(ticket, answer)`` on the queue when it ends. Returns whether it also does so when
         # it begins, for a worker that is still to come up.
         ...
@@ -268,10 +271,9 @@ class Supervisor:
                 self.ready.hold(task.group)
                 desk.group = task.group  # kept while the worker does tasks of no group
             desk.tasks, desk.ticket = (task, *self._together(task, len(desks))), object()
-            asked = [one.payload(self.ready.results) for one in desk.tasks]
-            text = json.dumps(asked if len(asked) > 1 else asked[0], allow_nan=False)
+            payloads = [each.payload(self.ready.results) for each in desk.tasks]
             desk.started = time.monotonic()
-            desk.began = not desk.slot.start(text, done, desk.ticket)
+            desk.began = not desk.slot.start(payloads, done, desk.ticket)
 
     def _together(self, first: Task, desks: int) -> list[Task]:
         """Short tasks that go to a worker along with a short one."""
@@ -323,11 +325,12 @@ class Supervisor:
         if answer.death:
             return self._died(desk, tasks, seconds, answer.death)
         try:
-            found = parse_json(answer.text, "a worker's answer")
+            results = parse_json(answer.text, "a worker's answer")
         except UnreadableError as error:
             return self._died(desk, tasks, seconds, str(error))
-        results = found if len(tasks) > 1 and isinstance(found, list) else [found]
-        if len(results) != len(tasks) or not all(map(_is_result, results)):
+        if not isinstance(results, list) or len(results) != len(tasks):
+            results = [None]
+        if not all(map(_is_result, results)):
             return self._died(desk, tasks, seconds, "a worker's answer is no result")
         each = seconds / len(tasks)
         return [Outcome(one.key, result, each) for one, result in zip(tasks, results, strict=True)]
@@ -400,7 +403,6 @@ class Inline:
                 names = ", ".join(ready.waiting)
                 raise RuntimeError(f"tasks wait for something that nobody makes: {names}")
             group, began = task.group, time.monotonic()
-            text = json.dumps(task.payload(ready.results), allow_nan=False)
-            result = json.loads(answer(self.perform, text))
+            (result,) = json.loads(answers(self.perform, [task.payload(ready.results)]))
             ready.finish(task.key, result)
             yield Outcome(task.key, result, time.monotonic() - began)

@@ -16,7 +16,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-from study.harness.design.cell import plain
 from study.harness.design.study_file import FINER_MESH, LONGER_LIMIT, MORE_MEMORY, SMALLER_STEPS
 from study.harness.execution.task import Document, Executor, Outcome, Results, Task
 from study.harness.external.command import check_allowed
@@ -27,11 +26,10 @@ from study.harness.runner.expansion import case_job
 from study.harness.runner.fit_problem import externals
 from study.harness.runner.fit_summary import FitResult
 from study.harness.runner.fit_task import FitTask
-from study.harness.runner.job import CaseFrame, CaseJob, CaseTask, FitJob, ScoreTask, Work, fits_of
-from study.harness.runner.problem_tables import PROBLEM, on_mesh, with_both
+from study.harness.runner.job import CaseJob, CaseTask, FitJob, Work, fits_of
+from study.harness.runner.problem_tables import on_mesh, with_both
 from study.harness.runner.refinement import base_size_mm
 from study.harness.runner.tasks import adapted, default_jobs, limit_of, processes
-from study.mechanics.forward.finite_element import Anchor
 from study.mechanics.setup.setup import Setup, Tables
 
 # -------------------------------------------------------------------------------------------------
@@ -350,7 +348,7 @@ class _Batch:
         tasks = [
             Task(
                 job.key,
-                partial(_fit_document, job),
+                partial(_fit_task, job),
                 (job.start.key,) if job.start else (),
                 seconds=costs.fit_seconds(job.problem),
                 memory_MB=costs.fit_memory_MB(job.problem),
@@ -360,7 +358,7 @@ class _Batch:
         tasks += [
             Task(
                 key,
-                partial(_case_document, self.work, job),
+                partial(_case_task, self.work, job),
                 job.needs,
                 job.group,
                 costs.case_seconds(job),
@@ -402,7 +400,7 @@ class _Batch:
         text = outcome.result.get("record")
         if isinstance(text, str):
             return Record.from_json(text, f"worker, {self._label(outcome.key)}")
-        return _case_frame(self.work, self.cases[outcome.key]).record(
+        return CaseTask.of(self.cases[outcome.key], self.work, {}).record(
             outcome.status,
             outcome.message,
             seconds=outcome.seconds,
@@ -410,47 +408,15 @@ class _Batch:
         )
 
 
-def _fit_document(job: FitJob, results: Results) -> Document:
+def _fit_task(job: FitJob, results: Results) -> FitTask:
     """Make what a worker gets of a fit, once the fit that starts it is known."""
     start = None if job.start is None else FitResult.from_json(results[job.start.key])
-    return FitTask(job.problem, job.measured, start, job.noise).to_json()
+    return FitTask(job.problem, job.measured, start, job.noise)
 
 
-def _case_frame(work: Work, job: CaseJob) -> CaseFrame:
-    """Everything of a record that is known before the case is computed."""
-    case = job.case
-    return CaseFrame(
-        case.case_id, work.design.name, case.levels, case.block, work.responses, job.input_hash,
-        job.origin,
-    )  # fmt: skip
-
-
-def _case_document(work: Work, job: CaseJob, results: Results) -> Document:
+def _case_task(work: Work, job: CaseJob, results: Results) -> CaseTask:
     """Make what a worker gets of a case, once its fits are known."""
-    fits = {key: FitResult.from_json(results[key]) for key in job.needs}
-    directions = tuple(
-        ScoreTask(
-            pair.label, pair.measured, pair.role, pair.fit_label, pair.scatter_N, pair.depth_mm,
-            pair.fit_key,
-            None if pair.fit is None else fits[pair.fit.key],
-        )
-        for pair in job.directions
-    )  # fmt: skip
-    known = job.case.config
-    names = (*PROBLEM, "markers", "parameters", "units")
-    tables = plain({name: known[name] for name in names if name in known})
-    frame = _case_frame(work, job)
-    return CaseTask(frame, tables, job.forward, directions, _anchor(job, fits)).to_json()
-
-
-def _anchor(job: CaseJob, fits: Mapping[str, FitResult]) -> Anchor | None:
-    """Name of the shared solution and its constants; None where they could not be fitted."""
-    if not job.group:
-        return None
-    if job.anchor is None:
-        return Anchor(job.group)
-    fit = fits[job.anchor.key]
-    return Anchor(job.group, fit.constants) if fit.usable else None
+    return CaseTask.of(job, work, {key: FitResult.from_json(results[key]) for key in job.needs})
 
 
 @contextlib.contextmanager

@@ -15,7 +15,6 @@ from study.ground.arrays import Array, Flags
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, RefusedError, nearest
 from study.harness.design.study_file import is_simulated, simulated_at
-from study.harness.execution.task import Received
 from study.harness.external.answers import NoAnswer
 from study.harness.external.command import External
 from study.harness.record.document import (
@@ -32,11 +31,12 @@ from study.harness.record.document import (
 from study.harness.record.record import STATUSES, Record
 from study.harness.runner import response
 from study.harness.runner.fit_summary import (
+    FitResult,
     PredictedCurve,
     answer_of_parameters,
     external_curve,
 )
-from study.harness.runner.job import CaseTask, ScoreTask
+from study.harness.runner.job import CaseTask, ScorePair
 from study.mechanics.forward import closed_form
 from study.mechanics.forward.finite_element import Anchors, load_compiled, solve
 from study.mechanics.measurement.marker_states import MarkerStates, read_markers
@@ -275,9 +275,9 @@ class Executed:
     folder: bytes = b""
 
 
-def perform(document: Received) -> dict[str, object]:
+def perform(task: CaseTask) -> dict[str, object]:
     """Execute one case: a task for a worker."""
-    found = executed(CaseTask.from_json(document))
+    found = executed(task)
     record = found.record
     answer: dict[str, object] = {
         "status": record.status,
@@ -293,20 +293,20 @@ def executed(task: CaseTask) -> Executed:
     """Execute one case; what has no answer is a status of its record."""
     began = time.perf_counter()
     try:
-        for direction in task.directions:
-            _check_fit(direction)
-        if task.is_alone:
+        for direction in task.job.directions:
+            _check_fit(task.fit(direction), direction)
+        if "specimen" not in task.tables:
             return _of_parameters(task)
-        return _predicted(task) if task.frame.origin.predicts else Executed(_refitted(task))
+        return _predicted(task) if task.job.origin.predicts else Executed(_refitted(task))
     except Stopped as stop:
         seconds = time.perf_counter() - began
-        record, cause = task.frame.record(stop.status, str(stop), seconds=seconds), stop.cause
+        record, cause = task.record(stop.status, str(stop), seconds=seconds), stop.cause
         if cause is None or cause.program is None:
             return Executed(record)
         solver = cast("SolverDocument", {"program": cause.program})
         return Executed(replace(record, solver=solver), cause.folder)
     except InputError as error:
-        return Executed(task.frame.record("failed", str(error)))
+        return Executed(task.record("failed", str(error)))
 
 
 #: characters of a rendered file that a record keeps
@@ -316,12 +316,12 @@ _RENDERED = 64_000
 def _of_parameters(task: CaseTask) -> Executed:
     """Record of a case of parameters alone."""
     try:
-        found, solver = answer_of_parameters(task.tables, task.frame.case_id)
+        found, solver = answer_of_parameters(task.tables, task.job.case.case_id)
     except NoAnswer as error:
         raise Stopped(error.status, str(error), error) from error
     known = {**found.values, "seconds": found.seconds}
     wanted: dict[str, ResponseDocument] = {}
-    for name, unit in task.frame.units.items():
+    for name, unit in task.units.items():
         value = known.get(name)
         if value is None and found.curve is not None and is_simulated(name):
             value = _of_curve(name, found.curve)
@@ -329,7 +329,7 @@ def _of_parameters(task: CaseTask) -> Executed:
             named = nearest(name, found.values) if found.values else "it gives a curve alone"
             raise Stopped("failed", f"there is no {name} among the answers ({named})")
         wanted[name] = {"value": float(value), "unit": unit}
-    record = task.frame.record("converged", "")
+    record = task.record("converged", "")
     return Executed(
         replace(
             record,
@@ -356,8 +356,7 @@ def _of_curve(name: str, curve: Curve) -> float:
     return response.SimulatedResponse(name).of(curve)
 
 
-def _check_fit(direction: ScoreTask) -> None:
-    fit = direction.fit
+def _check_fit(fit: FitResult | None, direction: ScorePair) -> None:
     if fit is None:
         return
     if not fit.converged:
@@ -373,10 +372,10 @@ def _predicted(task: CaseTask) -> Executed:
     directions = task.scored
     predictions = [_predict(task, direction) for direction in directions]
     found = [
-        direction.scored(task.tables, prediction.curve)
+        task.compared(direction, prediction.curve)
         for direction, prediction in zip(directions, predictions, strict=True)
     ]
-    scores = [response.score(one, task.frame.units) for one in found]
+    scores = [response.score(one, task.units) for one in found]
     seconds = _seconds(task, predictions)
     means = response.averaged(scores) | _constants(task)
     means |= {"seconds": {"value": seconds["total"], "unit": "s"}}
@@ -386,14 +385,14 @@ def _predicted(task: CaseTask) -> Executed:
     means |= {"dofs": {"value": predictions[-1].mesh.get("dofs"), "unit": ""}}
     for name in predictions[0].values:
         every = [one.values[name] for one in predictions if name in one.values]
-        means[name] = {"value": float(np.mean(every)), "unit": task.frame.units.get(name, "")}
+        means[name] = {"value": float(np.mean(every)), "unit": task.units.get(name, "")}
     steps = _step_uncertainty(task, predictions)
-    record = task.frame.record("converged", "")
+    record = task.record("converged", "")
     whole = replace(
         record,
         responses=_wanted(task, means, steps),
         parameters=_parameters(task),
-        fit=_fits(task.directions),
+        fit=_fits(task),
         curves=_curves(predictions, directions),
         timings=seconds,
         mesh=predictions[-1].mesh,
@@ -411,19 +410,17 @@ def _predicted(task: CaseTask) -> Executed:
 def _refitted(task: CaseTask) -> Record:
     """Record of a fit to resampled noise: its constants, and no prediction."""
     return replace(
-        task.frame.record("converged", ""),
+        task.record("converged", ""),
         responses=_wanted(task, _constants(task), {}),
         parameters=_parameters(task),
-        fit=_fits(task.directions),
+        fit=_fits(task),
         timings=_seconds(task, []),
     )
 
 
 def _constants(task: CaseTask) -> dict[str, Quantity]:
     """Constants averaged over the directions that give them, with units."""
-    return response.averaged(
-        [response.constants_of(one.scored(task.tables)) for one in task.identified]
-    )
+    return response.averaged([response.constants_of(task.compared(one)) for one in task.identified])
 
 
 def _wanted(
@@ -431,7 +428,7 @@ def _wanted(
 ) -> dict[str, ResponseDocument]:
     """Responses that the record of a case holds, with the uncertainty of the load steps."""
     wanted: dict[str, ResponseDocument] = {}
-    for name, unit in task.frame.units.items():
+    for name, unit in task.units.items():
         mean = means.get(name, {"value": None, "unit": unit})
         wanted[name] = {"value": mean["value"], "unit": mean["unit"]}
         if name in steps:
@@ -439,18 +436,18 @@ def _wanted(
     return wanted
 
 
-def _predict(task: CaseTask, direction: ScoreTask) -> PredictedCurve:
+def _predict(task: CaseTask, direction: ScorePair) -> PredictedCurve:
     """Predicted curve of the scored test with the constants of the fit."""
-    fit = direction.fit
-    if task.forward == "fit" and fit is not None and fit.prediction is not None:
+    fit = task.fit(direction)
+    if task.job.forward == "fit" and fit is not None and fit.prediction is not None:
         # the last solution of the fit is the prediction: same geometry, same constants
         return fit.prediction
     constants = None if fit is None else fit.constants
     if task.tables.get("markers"):
         return _marked(task, constants, direction.depth_mm)
-    if task.forward == "closed-form":
+    if task.job.forward == "closed-form":
         return _closed_form(task, constants, direction)
-    if task.forward == "external" or External.of(task.tables) is not None:
+    if task.job.forward == "external" or External.of(task.tables) is not None:
         return _external(task.tables, constants, direction)
     found = _ANCHORS.predict(task.tables, constants, direction.depth_mm, task.anchor)
     solution = found.solution
@@ -464,13 +461,13 @@ def _marked(
 ) -> PredictedCurve:
     """Curve of a specimen with markers, and what these say of it."""
     try:
-        return predicted_markers(task.tables, constants, str(task.frame.block), depth_mm)
+        return predicted_markers(task.tables, constants, str(task.job.case.block), depth_mm)
     except NoAnswer as error:
         raise Stopped(error.status, str(error)) from error
 
 
 def _external(
-    tables: Tables, constants: Mapping[str, float] | None, direction: ScoreTask
+    tables: Tables, constants: Mapping[str, float] | None, direction: ScorePair
 ) -> PredictedCurve:
     """Curve of another program, at the measured displacements or at the load steps."""
     if direction.measured is not None:
@@ -490,7 +487,7 @@ _STEPS = 50
 
 
 def _closed_form(
-    task: CaseTask, constants: Mapping[str, float] | None, direction: ScoreTask
+    task: CaseTask, constants: Mapping[str, float] | None, direction: ScorePair
 ) -> PredictedCurve:
     """Curve at the measured displacements, or at the load steps."""
     problem, measured = problem_of(task.tables, constants, direction.depth_mm), direction.measured
@@ -501,7 +498,7 @@ def _closed_form(
             raise Stopped(found.status, found.message)
         return PredictedCurve(found.curve.without_gradients(), solver={"name": found.solver})
     setup, material = problem.setup, problem.material
-    if measured.time_s is None and response.of_prediction(task.frame.units):
+    if measured.time_s is None and response.of_prediction(task.units):
         curve = closed_form.between_rows(setup, material, measured.displacement_mm)
     else:
         curve = closed_form.at_rows(setup, material, measured)
@@ -513,10 +510,10 @@ def _closed_form(
 def _step_uncertainty(task: CaseTask, predictions: Sequence[PredictedCurve]) -> dict[str, float]:
     """Return what half the load steps change in every response, as a mean over directions."""
     if External.of(task.tables) is not None:
-        each = [response.splined_uncertainty(one.curve, task.frame.units) for one in predictions]
+        each = [response.splined_uncertainty(one.curve, task.units) for one in predictions]
     else:
         each = [
-            response.step_uncertainty(prediction.curve, direction.measured, task.frame.units)
+            response.step_uncertainty(prediction.curve, direction.measured, task.units)
             for prediction, direction in zip(predictions, task.scored, strict=True)
         ]
     # of one direction fewer points may have been measured, too few to leave half of them out
@@ -541,7 +538,7 @@ def _solver(predictions: Sequence[PredictedCurve]) -> SolverDocument:
 
 def _seconds(task: CaseTask, predictions: Sequence[PredictedCurve]) -> dict[str, float]:
     """Add up what this cell would cost alone: its fits (shared or not) and its predictions."""
-    fits = [direction.fit for direction in task.directions if direction.fit is not None]
+    fits = [fit for pair in task.job.directions if (fit := task.fit(pair)) is not None]
     fitted = sum(fit.seconds + fit.start_seconds for fit in fits)
     predicted = sum(prediction.seconds for prediction in predictions)
     return {"fit": fitted, "predict": predicted, "total": fitted + predicted}
@@ -549,7 +546,9 @@ def _seconds(task: CaseTask, predictions: Sequence[PredictedCurve]) -> dict[str,
 
 def _parameters(task: CaseTask) -> dict[str, ParameterDocument]:
     """Each constant averaged over the directions, with the error of that average."""
-    fits = [FitDocument() if d.fit is None else d.fit.fit for d in task.identified]
+    fits = [
+        FitDocument() if (fit := task.fit(pair)) is None else fit.fit for pair in task.identified
+    ]
     return {
         name: {
             **mean,
@@ -575,22 +574,23 @@ def _interval(name: str, fit: FitDocument) -> list[float] | None:
     return known if len(known) == 2 else None
 
 
-def _fits(directions: Sequence[ScoreTask]) -> dict[str, FitDocument] | None:
+def _fits(task: CaseTask) -> dict[str, FitDocument] | None:
     """Describe each fit, by the label of its specimen."""
-    found: dict[str, FitDocument] = {}
-    for direction in directions:
-        if direction.fit is None or direction.fit_key is None:
+    described: dict[str, FitDocument] = {}
+    for direction in task.job.directions:
+        fit, key = task.fit(direction), direction.fit_key
+        if fit is None or key is None:
             continue
         name = direction.fit_label or "all"
-        if name in found and found[name]["key"] != direction.fit_key:
+        if name in described and described[name]["key"] != key:
             # with one specimen left out, both directions fit "all but" it, to other curves
             name = f"{name}, to score {direction.label}"
-        found[name] = {**direction.fit.fit, "key": direction.fit_key}
-    return found or None
+        described[name] = {**fit.fit, "key": key}
+    return described or None
 
 
 def _curves(
-    predictions: Sequence[PredictedCurve], directions: Sequence[ScoreTask]
+    predictions: Sequence[PredictedCurve], directions: Sequence[ScorePair]
 ) -> dict[CurveKey, Curve]:
     out: dict[CurveKey, Curve] = {}
     for prediction, direction in zip(predictions, directions, strict=True):
@@ -600,7 +600,7 @@ def _curves(
     return out
 
 
-def _score_document(direction: ScoreTask, responses: Mapping[str, Quantity]) -> ScoreDocument:
+def _score_document(direction: ScorePair, responses: Mapping[str, Quantity]) -> ScoreDocument:
     return {
         "score": direction.label,
         "fit": direction.fit_label,

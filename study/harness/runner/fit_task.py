@@ -18,7 +18,6 @@ from study.ground.arrays import Array
 from study.ground.canonical import digest
 from study.ground.curve import Curve
 from study.ground.errors import InputError
-from study.harness.execution.task import Received
 from study.harness.record.document import FitDocument
 from study.harness.runner.fit_problem import FitProblem
 from study.harness.runner.fit_summary import (
@@ -58,36 +57,10 @@ class FitTask:
     #: Seed and number of a fit to resampled residuals.
     noise: tuple[int, int] | None = None
 
-    @property
-    def kind(self) -> str:
-        """Name of what a worker does with it."""
-        return "fit" if self.noise is None else "noise"
 
-    def to_json(self) -> dict[str, object]:
-        """Plain data for a worker."""
-        return {
-            "kind": self.kind,
-            "method": self.problem.method,
-            "tables": dict(self.problem.tables),
-            "measured": [curve.as_dict(recorded=True) for curve in self.measured],
-            "start": None if self.start is None else self.start.to_json(),
-            "noise": self.noise,
-        }
-
-    @classmethod
-    def from_json(cls, task: Received) -> FitTask:
-        """Inverse of :meth:`to_json`."""
-        return cls(
-            FitProblem(task["method"], task["tables"], False),
-            tuple(Curve.from_dict(curve) for curve in task["measured"]),
-            None if task["start"] is None else FitResult.from_json(task["start"]),
-            None if task["noise"] is None else (task["noise"][0], task["noise"][1]),
-        )
-
-
-def perform_fit(document: Received) -> dict[str, object]:
-    """Fit the constants of one material to measured curves: a task for a worker."""
-    return fitted(FitTask.from_json(document)).to_json()
+def perform(task: FitTask) -> dict[str, object]:
+    """Fit the constants of one material, to resampled curves where it has a seed: for a worker."""
+    return (fitted if task.noise is None else refitted)(task).to_json()
 
 
 def fitted(task: FitTask) -> FitResult:
@@ -335,11 +308,6 @@ def resampled(residuals: Residuals, random: np.random.Generator) -> Array:
     starts = random.integers(0, n, math.ceil(n / block))
     drawn = ((starts[:, None] + np.arange(block)) % n).ravel()[:n]
     return np.asarray(residuals.predicted_N + residuals.noise_N[drawn])
-
-
-def perform_bootstrap(document: Received) -> dict[str, object]:
-    """Fit the constants again to resampled curves: a task for a worker."""
-    return refitted(FitTask.from_json(document)).to_json()
 
 
 def refitted(task: FitTask) -> FitResult:

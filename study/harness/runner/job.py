@@ -10,14 +10,18 @@ from typing import Literal
 
 from study.ground.canonical import digest
 from study.ground.curve import Curve
-from study.harness.design.cell import case_id
+from study.harness.design.cell import case_id, plain
 from study.harness.design.spec import Case, Design
-from study.harness.execution.task import Received
 from study.harness.record.record import Record, is_repeat
 from study.harness.runner import provenance
 from study.harness.runner.fit_problem import NOTHING, Allowed, FitProblem, fit_key
 from study.harness.runner.fit_summary import FitResult
-from study.harness.runner.problem_tables import CalibrationTable, gauge_of, measurements_of
+from study.harness.runner.problem_tables import (
+    PROBLEM,
+    CalibrationTable,
+    gauge_of,
+    measurements_of,
+)
 from study.harness.runner.provenance import versions
 from study.harness.runner.response import Scored
 from study.mechanics.forward.finite_element import Anchor
@@ -67,148 +71,6 @@ class Origin:
     def to_json(self) -> dict[str, object]:
         """Plain data without what does not apply."""
         return {name: value for name, value in asdict(self).items() if value is not None}
-
-
-@dataclass(frozen=True)
-class CaseFrame:
-    """Everything of a record that is known before the case is computed."""
-
-    case_id: str
-    study: str
-    levels: Mapping[str, str]
-    block: str | None
-    #: Unit of every response that the record holds.
-    units: Mapping[str, str]
-    input_hash: str
-    #: Why it is computed besides the cells of the design.
-    origin: Origin
-
-    def to_json(self) -> dict[str, object]:
-        """Plain data for a worker."""
-        return asdict(self)
-
-    @classmethod
-    def from_json(cls, document: Received) -> CaseFrame:
-        """Inverse of :meth:`to_json`."""
-        return cls(**{**document, "origin": Origin(**document["origin"])})
-
-    def record(
-        self,
-        status: str,
-        message: str,
-        *,
-        seconds: float | None = None,
-        traceback: str = "",
-    ) -> Record:
-        """Record of a case without an answer: every response is missing."""
-        return Record(
-            case_id=self.case_id,
-            study=self.study,
-            levels=self.levels,
-            block=self.block,
-            status=status,
-            message=message,
-            responses={name: {"value": None, "unit": unit} for name, unit in self.units.items()},
-            timings={} if seconds is None else {"total": seconds},
-            versions=versions(),
-            input_hash=self.input_hash,
-            extra=self.origin.to_json() | ({"traceback": traceback} if traceback else {}),
-        )
-
-
-@dataclass(frozen=True)
-class ScoreTask:
-    """One direction of a case: the scored curve, and the fit that gives the constants."""
-
-    label: str
-    measured: Curve | None
-    role: str
-    fit_label: str
-    scatter_N: tuple[float, ...] | None  # noqa: N815
-    #: How far the curve is predicted.
-    depth_mm: float
-    fit_key: str | None
-    #: What it found; None where the constants are given.
-    fit: FitResult | None
-
-    def to_json(self) -> dict[str, object]:
-        """Plain data for a worker."""
-        return {
-            **vars(self),
-            "measured": None if self.measured is None else self.measured.as_dict(),
-            "fit": None if self.fit is None else self.fit.to_json(),
-        }
-
-    @classmethod
-    def from_json(cls, document: Received) -> ScoreTask:
-        """Inverse of :meth:`to_json`."""
-        fit, measured = document["fit"], document["measured"]
-        scatter = document["scatter_N"]
-        return cls(**{
-            **document,
-            "measured": None if measured is None else Curve.from_dict(measured),
-            "scatter_N": None if scatter is None else tuple(scatter),
-            "fit": None if fit is None else FitResult.from_json(fit),
-        })  # fmt: skip
-
-    def scored(self, tables: Tables, predicted: Curve | None = None) -> Scored:
-        """Collect what responses are computed from; given constants stand in the tables."""
-        if self.fit is not None:
-            return Scored(self.measured, predicted, self.fit.constants, self.fit.fit.get("mu0"))
-        material = MaterialSection.of(tables).material()
-        return Scored(self.measured, predicted, material.constants, material.mu0)
-
-
-@dataclass(frozen=True)
-class CaseTask:
-    """A case as it goes to a worker, complete in itself."""
-
-    #: What is known of its record.
-    frame: CaseFrame
-    tables: Tables
-    #: Where the predicted curves come from.
-    forward: Forward
-    directions: tuple[ScoreTask, ...]
-    #: The solution that the cases of a cell start from.
-    anchor: Anchor | None = None
-
-    @property
-    def is_alone(self) -> bool:
-        """Whether it is one of parameters alone, without a specimen and a material."""
-        return "specimen" not in self.tables
-
-    @property
-    def scored(self) -> tuple[ScoreTask, ...]:
-        """Directions whose curves are predicted and scored."""
-        return tuple(one for one in self.directions if one.role != CONSTANTS)
-
-    @property
-    def identified(self) -> tuple[ScoreTask, ...]:
-        """Directions that give the constants: the specimen's own where its score is held out."""
-        return tuple(one for one in self.directions if one.role == CONSTANTS) or self.directions
-
-    def to_json(self) -> dict[str, object]:
-        """Plain data for a worker."""
-        return {
-            "kind": "case",
-            "frame": self.frame.to_json(),
-            "tables": dict(self.tables),
-            "forward": self.forward,
-            "directions": [one.to_json() for one in self.directions],
-            "anchor": None if self.anchor is None else asdict(self.anchor),
-        }
-
-    @classmethod
-    def from_json(cls, document: Received) -> CaseTask:
-        """Inverse of :meth:`to_json`."""
-        anchor = document["anchor"]
-        return cls(
-            CaseFrame.from_json(document["frame"]),
-            document["tables"],
-            document["forward"],
-            tuple(ScoreTask.from_json(one) for one in document["directions"]),
-            None if anchor is None else Anchor(**anchor),
-        )
 
 
 #: ends in the name of the file that says how virtual measurements were made
@@ -435,6 +297,95 @@ class Work:
     def input_hashes(self) -> dict[str, str]:
         """Case id -> hash of everything that decides its record."""
         return {job.case.case_id: job.input_hash for job in self.jobs}
+
+
+@dataclass(frozen=True)
+class CaseTask:
+    """A case as it goes to a worker, complete in itself."""
+
+    job: CaseJob
+    study: str
+    #: Unit of every response that the record holds.
+    units: Mapping[str, str]
+    #: Outcomes of its fits by their keys.
+    fits: Mapping[str, FitResult]
+
+    @classmethod
+    def of(cls, job: CaseJob, work: Work, fits: Mapping[str, FitResult]) -> CaseTask:
+        """Task of a case whose fits are done: a worker needs of each fit its name and outcome."""
+        names = (*PROBLEM, "markers", "parameters", "units")
+        tables: dict[str, object] = dict(
+            plain({k: v for k, v in job.case.config.items() if k in names})
+        )
+        pairs = tuple(
+            replace(pair, fit=pair.fit and replace(pair.fit, measured=(), start=None))
+            for pair in job.directions
+        )
+        anchor = job.anchor and replace(job.anchor, measured=(), start=None)
+        case = replace(job.case, config=tables)
+        sent = replace(job, case=case, directions=pairs, anchor=anchor)
+        return cls(sent, work.design.name, work.responses, fits)
+
+    @property
+    def tables(self) -> Tables:
+        """Document of the problem."""
+        return self.job.case.config
+
+    @property
+    def scored(self) -> tuple[ScorePair, ...]:
+        """Directions whose curves are predicted and scored."""
+        return tuple(pair for pair in self.job.directions if pair.role != CONSTANTS)
+
+    @property
+    def identified(self) -> tuple[ScorePair, ...]:
+        """Directions that give the constants: the specimen's own where its score is held out."""
+        apart = tuple(pair for pair in self.job.directions if pair.role == CONSTANTS)
+        return apart or self.job.directions
+
+    @property
+    def anchor(self) -> Anchor | None:
+        """Name of the shared solution and its constants; None where they could not be fitted."""
+        group, fitted = self.job.group, self.job.anchor
+        if not group or fitted is None:
+            return Anchor(group) if group else None
+        fit = self.fits[fitted.key]
+        return Anchor(group, fit.constants) if fit.usable else None
+
+    def fit(self, pair: ScorePair) -> FitResult | None:
+        """Outcome of the fit of a direction; None where the constants are given."""
+        return None if pair.fit is None else self.fits[pair.fit.key]
+
+    def compared(self, pair: ScorePair, predicted: Curve | None = None) -> Scored:
+        """Collect what responses are computed from; given constants stand in the tables."""
+        fit = self.fit(pair)
+        if fit is not None:
+            return Scored(pair.measured, predicted, fit.constants, fit.fit.get("mu0"))
+        material = MaterialSection.of(self.tables).material()
+        return Scored(pair.measured, predicted, material.constants, material.mu0)
+
+    def record(
+        self,
+        status: str,
+        message: str,
+        *,
+        seconds: float | None = None,
+        traceback: str = "",
+    ) -> Record:
+        """Record of a case without an answer: every response is missing."""
+        case = self.job.case
+        return Record(
+            case_id=case.case_id,
+            study=self.study,
+            levels=case.levels,
+            block=case.block,
+            status=status,
+            message=message,
+            responses={name: {"value": None, "unit": unit} for name, unit in self.units.items()},
+            timings={} if seconds is None else {"total": seconds},
+            versions=versions(),
+            input_hash=self.job.input_hash,
+            extra=self.job.origin.to_json() | ({"traceback": traceback} if traceback else {}),
+        )
 
 
 def fits_of(jobs: Iterable[CaseJob]) -> dict[str, FitJob]:

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
 from study.ground.canonical import digest
 from study.ground.curve import Curve
 from study.harness.execution.local import Loky
-from study.harness.execution.task import Document, Executor, Received, Results, Task
+from study.harness.execution.task import Executor, Results, Task
 from study.harness.external.command import External
 from study.harness.record.folder import own_folder
 from study.harness.record.store import Store
@@ -55,20 +55,6 @@ class SolveTask:
         """Name of the solution: a hash of the problem and of the code."""
         return digest([self.tables, self.looser, self.more_steps, code_version()], 32)
 
-    def to_json(self) -> dict[str, object]:
-        """Plain data for a worker."""
-        return {
-            "kind": "solve",
-            "tables": dict(self.tables),
-            "looser": self.looser,
-            "more_steps": self.more_steps,
-        }
-
-    @classmethod
-    def from_json(cls, document: Received) -> SolveTask:
-        """Inverse of :meth:`to_json`."""
-        return cls(document["tables"], float(document["looser"]), int(document["more_steps"]))
-
 
 def _no_curve() -> Curve:
     return Curve(np.zeros(0), np.zeros(0))
@@ -101,12 +87,12 @@ class SolveResult:
         return {**vars(self), "curve": self.curve.as_dict()}
 
     @classmethod
-    def from_json(cls, document: Received) -> SolveResult:
+    def from_json(cls, document: Mapping[str, object]) -> SolveResult:
         """Inverse of :meth:`to_json`; of a task that had no answer a status and a message stay."""
         known = {k: v for k, v in document.items() if k in cls.__dataclass_fields__}
         if "curve" in known:
-            known["curve"] = Curve.from_dict(known["curve"])
-        return cls(**known)
+            known["curve"] = Curve.from_dict(cast("Mapping[str, object]", known["curve"]))
+        return cls(**known)  # type: ignore[arg-type]
 
 
 #: Solves some tasks and gives each result with the key of its task as soon as it is there.
@@ -119,9 +105,9 @@ def solutions(solve: Solver, tasks: Sequence[SolveTask]) -> list[SolveResult]:
     return [found[task.key] for task in tasks]
 
 
-def perform(document: Received) -> dict[str, object]:
+def perform(task: SolveTask) -> dict[str, object]:
     """Solve: a task for a worker."""
-    return solved(SolveTask.from_json(document)).to_json()
+    return solved(task).to_json()
 
 
 def solved(task: SolveTask) -> SolveResult:
@@ -192,16 +178,16 @@ def by_workers(jobs: int, executor: Executor | None = None) -> Solver:
     """Solve on several worker processes; a worker that dies costs its own solution only."""
 
     def solve(tasks: Sequence[SolveTask]) -> Iterator[tuple[str, SolveResult]]:
-        work = [Task(task.key, partial(_as_is, task.to_json())) for task in tasks]
+        work = [Task(task.key, partial(_as_is, task)) for task in tasks]
         for outcome in (executor or Loky(perform, jobs)).run(work):
             yield outcome.key, SolveResult.from_json(outcome.result)
 
     return solve
 
 
-def _as_is(document: Document, results: Results) -> Document:
+def _as_is(task: SolveTask, results: Results) -> SolveTask:
     """Payload of a task that needs no other's result."""
-    return document
+    return task
 
 
 def kept(solve: Solver, store: Store) -> Solver:

@@ -15,25 +15,28 @@ from study.harness.execution.cluster import Client, Cluster
 from study.harness.execution.local import Loky
 from study.harness.execution.task import Document, Executor, Perform
 from study.harness.runner import case, fit_task, solve_task, virtual_specimens
+from study.harness.runner.job import CaseTask
 from study.harness.runner.provenance import versions
 
 #: where a study is computed: an executor, or the scheduler of a Dask cluster by its address, its
 #: scheduler file or a client of it
 Engine = Executor | Client | str | Path
 
-KINDS: dict[str, Perform] = {
-    "case": case.perform,
-    "fit": fit_task.perform_fit,
-    "noise": fit_task.perform_bootstrap,
-    "reference": virtual_specimens.perform,
-    "solve": solve_task.perform,
-    "ping": lambda task: {"status": "converged"},
+#: a task that only asks whether a worker answers
+PING = "ping"
+#: what does a task, by its class
+KINDS: dict[type, Perform] = {
+    CaseTask: case.perform,
+    fit_task.FitTask: fit_task.perform,
+    virtual_specimens.ReferenceTask: virtual_specimens.perform,
+    solve_task.SolveTask: solve_task.perform,
+    str: lambda task: {"status": "converged"},
 }
 
 
-def perform(task: dict[str, object]) -> Document:
-    """Do one task, named by its ``kind``."""
-    return KINDS[str(task["kind"])](task)
+def perform(task: object) -> Document:
+    """Do one task in a worker."""
+    return KINDS[type(task)](task)
 
 
 def processes(

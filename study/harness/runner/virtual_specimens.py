@@ -23,7 +23,7 @@ from study.ground.units import parse
 from study.harness.design.spec import Design
 from study.harness.design.study_file import Virtual
 from study.harness.execution.local import Loky
-from study.harness.execution.task import Received, Task
+from study.harness.execution.task import Task
 from study.harness.record.atomic_files import write_atomic, write_new
 from study.harness.runner import provenance
 from study.harness.runner.job import TRUTH_SUFFIX
@@ -201,7 +201,7 @@ def _task(
 
 
 def _solved(task: ReferenceTask, what: str) -> Curve:
-    (outcome,) = Loky(perform, 1).run([Task("reference", lambda _: task.to_json())])
+    (outcome,) = Loky(perform, 1).run([Task("reference", lambda _: task)])
     found = SolveResult.from_json(outcome.result)
     if not found.converged:
         rule = f"{what} failed: {found.message}"
@@ -241,19 +241,9 @@ class ReferenceTask:
     #: Whether the derivatives by the constants are wanted.
     gradients: bool = True
 
-    def to_json(self) -> dict[str, object]:
-        """Plain data for a worker."""
-        return {"kind": "reference", **vars(self), "tables": dict(self.tables)}
 
-    @classmethod
-    def from_json(cls, document: Received) -> ReferenceTask:
-        """Inverse of :meth:`to_json`."""
-        return cls(document["tables"], int(document["refined"]), bool(document["gradients"]))
-
-
-def perform(document: Received) -> dict[str, object]:
+def perform(task: ReferenceTask) -> dict[str, object]:
     """Solve the reference problem: a task for a worker."""
-    task = ReferenceTask.from_json(document)
     problem = problem_of(task.tables)
     if task.refined:
         from study.mechanics.mesh.mesher import mesh_size
