@@ -411,13 +411,12 @@ def _is_even(config: CalibrationDesign, found: Fit, k: int) -> bool:
     other[k] *= -1
     try:
         pairs = zip(predict(found.values), predict(other), strict=True)
-        return all(_is_same(one.force_N, two.force_N) for one, two in pairs)
+        return all(
+            bool(np.abs(one.force_N - two.force_N).max() <= _ROUNDING * np.abs(one.force_N).max())
+            for one, two in pairs
+        )
     except EvaluationFailed:
         return False
-
-
-def _is_same(one: Array, other: Array) -> bool:
-    return bool(np.abs(one - other).max() <= _ROUNDING * np.abs(one).max())
 
 
 def _mirrored(found: Fit, k: int) -> Fit:

@@ -258,7 +258,6 @@ class Alias:
 
     #: Columns of the factors in each.
     term: GeneratorWord
-    #: Columns of the factors in each.
     other: GeneratorWord
     #: Correlation of their columns; 1 or -1 where nothing tells them apart.
     r: float

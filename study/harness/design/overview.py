@@ -144,7 +144,6 @@ class Overview:
     design: Design
     #: Computations and calibration problems that differ.
     distinct: int
-    #: Computations and calibration problems that differ.
     calibrations: int
     #: What each of them can tell.
     factors: tuple[FactorOverview, ...]

@@ -158,7 +158,6 @@ class Expected:
     cells: tuple[Mapping[str, str], ...]
     #: What it is said of, and who said it.
     response: str
-    #: What it is said of, and who said it.
     source: str = ""
 
 
@@ -173,9 +172,7 @@ class Design:
     config: Table
     #: What varies, what is left out, what is answered.
     factors: tuple[Factor, ...]
-    #: What varies, what is left out, what is answered.
     exclusions: tuple[Exclusion, ...]
-    #: What varies, what is left out, what is answered.
     responses: tuple[ResponseSpec, ...]
     #: Of every random draw of the study.
     seed: int

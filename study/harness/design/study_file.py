@@ -184,18 +184,19 @@ def _response_name(value: object) -> str:
     return value
 
 
-def _refined_key(value: object) -> str:
-    if not isinstance(value, str) or not is_parameter(value):
-        mend = 'for example key = "parameters.h"; [model] is refined without a key'
-        raise Bad(f"must be a key of [parameters], got {shown(value)}", mend)
-    return value
+def _parameter_key(mend: str) -> Callable[[object], str]:
+    """Reader of a dotted key of ``[parameters]``."""
+
+    def read(value: object) -> str:
+        if not isinstance(value, str) or not is_parameter(value):
+            raise Bad(f"must be a key of [parameters], got {shown(value)}", f"for example {mend}")
+        return value
+
+    return read
 
 
-def _seed_key(value: object) -> str:
-    if not isinstance(value, str) or not is_parameter(value):
-        mend = 'for example key = "parameters.seed"'
-        raise Bad(f"must be a key of [parameters], got {shown(value)}", mend)
-    return value
+_refined_key = _parameter_key('key = "parameters.h"; [model] is refined without a key')
+_seed_key = _parameter_key('key = "parameters.seed"')
 
 
 def _share(value: object) -> float:
@@ -313,9 +314,7 @@ class Sequential:
 
     #: Cells that it begins with, that are added at a time, and at most in all.
     start: int
-    #: Cells that it begins with, that are added at a time, and at most in all.
     batch: int
-    #: Cells that it begins with, that are added at a time, and at most in all.
     budget: int
     #: What ends it before its budget does.
     until: str

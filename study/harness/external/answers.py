@@ -381,16 +381,12 @@ def _table(text: str, name: str) -> Mapping[str, object]:
             raise NoAnswer("failed", f"{name} must be an object of names and values")
         return found
     header, rows = _rows(text, name)
-    if _is_by_rows(header):
+    if [cell.lower() for cell in header[:2]] == ["name", "value"]:
         return {row[0]: _with_unit(row) for row in rows if len(row) > 1}
     if len(rows) != 1 or len(rows[0]) != len(header):
         rule = f"has {len(rows)} rows below {len(header)} names, of which there may be one"
         raise NoAnswer("failed", f"{name}: {rule}; or write name,value in every row")
     return dict(zip(header, rows[0], strict=True))
-
-
-def _is_by_rows(header: Sequence[str]) -> bool:
-    return [cell.lower() for cell in header[:2]] == ["name", "value"]
 
 
 def _with_unit(row: Sequence[str]) -> object:

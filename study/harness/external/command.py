@@ -560,7 +560,10 @@ def check_allowed(models: Iterable[External], allowed: bool | str) -> None:
         )
     commands = [one for one in distinct if one.section.model == "command"]
     name = common_digest(commands)
-    if commands and not (allowed is True or (isinstance(allowed, str) and _fits(name, allowed))):
+    if commands and not (
+        allowed is True
+        or (isinstance(allowed, str) and (len(allowed) >= 6 and name.startswith(allowed)))
+    ):
         raise RefusedError(_refusal(name, commands, allowed))
     for one in commands:
         if one.missing:
@@ -572,11 +575,6 @@ def check_allowed(models: Iterable[External], allowed: bool | str) -> None:
 def common_digest(models: Sequence[External]) -> str:
     """Name of all commands of a study together, which a person allows at once."""
     return digest(sorted(one.digest for one in models), DIGITS) if models else ""
-
-
-def _fits(name: str, prefix: str) -> bool:
-    """Whether a digest begins with what was typed; fewer than six digits are a guess."""
-    return len(prefix) >= 6 and name.startswith(prefix)
 
 
 def _refusal(name: str, commands: Sequence[External], allowed: bool | str) -> str:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import base64
 import contextlib
-import math
 import signal
 import threading
 import time
@@ -21,7 +20,7 @@ from study.harness.execution.task import Document, Executor, Outcome, Results, T
 from study.harness.external.command import check_allowed
 from study.harness.record.record import Record
 from study.harness.record.store import Store
-from study.harness.runner.cost import Costs, Pace, same_model
+from study.harness.runner.cost import Costs
 from study.harness.runner.expansion import case_job
 from study.harness.runner.fit_problem import externals
 from study.harness.runner.fit_summary import FitResult
@@ -157,9 +156,6 @@ def _with_steps(tables: Tables) -> tuple[Tables, str]:
 
 #: a fit with one of these results is worth keeping: the same input gives it again
 _KEPT = ("converged", "not-converged", "unstable", "lost-contact", "mesh-failed")
-
-#: seconds for which a prediction of the time left is good: it looks at all that is left
-FORETOLD_S = 0.2
 
 #: what may go better next time: memory and time depend on the machine
 RETRIED = ("crashed", "timeout", "out-of-memory")
@@ -320,19 +316,19 @@ class _Batch:
         began = time.monotonic()
         tasks = self._tasks()
         prices = {task.key: task.seconds for task in tasks}
-        pace = Pace(prices, {task.key: self._kind(task.key) for task in tasks}, workers)
+        whole = left = sum(prices.values())
         outcomes = executor.run(tasks, self.known)
-        left, foretold = 0.0, -math.inf
         with contextlib.closing(outcomes):
             for count, outcome in enumerate(outcomes, 1):
                 self._keep(outcome)
-                pace.finished(outcome.key, outcome.seconds)
+                left -= prices[outcome.key]
                 seconds = time.monotonic() - began
-                if seconds - foretold > FORETOLD_S or count == len(tasks):
-                    left, foretold = pace.seconds_left(), seconds
+                # predicted seconds go on at the rate of those that are done
+                rate = seconds / (whole - left) if whole > left else 1 / workers
                 self.fits_done += outcome.key in self.fits
                 state = Progress(
-                    count, len(tasks), self.failed, seconds, left, self._label(outcome.key),
+                    count, len(tasks), self.failed, seconds, max(left * rate, 0.0),
+                    self._label(outcome.key),
                     self.fits_done, len(self.fits),
                 )  # fmt: skip
                 self.progress(state)
@@ -367,12 +363,6 @@ class _Batch:
             for key, job in self.cases.items()
         ]
         return tasks
-
-    def _kind(self, key: str) -> str:
-        """Name what costs alike: computations on one mesh of one test."""
-        if key in self.fits:
-            return f"fit {same_model(self.fits[key].problem.tables)}"
-        return same_model(self.cases[key].case.config)
 
     def _label(self, key: str) -> str:
         if key in self.fits:

@@ -324,7 +324,10 @@ def _of_parameters(task: CaseTask) -> Executed:
     for name, unit in task.units.items():
         value = known.get(name)
         if value is None and found.curve is not None and is_simulated(name):
-            value = _of_curve(name, found.curve)
+            place, end = simulated_at(name)[1], float(found.curve.displacement_mm[-1])
+            if place is not None and place > end * (1 + 1e-9):
+                raise Stopped("not-converged", f"the curve ends at {end:g} mm, {name} is beyond")
+            value = response.SimulatedResponse(name).of(found.curve)
         if value is None:
             named = nearest(name, found.values) if found.values else "it gives a curve alone"
             raise Stopped("failed", f"there is no {name} among the answers ({named})")
@@ -346,14 +349,6 @@ def _of_parameters(task: CaseTask) -> Executed:
 def _rendered(files: Mapping[str, str]) -> dict[str, object]:
     """Files that were rendered for a case, for its record."""
     return {"rendered": {k: text[:_RENDERED] for k, text in files.items()}} if files else {}
-
-
-def _of_curve(name: str, curve: Curve) -> float:
-    """Response of a curve of somebody else, which must reach the place where it is asked for."""
-    place, end = simulated_at(name)[1], float(curve.displacement_mm[-1])
-    if place is not None and place > end * (1 + 1e-9):
-        raise Stopped("not-converged", f"the curve ends at {end:g} mm, {name} is beyond")
-    return response.SimulatedResponse(name).of(curve)
 
 
 def _check_fit(fit: FitResult | None, direction: ScorePair) -> None:

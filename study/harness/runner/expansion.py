@@ -120,7 +120,10 @@ def refitted(case: Case, number: int) -> Case:
 
 
 def _again(job: CaseJob, seed: int, number: int) -> CaseJob:
-    directions = tuple(_refitted(pair, seed, number) for pair in job.directions)
+    directions = tuple(
+        (pair if pair.fit is None else replace(pair, fit=pair.fit.resampled(seed, number)))
+        for pair in job.directions
+    )
     keys = {pair.fit_key for pair in directions} - {None}
     return replace(
         job,
@@ -131,11 +134,6 @@ def _again(job: CaseJob, seed: int, number: int) -> CaseJob:
         group="",
         anchor=None,
     )
-
-
-def _refitted(pair: ScorePair, seed: int, number: int) -> ScorePair:
-    """Copy a pair with the fit to resampled residuals; one whose constants are given stays."""
-    return pair if pair.fit is None else replace(pair, fit=pair.fit.resampled(seed, number))
 
 
 # -------------------------------------------------------------------------------------------------
@@ -166,71 +164,56 @@ def held_out(
     return "specimen" if sees_the_scored and blocks >= FEWEST_BLOCKS else None
 
 
-@dataclass(frozen=True)
-class LeftOut:
-    """One scored curve and the fit that did not see it."""
-
-    test: MeasuredTest
-    score_where: Selection | None
-    problem: FitProblem
-    measured: tuple[Curve, ...]
-    label: str
-
-
 def distinct_tests(configs: Sequence[Tables]) -> tuple[Tables, ...]:
     """List the tests of a study: its different specimens, tests and measurements."""
     tested = [config for config in configs if "test" in config]
-    found = {_name(config): _sections(config) for config in tested}
+    found = {
+        _name(config): {key: config[key] for key in ("specimen", "test", "measurements")}
+        for config in tested
+    }
     return tuple(found.values())
 
 
-def left_out(kind: str, case: Case, scored: Measurements, data: DataCache) -> list[LeftOut]:
-    """Every scored curve of a case, with the fit to everything else."""
-    if kind == "specimen":
-        return _without_specimen(case, scored, data)
-    return [_without_test(case, scored, data)]
-
-
-def _without_specimen(case: Case, scored: Measurements, data: DataCache) -> list[LeftOut]:
-    own = data.calibrated(case.config)
-    fitted = scored if own is None else own
+def _without_specimen(
+    case: Case, problem: FitProblem, scored: Measurements, data: DataCache
+) -> list[ScorePair]:
+    """Every scored curve of a specimen, with the fit to all other specimens."""
+    calibrated = data.calibrated(case.config)
+    fitted = scored if calibrated is None else calibrated
     others = [block for block in fitted.blocks if block != case.block]
     if not others or case.block is None:
         rule = "leaves one specimen out, but the measurements have fewer than two blocks"
         mend = "name the column of the specimens in measurements.block"
         raise InputError(Fault("calibration.leave_out", rule, mend))
-    out = []
+    pairs = []
     for fit_where, score_where in scored.sides:
-        where = dict((fit_where if own is None else own.fit) or {})
+        where = dict((fit_where if calibrated is None else calibrated.fit) or {})
         curves = tuple(fitted.curve(block, **where).curve for block in others)
-        test = scored.curve(case.block, **dict(score_where or {}))
-        label = f"all but {case.block}"
-        out.append(LeftOut(test, score_where, fit_problem(case.config), curves, label))
-    return out
+        fit = fit_job(problem, curves, case.label)
+        pair = _pair(scored.curve(case.block, **dict(score_where or {})), score_where, fit)
+        pairs.append(replace(pair, fit_label=f"all but {case.block}"))
+    return pairs
 
 
-def _without_test(case: Case, scored: Measurements, data: DataCache) -> LeftOut:
-    own = _name(case.config)
-    others = [test for test in data.tests if _name(test) != own]
+def _without_test(case: Case, scored: Measurements, data: DataCache) -> ScorePair:
+    """Scored curve of a test, with the fit to all other tests of the study."""
+    name = _name(case.config)
+    others = [test for test in data.tests if _name(test) != name]
     if not others:
         rule = "leaves one test out, but the design has only one"
         mend = "make the tests a factor: presets with test and measurements"
         raise InputError(Fault("calibration.leave_out", rule, mend))
     curves = []
     for test in others:
-        found = data.scored(test)
-        if found is None:
+        measured = data.scored(test)
+        if measured is None:
             raise InputError(Fault("measurements", "are missing for one of the tests"))
-        block = case.block if found.block is not None else None
-        curves.append(found.curve(block, **dict(found.fit or {})).curve)
-    problem = together(case.config, others)
+        block = case.block if measured.block is not None else None
+        curves.append(measured.curve(block, **dict(measured.fit or {})).curve)
+    fit = fit_job(together(case.config, others), tuple(curves), case.label)
     where = scored.score or scored.fit
-    held = scored.curve(case.block, **dict(where or {}))
-    return LeftOut(held, where, problem, tuple(curves), "all other tests")
-
-
-def _sections(config: Tables) -> Tables:
-    return {key: config[key] for key in ("specimen", "test", "measurements")}
+    pair = _pair(scored.curve(case.block, **dict(where or {})), where, fit)
+    return replace(pair, fit_label="all other tests")
 
 
 def _name(config: Tables) -> str:
@@ -398,7 +381,14 @@ def _score_pairs(
         return [_first_pair(scored, case, None)]
     kind = _held_out(case, scored, design)
     if kind is not None:
-        return _held_out_pairs(kind, case, scored, data, design)
+        if kind != "specimen":
+            return [_without_test(case, scored, data)]
+        pairs = _without_specimen(case, problem, scored, data)
+        if design.asks_for_constants:
+            # those of all other specimens would differ less between specimens than these do
+            alone = _fitted_pairs(case, problem, scored, data)[0]
+            pairs.append(replace(alone, role=CONSTANTS, fit_label=f"{case.block} alone"))
+        return pairs
     return _fitted_pairs(case, problem, scored, data)
 
 
@@ -425,35 +415,13 @@ def _held_out(case: Case, scored: Measurements, design: Design) -> str | None:
     )  # fmt: skip
 
 
-def _held_out_pairs(
-    kind: str, case: Case, scored: Measurements, data: DataCache, design: Design
-) -> list[ScorePair]:
-    """Pairs whose fits never saw what is scored.
-
-    A constant that is asked for is a specimen's own: those of all others together would differ
-    less between specimens than specimens do.
-    """
-    pairs = [
-        replace(
-            _pair(one.test, one.score_where, fit_job(one.problem, one.measured, case.label)),
-            fit_label=one.label,
-        )
-        for one in left_out(kind, case, scored, data)
-    ]
-    if kind == "specimen" and design.asks_for_constants:
-        own = _fitted_pairs(case, fit_problem(case.config), scored, data)
-        label = f"{case.block} alone"
-        pairs += [replace(one, role=CONSTANTS, fit_label=label) for one in own[:1]]
-    return pairs
-
-
 def _fitted_pairs(
     case: Case, problem: FitProblem, scored: Measurements, data: DataCache
 ) -> list[ScorePair]:
     """Pairs whose constants come from the curves that the study file selects."""
     own = data.calibrated(case.config)
     if own is not None:
-        fitted = own.curve(_block_in(own, case.block), **dict(own.fit or {}))
+        fitted = own.curve(case.block if own.block is not None else None, **dict(own.fit or {}))
         return [_first_pair(scored, case, fit_job(problem, (fitted.curve,), case.label))]
     return _swapped_pairs(scored, case, problem)
 
@@ -499,17 +467,16 @@ def fit_job(problem: FitProblem, measured: tuple[Curve, ...], label: str) -> Fit
     return FitJob.of(problem, measured, start, label)
 
 
-def _block_in(found: Measurements, block: str | None) -> str | None:
-    return block if found.block is not None else None
-
-
 def _anchored(found: Iterable[CaseJob]) -> tuple[CaseJob, ...]:
     """Give the cases of each cell their anchor: the fit of the first case's first direction.
 
     The anchor decides the last digits of a prediction and is therefore part of its identity.
     """
     jobs = tuple(found)
-    groups = [_group(job) if _may_share_a_start(job) else "" for job in jobs]
+    groups = [
+        digest([plain(job.case.config), job.depth_mm], 32) if _may_share_a_start(job) else ""
+        for job in jobs
+    ]
     solutions: Counter[str] = Counter()
     first: dict[str, CaseJob] = {}
     for job, group in zip(jobs, groups, strict=True):
@@ -525,10 +492,6 @@ def _with_anchor(job: CaseJob, group: str, leader: CaseJob) -> CaseJob:
     anchor = leader.directions[0].fit
     name = digest([job.input_hash, None if anchor is None else anchor.key])
     return replace(job, group=group, anchor=anchor, input_hash=name)
-
-
-def _group(job: CaseJob) -> str:
-    return digest([plain(job.case.config), job.depth_mm], 32)
 
 
 def _may_share_a_start(job: CaseJob) -> bool:

@@ -198,7 +198,12 @@ def located(config: Tables, places: Sequence[Path]) -> Config:
     """Copy a configuration with every surface in it found and checked."""
     found = cast(Config, _walked(config, places))
     if _is_surface(found.get("specimen")):
-        _check_use(found)
+        # Refuse what cannot be meshed or held, with placeholders for what a fit will find.
+        from study.mechanics.solver.finite_element_solution import check
+
+        setup = Setup.of(found)
+        depth = setup.test.displacement_mm or _USUAL_DEPTH * (setup.height_mm or 1.0)
+        check(with_placeholder(found, depth, C10_MPa=0.005))
     return found
 
 
@@ -208,18 +213,14 @@ def _is_surface(section: object) -> TypeGuard[Tables]:
 
 def _walked(value: object, places: Sequence[Path]) -> object:
     if _is_surface(value):
-        return _found(value, places)
+        from study.mechanics.surface.closed_surface import height_of
+
+        path = find(str(value["file"]), places)
+        whole = {**value, "path": str(path), "sha256": sha256_of(path)}
+        return {**whole, "height_mm": height_of(specimen_of(whole))}
     if isinstance(value, Mapping):
         return {k: _walked(v, places) for k, v in value.items()}
     return [_walked(v, places) for v in value] if isinstance(value, list) else value
-
-
-def _found(section: Tables, places: Sequence[Path]) -> Tables:
-    from study.mechanics.surface.closed_surface import height_of
-
-    path = find(str(section["file"]), places)
-    whole = {**section, "path": str(path), "sha256": sha256_of(path)}
-    return {**whole, "height_mm": height_of(specimen_of(whole))}
 
 
 def with_markers(config: Config, places: Sequence[Path]) -> Config:
@@ -259,15 +260,6 @@ def find(name: str, places: Sequence[Path]) -> Path:
     )
     mend = nearest(Path(name).name, names[:20]) if names else "name its folder with --data DIR"
     raise InputError(Fault(_WHERE, f"there is no file {name!r} below {looked}", mend))
-
-
-def _check_use(config: Tables) -> None:
-    """Refuse what cannot be meshed or held, with placeholders for what a fit will find."""
-    from study.mechanics.solver.finite_element_solution import check
-
-    setup = Setup.of(config)
-    depth = setup.test.displacement_mm or _USUAL_DEPTH * (setup.height_mm or 1.0)
-    check(with_placeholder(config, depth, C10_MPa=0.005))
 
 
 def surface_notes(configs: Sequence[Tables]) -> tuple[str, ...]:

@@ -9,7 +9,6 @@ its accuracy and its budget want; the cells of a study know all their meshes fro
 from __future__ import annotations
 
 import math
-import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -21,6 +20,7 @@ import numpy as np
 from study.ground.arrays import Array
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, nearest
+from study.ground.memory import free_memory_MB
 from study.harness.runner.problem_tables import with_placeholder
 from study.harness.runner.solve_task import Solver, SolveResult, SolveTask, solutions
 from study.mechanics.material.material import Material
@@ -65,8 +65,9 @@ def refine(
 FEWEST = 3
 MOST = 10
 
-#: part of the free memory that a solution may take
+#: part of the free memory that a solution may take, and what is free where no system says it
 MEMORY_SHARE = 0.7
+USUAL_MB = 4096.0
 
 #: exponents of time in the unknowns where only one mesh is known (numerics.md)
 _TIME_EXPONENT = {"axisymmetric": 1.2, "3d": 1.95}
@@ -135,7 +136,7 @@ class Budget:
     """When a series must stop: seconds from ``began``, and memory."""
 
     seconds: float | None = None
-    memory_MB: float = field(default_factory=lambda: MEMORY_SHARE * free_MB())
+    memory_MB: float | None = None
     began: float = field(default_factory=time.monotonic)
 
     def refuses(self, seconds: float | None, memory: float | None) -> str:
@@ -143,8 +144,9 @@ class Budget:
         left = None if self.seconds is None else self.seconds - (time.monotonic() - self.began)
         if left is not None and (seconds or 0.0) > left:
             return f"the next mesh would take {seconds or 0:.3g} s of {max(left, 0):.3g} s left"
-        if memory is not None and memory > self.memory_MB:
-            return f"the next mesh would take {memory:.0f} MB of {self.memory_MB:.0f} MB"
+        limit = self.memory_MB or MEMORY_SHARE * (free_memory_MB() or USUAL_MB)
+        if memory is not None and memory > limit:
+            return f"the next mesh would take {memory:.0f} MB of {limit:.0f} MB"
         return ""
 
 
@@ -248,19 +250,6 @@ def _exponent(before: SolveResult, last: SolveResult, usual: float) -> float:
         return usual
     found = math.log(last.seconds / before.seconds) / math.log(last.dofs / before.dofs)
     return min(max(found, 1.0), 3.0)
-
-
-def budget_of(seconds: float | None, memory_MB: float | None) -> Budget:  # noqa: N803
-    """Budget of a command, from now on."""
-    return Budget(seconds) if memory_MB is None else Budget(seconds, memory_MB)
-
-
-def free_MB() -> float:  # noqa: N802
-    """Memory that is free on this machine, in MB."""
-    try:
-        return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 2**20
-    except (ValueError, OSError):
-        return 4096.0
 
 
 def solving(
@@ -375,7 +364,13 @@ def formal_order(problem: Problem) -> FormalOrder:
     """Order that the element promises for the force of a problem; work and RMS share it."""
     smooth = 2.0 * _DEGREE[problem.model.element_order]
     degree = problem.model.element_order
-    limits = _limits(problem)  # first: of two equal limits the problem's says more
+    singularities = problem.setup.kind.singularities(problem.test)
+    found = [_limit(problem, singularity) for singularity in singularities]
+    if problem.model.space == "3d" and isinstance(problem.specimen, Cylinder):
+        found.append((2.0, "the cylinder's straight-sided elements"))
+    if isinstance(problem.specimen, Enclosed):
+        found.append((2.0, "straight-sided elements, and edges of the surface that are corners"))
+    limits = found  # first: of two equal limits the problem's says more
     limits.append((smooth, f"{degree} elements: twice the order of their gradient"))
     order, why = min(limits, key=lambda item: item[0])
     return FormalOrder(order, why)
@@ -387,16 +382,6 @@ def formal_of_case(job: CaseJob) -> FormalOrder:
     Units: job mm.
     """
     return formal_order(_in_mind(job))
-
-
-def _limits(problem: Problem) -> list[tuple[float, str]]:
-    singularities = problem.setup.kind.singularities(problem.test)
-    found = [_limit(problem, singularity) for singularity in singularities]
-    if problem.model.space == "3d" and isinstance(problem.specimen, Cylinder):
-        found.append((2.0, "the cylinder's straight-sided elements"))
-    if isinstance(problem.specimen, Enclosed):
-        found.append((2.0, "straight-sided elements, and edges of the surface that are corners"))
-    return found
 
 
 def _limit(problem: Problem, singularity: Singularity) -> tuple[float, str]:

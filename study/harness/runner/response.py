@@ -199,20 +199,16 @@ class SimulatedResponse:
             return float(np.max(values))
         if name == "peak_force":
             return float(curve.force_N.max())
-        return _work_of(curve)
+        # Work done on the specimen from the unloaded state, N mm.
+        if curve.work_Nmm is not None:
+            return float(curve.work_Nmm[-1])
+        ends = np.linspace(0.0, float(curve.displacement_mm[-1]), _POINTS + 1)
+        return float(np.trapezoid(curve.force_at(ends), ends))
 
 
 #: points between which the work of a curve is summed: the trapezoidal rule is then off by a
 #: millionth of the work, for a force that grows with the square of the displacement
 _POINTS = 400
-
-
-def _work_of(curve: Curve) -> float:
-    """Work done on the specimen from the unloaded state, N mm."""
-    if curve.work_Nmm is not None:
-        return float(curve.work_Nmm[-1])
-    ends = np.linspace(0.0, float(curve.displacement_mm[-1]), _POINTS + 1)
-    return float(np.trapezoid(curve.force_at(ends), ends))
 
 
 @dataclass(frozen=True)

@@ -116,7 +116,8 @@ def solved(task: SolveTask) -> SolveResult:
         return SolveResult("failed", "another program predicts here; this solves with ours alone")
     problem = problem_of(task.tables)
     load_compiled(problem)
-    reset_peak()
+    with contextlib.suppress(OSError), open("/proc/self/clear_refs", "w") as stream:
+        stream.write("5")
     before = peak_MB()
     found = finite_element.solve(problem, gradients=False, options=_options(task))
     return SolveResult(
@@ -142,12 +143,6 @@ def _options(task: SolveTask) -> Options | None:
     newton = replace(usual.newton, tolerance=usual.newton.tolerance * task.looser)
     steps = replace(usual.steps, sticking=usual.steps.sticking / task.more_steps)
     return replace(usual, newton=newton, steps=steps)
-
-
-def reset_peak() -> None:
-    """Forget the peak memory of what this process did before; only Linux can."""
-    with contextlib.suppress(OSError), open("/proc/self/clear_refs", "w") as stream:
-        stream.write("5")
 
 
 def peak_MB() -> float:  # noqa: N802

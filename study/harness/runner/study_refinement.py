@@ -77,10 +77,10 @@ def chosen_series(work: Work, records: Mapping[str, Record]) -> list[CaseSeries]
     ]
 
 
-def refinement_work(work: Work, bases: Sequence[CaseJob] = ()) -> Work:
+def refinement_work(work: Work) -> Work:
     """List the refined cases of a study, as work like any other."""
-    series = every_series(work, bases, {}) if bases else chosen_series(work, {})
-    return replace(work, jobs=tuple(job for one in series for job in one.every[1:]))
+    refined_cases = (job for cell in chosen_series(work, {}) for job in cell.every[1:])
+    return replace(work, jobs=tuple(refined_cases))
 
 
 def refined_series(
@@ -206,8 +206,7 @@ def refined(case: Case, size: float) -> Case:
     refinement = case.treatment.cell.problem.refinement
     if refinement is not None:
         return varied(case, refinement.refined(case.config, size), PURPOSE)
-    size_mm = size
-    return varied(case, on_mesh(case.config, mesh=None, mesh_size_mm=size_mm), PURPOSE)
+    return varied(case, on_mesh(case.config, mesh=None, mesh_size_mm=size), PURPOSE)
 
 
 def discretization_key(tables: Tables) -> str:
@@ -249,23 +248,23 @@ def input_work(work: Work) -> Work:
     """List the cases with one input moved by its standard uncertainty, as work like any other."""
     jobs = []
     for base in representatives(work):
-        for key, amount in moved_inputs(work).items():
-            case = _moved(base.case, key, amount)
+        for key, amount in (
+            {
+                k: float(u)
+                for k, u in work.design.uncertainty.items()
+                if u and not k.startswith("measurements.")
+            }
+        ).items():
+            # Copy a case with one input moved; the measured points stay where they are.
+            config = shifted(_fixed_range(base.case.config), key, amount)
+            own = CalibrationTable.of(config).problem
+            if own and key.split(".")[0] in own:
+                inner = shifted(_fixed_range(own), key, amount)
+                config = with_table(config, "calibration", problem=inner)
+            case = varied(base.case, config, INPUT_PURPOSE)
             origin = Origin(purpose=INPUT_PURPOSE, of=base.case.case_id, input=key)
             jobs.append(case_job(case, work.data, work.design, origin))
     return replace(work, jobs=tuple(jobs))
-
-
-def moved_inputs(work: Work) -> dict[str, float]:
-    """List the uncertain inputs of the simulation; those of the data move no case.
-
-    Units: returns mm, N, MPa, deg, s.
-    """
-    return {
-        k: float(u)
-        for k, u in work.design.uncertainty.items()
-        if u and not k.startswith("measurements.")
-    }
 
 
 def representatives(work: Work) -> list[CaseJob]:
@@ -285,16 +284,6 @@ def physics_of(levels: Mapping[str, str]) -> Physics:
     return tuple(
         sorted((k, v) for k, v in levels.items() if k != "model" and not k.startswith("model."))
     )
-
-
-def _moved(case: Case, key: str, amount: float) -> Case:
-    """Copy a case with one input moved; the measured points stay where they are."""
-    config = shifted(_fixed_range(case.config), key, amount)
-    own = CalibrationTable.of(config).problem
-    if own and key.split(".")[0] in own:
-        inner = shifted(_fixed_range(own), key, amount)
-        config = with_table(config, "calibration", problem=inner)
-    return varied(case, config, INPUT_PURPOSE)
 
 
 def shifted(config: Tables, key: str, amount: float) -> Tables:

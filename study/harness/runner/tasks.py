@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TypeGuard, cast
 
 from study.ground.errors import Fault, InputError, UnitError
+from study.ground.memory import free_memory_MB
 from study.ground.units import parse
 from study.harness.execution.cluster import Client, Cluster
 from study.harness.execution.local import Loky
@@ -46,16 +47,6 @@ def processes(
 ) -> Executor:
     """Start processes of this machine, which know every kind of task."""
     return Loky(perform, jobs, timeout_s, memory_MB or free_memory_MB())
-
-
-def free_memory_MB() -> float | None:  # noqa: N802
-    """Memory of this machine that nobody uses now; None where it does not say."""
-    try:
-        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
-        found = {name: rest for name, _, rest in (line.partition(":") for line in lines)}
-        return float(found["MemAvailable"].split()[0]) * 1.024e-3  # of 1,024 bytes each
-    except (OSError, KeyError, ValueError, IndexError):
-        return None
 
 
 def memory_of(text: str) -> float:
