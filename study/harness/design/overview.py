@@ -17,8 +17,8 @@ Key = Callable[[Cell], Hashable]
 
 def _grouped(treatments: Sequence[Treatment], key: Key) -> Groups:
     groups: dict[Hashable, list[Treatment]] = {}
-    for one in treatments:
-        groups.setdefault(key(one.cell), []).append(one)
+    for treatment in treatments:
+        groups.setdefault(key(treatment.cell), []).append(treatment)
     return tuple(tuple(group) for group in groups.values())
 
 
@@ -45,7 +45,9 @@ def duplicates(design: Design) -> Groups:
 
 def calibration_groups(design: Design) -> Groups:
     """Cells that share one calibration problem (one fit a block); none where nothing is fitted."""
-    return _grouped([one for one in design.treatments if one.cell.is_calibrated], _calibration)
+    return _grouped(
+        [treatment for treatment in design.treatments if treatment.cell.is_calibrated], _calibration
+    )
 
 
 def calibration_factors(design: Design) -> tuple[str, ...]:
@@ -59,18 +61,18 @@ def _calibrates(design: Design, factor: str) -> bool:
     The cells of a sample of ranges, each with levels of its own, would be made tens of thousands
     of times to find that out.
     """
-    fitted = any(one.cell.is_calibrated for one in design.treatments)
+    fitted = any(treatment.cell.is_calibrated for treatment in design.treatments)
     return fitted and _separated(design, factor, _calibration) > 0
 
 
 def _separated(design: Design, factor: str, key: Key) -> int:
     """Count the cells in which the factor changes the key."""
     if design.scheme.rows is not None:
-        return sum(_changes(design, one, factor, key) for one in design.treatments)
+        return sum(_changes(design, treatment, factor, key) for treatment in design.treatments)
     slices: dict[tuple[str, ...], list[Hashable]] = {}
-    for one in design.treatments:
-        others = tuple(label for name, label in one.levels.items() if name != factor)
-        slices.setdefault(others, []).append(key(one.cell))
+    for treatment in design.treatments:
+        others = tuple(label for name, label in treatment.levels.items() if name != factor)
+        slices.setdefault(others, []).append(key(treatment.cell))
     return sum(len(keys) for keys in slices.values() if len(set(keys)) > 1)
 
 
@@ -78,12 +80,12 @@ def _changes(design: Design, treatment: Treatment, factor: str, key: Key) -> boo
     """Whether another level of one factor alone changes the key of a cell."""
     # A part of the full factorial may hold no two cells that differ in one factor only, so the
     # other cell is made for the comparison.
-    own, place = key(treatment.cell), [f.name for f in design.factors].index(factor)
+    own_key, place = key(treatment.cell), [f.name for f in design.factors].index(factor)
     levels = [f.levels[f.labels.index(treatment.levels[f.name])] for f in design.factors]
     for other in _compared(design.factors[place]):
         faults = Faults()
         made = design.resolved([*levels[:place], other, *levels[place + 1 :]], faults)
-        if not faults and key(made) != own:
+        if not faults and key(made) != own_key:
             return True
     return False
 
@@ -168,7 +170,7 @@ class Overview:
                 "calibrations": self.calibrations,
                 "factors": self.factors,
                 "matrix": self.matrix,
-                "excluded": [{"label": one.label, "why": why} for one, why in self.excluded],
+                "excluded": [{"label": cell.label, "why": why} for cell, why in self.excluded],
                 "scheme": {
                     "kind": scheme.kind,
                     "summary": scheme.summary,
@@ -177,7 +179,7 @@ class Overview:
                     "aliases": scheme.aliases,
                 },
                 "replicates": self.replicates,
-                "duplicates": [[one.label for one in group] for group in self.duplicates],
+                "duplicates": [[cell.label for cell in group] for group in self.duplicates],
                 "warnings": self.warnings,
             }
         )
@@ -201,25 +203,25 @@ def overview(design: Design) -> Overview:
 
 def replication(design: Design) -> Replication | None:
     """Say what is computed several times, and which question that answers."""
-    asked = design.replicates
-    if asked.mesh_seeds:
+    repeats = design.replicates
+    if repeats.mesh_seeds:
         sentence = (
-            f"every cell is solved on {asked.mesh_seeds} meshes of its size that differ by a seed: "
-            "is an effect larger than the mesh noise at this size? (E3)"
+            f"every cell is solved on {repeats.mesh_seeds} meshes of its size that differ by a "
+            "seed: is an effect larger than the mesh noise at this size? (E3)"
         )
-        return Replication("mesh-seeds", asked.mesh_seeds, sentence)
-    if asked.key is not None:
+        return Replication("mesh-seeds", repeats.mesh_seeds, sentence)
+    if repeats.key is not None:
         sentence = (
-            f"every cell is computed {asked.n} times with other values of {asked.key}, no two "
+            f"every cell is computed {repeats.n} times with other values of {repeats.key}, no two "
             "cells with one: is an effect larger than the scatter of the simulation itself? (E0)"
         )
-        return Replication("seeds", asked.n, sentence)
-    if asked.noise:
+        return Replication("seeds", repeats.n, sentence)
+    if repeats.noise:
         sentence = (
-            f"every fit is made {asked.noise} times more, to its curve with resampled residuals: "
+            f"every fit is made {repeats.noise} times more, to its curve with resampled residuals: "
             "is an effect larger than the noise in the measured data alone would give? (E2)"
         )
-        return Replication("noise", asked.noise, sentence)
+        return Replication("noise", repeats.noise, sentence)
     return None
 
 
@@ -244,38 +246,44 @@ def _note(calibrates: bool, inert: int, total: int, fitted: bool) -> str:
 
 
 def _matrix(design: Design, groups: Groups, fitted: Groups) -> tuple[CellOverview, ...]:
-    group = {one.label: i for i, members in enumerate(groups, 1) for one in members}
-    fit = {one.label: i for i, members in enumerate(fitted, 1) for one in members}
+    group = {member.label: i for i, members in enumerate(groups, 1) for member in members}
+    fit = {member.label: i for i, members in enumerate(fitted, 1) for member in members}
     return tuple(
         CellOverview(
-            one.label,
-            one.levels,
-            group[one.label],
-            fit.get(one.label),
-            one.cell.problem.is_homogeneous,
+            treatment.label,
+            treatment.levels,
+            group[treatment.label],
+            fit.get(treatment.label),
+            treatment.cell.problem.is_homogeneous,
         )
-        for one in design.treatments
+        for treatment in design.treatments
     )
 
 
 def warnings(design: Design) -> tuple[str, ...]:
     """Sentences about what is allowed and probably not meant."""
-    found: dict[str, None] = {}
-    for one in design.treatments:
-        problem = one.cell.problem
-        found.update(dict.fromkeys(cautions_of(problem)))
+    sentences: dict[str, None] = {}
+    for treatment in design.treatments:
+        problem = treatment.cell.problem
+        sentences.update(dict.fromkeys(cautions_of(problem)))
         spec = problem.measurements
         if spec is not None and spec.fit is not None and spec.fit == spec.score:
-            found["cells are scored on the rows they were fitted to: fit, not prediction"] = None
+            sentences["cells are scored on the rows they were fitted to: fit, not prediction"] = (
+                None
+            )
     for group in duplicates(design):
-        labels = " = ".join(one.label for one in group)
-        found[f"cells with the same content are one computation, no replicates: {labels}"] = None
+        labels = " = ".join(treatment.label for treatment in group)
+        sentences[f"cells with the same content are one computation, no replicates: {labels}"] = (
+            None
+        )
     presets = design.config.get("presets")
     unused = set(list(presets) if isinstance(presets, dict) else []) - {
         factor.name for factor in design.factors
     }
     for name in sorted(unused):
-        found[f"the preset set {name!r} is no factor and is not used"] = None
+        sentences[f"the preset set {name!r} is no factor and is not used"] = None
     if design.converge.ratio < 1.3:
-        found[f"converge.ratio {design.converge.ratio:g} is below 1.3: orders will be noise"] = None
-    return tuple(found)
+        sentences[
+            f"converge.ratio {design.converge.ratio:g} is below 1.3: orders will be noise"
+        ] = None
+    return tuple(sentences)

@@ -169,11 +169,11 @@ def _schema(value: object) -> int:
 
 
 def _assumed(value: object) -> tuple[str, ...]:
-    found = texts("keys", "test.interface")(value)
-    for key in found:
+    keys = texts("keys", "test.interface")(value)
+    for key in keys:
         if key not in overlay.TABLES and not overlay.may_vary(key):
             raise Bad(f"names no input: {shown(key)}", overlay.suggestion(key))
-    return found
+    return keys
 
 
 def _response_name(value: object) -> str:
@@ -230,10 +230,10 @@ def _formats(value: object) -> tuple[str, ...]:
 
 def _primary(value: object) -> tuple[str, ...]:
     """Read the terms that were declared before the run; three at most, or they are no choice."""
-    found = texts("terms", "material")(value)
-    if len(found) > MOST_PRIMARY:
-        raise Bad(f"has {len(found)} terms, at most {MOST_PRIMARY} are a choice before the run")
-    return found
+    terms = texts("terms", "material")(value)
+    if len(terms) > MOST_PRIMARY:
+        raise Bad(f"has {len(terms)} terms, at most {MOST_PRIMARY} are a choice before the run")
+    return terms
 
 
 def _roles(value: object) -> tuple[tuple[str, str], ...]:
@@ -249,13 +249,13 @@ def _retry(value: object) -> tuple[tuple[str, tuple[str, ...]], ...]:
     if not isinstance(value, Mapping):
         mend = f'for example {{ not-converged = ["{SMALLER_STEPS}", "{FINER_MESH}"] }}'
         raise Bad(f"must be a table of causes, got {shown(value)}", mend)
-    found = []
-    for cause, wanted in value.items():
+    read_causes = []
+    for cause, remedies in value.items():
         choice(*REMEDIES)(cause)
-        changes = wanted if isinstance(wanted, list) else [wanted]
+        changes = remedies if isinstance(remedies, list) else [remedies]
         read = choice(*REMEDIES[cause])
-        found.append((cause, tuple(dict.fromkeys(read(change) for change in changes))))
-    return tuple(found)
+        read_causes.append((cause, tuple(dict.fromkeys(read(change) for change in changes))))
+    return tuple(read_causes)
 
 
 def _weight(value: object) -> str | float:

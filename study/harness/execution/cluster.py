@@ -158,10 +158,10 @@ def about(identity: Identity) -> dict[str, str]:
 def differences(here: Mapping[str, str], there: object) -> str:
     """Say what differs between this machine and a worker; empty if nothing does."""
     if not isinstance(there, Mapping):
-        told = first_line(there) if isinstance(there, BaseException) else str(there)
+        text = first_line(there) if isinstance(there, BaseException) else str(there)
         # the scheduler hands over errors of a worker as text
-        is_import = isinstance(there, ImportError) or _IMPORT.match(told) is not None
-        return f"study cannot be imported there: {told}" if is_import else told
+        is_import = isinstance(there, ImportError) or _IMPORT.match(text) is not None
+        return f"study cannot be imported there: {text}" if is_import else text
     return ", ".join(
         f"{name} {there.get(name, ABSENT)} (here {here.get(name, ABSENT)})"
         for name in dict.fromkeys([*here, *there])
@@ -173,8 +173,8 @@ def refusal(different: Mapping[str, str]) -> str:
     """Say which workers cannot be used and why, those with the same differences together."""
     alike = Counter(different.values())
     lines = [
-        f"    {count} worker{'s' if count > 1 else ''}: {told}"
-        for told, count in alike.most_common(LISTED)
+        f"    {count} worker{'s' if count > 1 else ''}: {difference}"
+        for difference, count in alike.most_common(LISTED)
     ]
     if len(alike) > LISTED:
         lines.append(f"    and {len(alike) - LISTED} more kinds of difference")
@@ -354,8 +354,8 @@ def serve(
     key = worker.get_current_task()
 
     def unwanted() -> bool:
-        known = worker.state.tasks.get(key)
-        return known is None or known.state in ("cancelled", "released", "forgotten")
+        task = worker.state.tasks.get(key)
+        return task is None or task.state in ("cancelled", "released", "forgotten")
 
     copies = _COPIES.get(place[0], ("", {}))[1]
     there = [with_copies(payload, copies) for payload in payloads] if copies else payloads
@@ -416,12 +416,12 @@ class RemoteSlot:
         if self.waiting is None or not self.crew.place(self):
             return
         (payloads, done, ticket), self.waiting = self.waiting, None
-        told: list[bool] = []
+        answered: list[bool] = []
 
         def end(answer: Answer) -> None:
             """Tell once: of a worker that was lost, the answer may still come."""
-            if not told:
-                told.append(True)
+            if not answered:
+                answered.append(True)
                 done.put((ticket, answer))
 
         self.end = end
@@ -492,8 +492,10 @@ class Crew:
     def arrivals(self) -> list[RemoteSlot]:
         """Look at the workers now and then; slots for those that have come."""
         if time.monotonic() - self._looked >= LOOK_S or not self.dropped.empty():
-            for address, told in self._look().items():
-                print(f"warning: {address} gets no task of this study: {told}", file=sys.stderr)
+            for address, difference in self._look().items():
+                print(
+                    f"warning: {address} gets no task of this study: {difference}", file=sys.stderr
+                )
             self._explain_dropped()
             if self.workers:
                 self._end_call()
@@ -501,19 +503,21 @@ class Crew:
                 self._call_for_workers()
             for slot in self.slots:
                 slot.begin()
-        known = len(self.slots)
-        self.slots += [RemoteSlot(self, k) for k in range(known, max(self.wanted, known))]
-        return self.slots[known:]
+        count = len(self.slots)
+        self.slots += [RemoteSlot(self, k) for k in range(count, max(self.wanted, count))]
+        return self.slots[count:]
 
     def place(self, slot: RemoteSlot) -> bool:
         """Find a worker for a slot: its own, unless it is gone or another has more room."""
         best = max(self.workers.values(), key=lambda worker: worker.free, default=None)
-        own = slot.worker
-        if own is not None and (best is None or self.workers.get(own.address) is not own):
-            own.load, own, slot.worker = own.load - 1, None, None
-        if best is not None and (own is None or best.free - own.free > 1):
-            if own is not None:
-                own.load -= 1
+        current = slot.worker
+        if current is not None and (
+            best is None or self.workers.get(current.address) is not current
+        ):
+            current.load, current, slot.worker = current.load - 1, None, None
+        if best is not None and (current is None or best.free - current.free > 1):
+            if current is not None:
+                current.load -= 1
             best.load, slot.worker = best.load + 1, best
         return slot.worker is not None
 
@@ -563,11 +567,11 @@ class Crew:
         new = [a for a in there if a not in self.workers and a not in self._strangers]
         different = self._differences(new) if new else {}
         self._strangers |= set(different)
-        known = [address for address in new if address not in different]
-        if known and self.files:
+        usable = [address for address in new if address not in different]
+        if usable and self.files:
             contents = {str(path): read_existing(path, MAX_BYTES) for path in self.files}
-            self.client.run(keep_files, self.name, contents, workers=known, on_error="ignore")
-        for address in known:
+            self.client.run(keep_files, self.name, contents, workers=usable, on_error="ignore")
+        for address in usable:
             self.workers[address] = ClusterWorker(address, max(there[address], 1))
         return different
 
@@ -580,13 +584,13 @@ class Crew:
         """Ask workers for their versions; say of each with other ones what differs."""
         here = about(self.identity)
         answers = self.client.run(about, self.identity, workers=list(addresses), on_error="return")
-        found = {}
+        different = {}
         for address in addresses:
             there = answers.get(address, "it gave no answer")
-            told = differences(here, there)
-            if told:
-                found[address] = told
-        return found
+            difference = differences(here, there)
+            if difference:
+                different[address] = difference
+        return different
 
     def _explain_dropped(self) -> None:
         """Report tasks that somebody else cancelled, the scheduler being there."""

@@ -188,7 +188,7 @@ def _judged(future: Future[str]) -> Answer:
     return Answer(death="stopped")
 
 
-def cause_of_death(said: str) -> str:
+def cause_of_death(message: str) -> str:
     """How a process died, in a few words.
 
     Examples
@@ -198,10 +198,10 @@ def cause_of_death(said: str) -> str:
     >>> cause_of_death("... exit codes of the workers are {EXIT(3)}")
     'crashed (exit code 3)'
     """
-    found = re.search(r"exit codes of the workers are \{\w+\((-?\d+)\)", said)
-    if found is None:
+    match = re.search(r"exit codes of the workers are \{\w+\((-?\d+)\)", message)
+    if match is None:
         return "crashed"
-    code = int(found[1])
+    code = int(match[1])
     if code >= 0:
         return f"crashed (exit code {code})"
     hint = " (out of memory?)" if -code == signal.SIGKILL else ""

@@ -250,10 +250,10 @@ class Supervisor:
                 if not busy:
                     names = ", ".join(self.ready.waiting)
                     raise RuntimeError(f"tasks wait for something that nobody makes: {names}")
-                found = [*self._answered(busy, done), *self._late(busy)]
-                for outcome in found:
+                ended = [*self._answered(busy, done), *self._late(busy)]
+                for outcome in ended:
                     self.ready.finish(outcome.key, outcome.result)
-                    yield replace(outcome, followed=outcome is not found[-1])
+                    yield replace(outcome, followed=outcome is not ended[-1])
         finally:
             for desk in desks:
                 desk.slot.kill()
@@ -277,20 +277,20 @@ class Supervisor:
 
     def _together(self, first: Task, desks: int) -> list[Task]:
         """Short tasks that go to a worker along with a short one."""
-        found: list[Task] = []
+        short: list[Task] = []
         if not self._is_short(first):
-            return found
+            return short
         seconds, share = first.seconds, len(self.ready) // (SHARES * desks)
-        while len(found) < share and seconds < TOGETHER_S:
+        while len(short) < share and seconds < TOGETHER_S:
             task = self.ready.take("")
             if task is None:
                 break
             if not self._is_short(task):
                 self.ready.put_back(task)
                 break
-            found.append(task)
+            short.append(task)
             seconds += task.seconds
-        return found
+        return short
 
     def _is_short(self, task: Task) -> bool:
         """Whether a task is known to need next to no time and memory, and shares nothing."""
@@ -299,7 +299,7 @@ class Supervisor:
 
     def _has_room(self, task: Task, desks: list[Desk]) -> bool:
         """Whether a task fits beside those that run; one always does."""
-        running = [one.memory_MB for desk in desks for one in desk.tasks]
+        running = [running_task.memory_MB for desk in desks for running_task in desk.tasks]
         return (
             self.memory_MB is None
             or not running
@@ -333,7 +333,9 @@ class Supervisor:
         if not all(map(_is_result, results)):
             return self._died(desk, tasks, seconds, "a worker's answer is no result")
         each = seconds / len(tasks)
-        return [Outcome(one.key, result, each) for one, result in zip(tasks, results, strict=True)]
+        return [
+            Outcome(task.key, result, each) for task, result in zip(tasks, results, strict=True)
+        ]
 
     def _died(self, desk: Desk, tasks: tuple[Task, ...], seconds: float, how: str) -> list[Outcome]:
         desk.slot.kill()
@@ -348,9 +350,9 @@ class Supervisor:
 
     def _apart(self, tasks: tuple[Task, ...]) -> list[Outcome]:
         """Have tasks done one by one, whose worker died or was late: nobody knows of which."""
-        self.alone.update(one.key for one in tasks)
-        for one in tasks:
-            self.ready.give_back(one)
+        self.alone.update(task.key for task in tasks)
+        for task in tasks:
+            self.ready.give_back(task)
         return []
 
     def _patience(self, busy: list[Desk]) -> float:
@@ -365,7 +367,7 @@ class Supervisor:
 
     def _late(self, busy: list[Desk]) -> list[Outcome]:
         """Stop every task that has run for longer than its limit."""
-        found = []
+        ended = []
         for desk in busy:
             seconds, limit = time.monotonic() - desk.started, self._limit(desk)
             tasks = desk.tasks
@@ -373,14 +375,14 @@ class Supervisor:
                 continue
             desk.tasks = ()
             if not desk.began:
-                found += self._died(desk, tasks, seconds, f"no worker was up within {limit:g} s")
+                ended += self._died(desk, tasks, seconds, f"no worker was up within {limit:g} s")
                 continue
             desk.slot.kill()
             if len(tasks) > 1:
-                found += self._apart(tasks)
+                ended += self._apart(tasks)
             else:
-                found.append(Outcome(tasks[0].key, stopped_late(limit), seconds))
-        return found
+                ended.append(Outcome(tasks[0].key, stopped_late(limit), seconds))
+        return ended
 
 
 # Tasks in this very process, one after the other: for notebooks, tests and debuggers.

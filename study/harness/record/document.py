@@ -394,9 +394,9 @@ def fault_of(content: object, kind: type) -> str:
         place = ".".join(map(str, first["loc"]))
         if first["type"] == "missing":
             return f"it has no {place}"
-        _, _, wanted = first["msg"].partition("Input should ")
+        _, _, expectation = first["msg"].partition("Input should ")
         whose = f"its {place}" if place else "its content"
-        return f"{whose} should {wanted}" if wanted else f"{whose} has another length"
+        return f"{whose} should {expectation}" if expectation else f"{whose} has another length"
     return ""
 
 
@@ -423,7 +423,11 @@ def fault_of_curves(
         measured = curves.get(CurveKey("measured", key.label))
         if key.role == "predicted" and measured is not None and not _reaches(curve, measured):
             return f"its curve {key} ends before the measured one"
-    lost = [one for one in directions if CurveKey("predicted", one["score"]) not in curves]
+    lost = [
+        direction
+        for direction in directions
+        if CurveKey("predicted", direction["score"]) not in curves
+    ]
     return f"it has no curve predicted:{lost[0]['score']}" if lost else ""
 
 
@@ -452,7 +456,7 @@ def _is_readable(curve: Curve) -> bool:
     """Whether each row has every number of it; forces may be unknown, places not."""
     columns = (curve.force_N, curve.stiffness_N_per_mm, curve.work_Nmm, curve.time_s)
     shape = curve.displacement_mm.shape
-    alike = len(shape) == 1 and all(one is None or one.shape == shape for one in columns)
+    alike = len(shape) == 1 and all(column is None or column.shape == shape for column in columns)
     if not alike or not shape[0] or not _is_finite(curve.displacement_mm):
         return False
     if curve.time_s is not None and not _is_finite(curve.time_s):
@@ -467,11 +471,13 @@ def _is_finite(values: Array) -> bool:
 
 def _reaches(predicted: Curve, measured: Curve) -> bool:
     """Whether a prediction is known at every measured place; see :meth:`Curve.force_at`."""
-    asked, known = measured.displacement_mm, predicted.displacement_mm
+    places, reached = measured.displacement_mm, predicted.displacement_mm
     if predicted.time_s is not None:
-        span = float(np.abs(known).max())
-        return asked.shape == known.shape and np.allclose(asked, known, rtol=0, atol=1e-6 * span)
-    return bool(asked.min() >= -1e-12 and asked.max() <= known[-1] * (1 + 1e-9) + 1e-12)
+        span = float(np.abs(reached).max())
+        return places.shape == reached.shape and np.allclose(
+            places, reached, rtol=0, atol=1e-6 * span
+        )
+    return bool(places.min() >= -1e-12 and places.max() <= reached[-1] * (1 + 1e-9) + 1e-12)
 
 
 @cache
@@ -496,8 +502,8 @@ def _schema(hint: object) -> CoreSchema:
     if origin is Annotated:
         return cast(CoreSchema, {**_schema(inner[0]), **dict(inner[1:])})
     if origin in (Union, types.UnionType):
-        (one,) = (kind for kind in inner if kind is not types.NoneType)
-        return core_schema.nullable_schema(_schema(one))
+        (inner_hint,) = (kind for kind in inner if kind is not types.NoneType)
+        return core_schema.nullable_schema(_schema(inner_hint))
     if origin is dict:
         return core_schema.dict_schema(_PLAIN[str], _schema(inner[1]), strict=True)
     if origin is list:
@@ -511,8 +517,8 @@ def _table(kind: type) -> CoreSchema:
     by_class: frozenset[str] = kind.__dict__["__required_keys__"]
     for name, hint in get_type_hints(kind, include_extras=True).items():
         # in annotations that are kept as text the class itself does not see these two
-        said = get_origin(hint) if get_origin(hint) in (Required, NotRequired) else None
-        required = said is Required if said else name in by_class
-        inner = get_args(hint)[0] if said else hint
+        qualifier = get_origin(hint) if get_origin(hint) in (Required, NotRequired) else None
+        required = qualifier is Required if qualifier else name in by_class
+        inner = get_args(hint)[0] if qualifier else hint
         fields[name] = core_schema.typed_dict_field(_schema(inner), required=required)
     return core_schema.typed_dict_schema(fields, strict=True, extra_behavior="ignore")

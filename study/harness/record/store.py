@@ -74,8 +74,8 @@ class ResultFolder(ManifestFolder):
 
     def read_fit(self, fit_id: str) -> dict[str, object] | None:
         """Read a shared calibration; None if it is missing, was damaged, or does not count."""
-        found = self.read_document(f"fits/{fit_id}", StoredFitDocument, _fault_of_fit)
-        return self._counting(found)
+        fit = self.read_document(f"fits/{fit_id}", StoredFitDocument, _fault_of_fit)
+        return self._counting(fit)
 
     def write_solution(self, key: str, content: Mapping[str, object]) -> None:
         """Store a solution of a refinement series."""
@@ -83,19 +83,19 @@ class ResultFolder(ManifestFolder):
 
     def read_solution(self, key: str) -> dict[str, object] | None:
         """Read a solution; None as for a calibration."""
-        found = self.read_document(f"solves/{key}", SolutionDocument, _fault_of_solution)
-        return self._counting(found)
+        solution = self.read_document(f"solves/{key}", SolutionDocument, _fault_of_solution)
+        return self._counting(solution)
 
     def _write_result(self, name: str, content: Mapping[str, object], followed: bool) -> None:
         self.write_json(name, {**content, _MADE_WITH: self._libraries}, followed=followed)
 
     def _counting(
-        self, found: StoredFitDocument | SolutionDocument | None
+        self, document: StoredFitDocument | SolutionDocument | None
     ) -> dict[str, object] | None:
         """Leave out the name of the libraries; None where other ones are to be as missing."""
-        if found is None:
+        if document is None:
             return None
-        result = cast("dict[str, object]", found)
+        result = cast("dict[str, object]", document)
         made_with = result.pop(_MADE_WITH, "")
         return None if self._strict and made_with != self._libraries else result
 
@@ -113,12 +113,12 @@ def _fault_of_fit(fit: StoredFitDocument) -> str:
     return fault_of_fits({"fit": fit}, needed=()) or _fault_of_curve(fit["curve"])
 
 
-def _fault_of_solution(found: SolutionDocument) -> str:
+def _fault_of_solution(solution: SolutionDocument) -> str:
     """Say why a series cannot use a solution; empty if it can."""
-    if found["status"] != CONVERGED:
-        return _fault_of_curve(found["curve"]) if found.get("curve") else ""
-    lost = [key for key in ("curve", "elements", "dofs") if key not in found]
-    return f"it has no {lost[0]}" if lost else _fault_of_curve(found["curve"])
+    if solution["status"] != CONVERGED:
+        return _fault_of_curve(solution["curve"]) if solution.get("curve") else ""
+    lost = [key for key in ("curve", "elements", "dofs") if key not in solution]
+    return f"it has no {lost[0]}" if lost else _fault_of_curve(solution["curve"])
 
 
 def _fault_of_curve(written: Mapping[str, object]) -> str:
@@ -160,8 +160,8 @@ class Store(ResultFolder):
             self._index.note(record, stamp)
         if input_hash is None or (record is not None and record.input_hash == input_hash):
             return record
-        beside = self._read_file(case_id, folder / laid_by(input_hash))
-        return beside if beside is not None and beside.input_hash == input_hash else record
+        laid = self._read_file(case_id, folder / laid_by(input_hash))
+        return laid if laid is not None and laid.input_hash == input_hash else record
 
     def _read_file(self, case_id: str, path: Path) -> Record | None:
         data = self._bytes(path)
@@ -190,18 +190,18 @@ class Store(ResultFolder):
         made_with: dict[str, str] = {}
         missing: list[str] = []
         foreign: list[str] = []
-        for case_id, wanted in input_hashes.items():
-            said = self._said(case_id, wanted)
-            if said is None or not self._counts(said, wanted):
+        for case_id, input_hash in input_hashes.items():
+            entry = self._said(case_id, input_hash)
+            if entry is None or not self._counts(entry, input_hash):
                 missing.append(case_id)
-                if said is not None:
+                if entry is not None:
                     foreign.append(case_id)
                 continue
-            made_with[case_id] = said.libraries
-            if said.converged:
+            made_with[case_id] = entry.libraries
+            if entry.converged:
                 done.append(case_id)
             else:
-                statuses[case_id] = said.status
+                statuses[case_id] = entry.status
         if foreign:
             self._say(
                 f"{self.path}: {len(foreign)} records come from another version of the program, "
@@ -215,21 +215,25 @@ class Store(ResultFolder):
         self, input_hashes: Mapping[str, str], retry: Collection[str] = ()
     ) -> frozenset[str]:
         """Cases that need no run: a valid record of this input, whatever its status."""
-        found = self.survey(input_hashes)
-        again = {case_id for case_id, status in found.statuses.items() if status in retry}
-        return frozenset(found.done + found.failed) - again
+        survey = self.survey(input_hashes)
+        again = {case_id for case_id, status in survey.statuses.items() if status in retry}
+        return frozenset(survey.done + survey.failed) - again
 
     def records(self, input_hashes: Mapping[str, str]) -> list[Record]:
         """Read the records of this very input, in the order of ``input_hashes``."""
-        found = (self.read(case_id, wanted) for case_id, wanted in input_hashes.items())
+        stored = (self.read(case_id, input_hash) for case_id, input_hash in input_hashes.items())
         return [
-            r for r in found if r is not None and self._counts(Entry.of(r), input_hashes[r.case_id])
+            r
+            for r in stored
+            if r is not None and self._counts(Entry.of(r), input_hashes[r.case_id])
         ]
 
     def meshes(self, input_hashes: Mapping[str, str]) -> dict[str, str]:
         """Hash of the mesh of each case that has one."""
-        said = {case: self._said(case, wanted) for case, wanted in input_hashes.items()}
-        return {case: one.mesh for case, one in said.items() if one is not None and one.mesh}
+        entries = {case: self._said(case, input_hash) for case, input_hash in input_hashes.items()}
+        return {
+            case: entry.mesh for case, entry in entries.items() if entry is not None and entry.mesh
+        }
 
     def by_case(self, input_hashes: Mapping[str, str]) -> dict[str, Record]:
         """Read the records of this very input, by the name of their case."""
@@ -250,23 +254,23 @@ class Store(ResultFolder):
         for case_id, made_with in self.survey(input_hashes).made_with.items():
             if made_with not in ("", name_of(versions)):
                 cases[made_with].append(case_id)
-        found = []
+        others = []
         for ids in cases.values():
             record = self.read(ids[0], input_hashes[ids[0]])
             if record is not None:
-                found.append(OtherLibraries(tuple(ids), differences(record.versions, versions)))
-        return found
+                others.append(OtherLibraries(tuple(ids), differences(record.versions, versions)))
+        return others
 
     @cached_property
     def _index(self) -> RecordIndex:
         return RecordIndex(self.path)
 
     def _begin(self) -> None:
-        for known in ("_index", "_finished"):  # another runner may have written since
-            self.__dict__.pop(known, None)
+        for cached in ("_index", "_finished"):  # another runner may have written since
+            self.__dict__.pop(cached, None)
         names = [os.path.join(self.path, "cases", name) for name in self._case_ids()]
-        own = [os.path.join(self.path, name) for name in ("", "fits", "runs")]
-        self._clear_leftovers([*own, *names])
+        folders = [os.path.join(self.path, name) for name in ("", "fits", "runs")]
+        self._clear_leftovers([*folders, *names])
 
     def _end(self) -> None:
         self._flush()
@@ -279,36 +283,38 @@ class Store(ResultFolder):
             self._write(self._json(INDEX), index.text().encode())
             index.written()
 
-    def _said(self, case_id: str, wanted: str) -> Entry | None:
+    def _said(self, case_id: str, input_hash: str) -> Entry | None:
         """Say what a record says: the one that is wanted, by the index where that knows it."""
-        said = self._index.entry(case_id)
-        if said is not None and said.input_hash == wanted:
-            return said
-        record = self.read(case_id, wanted)
+        entry = self._index.entry(case_id)
+        if entry is not None and entry.input_hash == input_hash:
+            return entry
+        record = self.read(case_id, input_hash)
         return None if record is None else Entry.of(record)
 
-    def _counts(self, said: Entry, wanted: str) -> bool:
+    def _counts(self, entry: Entry, input_hash: str) -> bool:
         """Whether a result is one of the input that is wanted."""
-        made_now = not self._strict or said.libraries == self._libraries
-        return said.input_hash == wanted and made_now
+        made_now = not self._strict or entry.libraries == self._libraries
+        return entry.input_hash == input_hash and made_now
 
     def _lay_by(self, record: Record) -> None:
         """Keep the record of a finished study that one of an edited design takes the place of."""
-        kept = self._finished.get(record.case_id)
-        if kept is None or kept == record.input_hash:
+        finished_hash = self._finished.get(record.case_id)
+        if finished_hash is None or finished_hash == record.input_hash:
             return
         path = self._case(record.case_id) / CURRENT
         before = self._read_file(record.case_id, path)
-        if before is not None and before.input_hash == kept:
-            write_atomic(path.with_name(laid_by(kept)), before.to_json().encode(), self._system)
+        if before is not None and before.input_hash == finished_hash:
+            write_atomic(
+                path.with_name(laid_by(finished_hash)), before.to_json().encode(), self._system
+            )
 
     @cached_property
     def _finished(self) -> Mapping[str, str]:
         """Cases of the finished study that is to stay readable."""
-        known = self.read_manifest() if self._locked else None
-        if known is None or not known.get("finished", True):
+        manifest = self.read_manifest() if self._locked else None
+        if manifest is None or not manifest.get("finished", True):
             return {}
-        return known["cases"]
+        return manifest["cases"]
 
     def begin_run(self, meta: ManifestDocument) -> None:
         """Note what is going to be computed; a finished study of another design stays as it is."""
@@ -320,10 +326,10 @@ class Store(ResultFolder):
         before = dict(self._finished)
         super().finish_run(meta)
         self.__dict__.pop("_finished", None)
-        for case_id, kept in before.items():
-            if meta["cases"].get(case_id) != kept:
+        for case_id, finished_hash in before.items():
+            if meta["cases"].get(case_id) != finished_hash:
                 with contextlib.suppress(OSError):  # only space is lost
-                    self._system.unlink(self._case(case_id) / laid_by(kept))
+                    self._system.unlink(self._case(case_id) / laid_by(finished_hash))
 
     def _distrust(self, case_id: str) -> None:
         """Forget a damaged record; an index that vouched for it is worth nothing."""

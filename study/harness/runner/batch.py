@@ -70,13 +70,13 @@ def attempts(work: Work, store: Store, limited: bool) -> list[Attempt]:
         return []
     failed = store.survey(work.input_hashes).failed
     jobs = {job.case.case_id: job for job in work.jobs}
-    found = []
+    attempted = []
     for case_id in failed:
         record = store.read(case_id)
         if record is not None and case_id in jobs:
             attempt = _next(work, jobs[case_id], record, limited)
-            found += [] if attempt is None else [attempt]
-    return found
+            attempted += [] if attempt is None else [attempt]
+    return attempted
 
 
 def _next(work: Work, job: CaseJob, record: Record, limited: bool) -> Attempt | None:
@@ -100,8 +100,8 @@ def _next(work: Work, job: CaseJob, record: Record, limited: bool) -> Attempt | 
 
 def notes_of(record: Record) -> tuple[Mapping[str, str], ...]:
     """Every attempt that a record tells of; empty where the design's own setting gave it."""
-    kept = record.extra.get(RETRIES)
-    return tuple(kept) if isinstance(kept, (list, tuple)) else ()
+    notes = record.extra.get(RETRIES)
+    return tuple(notes) if isinstance(notes, (list, tuple)) else ()
 
 
 def has_other_mesh(record: Record) -> bool:
@@ -231,10 +231,10 @@ def run_batch(
     with store.lock(), _terminate_is_interrupt():
         todo = missing(work, store)
         check_allowed(externals(job.case.config for job in todo), work.allowed.commands)
-        workers, told = jobs or default_jobs(), progress or (lambda _: None)
+        workers, report = jobs or default_jobs(), progress or (lambda _: None)
         place = executor or processes(workers, timeout_s, memory_MB)
-        first = _Batch(work, store, todo, told).execute(workers, place)
-        return _retried(work, store, first, workers, place, told)
+        first = _Batch(work, store, todo, report).execute(workers, place)
+        return _retried(work, store, first, workers, place, report)
 
 
 def _retried(
@@ -248,11 +248,13 @@ def _retried(
     """Try what the design says of the cases that failed, until nothing is left to be tried."""
     total = first
     while todo := attempts(work, store, limit_of(place) is not None):
-        ways = {(one.longer, one.alone): None for one in todo}
+        ways = {(attempt.longer, attempt.alone): None for attempt in todo}
         for longer, alone in ways:
-            own = [one for one in todo if (one.longer, one.alone) == (longer, alone)]
-            notes = {one.job.case.case_id: one.notes for one in own}
-            batch = _Batch(work, store, [one.job for one in own], progress, notes)
+            alike = [
+                attempt for attempt in todo if (attempt.longer, attempt.alone) == (longer, alone)
+            ]
+            notes = {attempt.job.case.case_id: attempt.notes for attempt in alike}
+            batch = _Batch(work, store, [attempt.job for attempt in alike], progress, notes)
             there = adapted(place, longer, alone)
             total = total.with_retried(batch.execute(1 if alone else workers, there))
     return total

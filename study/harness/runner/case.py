@@ -98,8 +98,8 @@ class PlateFit:
     def to_json(self, layers: tuple[str, ...]) -> PlateFitDocument:
         """Plain values, for a record and a report."""
         shown = zip(COMPONENTS, self.motion, self.standard_error, strict=True)
-        own = np.array(layers) if layers else np.full(len(self.errors), "")
-        names = dict.fromkeys(own[self.scored].tolist()) if layers else {}
+        layer_of = np.array(layers) if layers else np.full(len(self.errors), "")
+        names = dict.fromkeys(layer_of[self.scored].tolist()) if layers else {}
         by_axis = np.sqrt((self.errors[self.scored] ** 2).mean(axis=0))
         return {
             "plate": self.plate,
@@ -108,7 +108,7 @@ class PlateFit:
             "error_mm": self.rms_mm,
             "error_by_axis_mm": [float(v) for v in by_axis],
             "error_by_layer_mm": {
-                str(k): rms(self.errors[self.scored & (own == k)]) for k in names
+                str(k): rms(self.errors[self.scored & (layer_of == k)]) for k in names
             },
             "motion": {name: [float(value), float(error)] for name, value, error in shown},
         }
@@ -193,11 +193,11 @@ class _Fitter:
 
 
 def _solved(slope: Array, errors: Array) -> Array:
-    found, _, rank, _ = np.linalg.lstsq(slope, errors, rcond=1e-10)
+    solution, _, rank, _ = np.linalg.lstsq(slope, errors, rcond=1e-10)
     if rank < slope.shape[1]:
         rule = "the markers that are fitted do not tell every component of the plate's motion"
         raise InputError(Fault("markers.fit", rule, "fit more layers, or another plate"))
-    return np.asarray(found)
+    return np.asarray(solution)
 
 
 def _standard_errors(slope: Array, errors: Array) -> Array:
@@ -239,15 +239,15 @@ def predicted_markers(
         "floor_mm": markers.localization_floor(label),
         "fits": [fit.to_json(markers.layers) for fit in fits],
     }
-    found = PredictedCurve.of(solution, time.perf_counter() - began)
-    return replace(found, markers=document)
+    predicted = PredictedCurve.of(solution, time.perf_counter() - began)
+    return replace(predicted, markers=document)
 
 
-def marker_responses(tables: Tables, found: MarkerDocument) -> dict[str, Quantity]:
+def marker_responses(tables: Tables, document: MarkerDocument) -> dict[str, Quantity]:
     """Errors of the markers, with the plate that the study asks for, mm."""
     plate = MarkerSpec.from_dict(table_of(tables, "markers")).plate
     # of all markers first; then, where layers are named, of those outside them
-    errors = [fit["error_mm"] for fit in found["fits"] if fit["plate"] == plate]
+    errors = [fit["error_mm"] for fit in document["fits"] if fit["plate"] == plate]
     return {
         "marker_error": {"value": errors[0], "unit": "mm"},
         "predicted_marker_error": {"value": errors[1] if len(errors) > 1 else None, "unit": "mm"},
@@ -277,15 +277,15 @@ class Executed:
 
 def perform(task: CaseTask) -> dict[str, object]:
     """Execute one case: a task for a worker."""
-    found = executed(task)
-    record = found.record
+    done = executed(task)
+    record = done.record
     answer: dict[str, object] = {
         "status": record.status,
         "message": record.message,
         "record": record.to_json(),
     }
-    if found.folder:
-        answer["folder"] = base64.b64encode(found.folder).decode("ascii")
+    if done.folder:
+        answer["folder"] = base64.b64encode(done.folder).decode("ascii")
     return answer
 
 
@@ -316,33 +316,33 @@ _RENDERED = 64_000
 def _of_parameters(task: CaseTask) -> Executed:
     """Record of a case of parameters alone."""
     try:
-        found, solver = answer_of_parameters(task.tables, task.job.case.case_id)
+        answer, solver = answer_of_parameters(task.tables, task.job.case.case_id)
     except NoAnswer as error:
         raise Stopped(error.status, str(error), error) from error
-    known = {**found.values, "seconds": found.seconds}
-    wanted: dict[str, ResponseDocument] = {}
+    values = {**answer.values, "seconds": answer.seconds}
+    responses: dict[str, ResponseDocument] = {}
     for name, unit in task.units.items():
-        value = known.get(name)
-        if value is None and found.curve is not None and is_simulated(name):
-            place, end = simulated_at(name)[1], float(found.curve.displacement_mm[-1])
+        value = values.get(name)
+        if value is None and answer.curve is not None and is_simulated(name):
+            place, end = simulated_at(name)[1], float(answer.curve.displacement_mm[-1])
             if place is not None and place > end * (1 + 1e-9):
                 raise Stopped("not-converged", f"the curve ends at {end:g} mm, {name} is beyond")
-            value = response.SimulatedResponse(name).of(found.curve)
+            value = response.SimulatedResponse(name).of(answer.curve)
         if value is None:
-            named = nearest(name, found.values) if found.values else "it gives a curve alone"
+            named = nearest(name, answer.values) if answer.values else "it gives a curve alone"
             raise Stopped("failed", f"there is no {name} among the answers ({named})")
-        wanted[name] = {"value": float(value), "unit": unit}
+        responses[name] = {"value": float(value), "unit": unit}
     record = task.record("converged", "")
     return Executed(
         replace(
             record,
-            responses=wanted,
-            curves={} if found.curve is None else {CurveKey("predicted", "all"): found.curve},
-            timings={"predict": found.seconds, "total": found.seconds},
+            responses=responses,
+            curves={} if answer.curve is None else {CurveKey("predicted", "all"): answer.curve},
+            timings={"predict": answer.seconds, "total": answer.seconds},
             solver=solver,
-            extra={**record.extra, **_rendered(found.rendered)},
+            extra={**record.extra, **_rendered(answer.rendered)},
         ),
-        found.folder,
+        answer.folder,
     )
 
 
@@ -366,20 +366,20 @@ def _predicted(task: CaseTask) -> Executed:
     """Record of a case whose curves are predicted and scored."""
     directions = task.scored
     predictions = [_predict(task, direction) for direction in directions]
-    found = [
+    compared = [
         task.compared(direction, prediction.curve)
         for direction, prediction in zip(directions, predictions, strict=True)
     ]
-    scores = [response.score(one, task.units) for one in found]
+    scores = [response.score(curves, task.units) for curves in compared]
     seconds = _seconds(task, predictions)
     means = response.averaged(scores) | _constants(task)
     means |= {"seconds": {"value": seconds["total"], "unit": "s"}}
-    marked = [one.markers for one in predictions if one.markers is not None]
-    for one in marked:
-        means |= marker_responses(task.tables, one)
+    marked = [prediction.markers for prediction in predictions if prediction.markers is not None]
+    for document in marked:
+        means |= marker_responses(task.tables, document)
     means |= {"dofs": {"value": predictions[-1].mesh.get("dofs"), "unit": ""}}
     for name in predictions[0].values:
-        every = [one.values[name] for one in predictions if name in one.values]
+        every = [prediction.values[name] for prediction in predictions if name in prediction.values]
         means[name] = {"value": float(np.mean(every)), "unit": task.units.get(name, "")}
     steps = _step_uncertainty(task, predictions)
     record = task.record("converged", "")
@@ -415,20 +415,22 @@ def _refitted(task: CaseTask) -> Record:
 
 def _constants(task: CaseTask) -> dict[str, Quantity]:
     """Constants averaged over the directions that give them, with units."""
-    return response.averaged([response.constants_of(task.compared(one)) for one in task.identified])
+    return response.averaged(
+        [response.constants_of(task.compared(pair)) for pair in task.identified]
+    )
 
 
 def _wanted(
     task: CaseTask, means: Mapping[str, Quantity], steps: Mapping[str, float]
 ) -> dict[str, ResponseDocument]:
     """Responses that the record of a case holds, with the uncertainty of the load steps."""
-    wanted: dict[str, ResponseDocument] = {}
+    responses: dict[str, ResponseDocument] = {}
     for name, unit in task.units.items():
         mean = means.get(name, {"value": None, "unit": unit})
-        wanted[name] = {"value": mean["value"], "unit": mean["unit"]}
+        responses[name] = {"value": mean["value"], "unit": mean["unit"]}
         if name in steps:
-            wanted[name]["u_steps"] = steps[name]
-    return wanted
+            responses[name]["u_steps"] = steps[name]
+    return responses
 
 
 def _predict(task: CaseTask, direction: ScorePair) -> PredictedCurve:
@@ -444,11 +446,11 @@ def _predict(task: CaseTask, direction: ScorePair) -> PredictedCurve:
         return _closed_form(task, constants, direction)
     if task.job.forward == "external" or External.of(task.tables) is not None:
         return _external(task.tables, constants, direction)
-    found = _ANCHORS.predict(task.tables, constants, direction.depth_mm, task.anchor)
-    solution = found.solution
+    anchored = _ANCHORS.predict(task.tables, constants, direction.depth_mm, task.anchor)
+    solution = anchored.solution
     if solution.status != "converged":
         raise Stopped(solution.status, f"{solution.message} (reached {solution.reached_mm:g} mm)")
-    return PredictedCurve.of(solution, found.cold_seconds)
+    return PredictedCurve.of(solution, anchored.cold_seconds)
 
 
 def _marked(
@@ -488,10 +490,10 @@ def _closed_form(
     problem, measured = problem_of(task.tables, constants, direction.depth_mm), direction.measured
     if measured is None:
         test = replace(problem.test, steps=max(problem.test.steps, _STEPS))
-        found = closed_form.solution(replace(problem, test=test))
-        if found.status != "converged":
-            raise Stopped(found.status, found.message)
-        return PredictedCurve(found.curve.without_gradients(), solver={"name": found.solver})
+        solution = closed_form.solution(replace(problem, test=test))
+        if solution.status != "converged":
+            raise Stopped(solution.status, solution.message)
+        return PredictedCurve(solution.curve.without_gradients(), solver={"name": solution.solver})
     setup, material = problem.setup, problem.material
     if measured.time_s is None and response.of_prediction(task.units):
         curve = closed_form.between_rows(setup, material, measured.displacement_mm)
@@ -505,30 +507,32 @@ def _closed_form(
 def _step_uncertainty(task: CaseTask, predictions: Sequence[PredictedCurve]) -> dict[str, float]:
     """Return what half the load steps change in every response, as a mean over directions."""
     if External.of(task.tables) is not None:
-        each = [response.splined_uncertainty(one.curve, task.units) for one in predictions]
+        each = [
+            response.splined_uncertainty(prediction.curve, task.units) for prediction in predictions
+        ]
     else:
         each = [
             response.step_uncertainty(prediction.curve, direction.measured, task.units)
             for prediction, direction in zip(predictions, task.scored, strict=True)
         ]
     # of one direction fewer points may have been measured, too few to leave half of them out
-    known = [name for name in each[0] if all(name in u for u in each)]
-    return {name: float(np.mean([u[name] for u in each])) for name in known}
+    names = [name for name in each[0] if all(name in u for u in each)]
+    return {name: float(np.mean([u[name] for u in each])) for name in names}
 
 
 def _solver(predictions: Sequence[PredictedCurve]) -> SolverDocument:
     """Facts of the last direction's solver, with the worst energy balance of all directions."""
     every = [prediction.solver for prediction in predictions]
-    found: SolverDocument = {**every[-1]}
-    mismatch = [one["energy_mismatch"] for one in every if "energy_mismatch" in one]
+    facts: SolverDocument = {**every[-1]}
+    mismatch = [each["energy_mismatch"] for each in every if "energy_mismatch" in each]
     if mismatch:
-        found["energy_mismatch"] = max(mismatch)
-    shares = [one["stabilization_share"] for one in every if "stabilization_share" in one]
+        facts["energy_mismatch"] = max(mismatch)
+    shares = [each["stabilization_share"] for each in every if "stabilization_share" in each]
     if shares:
-        found["stabilization_share"] = max(shares)
-    if "snaps_mm" in found:
-        found["snaps_mm"] = sorted({place for one in every for place in one.get("snaps_mm", ())})
-    return found
+        facts["stabilization_share"] = max(shares)
+    if "snaps_mm" in facts:
+        facts["snaps_mm"] = sorted({place for each in every for place in each.get("snaps_mm", ())})
+    return facts
 
 
 def _seconds(task: CaseTask, predictions: Sequence[PredictedCurve]) -> dict[str, float]:
@@ -558,15 +562,15 @@ def _parameters(task: CaseTask) -> dict[str, ParameterDocument]:
 def _standard_error(name: str, fits: Sequence[FitDocument]) -> float | None:
     """Find the standard error of the mean of a constant; None unless all fits know theirs."""
     errors = [fit.get("standard_error", {}).get(name) for fit in fits]
-    known = [response.scale_of(name) * float(e) for e in errors if e is not None]
-    complete = bool(known) and len(known) == len(fits)
-    return float(np.sqrt(np.sum(np.square(known))) / len(known)) if complete else None
+    in_unit = [response.scale_of(name) * float(e) for e in errors if e is not None]
+    complete = bool(in_unit) and len(in_unit) == len(fits)
+    return float(np.sqrt(np.sum(np.square(in_unit))) / len(in_unit)) if complete else None
 
 
 def _interval(name: str, fit: FitDocument) -> list[float] | None:
     pair = fit.get("ci95", {}).get(name) or ()
-    known = [response.scale_of(name) * float(end) for end in pair if end is not None]
-    return known if len(known) == 2 else None
+    in_unit = [response.scale_of(name) * float(end) for end in pair if end is not None]
+    return in_unit if len(in_unit) == 2 else None
 
 
 def _fits(task: CaseTask) -> dict[str, FitDocument] | None:

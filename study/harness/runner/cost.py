@@ -72,11 +72,11 @@ class Costs:
             return overhead + job.predictions * external.section.price_s
         if not job.origin.predicts or job.forward != "simulation":
             return _OVERHEAD_S
-        one, solves = self.solve_seconds(config, job.depth_mm), float(job.predictions)
+        solve_s, solves = self.solve_seconds(config, job.depth_mm), float(job.predictions)
         if job.group:
             solves = _from_anchor(config) * solves + (job.group not in self._anchored)
             self._anchored.add(job.group)
-        return _OVERHEAD_S + solves * one
+        return _OVERHEAD_S + solves * solve_s
 
     def total_seconds(self, fits: Iterable[FitJob], cases: Iterable[CaseJob], jobs: int) -> float:
         """Wall time on a number of workers."""
@@ -143,9 +143,9 @@ def _evaluations(names: Sequence[str]) -> int:
 
 def program_calls(fits: Iterable[FitJob], cases: Iterable[CaseJob]) -> int:
     """Count the calls of other programs in some fits and cases."""
-    asked = (one for one in cases if one.forward == "external" and one.origin.predicts)
-    predicted = sum(one.predictions for one in asked)
-    return predicted + sum(fit_calls(one.problem) for one in fits)
+    external_cases = (job for job in cases if job.forward == "external" and job.origin.predicts)
+    predicted = sum(job.predictions for job in external_cases)
+    return predicted + sum(fit_calls(fit.problem) for fit in fits)
 
 
 def _scales(names: Sequence[str]) -> bool:
@@ -175,7 +175,7 @@ def _estimated(
     depth = depth_mm or 0.2 * (Setup.of(config).height_mm or 1.0)
     try:
         problem = with_placeholder(config, depth, C10_MPa=0.005)
-        found = estimate(problem.setup, patience_s=patience_s)
-        return float(found.seconds), float(found.memory_MB), found.counting_s
+        estimated = estimate(problem.setup, patience_s=patience_s)
+        return float(estimated.seconds), float(estimated.memory_MB), estimated.counting_s
     except (InputError, ValueError, RuntimeError):
         return 1.0, 0.0, 0.0  # an estimate must never stop a plan; the case will say what is wrong

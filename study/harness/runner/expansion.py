@@ -52,7 +52,7 @@ from study.mechanics.setup.setup import Tables
 # Repeats of every cell for an error term: other meshes, or fits to resampled noise.
 
 
-def seeded(found: Sequence[Case], design: Design) -> tuple[tuple[Case, Origin], ...]:
+def seeded(distinct: Sequence[Case], design: Design) -> tuple[tuple[Case, Origin], ...]:
     """Every case on each of its meshes, with the number of the mesh; once where none are asked.
 
     Seeds are made of the study's seed and the cell: the meshes of one cell are the same in
@@ -60,26 +60,28 @@ def seeded(found: Sequence[Case], design: Design) -> tuple[tuple[Case, Origin], 
     """
     seeds = design.replicates.mesh_seeds
     if design.replicates.key is not None:
-        return _reseeded(found, design, design.replicates.key.partition(".")[2])
+        return _reseeded(distinct, design, design.replicates.key.partition(".")[2])
     if not seeds:
-        return tuple((case, Origin()) for case in found)
-    _check_count(len(found) * seeds)
+        return tuple((case, Origin()) for case in distinct)
+    _check_count(len(distinct) * seeds)
     return tuple(
         (_on_mesh(case, _seed(design, case, number)), Origin(mesh_seed=number))
-        for case in found
+        for case in distinct
         for number in range(1, seeds + 1)
     )
 
 
-def _reseeded(found: Sequence[Case], design: Design, name: str) -> tuple[tuple[Case, Origin], ...]:
+def _reseeded(
+    distinct: Sequence[Case], design: Design, name: str
+) -> tuple[tuple[Case, Origin], ...]:
     """Every case with several values of the parameter that seeds a stochastic simulation.
 
     No two cells share a seed, so that the cases of a cell are true replicates.
     """
     count = design.replicates.n
-    _check_count(len(found) * count)
+    _check_count(len(distinct) * count)
     made = []
-    for case in found:
+    for case in distinct:
         for number in range(1, count + 1):
             parameters = {**table_of(case.config, "parameters"), name: _seed(design, case, number)}
             config = {**case.config, "parameters": parameters}
@@ -167,11 +169,11 @@ def held_out(
 def distinct_tests(configs: Sequence[Tables]) -> tuple[Tables, ...]:
     """List the tests of a study: its different specimens, tests and measurements."""
     tested = [config for config in configs if "test" in config]
-    found = {
+    by_name = {
         _name(config): {key: config[key] for key in ("specimen", "test", "measurements")}
         for config in tested
     }
-    return tuple(found.values())
+    return tuple(by_name.values())
 
 
 def _without_specimen(
@@ -252,26 +254,26 @@ def cases_by_id(design: Design, blocks: Sequence[str]) -> dict[str, Case]:
 
 
 def relabeled(
-    records: Iterable[Record], design: Design, known: Mapping[str, Case]
+    records: Iterable[Record], design: Design, cases: Mapping[str, Case]
 ) -> tuple[Record, ...]:
     """Give records the levels of their cases: a level of another name is computed no more."""
-    found = []
+    relabelled = []
     for record in records:
-        case = known.get(record.case_id)
+        case = cases.get(record.case_id)
         if case is None:
-            found += [record] if _is_of(record, design) else []
+            relabelled += [record] if _is_of(record, design) else []
         elif case.levels == record.levels and case.block == record.block:
-            found.append(record)
+            relabelled.append(record)
         else:
-            found.append(replace(record, levels=dict(case.levels), block=case.block))
-    return tuple(found)
+            relabelled.append(replace(record, levels=dict(case.levels), block=case.block))
+    return tuple(relabelled)
 
 
 def _is_of(record: Record, design: Design) -> bool:
     """Whether each level of a record is one of the design's."""
-    known = {factor.name: factor.labels for factor in design.factors}
-    return known.keys() == record.levels.keys() and all(
-        record.levels[name] in labels for name, labels in known.items()
+    labels_of = {factor.name: factor.labels for factor in design.factors}
+    return labels_of.keys() == record.levels.keys() and all(
+        record.levels[name] in labels for name, labels in labels_of.items()
     )
 
 
@@ -292,8 +294,8 @@ class Computed:
         """Work out what the cases of a cell share, from one whose files were found."""
         problem = fit_problem(case.config)
         names = (code_version(), *provenance.fingerprints(case.config), *identity(case.config))
-        asked = sorted(units_asked(design))
-        return cls(case.config, problem, _forward_of(case, problem), (asked, *names))
+        names_asked = sorted(units_asked(design))
+        return cls(case.config, problem, _forward_of(case, problem), (names_asked, *names))
 
 
 def units_asked(design: Design) -> dict[str, str]:
@@ -301,31 +303,31 @@ def units_asked(design: Design) -> dict[str, str]:
     if design.is_alone:
         return {response.name: response.unit for response in design.responses}
     forwards = {cell.cell.problem.forward for cell in design.treatments}
-    values = {k: u for one in forwards if one is not None for k, u in one.units.items()}
+    values = {k: u for forward in forwards if forward is not None for k, u in forward.units.items()}
     names = [response.name for response in design.responses if response.name not in values]
-    asked = {r.name: r.unit for r in design.responses if r.name in values}
-    return units_of(names, design.is_measured) | asked
+    of_program = {r.name: r.unit for r in design.responses if r.name in values}
+    return units_of(names, design.is_measured) | of_program
 
 
 def _common_blocks(cells: Sequence[Treatment], data: DataCache) -> tuple[str, ...]:
     """Labels of the blocks, the same in the measurements of every treatment."""
-    found: tuple[str, ...] | None = None
+    common: tuple[str, ...] | None = None
     for cell in cells:
         measured, marked = data.scored(cell.config), cell.cell.problem.markers
-        own = () if measured is None else measured.blocks
-        own = own if marked is None else marked.labels
-        if found is not None and own != found:
-            rule = f"treatments have different blocks: {', '.join(found)} and {', '.join(own)}"
+        labels = () if measured is None else measured.blocks
+        labels = labels if marked is None else marked.labels
+        if common is not None and labels != common:
+            rule = f"treatments have different blocks: {', '.join(common)} and {', '.join(labels)}"
             raise InputError(Fault("measurements.block", rule))
-        found = own
-    return found or ()
+        common = labels
+    return common or ()
 
 
-def _distinct(found: Sequence[Case]) -> tuple[Case, ...]:
+def _distinct(repeated_cases: Sequence[Case]) -> tuple[Case, ...]:
     """Give cells of equal content names of their own, so that none hides the other's record."""
     seen: set[str] = set()
     out = []
-    for case in found:
+    for case in repeated_cases:
         made = repeated(case, [case.levels]) if case.case_id in seen else case
         seen.add(made.case_id)
         out.append(made)
@@ -334,8 +336,8 @@ def _distinct(found: Sequence[Case]) -> tuple[Case, ...]:
 
 def _located(case: Case, places: Sequence[Path], allowed: Allowed = NOTHING) -> Case:
     """Copy a case with its surfaces, and the files of its forward model, found and checked."""
-    found = provenance.with_markers(provenance.located(case.config, places), places)
-    made = with_external(found, places, allowed.function)
+    config = provenance.with_markers(provenance.located(case.config, places), places)
+    made = with_external(config, places, allowed.function)
     check_templates(made, case.case_id)
     return replace(case, config=made)
 
@@ -364,8 +366,8 @@ def _forward_of(case: Case, problem: FitProblem) -> Forward:
     forward = case.treatment.cell.problem.forward
     if forward is not None:
         return "closed-form" if forward.model == "closed-form" else "external"
-    asked = case.treatment.cell.method == "analytic" and case.setup.is_homogeneous
-    return "closed-form" if asked or case.setup.has_no_elements else "simulation"
+    is_analytic = case.treatment.cell.method == "analytic" and case.setup.is_homogeneous
+    return "closed-form" if is_analytic or case.setup.has_no_elements else "simulation"
 
 
 def _score_pairs(
@@ -419,9 +421,11 @@ def _fitted_pairs(
     case: Case, problem: FitProblem, scored: Measurements, data: DataCache
 ) -> list[ScorePair]:
     """Pairs whose constants come from the curves that the study file selects."""
-    own = data.calibrated(case.config)
-    if own is not None:
-        fitted = own.curve(case.block if own.block is not None else None, **dict(own.fit or {}))
+    calibrated = data.calibrated(case.config)
+    if calibrated is not None:
+        fitted = calibrated.curve(
+            case.block if calibrated.block is not None else None, **dict(calibrated.fit or {})
+        )
         return [_first_pair(scored, case, fit_job(problem, (fitted.curve,), case.label))]
     return _swapped_pairs(scored, case, problem)
 
@@ -467,12 +471,12 @@ def fit_job(problem: FitProblem, measured: tuple[Curve, ...], label: str) -> Fit
     return FitJob.of(problem, measured, start, label)
 
 
-def _anchored(found: Iterable[CaseJob]) -> tuple[CaseJob, ...]:
+def _anchored(unanchored: Iterable[CaseJob]) -> tuple[CaseJob, ...]:
     """Give the cases of each cell their anchor: the fit of the first case's first direction.
 
     The anchor decides the last digits of a prediction and is therefore part of its identity.
     """
-    jobs = tuple(found)
+    jobs = tuple(unanchored)
     groups = [
         digest([plain(job.case.config), job.depth_mm], 32) if _may_share_a_start(job) else ""
         for job in jobs

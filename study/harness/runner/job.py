@@ -94,36 +94,38 @@ class DataCache:
 
     def calibrated(self, tables: Tables) -> Measurements | None:
         """Measurements that only the calibration uses."""
-        own = CalibrationTable.of(tables).problem
-        if not own or own.get("measurements") == tables.get("measurements"):
+        problem = CalibrationTable.of(tables).problem
+        if not problem or problem.get("measurements") == tables.get("measurements"):
             return None
-        return self._get(own)
+        return self._get(problem)
 
     def notes(self) -> tuple[str, ...]:
         """Count what every rule did to the data, each once."""
-        return tuple(dict.fromkeys(n for found in self._read.values() for n in found.notes))
+        return tuple(dict.fromkeys(n for measured in self._read.values() for n in measured.notes))
 
     def files(self) -> dict[str, str]:
         """Name of each file read and its sha256."""
-        return {name: sha for found in self._read.values() for name, sha in found.files.items()}
+        return {
+            name: sha for measured in self._read.values() for name, sha in measured.files.items()
+        }
 
     def _get(self, tables: Tables) -> Measurements | None:
         spec, made = tables.get("measurements"), measurements_of(tables)
         if made is None:
             return None
         setup = Setup.of(tables)
-        asked = (id(spec), setup.height_mm, setup.test.displacement_mm, gauge_of(setup))
-        if asked not in self._asked:
-            self._asked[asked] = (spec, self._conditioned(made, setup))
-        return self._asked[asked][1]
+        place = (id(spec), setup.height_mm, setup.test.displacement_mm, gauge_of(setup))
+        if place not in self._asked:
+            self._asked[place] = (spec, self._conditioned(made, setup))
+        return self._asked[place][1]
 
     def _conditioned(self, made: MeasurementSpec, setup: Setup) -> Measurements:
         height, depth, gauge = setup.height_mm, setup.test.displacement_mm, gauge_of(setup)
         key = digest([made.as_dict(), height, depth, None if gauge is None else asdict(gauge)])
         if key not in self._read:
             rows = self._recordings(made)
-            found = read_measurements(made, self.root, height, depth, gauge, rows)
-            self._read[key] = conditioning.checked(found, setup)
+            measurements = read_measurements(made, self.root, height, depth, gauge, rows)
+            self._read[key] = conditioning.checked(measurements, setup)
         return self._read[key]
 
     def _recordings(self, spec: MeasurementSpec) -> Recordings:
@@ -238,8 +240,8 @@ class CaseJob:
     @property
     def fits(self) -> tuple[FitJob, ...]:
         """The fits that it waits for, each once."""
-        found = (self.anchor, *(pair.fit for pair in self.directions))
-        return tuple({fit.key: fit for fit in found if fit is not None}.values())
+        every = (self.anchor, *(pair.fit for pair in self.directions))
+        return tuple({fit.key: fit for fit in every if fit is not None}.values())
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -290,8 +292,8 @@ class Work:
 
     def plain(self) -> Work:
         """Leave the replicates out: the first mesh of a cell, the curve as measured."""
-        own = [job for job in self.jobs if not is_repeat(job.origin.to_json())]
-        return replace(self, jobs=tuple(own))
+        originals = [job for job in self.jobs if not is_repeat(job.origin.to_json())]
+        return replace(self, jobs=tuple(originals))
 
     @property
     def input_hashes(self) -> dict[str, str]:
@@ -390,13 +392,13 @@ class CaseTask:
 
 def fits_of(jobs: Iterable[CaseJob]) -> dict[str, FitJob]:
     """Every fit that some cases need, by its key, with those that give start values first."""
-    found: dict[str, FitJob] = {}
+    by_key: dict[str, FitJob] = {}
     for job in jobs:
         for fit in job.fits:
-            for one in fit.chain:
-                found.setdefault(one.key, one)
-    starts = {fit.start.key for fit in found.values() if fit.start is not None}
-    return dict(sorted(found.items(), key=lambda item: item[0] not in starts))
+            for link in fit.chain:
+                by_key.setdefault(link.key, link)
+    starts = {fit.start.key for fit in by_key.values() if fit.start is not None}
+    return dict(sorted(by_key.items(), key=lambda item: item[0] not in starts))
 
 
 def repeated(case: Case, way: Sequence[object], tables: Tables | None = None) -> Case:

@@ -37,9 +37,9 @@ class CalibrationTable:
 
 def with_both(tables: Tables, name: str, **changes: object) -> dict[str, object]:
     """Copy a document with other values in one table, in the problem of the calibration too."""
-    made, own = with_table(tables, name, **changes), CalibrationTable.of(tables).problem
-    if own and table_of(own, name):
-        made = with_table(made, "calibration", problem=with_table(own, name, **changes))
+    made, problem = with_table(tables, name, **changes), CalibrationTable.of(tables).problem
+    if problem and table_of(problem, name):
+        made = with_table(made, "calibration", problem=with_table(problem, name, **changes))
     return made
 
 

@@ -46,7 +46,7 @@ class Refinable(Protocol[Step, Found_contra]):
         """List what is to be computed next; empty where the series has ended."""
         ...
 
-    def add(self, step: Step, found: Found_contra) -> None:
+    def add(self, step: Step, result: Found_contra) -> None:
         """Take what a computation gave."""
         ...
 
@@ -55,10 +55,10 @@ def refine(
     series: Sequence[Refinable[Step, Found]], compute: Callable[[Sequence[Step]], Sequence[Found]]
 ) -> None:
     """Compute what is due of every series, all series of one round together, until none is."""
-    while due := [(one, step) for one in series for step in one.due()]:
-        found = compute([step for _, step in due])
-        for (one, step), result in zip(due, found, strict=True):
-            one.add(step, result)
+    while due := [(member, step) for member in series for step in member.due()]:
+        results = compute([step for _, step in due])
+        for (member, step), result in zip(due, results, strict=True):
+            member.add(step, result)
 
 
 #: an order needs as many meshes, and no series gets longer than this
@@ -193,14 +193,14 @@ class RefinementSeries:
         size = float(self.first_mm / self.spec.ratio ** len(self.levels))
         return [PlannedMesh(size, SolveTask.of(self.tables, size), self.predicted())]
 
-    def add(self, step: PlannedMesh, found: SolveResult) -> None:
+    def add(self, step: PlannedMesh, result: SolveResult) -> None:
         """Take a solution."""
-        self.levels.append(MeshLevel(step.mesh_size_mm, found, step.predicted))
+        self.levels.append(MeshLevel(step.mesh_size_mm, result, step.predicted))
 
     def _end(self) -> str:
         """Why no further mesh is solved; empty while one is wanted."""
-        count, wanted = len(self.levels), max(FEWEST, self.spec.levels)
-        if count >= wanted and len(self.good) >= FEWEST:
+        count, needed = len(self.levels), max(FEWEST, self.spec.levels)
+        if count >= needed and len(self.good) >= FEWEST:
             if self.spec.tolerance is None:
                 return f"{count} meshes were asked for"
             seen = self.outlook(self.levels)
@@ -208,7 +208,7 @@ class RefinementSeries:
                 return "every quantity has the wanted accuracy"
             if hopeless := self._hopeless(seen.size_needed_mm):
                 return hopeless
-        if count >= MOST or (count >= wanted + 2 and len(self.good) < FEWEST):
+        if count >= MOST or (count >= needed + 2 and len(self.good) < FEWEST):
             return f"{count} meshes are enough"
         next_one = self.predicted()
         return self.budget.refuses(next_one.seconds, next_one.memory_MB) if count else ""
@@ -230,17 +230,17 @@ class RefinementSeries:
 
     def predicted(self) -> Predictions:
         """Cost of the next mesh, from what the meshes so far took."""
-        known = [level.result for level in self.good if level.result.dofs > 0]
-        if not known:
+        solved = [level.result for level in self.good if level.result.dofs > 0]
+        if not solved:
             return Predictions()
-        last, space = known[-1], self.setup.model.space
+        last, space = solved[-1], self.setup.model.space
         growth = self.spec.ratio ** (2 if space == "axisymmetric" else 3)
         time_exponent = _TIME_EXPONENT[space]
-        if len(known) > 1 and known[-2].dofs < last.dofs:
-            growth = last.dofs / known[-2].dofs
-            time_exponent = _exponent(known[-2], last, time_exponent)
-        own = max(last.memory_MB - last.base_MB, 1.0)
-        memory = last.base_MB + own * growth**_MEMORY_EXPONENT
+        if len(solved) > 1 and solved[-2].dofs < last.dofs:
+            growth = last.dofs / solved[-2].dofs
+            time_exponent = _exponent(solved[-2], last, time_exponent)
+        growth_MB = max(last.memory_MB - last.base_MB, 1.0)
+        memory = last.base_MB + growth_MB * growth**_MEMORY_EXPONENT
         return Predictions(last.seconds * growth**time_exponent, memory, round(last.dofs * growth))
 
 
@@ -248,8 +248,8 @@ def _exponent(before: SolveResult, last: SolveResult, usual: float) -> float:
     """Power of the unknowns that the time followed; small times say nothing."""
     if before.seconds < 0.02 or last.seconds <= before.seconds:
         return usual
-    found = math.log(last.seconds / before.seconds) / math.log(last.dofs / before.dofs)
-    return min(max(found, 1.0), 3.0)
+    exponent = math.log(last.seconds / before.seconds) / math.log(last.dofs / before.dofs)
+    return min(max(exponent, 1.0), 3.0)
 
 
 def solving(
@@ -265,9 +265,9 @@ def solving(
 
 
 def _announced(planned: Sequence[PlannedMesh]) -> str:
-    known = [m.predicted.seconds for m in planned if m.predicted.seconds is not None]
+    foretold = [m.predicted.seconds for m in planned if m.predicted.seconds is not None]
     sizes = ", ".join(dict.fromkeys(f"{mesh.mesh_size_mm:.3g}" for mesh in planned[:4]))
-    cost = f", about {sum(known):.2g} s of computing" if known else ""
+    cost = f", about {sum(foretold):.2g} s of computing" if foretold else ""
     several = "s" if len(planned) > 1 else ""
     return f"mesh size {sizes} mm: {len(planned)} solution{several}{cost}"
 
@@ -365,12 +365,12 @@ def formal_order(problem: Problem) -> FormalOrder:
     smooth = 2.0 * _DEGREE[problem.model.element_order]
     degree = problem.model.element_order
     singularities = problem.setup.kind.singularities(problem.test)
-    found = [_limit(problem, singularity) for singularity in singularities]
+    singular = [_limit(problem, singularity) for singularity in singularities]
     if problem.model.space == "3d" and isinstance(problem.specimen, Cylinder):
-        found.append((2.0, "the cylinder's straight-sided elements"))
+        singular.append((2.0, "the cylinder's straight-sided elements"))
     if isinstance(problem.specimen, Enclosed):
-        found.append((2.0, "straight-sided elements, and edges of the surface that are corners"))
-    limits = found  # first: of two equal limits the problem's says more
+        singular.append((2.0, "straight-sided elements, and edges of the surface that are corners"))
+    limits = singular  # first: of two equal limits the problem's says more
     limits.append((smooth, f"{degree} elements: twice the order of their gradient"))
     order, why = min(limits, key=lambda item: item[0])
     return FormalOrder(order, why)
@@ -494,8 +494,8 @@ def _in_mind(job: CaseJob) -> Problem:
 
 def usable(levels: Sequence[MeshLevel]) -> tuple[list[MeshLevel], list[str]]:
     """Meshes with an answer and with elements of their own, and what is wrong with the others."""
-    kept: list[MeshLevel] = []
-    said = [
+    meshes: list[MeshLevel] = []
+    warnings = [
         f"the mesh of {level.mesh_size_mm:.4g} mm gave no answer: {level.result.message}"
         for level in levels
         if not level.converged
@@ -503,16 +503,16 @@ def usable(levels: Sequence[MeshLevel]) -> tuple[list[MeshLevel], list[str]]:
     for level in levels:
         if not level.converged:
             continue
-        same = [k for k in kept if k.elements == level.elements and level.elements > 0]
+        same = [k for k in meshes if k.elements == level.elements and level.elements > 0]
         if same:
-            said.append(
+            warnings.append(
                 f"the meshes of {same[0].mesh_size_mm:.4g} mm and {level.mesh_size_mm:.4g} mm "
                 f"have the same {level.elements} elements: the coarser is left out; a larger "
                 "ratio or a smaller mesh_size would refine"
             )
-            kept.remove(same[0])
-        kept.append(level)
-    return kept, said
+            meshes.remove(same[0])
+        meshes.append(level)
+    return meshes, warnings
 
 
 def representative_sizes(levels: Sequence[MeshLevel], setup: Setup) -> list[float]:

@@ -89,10 +89,12 @@ class SolveResult:
     @classmethod
     def from_json(cls, document: Mapping[str, object]) -> SolveResult:
         """Inverse of :meth:`to_json`; of a task that had no answer a status and a message stay."""
-        known = {k: v for k, v in document.items() if k in cls.__dataclass_fields__}
-        if "curve" in known:
-            known["curve"] = Curve.from_dict(cast("Mapping[str, object]", known["curve"]))
-        return cls(**known)  # type: ignore[arg-type]
+        fields_read = {k: v for k, v in document.items() if k in cls.__dataclass_fields__}
+        if "curve" in fields_read:
+            fields_read["curve"] = Curve.from_dict(
+                cast("Mapping[str, object]", fields_read["curve"])
+            )
+        return cls(**fields_read)  # type: ignore[arg-type]
 
 
 #: Solves some tasks and gives each result with the key of its task as soon as it is there.
@@ -101,8 +103,8 @@ Solver = Callable[[Sequence[SolveTask]], Iterable[tuple[str, SolveResult]]]
 
 def solutions(solve: Solver, tasks: Sequence[SolveTask]) -> list[SolveResult]:
     """Results of some tasks in their order; equal ones are solved once."""
-    found = dict(solve(list({task.key: task for task in tasks}.values())))
-    return [found[task.key] for task in tasks]
+    by_key = dict(solve(list({task.key: task for task in tasks}.values())))
+    return [by_key[task.key] for task in tasks]
 
 
 def perform(task: SolveTask) -> dict[str, object]:
@@ -119,15 +121,15 @@ def solved(task: SolveTask) -> SolveResult:
     with contextlib.suppress(OSError), open("/proc/self/clear_refs", "w") as stream:
         stream.write("5")
     before = peak_MB()
-    found = finite_element.solve(problem, gradients=False, options=_options(task))
+    solution = finite_element.solve(problem, gradients=False, options=_options(task))
     return SolveResult(
-        status=str(found.status),
-        message=str(found.message),
-        curve=found.curve,
-        elements=int(found.elements),
-        dofs=int(found.dofs),
-        mesh_hash=str(found.mesh_hash),
-        seconds=float(found.seconds.get("total", 0.0)),
+        status=str(solution.status),
+        message=str(solution.message),
+        curve=solution.curve,
+        elements=int(solution.elements),
+        dofs=int(solution.dofs),
+        mesh_hash=str(solution.mesh_hash),
+        seconds=float(solution.seconds.get("total", 0.0)),
         memory_MB=peak_MB(),
         base_MB=before,
     )
@@ -191,9 +193,9 @@ def kept(solve: Solver, store: Store) -> Solver:
     def looked_up(tasks: Sequence[SolveTask]) -> Iterator[tuple[str, SolveResult]]:
         missing = []
         for task in tasks:
-            known = store.read_solution(task.key)
-            if known is not None:
-                yield task.key, SolveResult.from_json(known)
+            stored = store.read_solution(task.key)
+            if stored is not None:
+                yield task.key, SolveResult.from_json(stored)
             else:
                 missing.append(task)
         for key, result in solve(missing) if missing else ():

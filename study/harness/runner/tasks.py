@@ -58,12 +58,12 @@ def memory_of(text: str) -> float:
     20000.0
     """
     try:
-        found = parse(text, "memory")
+        amount_MB = parse(text, "memory")
     except UnitError as error:
         raise InputError([replace(fault, where="memory") for fault in error.faults]) from error
-    if found <= 0:
+    if amount_MB <= 0:
         raise InputError(Fault("memory", f"must be more than zero, got {text!r}"))
-    return found
+    return amount_MB
 
 
 def computing_on(

@@ -181,9 +181,13 @@ def reference_error(
 
 
 def _task(
-    tables: Tables, material: Truth, poisson_ratio: float, as_designed: bool, asked: Virtual | None
+    tables: Tables,
+    material: Truth,
+    poisson_ratio: float,
+    as_designed: bool,
+    virtual_table: Virtual | None,
 ) -> ReferenceTask:
-    virtual, setup = asked or Virtual(), Setup.of(tables)
+    virtual, setup = virtual_table or Virtual(), Setup.of(tables)
     # the grid runs a little past the range, as a real test does
     changes = {"steps": virtual.steps, "displacement_mm": 1.03 * setup.test.depth_mm}
     test = {**table_of(tables, "test"), **({} if as_designed else _BONDED), **changes}
@@ -202,11 +206,11 @@ def _task(
 
 def _solved(task: ReferenceTask, what: str) -> Curve:
     (outcome,) = Loky(perform, 1).run([Task("reference", lambda _: task)])
-    found = SolveResult.from_json(outcome.result)
-    if not found.converged:
-        rule = f"{what} failed: {found.message}"
+    result = SolveResult.from_json(outcome.result)
+    if not result.converged:
+        rule = f"{what} failed: {result.message}"
         raise InputError(Fault("virtual specimens", rule))
-    return found.curve
+    return result.curve
 
 
 def _reference_model(setup: Setup, virtual: Virtual, as_designed: bool) -> dict[str, object]:
@@ -215,19 +219,19 @@ def _reference_model(setup: Setup, virtual: Virtual, as_designed: bool) -> dict[
     Without one, and where every test is as the design has it, the mesh is the finest that the
     design uses, to be made finer still.
     """
-    specimen, own = setup.specimen, setup.model
+    specimen, designed = setup.specimen, setup.model
     corners = isinstance(specimen, Block) and setup.kind.takes_indenter
     solid = isinstance(specimen, Enclosed) or corners
     order = virtual.element_order
-    found: dict[str, object] = {"space": "3d" if solid else "axisymmetric", "element_order": order}
-    ratio = {"mesh_ratio": own.mesh_ratio}
+    model: dict[str, object] = {"space": "3d" if solid else "axisymmetric", "element_order": order}
+    ratio = {"mesh_ratio": designed.mesh_ratio}
     if virtual.mesh_size_mm is not None:
-        return found | ratio | {"mesh_size_mm": virtual.mesh_size_mm}
+        return model | ratio | {"mesh_size_mm": virtual.mesh_size_mm}
     if virtual.mesh is not None:
-        return found | ratio | {"mesh": virtual.mesh}
+        return model | ratio | {"mesh": virtual.mesh}
     if not as_designed:
-        return {**found, "mesh": "fine"}
-    return found | ratio | {"mesh": own.mesh, "mesh_size_mm": own.mesh_size_mm}
+        return {**model, "mesh": "fine"}
+    return model | ratio | {"mesh": designed.mesh, "mesh_size_mm": designed.mesh_size_mm}
 
 
 @dataclass(frozen=True)
@@ -365,22 +369,22 @@ def write_virtual(design: Design, out: Path, generator: Generator | None = None)
 
 def _sources(design: Design) -> list[tuple[MeasurementSpec, Tables]]:
     """Each file that a design reads, with the deepest test and the finest mesh that read it."""
-    found: dict[str, tuple[MeasurementSpec, Tables]] = {}
+    sources: dict[str, tuple[MeasurementSpec, Tables]] = {}
     for treatment in design.treatments:
-        own = CalibrationTable.of(treatment.config).problem or {}
-        for config in (treatment.config, own):
+        calibrated = CalibrationTable.of(treatment.config).problem or {}
+        for config in (treatment.config, calibrated):
             spec = measurements_of(config)
             if spec is None:
                 continue
             _depth(config)
             name = str(spec.file or spec.files)
-            if name in found:  # every treatment reads its own range from the same file
-                deepest = max(config, found[name][1], key=_depth)
-                finest = min(found[name][1], config, key=_coarseness)
+            if name in sources:  # every treatment reads its own range from the same file
+                deepest = max(config, sources[name][1], key=_depth)
+                finest = min(sources[name][1], config, key=_coarseness)
                 config = {**deepest, "model": finest["model"]}
                 spec = measurements_of(config) or spec
-            found[name] = (spec, config)
-    return list(found.values())
+            sources[name] = (spec, config)
+    return list(sources.values())
 
 
 def _coarseness(tables: Tables) -> tuple[float, int]:
@@ -431,9 +435,9 @@ def generate(
         shape = sum((n * slope for n, slope in zip(numbers, slopes, strict=True)), 0.0 * d)
         stiffness = np.exp(generator.batch_sd * random.standard_normal())
         for groups in _specimens(spec, str(batch)):
-            own = stiffness * np.exp(generator.specimen_sd * random.standard_normal())
+            factor = stiffness * np.exp(generator.specimen_sd * random.standard_normal())
             for labels in _repeats(spec, groups, generator.repeats):
-                true = own * (force + shape) + (1 - own) * by_weight
+                true = factor * (force + shape) + (1 - factor) * by_weight
                 yield VirtualTest(labels, d, _measured(d, true, generator, cell))
 
 
@@ -509,7 +513,7 @@ def _files(spec: MeasurementSpec, tests: Sequence[VirtualTest]) -> dict[str, str
             raise InputError(Fault("measurements.files", rule)) from None
         sorted_tests.setdefault(name, []).append(test)
     inside = [n for n in tests[0].groups if "{" + n + "}" not in pattern]
-    return {name: _csv(spec, found, inside) for name, found in sorted_tests.items()}
+    return {name: _csv(spec, tests, inside) for name, tests in sorted_tests.items()}
 
 
 def _csv(spec: MeasurementSpec, tests: Sequence[VirtualTest], groups: Sequence[str]) -> str:
