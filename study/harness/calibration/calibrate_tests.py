@@ -195,7 +195,7 @@ def _from_look(setting: Setting, start: Array, curves: Sequence[FitCurve], first
         starts = gentler(setting.names, start, setting.bounds)
         search = Search(
             setting.names, fit_task.fitted_model, setting.bounds, None,
-            Checkpoint(limits=setting.limits),
+            Checkpoint(limits=setting.limits)
         )  # fmt: skip
         rough = begun_stage("look", start_parts, starts, search)
         if not rough.fit.converged or rough.fit.rss > _HOPELESS_START * first.rough.rss:
@@ -267,16 +267,16 @@ def calibrate(
     others: tuple[Staged, ...] = ()
     if begin is None:
         done, starts, others = from_all_starts(setting, curves, done)
-    best_fit = done.fit
-    if any(is_dimensionless(name) for name in setting.names) and best_fit.converged:
-        setting = replace(setting, start=best_fit.values)  # parts of the data begin at this minimum
+    fit = done.fit
+    if any(is_dimensionless(name) for name in setting.names) and fit.converged:
+        setting = replace(setting, start=fit.values)  # parts of the data begin at this minimum
     specimens = tuple(_partial(setting, label, group) for label, group in by_specimen.items())
     cross = tuple(_partial(setting, label, group) for label, group in left)
     result = _result(setting, curves, done)
     if others:
-        result = replace(result, fit=_open(best_fit, others))
+        result = replace(result, fit=_open(fit, others))
     parts = parts_of(setting.tests, in_order(curves))
-    numerical = estimated_bound(best_fit, parts, done.models) if best_fit.converged else None
+    numerical = estimated_bound(fit, parts, done.models) if fit.converged else None
     if numerical is not None:
         result = replace(
             result, fit=with_numerical(result.fit, numerical), numerical=numerical.as_dict()
@@ -284,13 +284,13 @@ def calibrate(
     result = replace(
         result,
         specimens=specimens,
-        same_constants_p=_same_constants(best_fit, specimens),
+        same_constants_p=_same_constants(fit, specimens),
         population=population([specimen.fit for specimen in specimens]),
         cross_validation=cross,
-        profiles=_profiles(setting, curves, best_fit) if profiles and best_fit.converged else {},
+        profiles=_profiles(setting, curves, fit) if profiles and fit.converged else {},
         bootstrap=(
-            bootstrap(best_fit, config, curves, resamples, setting.bounds)
-            if resamples and best_fit.converged
+            bootstrap(fit, config, curves, resamples, setting.bounds)
+            if resamples and fit.converged
             else None
         ),
         starts=starts,
@@ -303,7 +303,7 @@ def calibrate(
     return result
 
 
-def _open(best_fit: Fit, others: Sequence[Staged]) -> Fit:
+def _open(fit: Fit, others: Sequence[Staged]) -> Fit:
     """Fit that names its rivals: constants that describe the rows as well are not told apart."""
     rivals_text = "; ".join(
         ", ".join(
@@ -313,8 +313,8 @@ def _open(best_fit: Fit, others: Sequence[Staged]) -> Fit:
         for rival in others
     )
     why = f"another minimum describes the rows as well: {rivals_text}"
-    reason = f"{why}; {best_fit.reason}" if best_fit.reason else why
-    return replace(best_fit, identifiable=False, reason=reason)
+    reason = f"{why}; {fit.reason}" if fit.reason else why
+    return replace(fit, identifiable=False, reason=reason)
 
 
 def _checkpoint(
@@ -345,31 +345,26 @@ def _partial(setting: Setting, label: str, curves: Sequence[FitCurve]) -> Partia
     return PartialFit(label, done.fit, _predictions(setting, curves, done.fit))
 
 
-def _predictions(
-    setting: Setting, curves: Sequence[FitCurve], best_fit: Fit
-) -> tuple[CurveFit, ...]:
+def _predictions(setting: Setting, curves: Sequence[FitCurve], fit: Fit) -> tuple[CurveFit, ...]:
     """Every curve beside its prediction; those of held-out tests are made now."""
-    fitted = iter(best_fit.curves)
-    fitted_curves = {id(c): next(fitted, None) for c in in_order(curves)}
+    fitted = iter(fit.curves)
+    known_by = {id(c): next(fitted, None) for c in in_order(curves)}
     out = []
     for curve in curves:
-        predicted, message = (
-            fitted_curves.get(id(curve)),
-            "" if best_fit.status.usable else best_fit.message,
-        )
-        if curve.role == "held-out" and best_fit.status.usable:
-            predicted, message = _predicted(setting, curve, best_fit)
+        predicted, message = (known_by.get(id(curve)), "" if fit.status.usable else fit.message)
+        if curve.role == "held-out" and fit.status.usable:
+            predicted, message = _predicted(setting, curve, fit)
         out.append(
             CurveFit(curve.file, curve.specimen, curve.role, curve.measured, predicted, message)
         )
     return tuple(out)
 
 
-def _predicted(setting: Setting, curve: FitCurve, best_fit: Fit) -> tuple[Curve | None, str]:
+def _predicted(setting: Setting, curve: FitCurve, fit: Fit) -> tuple[Curve | None, str]:
     (part,) = parts_of(setting.tests, [curve])
     try:
         (model,) = fit_task.models_of([part], setting.names)
-        return model(best_fit.values)[0], ""
+        return model(fit.values)[0], ""
     except EvaluationFailed as error:
         return None, str(error)
 
@@ -386,18 +381,18 @@ def _same_constants(pooled: Fit, specimens: Sequence[PartialFit]) -> float | Non
 
 
 def _profiles(
-    setting: Setting, curves: Sequence[FitCurve], best_fit: Fit
+    setting: Setting, curves: Sequence[FitCurve], fit: Fit
 ) -> dict[str, LikelihoodProfile]:
     ordered = in_order(curves)
     parts = parts_of(setting.tests, ordered)
     models = fit_task.models_of(parts, setting.names)
 
     def predict(values: Array) -> list[Curve]:
-        if best_fit.joint is not None:
+        if fit.joint is not None:
             return predicted(parts, setting.tests, ordered, setting.names, values)
         return [curve for model in models for curve in model(values)]
 
-    whole = best_fit.joint or best_fit
+    whole = fit.joint or fit
     free = [(-np.inf, np.inf)] * (len(whole.names) - len(setting.names))
     bounds = None if setting.bounds is None else [*setting.bounds, *free]
     measured = [m for part in parts for m in part.measured]
@@ -434,24 +429,24 @@ def _implausible_stretches(
 
 
 def _result(setting: Setting, curves: Sequence[FitCurve], done: Staged) -> CalibrationResult:
-    best_fit, section = done.fit, setting.config.material
-    predictions = _predictions(setting, curves, best_fit)
-    status: str = status_of(best_fit)
+    fit, section = done.fit, setting.config.material
+    predictions = _predictions(setting, curves, fit)
+    status: str = status_of(fit)
     message = done.message
     material, stable, stability = None, False, "nothing is known of it"
     cautions: list[str] = []
-    if best_fit.status.usable:
-        material = section.material(best_fit.constants())
+    if fit.status.usable:
+        material = section.material(fit.constants())
         judged_as, message = plausible(material, message)
         status = status if judged_as == "converged" else judged_as
         measured = [(setting.tests[c.test].setup, c.measured.curve.displacement_mm) for c in curves]
         judged_stable = stability_over(material, measured)
         stable, stability = judged_stable.stable, judged_stable.sentence
-    judged = list(zip(in_order(curves), best_fit.curves, strict=False))
+    judged = list(zip(in_order(curves), fit.curves, strict=False))
     repeated = [r for c, p in judged if (r := c.repeated(p)) is not None]
-    lack = lack_of_fit(repeated, len(best_fit.names)) if best_fit.converged else None
+    lack = lack_of_fit(repeated, len(fit.names)) if fit.converged else None
     judgement = adequacy(
-        best_fit, _measured(setting, curves), tests=[c.test for c in in_order(curves)], lack=lack,
+        fit, _measured(setting, curves), tests=[c.test for c in in_order(curves)], lack=lack,
         more=_implausible_stretches(setting.tests, curves),
     )  # fmt: skip
     gauges = {setting.tests[c.test].setup.has_no_elements for c in in_order(curves)}
@@ -470,7 +465,7 @@ def _result(setting: Setting, curves: Sequence[FitCurve], done: Staged) -> Calib
         model=section.model,
         status=status,
         message=message,
-        fit=best_fit,
+        fit=fit,
         material=material,
         stable=stable,
         stability=stability,
@@ -480,10 +475,10 @@ def _result(setting: Setting, curves: Sequence[FitCurve], done: Staged) -> Calib
         adequacy=judgement,
         lack_of_fit=lack,
         pattern=pattern([c.residual(p) for c, p in judged]),
-        identified=identify(best_fit, _measured(setting, curves)) if best_fit.converged else None,
+        identified=identify(fit, _measured(setting, curves)) if fit.converged else None,
         next_tests=(
-            next_tests(best_fit, curves, material, setting.tests)
-            if best_fit.converged and material is not None and judgement.describes
+            next_tests(fit, curves, material, setting.tests)
+            if fit.converged and material is not None and judgement.describes
             else None
         ),
         warnings=(*warnings_of(curves), *cautions),

@@ -114,9 +114,7 @@ def numerical_bound(
     if not simulated:
         return ConstantBound(names, (), np.zeros((0, len(names))), zero, zero)
     model = Setup.of(simulated[0].tables).model
-    at_own_size, levels = (
-        (0, (1, 0, -1)) if model.mesh_size_mm is not None else (model.level, (2, 1, 0))
-    )
+    base, levels = (0, (1, 0, -1)) if model.mesh_size_mm is not None else (model.level, (2, 1, 0))
     # from coarse to fine, and the own mesh again with more steps
     made = [[_on_level(part, step) for part in parts] for step in levels]
     made.append([_with_more_steps(part) for part in parts])
@@ -131,13 +129,13 @@ def numerical_bound(
             return ConstantBound(names, (), np.zeros((0, len(names))), nothing, nothing, why)
         solutions.append(done.values)
     *series, stepped = solutions
-    values, sizes = np.array(series), tuple(_RATIO ** float(step - at_own_size) for step in levels)
+    values, sizes = np.array(series), tuple(_RATIO ** float(step - base) for step in levels)
     orders = [_order(part, names, start) for part in simulated]
     order = min((part_order for part_order in orders if part_order is not None), default=None)
-    mesh = np.array([_u(sizes, column, levels.index(at_own_size), order) for column in values.T])
+    mesh = np.array([_u(sizes, column, levels.index(base), order) for column in values.T])
     # forces between the load steps follow from where a search began, too; with nuisance
     # parameters the constants of the fit are not those of the same question
-    again = values[levels.index(at_own_size)]
+    again = values[levels.index(base)]
     reference = start if first_fit.joint is None else again
     steps = np.maximum(np.abs(stepped - reference), np.abs(again - reference))
     return ConstantBound(names, sizes, values, mesh, steps)
@@ -150,18 +148,18 @@ _SAFETY = 3.0
 
 
 def estimated_bound(
-    best_fit: Fit, parts: Sequence[FitPart], models: Sequence[Predict]
+    fit: Fit, parts: Sequence[FitPart], models: Sequence[Predict]
 ) -> ConstantBound | None:
     """Bound the numerical error from one coarser mesh; None where every test has a closed form.
 
     A force that is wrong by e moves the estimates by -(J'J)^-1 J'e, as an error of a row does.
     """
-    names, constants = best_fit.names, best_fit.values
+    names, constants = fit.names, fit.values
     is_simulated = [
         part.method == "inverse-fem" and isinstance(model, InverseFem)
         for part, model in zip(parts, models, strict=True)
     ]
-    if not any(is_simulated) or not best_fit.curves:
+    if not any(is_simulated) or not fit.curves:
         return None
     mesh: list[Array] = []
     steps: list[Array] = []
@@ -184,13 +182,11 @@ def estimated_bound(
         why = f"a coarser mesh, or more load steps, has no answer ({error})"
         return ConstantBound(names, (), np.zeros((0, len(names))), nothing, nothing, why, True)
     measured = [curve for part in parts for curve in part.measured]
-    jacobian, weights, _ = fitted_rows(best_fit, measured)
+    jacobian, weights, _ = fitted_rows(fit, measured)
     inverse, _ = scaled_inverse(weights[:, None] * jacobian)
-    used = np.concatenate([measured_curve.weights > 0 for measured_curve in measured])
+    used = np.concatenate([m.weights > 0 for m in measured])
     by_force = inverse @ (weights[:, None] ** 2 * jacobian).T
-    by_mesh, by_steps = (
-        np.abs(by_force @ np.concatenate(source_bound)[used]) for source_bound in (mesh, steps)
-    )
+    by_mesh, by_steps = (np.abs(by_force @ np.concatenate(e)[used]) for e in (mesh, steps))
     values = constants[None]
     return ConstantBound(names, (_RATIO, 1.0), values, by_mesh, by_steps, is_estimate=True)
 
@@ -202,19 +198,17 @@ def _moved(
     (model,) = fit_task.models_of([part], names)
     other = model(constants)
     return [
-        two.force_at(c.displacement_mm) - first.force_at(c.displacement_mm)
-        for first, two, c in zip(here, other, part.curves, strict=True)
+        b.force_at(c.displacement_mm) - a.force_at(c.displacement_mm)
+        for a, b, c in zip(here, other, part.curves, strict=True)
     ]
 
 
-def with_numerical(best_fit: Fit, bound: ConstantBound) -> Fit:
+def with_numerical(fit: Fit, bound: ConstantBound) -> Fit:
     """Fit whose 95 % intervals hold the numerical error beside the scatter of the rows."""
     if not np.isfinite(bound.u).all():
-        return best_fit
-    half = np.hypot(0.5 * (best_fit.ci95[:, 1] - best_fit.ci95[:, 0]), bound.u)
-    return replace(
-        best_fit, ci95=np.stack([best_fit.values - half, best_fit.values + half], axis=1)
-    )
+        return fit
+    half = np.hypot(0.5 * (fit.ci95[:, 1] - fit.ci95[:, 0]), bound.u)
+    return replace(fit, ci95=np.stack([fit.values - half, fit.values + half], axis=1))
 
 
 def _on_level(part: FitPart, level: int) -> FitPart:

@@ -71,21 +71,17 @@ def read_tests(
         data = _read(test, root)
         notes += [f"{test.file}: {note}" if len(tests) > 1 else note for note in data.notes]
         for specimen in data.blocks or (None,):
-            test_curve = data.curve(specimen, **dict(data.fit or {}))
-            weight = _weight(test.weight, test_curve, f"tests[{number}]")
-            curves.append(
-                FitCurve(number, test.file, specimen, test_curve, test.role, weight, loss)
-            )
+            mean = data.curve(specimen, **dict(data.fit or {}))
+            weight = _weight(test.weight, mean, f"tests[{number}]")
+            curves.append(FitCurve(number, test.file, specimen, mean, test.role, weight, loss))
     return curves, tuple(dict.fromkeys(notes))
 
 
 def _read(test: CalibratedTest, root: Path) -> Measurements:
     setup = test.setup
     depth, gauge = setup.test.displacement_mm, gauge_of(setup)
-    measured = read_measurements(
-        test.measurements, root, setup.height_mm, depth, gauge, own_rows=True
-    )
-    return conditioning.checked(measured, setup)
+    rows = read_measurements(test.measurements, root, setup.height_mm, depth, gauge, own_rows=True)
+    return conditioning.checked(rows, setup)
 
 
 def _weight(weight: float | str, measured: MeasuredTest, where: str) -> float | Array:

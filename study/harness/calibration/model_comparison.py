@@ -56,11 +56,8 @@ def linearized_fit(config: CalibrationDesign, root: Path, common: Mapping[str, f
     def predict(values: Array) -> list[Curve]:
         moved = dict(zip(names, values - center, strict=True))
         return [
-            replace(
-                curve,
-                force_N=curve.force_N + sum(moved[n] * curve.force_gradient[n] for n in names),
-            )
-            for curve in base
+            replace(c, force_N=c.force_N + sum(moved[n] * c.force_gradient[n] for n in names))
+            for c in base
         ]
 
     return with_serial_correlation(fit(predict, measured, names, center), measured)
@@ -336,12 +333,10 @@ def _compared(
     if joint is None or any(fit.nuisance for fit in fits_alone.values()):
         return fits_alone, "wald"
     try:
-        linear = {k: linearized_fit(group, root, joint.constants()) for k, group in groups.items()}
+        linear = {k: linearized_fit(g, root, joint.constants()) for k, g in groups.items()}
     except EvaluationFailed:
         return fits_alone, "wald"
-    sound = all(
-        group.converged and (np.diag(group.covariance) > 0).all() for group in linear.values()
-    )
+    sound = all(g.converged and (np.diag(g.covariance) > 0).all() for g in linear.values())
     return (linear, "score") if sound else (fits_alone, "wald")
 
 
@@ -404,19 +399,15 @@ def _is_even(config: CalibrationDesign, fit: Fit, k: int) -> bool:
     problem = problem_of(test.tables)
     if problem.method != "closed-form":
         return False
-    grids = [
-        Curve(curve.displacement_mm, curve.force_N, time_s=curve.time_s) for curve in fit.curves
-    ]
+    grids = [Curve(c.displacement_mm, c.force_N, time_s=c.time_s) for c in fit.curves]
     predict = fitted_model(problem.method, problem.tables, grids, fit.names)
     other = fit.values.copy()
     other[k] *= -1
     try:
         pairs = zip(predict(fit.values), predict(other), strict=True)
         return all(
-            bool(
-                np.abs(upper.force_N - two.force_N).max() <= _ROUNDING * np.abs(upper.force_N).max()
-            )
-            for upper, two in pairs
+            bool(np.abs(a.force_N - b.force_N).max() <= _ROUNDING * np.abs(a.force_N).max())
+            for a, b in pairs
         )
     except EvaluationFailed:
         return False
@@ -599,11 +590,7 @@ def choose(
     compressible = config.material.compressibility.poisson_ratio is not None
     for model, order, label in (
         *CANDIDATES,
-        *(
-            FOAMS
-            if (compressible and all(problem.method == "closed-form" for problem in problems))
-            else ()
-        ),
+        *(FOAMS if (compressible and all(p.method == "closed-form" for p in problems)) else ()),
     ):
         changes: dict[str, object] = {"model": model, "order": order, "constants": {}}
         tests = tuple(

@@ -98,14 +98,14 @@ def _parameter(
     uncertainty = declared.uncertainty
     if declared.relative and uncertainty is not None:
         uncertainty = uncertainty * abs(expected[0])
-    parameter = NuisanceParameter(
+    param = NuisanceParameter(
         name, key, expected[0], uncertainty, declared.treat == "fitted", tuple(places)
     )
-    if key == "material.poisson_ratio" and expected[0] + parameter.step >= 0.5:
-        rule = f"{expected[0]:g} with an uncertainty of {parameter.step:g} reaches 0.5"
+    if key == "material.poisson_ratio" and expected[0] + param.step >= 0.5:
+        rule = f"{expected[0]:g} with an uncertainty of {param.step:g} reaches 0.5"
         mend = "give a smaller one, or material.bulk_modulus with its uncertainty"
         raise InputError(Fault(f"nuisance.{key}", rule, mend))
-    return parameter
+    return param
 
 
 def _expected(test: CalibratedTest, key: str) -> float:
@@ -195,9 +195,9 @@ class _Simulated(fit_task.InverseFem):
         return Curve(grid, sign * mirrored.force_N, force_gradient=slopes)
 
 
-def reach_of(parameter: NuisanceParameter, depth_mm: float) -> float:
+def reach_of(param: NuisanceParameter, depth_mm: float) -> float:
     """How far an offset may go from its expected value, mm."""
-    return _FAR * depth_mm if parameter.uncertainty is None else REACH * parameter.uncertainty
+    return _FAR * depth_mm if param.uncertainty is None else REACH * param.uncertainty
 
 
 class NuisancePredictions:
@@ -218,9 +218,7 @@ class NuisancePredictions:
         """Predict all curves, with their derivatives by the constants and what is asked."""
         # Shapes: values (p + k,), MPa.
         constants = values[: len(self._names)]
-        given = {
-            parameter.name: v for parameter, v in zip(free, values[len(self._names) :], strict=True)
-        }
+        given = {param.name: v for param, v in zip(free, values[len(self._names) :], strict=True)}
         out: list[Curve] = []
         for number, part in enumerate(self._parts):
             first = len(out)
@@ -237,13 +235,9 @@ class NuisancePredictions:
         given: Mapping[str, float],
     ) -> list[Curve]:
         movers = [
-            [parameter for parameter in self._parameters if place in parameter.curves]
-            for place in places
+            [param for param in self._parameters if place in param.curves] for place in places
         ]
-        value = {
-            parameter.name: given.get(parameter.name, parameter.expected)
-            for parameter in self._parameters
-        }
+        value = {param.name: given.get(param.name, param.expected) for param in self._parameters}
         points = [_from_origin(m.curve.displacement_mm) for m in part.measured]
         depth = max(float(grid[-1]) for grid in points)
         small = _SMALL * depth
@@ -254,23 +248,17 @@ class NuisancePredictions:
             for grid, d in zip(points, offset, strict=True)
         ]
         active = [
-            [
-                parameter
-                for parameter in ones
-                if parameter.name in given or parameter.key == FRICTION
-            ]
+            [param for param in ones if param.name in given or param.key == FRICTION]
             for ones in movers
         ]
-        keys = {
-            parameter.key: parameter for ones in active for parameter in ones if parameter.is_input
-        }
-        plates = {parameter.key for ones in active for parameter in ones} & {FRICTION}
+        keys = {param.key: param for ones in active for param in ones if param.is_input}
+        plates = {param.key for ones in active for param in ones} & {FRICTION}
         curves: dict[tuple[str, str, int], list[Curve]] = {}
         for plate in ("frictionless", "bonded") if plates else ("",):
             curves[plate, "", 0] = self._model(number, part, plate, None, 0).at(constants, grids)
-            for key, parameter in keys.items():
+            for key, param in keys.items():
                 for sign in (-1, 1):
-                    model = self._model(number, part, plate, parameter, sign)
+                    model = self._model(number, part, plate, param, sign)
                     curves[plate, key, sign] = model.at(constants, grids)
         return [
             self._combined(k, points[k], small, zeros[k], active[k], value, given, curves)
@@ -278,13 +266,13 @@ class NuisancePredictions:
         ]
 
     def _model(
-        self, number: int, part: FitPart, plate: str, parameter: NuisanceParameter | None, sign: int
+        self, number: int, part: FitPart, plate: str, param: NuisanceParameter | None, sign: int
     ) -> _Homogeneous | _Simulated:
-        name = (number, plate, "" if parameter is None else parameter.key, sign)
+        name = (number, plate, "" if param is None else param.key, sign)
         if name not in self._made:
             tables = self._tests[number].tables
-            if parameter is not None:
-                tables = moved(tables, parameter.key, sign * parameter.step)
+            if param is not None:
+                tables = moved(tables, param.key, sign * param.step)
             if plate:
                 tables = with_table(tables, "test", interface=plate, base=plate)
             reached = with_table(tables, "test", displacement_mm=self._depth(part))
@@ -298,8 +286,8 @@ class NuisancePredictions:
     def _depth(self, part: FitPart) -> float:
         """Depth that a simulation must reach, offsets included, mm."""
         depth = max(float(m.curve.displacement_mm.max()) for m in part.measured)
-        offsets = [parameter for parameter in self._parameters if parameter.key == OFFSET]
-        beyond = (max(parameter.expected, 0) + reach_of(parameter, depth) for parameter in offsets)
+        offsets = [param for param in self._parameters if param.key == OFFSET]
+        beyond = (max(param.expected, 0) + reach_of(param, depth) for param in offsets)
         return depth + max(beyond, default=0.0) + 2 * _SMALL * depth
 
     def _combined(
@@ -311,18 +299,18 @@ class NuisancePredictions:
         movers: Sequence[NuisanceParameter],
         value: Mapping[str, float],
         given: Mapping[str, float],
-        computed: Mapping[tuple[str, str, int], Sequence[Curve]],
+        solved: Mapping[tuple[str, str, int], Sequence[Curve]],
     ) -> Curve:
         """Curve of one test by its parts: shares of the computed ones add up."""
         shares = _shares(movers, value)
         names = self._names
-        total = _weighed(shares, computed, k, names)
+        total = _weighed(shares, solved, k, names)
         n = points.size
         slope = (total[0][n : 2 * n] - total[0][2 * n :]) / (2 * small)
         gradient = {name: row[:n] for name, row in zip(names, total[1:], strict=True)}
-        for parameter in self._parameters:  # those of other curves leave this one alone
-            if parameter.name in given:
-                gradient[parameter.name] = np.zeros(n)
+        for param in self._parameters:  # those of other curves leave this one alone
+            if param.name in given:
+                gradient[param.name] = np.zeros(n)
         force = total[0][:n]
         for mover in movers:
             if mover.key == OFFSET:
@@ -331,7 +319,7 @@ class NuisancePredictions:
                 gradient[mover.name] = np.ones(n)
             elif mover.name in given:
                 change = _shares(movers, value, mover)
-                gradient[mover.name] = _weighed(change, computed, k, ())[0][:n]
+                gradient[mover.name] = _weighed(change, solved, k, ())[0][:n]
         return Curve(points, force + zero, force_gradient=gradient)
 
 
@@ -346,7 +334,7 @@ def _shares(
     by: NuisanceParameter | None = None,
 ) -> dict[tuple[str, str, int], float]:
     """Share of every computed curve in the one predicted, or its derivative by a parameter."""
-    friction = next((parameter for parameter in movers if parameter.key == FRICTION), None)
+    friction = next((param for param in movers if param.key == FRICTION), None)
     plates = {"": 1.0}
     if friction is not None:
         phi = value[friction.name]
@@ -354,17 +342,15 @@ def _shares(
         if by is friction:
             plates = {"frictionless": -1.0, "bonded": 1.0}
     inner = {("", 0): 0.0 if by is not None and by is not friction else 1.0}
-    for parameter in movers:
-        if not parameter.is_input or (
-            by is not None and by is not friction and parameter is not by
-        ):
+    for param in movers:
+        if not param.is_input or (by is not None and by is not friction and param is not by):
             continue
-        t = (value[parameter.name] - parameter.expected) / parameter.step
+        t = (value[param.name] - param.expected) / param.step
         parabola = np.array([0.5 * t * (t - 1), -t * t, 0.5 * t * (t + 1)])
-        if parameter is by:
-            parabola = np.array([t - 0.5, -2 * t, t + 0.5]) / parameter.step
+        if param is by:
+            parabola = np.array([t - 0.5, -2 * t, t + 0.5]) / param.step
         for sign, share in zip((-1, 0, 1), parabola, strict=True):
-            key = (parameter.key if sign else "", sign)
+            key = (param.key if sign else "", sign)
             inner[key] = inner.get(key, 0.0) + float(share)
     return {
         (plate, key, sign): a * b for plate, a in plates.items() for (key, sign), b in inner.items()
@@ -373,16 +359,14 @@ def _shares(
 
 def _weighed(
     shares: Mapping[tuple[str, str, int], float],
-    computed: Mapping[tuple[str, str, int], Sequence[Curve]],
+    solved: Mapping[tuple[str, str, int], Sequence[Curve]],
     k: int,
     names: Sequence[str],
 ) -> Array:
     """Sum of computed forces and gradients, shape (1 + p, n)."""
     rows = [
         share
-        * np.array(
-            [computed[name][k].force_N, *(computed[name][k].force_gradient[n] for n in names)]
-        )
+        * np.array([solved[name][k].force_N, *(solved[name][k].force_gradient[n] for n in names)])
         for name, share in shares.items()
     ]
     return np.asarray(np.sum(rows, axis=0))
@@ -421,21 +405,19 @@ class _Task:
         free = (-np.inf, np.inf)
         depth = max(float(m.curve.displacement_mm.max()) for m in self.measured)
         bounds = [*(self.bounds or [free] * len(self.names))]
-        for parameter in unknown:
-            far = reach_of(parameter, depth)
-            is_offset = parameter.key == OFFSET
-            bounds.append(
-                (parameter.expected - far, parameter.expected + far) if is_offset else free
-            )
+        for param in unknown:
+            far = reach_of(param, depth)
+            is_offset = param.key == OFFSET
+            bounds.append((param.expected - far, param.expected + far) if is_offset else free)
         priors = [
-            Prior(parameter.name, parameter.expected, parameter.uncertainty, noise)
-            for parameter in unknown
-            if parameter.uncertainty is not None
+            Prior(param.name, param.expected, param.uncertainty, noise)
+            for param in unknown
+            if param.uncertainty is not None
         ]
         solution = fit(
             lambda values: self.predictions(values, unknown),
             self.measured,
-            (*self.names, *(parameter.name for parameter in unknown)),
+            (*self.names, *(param.name for param in unknown)),
             start,
             bounds=bounds,
             priors=priors,
@@ -459,18 +441,18 @@ def with_nuisance(
     predictions = NuisancePredictions(parts, fitted_tests, first_fit.names, parameters)
     measured = [curve for part in parts for curve in part.measured]
     simulated = any(p.method == "inverse-fem" for p in parts)
-    simulated = simulated or any(parameter.key == "friction" for parameter in parameters)
+    simulated = simulated or any(param.key == "friction" for param in parameters)
     task = _Task(predictions, measured, first_fit.names, bounds, simulated)
-    fitted = [parameter for parameter in parameters if parameter.is_fitted]
+    fitted = [param for param in parameters if param.is_fitted]
     plain, joint = _settled(task, fitted, first_fit)
     if not joint.converged:
         names = first_fit.names
         return replace(_part(joint, names), joint=joint)
-    carried = [parameter for parameter in parameters if not parameter.is_fitted]
+    carried = [param for param in parameters if not param.is_fitted]
     moved = _moved(task, joint, fitted, carried)
     joint = with_serial_correlation(plain, measured, moved @ moved.T)
     estimates = tuple(
-        _estimate(parameter, joint, task, plain, moved, carried) for parameter in parameters
+        _estimate(param, joint, task, plain, moved, carried) for param in parameters
     )  # fmt: skip
     return replace(_part(joint, first_fit.names), joint=joint, nuisance=estimates)
 
@@ -485,7 +467,7 @@ def predicted(
     """Curves of a fit for constants and fitted nuisance parameters; values (p + k,), MPa, mm, N."""
     parameters = parameters_of(tests, curves)
     fitted_tests = [tests[number] for number in sorted({c.test for c in curves})]
-    free = [parameter for parameter in parameters if parameter.is_fitted]
+    free = [param for param in parameters if param.is_fitted]
     return NuisancePredictions(parts, fitted_tests, names, parameters)(values, free)
 
 
@@ -517,33 +499,31 @@ def _from_all(
     task: _Task, fitted: Sequence[NuisanceParameter], constants: Array, noise: float
 ) -> tuple[Fit, Fit]:
     """Fit from the expected values and from offsets beside them; the least penalty is kept."""
-    expected = np.array([parameter.expected for parameter in fitted])
+    expected = np.array([param.expected for param in fitted])
     steps = _STARTS[:2] if task.simulated else _STARTS
     starts = [expected]
-    for k, parameter in enumerate(fitted):
-        if parameter.key == OFFSET and parameter.uncertainty is not None:
+    for k, param in enumerate(fitted):
+        if param.key == OFFSET and param.uncertainty is not None:
             starts += [
-                expected + step * parameter.uncertainty * np.eye(len(fitted))[k] for step in steps
+                expected + step * param.uncertainty * np.eye(len(fitted))[k] for step in steps
             ]
     candidates = [task.fitted(fitted, np.r_[constants, start], noise) for start in starts]
     ended = [pair for pair in candidates if pair[1].converged]
     return min(ended or candidates[:1], key=lambda pair: pair[0].penalized_rss)
 
 
-def _row_noise(first_fit: Fit, measured: Sequence[MeasuredCurve]) -> float:
+def _row_noise(start: Fit, measured: Sequence[MeasuredCurve]) -> float:
     """Noise of independent points from differences of neighboring rows; else from the misfit."""
     squares: list[Array] = []
     rows = 0
-    for curve_measured, curve in zip(measured, first_fit.curves, strict=True):
-        for weight, recorded, force, _ in recorded_rows(curve_measured, curve, first_fit.names):
+    for curve_measured, curve in zip(measured, start.curves, strict=True):
+        for weight, recorded, force, _ in recorded_rows(curve_measured, curve, start.names):
             noise = row_noise(recorded.force_N, recorded.places, force, power=0.0)
             if noise is None:
-                return _noise(first_fit, measured)
+                return _noise(start, measured)
             squares.append(np.square(weight * noise.deviation))
             rows += force.size
-    deviation = float(
-        np.sqrt(np.mean(np.concatenate(squares)) * first_fit.n / min(rows, first_fit.n))
-    )
+    deviation = float(np.sqrt(np.mean(np.concatenate(squares)) * start.n / min(rows, start.n)))
     largest = max(float(np.abs(m.weights * m.curve.force_N).max()) for m in measured)
     return max(deviation, _NOISELESS * largest)
 
@@ -566,13 +546,13 @@ def _moved(
     """Change of the estimates by a standard uncertainty of what is propagated, (p, k)."""
     if not carried:
         return np.zeros((joint.values.size, 0))
-    values = np.r_[joint.values, [parameter.expected for parameter in carried]]
+    values = np.r_[joint.values, [param.expected for param in carried]]
     curves = task.predictions(values, [*fitted, *carried])
     jacobian = _jacobian(task.measured, curves, joint.names)
     full = np.concatenate([jacobian, pseudo_jacobian(joint.priors, joint.names)])
-    slopes = _jacobian(task.measured, curves, [parameter.name for parameter in carried])
+    slopes = _jacobian(task.measured, curves, [param.name for param in carried])
     inverse, _ = scaled_inverse(full)
-    steps = np.array([parameter.step for parameter in carried])
+    steps = np.array([param.step for param in carried])
     return np.asarray(-inverse @ jacobian.T @ slopes * steps)
 
 
@@ -609,7 +589,7 @@ def _part(joint: Fit, names: tuple[str, ...]) -> Fit:
 
 
 def _estimate(
-    parameter: NuisanceParameter,
+    param: NuisanceParameter,
     joint: Fit,
     task: _Task,
     plain: Fit,
@@ -618,9 +598,9 @@ def _estimate(
 ) -> NuisanceEstimate:
     places = [i for i, name in enumerate(joint.names) if name in task.names]
     variance = np.diag(joint.covariance)[places]
-    if parameter.is_fitted:
-        i = joint.names.index(parameter.name)
-        rest = tuple(name for name in joint.names if name != parameter.name)
+    if param.is_fitted:
+        i = joint.names.index(param.name)
+        rest = tuple(name for name in joint.names if name != param.name)
         priors = tuple(prior for prior in plain.priors if prior.name in rest)
         reduced = replace(_part(plain, rest), priors=priors)
         others = [k for k in range(len(joint.names)) if k != i]
@@ -630,16 +610,16 @@ def _estimate(
         value, error = float(joint.values[i]), float(joint.standard_error[i])
         interval = (float(joint.ci95[i, 0]), float(joint.ci95[i, 1]))
     else:
-        gone = moved[places, list(carried).index(parameter)] ** 2 / variance
-        value, error = parameter.expected, parameter.step
+        gone = moved[places, list(carried).index(param)] ** 2 / variance
+        value, error = param.expected, param.step
         interval = (value - 1.96 * error, value + 1.96 * error)
     shares = np.clip(np.nan_to_num(gone), 0.0, 1.0)
     return NuisanceEstimate(
-        parameter.name,
-        parameter.key,
-        "fitted" if parameter.is_fitted else "propagated",
-        parameter.expected,
-        parameter.uncertainty,
+        param.name,
+        param.key,
+        "fitted" if param.is_fitted else "propagated",
+        param.expected,
+        param.uncertainty,
         value,
         error,
         interval,

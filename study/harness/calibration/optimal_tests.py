@@ -171,34 +171,32 @@ class NextTests:
 
 
 def next_tests(
-    best_fit: Fit, curves: Sequence[FitCurve], material: Material, tests: Sequence[CalibratedTest]
+    fit: Fit, curves: Sequence[FitCurve], material: Material, tests: Sequence[CalibratedTest]
 ) -> NextTests | None:
     """Rank the tests that could be made next by what they would tell of the constants."""
-    if material.relaxation or not best_fit.curves or not set(best_fit.names) <= set(material.names):
+    if material.relaxation or not fit.curves or not set(fit.names) <= set(material.names):
         return None
     ordered = in_order(curves)
     measured = [curve for part in parts_of(tests, ordered) for curve in part.measured]
-    slopes, weights, left = fitted_rows(best_fit, measured)
-    freedom = left.size - len(best_fit.names)
+    slopes, weights, left = fitted_rows(fit, measured)
+    freedom = left.size - len(fit.names)
     noise = float(np.sqrt(left @ left / freedom)) if freedom > 0 else 0.0
     if not noise > 0:
         return None
-    conditions = _Conditions.of(best_fit, ordered, tests, noise)
-    information = _information(
-        best_fit, weights[:, None] * slopes, weights * left, conditions.worth
-    )
+    conditions = _Conditions.of(fit, ordered, tests, noise)
+    information = _information(fit, weights[:, None] * slopes, weights * left, conditions.worth)
     now = _covariance(information)
     error = np.sqrt(np.diag(now))
-    bad = ~(error <= KNOWN * np.abs(best_fit.values))
+    bad = ~(error <= KNOWN * np.abs(fit.values))
     sought = bad if bad.any() else np.ones_like(bad)
-    search = _TestSearch(best_fit.values, material, information, sought, conditions)
+    search = _TestSearch(fit.values, material, information, sought, conditions)
     # a test that leaves a badly known constant undetermined comes last
     ranked = sorted(search.tests(), key=lambda pair: pair[0])
     if not ranked:
         return None
     return NextTests(
-        best_fit.names, best_fit.values, error,
-        tuple(n for n, is_sought in zip(best_fit.names, sought, strict=True) if is_sought),
+        fit.names, fit.values, error,
+        tuple(n for n, is_sought in zip(fit.names, sought, strict=True) if is_sought),
         tuple(candidate for _, candidate in ranked),
         conditions.rows, conditions.worth * conditions.rows, noise, conditions.area_mm2,
         conditions.stress_MPa,
@@ -221,16 +219,12 @@ class _Conditions:
 
     @classmethod
     def of(
-        cls,
-        best_fit: Fit,
-        curves: Sequence[FitCurve],
-        tests: Sequence[CalibratedTest],
-        noise: float,
+        cls, fit: Fit, curves: Sequence[FitCurve], tests: Sequence[CalibratedTest], noise: float
     ) -> _Conditions:
         """Mean of the recordings; the first specimen that has a cross-section."""
         specimens = [s for test in tests if (s := test.setup.specimen) is not None]
         areas = [height_and_area(specimen)[1] for specimen in specimens]
-        serial, rows = best_fit.serial, best_fit.n
+        serial, rows = fit.serial, fit.n
         if serial is not None:
             rows = serial.rows
         strains = [_strain_of(curve, tests[curve.test]) for curve in curves]
@@ -242,7 +236,7 @@ class _Conditions:
         return cls(
             noise,
             areas[0] if areas else _AREA,
-            max(1, round(rows / len(best_fit.curves))),
+            max(1, round(rows / len(fit.curves))),
             1.0 if serial is None else serial.effective_rows / serial.rows,
             max([USUAL_STRAIN, *strains]),
             max([STRESS_MPA, *(TIMES_MEASURED * stress for stress in stresses)]),
@@ -278,14 +272,12 @@ class _TestSearch:
 
     def _reachable(self, kind: str, largest: float) -> float:
         """Strain that a test reaches before its stress goes beyond what can be made."""
-        test_kind = TEST_KINDS[kind]
-        if test_kind.takes_indenter:
+        rules = TEST_KINDS[kind]
+        if rules.takes_indenter:
             return largest
-        loading, strains = LOADINGS[test_kind.mode], largest * np.arange(1, _STRAINS + 1) / _STRAINS
+        loading, strains = LOADINGS[rules.mode], largest * np.arange(1, _STRAINS + 1) / _STRAINS
         with np.errstate(all="ignore"):  # NaN says that there is no answer
-            stress = loading.nominal(
-                self.material, loading.measure(test_kind.sense * strains)
-            ).stress
+            stress = loading.nominal(self.material, loading.measure(rules.sense * strains)).stress
         beyond = np.flatnonzero(~(np.abs(stress) <= self.conditions.stress_MPa))
         return largest if not beyond.size else float(np.r_[0.0, strains][beyond[0]])
 
@@ -324,10 +316,10 @@ def _slopes(material: Material, kind: str, strain: Array, at: _Conditions) -> Ar
         area = indentation(Sphere(radius), radius * strain, height_mm=np.inf, poisson_ratio=nu)
         by = material.mu0_gradient()
         return np.outer(2 * (1 + nu) * area, [by[n] for n in material.names])
-    test_kind = TEST_KINDS[kind]
-    loading = LOADINGS[test_kind.mode]
+    rules = TEST_KINDS[kind]
+    loading = LOADINGS[rules.mode]
     with np.errstate(all="ignore"):  # NaN says that there is no answer
-        state = loading.nominal(material, loading.measure(test_kind.sense * strain))
+        state = loading.nominal(material, loading.measure(rules.sense * strain))
     return np.array([at.area_mm2 * state.gradient[n] for n in material.names]).T
 
 
@@ -339,13 +331,13 @@ def _strain_of(curve: FitCurve, test: CalibratedTest) -> float:
     return float(np.abs(curve.measured.curve.displacement_mm).max()) / setup.height_mm
 
 
-def _information(best_fit: Fit, jacobian: Array, left: Array, worth: float) -> Array:
+def _information(fit: Fit, jacobian: Array, left: Array, worth: float) -> Array:
     """Inverse covariance of the constants; from the Jacobian where a constant is undetermined."""
-    if np.isfinite(best_fit.covariance).all():
-        scale = np.sqrt(np.diag(best_fit.covariance))
-        return np.asarray(np.linalg.inv(best_fit.covariance / np.outer(scale, scale))
+    if np.isfinite(fit.covariance).all():
+        scale = np.sqrt(np.diag(fit.covariance))
+        return np.asarray(np.linalg.inv(fit.covariance / np.outer(scale, scale))
                           / np.outer(scale, scale))  # fmt: skip
-    variance = float(left @ left) / (left.size - len(best_fit.names))
+    variance = float(left @ left) / (left.size - len(fit.names))
     return np.asarray(worth / variance * jacobian.T @ jacobian)
 
 

@@ -86,7 +86,7 @@ class Bootstrap:
 
 
 def bootstrap(
-    best_fit: Fit,
+    fit: Fit,
     config: CalibrationDesign,
     curves: Sequence[FitCurve],
     resamples: int,
@@ -96,7 +96,7 @@ def bootstrap(
     if resamples < FEWEST:
         rule = f"must be at least {FEWEST} resamples for an interval of 95 %, got {resamples}"
         raise InputError(Fault("--bootstrap", rule, "write --bootstrap 1000"))
-    if best_fit.joint is not None:
+    if fit.joint is not None:
         rule = "cannot resample what is expected of fitted nuisance parameters"
         raise InputError(Fault("--bootstrap", rule, "leave one or the other out"))
     tests, seed = config.tests, config.asked.seed
@@ -104,19 +104,19 @@ def bootstrap(
     specimens = of_specimens(ordered)
     several = len(specimens) > 1
     parts = parts_of(tests, ordered)
-    blocks = () if several else _residuals(best_fit, parts)
+    blocks = () if several else _residuals(fit, parts)
     values = []
     for _ in range(resamples):
         again = _of_specimens(tests, specimens, rng) if several else _of_rows(parts, blocks, rng)
-        search = Search(best_fit.names, fit_task.fitted_model, bounds)
-        fitted = single_stage("resampled", again, best_fit.values, search).fit
+        search = Search(fit.names, fit_task.fitted_model, bounds)
+        fitted = single_stage("resampled", again, fit.values, search).fit
         if fitted.converged:
             values.append(fitted.values)
-    drawn = np.array(values).reshape(len(values), len(best_fit.names))
+    drawn = np.array(values).reshape(len(values), len(fit.names))
     enough = len(values) > 1
-    missing = np.full((2, len(best_fit.names)), np.nan)
+    missing = np.full((2, len(fit.names)), np.nan)
     return Bootstrap(
-        best_fit.names,
+        fit.names,
         (np.percentile(drawn, _TAILS, axis=0) if enough else missing).T,
         drawn.std(axis=0, ddof=1) if enough else missing[0],
         resamples,
@@ -127,13 +127,13 @@ def bootstrap(
     )
 
 
-def _residuals(best_fit: Fit, parts: Sequence[FitPart]) -> tuple[Residuals, ...]:
+def _residuals(fit: Fit, parts: Sequence[FitPart]) -> tuple[Residuals, ...]:
     """Residuals of every curve, in the order of the parts."""
-    share = best_fit.n / max(1, best_fit.n - len(best_fit.names))
+    share = fit.n / max(1, fit.n - len(fit.names))
     curves = [curve.curve for part in parts for curve in part.measured]
     return tuple(
         residuals_of(curve, predicted.force_at(curve.displacement_mm), share)
-        for curve, predicted in zip(curves, best_fit.curves, strict=True)
+        for curve, predicted in zip(curves, fit.curves, strict=True)
     )
 
 
@@ -147,11 +147,9 @@ def _of_rows(
             part,
             measured=tuple(
                 replace(
-                    curve,
-                    curve=replace(curve.curve, force_N=resampled(next(left), rng)),
-                    recordings=(),
+                    m, curve=replace(m.curve, force_N=resampled(next(left), rng)), recordings=()
                 )
-                for curve in part.measured
+                for m in part.measured
             ),
         )
         for part in parts
@@ -256,16 +254,13 @@ def looked_for(
     A look is a linear fit of the moduli beside given exponents, in closed form; a specimen that
     sticks to its plates is taken at equal strain, which leaves exponents near enough to begin with.
     """
-    energy, constants = ENERGIES[name], dict(zip(names, start.tolist(), strict=True))
+    energy, first = ENERGIES[name], dict(zip(names, start.tolist(), strict=True))
     plain = {n for n in names if energy.is_dimensionless(n) and not is_of_relaxation(n)}
     looks = [look for look in energy.looks(names) if set(look) == plain] if plain else []
     free = [made for part in parts if (made := _at_equal_strain(part)) is not None]
     seen: list[tuple[float, Array]] = []
     for look in looks:
-        values, squares = (
-            _inside(np.array([{**constants, **look}[n] for n in names]), bounds),
-            np.inf,
-        )
+        values, squares = (_inside(np.array([{**first, **look}[n] for n in names]), bounds), np.inf)
         if free:
             values, squares = _with_moduli(energy, names, values, free)
         seen.append((squares, _inside(values, bounds)))

@@ -367,15 +367,9 @@ def _check_columns(table: Table, fault: Callable[[str, str, str], None]) -> None
         if len(given) > 1:
             rule = f"stands beside {given[0]}"
             fault(f"columns.{given[1]}", rule, f"give one of {', '.join(quantities)}")
-        quantity = given[0] if given else usual
-        if (
-            isinstance(units, Mapping)
-            and quantity not in units
-            and table.get("unit_row") is not True
-        ):
-            fault(
-                f"units.{quantity}", "is missing", f'for example {quantity} = "{_UNITS[quantity]}"'
-            )
+        needed = given[0] if given else usual
+        if isinstance(units, Mapping) and needed not in units and table.get("unit_row") is not True:
+            fault(f"units.{needed}", "is missing", f'for example {needed} = "{_UNITS[needed]}"')
     first = next((key for key in (*SECOND, *SECOND.values()) if key in columns), None)
     for key in (*SECOND, *SECOND.values()) if first else ():
         if key not in columns:

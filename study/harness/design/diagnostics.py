@@ -48,21 +48,19 @@ def read_table(
     if not isinstance(table, Mapping):
         faults.add(path, f"must be a table, got {shown(table)}", f"write [{path}]")
         return _partial(kind, {}, {key.written for key in keys_of(kind) if key.must_be_written})
-    written = {key: value for key, value in table.items() if key not in also}
-    bad = _unwritten(kind, written, path, faults) | _foreign(kind, written, path, faults, also)
+    given = {key: value for key, value in table.items() if key not in also}
+    bad = _unwritten(kind, given, path, faults) | _foreign(kind, given, path, faults, also)
     for key in keys_of(kind):
-        if key.kind is not None and key.written in written:
-            written[key.written] = _within(key, key.kind, written[key.written], path, faults)
+        if key.kind is not None and key.written in given:
+            given[key.written] = _within(key, key.kind, given[key.written], path, faults)
     try:
-        section = read_section(
-            kind, {key: value for key, value in written.items() if key not in bad}
-        )
+        section = read_section(kind, {key: value for key, value in given.items() if key not in bad})
     except ValidationError as error:
         bad |= _invalid(error, path, faults, bad)
     else:
         if not bad:
             return section
-    return _partial(kind, written, bad)
+    return _partial(kind, given, bad)
 
 
 def _within(key: Key, kind: type, value: object, path: str, faults: Faults) -> object:

@@ -120,10 +120,9 @@ def expected_from(
     if not isinstance(value, list) or len(value) > MAX_EXPECTED:
         faults.add("expected", f"must be tables, got {shown(value)}", "write [[expected]]")
         return ()
-    named, responses_named = {f.name: f for f in factors}, [r.name for r in responses if r.name]
+    named, names = {f.name: f for f in factors}, [r.name for r in responses if r.name]
     read = [
-        _expected(table, f"expected[{i}]", named, responses_named, faults)
-        for i, table in enumerate(value)
+        _expected(table, f"expected[{i}]", named, names, faults) for i, table in enumerate(value)
     ]
     return tuple(expectation for expectation in read if expectation is not None)
 

@@ -199,15 +199,8 @@ class Adaptive:
         if not ranges:
             mend = 'write one as { low = "28 mm", high = "32 mm" }'
             request.fault("kind", "no factor is a range to be filled", mend)
-        complete = None not in (
-            self.start,
-            self.budget,
-            self.batch,
-            self.added,
-            self.until,
-            self.q2,
-        )
-        if not complete or request.is_faulty("seed") or not ranges:
+        sound = None not in (self.start, self.budget, self.batch, self.added, self.until, self.q2)
+        if not sound or request.is_faulty("seed") or not ranges:
             return False
         least = FEWEST * ranges * others
         if self.start < least or self.start % others:

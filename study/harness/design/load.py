@@ -100,9 +100,7 @@ def _check_contrasts(design: Design, faults: Faults) -> None:
     """Find differences that are asked for of levels that do not exist, or of cells left out."""
     where = "analysis.contrasts"
     levels = {factor.name: factor.labels for factor in design.factors if factor.span is None}
-    run_cells = [
-        cell.levels for cell, _ in design.combinations() if not design.why_excluded(cell.levels)
-    ]
+    run_cells = [c.levels for c, _ in design.combinations() if not design.why_excluded(c.levels)]
     for text in design.analysis.contrasts:
         try:
             sides = sides_of(text, levels)
@@ -111,7 +109,7 @@ def _check_contrasts(design: Design, faults: Faults) -> None:
                 faults.add(where, f"{fault.where}: {fault.rule}", fault.mend)
             continue
         for side in sides:
-            if not any(side.items() <= cell.items() for cell in run_cells):
+            if not any(side.items() <= c.items() for c in run_cells):
                 named = ", ".join(f"{name}={level}" for name, level in side.items())
                 faults.add(where, f"contrast {text!r}: no cell that is run has {named}", "")
 

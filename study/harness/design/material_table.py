@@ -214,10 +214,8 @@ def _entries(
         mend = 'mu = ["5 kPa"], alpha = [2.0]'
         faults.add(f"{path}.{key}", f"must be a list of 1 to {_MOST_TERMS} entries", mend)
         return []
-    entries_read = [
-        noted(read, value, f"{path}.{key}[{i}]", faults) for i, value in enumerate(values)
-    ]
-    return [_UNREAD if value is None else value for value in entries_read]
+    items = [noted(read, value, f"{path}.{key}[{i}]", faults) for i, value in enumerate(values)]
+    return [_UNREAD if value is None else value for value in items]
 
 
 def _order(

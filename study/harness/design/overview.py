@@ -17,8 +17,8 @@ Key = Callable[[Cell], Hashable]
 
 def _grouped(treatments: Sequence[Treatment], key: Key) -> Groups:
     groups: dict[Hashable, list[Treatment]] = {}
-    for treatment in treatments:
-        groups.setdefault(key(treatment.cell), []).append(treatment)
+    for t in treatments:
+        groups.setdefault(key(t.cell), []).append(t)
     return tuple(tuple(group) for group in groups.values())
 
 
@@ -45,9 +45,7 @@ def duplicates(design: Design) -> Groups:
 
 def calibration_groups(design: Design) -> Groups:
     """Cells that share one calibration problem (one fit a block); none where nothing is fitted."""
-    return _grouped(
-        [treatment for treatment in design.treatments if treatment.cell.is_calibrated], _calibration
-    )
+    return _grouped([t for t in design.treatments if t.cell.is_calibrated], _calibration)
 
 
 def calibration_factors(design: Design) -> tuple[str, ...]:
@@ -61,27 +59,27 @@ def _calibrates(design: Design, factor: str) -> bool:
     The cells of a sample of ranges, each with levels of its own, would be made tens of thousands
     of times to find that out.
     """
-    fitted = any(treatment.cell.is_calibrated for treatment in design.treatments)
+    fitted = any(t.cell.is_calibrated for t in design.treatments)
     return fitted and _separated(design, factor, _calibration) > 0
 
 
 def _separated(design: Design, factor: str, key: Key) -> int:
     """Count the cells in which the factor changes the key."""
     if design.scheme.rows is not None:
-        return sum(_changes(design, treatment, factor, key) for treatment in design.treatments)
+        return sum(_changes(design, t, factor, key) for t in design.treatments)
     slices: dict[tuple[str, ...], list[Hashable]] = {}
-    for treatment in design.treatments:
-        others = tuple(label for name, label in treatment.levels.items() if name != factor)
-        slices.setdefault(others, []).append(key(treatment.cell))
+    for t in design.treatments:
+        others = tuple(label for name, label in t.levels.items() if name != factor)
+        slices.setdefault(others, []).append(key(t.cell))
     return sum(len(keys) for keys in slices.values() if len(set(keys)) > 1)
 
 
-def _changes(design: Design, treatment: Treatment, factor: str, key: Key) -> bool:
+def _changes(design: Design, t: Treatment, factor: str, key: Key) -> bool:
     """Whether another level of one factor alone changes the key of a cell."""
     # A part of the full factorial may hold no two cells that differ in one factor only, so the
     # other cell is made for the comparison.
-    own_key, place = key(treatment.cell), [f.name for f in design.factors].index(factor)
-    levels = [f.levels[f.labels.index(treatment.levels[f.name])] for f in design.factors]
+    own_key, place = key(t.cell), [f.name for f in design.factors].index(factor)
+    levels = [f.levels[f.labels.index(t.levels[f.name])] for f in design.factors]
     for other in _compared(design.factors[place]):
         faults = Faults()
         made = design.resolved([*levels[:place], other, *levels[place + 1 :]], faults)
@@ -250,40 +248,34 @@ def _matrix(design: Design, groups: Groups, fitted: Groups) -> tuple[CellOvervie
     fit = {member.label: i for i, members in enumerate(fitted, 1) for member in members}
     return tuple(
         CellOverview(
-            treatment.label,
-            treatment.levels,
-            group[treatment.label],
-            fit.get(treatment.label),
-            treatment.cell.problem.is_homogeneous,
+            t.label,
+            t.levels,
+            group[t.label],
+            fit.get(t.label),
+            t.cell.problem.is_homogeneous,
         )
-        for treatment in design.treatments
+        for t in design.treatments
     )
 
 
 def warnings(design: Design) -> tuple[str, ...]:
     """Sentences about what is allowed and probably not meant."""
-    sentences: dict[str, None] = {}
-    for treatment in design.treatments:
-        problem = treatment.cell.problem
-        sentences.update(dict.fromkeys(cautions_of(problem)))
+    notes: dict[str, None] = {}
+    for t in design.treatments:
+        problem = t.cell.problem
+        notes.update(dict.fromkeys(cautions_of(problem)))
         spec = problem.measurements
         if spec is not None and spec.fit is not None and spec.fit == spec.score:
-            sentences["cells are scored on the rows they were fitted to: fit, not prediction"] = (
-                None
-            )
+            notes["cells are scored on the rows they were fitted to: fit, not prediction"] = None
     for group in duplicates(design):
-        labels = " = ".join(treatment.label for treatment in group)
-        sentences[f"cells with the same content are one computation, no replicates: {labels}"] = (
-            None
-        )
+        labels = " = ".join(t.label for t in group)
+        notes[f"cells with the same content are one computation, no replicates: {labels}"] = None
     presets = design.config.get("presets")
     unused = set(list(presets) if isinstance(presets, dict) else []) - {
         factor.name for factor in design.factors
     }
     for name in sorted(unused):
-        sentences[f"the preset set {name!r} is no factor and is not used"] = None
+        notes[f"the preset set {name!r} is no factor and is not used"] = None
     if design.converge.ratio < 1.3:
-        sentences[
-            f"converge.ratio {design.converge.ratio:g} is below 1.3: orders will be noise"
-        ] = None
-    return tuple(sentences)
+        notes[f"converge.ratio {design.converge.ratio:g} is below 1.3: orders will be noise"] = None
+    return tuple(notes)

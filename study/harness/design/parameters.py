@@ -298,26 +298,20 @@ def _number(node: ast.expr, values: Mapping[str, Value]) -> float:
 
 def constraint_of(rule: object, why: object, config: Table) -> Constraint:
     """Read a constraint; its names must be parameters of the file whose units agree."""
-    constraint = Constraint(text(rule), text(why))
+    limit = Constraint(text(rule), text(why))
     table = config.get("parameters")
-    parameters = table if isinstance(table, Mapping) else {}
-    for name in constraint.names:
-        if name not in parameters:
-            raise Bad(
-                f"names {name!r}, which [parameters] does not have", nearest(name, parameters)
-            )
-    compared = _comparison(constraint.text)
-    written = {
-        n: number_and_unit(parameters[n])[1]
-        for n in constraint.names
-        if type(parameters[n]) is not bool
-    }
+    named = table if isinstance(table, Mapping) else {}
+    for name in limit.names:
+        if name not in named:
+            raise Bad(f"names {name!r}, which [parameters] does not have", nearest(name, named))
+    compared = _comparison(limit.text)
+    written = {n: number_and_unit(named[n])[1] for n in limit.names if type(named[n]) is not bool}
     sides = [compared.left, *compared.comparators]
     plain = [written.get(side.id) for side in sides if isinstance(side, ast.Name)]
     if len(plain) == len(sides) and len(set(plain)) > 1:
         mend = "write all of them in one unit in [parameters]"
         raise Bad(f"compares numbers in {' and '.join(map(repr, plain))}", mend)
-    return constraint
+    return limit
 
 
 def constraints_of(config: Table) -> tuple[Constraint, ...]:

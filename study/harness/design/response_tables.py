@@ -195,25 +195,23 @@ def _distribution(
     word = noted(choice(*PARAMETERS), raw.get("distribution"), f"{where}.distribution", faults)
     if word is None:
         return None
-    parameters = PARAMETERS[word]
-    for name in (n for n in parameters if n not in raw):
+    needed = PARAMETERS[word]
+    for name in (n for n in needed if n not in raw):
         faults.add(f"{where}.{name}", "is missing", f"for example {_EXAMPLE}")
-    for name in (n for n in raw if n not in (*parameters, "distribution")):
+    for name in (n for n in raw if n not in (*needed, "distribution")):
         rule = f"is no number of a {word} distribution"
-        faults.add(f"{where}.{name}", rule, nearest(name, parameters))
-    if set(raw) != {"distribution", *parameters}:
+        faults.add(f"{where}.{name}", rule, nearest(name, needed))
+    if set(raw) != {"distribution", *needed}:
         return None
-    values = [_value(raw[name], name, kind, span, f"{where}.{name}", faults) for name in parameters]
+    values = [_value(raw[name], name, kind, span, f"{where}.{name}", faults) for name in needed]
     if any(value is None for value in values):
         return None
-    numbers_read = tuple(value for value in values if value is not None)
-    if word in ("uniform", "triangular") and (
-        list(numbers_read) != sorted(numbers_read) or numbers_read[0] == numbers_read[-1]
-    ):
-        faults.add(where, f"must rise, got {', '.join(shown(raw[n]) for n in parameters)}",
+    nums = tuple(value for value in values if value is not None)
+    if word in ("uniform", "triangular") and (list(nums) != sorted(nums) or nums[0] == nums[-1]):
+        faults.add(where, f"must rise, got {', '.join(shown(raw[n]) for n in needed)}",
                    "from low to high")  # fmt: skip
         return None
-    return InputDistribution(word, numbers_read, span.low, span.high)
+    return InputDistribution(word, nums, span.low, span.high)
 
 
 def _value(

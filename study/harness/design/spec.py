@@ -234,10 +234,7 @@ class Design:
         every = itertools.product(*(range(len(factor.levels)) for factor in self.factors))
         for row in self.scheme.rows or every:
             levels = tuple(f.levels[i] for f, i in zip(self.factors, row, strict=True))
-            yield (
-                Combination({n: level.label for n, level in zip(names, levels, strict=True)}),
-                levels,
-            )
+            yield (Combination({n: lv.label for n, lv in zip(names, levels, strict=True)}), levels)
 
     def why_excluded(self, levels: Mapping[str, str]) -> str | None:
         """Reason why a cell is left out; None if it is not."""
@@ -257,20 +254,15 @@ class Design:
         table = dict(first) if isinstance(first, Mapping) else {}
         for factor in self.factors:
             level = factor.levels[factor.labels.index(levels[factor.name])]
-            at_level = {
-                k.partition(".")[2]: v for k, v in level.settings.items() if is_parameter(k)
-            }
-            table |= at_level
+            here = {k.partition(".")[2]: v for k, v in level.settings.items() if is_parameter(k)}
+            table |= here
         return parameters_from(table, first, Faults())[0]
 
     @property
     def excluded(self) -> tuple[tuple[Combination, str], ...]:
         """Cells left out and why; they are not resolved, for they may be impossible."""
-        reasons = (
-            (combination, self.why_excluded(combination.levels))
-            for combination, _ in self.combinations()
-        )
-        return tuple((combination, why) for combination, why in reasons if why is not None)
+        reasons = ((c, self.why_excluded(c.levels)) for c, _ in self.combinations())
+        return tuple((c, why) for c, why in reasons if why is not None)
 
     def resolved(self, levels: Sequence[Level], faults: Faults) -> Cell:
         """Resolve one cell, once where it is sound; faults name the keys of the merged file."""

@@ -492,10 +492,8 @@ class Crew:
     def arrivals(self) -> list[RemoteSlot]:
         """Look at the workers now and then; slots for those that have come."""
         if time.monotonic() - self._looked >= LOOK_S or not self.dropped.empty():
-            for address, difference in self._look().items():
-                print(
-                    f"warning: {address} gets no task of this study: {difference}", file=sys.stderr
-                )
+            for address, why in self._look().items():
+                print(f"warning: {address} gets no task of this study: {why}", file=sys.stderr)
             self._explain_dropped()
             if self.workers:
                 self._end_call()
@@ -510,14 +508,12 @@ class Crew:
     def place(self, slot: RemoteSlot) -> bool:
         """Find a worker for a slot: its own, unless it is gone or another has more room."""
         best = max(self.workers.values(), key=lambda worker: worker.free, default=None)
-        current = slot.worker
-        if current is not None and (
-            best is None or self.workers.get(current.address) is not current
-        ):
-            current.load, current, slot.worker = current.load - 1, None, None
-        if best is not None and (current is None or best.free - current.free > 1):
-            if current is not None:
-                current.load -= 1
+        old = slot.worker
+        if old is not None and (best is None or self.workers.get(old.address) is not old):
+            old.load, old, slot.worker = old.load - 1, None, None
+        if best is not None and (old is None or best.free - old.free > 1):
+            if old is not None:
+                old.load -= 1
             best.load, slot.worker = best.load + 1, best
         return slot.worker is not None
 

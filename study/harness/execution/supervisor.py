@@ -333,9 +333,7 @@ class Supervisor:
         if not all(map(_is_result, results)):
             return self._died(desk, tasks, seconds, "a worker's answer is no result")
         each = seconds / len(tasks)
-        return [
-            Outcome(task.key, result, each) for task, result in zip(tasks, results, strict=True)
-        ]
+        return [Outcome(t.key, result, each) for t, result in zip(tasks, results, strict=True)]
 
     def _died(self, desk: Desk, tasks: tuple[Task, ...], seconds: float, how: str) -> list[Outcome]:
         desk.slot.kill()

@@ -126,10 +126,8 @@ def _sandbox() -> Environment:
 
         def call_binop(self, context: object, operator: str, left: object, right: object) -> object:
             """Multiply and raise numbers."""
-            sizes = [
-                len(operand) for operand in (left, right) if isinstance(operand, str | list | tuple)
-            ]
-            counts = [operand for operand in (left, right) if isinstance(operand, int | float)]
+            sizes = [len(side) for side in (left, right) if isinstance(side, str | list | tuple)]
+            counts = [side for side in (left, right) if isinstance(side, int | float)]
             large = operator == "**" and any(abs(count) > 1000 for count in counts)
             if large or (sizes and counts and max(sizes) * max(counts) > _MOST_REPEATED):
                 raise SecurityError("makes a text or a number of more than 100,000 digits")

@@ -96,7 +96,7 @@ def run(
     """Run a program in a folder, and end all that it started with it."""
     lifeline, held = os.pipe()
     answer, status = os.pipe()
-    status_pipe, output = os.pipe()
+    heard, output = os.pipe()
     process = None
     try:
         process = subprocess.Popen(
@@ -108,11 +108,11 @@ def run(
         for end in (lifeline, status, output):
             os.close(end)
         lifeline = status = output = -1
-        return _watched(folder, answer, status_pipe, until, output_bytes)
+        return _watched(folder, answer, heard, until, output_bytes)
     except OSError as error:  # of a folder that is gone, or more words than the system takes
         return Ended(None, excess=f"it could not be run ({error.strerror})")
     finally:
-        for end in (held, answer, status_pipe, lifeline, status, output):
+        for end in (held, answer, heard, lifeline, status, output):
             if end >= 0:
                 os.close(end)
         if process is not None:  # it ends all, for its lifeline is closed
@@ -123,12 +123,12 @@ def run(
 
 
 def _watched(
-    folder: Path, answer: int, status_pipe: int, until: float | None, output_bytes: int
+    folder: Path, answer: int, heard: int, until: float | None, output_bytes: int
 ) -> Ended:
     """Follow a program by its two pipes until it ends, or comes to a limit."""
     head, tail, size, code, excess = b"", b"", 0, b"", ""
     look = time.monotonic() + _LOOK_S
-    pipes = [answer, status_pipe]
+    pipes = [answer, heard]
     while not excess:
         now = time.monotonic()
         if until is not None and now >= until:
@@ -138,12 +138,12 @@ def _watched(
             look = time.monotonic() + max(_LOOK_S, 10 * (time.monotonic() - now))
         wait = look if until is None else min(look, until)
         ready, _, _ = select.select(pipes, [], [], max(wait - time.monotonic(), 0.0))
-        if status_pipe in ready:
-            part = os.read(status_pipe, 1 << 16)
+        if heard in ready:
+            part = os.read(heard, 1 << 16)
             head = head + part if len(head) < TAIL else head
             tail, size = (tail + part)[-4 * LOG :], size + len(part)
             if not part:
-                pipes.remove(status_pipe)
+                pipes.remove(heard)
             if size > output_bytes:
                 excess = f"it said more than {output_bytes / 1e6:g} MB"
         elif answer in ready:

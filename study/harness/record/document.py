@@ -423,11 +423,7 @@ def fault_of_curves(
         measured = curves.get(CurveKey("measured", key.label))
         if key.role == "predicted" and measured is not None and not _reaches(curve, measured):
             return f"its curve {key} ends before the measured one"
-    lost = [
-        direction
-        for direction in directions
-        if CurveKey("predicted", direction["score"]) not in curves
-    ]
+    lost = [row for row in directions if CurveKey("predicted", row["score"]) not in curves]
     return f"it has no curve predicted:{lost[0]['score']}" if lost else ""
 
 
@@ -471,13 +467,11 @@ def _is_finite(values: Array) -> bool:
 
 def _reaches(predicted: Curve, measured: Curve) -> bool:
     """Whether a prediction is known at every measured place; see :meth:`Curve.force_at`."""
-    places, reached = measured.displacement_mm, predicted.displacement_mm
+    there, reach = measured.displacement_mm, predicted.displacement_mm
     if predicted.time_s is not None:
-        span = float(np.abs(reached).max())
-        return places.shape == reached.shape and np.allclose(
-            places, reached, rtol=0, atol=1e-6 * span
-        )
-    return bool(places.min() >= -1e-12 and places.max() <= reached[-1] * (1 + 1e-9) + 1e-12)
+        span = float(np.abs(reach).max())
+        return there.shape == reach.shape and np.allclose(there, reach, rtol=0, atol=1e-6 * span)
+    return bool(there.min() >= -1e-12 and there.max() <= reach[-1] * (1 + 1e-9) + 1e-12)
 
 
 @cache

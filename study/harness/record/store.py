@@ -221,19 +221,15 @@ class Store(ResultFolder):
 
     def records(self, input_hashes: Mapping[str, str]) -> list[Record]:
         """Read the records of this very input, in the order of ``input_hashes``."""
-        stored = (self.read(case_id, input_hash) for case_id, input_hash in input_hashes.items())
+        saved = (self.read(case_id, input_hash) for case_id, input_hash in input_hashes.items())
         return [
-            r
-            for r in stored
-            if r is not None and self._counts(Entry.of(r), input_hashes[r.case_id])
+            r for r in saved if r is not None and self._counts(Entry.of(r), input_hashes[r.case_id])
         ]
 
     def meshes(self, input_hashes: Mapping[str, str]) -> dict[str, str]:
         """Hash of the mesh of each case that has one."""
         entries = {case: self._said(case, input_hash) for case, input_hash in input_hashes.items()}
-        return {
-            case: entry.mesh for case, entry in entries.items() if entry is not None and entry.mesh
-        }
+        return {case: e.mesh for case, e in entries.items() if e is not None and e.mesh}
 
     def by_case(self, input_hashes: Mapping[str, str]) -> dict[str, Record]:
         """Read the records of this very input, by the name of their case."""
@@ -298,15 +294,13 @@ class Store(ResultFolder):
 
     def _lay_by(self, record: Record) -> None:
         """Keep the record of a finished study that one of an edited design takes the place of."""
-        finished_hash = self._finished.get(record.case_id)
-        if finished_hash is None or finished_hash == record.input_hash:
+        last = self._finished.get(record.case_id)
+        if last is None or last == record.input_hash:
             return
         path = self._case(record.case_id) / CURRENT
         before = self._read_file(record.case_id, path)
-        if before is not None and before.input_hash == finished_hash:
-            write_atomic(
-                path.with_name(laid_by(finished_hash)), before.to_json().encode(), self._system
-            )
+        if before is not None and before.input_hash == last:
+            write_atomic(path.with_name(laid_by(last)), before.to_json().encode(), self._system)
 
     @cached_property
     def _finished(self) -> Mapping[str, str]:

@@ -248,13 +248,11 @@ def _retried(
     """Try what the design says of the cases that failed, until nothing is left to be tried."""
     total = first
     while todo := attempts(work, store, limit_of(place) is not None):
-        ways = {(attempt.longer, attempt.alone): None for attempt in todo}
+        ways = {(a.longer, a.alone): None for a in todo}
         for longer, alone in ways:
-            alike = [
-                attempt for attempt in todo if (attempt.longer, attempt.alone) == (longer, alone)
-            ]
-            notes = {attempt.job.case.case_id: attempt.notes for attempt in alike}
-            batch = _Batch(work, store, [attempt.job for attempt in alike], progress, notes)
+            alike = [a for a in todo if (a.longer, a.alone) == (longer, alone)]
+            notes = {a.job.case.case_id: a.notes for a in alike}
+            batch = _Batch(work, store, [a.job for a in alike], progress, notes)
             there = adapted(place, longer, alone)
             total = total.with_retried(batch.execute(1 if alone else workers, there))
     return total

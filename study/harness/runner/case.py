@@ -415,9 +415,7 @@ def _refitted(task: CaseTask) -> Record:
 
 def _constants(task: CaseTask) -> dict[str, Quantity]:
     """Constants averaged over the directions that give them, with units."""
-    return response.averaged(
-        [response.constants_of(task.compared(pair)) for pair in task.identified]
-    )
+    return response.averaged([response.constants_of(task.compared(p)) for p in task.identified])
 
 
 def _wanted(
@@ -507,13 +505,11 @@ def _closed_form(
 def _step_uncertainty(task: CaseTask, predictions: Sequence[PredictedCurve]) -> dict[str, float]:
     """Return what half the load steps change in every response, as a mean over directions."""
     if External.of(task.tables) is not None:
-        each = [
-            response.splined_uncertainty(prediction.curve, task.units) for prediction in predictions
-        ]
+        each = [response.splined_uncertainty(p.curve, task.units) for p in predictions]
     else:
         each = [
-            response.step_uncertainty(prediction.curve, direction.measured, task.units)
-            for prediction, direction in zip(predictions, task.scored, strict=True)
+            response.step_uncertainty(p.curve, direction.measured, task.units)
+            for p, direction in zip(predictions, task.scored, strict=True)
         ]
     # of one direction fewer points may have been measured, too few to leave half of them out
     names = [name for name in each[0] if all(name in u for u in each)]

@@ -71,17 +71,15 @@ def seeded(distinct: Sequence[Case], design: Design) -> tuple[tuple[Case, Origin
     )
 
 
-def _reseeded(
-    distinct: Sequence[Case], design: Design, name: str
-) -> tuple[tuple[Case, Origin], ...]:
+def _reseeded(cases: Sequence[Case], design: Design, name: str) -> tuple[tuple[Case, Origin], ...]:
     """Every case with several values of the parameter that seeds a stochastic simulation.
 
     No two cells share a seed, so that the cases of a cell are true replicates.
     """
     count = design.replicates.n
-    _check_count(len(distinct) * count)
+    _check_count(len(cases) * count)
     made = []
-    for case in distinct:
+    for case in cases:
         for number in range(1, count + 1):
             parameters = {**table_of(case.config, "parameters"), name: _seed(design, case, number)}
             config = {**case.config, "parameters": parameters}
@@ -421,10 +419,10 @@ def _fitted_pairs(
     case: Case, problem: FitProblem, scored: Measurements, data: DataCache
 ) -> list[ScorePair]:
     """Pairs whose constants come from the curves that the study file selects."""
-    calibrated = data.calibrated(case.config)
-    if calibrated is not None:
-        fitted = calibrated.curve(
-            case.block if calibrated.block is not None else None, **dict(calibrated.fit or {})
+    other = data.calibrated(case.config)
+    if other is not None:
+        fitted = other.curve(
+            case.block if other.block is not None else None, **dict(other.fit or {})
         )
         return [_first_pair(scored, case, fit_job(problem, (fitted.curve,), case.label))]
     return _swapped_pairs(scored, case, problem)

@@ -136,9 +136,7 @@ def _text(name: str, places: Sequence[Path]) -> str:
 def externals(configs: Iterable[Tables]) -> list[External]:
     """Forward models of some configurations that are not ours, each once."""
     by_digest = {
-        external.digest: external
-        for config in configs
-        if (external := External.of(config)) is not None
+        model.digest: model for config in configs if (model := External.of(config)) is not None
     }
     return list(by_digest.values())
 

@@ -77,24 +77,22 @@ def fitted(task: FitTask) -> FitResult:
     )
     done = staged_fit(parts, names, first, fitted_model)
     fitted_curves = [curve for part in parts for curve in part.measured]
-    document = described(
+    facts = described(
         with_serial_correlation(done.fit, fitted_curves),
         parts[0].tables,
         task.measured[:1] if len(parts) > 1 else task.measured,
     )
     method = task.problem.method
-    document.update({"message": done.message, "evaluations": done.evaluations, "method": method})
+    facts.update({"message": done.message, "evaluations": done.evaluations, "method": method})
     predict, predicted = done.models[0], None
     if isinstance(predict, InverseFem) and task.problem.method == "inverse-fem":
         predicted = predict.predicted(done.fit.values)
-        document.update({"newton_iterations": predict.newton_iterations, "solves": predict.solves})
+        facts.update({"newton_iterations": predict.newton_iterations, "solves": predict.solves})
     if isinstance(predict, InverseExternal):
         predicted = predict.predicted(done.fit.values) if done.fit.status.usable else None
-        document["solves"] = predict.solves
-    document["seconds"] = time.perf_counter() - began
-    return FitResult(
-        status_of(done.fit), document, predicted, 0.0 if start is None else start.seconds
-    )
+        facts["solves"] = predict.solves
+    facts["seconds"] = time.perf_counter() - began
+    return FitResult(status_of(done.fit), facts, predicted, 0.0 if start is None else start.seconds)
 
 
 def parts_of(task: FitTask) -> list[FitPart]:

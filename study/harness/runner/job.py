@@ -105,9 +105,7 @@ class DataCache:
 
     def files(self) -> dict[str, str]:
         """Name of each file read and its sha256."""
-        return {
-            name: sha for measured in self._read.values() for name, sha in measured.files.items()
-        }
+        return {name: sha for data in self._read.values() for name, sha in data.files.items()}
 
     def _get(self, tables: Tables) -> Measurements | None:
         spec, made = tables.get("measurements"), measurements_of(tables)

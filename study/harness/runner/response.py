@@ -242,8 +242,7 @@ class InitialShearModulus:
 
 #: responses of a predicted and a measured curve, by name; every record holds them all
 CURVE_RESPONSES: Mapping[str, CurveResponse] = {
-    response.name: response
-    for response in (RelativeRmsForceError(), RmsForceError(), PeakForceError(), WorkError())
+    r.name: r for r in (RelativeRmsForceError(), RmsForceError(), PeakForceError(), WorkError())
 }
 
 
@@ -261,10 +260,10 @@ def units_of(named: Iterable[str], measured: bool = True) -> dict[str, str]:
     every: list[Response] = [*(CURVE_RESPONSES.values() if measured else ()), InitialShearModulus()]
     names = list(named)
     every += [SimulatedResponse(name) for name in names if is_simulated(name)]
-    units = {response.name: response.unit for response in every}
+    units = {r.name: r.unit for r in every}
     units |= {name: RESPONSES[name] for name in names if name in MARKED}
     constants = [ConstantResponse(name) for name in names if name not in {*units, "seconds"}]
-    units |= {response.name: response.unit for response in constants}
+    units |= {r.name: r.unit for r in constants}
     return units | ({"seconds": RESPONSES["seconds"]} if "seconds" in names else {})
 
 
@@ -328,10 +327,7 @@ def constants_of(scored: Scored) -> dict[str, Quantity]:
 
 def _computed(responses: Iterable[Response], scored: Scored) -> dict[str, Quantity]:
     """Values of some responses, by name."""
-    return {
-        response.name: {"value": response.compute(scored), "unit": response.unit}
-        for response in responses
-    }
+    return {r.name: {"value": r.compute(scored), "unit": r.unit} for r in responses}
 
 
 def averaged(scores: Sequence[Mapping[str, Quantity]]) -> dict[str, Quantity]:
@@ -365,10 +361,7 @@ def splined_uncertainty(predicted: Curve, names: Iterable[str]) -> dict[str, flo
     rough = rough.with_tangents()
     if rough.stiffness_N_per_mm is None:
         return {}
-    return {
-        response.name: abs(response.of(predicted) - response.of(rough))
-        for response in of_prediction(names)
-    }
+    return {r.name: abs(r.of(predicted) - r.of(rough)) for r in of_prediction(names)}
 
 
 def step_uncertainty(
@@ -390,19 +383,16 @@ def step_uncertainty(
     predicted_alone = of_prediction(names)
     compared = CURVE_RESPONSES if measured is not None else {}
     if predicted.stiffness_N_per_mm is None:
-        return dict.fromkeys([*compared, *(response.name for response in predicted_alone)], 0.0)
+        return dict.fromkeys([*compared, *(r.name for r in predicted_alone)], 0.0)
     if len(predicted) < 2:
         return {}
     rough = predicted.every_other_point()
-    scatter = {
-        response.name: abs(response.of(predicted) - response.of(rough))
-        for response in predicted_alone
-    }
+    scatter = {r.name: abs(r.of(predicted) - r.of(rough)) for r in predicted_alone}
     if measured is None:
         return scatter
     return scatter | {
-        name: abs(response.between(predicted, measured) - response.between(rough, measured))
-        for name, response in compared.items()
+        name: abs(r.between(predicted, measured) - r.between(rough, measured))
+        for name, r in compared.items()
     }
 
 

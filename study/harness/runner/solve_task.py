@@ -89,12 +89,10 @@ class SolveResult:
     @classmethod
     def from_json(cls, document: Mapping[str, object]) -> SolveResult:
         """Inverse of :meth:`to_json`; of a task that had no answer a status and a message stay."""
-        fields_read = {k: v for k, v in document.items() if k in cls.__dataclass_fields__}
-        if "curve" in fields_read:
-            fields_read["curve"] = Curve.from_dict(
-                cast("Mapping[str, object]", fields_read["curve"])
-            )
-        return cls(**fields_read)  # type: ignore[arg-type]
+        known = {k: v for k, v in document.items() if k in cls.__dataclass_fields__}
+        if "curve" in known:
+            known["curve"] = Curve.from_dict(cast("Mapping[str, object]", known["curve"]))
+        return cls(**known)  # type: ignore[arg-type]
 
 
 #: Solves some tasks and gives each result with the key of its task as soon as it is there.

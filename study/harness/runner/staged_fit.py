@@ -377,13 +377,13 @@ class Checkpoint:
 
     def last(self, stage: str) -> Iteration | None:
         """Last accepted iteration of a stage; None where it has not begun."""
-        stored = self.stages.get(stage)
-        if stored is None:
+        at = self.stages.get(stage)
+        if at is None:
             return None
         return Iteration(
-            stored["iteration"], stored["evaluations"], np.array(stored["x"], float),
-            stored["cost"], stored["radius"], stored["damping"], stored["offset"],
-            np.array(stored["scale"], float),
+            at["iteration"], at["evaluations"], np.array(at["x"], float),
+            at["cost"], at["radius"], at["damping"], at["offset"],
+            np.array(at["scale"], float)
         )  # fmt: skip
 
     def keep(self, stage: str, iteration: Iteration) -> None:

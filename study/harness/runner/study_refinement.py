@@ -220,14 +220,10 @@ def _column(job: CaseJob) -> str:
     tables, refinement = job.case.config, job.case.treatment.cell.problem.refinement
     if refinement is not None:
         return digest(plain(refinement.without(tables)))
-    calibrated = CalibrationTable.of(tables).problem or {}
+    other = CalibrationTable.of(tables).problem or {}
     rest = {k: v for k, v in tables.items() if k not in ("model", "calibration")}
     return digest(
-        [
-            plain(rest),
-            _meshless(table_of(tables, "model")),
-            _meshless(table_of(calibrated, "model")),
-        ]
+        [plain(rest), _meshless(table_of(tables, "model")), _meshless(table_of(other, "model"))]
     )
 
 

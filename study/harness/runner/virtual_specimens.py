@@ -185,9 +185,9 @@ def _task(
     material: Truth,
     poisson_ratio: float,
     as_designed: bool,
-    virtual_table: Virtual | None,
+    asked_for: Virtual | None,
 ) -> ReferenceTask:
-    virtual, setup = virtual_table or Virtual(), Setup.of(tables)
+    virtual, setup = asked_for or Virtual(), Setup.of(tables)
     # the grid runs a little past the range, as a real test does
     changes = {"steps": virtual.steps, "displacement_mm": 1.03 * setup.test.depth_mm}
     test = {**table_of(tables, "test"), **({} if as_designed else _BONDED), **changes}
