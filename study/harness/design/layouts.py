@@ -70,19 +70,7 @@ class Layout(Protocol):
 
 
 def placed(request: Request, kind: str, shares: Array, summary: str, note: str) -> Made:
-    """Levels and rows of a design given as shares of each range.
-
-    Parameters
-    ----------
-    request : Request
-        Factors; one with listed levels takes them in equal shares.
-    kind : str
-        Name of the design.
-    shares : ndarray, shape (runs, factors)
-        0 at the low and 1 at the high end.
-    summary, note : str
-        What it is, and what it cannot tell.
-    """
+    """Levels and rows of a design whose runs are shares of each range, (runs, factors)."""
     made, columns = [], []
     for factor, column in zip(request.factors, shares.T, strict=True):
         if factor.span is None:

@@ -296,8 +296,6 @@ def loads(text: str | bytes, source: str = "<string>", overrides: Sequence[str] 
 def from_tables(tables: Mapping[str, object]) -> str:
     """Text of a file that holds some tables: its own keys, texts with units or bare numbers.
 
-    Units: tables mm, N, MPa.
-
     Examples
     --------
     >>> print(from_tables({"specimen": {"shape": "cylinder", "radius": 25.0}}), end="")

@@ -115,10 +115,7 @@ class PlateFit:
 
 
 def rms(errors: Array) -> float:
-    """Root mean square length of vectors.
-
-    Shapes: errors (n, 3), mm.
-    """
+    """Root mean square length of vectors; errors (n, 3), mm."""
     return float(np.sqrt((errors**2).sum(axis=1).mean()))
 
 
@@ -215,10 +212,7 @@ def _standard_errors(slope: Array, errors: Array) -> Array:
 def predicted_markers(
     tables: Tables, constants: Mapping[str, float] | None, label: str, depth_mm: float
 ) -> PredictedCurve:
-    """Predict a state of a marked specimen and compare all markers.
-
-    Units: constants MPa.
-    """
+    """Predict a state of a marked specimen and compare all markers; constants MPa."""
     from study.mechanics.solver.load_path import NoEquilibrium
 
     began, spec = time.perf_counter(), MarkerSpec.from_dict(table_of(tables, "markers"))

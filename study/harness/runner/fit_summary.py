@@ -84,10 +84,7 @@ def mesh_document(solution: Solution) -> MeshDocument:
 
 
 def solver_document(solution: Solution) -> SolverDocument:
-    """Describe how a solution was found, and its energy balance, for the record.
-
-    Units: solution mm.
-    """
+    """Describe how a solution was found, and its energy balance, for the record."""
     touching = solution.equilibria.contact
     return {
         "name": str(solution.solver),
@@ -181,10 +178,7 @@ class FitResult:
 
 
 def described(fit: Fit, tables: Tables, measured: Sequence[Curve]) -> FitDocument:
-    """Describe a fit.
-
-    Units: found MPa; returns MPa.
-    """
+    """Describe a fit."""
     names = fit.names
     document: FitDocument = {
         "message": fit.message,
@@ -366,10 +360,7 @@ def answer_of_parameters(tables: Tables, case_id: str) -> tuple[ParameterAnswer,
 def external_curve(
     tables: Tables, constants: Mapping[str, float] | None, displacement_mm: Array
 ) -> PredictedCurve:
-    """Curve of a case by its external forward model.
-
-    Shapes: constants MPa; displacement_mm (n,).
-    """
+    """Curve of a case by its external forward model; constants MPa; displacement_mm (n,)."""
     external = External.of(tables)
     if external is None:
         raise ValueError("these tables name no external forward model")

@@ -133,10 +133,7 @@ def start_values(
 def fitted_model(
     method: str, tables: Tables, measured: Sequence[Curve], names: Sequence[str]
 ) -> Predict:
-    """Model of one test, for the optimizer.
-
-    Units: measured mm, s; returns MPa.
-    """
+    """Model of one test, for the optimizer."""
     if method == "external":
         return InverseExternal(tables, measured, names)
     make = closed_form_model if method == "closed-form" else InverseFem
@@ -270,10 +267,7 @@ class Residuals:
 
 
 def residuals_of(measured: Curve, predicted_N: Array, share: float) -> Residuals:  # noqa: N803
-    """Residuals of a fit with their block length.
-
-    Shapes: predicted_N (n,).
-    """
+    """Residuals of a fit with their block length; predicted_N (n,)."""
     left = measured.force_N - predicted_N
     left = left - left.mean()
     power = float(left @ left)

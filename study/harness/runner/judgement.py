@@ -363,10 +363,7 @@ def inconclusive(
     u_num: float | None = None,
     verdict: str = "",
 ) -> ConvergenceResult:
-    """Make the result of a series, coarse to fine, with too few meshes for an order.
-
-    Units: sizes, values mm.
-    """
+    """Make the result of a series, coarse to fine, with too few meshes for an order."""
     usual = f"an order needs three meshes with an answer, there are {len(values)}"
     return ConvergenceResult(
         qoi=qoi,

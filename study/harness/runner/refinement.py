@@ -377,10 +377,7 @@ def formal_order(problem: Problem) -> FormalOrder:
 
 
 def formal_of_case(job: CaseJob) -> FormalOrder:
-    """Formal order of a case whose constants are not known yet.
-
-    Units: job mm.
-    """
+    """Formal order of a case whose constants are not known yet."""
     return formal_order(_in_mind(job))
 
 
@@ -528,10 +525,7 @@ def series_sizes(
     *,
     anchor: int = -1,
 ) -> list[float]:
-    """Sizes by which a series is judged: by its elements, or those at a sharp edge.
-
-    Units: sizes, elements mm.
-    """
+    """Sizes by which a series is judged: by its elements, or those at a sharp edge."""
     if edge_rules(setup):
         return list(sizes)
     return by_elements(sizes, elements, setup.model.space, anchor=anchor)
@@ -544,8 +538,6 @@ def by_elements(
 
     What counts is the ratio, and the elements a mesh really has decide it (Celik et al. 2008):
     whole numbers of cells never give exactly the ratio that was asked for.
-
-    Units: sizes, elements mm.
 
     Examples
     --------

@@ -247,16 +247,7 @@ CURVE_RESPONSES: Mapping[str, CurveResponse] = {
 
 
 def units_of(named: Iterable[str], measured: bool = True) -> dict[str, str]:
-    """Units of all responses that the records of a study hold, by name.
-
-    Parameters
-    ----------
-    asked : iterable of str
-        Names of the responses that the study asks for; every record also holds those of
-        :data:`CURVE_RESPONSES` and the initial shear modulus.
-    measured : bool
-        Whether predicted curves stand beside measured ones.
-    """
+    """Units of all responses that the records of a study hold, those not asked for too."""
     every: list[Response] = [*(CURVE_RESPONSES.values() if measured else ()), InitialShearModulus()]
     names = list(named)
     every += [SimulatedResponse(name) for name in names if is_simulated(name)]
@@ -268,13 +259,7 @@ def units_of(named: Iterable[str], measured: bool = True) -> dict[str, str]:
 
 
 def scale_of(constant: str) -> float:
-    """Factor from MPa to the unit in which a constant is reported; 1 for one that is no modulus.
-
-    Parameters
-    ----------
-    constant : str
-        Name, such as ``"C10"``; a share or time of relaxation has the factor 1 too.
-    """
+    """Factor from MPa to the unit in which a constant is reported; 1 for one that is no modulus."""
     return 1.0 if is_dimensionless(constant) else KPA
 
 
@@ -285,15 +270,7 @@ def in_shown_units(constants: Sequence[str], values: Array) -> dict[str, object]
 
 
 def score(scored: Scored, names: Iterable[str] = ()) -> dict[str, Quantity]:
-    """Every response that a curve has, with its unit.
-
-    Parameters
-    ----------
-    found : Scored
-        The predicted curve, the measured one if there is one, and the constants.
-    asked : iterable of str
-        Names of the responses that the record holds.
-    """
+    """Every response that a curve has, with its unit."""
     every: list[Response] = []
     if scored.predicted is not None:
         every += of_prediction(names)
@@ -302,24 +279,12 @@ def score(scored: Scored, names: Iterable[str] = ()) -> dict[str, Quantity]:
 
 
 def of_prediction(names: Iterable[str]) -> list[SimulatedResponse]:
-    """Those responses asked for that a predicted curve alone gives.
-
-    Parameters
-    ----------
-    asked : iterable of str
-        Names of responses; others are passed over, as is ``dofs``, which the mesh gives.
-    """
+    """Those responses asked for that a predicted curve alone gives."""
     return [SimulatedResponse(name) for name in names if is_simulated(name) and name != "dofs"]
 
 
 def constants_of(scored: Scored) -> dict[str, Quantity]:
-    """List the initial shear modulus, where it is known, and every constant, with its unit.
-
-    Parameters
-    ----------
-    found : Scored
-        Its constants in MPa are listed in kPa, plain numbers and times as they are.
-    """
+    """List the initial shear modulus and every constant: moduli in kPa, others as they are."""
     responses: list[Response] = [] if scored.mu0 is None else [InitialShearModulus()]
     responses += [ConstantResponse(name) for name in scored.constants]
     return _computed(responses, scored)
@@ -331,13 +296,7 @@ def _computed(responses: Iterable[Response], scored: Scored) -> dict[str, Quanti
 
 
 def averaged(scores: Sequence[Mapping[str, Quantity]]) -> dict[str, Quantity]:
-    """Mean over the directions (fit and score changed places), with units.
-
-    Parameters
-    ----------
-    scores : sequence of mapping of str to Quantity
-        One a direction; the first says which responses. A mean that is not finite becomes None.
-    """
+    """Mean over the directions, with units; a mean that is not finite is None."""
     out: dict[str, Quantity] = {}
     for name, first in scores[0].items():
         numbers = [score[name]["value"] for score in scores if name in score]
@@ -351,11 +310,6 @@ def splined_uncertainty(predicted: Curve, names: Iterable[str]) -> dict[str, flo
 
     Another program solves with load steps of its own, which are not ours to halve; what lies
     between the displacements that it was asked for is. Nothing where too few points are left.
-
-    Parameters
-    ----------
-    predicted, asked
-        A curve with tangents, and names of responses; the change is in the unit of each.
     """
     rough = replace(predicted.every_other_point(), stiffness_N_per_mm=None, work_Nmm=None)
     rough = rough.with_tangents()
@@ -373,12 +327,6 @@ def step_uncertainty(
     the response itself is a part of this change, since the interpolation between two steps gets
     better by more than twice when they are halved. Zero where the force is known everywhere
     (closed form), and nothing where one step is all there is.
-
-    Parameters
-    ----------
-    predicted, measured, asked
-        The curve, the measured one that it is compared with (None where there is none), and the
-        names of the responses asked for. The change is in the unit of each response.
     """
     predicted_alone = of_prediction(names)
     compared = CURVE_RESPONSES if measured is not None else {}

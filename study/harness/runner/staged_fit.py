@@ -233,10 +233,7 @@ def staged_fit(
     progress: Progress | None = None,
     checkpoint: Checkpoint | None = None,
 ) -> Staged:
-    """Fit common constants to all parts at once.
-
-    Shapes: start (p,), MPa.
-    """
+    """Fit common constants to all parts at once; start (p,), MPa."""
     search = Search(names, make, bounds, progress, checkpoint or Checkpoint())
     cheap = [cheaper(part) for part in parts]
     starts = gentler(names, start, bounds)
