@@ -12,6 +12,7 @@ import numpy as np
 from study.ground.errors import nearest
 from study.harness.design.diagnostics import Faults, flatten, noted, read_table
 from study.harness.design.generators import clear_order, model_columns
+from study.harness.design.layout_kinds import word_of, words_of
 from study.harness.design.spec import Expected, Factor, ResponseSpec, Scheme
 from study.harness.design.study_file import Analysis, AnalysisTable
 from study.mechanics.setup.declaration import (
@@ -276,14 +277,7 @@ def _model(factors: Sequence[str], value: object) -> Model:
 
 
 def _term(value: object, factors: Sequence[str]) -> str:
-    parts = [p.strip() for p in value.split(":")] if isinstance(value, str) else [value]
-    named = [part for part in parts if isinstance(part, str) and part in factors]
-    for part in parts:
-        if part not in factors:
-            raise Bad(f"no factor {shown(part)}", nearest(str(part)[:80], factors))
-    if len(set(named)) < len(named):
-        raise Bad(f"a factor stands twice in {shown(value)}")
-    return ":".join(sorted(named, key=list(factors).index))
+    return ":".join(factors[k] for k in word_of(factors, value))
 
 
 def _check_told_apart(
@@ -294,7 +288,8 @@ def _check_told_apart(
     if scheme.rows is None or scheme.kind not in _FRACTIONS:
         return
     names = [factor.name for factor in factors]
-    words = _words(model, names)
+    most = min(model, len(names)) if isinstance(model, int) else len(names)
+    words = words_of(names, list(model) if isinstance(model, tuple) else most)
     runs = np.array(scheme.rows)
     columns = model_columns(runs, [len(factor.levels) for factor in factors], words)
     rank, columns_asked = int(np.linalg.matrix_rank(columns)) - 1, columns.shape[1] - 1
@@ -305,15 +300,6 @@ def _check_told_apart(
     usual = default_model(scheme, factors)
     aliased = f": {scheme.aliases[0]}" if scheme.aliases else ""
     faults.add("analysis.model", rule + aliased, f"leave it out (model = {usual}), or list terms")
-
-
-def _words(model: Model, names: Sequence[str]) -> list[tuple[int, ...]]:
-    """Factors of every term, by their number."""
-    if isinstance(model, tuple):
-        return [tuple(names.index(name) for name in term.split(":")) for term in model]
-    highest = model if isinstance(model, int) else len(names)
-    orders = range(1, min(highest, len(names)) + 1)
-    return [word for order in orders for word in itertools.combinations(range(len(names)), order)]
 
 
 def terms_of(scheme: Scheme, factors: Sequence[Factor]) -> tuple[str, ...] | None:
