@@ -27,7 +27,8 @@ from study.harness.external.command import External
 from study.harness.external.exchange import PythonFunction
 from study.harness.runner.problem_tables import (
     PROBLEM,
-    CalibrationTable,
+    calibrated_test,
+    method_of,
     own_tables,
     with_placeholder,
 )
@@ -189,14 +190,13 @@ def fit_problem(tables: Tables) -> FitProblem:
     """Calibration of the resolved tables of a case; of parameters alone there is none."""
     if "material" not in tables:
         return FitProblem("none", tables, False)
-    section = CalibrationTable.of(tables)
-    calibration = section.problem or {}
+    calibration = calibrated_test(tables)
     scored = {k: tables[k] for k in PROBLEM if k in tables}
     merged = scored | {k: calibration[k] for k in _REPLACEABLE if calibration.get(k)}
     shared = merged == scored
     merged["material"] = _written(table_of(tables, "material"))
     external = External.of(merged)
-    method = _method(section.method, merged, external is not None)
+    method = _method(method_of(tables), merged, external is not None)
     if method == "closed-form":
         merged.pop("model", None)
         merged.pop("forward", None)
@@ -210,7 +210,7 @@ def fit_problem(tables: Tables) -> FitProblem:
 
 def together(tables: Tables, tests: Sequence[Tables]) -> FitProblem:
     """One fit to several tests, with the material and model of a case."""
-    calibration = {"method": CalibrationTable.of(tables).method}
+    calibration = {"method": method_of(tables)}
     parts = []
     for test in tests:
         problem = fit_problem({**tables, **test, "calibration": calibration})

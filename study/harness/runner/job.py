@@ -18,7 +18,7 @@ from study.harness.runner.fit_problem import NOTHING, Allowed, FitProblem, fit_k
 from study.harness.runner.fit_summary import FitResult
 from study.harness.runner.problem_tables import (
     PROBLEM,
-    CalibrationTable,
+    calibrated_test,
     gauge_of,
     measurements_of,
 )
@@ -94,7 +94,7 @@ class DataCache:
 
     def calibrated(self, tables: Tables) -> Measurements | None:
         """Measurements that only the calibration uses."""
-        problem = CalibrationTable.of(tables).problem
+        problem = calibrated_test(tables)
         if not problem or problem.get("measurements") == tables.get("measurements"):
             return None
         return self._get(problem)
@@ -108,23 +108,20 @@ class DataCache:
         return {name: sha for data in self._read.values() for name, sha in data.files.items()}
 
     def _get(self, tables: Tables) -> Measurements | None:
-        spec, made = tables.get("measurements"), measurements_of(tables)
-        if made is None:
+        spec = measurements_of(tables)
+        if spec is None:
             return None
         setup = Setup.of(tables)
-        place = (id(spec), setup.height_mm, setup.test.displacement_mm, gauge_of(setup))
-        if place not in self._asked:
-            self._asked[place] = (spec, self._conditioned(made, setup))
-        return self._asked[place][1]
-
-    def _conditioned(self, made: MeasurementSpec, setup: Setup) -> Measurements:
         height, depth, gauge = setup.height_mm, setup.test.displacement_mm, gauge_of(setup)
-        key = digest([made.as_dict(), height, depth, None if gauge is None else asdict(gauge)])
-        if key not in self._read:
-            rows = self._recordings(made)
-            measurements = read_measurements(made, self.root, height, depth, gauge, rows)
-            self._read[key] = conditioning.checked(measurements, setup)
-        return self._read[key]
+        place = (id(spec), height, depth, gauge)
+        if place not in self._asked:
+            key = digest([spec.as_dict(), height, depth, None if gauge is None else asdict(gauge)])
+            if key not in self._read:
+                rows = self._recordings(spec)
+                measurements = read_measurements(spec, self.root, height, depth, gauge, rows)
+                self._read[key] = conditioning.checked(measurements, setup)
+            self._asked[place] = spec, self._read[key]
+        return self._asked[place][1]
 
     def _recordings(self, spec: MeasurementSpec) -> Recordings:
         """Rows of the files, read once for all ranges that are cut out of them."""

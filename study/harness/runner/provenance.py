@@ -17,7 +17,7 @@ from study.ground.bounded_file import sha256_of
 from study.ground.errors import Fault, InputError, MissingDataError, StoreError, nearest
 from study.harness.design.cell import Config
 from study.harness.record.atomic_files import write_atomic
-from study.harness.runner.problem_tables import CalibrationTable, with_placeholder
+from study.harness.runner.problem_tables import calibrated_test, with_placeholder
 from study.mechanics.measurement.marker_states import read_markers
 from study.mechanics.measurement.measurement_section import MarkerSpec
 from study.mechanics.measurement.recording import check_relative, locate
@@ -279,7 +279,7 @@ def _notes(config: Tables) -> Iterator[str]:
 
 def fingerprints(config: Tables) -> list[str]:
     """Hashes of the files of surfaces and markers that a configuration uses."""
-    calibrated = CalibrationTable.of(config).problem or {}
+    calibrated = calibrated_test(config)
     sections = [table_of(config, name) for name in ("specimen", "markers")]
     sections.append(table_of(calibrated, "specimen"))
     return [str(section["sha256"]) for section in sections if section.get("sha256")]

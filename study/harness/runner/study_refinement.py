@@ -26,7 +26,7 @@ from study.harness.runner.cost import Costs
 from study.harness.runner.expansion import case_job
 from study.harness.runner.job import CaseJob, Origin, Work, varied
 from study.harness.runner.problem_tables import (
-    CalibrationTable,
+    calibrated_test,
     measurements_of,
     on_mesh,
     value_named,
@@ -220,7 +220,7 @@ def _column(job: CaseJob) -> str:
     tables, refinement = job.case.config, job.case.treatment.cell.problem.refinement
     if refinement is not None:
         return digest(plain(refinement.without(tables)))
-    other = CalibrationTable.of(tables).problem or {}
+    other = calibrated_test(tables)
     rest = {k: v for k, v in tables.items() if k not in ("model", "calibration")}
     return digest(
         [plain(rest), _meshless(table_of(tables, "model")), _meshless(table_of(other, "model"))]
@@ -257,7 +257,7 @@ def input_work(work: Work) -> Work:
         ).items():
             # Copy a case with one input moved; the measured points stay where they are.
             config = shifted(_fixed_range(base.case.config), key, amount)
-            calibrated = CalibrationTable.of(config).problem
+            calibrated = calibrated_test(config)
             if calibrated and key.split(".")[0] in calibrated:
                 inner = shifted(_fixed_range(calibrated), key, amount)
                 config = with_table(config, "calibration", problem=inner)

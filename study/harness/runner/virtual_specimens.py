@@ -27,7 +27,7 @@ from study.harness.execution.task import Task
 from study.harness.record.atomic_files import write_atomic, write_new
 from study.harness.runner import provenance
 from study.harness.runner.job import TRUTH_SUFFIX
-from study.harness.runner.problem_tables import CalibrationTable, measurements_of
+from study.harness.runner.problem_tables import calibrated_test, measurements_of
 from study.harness.runner.solve_task import SolveResult
 from study.mechanics.forward import finite_element
 from study.mechanics.material.homogeneous import LOADINGS
@@ -371,7 +371,7 @@ def _sources(design: Design) -> list[tuple[MeasurementSpec, Tables]]:
     """Each file that a design reads, with the deepest test and the finest mesh that read it."""
     sources: dict[str, tuple[MeasurementSpec, Tables]] = {}
     for treatment in design.treatments:
-        calibrated = CalibrationTable.of(treatment.config).problem or {}
+        calibrated = calibrated_test(treatment.config)
         for config in (treatment.config, calibrated):
             spec = measurements_of(config)
             if spec is None:
