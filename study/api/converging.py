@@ -187,7 +187,7 @@ def meshes(
     drawn: dict[str, tuple[str, Array, NDArray[np.int64]]] = {}
     window = None
     for cell, its_tables in zip(cells, tables, strict=True):
-        sizes = [level.mesh_size_mm for level in cell.meshes if level.converged]
+        sizes = [level.mesh_size_mm for level in cell.meshes if level.result.converged]
         if Setup.of(its_tables).model.space == "3d" or not sizes or len(drawn) >= 2 * SHOWN:
             continue
         for size in (sizes[-1], sizes[0]):
@@ -393,7 +393,7 @@ def _points(
             level.result.memory_MB, value, abs(value - reference) / abs(reference),
         )
         for level in series.good
-        for value in (function(level.curve),)
+        for value in (function(level.result.curve),)
     ]  # fmt: skip
 
 

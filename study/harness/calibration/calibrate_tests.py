@@ -48,8 +48,8 @@ from study.harness.runner.staged_fit import (
     Checkpoint,
     Limits,
     Progress,
-    Search,
     Staged,
+    StagedSearch,
     begun_stage,
     cheaper,
     gentler,
@@ -193,7 +193,7 @@ def _from_look(setting: Setting, start: Array, curves: Sequence[FitCurve], first
     if first.rough is not None and first.rough.status.usable:
         start_parts = [other or part for other, part in zip(cheap, parts, strict=True)]
         starts = gentler(setting.names, start, setting.bounds)
-        search = Search(
+        search = StagedSearch(
             setting.names, fit_task.fitted_model, setting.bounds, None,
             Checkpoint(limits=setting.limits)
         )  # fmt: skip
@@ -225,7 +225,7 @@ def _start(
         names, first = fit_task.start_values(before.tables, measured, constants)
         simpler_part = replace(part, tables=before.tables)
         stage = f"start ({before.material.model}, {len(names)} constants)"
-        search = Search(names, fit_task.fitted_model, None, progress, checkpoint)
+        search = StagedSearch(names, fit_task.fitted_model, None, progress, checkpoint)
         stage_parts = [cheaper(simpler_part) or simpler_part]
         simpler = begun_stage(stage, stage_parts, gentler(names, first), search).fit
         if not simpler.status.usable:

@@ -26,7 +26,7 @@ from study.harness.runner.fit_task import InverseFem
 from study.harness.runner.problem_tables import on_mesh
 from study.harness.runner.refinement import formal_order
 from study.harness.runner.response import in_shown_units
-from study.harness.runner.staged_fit import FitPart, Predict, Progress, Search, single_stage
+from study.harness.runner.staged_fit import FitPart, Predict, Progress, StagedSearch, single_stage
 from study.mechanics.calibration.covariance import scaled_inverse
 from study.mechanics.calibration.identifiability import fitted_rows
 from study.mechanics.calibration.residual_function import EvaluationFailed
@@ -118,7 +118,7 @@ def numerical_bound(
     # from coarse to fine, and the own mesh again with more steps
     made = [[_on_level(part, step) for part in parts] for step in levels]
     made.append([_with_more_steps(part) for part in parts])
-    search = Search(names, fit_task.fitted_model, bounds, progress)
+    search = StagedSearch(names, fit_task.fitted_model, bounds, progress)
     solutions = []
     for number, changed_parts in enumerate(made):
         stage = f"numerical bound, fit {number + 1} of {len(made)}"

@@ -22,7 +22,7 @@ from study.harness.design.calibration_section import CalibratedTest, Calibration
 from study.harness.runner import fit_task
 from study.harness.runner.fit_task import Residuals, resampled, residuals_of
 from study.harness.runner.response import in_shown_units
-from study.harness.runner.staged_fit import FitPart, Search, Staged, single_stage
+from study.harness.runner.staged_fit import FitPart, Staged, StagedSearch, single_stage
 from study.mechanics.calibration.fit import residual_function
 from study.mechanics.calibration.residual_function import EvaluationFailed
 from study.mechanics.material.energy import Energy
@@ -108,7 +108,7 @@ def bootstrap(
     values = []
     for _ in range(resamples):
         again = _of_specimens(tests, specimens, rng) if several else _of_rows(parts, blocks, rng)
-        search = Search(fit.names, fit_task.fitted_model, bounds)
+        search = StagedSearch(fit.names, fit_task.fitted_model, bounds)
         fitted = single_stage("resampled", again, fit.values, search).fit
         if fitted.converged:
             values.append(fitted.values)

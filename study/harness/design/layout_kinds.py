@@ -59,7 +59,7 @@ class DOptimal:
     seed: Annotated[int | None, Reads(integer(0, 2**32 - 1))] = None
 
     def make(self, request: Request) -> Made:
-        """Search the cells, and say how good they are."""
+        """StagedSearch the cells, and say how good they are."""
         names = [factor.name for factor in request.factors]
         sizes = [len(factor.levels) for factor in request.factors]
         words = noted(

@@ -6,14 +6,14 @@ import json
 import traceback
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 from study.ground.errors import Fault, InputError
 
 #: what JSON can hold under names: the only thing that comes back from a worker
 Document = Mapping[str, object]
 #: a task in, a document with a ``status`` out; a function of a module, found by name
-Perform = Callable[[Any], Document]
+Perform = Callable[..., Document]
 Results = Mapping[str, Document]
 
 

@@ -28,6 +28,7 @@ from study.harness.runner.fit_task import FitTask
 from study.harness.runner.job import CaseJob, CaseTask, FitJob, Work, fits_of
 from study.harness.runner.problem_tables import on_mesh, with_both
 from study.harness.runner.refinement import base_size_mm
+from study.harness.runner.solve_task import LASTING
 from study.harness.runner.tasks import adapted, default_jobs, limit_of, processes
 from study.mechanics.setup.setup import Setup, Tables
 
@@ -153,9 +154,6 @@ def _with_steps(tables: Tables) -> tuple[Tables, str]:
     new = STEPS_FACTOR * old
     return with_both(tables, "test", steps=new), f"{new} load steps instead of {old}"
 
-
-#: a fit with one of these results is worth keeping: the same input gives it again
-_KEPT = ("converged", "not-converged", "unstable", "lost-contact", "mesh-failed")
 
 #: what may go better next time: memory and time depend on the machine
 RETRIED = ("crashed", "timeout", "out-of-memory")
@@ -372,7 +370,7 @@ class _Batch:
     def _keep(self, outcome: Outcome) -> None:
         if outcome.key in self.fits:
             self.spent["fits"] += outcome.seconds
-            if outcome.status in _KEPT:
+            if outcome.status in LASTING:
                 self.store.write_fit(outcome.key, outcome.result, followed=outcome.followed)
             return
         self.spent["cases"] += outcome.seconds

@@ -28,7 +28,7 @@ from study.harness.runner.fit_summary import (
     described,
     status_of,
 )
-from study.harness.runner.staged_fit import FitPart, Predict, Search, single_stage, staged_fit
+from study.harness.runner.staged_fit import FitPart, Predict, StagedSearch, single_stage, staged_fit
 from study.mechanics.calibration.fit import Fit
 from study.mechanics.calibration.fit_influence import with_serial_correlation
 from study.mechanics.calibration.residual_function import EvaluationFailed, MeasuredCurve
@@ -326,7 +326,7 @@ def refitted(task: FitTask) -> FitResult:
         for curve, residual in zip(task.measured, residuals, strict=True)
     ]
     again, made = _with_forces(parts, drawn), iter(models)
-    done = single_stage("resampled", again, start, Search(names, lambda *_: next(made)))
+    done = single_stage("resampled", again, start, StagedSearch(names, lambda *_: next(made)))
     document = _described(done.fit, parts[0].tables, residuals)
     document.update({"method": task.problem.method, "seconds": time.perf_counter() - began})
     return FitResult(status_of(done.fit), document)

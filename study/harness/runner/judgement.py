@@ -290,7 +290,7 @@ def judge(
             series.spec.qoi,
             unit,
             [level.mesh_size_mm for level in meshes],
-            [function(level.curve) for level in meshes],
+            [function(level.result.curve) for level in meshes],
             formal_order=formal.order,
         ),
         {},
@@ -308,7 +308,7 @@ def judge(
             facts = replace(facts, main=replace(of_two, verdict=verdict))
         return facts.warned(*warnings)
     fraction, coarsest = SOLVER_TOLERANCE, meshes[0]
-    if tolerance and (main := function(meshes[-1].curve)):
+    if tolerance and (main := function(meshes[-1].result.curve)):
         fraction = tolerance / abs(main)
     sizes = representative_sizes(meshes, series.setup)
     results = judged(sizes, curve_values(meshes), formal.order, fraction)

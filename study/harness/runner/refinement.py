@@ -100,21 +100,6 @@ class MeshLevel:
     result: SolveResult
     predicted: Predictions = field(default_factory=Predictions)
 
-    @property
-    def converged(self) -> bool:
-        """Whether it has an answer."""
-        return self.result.converged
-
-    @property
-    def curve(self) -> Curve:
-        """Predicted curve, as far as it came."""
-        return self.result.curve
-
-    @property
-    def elements(self) -> int:
-        """Elements of the mesh."""
-        return self.result.elements
-
     def to_json(self) -> dict[str, object]:
         """Everything but the curve."""
         return {
@@ -183,7 +168,7 @@ class RefinementSeries:
     @property
     def good(self) -> list[MeshLevel]:
         """Meshes with an answer."""
-        return [level for level in self.levels if level.converged]
+        return [level for level in self.levels if level.result.converged]
 
     def due(self) -> list[PlannedMesh]:
         """List the next mesh; none where the series has ended (``stopped`` says why)."""
@@ -320,7 +305,7 @@ def quantity(name: str) -> tuple[Callable[[Curve], float], str]:
 def curve_values(levels: Sequence[MeshLevel]) -> dict[str, tuple[list[float], str]]:
     """Every quantity of the curves of a series, in the order of the meshes."""
     return {
-        name: ([function(level.curve) for level in levels], unit)
+        name: ([function(level.result.curve) for level in levels], unit)
         for name, (function, unit) in QUANTITIES.items()
     }
 
@@ -495,16 +480,17 @@ def usable(levels: Sequence[MeshLevel]) -> tuple[list[MeshLevel], list[str]]:
     warnings = [
         f"the mesh of {level.mesh_size_mm:.4g} mm gave no answer: {level.result.message}"
         for level in levels
-        if not level.converged
+        if not level.result.converged
     ]
     for level in levels:
-        if not level.converged:
+        if not level.result.converged:
             continue
-        same = [k for k in meshes if k.elements == level.elements and level.elements > 0]
+        count = level.result.elements
+        same = [mesh for mesh in meshes if mesh.result.elements == count > 0]
         if same:
             warnings.append(
                 f"the meshes of {same[0].mesh_size_mm:.4g} mm and {level.mesh_size_mm:.4g} mm "
-                f"have the same {level.elements} elements: the coarser is left out; a larger "
+                f"have the same {count} elements: the coarser is left out; a larger "
                 "ratio or a smaller mesh_size would refine"
             )
             meshes.remove(same[0])
@@ -515,7 +501,7 @@ def usable(levels: Sequence[MeshLevel]) -> tuple[list[MeshLevel], list[str]]:
 def representative_sizes(levels: Sequence[MeshLevel], setup: Setup) -> list[float]:
     """Sizes of solved meshes, scaled to the finest mesh's own size."""
     sizes = [level.mesh_size_mm for level in levels]
-    return series_sizes(sizes, [level.elements for level in levels], setup)
+    return series_sizes(sizes, [level.result.elements for level in levels], setup)
 
 
 def series_sizes(

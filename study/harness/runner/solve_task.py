@@ -160,7 +160,7 @@ def peak_MB() -> float:  # noqa: N802
 # Where solutions of refinement series come from: this process, workers, or the store.
 
 #: results that the same input gives again; memory and time may be better another day
-_KEPT = ("converged", "not-converged", "unstable", "lost-contact", "mesh-failed")
+LASTING = ("converged", "not-converged", "unstable", "lost-contact", "mesh-failed")
 
 
 def in_process(tasks: Sequence[SolveTask]) -> Iterator[tuple[str, SolveResult]]:
@@ -197,7 +197,7 @@ def kept(solve: Solver, store: Store) -> Solver:
             else:
                 missing.append(task)
         for key, result in solve(missing) if missing else ():
-            if result.status in _KEPT:
+            if result.status in LASTING:
                 with store.lock():
                     store.write_solution(key, result.to_json())
             yield key, result

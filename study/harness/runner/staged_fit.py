@@ -234,7 +234,7 @@ def staged_fit(
     checkpoint: Checkpoint | None = None,
 ) -> Staged:
     """Fit common constants to all parts at once; start (p,), MPa."""
-    search = Search(names, make, bounds, progress, checkpoint or Checkpoint())
+    search = StagedSearch(names, make, bounds, progress, checkpoint or Checkpoint())
     cheap = [cheaper(part) for part in parts]
     starts = gentler(names, start, bounds)
     rough: Staged | None = None
@@ -256,7 +256,7 @@ def staged_fit(
 
 
 def begun_stage(
-    stage: str, parts: Sequence[FitPart], starts: Sequence[Start], search: Search
+    stage: str, parts: Sequence[FitPart], starts: Sequence[Start], search: StagedSearch
 ) -> Staged:
     """Fit from the first start that leads anywhere; from the last one if none does."""
     labels = [stage, *(f"{stage}, {begun.words}" for begun in starts[1:])]
@@ -285,7 +285,9 @@ def _told(stage: str, tried: Sequence[Start], in_vain: bool) -> str:
     return rule if in_vain else f"{rule}: it was begun with {tried[-1].words}"
 
 
-def single_stage(stage: str, parts: Sequence[FitPart], start: Array, search: Search) -> Staged:
+def single_stage(
+    stage: str, parts: Sequence[FitPart], start: Array, search: StagedSearch
+) -> Staged:
     """Fit on the given meshes from one start."""
     names, checkpoint = search.names, search.checkpoint
     models = [search.make(part.method, part.tables, part.curves, names) for part in parts]
@@ -411,7 +413,7 @@ def _read(path: Path, key: str) -> dict[str, StageDocument]:
 
 
 @dataclass(frozen=True)
-class Search:
+class StagedSearch:
     """What all stages of a fit share."""
 
     names: tuple[str, ...]

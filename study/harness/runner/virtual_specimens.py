@@ -118,13 +118,13 @@ def _ogden() -> Truth:
     return Truth("ogden", constants, directions, "Ogden's energy of two terms")
 
 
-def _humphrey(order: int = 9) -> Truth:
+def _humphrey() -> Truth:
     """W = b (exp(c (I1 - 3)) - 1) (Humphrey and Yin 1987), as its power series.
 
     What nine terms leave out is below 4e-5 of the stress up to I1 - 3 = 6; a stretch of 2.5
     has 4. The exponent scatters at fixed initial modulus 2 b c.
     """
-    b, c = 24.913774e-3, 0.25632133
+    b, c, order = 24.913774e-3, 0.25632133, 9
     constants = {f"C{k}0": b * c**k / factorial(k) for k in range(1, order + 1)}
     exponent = {f"C{k}0": (k - 1) * constants[f"C{k}0"] for k in range(2, order + 1)}
     return Truth("reduced-polynomial", constants, (exponent,), "Humphrey's exponential energy")
@@ -279,8 +279,6 @@ def perform(task: ReferenceTask) -> dict[str, object]:
 # and density together are such a factor, and what its weight does is known to first order. What is
 # written is the truth of this generator, and p values on it describe this scatter and nothing else.
 
-#: constants of the usual truth, MPa
-ECOFLEX_00_10 = TRUTHS["yeoh"].constants
 CITATION = (
     "virtual specimens with the constants of Dawood et al. (2026), Hyperelastic "
     "Characterisation of Silicone Tissue Phantoms, data CC BY 4.0"
