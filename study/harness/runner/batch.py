@@ -32,7 +32,6 @@ from study.harness.runner.solve_task import LASTING
 from study.harness.runner.tasks import adapted, default_jobs, limit_of, processes
 from study.mechanics.setup.setup import Setup, Tables
 
-# -------------------------------------------------------------------------------------------------
 # What is tried when a case has no answer: declared in the design, by cause, and never silent.
 #
 # ``[execution] retry`` names the changes of every cause, in the order in which they are tried; each

@@ -205,7 +205,6 @@ def _standard_errors(slope: Array, errors: Array) -> Array:
     return np.asarray(np.sqrt(np.diag(inverse @ (share * scores.T @ scores) @ inverse)))
 
 
-# -------------------------------------------------------------------------------------------------
 # A specimen with markers inside: its prediction, and what the markers say of it.
 
 

@@ -48,7 +48,6 @@ from study.mechanics.setup.calibration_table import NOTHING as calibration_NOTHI
 from study.mechanics.setup.declaration import table_of
 from study.mechanics.setup.setup import Tables
 
-# -------------------------------------------------------------------------------------------------
 # Repeats of every cell for an error term: other meshes, or fits to resampled noise.
 
 
@@ -136,7 +135,6 @@ def _again(job: CaseJob, seed: int, number: int) -> CaseJob:
     )
 
 
-# -------------------------------------------------------------------------------------------------
 # Cross-validation: which curve a score is held out from, and the fit that did not see it.
 #
 # A model with more constants fits the curve that it was fitted to at least as well, whatever the

@@ -39,7 +39,6 @@ from study.mechanics.setup.declaration import table_of
 from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import Setup, Tables
 
-# -------------------------------------------------------------------------------------------------
 # Programs and functions of a study: found, named, allowed, and asked for curves.
 
 _WHERE = "forward.files"

@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from study.mechanics.solver.solution import Solution
 
 
-# -------------------------------------------------------------------------------------------------
 # A predicted curve, and how it was found.
 
 
@@ -251,7 +250,6 @@ def _row(values: Array) -> list[float | None]:
     return [_finite(value) for value in values]
 
 
-# -------------------------------------------------------------------------------------------------
 # Constants found through a program or a function, with gradients it has or differences.
 
 #: evaluations of a fit beside those of its gradients: measured on neo-Hookean to third order

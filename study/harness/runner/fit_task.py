@@ -238,7 +238,6 @@ class InverseFem:
         )
 
 
-# -------------------------------------------------------------------------------------------------
 # What the noise of a measured curve does to its constants: fits to resampled residuals.
 #
 # The residuals of a fit are laid around its curve again, in blocks where neighbors are

@@ -34,7 +34,6 @@ from study.mechanics.measurement.recording import Recordings, read_recordings
 from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import Setup, Tables
 
-# -------------------------------------------------------------------------------------------------
 # A case as it goes to a worker: what is known of its record, its problem, its fits.
 
 #: role of a direction that gives the constants of a specimen where its score is held out

@@ -29,7 +29,6 @@ from study.statistics.convergence.grid_convergence import (
     grid_convergence,
 )
 
-# -------------------------------------------------------------------------------------------------
 # Errors of mesh, load steps and solver tolerance side by side.
 
 #: How many load steps replace one.

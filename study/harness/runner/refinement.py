@@ -257,7 +257,6 @@ def _announced(planned: Sequence[PlannedMesh]) -> str:
     return f"mesh size {sizes} mm: {len(planned)} solution{several}{cost}"
 
 
-# -------------------------------------------------------------------------------------------------
 # Single numbers of a curve whose convergence is judged: peak force, root mean square, work.
 
 #: points of a curve that integrals over it take, between the solved steps by their tangents
@@ -310,7 +309,6 @@ def curve_values(levels: Sequence[MeshLevel]) -> dict[str, tuple[list[float], st
     }
 
 
-# -------------------------------------------------------------------------------------------------
 # Formal order of the force: what an element can promise where the solution is singular.
 #
 # The force of a test driven by a displacement is a derivative of the energy, whose error is
@@ -470,7 +468,6 @@ def _in_mind(job: CaseJob) -> Problem:
     return with_placeholder(job.case.config, job.depth_mm if job.directions else 1.0)
 
 
-# -------------------------------------------------------------------------------------------------
 # Meshes of a series that can be judged, and the sizes by which they are.
 
 

@@ -156,7 +156,6 @@ def peak_MB() -> float:  # noqa: N802
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
-# -------------------------------------------------------------------------------------------------
 # Where solutions of refinement series come from: this process, workers, or the store.
 
 #: results that the same input gives again; memory and time may be better another day

@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from study.mechanics.calibration.residual_function import MeasuredCurve
 
 
-# -------------------------------------------------------------------------------------------------
 # Starts of a fit, the wanted one first, then gentler ones for where the model has no answer.
 #
 # Higher constants that were fitted on another mesh, or with one constant less, can soften so much

@@ -231,7 +231,6 @@ def _meshless(model: Tables) -> dict[str, object]:
     return {k: v for k, v in model.items() if k not in _MESH_KEYS}
 
 
-# -------------------------------------------------------------------------------------------------
 # What the uncertainty of the inputs does: cases computed again with one input moved.
 #
 # One cell of every combination of the factors that are no discretization, the one that costs

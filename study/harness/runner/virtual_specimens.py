@@ -77,7 +77,6 @@ def _write(path: Path, column: str, measure: Array, stress: Array) -> Path:
     return path
 
 
-# -------------------------------------------------------------------------------------------------
 # Materials behind virtual specimens: energies with published constants, and how they scatter.
 #
 # The truth of a virtual specimen should lie in no family that a design compares; otherwise
@@ -140,7 +139,6 @@ def truth(name: str) -> Truth:
     return TRUTHS[name]
 
 
-# -------------------------------------------------------------------------------------------------
 # Reference curve of virtual specimens: a finer model than any cell of the design.
 
 #: plates of a reference curve for a design of a single test
@@ -258,7 +256,6 @@ def perform(task: ReferenceTask) -> dict[str, object]:
     return SolveResult(solution.status, solution.message, solution.curve).to_json()
 
 
-# -------------------------------------------------------------------------------------------------
 # Virtual specimens: measured curves with known truth, for the demo and for trying a design.
 #
 # The generator, in full. A batch of silicone has the constants of one of the energies of
