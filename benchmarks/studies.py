@@ -30,7 +30,7 @@ from study.harness.execution.local import Loky
 from study.harness.record.store import Store
 from study.harness.runner.batch import run_batch
 from study.harness.runner.expansion import expand
-from study.harness.runner.job import CaseFrame
+from study.harness.runner.job import CaseTask
 from study.mechanics.forward.closed_form import compression
 from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Cylinder
@@ -300,10 +300,9 @@ def idle_parts(folder: Path, jobs: int) -> dict[str, Callable[[], object]]:
     }
 
 
-def do_nothing(task: dict[str, object]) -> dict[str, object]:
+def do_nothing(task: CaseTask) -> dict[str, object]:
     """Answer a case without solving it: a task for a worker."""
-    frame = CaseFrame.from_json(task["frame"])  # type: ignore[arg-type]
-    record = frame.record("converged", "")
+    record = task.record("converged", "")
     return {"status": record.status, "message": "", "record": record.to_json()}
 
 

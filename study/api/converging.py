@@ -35,9 +35,9 @@ from study.harness.runner.job import CaseJob, fits_of
 from study.harness.runner.judgement import SeriesJudgement, judge, series_of, with_sources
 from study.harness.runner.refinement import (
     QUANTITIES,
+    Budget,
     FormalOrder,
     RefinementSeries,
-    budget_of,
     formal_order,
     refine,
     solving,
@@ -187,7 +187,7 @@ def meshes(
     drawn: dict[str, tuple[str, Array, NDArray[np.int64]]] = {}
     window = None
     for cell, its_tables in zip(cells, tables, strict=True):
-        sizes = [level.mesh_size_mm for level in cell.meshes if level.converged]
+        sizes = [level.mesh_size_mm for level in cell.meshes if level.result.converged]
         if Setup.of(its_tables).model.space == "3d" or not sizes or len(drawn) >= 2 * SHOWN:
             continue
         for size in (sizes[-1], sizes[0]):
@@ -308,7 +308,7 @@ def problem_cells(
     spec = design.converge
     refinement.quantity(spec.qoi)
     places = provenance.folders(design.source, data_root(design.source))
-    budget = budget_of(spec.budget_s, memory_MB)
+    budget = Budget(spec.budget_s, memory_MB)
     tables = [provenance.located(t.config, places) for t in design.treatments]
     formal = [formal_order(problem_of(cell_tables)) for cell_tables in tables]
     cells = [
@@ -393,7 +393,7 @@ def _points(
             level.result.memory_MB, value, abs(value - reference) / abs(reference),
         )
         for level in series.good
-        for value in (function(level.curve),)
+        for value in (function(level.result.curve),)
     ]  # fmt: skip
 
 
@@ -615,7 +615,7 @@ def problem(
     if formal_order is not None:
         formal = FormalOrder(formal_order, "as given")
     solver = solve or kept(in_process, store_of(results, name))
-    series = series_of(tables, spec, formal, budget_of(spec.budget_s, memory_MB))
+    series = series_of(tables, spec, formal, Budget(spec.budget_s, memory_MB))
     refine([series], solving(solver, progress))
     judgement = judge(series, formal, tolerance or None)
     if judgement.quantities:

@@ -18,7 +18,7 @@ from study.harness.design.load import load_problem
 from study.harness.execution.task import Task
 from study.harness.record.atomic_files import replaced, write_atomic
 from study.harness.record.record import plain
-from study.harness.runner.tasks import processes
+from study.harness.runner.tasks import PING, processes
 from study.mechanics.forward import closed_form, finite_element
 from study.mechanics.forward.finite_element import at_steps
 from study.mechanics.material.stability import check
@@ -278,7 +278,7 @@ def _solve() -> tuple[str, str]:
 
 
 def _worker() -> tuple[str, str]:
-    (outcome,) = processes(1, 60.0).run([Task("ping", lambda _: {"kind": "ping"})])
+    (outcome,) = processes(1, 60.0).run([Task(PING, lambda _: PING)])
     good = outcome.result["status"] == "converged"
     return ("pass" if good else "fail"), f"answered in {outcome.seconds:.1f} s"
 

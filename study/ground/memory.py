@@ -1,10 +1,11 @@
-"""Memory of this process."""
+"""Memory of this machine and of this process."""
 
 from __future__ import annotations
 
 import gc
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 
 @contextmanager
@@ -19,3 +20,13 @@ def uncollected() -> Iterator[None]:
     finally:
         if was_on:
             gc.enable()
+
+
+def free_memory_MB() -> float | None:  # noqa: N802
+    """Memory of this machine that nobody uses now; None where it does not say."""
+    try:
+        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
+        amounts = {name: rest for name, _, rest in (line.partition(":") for line in lines)}
+        return float(amounts["MemAvailable"].split()[0]) * 1.024e-3  # of 1,024 bytes each
+    except (OSError, KeyError, ValueError, IndexError):
+        return None

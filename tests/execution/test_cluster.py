@@ -385,8 +385,8 @@ def _tls(options: list[str]) -> dict[str, str]:
 def test_processes_that_nobody_uses_end() -> None:
     """A study that was killed cannot say that it is over."""
     here = Processes()
-    answer = here.perform(("gone", 0), perform, '{"kind": "process"}', None, lambda: False)
-    process = int(answer.text.split('"process": ')[1].rstrip("}"))
+    answer = here.perform(("gone", 0), perform, [{"kind": "process"}], None, lambda: False)
+    process = int(answer.text.split('"process": ')[1].rstrip("}]"))
     here.end_idle(idle_s=60.0)
     assert Path(f"/proc/{process}").exists()
     here.end_idle(idle_s=0.0)

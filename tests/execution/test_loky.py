@@ -282,14 +282,14 @@ def test_no_more_run_at_once_than_there_is_room_for() -> None:
     class Counted:
         """Slot that does its task at once, and is told when it ends."""
 
-        def start(self, text: str, done: Any, ticket: object) -> None:
-            running.append(sizes[text.strip('"')])
+        def start(self, payloads: Any, done: Any, ticket: object) -> None:
+            running.append(sizes[payloads[0]])
             most.append(sum(running))
-            Timer(0.02, self._end, (text, done, ticket)).start()
+            Timer(0.02, self._end, (payloads[0], done, ticket)).start()
 
-        def _end(self, text: str, done: Any, ticket: object) -> None:
-            running.remove(sizes[text.strip('"')])
-            done.put((ticket, Answer('{"status": "converged"}')))
+        def _end(self, key: str, done: Any, ticket: object) -> None:
+            running.remove(sizes[key])
+            done.put((ticket, Answer('[{"status": "converged"}]')))
 
         def kill(self) -> None:
             """Nothing runs elsewhere."""

@@ -17,7 +17,7 @@ class Liar:
         self.answers, self.killed = answers, 0
 
     def start(
-        self, text: str, done: queue.SimpleQueue[tuple[object, Answer]], ticket: object
+        self, payloads: list[object], done: queue.SimpleQueue[tuple[object, Answer]], ticket: object
     ) -> bool | None:
         done.put((ticket, Answer(self.answers.pop(0))))
         return None
@@ -26,11 +26,11 @@ class Liar:
         self.killed += 1
 
 
-GOOD = '{"status": "converged"}'
+GOOD = '[{"status": "converged"}]'
 
 
 @pytest.mark.parametrize(
-    "bad", ["[" * 100_000, "", "[]", "null", '"text"', "{", '{"status": 1}', f"[{GOOD}]"]
+    "bad", ["[" * 100_000, "", "[]", "null", '"text"', "{", '[{"status": 1}]', f"[{GOOD}]"]
 )
 def test_an_answer_that_is_no_result_costs_its_own_case_alone(bad: str) -> None:
     tasks = [Task(name, lambda results: {}) for name in "ab"]

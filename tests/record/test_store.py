@@ -9,7 +9,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -43,19 +42,16 @@ def run(path: Path, disk: FailingDisk | None = None, followed: bool = False) -> 
         done = store.done_ids(WANTED)
         for name in CASES:
             if name not in done:
-                fields = {"u": np.arange(6.0).reshape(2, 3)}
-                store.write(record(name), fields, followed=followed and name != CASES[-1])
+                store.write(record(name), followed=followed and name != CASES[-1])
     return store
 
 
 def state(path: Path) -> tuple:
     store = Store(path)
     records = store.records(WANTED)
-    fields = [store.read_fields(r)["u"].tolist() for r in records]
     return (
         table(records).to_csv(),
         [r.to_json() for r in records],
-        fields,
         store.read_fit("f1"),
         store.read_manifest(),
         store.warnings,
@@ -89,7 +85,6 @@ def test_failure_at_every_operation_then_resume(tmp_path, clean, power_loss, fol
         seen = Store(path)
         for found in seen.read_all():
             assert found.to_json() in expected[1], k
-            assert seen.read_fields(found)["u"].tolist() == expected[2][0], k
         assert seen.warnings == [], k
         run(path, followed=followed)
         assert state(path) == expected, k
@@ -147,7 +142,6 @@ def test_failed_cases_are_done_unless_tried_again(tmp_path):
     assert "a1" in store.done_ids(WANTED)
     assert "a1" not in store.done_ids(WANTED, retry=("crashed", "timeout"))
     assert "a1" in store.done_ids(WANTED, retry=("timeout",))
-    assert list((tmp_path / "cases" / "a1").glob("fields-*")) == []
 
 
 def test_warnings_are_handed_on_once(tmp_path):
@@ -265,21 +259,6 @@ def test_odd_and_overlong_names_of_the_folder(tmp_path):
         pass
 
 
-def test_fields_are_arrays_and_nothing_else(tmp_path):
-    store = Store(tmp_path)
-    with pytest.raises(TypeError, match="Python objects"):
-        store.write(record("a1"), {"u": np.array([{}], dtype=object)})
-    kept = store.write(record("a1"), {"u": np.eye(2), "cells": np.arange(3)})
-    assert store.read("a1") == kept
-    assert store.read_fields(kept)["cells"].dtype == np.arange(3).dtype
-    path = next((tmp_path / "cases" / "a1").glob("fields-*.npz"))
-    path.write_bytes(path.read_bytes()[:-3])
-    with pytest.raises(StoreError, match="damaged"):
-        store.read_fields(kept)
-    with pytest.raises(StoreError, match="no name of a field file"):
-        store.read_fields(record("a1", extra={"fields": "../../x.npz"}))
-
-
 def test_json_names_what_was_not_finite(tmp_path):
     store = Store(tmp_path)
     store.write_json("study", {"a": float("nan"), "b": [1.5]})
@@ -320,7 +299,7 @@ class StoreMachine(RuleBasedStateMachine):
                 done = store.done_ids(WANTED)
                 assert self.finished <= done
                 for name in [n for n in CASES if n not in done][:count]:
-                    store.write(record(name), {"u": np.zeros(2)})
+                    store.write(record(name))
                     self.finished.add(name)
         except (PowerLoss, StoreError):
             # a case may be whole on the disk although its writer was never told
@@ -342,24 +321,16 @@ class StoreMachine(RuleBasedStateMachine):
     def finish(self):
         with Store(self.path).lock() as store:
             for name in set(CASES) - store.done_ids(WANTED):
-                store.write(record(name), {"u": np.zeros(2)})
+                store.write(record(name))
         self.finished = set(CASES)
-        stored = [r.to_json().replace(self._fields(r), "") for r in store.records(WANTED)]
-        assert len(stored) == len(CASES)
         pattern = table([record(n) for n in CASES]).to_csv()
         assert table(store.records(WANTED)).to_csv() == pattern
-
-    @staticmethod
-    def _fields(found):
-        return str(found.extra["fields"])
 
     @invariant()
     def nothing_is_lost_or_invented(self):
         if hasattr(self, "path"):
             found = {r.case_id: r for r in Store(self.path).read_all()}
             assert set(found) == self.finished
-            for r in found.values():
-                assert Store(self.path).read_fields(r)["u"].tolist() == [0, 0]
 
 
 def test_any_order_of_run_kill_damage_and_resume(tmp_path):

@@ -22,7 +22,7 @@ def test_a_fit_of_a_study_and_the_verb_give_one_interval(tmp_path, capsys, point
     tests = load_calibration(path).tests
     (curve,) = in_order(read_tests(tests, tmp_path)[0])
     task = FitTask(problem_of(tests[0].tables), (curve.measured.curve,))
-    found = fitted(FitTask.from_json(json.loads(json.dumps(task.to_json()))))
+    found = fitted(task)
     for name, one in document["parameters"].items():
         wanted = [1e-3 * value for value in one["ci95"]]
         assert found.fit["ci95"][name] == pytest.approx(wanted, rel=1e-6)

@@ -162,7 +162,7 @@ def test_a_failed_start_is_told_and_not_replaced_by_another() -> None:
     problem = fit_problem(config("mooney-rivlin", "bonded"))
     start = FitResult.from_json({"status": "crashed", "message": "crashed (signal 9), twice"})
     task = FitTask(problem, (curve("neo-hookean", {"C10": 8e-3}),), start)
-    found = fitted(FitTask.from_json(task.to_json()))
+    found = fitted(task)
     assert found.status == "crashed"
     assert "the fit that starts it" in found.message
 

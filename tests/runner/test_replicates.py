@@ -231,7 +231,7 @@ def test_a_fit_that_failed_is_not_resampled() -> None:
     problem, measured, _ = fitted("neo-hookean", None, seed=1)
     failed = FitResult.without_answer("not-converged", "too stiff")
     task = FitTask(problem, (measured,), failed, (2011, 1))
-    found = fit_task.refitted(FitTask.from_json(task.to_json()))
+    found = fit_task.refitted(task)
     assert found.status == "not-converged"
     assert "too stiff" in found.message
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,7 @@ from study.harness.record.record import Record
 from study.harness.record.store import Store
 from study.harness.runner.batch import Summary, computing, notes_of, run_batch
 from study.harness.runner.expansion import expand
-from study.harness.runner.job import Work
+from study.harness.runner.job import CaseTask, Work
 from study.harness.runner.refinement import refine
 from study.harness.runner.study_refinement import study_series
 from study.harness.runner.tasks import adapted, limit_of, processes
@@ -168,8 +167,8 @@ def test_an_executor_is_given_more_time_or_fewer_tasks() -> None:
 def late_between_bonded_plates(place: Loky, tasks: Any, finished: Any = None) -> Any:
     """Do tasks here, of which those between bonded plates take more than 15 s."""
 
-    def perform(task: dict[str, Any]) -> Any:
-        late = place.limit_s == 15.0 and '"bonded"' in json.dumps(task)
+    def perform(task: CaseTask) -> Any:
+        late = place.limit_s == 15.0 and "bonded" in task.job.case.levels.values()
         return stopped_late(15.0) if late else place.perform(task)
 
     return Inline(perform).run(tasks, finished)

@@ -14,7 +14,7 @@ from study.harness.runner.expansion import expand
 from study.harness.runner.job import FitJob, Work
 from study.harness.runner.staged_fit import FitPart as Part
 from study.harness.runner.staged_fit import staged_fit
-from study.harness.runner.virtual_specimens import ECOFLEX_00_10, Generator, write_virtual
+from study.harness.runner.virtual_specimens import TRUTHS, Generator, write_virtual
 from study.mechanics.calibration.fit import Fit
 from study.mechanics.calibration.lack_of_fit import agreement
 from study.mechanics.calibration.residual_function import MeasuredCurve
@@ -103,4 +103,6 @@ def test_three_tests_agree_within_their_joint_intervals(tmp_path: Path) -> None:
     # mu0 = 2 C10 agrees to a percent in all tests, whatever the intervals
     c10 = np.array([one.values[0] for one in found])
     assert np.ptp(c10) / c10.mean() < 0.01
-    assert c10.mean() == pytest.approx(ECOFLEX_00_10["C10"], rel=0.15)  # of its factor's scatter
+    assert c10.mean() == pytest.approx(
+        TRUTHS["yeoh"].constants["C10"], rel=0.15
+    )  # of its factor's scatter

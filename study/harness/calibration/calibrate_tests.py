@@ -49,6 +49,7 @@ from study.harness.runner.staged_fit import (
     Limits,
     Progress,
     Staged,
+    StagedSearch,
     begun_stage,
     cheaper,
     gentler,
@@ -86,11 +87,11 @@ def plausible(material: Material, message: str) -> tuple[str, str]:
         rule = f"the fit ended at an initial shear modulus of {1e3 * material.mu0:.4g} kPa"
         return "unstable", rule
     try:
-        found = list(check(material))
+        faults = list(check(material))
     except InputError as error:
         return "unstable", str(error)
-    if found:
-        return "implausible", found[0]
+    if faults:
+        return "implausible", faults[0]
     return "converged", message
 
 
@@ -118,10 +119,10 @@ class Setting:
             parts, self.names, self.start, fit_task.fitted_model, bounds=self.bounds,
             progress=self.progress, checkpoint=checkpoint or Checkpoint(limits=self.limits),
         )  # fmt: skip
-        measured = [one for part in parts for one in part.measured]
-        found = with_serial_correlation(done.fit, measured)
-        own = in_order(curves)
-        return replace(done, fit=with_nuisance(found, parts, self.tests, own, self.bounds))
+        measured = [curve for part in parts for curve in part.measured]
+        corrected = with_serial_correlation(done.fit, measured)
+        ordered = in_order(curves)
+        return replace(done, fit=with_nuisance(corrected, parts, self.tests, ordered, self.bounds))
 
 
 def setting_of(
@@ -154,7 +155,7 @@ def setting_of(
 
 
 def from_all_starts(
-    setting: Setting, curves: Sequence[FitCurve], own: Staged
+    setting: Setting, curves: Sequence[FitCurve], first: Staged
 ) -> tuple[Staged, Starts | None, tuple[Staged, ...]]:
     """Fit from other starts; the least sum of squares is the answer, with its rivals.
 
@@ -167,16 +168,16 @@ def from_all_starts(
         scattered(energy, setting.names, setting.start, parts, setting.bounds, rng)
         for _ in range(count - 1)
     ]
-    asked = [own, *(replace(quiet, start=start).fitted(curves) for start in drawn)]
+    tried = [first, *(replace(quiet, start=start).fitted(curves) for start in drawn)]
     looks = looked_for(energy, setting.names, setting.start, parts, setting.bounds)
-    found = list(asked)
+    candidates = list(tried)
     for start in looks:
         if not setting.limits.is_late:
-            found.append(_from_look(quiet, start, curves, own))
-    chosen = best(found)
-    evaluations = sum(one.evaluations for one in found if one is not chosen)
-    rss = tuple(one.fit.rss if one.fit.converged else None for one in asked)
-    others = rivals(chosen, [one for one in found if one is not chosen])
+            candidates.append(_from_look(quiet, start, curves, first))
+    chosen = best(candidates)
+    evaluations = sum(candidate.evaluations for candidate in candidates if candidate is not chosen)
+    rss = tuple(start.fit.rss if start.fit.converged else None for start in tried)
+    others = rivals(chosen, [candidate for candidate in candidates if candidate is not chosen])
     chosen = replace(chosen, fruitless=chosen.fruitless + evaluations)
     return chosen, Starts(seed, rss) if count > 1 else None, others
 
@@ -185,17 +186,19 @@ def from_all_starts(
 _HOPELESS_START = 2.0
 
 
-def _from_look(setting: Setting, start: Array, curves: Sequence[FitCurve], own: Staged) -> Staged:
+def _from_look(setting: Setting, start: Array, curves: Sequence[FitCurve], first: Staged) -> Staged:
     """Fit from one look; on the cheaper mesh alone where that tells it from the fit."""
     parts = parts_of(setting.tests, in_order(curves))
     cheap = [cheaper(part) for part in parts]
-    if own.rough is not None and own.rough.status.usable:
-        rough = begun_stage(
-            "look", [a or b for a, b in zip(cheap, parts, strict=True)], setting.names,
-            gentler(setting.names, start, setting.bounds), fit_task.fitted_model, setting.bounds,
-            None, Checkpoint(limits=setting.limits),
+    if first.rough is not None and first.rough.status.usable:
+        start_parts = [other or part for other, part in zip(cheap, parts, strict=True)]
+        starts = gentler(setting.names, start, setting.bounds)
+        search = StagedSearch(
+            setting.names, fit_task.fitted_model, setting.bounds, None,
+            Checkpoint(limits=setting.limits)
         )  # fmt: skip
-        if not rough.fit.converged or rough.fit.rss > _HOPELESS_START * own.rough.rss:
+        rough = begun_stage("look", start_parts, starts, search)
+        if not rough.fit.converged or rough.fit.rss > _HOPELESS_START * first.rough.rss:
             aside = replace(rough.fit, status=Status.stopped)
             return replace(rough, fit=aside)
         start = rough.fit.values
@@ -220,22 +223,15 @@ def _start(
     constants: dict[str, float] | None = None
     for before in _simpler(problem):
         names, first = fit_task.start_values(before.tables, measured, constants)
-        own = replace(part, tables=before.tables)
+        simpler_part = replace(part, tables=before.tables)
         stage = f"start ({before.material.model}, {len(names)} constants)"
-        found = begun_stage(
-            stage,
-            [cheaper(own) or own],
-            names,
-            gentler(names, first),
-            fit_task.fitted_model,
-            None,
-            progress,
-            checkpoint,
-        ).fit
-        if not found.status.usable:
-            message = f"the {stage} did not converge: {found.message}"
+        search = StagedSearch(names, fit_task.fitted_model, None, progress, checkpoint)
+        stage_parts = [cheaper(simpler_part) or simpler_part]
+        simpler = begun_stage(stage, stage_parts, gentler(names, first), search).fit
+        if not simpler.status.usable:
+            message = f"the {stage} did not converge: {simpler.message}"
             raise InputError(Fault("calibration", message, "give constants to start from"))
-        constants = found.constants()
+        constants = simpler.constants()
     return fit_task.start_values(problem.tables, measured, constants)
 
 
@@ -262,7 +258,7 @@ def calibrate(
     """Fit one material to all tests of a calibration at once. Units: begin MPa."""
     began = time.perf_counter()
     curves, notes = read_tests(config.tests, root, config.asked.loss)
-    own, left = _splits(config, curves)
+    by_specimen, left = _splits(config, curves)
     allowed = math.inf if config.asked.max_time is None else config.asked.max_time
     limits = Limits(config.asked.max_evaluations, time.monotonic() + allowed)
     checkpoint = _checkpoint(folder, config, curves, limits)
@@ -271,16 +267,16 @@ def calibrate(
     others: tuple[Staged, ...] = ()
     if begin is None:
         done, starts, others = from_all_starts(setting, curves, done)
-    found = done.fit
-    if any(is_dimensionless(name) for name in setting.names) and found.converged:
-        setting = replace(setting, start=found.values)  # parts of the data begin at this minimum
-    specimens = tuple(_partial(setting, label, group) for label, group in own.items())
+    fit = done.fit
+    if any(is_dimensionless(name) for name in setting.names) and fit.converged:
+        setting = replace(setting, start=fit.values)  # parts of the data begin at this minimum
+    specimens = tuple(_partial(setting, label, group) for label, group in by_specimen.items())
     cross = tuple(_partial(setting, label, group) for label, group in left)
     result = _result(setting, curves, done)
     if others:
-        result = replace(result, fit=_open(found, others))
+        result = replace(result, fit=_open(fit, others))
     parts = parts_of(setting.tests, in_order(curves))
-    numerical = estimated_bound(found, parts, done.models) if found.converged else None
+    numerical = estimated_bound(fit, parts, done.models) if fit.converged else None
     if numerical is not None:
         result = replace(
             result, fit=with_numerical(result.fit, numerical), numerical=numerical.as_dict()
@@ -288,17 +284,17 @@ def calibrate(
     result = replace(
         result,
         specimens=specimens,
-        same_constants_p=_same_constants(found, specimens),
-        population=population([one.fit for one in specimens]),
+        same_constants_p=_same_constants(fit, specimens),
+        population=population([specimen.fit for specimen in specimens]),
         cross_validation=cross,
-        profiles=_profiles(setting, curves, found) if profiles and found.converged else {},
+        profiles=_profiles(setting, curves, fit) if profiles and fit.converged else {},
         bootstrap=(
-            bootstrap(found, config, curves, resamples, setting.bounds)
-            if resamples and found.converged
+            bootstrap(fit, config, curves, resamples, setting.bounds)
+            if resamples and fit.converged
             else None
         ),
         starts=starts,
-        minima=tuple(one.fit for one in (done, *others)),
+        minima=tuple(minimum.fit for minimum in (done, *others)),
         notes=(*notes, *setting.moved, *(() if starts is None else (starts.sentence,))),
         warnings=(*(note for note in notes if is_caution(note)), *result.warnings),
         seconds=time.perf_counter() - began,
@@ -307,18 +303,18 @@ def calibrate(
     return result
 
 
-def _open(found: Fit, others: Sequence[Staged]) -> Fit:
+def _open(fit: Fit, others: Sequence[Staged]) -> Fit:
     """Fit that names its rivals: constants that describe the rows as well are not told apart."""
-    told = "; ".join(
+    rivals_text = "; ".join(
         ", ".join(
             f"{name} {value:.4g}" if is_dimensionless(name) else f"{name} {1e3 * value:.4g} kPa"
-            for name, value in one.fit.constants().items()
+            for name, value in rival.fit.constants().items()
         )
-        for one in others
+        for rival in others
     )
-    why = f"another minimum describes the rows as well: {told}"
-    reason = f"{why}; {found.reason}" if found.reason else why
-    return replace(found, identifiable=False, reason=reason)
+    why = f"another minimum describes the rows as well: {rivals_text}"
+    reason = f"{why}; {fit.reason}" if fit.reason else why
+    return replace(fit, identifiable=False, reason=reason)
 
 
 def _checkpoint(
@@ -336,12 +332,12 @@ def _splits(
     config: CalibrationDesign, curves: Sequence[FitCurve]
 ) -> tuple[dict[str, list[FitCurve]], list[tuple[str, list[FitCurve]]]]:
     """Choose the curves of every specimen and of every leave-out, before anything is fitted."""
-    asked = config.asked
-    own = of_specimens(curves) if asked.specimens == "each" else {}
-    if asked.specimens == "each" and len(own) < 2:
+    settings = config.asked
+    by_specimen = of_specimens(curves) if settings.specimens == "each" else {}
+    if settings.specimens == "each" and len(by_specimen) < 2:
         mend = "name the column of the specimens in measurements.block"
         raise InputError(Fault("calibration.specimens", "there is only one specimen", mend))
-    return own, left_out(curves, asked.leave_out) if asked.leave_out else []
+    return by_specimen, left_out(curves, settings.leave_out) if settings.leave_out else []
 
 
 def _partial(setting: Setting, label: str, curves: Sequence[FitCurve]) -> PartialFit:
@@ -349,73 +345,68 @@ def _partial(setting: Setting, label: str, curves: Sequence[FitCurve]) -> Partia
     return PartialFit(label, done.fit, _predictions(setting, curves, done.fit))
 
 
-def _predictions(setting: Setting, curves: Sequence[FitCurve], found: Fit) -> tuple[CurveFit, ...]:
+def _predictions(setting: Setting, curves: Sequence[FitCurve], fit: Fit) -> tuple[CurveFit, ...]:
     """Every curve beside its prediction; those of held-out tests are made now."""
-    fitted = iter(found.curves)
-    known = {id(c): next(fitted, None) for c in in_order(curves)}
+    fitted = iter(fit.curves)
+    known_by = {id(c): next(fitted, None) for c in in_order(curves)}
     out = []
     for curve in curves:
-        predicted, message = known.get(id(curve)), "" if found.status.usable else found.message
-        if curve.role == "held-out" and found.status.usable:
-            predicted, message = _predicted(setting, curve, found)
+        predicted, message = (known_by.get(id(curve)), "" if fit.status.usable else fit.message)
+        if curve.role == "held-out" and fit.status.usable:
+            predicted, message = _predicted(setting, curve, fit)
         out.append(
             CurveFit(curve.file, curve.specimen, curve.role, curve.measured, predicted, message)
         )
     return tuple(out)
 
 
-def _predicted(setting: Setting, curve: FitCurve, found: Fit) -> tuple[Curve | None, str]:
+def _predicted(setting: Setting, curve: FitCurve, fit: Fit) -> tuple[Curve | None, str]:
     (part,) = parts_of(setting.tests, [curve])
     try:
-        model = fit_task.fitted_model(
-            part.method, part.tables, [curve.measured.curve], setting.names
-        )
-        return model(found.values)[0], ""
+        (model,) = fit_task.models_of([part], setting.names)
+        return model(fit.values)[0], ""
     except EvaluationFailed as error:
         return None, str(error)
 
 
-def _same_constants(found: Fit, specimens: Sequence[PartialFit]) -> float | None:
-    if len(specimens) < 2 or not all(one.fit.converged for one in specimens):
+def _same_constants(pooled: Fit, specimens: Sequence[PartialFit]) -> float | None:
+    if len(specimens) < 2 or not all(specimen.fit.converged for specimen in specimens):
         return None
-    fits = [one.fit for one in specimens]
+    fits = [specimen.fit for specimen in specimens]
     rows = sum(
-        one.n if one.serial is None else min(one.n, one.serial.effective_rows) for one in fits
+        each.n if each.serial is None else min(each.n, each.serial.effective_rows) for each in fits
     )
-    own = sum(one.rss for one in fits)
-    return same_constants(found.rss, own, rows, len(found.names), len(specimens))
+    separate = sum(each.rss for each in fits)
+    return same_constants(pooled.rss, separate, rows, len(pooled.names), len(specimens))
 
 
 def _profiles(
-    setting: Setting, curves: Sequence[FitCurve], found: Fit
+    setting: Setting, curves: Sequence[FitCurve], fit: Fit
 ) -> dict[str, LikelihoodProfile]:
-    own = in_order(curves)
-    parts = parts_of(setting.tests, own)
-    models = [
-        fit_task.fitted_model(p.method, p.tables, [m.curve for m in p.measured], setting.names)
-        for p in parts
-    ]
+    ordered = in_order(curves)
+    parts = parts_of(setting.tests, ordered)
+    models = fit_task.models_of(parts, setting.names)
 
     def predict(values: Array) -> list[Curve]:
-        if found.joint is not None:
-            return predicted(parts, setting.tests, own, setting.names, values)
+        if fit.joint is not None:
+            return predicted(parts, setting.tests, ordered, setting.names, values)
         return [curve for model in models for curve in model(values)]
 
-    whole = found.joint or found
+    whole = fit.joint or fit
     free = [(-np.inf, np.inf)] * (len(whole.names) - len(setting.names))
     bounds = None if setting.bounds is None else [*setting.bounds, *free]
     measured = [m for part in parts for m in part.measured]
-    known = {n for n, e in zip(whole.names, whole.standard_error, strict=True) if e > 0}
+    estimated = {n for n, e in zip(whole.names, whole.standard_error, strict=True) if e > 0}
     return {
         name: profile(predict, measured, whole, name, bounds=bounds)
         for name in whole.names
-        if name in known
+        if name in estimated
     }
 
 
 def _measured(setting: Setting, curves: Sequence[FitCurve]) -> list[MeasuredCurve]:
     parts = parts_of(setting.tests, in_order(curves))
-    return [one for part in parts for one in part.measured]
+    return [curve for part in parts for curve in part.measured]
 
 
 def _implausible_stretches(
@@ -423,39 +414,39 @@ def _implausible_stretches(
 ) -> list[tuple[Verdict, str]]:
     """Stretches that no soft material reaches: a unit is wrong."""
     out: list[tuple[Verdict, str]] = []
-    for one in in_order(curves):
-        setup, places = tests[one.test].setup, one.measured.curve.displacement_mm
+    for curve in in_order(curves):
+        setup, places = tests[curve.test].setup, curve.measured.curve.displacement_mm
         if setup.height_mm is None or setup.kind.compresses or setup.test.indenter is not None:
             continue
         stretch = 1 + float(np.abs(places).max()) / setup.height_mm
         if stretch > LARGEST_STRETCH:
             why = (
-                f"{one.label}: a stretch of {stretch:.4g} is not plausible: check units, strain = "
-                '"%" may be meant'
+                f"{curve.label}: a stretch of {stretch:.4g} is not plausible: check units, "
+                'strain = "%" may be meant'
             )
             out.append(("does not describe", why))
     return list(dict.fromkeys(out))
 
 
 def _result(setting: Setting, curves: Sequence[FitCurve], done: Staged) -> CalibrationResult:
-    found, section = done.fit, setting.config.material
-    predictions = _predictions(setting, curves, found)
-    status: str = status_of(found)
+    fit, section = done.fit, setting.config.material
+    predictions = _predictions(setting, curves, fit)
+    status: str = status_of(fit)
     message = done.message
     material, stable, stability = None, False, "nothing is known of it"
     cautions: list[str] = []
-    if found.status.usable:
-        material = section.material(found.constants())
+    if fit.status.usable:
+        material = section.material(fit.constants())
         judged_as, message = plausible(material, message)
         status = status if judged_as == "converged" else judged_as
         measured = [(setting.tests[c.test].setup, c.measured.curve.displacement_mm) for c in curves]
         judged_stable = stability_over(material, measured)
         stable, stability = judged_stable.stable, judged_stable.sentence
-    judged = list(zip(in_order(curves), found.curves, strict=False))
+    judged = list(zip(in_order(curves), fit.curves, strict=False))
     repeated = [r for c, p in judged if (r := c.repeated(p)) is not None]
-    lack = lack_of_fit(repeated, len(found.names)) if found.converged else None
+    lack = lack_of_fit(repeated, len(fit.names)) if fit.converged else None
     judgement = adequacy(
-        found, _measured(setting, curves), tests=[c.test for c in in_order(curves)], lack=lack,
+        fit, _measured(setting, curves), tests=[c.test for c in in_order(curves)], lack=lack,
         more=_implausible_stretches(setting.tests, curves),
     )  # fmt: skip
     gauges = {setting.tests[c.test].setup.has_no_elements for c in in_order(curves)}
@@ -474,7 +465,7 @@ def _result(setting: Setting, curves: Sequence[FitCurve], done: Staged) -> Calib
         model=section.model,
         status=status,
         message=message,
-        fit=found,
+        fit=fit,
         material=material,
         stable=stable,
         stability=stability,
@@ -484,10 +475,10 @@ def _result(setting: Setting, curves: Sequence[FitCurve], done: Staged) -> Calib
         adequacy=judgement,
         lack_of_fit=lack,
         pattern=pattern([c.residual(p) for c, p in judged]),
-        identified=identify(found, _measured(setting, curves)) if found.converged else None,
+        identified=identify(fit, _measured(setting, curves)) if fit.converged else None,
         next_tests=(
-            next_tests(found, curves, material, setting.tests)
-            if found.converged and material is not None and judgement.describes
+            next_tests(fit, curves, material, setting.tests)
+            if fit.converged and material is not None and judgement.describes
             else None
         ),
         warnings=(*warnings_of(curves), *cautions),

@@ -25,8 +25,8 @@ from study.harness.runner import fit_task
 from study.harness.runner.fit_task import InverseFem
 from study.harness.runner.problem_tables import on_mesh
 from study.harness.runner.refinement import formal_order
-from study.harness.runner.response import scale_of
-from study.harness.runner.staged_fit import Checkpoint, FitPart, Predict, Progress, single_stage
+from study.harness.runner.response import in_shown_units
+from study.harness.runner.staged_fit import FitPart, Predict, Progress, StagedSearch, single_stage
 from study.mechanics.calibration.covariance import scaled_inverse
 from study.mechanics.calibration.identifiability import fitted_rows
 from study.mechanics.calibration.residual_function import EvaluationFailed
@@ -91,27 +91,22 @@ class ConstantBound:
 
     def as_dict(self) -> dict[str, object]:
         """Bounds and constants of every mesh: kPa, exponents plain."""
-        scale = np.array([scale_of(name) for name in self.names])
-
-        def shown(values: Array) -> dict[str, float]:
-            return dict(zip(self.names, (scale * values).tolist(), strict=True))
-
         return {
             "sentence": self.sentence,
-            "u": shown(self.u),
-            "mesh": shown(self.mesh),
-            "steps": shown(self.steps),
+            "u": in_shown_units(self.names, self.u),
+            "mesh": in_shown_units(self.names, self.mesh),
+            "steps": in_shown_units(self.names, self.steps),
             "sizes": list(self.sizes),
-            "values": [shown(one) for one in self.values],
+            "values": [in_shown_units(self.names, value) for value in self.values],
         }
 
 
 def numerical_bound(
-    config: CalibrationDesign, root: Path, known: Fit, progress: Progress | None = None
+    config: CalibrationDesign, root: Path, first_fit: Fit, progress: Progress | None = None
 ) -> ConstantBound:
     """Fit again on other meshes and with more load steps, and judge every constant."""
     # Nuisance parameters stay at what is expected of them in all of these fits.
-    names, start = known.names, known.values
+    names, start = first_fit.names, first_fit.values
     bounds = config.bounds_of(names)
     parts = parts_of(config.tests, in_order(read_tests(config.tests, root, config.asked.loss)[0]))
     zero = np.zeros(len(names))
@@ -119,30 +114,29 @@ def numerical_bound(
     if not simulated:
         return ConstantBound(names, (), np.zeros((0, len(names))), zero, zero)
     model = Setup.of(simulated[0].tables).model
-    own, levels = (0, (1, 0, -1)) if model.mesh_size_mm is not None else (model.level, (2, 1, 0))
+    base, levels = (0, (1, 0, -1)) if model.mesh_size_mm is not None else (model.level, (2, 1, 0))
     # from coarse to fine, and the own mesh again with more steps
     made = [[_on_level(part, step) for part in parts] for step in levels]
     made.append([_with_more_steps(part) for part in parts])
-    found = []
-    for number, one in enumerate(made):
+    search = StagedSearch(names, fit_task.fitted_model, bounds, progress)
+    solutions = []
+    for number, changed_parts in enumerate(made):
         stage = f"numerical bound, fit {number + 1} of {len(made)}"
-        done = single_stage(
-            stage, one, names, start, fit_task.fitted_model, bounds, progress, Checkpoint()
-        ).fit  # fmt: skip
+        done = single_stage(stage, changed_parts, start, search).fit
         if not done.converged:
             nothing = np.full(len(names), np.nan)
             why = f"{stage}, gave no constants ({done.message})"
             return ConstantBound(names, (), np.zeros((0, len(names))), nothing, nothing, why)
-        found.append(done.values)
-    *series, stepped = found
-    values, sizes = np.array(series), tuple(_RATIO ** float(step - own) for step in levels)
+        solutions.append(done.values)
+    *series, stepped = solutions
+    values, sizes = np.array(series), tuple(_RATIO ** float(step - base) for step in levels)
     orders = [_order(part, names, start) for part in simulated]
-    order = min((one for one in orders if one is not None), default=None)
-    mesh = np.array([_u(sizes, column, levels.index(own), order) for column in values.T])
+    order = min((part_order for part_order in orders if part_order is not None), default=None)
+    mesh = np.array([_u(sizes, column, levels.index(base), order) for column in values.T])
     # forces between the load steps follow from where a search began, too; with nuisance
     # parameters the constants of the fit are not those of the same question
-    again = values[levels.index(own)]
-    reference = start if known.joint is None else again
+    again = values[levels.index(base)]
+    reference = start if first_fit.joint is None else again
     steps = np.maximum(np.abs(stepped - reference), np.abs(again - reference))
     return ConstantBound(names, sizes, values, mesh, steps)
 
@@ -154,26 +148,26 @@ _SAFETY = 3.0
 
 
 def estimated_bound(
-    found: Fit, parts: Sequence[FitPart], models: Sequence[Predict]
+    fit: Fit, parts: Sequence[FitPart], models: Sequence[Predict]
 ) -> ConstantBound | None:
     """Bound the numerical error from one coarser mesh; None where every test has a closed form.
 
     A force that is wrong by e moves the estimates by -(J'J)^-1 J'e, as an error of a row does.
     """
-    names, constants = found.names, found.values
-    own = [
+    names, constants = fit.names, fit.values
+    is_simulated = [
         part.method == "inverse-fem" and isinstance(model, InverseFem)
         for part, model in zip(parts, models, strict=True)
     ]
-    if not any(own) or not found.curves:
+    if not any(is_simulated) or not fit.curves:
         return None
     mesh: list[Array] = []
     steps: list[Array] = []
     nothing = np.full(len(names), np.nan)
     try:
-        for part, model, is_own in zip(parts, models, own, strict=True):
+        for part, model, is_own in zip(parts, models, is_simulated, strict=True):
             if not (is_own and isinstance(model, InverseFem)):
-                zeros = [np.zeros(len(one.curve)) for one in part.measured]
+                zeros = [np.zeros(len(curve.curve)) for curve in part.measured]
                 mesh, steps = [*mesh, *zeros], [*steps, *zeros]
                 continue
             here, size = model(constants), model.mesh_size_mm or 0.0
@@ -187,12 +181,12 @@ def estimated_bound(
     except (EvaluationFailed, InputError) as error:
         why = f"a coarser mesh, or more load steps, has no answer ({error})"
         return ConstantBound(names, (), np.zeros((0, len(names))), nothing, nothing, why, True)
-    measured = [one for part in parts for one in part.measured]
-    jacobian, weights, _ = fitted_rows(found, measured)
+    measured = [curve for part in parts for curve in part.measured]
+    jacobian, weights, _ = fitted_rows(fit, measured)
     inverse, _ = scaled_inverse(weights[:, None] * jacobian)
-    used = np.concatenate([one.weights > 0 for one in measured])
+    used = np.concatenate([m.weights > 0 for m in measured])
     by_force = inverse @ (weights[:, None] ** 2 * jacobian).T
-    by_mesh, by_steps = (np.abs(by_force @ np.concatenate(one)[used]) for one in (mesh, steps))
+    by_mesh, by_steps = (np.abs(by_force @ np.concatenate(e)[used]) for e in (mesh, steps))
     values = constants[None]
     return ConstantBound(names, (_RATIO, 1.0), values, by_mesh, by_steps, is_estimate=True)
 
@@ -201,20 +195,20 @@ def _moved(
     part: FitPart, names: tuple[str, ...], constants: Array, here: Sequence[Curve]
 ) -> list[Array]:
     """Change of the forces at the measured points from one discretization to another, N."""
-    curves = [one.curve for one in part.measured]
-    other = fit_task.fitted_model(part.method, part.tables, curves, names)(constants)
+    (model,) = fit_task.models_of([part], names)
+    other = model(constants)
     return [
-        two.force_at(c.displacement_mm) - one.force_at(c.displacement_mm)
-        for one, two, c in zip(here, other, curves, strict=True)
+        b.force_at(c.displacement_mm) - a.force_at(c.displacement_mm)
+        for a, b, c in zip(here, other, part.curves, strict=True)
     ]
 
 
-def with_numerical(found: Fit, bound: ConstantBound) -> Fit:
+def with_numerical(fit: Fit, bound: ConstantBound) -> Fit:
     """Fit whose 95 % intervals hold the numerical error beside the scatter of the rows."""
     if not np.isfinite(bound.u).all():
-        return found
-    half = np.hypot(0.5 * (found.ci95[:, 1] - found.ci95[:, 0]), bound.u)
-    return replace(found, ci95=np.stack([found.values - half, found.values + half], axis=1))
+        return fit
+    half = np.hypot(0.5 * (fit.ci95[:, 1] - fit.ci95[:, 0]), bound.u)
+    return replace(fit, ci95=np.stack([fit.values - half, fit.values + half], axis=1))
 
 
 def _on_level(part: FitPart, level: int) -> FitPart:
@@ -236,13 +230,13 @@ def _with_more_steps(part: FitPart) -> FitPart:
 
 def _order(part: FitPart, names: tuple[str, ...], values: Array) -> float | None:
     """Order that the elements promise for the force of a test, and so for its constants."""
-    depth = max(float(one.curve.displacement_mm.max()) for one in part.measured)
+    depth = max(float(curve.curve.displacement_mm.max()) for curve in part.measured)
     constants = dict(zip(names, values.tolist(), strict=True))
     return formal_order(problem_of(part.tables, constants, depth)).order
 
 
-def _u(sizes: Sequence[float], values: Array, own: int, order: float | None) -> float:
+def _u(sizes: Sequence[float], values: Array, place: int, order: float | None) -> float:
     """Half-width of one constant on one of the meshes."""
     noise = _SEARCH * float(np.abs(values).max())
     result = grid_convergence(sizes, values, formal_order=order, tolerance=noise)
-    return float(result.bound_of(float(values[own])) or noise)
+    return float(result.bound_of(float(values[place])) or noise)

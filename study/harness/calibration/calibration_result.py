@@ -60,8 +60,8 @@ class CurveFit:
         }
         if self.predicted is not None:
             for name in ("rms_force_error", "relative_rms_force_error"):
-                one = CURVE_RESPONSES[name]
-                errors[name] = one.between(self.predicted, self.measured.curve)
+                response = CURVE_RESPONSES[name]
+                errors[name] = response.between(self.predicted, self.measured.curve)
             force = self.measured.curve.force_N
             left = self.predicted.force_at(self.measured.curve.displacement_mm) - force
             total = float(((force - force.mean()) ** 2).sum())
@@ -174,27 +174,27 @@ class CalibrationResult:
 
     def to_json(self) -> dict[str, object]:
         """Document of ``study calibrate --json``."""
-        found = self.fit
+        fit = self.fit
         content = {
             "status": self.status,
             "message": self.message,
             "fit": self.adequacy.as_dict(),
             "model": self.model,
-            "parameters": parameters(found),
-            "nuisance": nuisance(found),
+            "parameters": parameters(fit),
+            "nuisance": nuisance(fit),
             "mu0": None if self.material is None else 1e3 * self.material.mu0,
             **_moduli(self.material),
-            "rss": found.rss,
-            "minima": [_minimum(one) for one in self.minima],
-            "r_squared": found.r_squared,
-            "aicc": found.aicc,
-            "n": found.n,
+            "rss": fit.rss,
+            "minima": [_minimum(minimum) for minimum in self.minima],
+            "r_squared": fit.r_squared,
+            "aicc": fit.aicc,
+            "n": fit.n,
             "rows": RowCount.sum_of(curve.measured.rows for curve in self.curves).as_dict(),
-            "serial_correlation": _serial(found),
-            "correlation": found.correlation,
-            "condition": found.condition,
-            "identifiable": found.identifiable,
-            "reason": found.reason,
+            "serial_correlation": _serial(fit),
+            "correlation": fit.correlation,
+            "condition": fit.condition,
+            "identifiable": fit.identifiable,
+            "reason": fit.reason,
             "identifiability": _identified(self.identified),
             "next_test": None if self.next_tests is None else self.next_tests.as_dict(),
             "stable": self.stable,
@@ -204,14 +204,14 @@ class CalibrationResult:
             "curves": [curve.as_dict() for curve in self.curves],
             "lack_of_fit": None if self.lack_of_fit is None else vars(self.lack_of_fit),
             "residual_pattern": None if self.pattern is None else vars(self.pattern),
-            "specimens": [one.as_dict() for one in self.specimens],
+            "specimens": [specimen.as_dict() for specimen in self.specimens],
             "same_constants_p": self.same_constants_p,
             "population": {
-                one.name: _population(one, [part.label for part in self.specimens])
-                for one in self.population
+                constant.name: _population(constant, [part.label for part in self.specimens])
+                for constant in self.population
             },
-            "cross_validation": [one.as_dict() for one in self.cross_validation],
-            "profiles": {n: _profile(_scale(found, n), p) for n, p in self.profiles.items()},
+            "cross_validation": [part.as_dict() for part in self.cross_validation],
+            "profiles": {n: _profile(_scale(fit, n), p) for n, p in self.profiles.items()},
             **({} if self.numerical is None else {"numerical": self.numerical}),
             **({} if self.numerics is None else {"numerics": self.numerics}),
             **({} if self.bootstrap is None else {"bootstrap": self.bootstrap.as_dict()}),
@@ -219,7 +219,7 @@ class CalibrationResult:
             "warnings": list(self.warnings),
             "notes": list(self.notes),
             "name": self.name,
-            "tests": [{name: dict(table) for name, table in one.items()} for one in self.tests],
+            "tests": [{name: dict(table) for name, table in test.items()} for test in self.tests],
         }
         return cast("dict[str, object]", plain(content, "calibration", {}))
 
@@ -228,8 +228,8 @@ def _moduli(material: Material | None) -> dict[str, object]:
     """Shear moduli of a material that relaxes, kPa: of a load that comes at once, and of old."""
     if material is None or not material.relaxation:
         return {}
-    found = {"instantaneous": 1e3 * material.mu0, "long_term": 1e3 * material.long_term_mu}
-    return {"shear_moduli": found}
+    moduli = {"instantaneous": 1e3 * material.mu0, "long_term": 1e3 * material.long_term_mu}
+    return {"shear_moduli": moduli}
 
 
 def parameters(fit: Fit) -> dict[str, ParameterDocument]:
@@ -251,60 +251,64 @@ def _minimum(fit: Fit) -> dict[str, object]:
     return {"parameters": values, "rss": fit.rss}
 
 
-def _identified(found: Identifiability | None) -> dict[str, object] | None:
+def _identified(identified: Identifiability | None) -> dict[str, object] | None:
     """Give combinations from the best known to the least, in kPa (exponents plain) and N."""
-    if found is None:
+    if identified is None:
         return None
     return {
-        "sentence": found.sentence,
-        "noise_N": found.noise_N,
+        "sentence": identified.sentence,
+        "noise_N": identified.noise_N,
         "directions": [
             {
-                "combination": one.words,
-                "coefficients": {n: _in_kpa(n, one) * c for n, c in one.combination.items()},
-                "value": scale_of(first := next(iter(one.combination))) * one.value,
+                "combination": direction.words,
+                "coefficients": {
+                    n: _in_kpa(n, direction) * c for n, c in direction.combination.items()
+                },
+                "value": scale_of(first := next(iter(direction.combination))) * direction.value,
                 "unit": ConstantResponse(first).unit,
-                "standard_error": scale_of(first) * one.standard_error,
-                "relative": one.relative,
-                "known": one.is_known,
+                "standard_error": scale_of(first) * direction.standard_error,
+                "relative": direction.relative,
+                "known": direction.is_known,
             }
-            for one in found.directions
+            for direction in identified.directions
         ],
         "constants": {
-            one.name: {
-                "known": one.is_known, "alone_N": one.alone_N, "refitted_N": one.refitted_N
+            constant.name: {
+                "known": constant.is_known,
+                "alone_N": constant.alone_N,
+                "refitted_N": constant.refitted_N,
             }
-            for one in found.constants
+            for constant in identified.constants
         },
-    }  # fmt: skip
+    }
 
 
-def _in_kpa(name: str, one: Direction) -> float:
+def _in_kpa(name: str, direction: Direction) -> float:
     """Factor to a coefficient of constants in kPa from that of constants in MPa."""
-    return scale_of(next(iter(one.combination))) / scale_of(name)
+    return scale_of(next(iter(direction.combination))) / scale_of(name)
 
 
 def nuisance(fit: Fit) -> dict[str, dict[str, object]]:
     """Nuisance parameters by name, with errors, intervals, shares: mm, mm^2, N, kPa, deg, 1."""
-    return {one.name: _nuisance(one) for one in fit.nuisance}
+    return {estimate.name: _nuisance(estimate) for estimate in fit.nuisance}
 
 
-def _nuisance(one: NuisanceEstimate) -> dict[str, object]:
-    unit, scale = _unit_of(one.key)
-    said = {
+def _nuisance(estimate: NuisanceEstimate) -> dict[str, object]:
+    unit, scale = _unit_of(estimate.key)
+    meaning = {
         "fitted": "a pseudo-observation: one more row of the fit, and no measurement",
         "propagated": "carried to the constants: the tests do not move it",
-    }[one.treated]
+    }[estimate.treated]
     return {
-        "treated": one.treated,
+        "treated": estimate.treated,
         "unit": unit,
-        "expected": scale * one.expected,
-        "uncertainty": None if one.uncertainty is None else scale * one.uncertainty,
-        "prior": "none: found from the tests alone" if one.uncertainty is None else said,
-        "value": scale * one.value,
-        "standard_error": scale * one.standard_error,
-        "ci95": [scale * v for v in one.ci95],
-        "shares": dict(one.shares),
+        "expected": scale * estimate.expected,
+        "uncertainty": None if estimate.uncertainty is None else scale * estimate.uncertainty,
+        "prior": "none: found from the tests alone" if estimate.uncertainty is None else meaning,
+        "value": scale * estimate.value,
+        "standard_error": scale * estimate.standard_error,
+        "ci95": [scale * v for v in estimate.ci95],
+        "shares": dict(estimate.shares),
     }
 
 
@@ -318,19 +322,19 @@ def _unit_of(key: str) -> tuple[str, float]:
     return plain.get(key, others.get(last, "mm")), 1.0
 
 
-def _population(found: Population, labels: Sequence[str]) -> dict[str, object]:
+def _population(population: Population, labels: Sequence[str]) -> dict[str, object]:
     """Give one constant among specimens in kPa, exponents plain."""
-    scale = scale_of(found.name)
+    scale = scale_of(population.name)
     return {
-        "specimens": found.specimens,
-        "unit": ConstantResponse(found.name).unit,
-        "mean": scale * found.mean,
-        "standard_deviation": scale * found.standard_deviation,
-        "between": scale * found.between,
-        "mean_ci95": [scale * v for v in found.mean_ci95],
-        "next_ci95": [scale * v for v in found.next_ci95],
+        "specimens": population.specimens,
+        "unit": ConstantResponse(population.name).unit,
+        "mean": scale * population.mean,
+        "standard_deviation": scale * population.standard_deviation,
+        "between": scale * population.between,
+        "mean_ci95": [scale * v for v in population.mean_ci95],
+        "next_ci95": [scale * v for v in population.next_ci95],
         "shrunk": {
-            label: scale * value for label, value in zip(labels, found.shrunk, strict=False)
+            label: scale * value for label, value in zip(labels, population.shrunk, strict=False)
         },
     }
 
@@ -339,7 +343,7 @@ def _scale(fit: Fit, name: str) -> float:
     """Factor to the unit in which a constant or a nuisance parameter is shown."""
     if name in fit.names:
         return scale_of(name)
-    return _unit_of(next(one.key for one in fit.nuisance if one.name == name))[1]
+    return _unit_of(next(estimate.key for estimate in fit.nuisance if estimate.name == name))[1]
 
 
 def _serial(fit: Fit) -> dict[str, object] | None:
@@ -354,9 +358,9 @@ def _serial(fit: Fit) -> dict[str, object] | None:
     }
 
 
-def _profile(scale: float, found: LikelihoodProfile) -> dict[str, object]:
+def _profile(scale: float, profile: LikelihoodProfile) -> dict[str, object]:
     return {
-        "interval": [scale * v for v in found.interval],
-        "values": scale * np.asarray(found.values),
-        "rss": found.rss,
+        "interval": [scale * v for v in profile.interval],
+        "values": scale * np.asarray(profile.values),
+        "rss": profile.rss,
     }

@@ -71,48 +71,48 @@ def read_tests(
         data = _read(test, root)
         notes += [f"{test.file}: {note}" if len(tests) > 1 else note for note in data.notes]
         for specimen in data.blocks or (None,):
-            one = data.curve(specimen, **dict(data.fit or {}))
-            weight = _weight(test.weight, one, f"tests[{number}]")
-            curves.append(FitCurve(number, test.file, specimen, one, test.role, weight, loss))
+            mean = data.curve(specimen, **dict(data.fit or {}))
+            weight = _weight(test.weight, mean, f"tests[{number}]")
+            curves.append(FitCurve(number, test.file, specimen, mean, test.role, weight, loss))
     return curves, tuple(dict.fromkeys(notes))
 
 
 def _read(test: CalibratedTest, root: Path) -> Measurements:
     setup = test.setup
     depth, gauge = setup.test.displacement_mm, gauge_of(setup)
-    found = read_measurements(test.measurements, root, setup.height_mm, depth, gauge, own_rows=True)
-    return conditioning.checked(found, setup)
+    rows = read_measurements(test.measurements, root, setup.height_mm, depth, gauge, own_rows=True)
+    return conditioning.checked(rows, setup)
 
 
-def _weight(asked: float | str, one: MeasuredTest, where: str) -> float | Array:
+def _weight(weight: float | str, measured: MeasuredTest, where: str) -> float | Array:
     """Weight of a curve: a number, or one over the noise of its points."""
-    if asked == "equal":
+    if weight == "equal":
         return 1.0
-    if not isinstance(asked, str):
-        return float(asked)
-    noise = noise_of(one, grows=0.0 if asked == "relative" else math.inf)
+    if not isinstance(weight, str):
+        return float(weight)
+    noise = noise_of(measured, grows=0.0 if weight == "relative" else math.inf)
     if noise is None:
         rule = "fewer than 8 rows, or rows without noise, say nothing of their scatter"
         raise InputError(Fault(f"{where}.weight", rule, "write weight = 'equal' or a number"))
-    if asked == "scatter" and one.scatter_N is not None:
+    if weight == "scatter" and measured.scatter_N is not None:
         # repeats meet by chance at some points, which must not count for everything
-        floor = max(0.1 * float(np.median(one.scatter_N)), 1e-9)
-        noise = np.maximum(one.scatter_N, floor) / math.sqrt(one.n_repeats)
+        floor = max(0.1 * float(np.median(measured.scatter_N)), 1e-9)
+        noise = np.maximum(measured.scatter_N, floor) / math.sqrt(measured.n_repeats)
     return np.asarray(1 / noise)
 
 
-def noise_of(one: MeasuredTest, grows: float = math.inf) -> Array | None:
+def noise_of(measured: MeasuredTest, grows: float = math.inf) -> Array | None:
     """Noise of the points of a curve from differences of neighboring rows, N, shape (n,).
 
     It grows with a power of the force that is estimated, where that is ``grows`` standard errors
     above zero. Mean of all repeats; None where they say nothing.
     """
-    recordings = one.recordings or (one.curve,)
+    recordings = measured.recordings or (measured.curve,)
     deviations = []
     for rows in recordings:
         noise = row_noise(rows.force_N, rows.places, rows.force_N, grows=grows)
         if noise is not None:
-            deviations.append(np.interp(one.curve.places, rows.places, noise.deviation))
+            deviations.append(np.interp(measured.curve.places, rows.places, noise.deviation))
     return np.sqrt(np.mean(np.square(deviations), axis=0) / len(recordings)) if deviations else None
 
 
@@ -125,24 +125,26 @@ def parts_of(tests: Sequence[CalibratedTest], curves: Sequence[FitCurve]) -> lis
     """Parts of a fit to the given curves, one for each test that has any."""
     parts = []
     for number, test in enumerate(tests):
-        own = [c for c in curves if c.test == number]
-        if own:
+        of_test = [c for c in curves if c.test == number]
+        if of_test:
             problem = problem_of(test.tables)
-            measured = tuple(_measured_curve(c) for c in own)
+            measured = tuple(_measured_curve(c) for c in of_test)
             parts.append(FitPart(problem.method, problem.tables, measured))
     return parts
 
 
-def _measured_curve(one: FitCurve) -> MeasuredCurve:
+def _measured_curve(curve: FitCurve) -> MeasuredCurve:
     """Curve as the fit sees it; a loss other than squares is counted in units of the noise."""
-    found = MeasuredCurve(one.label, one.measured.curve, one.weight, "fit", one.measured.recordings)
-    if one.loss == "linear":
-        return found
-    noise = noise_of(one.measured)
+    seen = MeasuredCurve(
+        curve.label, curve.measured.curve, curve.weight, "fit", curve.measured.recordings
+    )
+    if curve.loss == "linear":
+        return seen
+    noise = noise_of(curve.measured)
     if noise is None:
-        rule = f"{one.label}: fewer than 8 rows, or rows without noise, give the loss no limit"
+        rule = f"{curve.label}: fewer than 8 rows, or rows without noise, give the loss no limit"
         raise InputError(Fault("calibration.loss", rule, 'write loss = "linear"'))
-    return replace(found, loss=one.loss, limit_N=LOSS_LIMIT * noise)
+    return replace(seen, loss=curve.loss, limit_N=LOSS_LIMIT * noise)
 
 
 def in_order(curves: Sequence[FitCurve]) -> list[FitCurve]:

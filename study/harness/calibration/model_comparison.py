@@ -46,24 +46,18 @@ def linearized_fit(config: CalibrationDesign, root: Path, common: Mapping[str, f
     """Fit one test with the slopes at the constants that all tests share. Units: common MPa."""
     names, center = tuple(common), np.array(list(common.values()), float)
     parts = parts_of(config.tests, in_order(read_tests(config.tests, root)[0]))
-    measured = [one for part in parts for one in part.measured]
+    measured = [curve for part in parts for curve in part.measured]
     base = [
-        _at_points(curve, one.curve, names)
-        for part in parts
-        for curve, one in zip(
-            fit_task.fitted_model(
-                part.method, part.tables, [m.curve for m in part.measured], names
-            )(center),
-            part.measured,
-            strict=True,
-        )
+        _at_points(curve, measured_curve, names)
+        for part, model in zip(parts, fit_task.models_of(parts, names), strict=True)
+        for curve, measured_curve in zip(model(center), part.curves, strict=True)
     ]
 
     def predict(values: Array) -> list[Curve]:
         moved = dict(zip(names, values - center, strict=True))
         return [
-            replace(one, force_N=one.force_N + sum(moved[n] * one.force_gradient[n] for n in names))
-            for one in base
+            replace(c, force_N=c.force_N + sum(moved[n] * c.force_gradient[n] for n in names))
+            for c in base
         ]
 
     return with_serial_correlation(fit(predict, measured, names, center), measured)
@@ -83,13 +77,13 @@ def _at_points(predicted: Curve, measured: Curve, names: tuple[str, ...]) -> Cur
 _RATIO = 1.5
 
 
-def zero_error(config: CalibrationDesign, root: Path, found: Fit, zero: float) -> Array:
+def zero_error(config: CalibrationDesign, root: Path, fit: Fit, zero: float) -> Array:
     """Change of the constants by a shift of all forces of one test. Shapes: returns (p,), MPa."""
     curves = in_order(read_tests(config.tests, root)[0])
     rows, shifts = [], []
-    for measured, predicted in zip(curves, found.curves, strict=True):
+    for measured, predicted in zip(curves, fit.curves, strict=True):
         curve, weight = measured.measured.curve, np.asarray(measured.weight)
-        slopes = predicted.gradients_at(found.names, curve.displacement_mm)
+        slopes = predicted.gradients_at(fit.names, curve.displacement_mm)
         rows.append((weight * slopes.T).T)
         shifts.append(weight * np.full(len(curve), zero * np.abs(curve.force_N).max()))
     jacobian = np.concatenate(rows)
@@ -101,7 +95,7 @@ def zero_error(config: CalibrationDesign, root: Path, found: Fit, zero: float) -
 def mesh_error(
     config: CalibrationDesign,
     root: Path,
-    found: CalibrationResult,
+    result: CalibrationResult,
     progress: Progress | None = None,
 ) -> Array:
     """Error that the mesh leaves in the constants of one test, from a second, coarser mesh.
@@ -114,13 +108,13 @@ def mesh_error(
     """
     coarser = _coarser(config)
     if coarser is None:
-        return np.zeros_like(found.fit.values)
+        return np.zeros_like(result.fit.values)
     # from the same minimum: the distance to another one is no error of the mesh
-    other = calibrate(coarser, root, progress=progress, begin=found.fit.constants())
+    other = calibrate(coarser, root, progress=progress, begin=result.fit.constants())
     if not other.converged:
         raise RefusedError("a coarser mesh gives no constants to tell the mesh's error from: "
                            "take a finer mesh")  # fmt: skip
-    return np.asarray((found.fit.values - other.fit.values) / (_RATIO - 1))
+    return np.asarray((result.fit.values - other.fit.values) / (_RATIO - 1))
 
 
 def _coarser(config: CalibrationDesign) -> CalibrationDesign | None:
@@ -195,7 +189,7 @@ class ModelComparison:
     @property
     def mu0_spread(self) -> float:
         """Largest less smallest initial shear modulus of the tests, over their mean."""
-        mu0 = [one.material.mu0 for one in self.fits.values() if one.material is not None]
+        mu0 = [result.material.mu0 for result in self.fits.values() if result.material is not None]
         return float(np.ptp(mu0) / np.mean(mu0))
 
     @property
@@ -217,16 +211,16 @@ class ModelComparison:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Cautions of every fit, which are those of the comparison as well."""
-        said = [f"{label}: {w}" for label, one in self.fits.items() for w in one.warnings]
+        cautions = [f"{label}: {w}" for label, result in self.fits.items() for w in result.warnings]
         vague = [
-            f"{label}: the constants are not identifiable ({one.fit.reason}): the Wald test "
+            f"{label}: the constants are not identifiable ({result.fit.reason}): the Wald test "
             "compares what the data hardly determine"
-            for label, one in self.fits.items()
-            if not one.fit.identifiable
+            for label, result in self.fits.items()
+            if not result.fit.identifiable
         ]
         short = "alone it ended before its minimum"
         ended = [f"{k}: {short} ({f.message})" for k, f in self.fits.items() if not f.converged]
-        return (*said, *vague, *ended)
+        return (*cautions, *vague, *ended)
 
     def to_json(self) -> dict[str, object]:
         """Document of ``study calibrate --by test --json``."""
@@ -241,18 +235,18 @@ class ModelComparison:
             "groups": [
                 {
                     "label": label,
-                    "status": one.status,
-                    "parameters": parameters(one.fit),
-                    "correlation": one.fit.correlation,
-                    "n": one.fit.n,
-                    "identifiable": one.fit.identifiable,
+                    "status": result.status,
+                    "parameters": parameters(result.fit),
+                    "correlation": result.fit.correlation,
+                    "n": result.fit.n,
+                    "identifiable": result.fit.identifiable,
                     "mesh_error": _shown(names, self.systematic[label].mesh),
                     "zero_error": _shown(names, self.systematic[label].zero),
-                    "mu0": None if one.material is None else 1e3 * one.material.mu0,
+                    "mu0": None if result.material is None else 1e3 * result.material.mu0,
                     "power": self.power[label],
                     "detectable": self.detectable[label],
                 }
-                for label, one in self.fits.items()
+                for label, result in self.fits.items()
             ],
             "common": {
                 name: {
@@ -303,12 +297,12 @@ def compare(
         _refuse_unconverged(fits)
     systematic = {
         label: Systematic(
-            mesh_error(one, root, fits[label], progress),
-            zero_error(one, root, compared[label], zero),
+            mesh_error(group, root, fits[label], progress),
+            zero_error(group, root, compared[label], zero),
         )
-        for label, one in groups.items()
+        for label, group in groups.items()
     }
-    extra = [one.covariance for one in systematic.values()]
+    extra = [error.covariance for error in systematic.values()]
     test = agreement(list(compared.values()), extra)
     power: dict[str, float] = {}
     detectable: dict[str, float] = {}
@@ -322,10 +316,10 @@ def compare(
 
 
 def _refuse_unconverged(fits: Mapping[str, CalibrationResult]) -> None:
-    for label, one in fits.items():
-        if not one.converged:
+    for label, result in fits.items():
+        if not result.converged:
             mend = "take an energy with fewer constants, or give constants to start from"
-            raise RefusedError(f"{label} alone gives no constants ({one.message}): {mend}")
+            raise RefusedError(f"{label} alone gives no constants ({result.message}): {mend}")
 
 
 def _compared(
@@ -335,15 +329,15 @@ def _compared(
     joint: Fit | None,
 ) -> tuple[dict[str, Fit], Form]:
     """Fits whose constants are compared: those of slopes at the common ones where these are had."""
-    own = {label: one.fit for label, one in fits.items()}
-    if joint is None or any(one.nuisance for one in own.values()):
-        return own, "wald"
+    fits_alone = {label: result.fit for label, result in fits.items()}
+    if joint is None or any(fit.nuisance for fit in fits_alone.values()):
+        return fits_alone, "wald"
     try:
-        linear = {k: linearized_fit(one, root, joint.constants()) for k, one in groups.items()}
+        linear = {k: linearized_fit(g, root, joint.constants()) for k, g in groups.items()}
     except EvaluationFailed:
-        return own, "wald"
-    sound = all(one.converged and (np.diag(one.covariance) > 0).all() for one in linear.values())
-    return (linear, "score") if sound else (own, "wald")
+        return fits_alone, "wald"
+    sound = all(g.converged and (np.diag(g.covariance) > 0).all() for g in linear.values())
+    return (linear, "score") if sound else (fits_alone, "wald")
 
 
 def _at_least_squares(
@@ -359,23 +353,23 @@ def _at_least_squares(
     A sum of squares with exponents has several minima, and a fit that stopped at one of the
     higher ones would pass for another material.
     """
-    fits = {label: calibrate(one, root, progress=progress) for label, one in groups.items()}
+    fits = {label: calibrate(group, root, progress=progress) for label, group in groups.items()}
     if not any(is_dimensionless(name) for name in next(iter(fits.values())).fit.names):
         return fits, None  # linear in its moduli: one minimum
-    begins, joint = [one.fit for one in fits.values() if one.converged], None
+    begins, joint = [result.fit for result in fits.values() if result.converged], None
     with contextlib.suppress(InputError):
         whole = calibrate(config.pooled(), root, progress=progress)
         joint = whole.fit if whole.converged else None
     begins = begins if joint is None else [joint, *begins]
-    for label, one in groups.items():
-        own = fits[label].fit
+    for label, group in groups.items():
+        first = fits[label].fit
         again = (
-            calibrate(one, root, progress=progress, begin=other.constants())
+            calibrate(group, root, progress=progress, begin=other.constants())
             for other in begins
-            if other is not own
+            if other is not first
         )
-        found = [each for each in (fits[label], *again) if each.converged]
-        fits[label] = min(found, key=lambda each: each.fit.rss, default=fits[label])
+        candidates = [each for each in (fits[label], *again) if each.converged]
+        fits[label] = min(candidates, key=lambda each: each.fit.rss, default=fits[label])
     return fits, joint
 
 
@@ -390,7 +384,7 @@ def _of_one_sign(
     for k, name in enumerate(names):
         if not is_dimensionless(name):
             continue
-        even = {label for label, one in fits.items() if _is_even(groups[label], one.fit, k)}
+        even = {label for label, result in fits.items() if _is_even(groups[label], result.fit, k)}
         telling = [label for label in fits if label not in even]
         sign = np.sign(fits[telling[0]].fit.values[k]) if telling else 1.0
         for label in even:
@@ -399,43 +393,42 @@ def _of_one_sign(
     return out
 
 
-def _is_even(config: CalibrationDesign, found: Fit, k: int) -> bool:
+def _is_even(config: CalibrationDesign, fit: Fit, k: int) -> bool:
     """Whether the closed form of a test is the same for the other sign of one constant."""
     (test,) = config.tests
     problem = problem_of(test.tables)
     if problem.method != "closed-form":
         return False
-    grids = [Curve(one.displacement_mm, one.force_N, time_s=one.time_s) for one in found.curves]
-    predict = fitted_model(problem.method, problem.tables, grids, found.names)
-    other = found.values.copy()
+    grids = [Curve(c.displacement_mm, c.force_N, time_s=c.time_s) for c in fit.curves]
+    predict = fitted_model(problem.method, problem.tables, grids, fit.names)
+    other = fit.values.copy()
     other[k] *= -1
     try:
-        pairs = zip(predict(found.values), predict(other), strict=True)
-        return all(_is_same(one.force_N, two.force_N) for one, two in pairs)
+        pairs = zip(predict(fit.values), predict(other), strict=True)
+        return all(
+            bool(np.abs(a.force_N - b.force_N).max() <= _ROUNDING * np.abs(a.force_N).max())
+            for a, b in pairs
+        )
     except EvaluationFailed:
         return False
 
 
-def _is_same(one: Array, other: Array) -> bool:
-    return bool(np.abs(one - other).max() <= _ROUNDING * np.abs(one).max())
-
-
-def _mirrored(found: Fit, k: int) -> Fit:
+def _mirrored(fit: Fit, k: int) -> Fit:
     """Fit with the other sign of one constant."""
-    sign = np.ones(found.values.size)
+    sign = np.ones(fit.values.size)
     sign[k] = -1
-    ci95 = found.ci95.copy()
+    ci95 = fit.ci95.copy()
     ci95[k] = -ci95[k, ::-1]
     turned = np.outer(sign, sign)
     # slopes by that constant change their sign as well
-    name = found.names[k]
+    name = fit.names[k]
     curves = tuple(
-        replace(one, force_gradient={**one.force_gradient, name: -one.force_gradient[name]})
-        for one in found.curves
+        replace(curve, force_gradient={**curve.force_gradient, name: -curve.force_gradient[name]})
+        for curve in fit.curves
     )
     return replace(
-        found, values=sign * found.values, ci95=ci95, covariance=turned * found.covariance,
-        correlation=turned * found.correlation, curves=curves,
+        fit, values=sign * fit.values, ci95=ci95, covariance=turned * fit.covariance,
+        correlation=turned * fit.correlation, curves=curves,
     )  # fmt: skip
 
 
@@ -496,14 +489,14 @@ class EnergyChoice:
         """
         errors = {label: _held_out_error(self.fits[label]) for label in self.weights}
         least = min((e for e in errors.values() if e is not None), default=None)
-        kept = [
+        eligible = [
             label
             for label, error in errors.items()
             if least is None or (error is not None and error <= _PREDICTS * least)
         ]
-        aicc = {label: self.fits[label].fit.aicc for label in kept}
-        near = [label for label in kept if aicc[label] - min(aicc.values()) < OPEN]
-        return tuple(sorted(near, key=lambda one: (len(self.fits[one].fit.names), aicc[one])))
+        aicc = {label: self.fits[label].fit.aicc for label in eligible}
+        near = [label for label in eligible if aicc[label] - min(aicc.values()) < OPEN]
+        return tuple(sorted(near, key=lambda name: (len(self.fits[name].fit.names), aicc[name])))
 
     @property
     def best(self) -> str | None:
@@ -514,18 +507,18 @@ class EnergyChoice:
     def sentence(self) -> str:
         """The choice in words, with what it does not say."""
         if self.best is None:
-            why = "; ".join(f"{label}: {_unfit(one)}" for label, one in self.fits.items())
+            why = "; ".join(f"{label}: {_unfit(result)}" for label, result in self.fits.items())
             return f"no energy can be recommended: {why}" if why else "no energy could be fitted"
         held = _held_out_error(self.fits[self.best])
         by = "AICc prefers"
         if held is not None:
             by = f"held-out tests ({held:.3g} % RMS error) and AICc prefer"
-        said = f"{by} {self.best} (weight {self.weights[self.best]:.3g})"
+        text = f"{by} {self.best} (weight {self.weights[self.best]:.3g})"
         others = self.alike[1:]
         if others:
             listed = ", ".join(others)
-            said += f", the fewest constants among energies that cannot be told apart ({listed})"
-        return f"{said}; it compares energies on these data only, not the constants' truth"
+            text += f", the fewest constants among energies that cannot be told apart ({listed})"
+        return f"{text}; it compares energies on these data only, not the constants' truth"
 
     def to_json(self) -> dict[str, object]:
         """Table of the energies."""
@@ -538,36 +531,36 @@ class EnergyChoice:
             "energies": [
                 {
                     "energy": label,
-                    "status": found.status,
-                    "constants": len(found.fit.names),
-                    "aicc": found.fit.aicc,
-                    "delta_aicc": found.fit.aicc - best,
+                    "status": result.status,
+                    "constants": len(result.fit.names),
+                    "aicc": result.fit.aicc,
+                    "delta_aicc": result.fit.aicc - best,
                     "weight": self.weights.get(label),
-                    "rss": found.fit.rss,
-                    "mu0": None if found.material is None else 1e3 * found.material.mu0,
-                    "identifiable": found.fit.identifiable,
-                    "reason": found.fit.reason,
-                    "not_chosen_because": _unfit(found),
-                    "verdict": found.adequacy.verdict,
-                    "stable": found.stable,
+                    "rss": result.fit.rss,
+                    "mu0": None if result.material is None else 1e3 * result.material.mu0,
+                    "identifiable": result.fit.identifiable,
+                    "reason": result.fit.reason,
+                    "not_chosen_because": _unfit(result),
+                    "verdict": result.adequacy.verdict,
+                    "stable": result.stable,
                     "held_out": [
                         c.as_dict()["relative_rms_force_error"]
-                        for c in found.curves
+                        for c in result.curves
                         if c.role == "held-out"
                     ],
                 }
-                for label, found in self.fits.items()
+                for label, result in self.fits.items()
             ],
             "failures": dict(self.failures),
         }
         return cast("dict[str, object]", plain(content, "energies", {}))
 
 
-def _held_out_error(found: CalibrationResult) -> float | None:
+def _held_out_error(result: CalibrationResult) -> float | None:
     """Root mean square of the relative errors of held-out tests, %; None where none is."""
     errors = [
         curve.as_dict()["relative_rms_force_error"]
-        for curve in found.curves
+        for curve in result.curves
         if curve.role == "held-out"
     ]
     if not errors:
@@ -575,27 +568,29 @@ def _held_out_error(found: CalibrationResult) -> float | None:
     return float(np.sqrt(np.mean([np.inf if e is None else float(str(e)) ** 2 for e in errors])))
 
 
-def _unfit(found: CalibrationResult) -> str:
+def _unfit(result: CalibrationResult) -> str:
     """Why an energy may not be chosen; empty where it may."""
-    held = [n for n, e in zip(found.fit.names, found.fit.standard_error, strict=True) if not e > 0]
+    held = [
+        n for n, e in zip(result.fit.names, result.fit.standard_error, strict=True) if not e > 0
+    ]
     if held:
         return f"{', '.join(held)} ended at a bound"
-    if not found.fit.identifiable:
-        return f"not identifiable: {found.fit.reason}"
-    return "" if found.adequacy.describes else found.adequacy.sentence
+    if not result.fit.identifiable:
+        return f"not identifiable: {result.fit.reason}"
+    return "" if result.adequacy.describes else result.adequacy.sentence
 
 
 def choose(
     config: CalibrationDesign, root: Path, *, progress: Progress | None = None
 ) -> EnergyChoice:
     """Fit every candidate to the tests of a calibration, each asked as the file asks."""
-    found: dict[str, CalibrationResult] = {}
+    results: dict[str, CalibrationResult] = {}
     failures: dict[str, str] = {}
     problems = (problem_of(test.tables) for test in config.tests)
     compressible = config.material.compressibility.poisson_ratio is not None
     for model, order, label in (
         *CANDIDATES,
-        *(FOAMS if (compressible and all(one.method == "closed-form" for one in problems)) else ()),
+        *(FOAMS if (compressible and all(p.method == "closed-form" for p in problems)) else ()),
     ):
         changes: dict[str, object] = {"model": model, "order": order, "constants": {}}
         tests = tuple(
@@ -604,15 +599,15 @@ def choose(
         )
         try:
             design = replace(config, tests=tests, bounds={})
-            own = set(design.material.calibrated_names)
-            bounds = {name: pair for name, pair in config.bounds.items() if name in own}
+            names = set(design.material.calibrated_names)
+            bounds = {name: pair for name, pair in config.bounds.items() if name in names}
             result = calibrate(replace(design, bounds=bounds), root, progress=progress)
         except InputError as error:
             failures[label] = str(error)
             continue
         if result.converged:
-            found[label] = result
+            results[label] = result
         else:
             failures[label] = f"{result.status}: {result.message}"
-    eligible = {label: one.fit.aicc for label, one in found.items() if not _unfit(one)}
-    return EnergyChoice(found, akaike_weights(eligible), failures)
+    eligible = {label: result.fit.aicc for label, result in results.items() if not _unfit(result)}
+    return EnergyChoice(results, akaike_weights(eligible), failures)

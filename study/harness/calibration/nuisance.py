@@ -69,8 +69,8 @@ def parameters_of(
     """Nuisance parameters of a fit."""
     units: dict[tuple[str, str], list[int]] = {}
     for place, curve in enumerate(curves):
-        for key, asked in tests[curve.test].nuisance.items():
-            units.setdefault((key, _unit(asked.each, curve)), []).append(place)
+        for key, declared in tests[curve.test].nuisance.items():
+            units.setdefault((key, _unit(declared.each, curve)), []).append(place)
     count = {key: sum(other == key for other, _ in units) for key, _ in units}
     return tuple(
         _parameter(tests, curves, key, key if count[key] == 1 else f"{key} [{unit}]", places)
@@ -89,23 +89,23 @@ def _parameter(
     name: str,
     places: list[int],
 ) -> NuisanceParameter:
-    own = [tests[curves[place].test] for place in places]
-    asked = own[0].nuisance[key]
-    expected = [_expected(test, key) for test in own]
+    owners = [tests[curves[place].test] for place in places]
+    declared = owners[0].nuisance[key]
+    expected = [_expected(test, key) for test in owners]
     if max(expected) - min(expected) > 1e-12 * max(map(abs, expected)):
         rule = "differs between the tests that share it"
         raise InputError(Fault(f"nuisance.{key}", rule, 'write each = "test"'))
-    uncertainty = asked.uncertainty
-    if asked.relative and uncertainty is not None:
+    uncertainty = declared.uncertainty
+    if declared.relative and uncertainty is not None:
         uncertainty = uncertainty * abs(expected[0])
-    found = NuisanceParameter(
-        name, key, expected[0], uncertainty, asked.treat == "fitted", tuple(places)
+    param = NuisanceParameter(
+        name, key, expected[0], uncertainty, declared.treat == "fitted", tuple(places)
     )
-    if key == "material.poisson_ratio" and expected[0] + found.step >= 0.5:
-        rule = f"{expected[0]:g} with an uncertainty of {found.step:g} reaches 0.5"
+    if key == "material.poisson_ratio" and expected[0] + param.step >= 0.5:
+        rule = f"{expected[0]:g} with an uncertainty of {param.step:g} reaches 0.5"
         mend = "give a smaller one, or material.bulk_modulus with its uncertainty"
         raise InputError(Fault(f"nuisance.{key}", rule, mend))
-    return found
+    return param
 
 
 def _expected(test: CalibratedTest, key: str) -> float:
@@ -126,9 +126,9 @@ def _located(test: Tables, key: str) -> tuple[Mapping[str, object], str]:
     table: Mapping[str, object] = test
     for part in path:
         table = table_of(table, part)
-    found = value_named(table, last)
-    if found is not None:
-        return table, found[0]
+    entry = value_named(table, last)
+    if entry is not None:
+        return table, entry[0]
     mend = "declare it in the [[tests]] that have it: nuisance = { ... }"
     raise InputError(Fault(f"nuisance.{key}", "is no input of this test", mend))
 
@@ -165,8 +165,8 @@ class _Homogeneous:
 
     def at(self, values: Array, grids: Sequence[Array]) -> list[Curve]:
         """Predict forces at displacements, mm; negative ones pull what others press."""
-        asked = [Curve(grid, np.zeros_like(grid)) for grid in grids]
-        return fit_task.closed_form_model(self._tables, asked, self._names)(values)
+        empty = [Curve(grid, np.zeros_like(grid)) for grid in grids]
+        return fit_task.closed_form_model(self._tables, empty, self._names)(values)
 
 
 class _Simulated(fit_task.InverseFem):
@@ -190,14 +190,14 @@ class _Simulated(fit_task.InverseFem):
         return self._solved_last
 
     def _odd(self, curve: Curve, grid: Array) -> Curve:
-        found, sign = self._at(curve, np.abs(grid)), np.where(grid < 0, -1.0, 1.0)
-        slopes = {name: sign * slope for name, slope in found.force_gradient.items()}
-        return Curve(grid, sign * found.force_N, force_gradient=slopes)
+        mirrored, sign = self._at(curve, np.abs(grid)), np.where(grid < 0, -1.0, 1.0)
+        slopes = {name: sign * slope for name, slope in mirrored.force_gradient.items()}
+        return Curve(grid, sign * mirrored.force_N, force_gradient=slopes)
 
 
-def reach_of(one: NuisanceParameter, depth_mm: float) -> float:
+def reach_of(param: NuisanceParameter, depth_mm: float) -> float:
     """How far an offset may go from its expected value, mm."""
-    return _FAR * depth_mm if one.uncertainty is None else REACH * one.uncertainty
+    return _FAR * depth_mm if param.uncertainty is None else REACH * param.uncertainty
 
 
 class NuisancePredictions:
@@ -214,11 +214,11 @@ class NuisancePredictions:
         self._names, self._parameters = tuple(names), tuple(parameters)
         self._made: dict[tuple[int, str, str, int], _Homogeneous | _Simulated] = {}
 
-    def __call__(self, values: Array, asked: Sequence[NuisanceParameter]) -> list[Curve]:
+    def __call__(self, values: Array, free: Sequence[NuisanceParameter]) -> list[Curve]:
         """Predict all curves, with their derivatives by the constants and what is asked."""
         # Shapes: values (p + k,), MPa.
         constants = values[: len(self._names)]
-        given = {one.name: v for one, v in zip(asked, values[len(self._names) :], strict=True)}
+        given = {param.name: v for param, v in zip(free, values[len(self._names) :], strict=True)}
         out: list[Curve] = []
         for number, part in enumerate(self._parts):
             first = len(out)
@@ -234,40 +234,45 @@ class NuisancePredictions:
         places: range,
         given: Mapping[str, float],
     ) -> list[Curve]:
-        own = [[one for one in self._parameters if place in one.curves] for place in places]
-        value = {one.name: given.get(one.name, one.expected) for one in self._parameters}
+        movers = [
+            [param for param in self._parameters if place in param.curves] for place in places
+        ]
+        value = {param.name: given.get(param.name, param.expected) for param in self._parameters}
         points = [_from_origin(m.curve.displacement_mm) for m in part.measured]
         depth = max(float(grid[-1]) for grid in points)
         small = _SMALL * depth
-        offset = [sum(value[o.name] for o in ones if o.key == OFFSET) for ones in own]
-        zeros = [sum(value[o.name] for o in ones if o.key == ZERO) for ones in own]
+        offset = [sum(value[o.name] for o in ones if o.key == OFFSET) for ones in movers]
+        zeros = [sum(value[o.name] for o in ones if o.key == ZERO) for ones in movers]
         grids = [
             np.concatenate([grid + d, grid + d + small, grid + d - small])
             for grid, d in zip(points, offset, strict=True)
         ]
-        active = [[one for one in ones if one.name in given or one.key == FRICTION] for ones in own]
-        keys = {one.key: one for ones in active for one in ones if one.is_input}
-        plates = {one.key for ones in active for one in ones} & {FRICTION}
-        found: dict[tuple[str, str, int], list[Curve]] = {}
+        active = [
+            [param for param in ones if param.name in given or param.key == FRICTION]
+            for ones in movers
+        ]
+        keys = {param.key: param for ones in active for param in ones if param.is_input}
+        plates = {param.key for ones in active for param in ones} & {FRICTION}
+        curves: dict[tuple[str, str, int], list[Curve]] = {}
         for plate in ("frictionless", "bonded") if plates else ("",):
-            found[plate, "", 0] = self._model(number, part, plate, None, 0).at(constants, grids)
-            for key, one in keys.items():
+            curves[plate, "", 0] = self._model(number, part, plate, None, 0).at(constants, grids)
+            for key, param in keys.items():
                 for sign in (-1, 1):
-                    model = self._model(number, part, plate, one, sign)
-                    found[plate, key, sign] = model.at(constants, grids)
+                    model = self._model(number, part, plate, param, sign)
+                    curves[plate, key, sign] = model.at(constants, grids)
         return [
-            self._combined(k, points[k], small, zeros[k], active[k], value, given, found)
+            self._combined(k, points[k], small, zeros[k], active[k], value, given, curves)
             for k in range(len(points))
         ]
 
     def _model(
-        self, number: int, part: FitPart, plate: str, one: NuisanceParameter | None, sign: int
+        self, number: int, part: FitPart, plate: str, param: NuisanceParameter | None, sign: int
     ) -> _Homogeneous | _Simulated:
-        name = (number, plate, "" if one is None else one.key, sign)
+        name = (number, plate, "" if param is None else param.key, sign)
         if name not in self._made:
             tables = self._tests[number].tables
-            if one is not None:
-                tables = moved(tables, one.key, sign * one.step)
+            if param is not None:
+                tables = moved(tables, param.key, sign * param.step)
             if plate:
                 tables = with_table(tables, "test", interface=plate, base=plate)
             reached = with_table(tables, "test", displacement_mm=self._depth(part))
@@ -281,8 +286,8 @@ class NuisancePredictions:
     def _depth(self, part: FitPart) -> float:
         """Depth that a simulation must reach, offsets included, mm."""
         depth = max(float(m.curve.displacement_mm.max()) for m in part.measured)
-        offsets = [one for one in self._parameters if one.key == OFFSET]
-        beyond = (max(one.expected, 0) + reach_of(one, depth) for one in offsets)
+        offsets = [param for param in self._parameters if param.key == OFFSET]
+        beyond = (max(param.expected, 0) + reach_of(param, depth) for param in offsets)
         return depth + max(beyond, default=0.0) + 2 * _SMALL * depth
 
     def _combined(
@@ -291,30 +296,30 @@ class NuisancePredictions:
         points: Array,
         small: float,
         zero: float,
-        own: Sequence[NuisanceParameter],
+        movers: Sequence[NuisanceParameter],
         value: Mapping[str, float],
         given: Mapping[str, float],
-        found: Mapping[tuple[str, str, int], Sequence[Curve]],
+        solved: Mapping[tuple[str, str, int], Sequence[Curve]],
     ) -> Curve:
         """Curve of one test by its parts: shares of the computed ones add up."""
-        shares = _shares(own, value)
+        shares = _shares(movers, value)
         names = self._names
-        total = _weighed(shares, found, k, names)
+        total = _weighed(shares, solved, k, names)
         n = points.size
         slope = (total[0][n : 2 * n] - total[0][2 * n :]) / (2 * small)
         gradient = {name: row[:n] for name, row in zip(names, total[1:], strict=True)}
-        for one in self._parameters:  # those of other curves leave this one alone
-            if one.name in given:
-                gradient[one.name] = np.zeros(n)
+        for param in self._parameters:  # those of other curves leave this one alone
+            if param.name in given:
+                gradient[param.name] = np.zeros(n)
         force = total[0][:n]
-        for one in own:
-            if one.key == OFFSET:
-                gradient[one.name] = slope
-            elif one.key == ZERO:
-                gradient[one.name] = np.ones(n)
-            elif one.name in given:
-                change = _shares(own, value, one)
-                gradient[one.name] = _weighed(change, found, k, ())[0][:n]
+        for mover in movers:
+            if mover.key == OFFSET:
+                gradient[mover.name] = slope
+            elif mover.key == ZERO:
+                gradient[mover.name] = np.ones(n)
+            elif mover.name in given:
+                change = _shares(movers, value, mover)
+                gradient[mover.name] = _weighed(change, solved, k, ())[0][:n]
         return Curve(points, force + zero, force_gradient=gradient)
 
 
@@ -324,12 +329,12 @@ def _from_origin(grid: Array) -> Array:
 
 
 def _shares(
-    own: Sequence[NuisanceParameter],
+    movers: Sequence[NuisanceParameter],
     value: Mapping[str, float],
     by: NuisanceParameter | None = None,
 ) -> dict[tuple[str, str, int], float]:
     """Share of every computed curve in the one predicted, or its derivative by a parameter."""
-    friction = next((one for one in own if one.key == FRICTION), None)
+    friction = next((param for param in movers if param.key == FRICTION), None)
     plates = {"": 1.0}
     if friction is not None:
         phi = value[friction.name]
@@ -337,15 +342,15 @@ def _shares(
         if by is friction:
             plates = {"frictionless": -1.0, "bonded": 1.0}
     inner = {("", 0): 0.0 if by is not None and by is not friction else 1.0}
-    for one in own:
-        if not one.is_input or (by is not None and by is not friction and one is not by):
+    for param in movers:
+        if not param.is_input or (by is not None and by is not friction and param is not by):
             continue
-        t = (value[one.name] - one.expected) / one.step
+        t = (value[param.name] - param.expected) / param.step
         parabola = np.array([0.5 * t * (t - 1), -t * t, 0.5 * t * (t + 1)])
-        if one is by:
-            parabola = np.array([t - 0.5, -2 * t, t + 0.5]) / one.step
+        if param is by:
+            parabola = np.array([t - 0.5, -2 * t, t + 0.5]) / param.step
         for sign, share in zip((-1, 0, 1), parabola, strict=True):
-            key = (one.key if sign else "", sign)
+            key = (param.key if sign else "", sign)
             inner[key] = inner.get(key, 0.0) + float(share)
     return {
         (plate, key, sign): a * b for plate, a in plates.items() for (key, sign), b in inner.items()
@@ -354,14 +359,14 @@ def _shares(
 
 def _weighed(
     shares: Mapping[tuple[str, str, int], float],
-    found: Mapping[tuple[str, str, int], Sequence[Curve]],
+    solved: Mapping[tuple[str, str, int], Sequence[Curve]],
     k: int,
     names: Sequence[str],
 ) -> Array:
     """Sum of computed forces and gradients, shape (1 + p, n)."""
     rows = [
         share
-        * np.array([found[name][k].force_N, *(found[name][k].force_gradient[n] for n in names)])
+        * np.array([solved[name][k].force_N, *(solved[name][k].force_gradient[n] for n in names)])
         for name, share in shares.items()
     ]
     return np.asarray(np.sum(rows, axis=0))
@@ -394,35 +399,35 @@ class _Task:
     simulated: bool
 
     def fitted(
-        self, asked: Sequence[NuisanceParameter], start: Array, noise: float
+        self, unknown: Sequence[NuisanceParameter], start: Array, noise: float
     ) -> tuple[Fit, Fit]:
         """Fit constants and some parameters; as least squares gives it, and from its rows."""
         free = (-np.inf, np.inf)
         depth = max(float(m.curve.displacement_mm.max()) for m in self.measured)
         bounds = [*(self.bounds or [free] * len(self.names))]
-        for one in asked:
-            far = reach_of(one, depth)
-            is_offset = one.key == OFFSET
-            bounds.append((one.expected - far, one.expected + far) if is_offset else free)
+        for param in unknown:
+            far = reach_of(param, depth)
+            is_offset = param.key == OFFSET
+            bounds.append((param.expected - far, param.expected + far) if is_offset else free)
         priors = [
-            Prior(one.name, one.expected, one.uncertainty, noise)
-            for one in asked
-            if one.uncertainty is not None
+            Prior(param.name, param.expected, param.uncertainty, noise)
+            for param in unknown
+            if param.uncertainty is not None
         ]
-        found = fit(
-            lambda values: self.predictions(values, asked),
+        solution = fit(
+            lambda values: self.predictions(values, unknown),
             self.measured,
-            (*self.names, *(one.name for one in asked)),
+            (*self.names, *(param.name for param in unknown)),
             start,
             bounds=bounds,
             priors=priors,
             **TOLERANCES["inverse-fem" if self.simulated else "closed-form"],
         )
-        return found, with_serial_correlation(found, self.measured)
+        return solution, with_serial_correlation(solution, self.measured)
 
 
 def with_nuisance(
-    found: Fit,
+    first_fit: Fit,
     parts: Sequence[FitPart],
     tests: Sequence[CalibratedTest],
     curves: Sequence[FitCurve],
@@ -430,26 +435,26 @@ def with_nuisance(
 ) -> Fit:
     """Fit of the constants with what is not known exactly."""
     parameters = parameters_of(tests, curves)
-    if not parameters or not found.converged:
-        return found
-    own = [tests[number] for number in sorted({c.test for c in curves})]
-    predictions = NuisancePredictions(parts, own, found.names, parameters)
-    measured = [one for part in parts for one in part.measured]
+    if not parameters or not first_fit.converged:
+        return first_fit
+    fitted_tests = [tests[number] for number in sorted({c.test for c in curves})]
+    predictions = NuisancePredictions(parts, fitted_tests, first_fit.names, parameters)
+    measured = [curve for part in parts for curve in part.measured]
     simulated = any(p.method == "inverse-fem" for p in parts)
-    simulated = simulated or any(one.key == "friction" for one in parameters)
-    task = _Task(predictions, measured, found.names, bounds, simulated)
-    fitted = [one for one in parameters if one.is_fitted]
-    plain, joint = _settled(task, fitted, found)
+    simulated = simulated or any(param.key == "friction" for param in parameters)
+    task = _Task(predictions, measured, first_fit.names, bounds, simulated)
+    fitted = [param for param in parameters if param.is_fitted]
+    plain, joint = _settled(task, fitted, first_fit)
     if not joint.converged:
-        names = found.names
+        names = first_fit.names
         return replace(_part(joint, names), joint=joint)
-    carried = [one for one in parameters if not one.is_fitted]
+    carried = [param for param in parameters if not param.is_fitted]
     moved = _moved(task, joint, fitted, carried)
     joint = with_serial_correlation(plain, measured, moved @ moved.T)
     estimates = tuple(
-        _estimate(one, joint, task, plain, moved, carried) for one in parameters
+        _estimate(param, joint, task, plain, moved, carried) for param in parameters
     )  # fmt: skip
-    return replace(_part(joint, found.names), joint=joint, nuisance=estimates)
+    return replace(_part(joint, first_fit.names), joint=joint, nuisance=estimates)
 
 
 def predicted(
@@ -461,19 +466,19 @@ def predicted(
 ) -> list[Curve]:
     """Curves of a fit for constants and fitted nuisance parameters; values (p + k,), MPa, mm, N."""
     parameters = parameters_of(tests, curves)
-    own = [tests[number] for number in sorted({c.test for c in curves})]
-    asked = [one for one in parameters if one.is_fitted]
-    return NuisancePredictions(parts, own, names, parameters)(values, asked)
+    fitted_tests = [tests[number] for number in sorted({c.test for c in curves})]
+    free = [param for param in parameters if param.is_fitted]
+    return NuisancePredictions(parts, fitted_tests, names, parameters)(values, free)
 
 
-def _settled(task: _Task, fitted: Sequence[NuisanceParameter], found: Fit) -> tuple[Fit, Fit]:
+def _settled(task: _Task, fitted: Sequence[NuisanceParameter], first_fit: Fit) -> tuple[Fit, Fit]:
     """Fit again until the weight of the pseudo-observations is that of the residuals left.
 
     The first weight is that of the noise of neighboring rows: the misfit at the expected values is
     what the nuisance parameters are there to explain.
     """
-    noise = _row_noise(found, task.measured)
-    plain, joint = _from_all(task, fitted, found.values, noise)
+    noise = _row_noise(first_fit, task.measured)
+    plain, joint = _from_all(task, fitted, first_fit.values, noise)
     for number in range(_ROUNDS):
         now = _noise(joint, task.measured)
         near = _SETTLED if number < _ROUNDS // 2 else _A_STEP
@@ -485,7 +490,7 @@ def _settled(task: _Task, fitted: Sequence[NuisanceParameter], found: Fit) -> tu
     else:
         why = f"the weight of the pseudo-observations has not settled in {_ROUNDS} fits"
         plain, joint = (
-            replace(one, status=Status.max_evaluations, failure=why) for one in (plain, joint)
+            replace(each, status=Status.max_evaluations, failure=why) for each in (plain, joint)
         )
     return plain, joint
 
@@ -494,40 +499,42 @@ def _from_all(
     task: _Task, fitted: Sequence[NuisanceParameter], constants: Array, noise: float
 ) -> tuple[Fit, Fit]:
     """Fit from the expected values and from offsets beside them; the least penalty is kept."""
-    expected = np.array([one.expected for one in fitted])
+    expected = np.array([param.expected for param in fitted])
     steps = _STARTS[:2] if task.simulated else _STARTS
     starts = [expected]
-    for k, one in enumerate(fitted):
-        if one.key == OFFSET and one.uncertainty is not None:
-            starts += [expected + step * one.uncertainty * np.eye(len(fitted))[k] for step in steps]
-    found = [task.fitted(fitted, np.r_[constants, start], noise) for start in starts]
-    ended = [pair for pair in found if pair[1].converged]
-    return min(ended or found[:1], key=lambda pair: pair[0].penalized_rss)
+    for k, param in enumerate(fitted):
+        if param.key == OFFSET and param.uncertainty is not None:
+            starts += [
+                expected + step * param.uncertainty * np.eye(len(fitted))[k] for step in steps
+            ]
+    candidates = [task.fitted(fitted, np.r_[constants, start], noise) for start in starts]
+    ended = [pair for pair in candidates if pair[1].converged]
+    return min(ended or candidates[:1], key=lambda pair: pair[0].penalized_rss)
 
 
-def _row_noise(found: Fit, measured: Sequence[MeasuredCurve]) -> float:
+def _row_noise(start: Fit, measured: Sequence[MeasuredCurve]) -> float:
     """Noise of independent points from differences of neighboring rows; else from the misfit."""
     squares: list[Array] = []
     rows = 0
-    for one, curve in zip(measured, found.curves, strict=True):
-        for weight, recorded, force, _ in recorded_rows(one, curve, found.names):
+    for curve_measured, curve in zip(measured, start.curves, strict=True):
+        for weight, recorded, force, _ in recorded_rows(curve_measured, curve, start.names):
             noise = row_noise(recorded.force_N, recorded.places, force, power=0.0)
             if noise is None:
-                return _noise(found, measured)
+                return _noise(start, measured)
             squares.append(np.square(weight * noise.deviation))
             rows += force.size
-    deviation = float(np.sqrt(np.mean(np.concatenate(squares)) * found.n / min(rows, found.n)))
+    deviation = float(np.sqrt(np.mean(np.concatenate(squares)) * start.n / min(rows, start.n)))
     largest = max(float(np.abs(m.weights * m.curve.force_N).max()) for m in measured)
     return max(deviation, _NOISELESS * largest)
 
 
-def _noise(found: Fit, measured: Sequence[MeasuredCurve]) -> float:
+def _noise(fit_result: Fit, measured: Sequence[MeasuredCurve]) -> float:
     """Give the standard deviation with which independent points would know as little."""
     largest = max(float(np.abs(m.weights * m.curve.force_N).max()) for m in measured)
-    own = np.sqrt(found.rss / max(found.degrees_of_freedom, 1))
-    if found.serial is not None:
-        own *= np.sqrt(found.n / min(found.serial.effective_rows, found.n))
-    return max(float(own), _NOISELESS * largest)
+    deviation = np.sqrt(fit_result.rss / max(fit_result.degrees_of_freedom, 1))
+    if fit_result.serial is not None:
+        deviation *= np.sqrt(fit_result.n / min(fit_result.serial.effective_rows, fit_result.n))
+    return max(float(deviation), _NOISELESS * largest)
 
 
 def _moved(
@@ -539,13 +546,13 @@ def _moved(
     """Change of the estimates by a standard uncertainty of what is propagated, (p, k)."""
     if not carried:
         return np.zeros((joint.values.size, 0))
-    values = np.r_[joint.values, [one.expected for one in carried]]
+    values = np.r_[joint.values, [param.expected for param in carried]]
     curves = task.predictions(values, [*fitted, *carried])
     jacobian = _jacobian(task.measured, curves, joint.names)
     full = np.concatenate([jacobian, pseudo_jacobian(joint.priors, joint.names)])
-    slopes = _jacobian(task.measured, curves, [one.name for one in carried])
+    slopes = _jacobian(task.measured, curves, [param.name for param in carried])
     inverse, _ = scaled_inverse(full)
-    steps = np.array([one.step for one in carried])
+    steps = np.array([param.step for param in carried])
     return np.asarray(-inverse @ jacobian.T @ slopes * steps)
 
 
@@ -553,66 +560,66 @@ def _jacobian(
     measured: Sequence[MeasuredCurve], curves: Sequence[Curve], names: Sequence[str]
 ) -> Array:
     rows = []
-    for one, curve in zip(measured, curves, strict=True):
-        used = one.weights > 0
-        d = one.curve.displacement_mm[used]
+    for curve_measured, curve in zip(measured, curves, strict=True):
+        used = curve_measured.weights > 0
+        d = curve_measured.curve.displacement_mm[used]
         slopes = curve.gradients_at(names, d)
-        rows.append(one.weights[used][:, None] * slopes)
+        rows.append(curve_measured.weights[used][:, None] * slopes)
     return np.concatenate(rows)
 
 
 def _part(joint: Fit, names: tuple[str, ...]) -> Fit:
     """Part of a fit that is about some of its parameters, the others still unknown."""
-    kept = [joint.names.index(name) for name in names]
+    places = [joint.names.index(name) for name in names]
     serial = joint.serial
     if serial is not None:
-        mixture = None if serial.mixture is None else serial.mixture.of(np.array(kept))
-        serial = replace(serial, inflation=serial.inflation[kept], mixture=mixture)
+        mixture = None if serial.mixture is None else serial.mixture.of(np.array(places))
+        serial = replace(serial, inflation=serial.inflation[places], mixture=mixture)
     return replace(
         joint,
         names=names,
-        values=joint.values[kept],
-        standard_error=joint.standard_error[kept],
-        ci95=joint.ci95[kept],
-        covariance=joint.covariance[np.ix_(kept, kept)],
-        correlation=joint.correlation[np.ix_(kept, kept)],
+        values=joint.values[places],
+        standard_error=joint.standard_error[places],
+        ci95=joint.ci95[places],
+        covariance=joint.covariance[np.ix_(places, places)],
+        correlation=joint.correlation[np.ix_(places, places)],
         serial=serial,
         priors=(),
     )
 
 
 def _estimate(
-    one: NuisanceParameter,
+    param: NuisanceParameter,
     joint: Fit,
     task: _Task,
     plain: Fit,
     moved: Array,
     carried: Sequence[NuisanceParameter],
 ) -> NuisanceEstimate:
-    kept = [i for i, name in enumerate(joint.names) if name in task.names]
-    variance = np.diag(joint.covariance)[kept]
-    if one.is_fitted:
-        i = joint.names.index(one.name)
-        rest = tuple(name for name in joint.names if name != one.name)
-        priors = tuple(one for one in plain.priors if one.name in rest)
-        known = replace(_part(plain, rest), priors=priors)
+    places = [i for i, name in enumerate(joint.names) if name in task.names]
+    variance = np.diag(joint.covariance)[places]
+    if param.is_fitted:
+        i = joint.names.index(param.name)
+        rest = tuple(name for name in joint.names if name != param.name)
+        priors = tuple(prior for prior in plain.priors if prior.name in rest)
+        reduced = replace(_part(plain, rest), priors=priors)
         others = [k for k in range(len(joint.names)) if k != i]
-        beside = (moved @ moved.T)[np.ix_(others, others)]
-        left = with_serial_correlation(known, task.measured, beside)
+        carried_part = (moved @ moved.T)[np.ix_(others, others)]
+        left = with_serial_correlation(reduced, task.measured, carried_part)
         gone = 1 - np.diag(left.covariance)[[rest.index(n) for n in task.names]] / variance
         value, error = float(joint.values[i]), float(joint.standard_error[i])
         interval = (float(joint.ci95[i, 0]), float(joint.ci95[i, 1]))
     else:
-        gone = moved[kept, list(carried).index(one)] ** 2 / variance
-        value, error = one.expected, one.step
+        gone = moved[places, list(carried).index(param)] ** 2 / variance
+        value, error = param.expected, param.step
         interval = (value - 1.96 * error, value + 1.96 * error)
     shares = np.clip(np.nan_to_num(gone), 0.0, 1.0)
     return NuisanceEstimate(
-        one.name,
-        one.key,
-        "fitted" if one.is_fitted else "propagated",
-        one.expected,
-        one.uncertainty,
+        param.name,
+        param.key,
+        "fitted" if param.is_fitted else "propagated",
+        param.expected,
+        param.uncertainty,
         value,
         error,
         interval,

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from study.ground.arrays import Array
 from study.harness.calibration.measured_tests import FitCurve, in_order, parts_of
 from study.harness.design.calibration_section import CalibratedTest
-from study.harness.runner.response import scale_of
+from study.harness.runner.response import in_shown_units
 from study.mechanics.calibration.identifiability import KNOWN, fitted_rows
 from study.mechanics.forward.closed_form import height_and_area, indentation
 from study.mechanics.material.energy import poisson_from_bulk
@@ -126,11 +126,6 @@ class NextTests:
 
     def as_dict(self) -> dict[str, object]:
         """Conditions and tests, the best first; kPa, exponents plain, null where infinite."""
-        scale = np.array([scale_of(name) for name in self.names])
-
-        def shown(errors: Array) -> dict[str, float]:
-            return dict(zip(self.names, (scale * errors).tolist(), strict=True))
-
         return {
             "sentence": self.sentence,
             "sought": list(self.sought),
@@ -139,17 +134,17 @@ class NextTests:
             "rows": self.rows,
             "stress_MPa": self.stress_MPa,
             "effective_rows": self.effective_rows,
-            "standard_error": shown(self.standard_error),
+            "standard_error": in_shown_units(self.names, self.standard_error),
             "tests": [
                 {
-                    "kind": one.kind,
-                    "strain": one.strain,
-                    "standard_error": shown(one.standard_error),
-                    "information_nats": one.information,
-                    "combinations": one.combinations,
-                    "needed_strain": one.needed,
+                    "kind": test.kind,
+                    "strain": test.strain,
+                    "standard_error": in_shown_units(self.names, test.standard_error),
+                    "information_nats": test.information,
+                    "combinations": test.combinations,
+                    "needed_strain": test.needed,
                 }
-                for one in self.tests
+                for test in self.tests
             ],
         }
 
@@ -176,33 +171,33 @@ class NextTests:
 
 
 def next_tests(
-    found: Fit, curves: Sequence[FitCurve], material: Material, tests: Sequence[CalibratedTest]
+    fit: Fit, curves: Sequence[FitCurve], material: Material, tests: Sequence[CalibratedTest]
 ) -> NextTests | None:
     """Rank the tests that could be made next by what they would tell of the constants."""
-    if material.relaxation or not found.curves or not set(found.names) <= set(material.names):
+    if material.relaxation or not fit.curves or not set(fit.names) <= set(material.names):
         return None
-    own = in_order(curves)
-    measured = [one for part in parts_of(tests, own) for one in part.measured]
-    slopes, weights, left = fitted_rows(found, measured)
-    freedom = left.size - len(found.names)
+    ordered = in_order(curves)
+    measured = [curve for part in parts_of(tests, ordered) for curve in part.measured]
+    slopes, weights, left = fitted_rows(fit, measured)
+    freedom = left.size - len(fit.names)
     noise = float(np.sqrt(left @ left / freedom)) if freedom > 0 else 0.0
     if not noise > 0:
         return None
-    conditions = _Conditions.of(found, own, tests, noise)
-    known = _information(found, weights[:, None] * slopes, weights * left, conditions.worth)
-    now = _covariance(known)
+    conditions = _Conditions.of(fit, ordered, tests, noise)
+    information = _information(fit, weights[:, None] * slopes, weights * left, conditions.worth)
+    now = _covariance(information)
     error = np.sqrt(np.diag(now))
-    bad = ~(error <= KNOWN * np.abs(found.values))
+    bad = ~(error <= KNOWN * np.abs(fit.values))
     sought = bad if bad.any() else np.ones_like(bad)
-    search = _TestSearch(found.values, material, known, sought, conditions)
+    search = _TestSearch(fit.values, material, information, sought, conditions)
     # a test that leaves a badly known constant undetermined comes last
     ranked = sorted(search.tests(), key=lambda pair: pair[0])
     if not ranked:
         return None
     return NextTests(
-        found.names, found.values, error,
-        tuple(n for n, is_sought in zip(found.names, sought, strict=True) if is_sought),
-        tuple(one for _, one in ranked),
+        fit.names, fit.values, error,
+        tuple(n for n, is_sought in zip(fit.names, sought, strict=True) if is_sought),
+        tuple(candidate for _, candidate in ranked),
         conditions.rows, conditions.worth * conditions.rows, noise, conditions.area_mm2,
         conditions.stress_MPa,
     )  # fmt: skip
@@ -224,24 +219,24 @@ class _Conditions:
 
     @classmethod
     def of(
-        cls, found: Fit, curves: Sequence[FitCurve], tests: Sequence[CalibratedTest], noise: float
+        cls, fit: Fit, curves: Sequence[FitCurve], tests: Sequence[CalibratedTest], noise: float
     ) -> _Conditions:
         """Mean of the recordings; the first specimen that has a cross-section."""
-        specimens = [s for one in tests if (s := one.setup.specimen) is not None]
-        areas = [height_and_area(one)[1] for one in specimens]
-        serial, rows = found.serial, found.n
+        specimens = [s for test in tests if (s := test.setup.specimen) is not None]
+        areas = [height_and_area(specimen)[1] for specimen in specimens]
+        serial, rows = fit.serial, fit.n
         if serial is not None:
             rows = serial.rows
-        strains = [_strain_of(one, tests[one.test]) for one in curves]
+        strains = [_strain_of(curve, tests[curve.test]) for curve in curves]
         stresses = [
-            float(np.abs(one.measured.curve.force_N).max()) / height_and_area(specimen)[1]
-            for one in curves
-            if (specimen := tests[one.test].setup.specimen) is not None
+            float(np.abs(curve.measured.curve.force_N).max()) / height_and_area(specimen)[1]
+            for curve in curves
+            if (specimen := tests[curve.test].setup.specimen) is not None
         ]
         return cls(
             noise,
             areas[0] if areas else _AREA,
-            max(1, round(rows / len(found.curves))),
+            max(1, round(rows / len(fit.curves))),
             1.0 if serial is None else serial.effective_rows / serial.rows,
             max([USUAL_STRAIN, *strains]),
             max([STRESS_MPA, *(TIMES_MEASURED * stress for stress in stresses)]),
@@ -277,21 +272,21 @@ class _TestSearch:
 
     def _reachable(self, kind: str, largest: float) -> float:
         """Strain that a test reaches before its stress goes beyond what can be made."""
-        own = TEST_KINDS[kind]
-        if own.takes_indenter:
+        rules = TEST_KINDS[kind]
+        if rules.takes_indenter:
             return largest
-        loading, strains = LOADINGS[own.mode], largest * np.arange(1, _STRAINS + 1) / _STRAINS
+        loading, strains = LOADINGS[rules.mode], largest * np.arange(1, _STRAINS + 1) / _STRAINS
         with np.errstate(all="ignore"):  # NaN says that there is no answer
-            stress = loading.nominal(self.material, loading.measure(own.sense * strains)).stress
+            stress = loading.nominal(self.material, loading.measure(rules.sense * strains)).stress
         beyond = np.flatnonzero(~(np.abs(stress) <= self.conditions.stress_MPa))
         return largest if not beyond.size else float(np.r_[0.0, strains][beyond[0]])
 
     def _left(self, covariance: Array) -> float:
         """Log of the generalized variance of the sought constants; infinite where undetermined."""
-        own = covariance[np.ix_(self.sought, self.sought)]
-        if not np.isfinite(np.diag(own)).all():
+        part = covariance[np.ix_(self.sought, self.sought)]
+        if not np.isfinite(np.diag(part)).all():
             return np.inf
-        return float(np.linalg.slogdet(own)[1])
+        return float(np.linalg.slogdet(part)[1])
 
     def _needed(self, kind: str, largest: float) -> float | None:
         """Smallest strain from which every constant is known, to the width of the search."""
@@ -321,10 +316,10 @@ def _slopes(material: Material, kind: str, strain: Array, at: _Conditions) -> Ar
         area = indentation(Sphere(radius), radius * strain, height_mm=np.inf, poisson_ratio=nu)
         by = material.mu0_gradient()
         return np.outer(2 * (1 + nu) * area, [by[n] for n in material.names])
-    own = TEST_KINDS[kind]
-    loading = LOADINGS[own.mode]
+    rules = TEST_KINDS[kind]
+    loading = LOADINGS[rules.mode]
     with np.errstate(all="ignore"):  # NaN says that there is no answer
-        state = loading.nominal(material, loading.measure(own.sense * strain))
+        state = loading.nominal(material, loading.measure(rules.sense * strain))
     return np.array([at.area_mm2 * state.gradient[n] for n in material.names]).T
 
 
@@ -336,13 +331,13 @@ def _strain_of(curve: FitCurve, test: CalibratedTest) -> float:
     return float(np.abs(curve.measured.curve.displacement_mm).max()) / setup.height_mm
 
 
-def _information(found: Fit, jacobian: Array, left: Array, worth: float) -> Array:
+def _information(fit: Fit, jacobian: Array, left: Array, worth: float) -> Array:
     """Inverse covariance of the constants; from the Jacobian where a constant is undetermined."""
-    if np.isfinite(found.covariance).all():
-        scale = np.sqrt(np.diag(found.covariance))
-        return np.asarray(np.linalg.inv(found.covariance / np.outer(scale, scale))
+    if np.isfinite(fit.covariance).all():
+        scale = np.sqrt(np.diag(fit.covariance))
+        return np.asarray(np.linalg.inv(fit.covariance / np.outer(scale, scale))
                           / np.outer(scale, scale))  # fmt: skip
-    variance = float(left @ left) / (left.size - len(found.names))
+    variance = float(left @ left) / (left.size - len(fit.names))
     return np.asarray(worth / variance * jacobian.T @ jacobian)
 
 

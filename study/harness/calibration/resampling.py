@@ -20,9 +20,9 @@ from study.ground.errors import Fault, InputError
 from study.harness.calibration.measured_tests import FitCurve, in_order, of_specimens, parts_of
 from study.harness.design.calibration_section import CalibratedTest, CalibrationDesign
 from study.harness.runner import fit_task
-from study.harness.runner.fit_task import Residuals, fitted_model, resampled, residuals_of
-from study.harness.runner.response import scale_of
-from study.harness.runner.staged_fit import Checkpoint, FitPart, Staged, single_stage
+from study.harness.runner.fit_task import Residuals, resampled, residuals_of
+from study.harness.runner.response import in_shown_units
+from study.harness.runner.staged_fit import FitPart, Staged, StagedSearch, single_stage
 from study.mechanics.calibration.fit import residual_function
 from study.mechanics.calibration.residual_function import EvaluationFailed
 from study.mechanics.material.energy import Energy
@@ -73,15 +73,10 @@ class Bootstrap:
 
     def as_dict(self) -> dict[str, object]:
         """Intervals in kPa, exponents plain."""
-        scale = np.array([scale_of(name) for name in self.names])
         return {
             "sentence": self.sentence,
-            "interval": dict(
-                zip(self.names, (scale[:, None] * self.interval).tolist(), strict=True)
-            ),
-            "standard_error": dict(
-                zip(self.names, (scale * self.standard_error).tolist(), strict=True)
-            ),
+            "interval": in_shown_units(self.names, self.interval),
+            "standard_error": in_shown_units(self.names, self.standard_error),
             "resamples": self.resamples,
             "failed": self.failed,
             "seed": self.seed,
@@ -91,7 +86,7 @@ class Bootstrap:
 
 
 def bootstrap(
-    found: Fit,
+    fit: Fit,
     config: CalibrationDesign,
     curves: Sequence[FitCurve],
     resamples: int,
@@ -101,46 +96,44 @@ def bootstrap(
     if resamples < FEWEST:
         rule = f"must be at least {FEWEST} resamples for an interval of 95 %, got {resamples}"
         raise InputError(Fault("--bootstrap", rule, "write --bootstrap 1000"))
-    if found.joint is not None:
+    if fit.joint is not None:
         rule = "cannot resample what is expected of fitted nuisance parameters"
         raise InputError(Fault("--bootstrap", rule, "leave one or the other out"))
     tests, seed = config.tests, config.asked.seed
-    own, rng = in_order(curves), np.random.default_rng(seed)
-    specimens = of_specimens(own)
+    ordered, rng = in_order(curves), np.random.default_rng(seed)
+    specimens = of_specimens(ordered)
     several = len(specimens) > 1
-    parts = parts_of(tests, own)
-    blocks = () if several else _residuals(found, parts)
+    parts = parts_of(tests, ordered)
+    blocks = () if several else _residuals(fit, parts)
     values = []
     for _ in range(resamples):
         again = _of_specimens(tests, specimens, rng) if several else _of_rows(parts, blocks, rng)
-        fitted = single_stage(
-            "resampled", again, found.names, found.values, fit_task.fitted_model, bounds, None,
-            Checkpoint(),
-        ).fit  # fmt: skip
+        search = StagedSearch(fit.names, fit_task.fitted_model, bounds)
+        fitted = single_stage("resampled", again, fit.values, search).fit
         if fitted.converged:
             values.append(fitted.values)
-    known = np.array(values).reshape(len(values), len(found.names))
+    drawn = np.array(values).reshape(len(values), len(fit.names))
     enough = len(values) > 1
-    missing = np.full((2, len(found.names)), np.nan)
+    missing = np.full((2, len(fit.names)), np.nan)
     return Bootstrap(
-        found.names,
-        (np.percentile(known, _TAILS, axis=0) if enough else missing).T,
-        known.std(axis=0, ddof=1) if enough else missing[0],
+        fit.names,
+        (np.percentile(drawn, _TAILS, axis=0) if enough else missing).T,
+        drawn.std(axis=0, ddof=1) if enough else missing[0],
         resamples,
         resamples - len(values),
         seed,
-        tuple(one.block for one in blocks),
+        tuple(block.block for block in blocks),
         len(specimens) if several else 0,
     )
 
 
-def _residuals(found: Fit, parts: Sequence[FitPart]) -> tuple[Residuals, ...]:
+def _residuals(fit: Fit, parts: Sequence[FitPart]) -> tuple[Residuals, ...]:
     """Residuals of every curve, in the order of the parts."""
-    share = found.n / max(1, found.n - len(found.names))
-    curves = [one.curve for part in parts for one in part.measured]
+    share = fit.n / max(1, fit.n - len(fit.names))
+    curves = [curve.curve for part in parts for curve in part.measured]
     return tuple(
         residuals_of(curve, predicted.force_at(curve.displacement_mm), share)
-        for curve, predicted in zip(curves, found.curves, strict=True)
+        for curve, predicted in zip(curves, fit.curves, strict=True)
     )
 
 
@@ -154,9 +147,9 @@ def _of_rows(
             part,
             measured=tuple(
                 replace(
-                    one, curve=replace(one.curve, force_N=resampled(next(left), rng)), recordings=()
+                    m, curve=replace(m.curve, force_N=resampled(next(left), rng)), recordings=()
                 )
-                for one in part.measured
+                for m in part.measured
             ),
         )
         for part in parts
@@ -186,15 +179,15 @@ OPEN = 6.0
 def rivals(chosen: Staged, others: Sequence[Staged]) -> tuple[Staged, ...]:
     """Other minima that the rows cannot tell from the one chosen, the best first."""
     out: list[Staged] = []
-    for one in sorted(others, key=lambda one: one.fit.rss):
-        apart = all(_differ(one.fit.values, other.fit.values) for other in (chosen, *out))
-        if one.fit.converged and apart and one.fit.aicc - chosen.fit.aicc < OPEN:
-            out.append(one)
+    for candidate in sorted(others, key=lambda staged: staged.fit.rss):
+        apart = all(_differ(candidate.fit.values, other.fit.values) for other in (chosen, *out))
+        if candidate.fit.converged and apart and candidate.fit.aicc - chosen.fit.aicc < OPEN:
+            out.append(candidate)
     return tuple(out)
 
 
-def _differ(one: Array, other: Array) -> bool:
-    return bool(np.any(np.abs(one - other) > _APART * np.maximum(np.abs(one), np.abs(other))))
+def _differ(first: Array, other: Array) -> bool:
+    return bool(np.any(np.abs(first - other) > _APART * np.maximum(np.abs(first), np.abs(other))))
 
 
 @dataclass(frozen=True)
@@ -209,14 +202,14 @@ class Starts:
     @property
     def at_best(self) -> int:
         """How many ended at the least of all sums of squares."""
-        found = [one for one in self.rss if one is not None]
-        return sum(one <= (1 + SAME_MINIMUM) * min(found) for one in found)
+        ended = [rss for rss in self.rss if rss is not None]
+        return sum(rss <= (1 + SAME_MINIMUM) * min(ended) for rss in ended)
 
     @property
     def sentence(self) -> str:
         """The same in words."""
-        said = f"{self.at_best} of {len(self.rss)} starts (seed {self.seed}) end at the least sum"
-        return f"{said} of squares"
+        text = f"{self.at_best} of {len(self.rss)} starts (seed {self.seed}) end at the least sum"
+        return f"{text} of squares"
 
     def as_dict(self) -> dict[str, object]:
         """Plain values, for JSON."""
@@ -234,9 +227,9 @@ def scattered(
 ) -> Array:
     """Draw a start. Shapes: start (p,), MPa; returns (p,)."""
     energy = ENERGIES[name]
-    own = dict(zip(names, start.tolist(), strict=True))
-    drawn = energy.scattered({n: v for n, v in own.items() if not is_of_relaxation(n)}, rng)
-    values = _inside(np.array([{**own, **drawn}[n] for n in names]), bounds)
+    constants = dict(zip(names, start.tolist(), strict=True))
+    drawn = energy.scattered({n: v for n, v in constants.items() if not is_of_relaxation(n)}, rng)
+    values = _inside(np.array([{**constants, **drawn}[n] for n in names]), bounds)
     closed = [part for part in parts if part.method == "closed-form"]
     if not closed:
         return values
@@ -261,19 +254,19 @@ def looked_for(
     A look is a linear fit of the moduli beside given exponents, in closed form; a specimen that
     sticks to its plates is taken at equal strain, which leaves exponents near enough to begin with.
     """
-    energy, own = ENERGIES[name], dict(zip(names, start.tolist(), strict=True))
+    energy, first = ENERGIES[name], dict(zip(names, start.tolist(), strict=True))
     plain = {n for n in names if energy.is_dimensionless(n) and not is_of_relaxation(n)}
-    looks = [one for one in energy.looks(names) if set(one) == plain] if plain else []
+    looks = [look for look in energy.looks(names) if set(look) == plain] if plain else []
     free = [made for part in parts if (made := _at_equal_strain(part)) is not None]
     seen: list[tuple[float, Array]] = []
-    for one in looks:
-        values, squares = _inside(np.array([{**own, **one}[n] for n in names]), bounds), np.inf
+    for look in looks:
+        values, squares = (_inside(np.array([{**first, **look}[n] for n in names]), bounds), np.inf)
         if free:
             values, squares = _with_moduli(energy, names, values, free)
         seen.append((squares, _inside(values, bounds)))
     if len(plain) == 1 and free:  # every dip of the sum of squares along the exponent
         sums = [np.inf, *(squares for squares, _ in seen), np.inf]
-        seen = [one for k, one in enumerate(seen) if one[0] <= min(sums[k], sums[k + 2])]
+        seen = [look for k, look in enumerate(seen) if look[0] <= min(sums[k], sums[k + 2])]
         return [values for _, values in sorted(seen, key=lambda pair: pair[0])[:_LOOKED]]
     places = [k for k, name in enumerate(names) if name in plain]
     best_of: dict[tuple[bool, ...], Array] = {}
@@ -295,10 +288,10 @@ def _at_equal_strain(part: FitPart) -> FitPart | None:
     return replace(part, method="closed-form", tables=tables)
 
 
-def best(found: Sequence[Staged]) -> Staged:
+def best(staged: Sequence[Staged]) -> Staged:
     """Fit with the least sum of squares among those that converged, else the first."""
-    usable = [one for one in found if one.fit.converged]
-    return min(usable, key=lambda one: one.fit.rss) if usable else found[0]
+    usable = [candidate for candidate in staged if candidate.fit.converged]
+    return min(usable, key=lambda candidate: candidate.fit.rss) if usable else staged[0]
 
 
 def _inside(values: Array, bounds: Sequence[tuple[float, float]] | None) -> Array:
@@ -316,10 +309,10 @@ def _with_moduli(
     """
     moduli = [k for k, n in enumerate(names)
               if not (energy.is_dimensionless(n) or is_of_relaxation(n))]  # fmt: skip
-    models = [fitted_model(p.method, p.tables, [m.curve for m in p.measured], names) for p in parts]
+    models = fit_task.models_of(parts, names)
     measured = [m for part in parts for m in part.measured]
     residual = residual_function(
-        lambda x: [curve for one in models for curve in one(x)], measured, names
+        lambda x: [curve for model in models for curve in model(x)], measured, names
     )
     try:
         r, jacobian = residual(values)

@@ -76,39 +76,39 @@ def nuisance_from(
     table: object, dimension: Callable[[str], str | None], path: str, faults: Faults
 ) -> dict[str, NuisanceInput]:
     """Read the declarations of nuisance parameters, by key."""
-    found: dict[str, NuisanceInput] = {}
+    inputs: dict[str, NuisanceInput] = {}
     for key, raw in _flat(entries(table, path, faults)).items():
         where = f"{path}.{key}"
         measured = noted(_dimension(dimension), key, where, faults)
         written = raw if isinstance(raw, Mapping) else {"uncertainty": raw}
-        asked = read_table(NuisanceTable, written, where, faults)
+        read = read_table(NuisanceTable, written, where, faults)
         if measured is None:
             continue
         reader = _uncertainty(measured, key)
         uncertainty, relative = (
             (None, False)
-            if asked.uncertainty is None
-            else noted(reader, asked.uncertainty, f"{where}.uncertainty", faults) or (None, False)
+            if read.uncertainty is None
+            else noted(reader, read.uncertainty, f"{where}.uncertainty", faults) or (None, False)
         )
-        value = _value(key, asked.value, measured, where, faults)
+        value = _value(key, read.value, measured, where, faults)
         usual, each = ("fitted", _OWN[key][1]) if key in _OWN else ("propagated", "all")
-        treat = asked.treat or usual
-        if asked.uncertainty is None and treat == "propagated":
+        treat = read.treat or usual
+        if read.uncertainty is None and treat == "propagated":
             rule = "is propagated, which needs an uncertainty"
             faults.add(where, rule, f'write {_EXAMPLE}, or treat = "fitted"')
-        found[key] = NuisanceInput(value, uncertainty, relative, treat, asked.each or each)
-    return found
+        inputs[key] = NuisanceInput(value, uncertainty, relative, treat, read.each or each)
+    return inputs
 
 
 def of_test(
-    shared: Mapping[str, NuisanceInput], own: Mapping[str, NuisanceInput]
+    shared: Mapping[str, NuisanceInput], of_one_test: Mapping[str, NuisanceInput]
 ) -> dict[str, NuisanceInput]:
     """Nuisance parameters of one test: its own, and those of the file that it does not replace."""
     # What all tests share is common to the tests that take it from the file; a test's own parameter
     # is at most common to its curves.
     within = {
-        key: replace(one, each="curve" if one.each == "curve" else "test")
-        for key, one in own.items()
+        key: replace(entry, each="curve" if entry.each == "curve" else "test")
+        for key, entry in of_one_test.items()
     }
     return {**shared, **within}
 
@@ -116,11 +116,11 @@ def of_test(
 def _flat(table: Mapping[str, object]) -> dict[str, object]:
     """Keys as they are dotted in the file: TOML nests ``specimen.height`` without quotes."""
     out: dict[str, object] = {}
-    own = set(written_keys(NuisanceTable))
+    keys = set(written_keys(NuisanceTable))
     for key, value in table.items():
-        nested = isinstance(value, Mapping) and value and not own & set(value)
+        nested = isinstance(value, Mapping) and value and not keys & set(value)
         if nested and isinstance(value, Mapping):
-            out |= {f"{key}.{inner}": one for inner, one in _flat(value).items()}
+            out |= {f"{key}.{inner}": value_inside for inner, value_inside in _flat(value).items()}
         else:
             out[key] = value
     return out
@@ -132,14 +132,14 @@ def _dimension(of: Callable[[str], str | None]) -> Callable[[object], str]:
         if name in _OWN:
             return _OWN[name][0]
         table = name.rpartition(".")[0]
-        known = of(name) if table in _TABLES else None
+        dimension = of(name) if table in _TABLES else None
         is_input = table != "material" or name.endswith((".poisson_ratio", ".bulk_modulus"))
-        if known is None or not is_input:
+        if dimension is None or not is_input:
             usual = (*_OWN, "specimen.height", "specimen.radius", "specimen.area",
                      "specimen.length", "material.poisson_ratio",
                      "material.bulk_modulus")  # fmt: skip
             raise Bad("is no nuisance parameter", nearest(name[:80], usual))
-        return known
+        return dimension
 
     return read
 

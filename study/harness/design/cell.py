@@ -170,15 +170,15 @@ class CellProblem:
 
     def faults_in_design(self) -> list[tuple[str, str, str]]:
         """Where, rule and mend of a course in time, of which a design has no response."""
-        rule, found = "has no place in a design", []
+        rule, faults = "has no place in a design", []
         mend = "responses compare curves over displacement: `study solve` follows a course"
         for key, value in (("hold", self.test.hold_s), ("cycles", self.test.cycles)):
             if value is not None:
-                found.append((f"test.{key}", rule, mend))
+                faults.append((f"test.{key}", rule, mend))
         if self.measurements is not None and self.measurements.columns.time is not None:
             mend = "give test.speed, or fit the course by `study calibrate`"
-            found.append(("measurements.columns.time", rule, mend))
-        return found
+            faults.append(("measurements.columns.time", rule, mend))
+        return faults
 
     @property
     def setup(self) -> Setup:
@@ -212,32 +212,32 @@ class CellProblem:
             made = test.pop(key)
             if made is not None:
                 test[key] = values_of(made)
-        beside: Config = {} if self.forward is None else {"forward": self.forward.document()}
+        others: Config = {} if self.forward is None else {"forward": self.forward.document()}
         if self.parameters:
-            beside["parameters"] = dict(self.parameters)
+            others["parameters"] = dict(self.parameters)
         if self.units:
-            beside["units"] = dict(self.units)
+            others["units"] = dict(self.units)
         if self.markers is not None:
-            beside["markers"] = self.markers.as_dict()
+            others["markers"] = self.markers.as_dict()
         return {
             "specimen": values_of(self.specimen),
             "test": test,
             "material": _material(self.material),
             "model": _model(self.model),
             "measurements": self.measurements,
-        } | beside
+        } | others
 
     def physical(self) -> Config:
         """Part of the document that can change a curve."""
         # In homogeneous compression the closed form is exact: of the specimen its area and height
         # count, and nothing of the discretisation.
-        kept, specimen = self.document(), self.specimen
+        document, specimen = self.document(), self.specimen
         if isinstance(specimen, Enclosed) or not self.has_closed_form:
-            return kept
-        test = {k: v for k, v in table_of(kept, "test").items() if k != "steps"}
+            return document
+        test = {k: v for k, v in table_of(document, "test").items() if k != "steps"}
         area = float(f"{specimen.area_mm2:.12g}")
         reduced = {"area_mm2": area, "height_mm": specimen.height_mm}
-        return {**kept, "specimen": reduced, "test": test, "model": None}
+        return {**document, "specimen": reduced, "test": test, "model": None}
 
 
 def _material(section: MaterialSection) -> Config:
@@ -259,8 +259,8 @@ def _material(section: MaterialSection) -> Config:
 def _model(model: Model) -> Config:
     """Discretization with one size: that of its elements, or that of a named mesh."""
     named = ("mesh", "mesh_ratio") if model.mesh_size_mm is None else ("mesh_size_mm",)
-    kept = ("space", "element_order", "element_shape", "formulation", *named)
-    return {key: value for key, value in values_of(model).items() if key in kept}
+    keys = ("space", "element_order", "element_shape", "formulation", *named)
+    return {key: value for key, value in values_of(model).items() if key in keys}
 
 
 @dataclass(frozen=True)
@@ -335,10 +335,10 @@ def measurements_from(
 ) -> MeasurementSpec | None:
     """Read where measured curves are; None where a fault was found."""
     before = len(faults)
-    found = read_table(MeasurementSpec, table, path, faults)
+    spec = read_table(MeasurementSpec, table, path, faults)
     if isinstance(table, Mapping):
         _check_together(table, path, faults)
-    return None if len(faults) > before else found
+    return None if len(faults) > before else spec
 
 
 def markers_from(table: object, faults: Faults, path: str = "markers") -> MarkerSpec | None:
@@ -346,10 +346,10 @@ def markers_from(table: object, faults: Faults, path: str = "markers") -> Marker
     if table is None:
         return None
     before = len(faults)
-    found = read_table(MarkerSpec, table, path, faults)
-    if len(faults) == before and found.fit and found.layer is None:
+    spec = read_table(MarkerSpec, table, path, faults)
+    if len(faults) == before and spec.fit and spec.layer is None:
         faults.add(f"{path}.layer", "is missing beside fit", "name the column of the layers")
-    return None if len(faults) > before else found
+    return None if len(faults) > before else spec
 
 
 def _check_columns(table: Table, fault: Callable[[str, str, str], None]) -> None:
@@ -367,9 +367,9 @@ def _check_columns(table: Table, fault: Callable[[str, str, str], None]) -> None
         if len(given) > 1:
             rule = f"stands beside {given[0]}"
             fault(f"columns.{given[1]}", rule, f"give one of {', '.join(quantities)}")
-        wanted = given[0] if given else usual
-        if isinstance(units, Mapping) and wanted not in units and table.get("unit_row") is not True:
-            fault(f"units.{wanted}", "is missing", f'for example {wanted} = "{_UNITS[wanted]}"')
+        needed = given[0] if given else usual
+        if isinstance(units, Mapping) and needed not in units and table.get("unit_row") is not True:
+            fault(f"units.{needed}", "is missing", f'for example {needed} = "{_UNITS[needed]}"')
     first = next((key for key in (*SECOND, *SECOND.values()) if key in columns), None)
     for key in (*SECOND, *SECOND.values()) if first else ():
         if key not in columns:
@@ -391,7 +391,7 @@ def _check_course(table: Table, fault: Callable[[str, str, str], None]) -> None:
     columns = table.get("columns")
     if not isinstance(columns, Mapping) or not {"time", *SECOND} & set(columns):
         return
-    asked = {
+    given_rules = {
         "points": table.get("points", "raw") != "raw",
         "range": "range" in table,
         "toe": "toe" in table,
@@ -400,7 +400,7 @@ def _check_course(table: Table, fault: Callable[[str, str, str], None]) -> None:
     mends = {"points": 'write points = "raw"', "zero": 'write zero = "first"'}
     what = "a column of time" if "time" in columns else "two directions"
     rule = f"has no meaning for a test with {what}, whose rows all count"
-    for key in (key for key, given in asked.items() if given):
+    for key in (key for key, given in given_rules.items() if given):
         fault(key, rule, mends.get(key, "leave it out"))
 
 
@@ -435,40 +435,40 @@ def specimen_from(table: object, faults: Faults, path: str = "specimen") -> Spec
 
 def loading_from(table: object, faults: Faults, path: str = "test") -> TestSection:
     """Read how the specimen is loaded; the measured range may give the displacement later."""
-    found = read_table(TestSection, table, path, faults)
+    section = read_table(TestSection, table, path, faults)
     written: Table = table if isinstance(table, Mapping) else {}
-    base = found.base if "base" in written else found.held_below
-    kind, where = TEST_KINDS.get(found.kind), f"{path}.indenter"
+    base = section.base if "base" in written else section.held_below
+    kind, where = TEST_KINDS.get(section.kind), f"{path}.indenter"
     indenter = None
     if kind is not None and kind.takes_indenter:
         if "indenter" in written:
             indenter = read_variant(INDENTERS, "shape", written["indenter"], where, faults)
         else:
             faults.add(where, "is missing", f"{{ shape = ... }} with {'|'.join(INDENTERS)}")
-    return with_values(found, base=base, indenter=indenter)
+    return with_values(section, base=base, indenter=indenter)
 
 
 def model_from(
     table: object, faults: Faults, shape: str, ratio: float, path: str = "model"
 ) -> Model:
     """Read the discretization."""
-    found = read_table(Model, table, path, faults)
+    section = read_table(Model, table, path, faults)
     written: Table = table if isinstance(table, Mapping) else {}
     if "mesh" in written and "mesh_size" in written:
         faults.add(f"{path}.mesh_size", "stands beside mesh", "give one of the two")
     usual = "axisymmetric" if shape == "cylinder" else "3d"
-    space = found.space if "space" in written else usual
-    return with_values(found, space=space, mesh_ratio=ratio)
+    space = section.space if "space" in written else usual
+    return with_values(section, space=space, mesh_ratio=ratio)
 
 
 def forward_from(table: object, faults: Faults, path: str = "forward") -> ForwardModel | None:
     """Read what predicts the curves; None for the built-in finite elements."""
     if table is None:
         return None
-    found = read_table(ForwardModel, table, path, faults)
-    if found.model is None or found.model == "fem":
+    section = read_table(ForwardModel, table, path, faults)
+    if section.model is None or section.model == "fem":
         return None
-    missing = None if found.argv is None else found.fault(path)
+    missing = None if section.argv is None else section.fault(path)
     if missing is not None:
         faults.add(missing.where, missing.rule, missing.mend)
-    return found
+    return section

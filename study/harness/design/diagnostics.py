@@ -48,19 +48,19 @@ def read_table(
     if not isinstance(table, Mapping):
         faults.add(path, f"must be a table, got {shown(table)}", f"write [{path}]")
         return _partial(kind, {}, {key.written for key in keys_of(kind) if key.must_be_written})
-    own = {key: value for key, value in table.items() if key not in also}
-    bad = _unwritten(kind, own, path, faults) | _foreign(kind, own, path, faults, also)
+    given = {key: value for key, value in table.items() if key not in also}
+    bad = _unwritten(kind, given, path, faults) | _foreign(kind, given, path, faults, also)
     for key in keys_of(kind):
-        if key.kind is not None and key.written in own:
-            own[key.written] = _within(key, key.kind, own[key.written], path, faults)
+        if key.kind is not None and key.written in given:
+            given[key.written] = _within(key, key.kind, given[key.written], path, faults)
     try:
-        found = read_section(kind, {key: value for key, value in own.items() if key not in bad})
+        section = read_section(kind, {key: value for key, value in given.items() if key not in bad})
     except ValidationError as error:
         bad |= _invalid(error, path, faults, bad)
     else:
         if not bad:
-            return found
-    return _partial(kind, own, bad)
+            return section
+    return _partial(kind, given, bad)
 
 
 def _within(key: Key, kind: type, value: object, path: str, faults: Faults) -> object:
@@ -72,7 +72,7 @@ def _within(key: Key, kind: type, value: object, path: str, faults: Faults) -> o
         rule = rows.rule or f"must be tables, got {shown(value)}"
         faults.add(where, rule, rows.mend or f"write [[{where}]]")
         return ()
-    return tuple(read_table(kind, one, f"{where}[{i}]", faults) for i, one in enumerate(value))
+    return tuple(read_table(kind, row, f"{where}[{i}]", faults) for i, row in enumerate(value))
 
 
 def read_variant(
@@ -114,13 +114,13 @@ def noted(
 
 def one_of(names: Iterable[str]) -> Callable[[object], str]:
     """Reader of the word that says which section a table is."""
-    known = tuple(names)
+    valid = tuple(names)
 
     def read(value: object) -> str:
         if not isinstance(value, str):
-            raise Bad(f"must be a text, got {shown(value)}", nearest("", known))
-        if value not in known:
-            raise Bad(f"unknown value {shown(value)}", nearest(value[:80], known))
+            raise Bad(f"must be a text, got {shown(value)}", nearest("", valid))
+        if value not in valid:
+            raise Bad(f"unknown value {shown(value)}", nearest(value[:80], valid))
         return value
 
     return read
@@ -159,9 +159,9 @@ def _foreign(
     return set(foreign)
 
 
-def _invalid(found: ValidationError, path: str, faults: Faults, noted: set[str]) -> set[str]:
+def _invalid(invalid: ValidationError, path: str, faults: Faults, noted: set[str]) -> set[str]:
     """Note the errors of pydantic, each of one key, but for the keys that are noted."""
-    errors = {str(one["loc"][0]): one for one in found.errors(include_url=False)}
+    errors = {str(error["loc"][0]): error for error in invalid.errors(include_url=False)}
     for key, error in errors.items():
         if key not in noted:
             broken = error["ctx"]["error"]
@@ -175,14 +175,14 @@ def _dotted(path: str, key: str) -> str:
 
 def _partial(kind: type[Kind], written: Table, bad: set[str]) -> Kind:
     """Values of the keys that are right, the defaults of those left out, None for the others."""
-    found = object.__new__(kind)
+    section = object.__new__(kind)
     for key in keys_of(kind):
         value = None if key.written in bad else key.default
         if key.written in written and key.written not in bad:
             raw = written[key.written]
             value = raw if key.reads is None else key.reads(raw)
-        object.__setattr__(found, key.name, value)
-    return found
+        object.__setattr__(section, key.name, value)
+    return section
 
 
 def quoted_path(key: str) -> str:

@@ -78,9 +78,9 @@ def factors_from(table: object, presets: Presets, faults: Faults) -> tuple[Facto
         rule = "stands twice, with levels and with an end of a range"
         faults.add(f"factors.{quoted_path(key)}", rule, "keep one of the two")
     read = [_factor(key, value, presets, faults) for key, value in grouped(written).items()]
-    found = [factor for factor in read if factor is not None]
-    _check_overlap(found, faults)
-    return tuple(found)
+    factors = [factor for factor in read if factor is not None]
+    _check_overlap(factors, faults)
+    return tuple(factors)
 
 
 def _factor(key: str, value: object, presets: Presets, faults: Faults) -> Factor | None:
@@ -174,15 +174,15 @@ def exclusions_from(
 ) -> tuple[Exclusion, ...]:
     """Say of every ``[[exclude]]`` which cells it leaves out."""
     by_name = {factor.name: factor for factor in factors}
-    found = []
+    exclusions = []
     for i, table in enumerate(tables):
         before, where = len(faults), f"exclude[{i}].when"
         if not is_known(table.why, table.when):
             continue
         labels = _labels(table.when, where, by_name, declared, faults)
         if len(faults) == before:
-            found.append(Exclusion(labels, table.why))
-    return tuple(found)
+            exclusions.append(Exclusion(labels, table.why))
+    return tuple(exclusions)
 
 
 def _labels(
@@ -195,13 +195,13 @@ def _labels(
     written = entries(when, where, faults)
     if isinstance(when, Mapping) and not written:
         faults.add(where, "is empty: it would leave out every cell")
-    found = {}
+    labels = {}
     for key, raw in written.items():
         if key in by_name:
-            found[key] = noted(partial(_chosen, by_name[key]), raw, f"{where}.{key}", faults) or ()
+            labels[key] = noted(partial(_chosen, by_name[key]), raw, f"{where}.{key}", faults) or ()
         elif key not in declared:
             faults.add(f"{where}.{quoted(key)}", "unknown key", nearest(key, declared))
-    return found
+    return labels
 
 
 def _chosen(factor: Factor, raw: object) -> tuple[str, ...]:
@@ -232,16 +232,16 @@ def grouped(table: Table) -> dict[str, object]:
     >>> grouped({"a.low": 1, "a.high": 2, "b": [3, 4]})
     {'a': {'low': 1, 'high': 2}, 'b': [3, 4]}
     """
-    found: dict[str, object] = {}
+    joined: dict[str, object] = {}
     ends: dict[str, dict[str, object]] = {}
     for key, value in table.items():
         name, _, end = key.rpartition(".")
         if _is_end(key):
-            found[name] = ends.setdefault(name, {})
+            joined[name] = ends.setdefault(name, {})
             ends[name][end] = value
         else:
-            found[key] = value
-    return found
+            joined[key] = value
+    return joined
 
 
 def set_whole(table: Table, key: str, value: object) -> dict[str, object]:
@@ -253,10 +253,10 @@ def set_whole(table: Table, key: str, value: object) -> dict[str, object]:
     {'a': [5, 6], 'b': [3, 4]}
     """
     old = {key, *(f"{key}.{part}" for part in (*RANGE_KEYS, *DISTRIBUTION_KEYS))}
-    found: dict[str, object] = {}
-    for known, own in table.items():
-        found |= {key: value} if known in old else {known: own}
-    return {**found, key: value}
+    copied: dict[str, object] = {}
+    for old_key, old_value in table.items():
+        copied |= {key: value} if old_key in old else {old_key: old_value}
+    return {**copied, key: value}
 
 
 def _is_end(key: str) -> bool:

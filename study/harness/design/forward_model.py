@@ -44,10 +44,10 @@ class Refinement:
 
 
 def _parameters(document: Mapping[str, object]) -> Mapping[str, object]:
-    found = document["parameters"]
-    if not isinstance(found, Mapping):
+    values = document["parameters"]
+    if not isinstance(values, Mapping):
         raise TypeError("the document of a case has no table of parameters")
-    return found
+    return values
 
 
 class ForwardCell(Protocol):

@@ -49,18 +49,18 @@ def _argv(value: object) -> tuple[tuple[str, ...], ...]:
     mend = 'for example argv = [["ccx", "-i", "model"]]'
     if not isinstance(value, list) or not value:
         raise Bad(f"must be a list of words, or of such lists, got {shown(value)}", mend)
-    steps = [value] if all(isinstance(one, str) for one in value) else value
+    steps = [value] if all(isinstance(word, str) for word in value) else value
     if len(steps) > MAX_STEPS:
         raise Bad(f"has {len(steps)} commands, the limit is {MAX_STEPS}")
     return tuple(_words(step, mend) for step in steps)
 
 
 def _words(value: object, mend: str) -> tuple[str, ...]:
-    if not isinstance(value, list) or not value or not all(isinstance(one, str) for one in value):
+    if not isinstance(value, list) or not value or not all(isinstance(word, str) for word in value):
         raise Bad(f"a command must be a list of words, got {shown(value)}", mend)
     if len(value) > MAX_WORDS:
         raise Bad(f"a command has {len(value)} words, the limit is {MAX_WORDS}")
-    words = tuple(text(one) for one in value)
+    words = tuple(text(word) for word in value)
     if not words[0]:
         raise Bad("a command has no program", mend)
     return words
@@ -82,18 +82,18 @@ def file_name(value: object) -> str:
 def _files(value: object) -> tuple[str | tuple[str, str], ...]:
     """Read files that are copied, or names in the folder of a case with the file of each."""
     if isinstance(value, Mapping):
-        found: list[str | tuple[str, str]] = [
+        files: list[str | tuple[str, str]] = [
             (file_name(target), relative_path(source)) for target, source in value.items()
         ]
     else:
         items = value if isinstance(value, list) else [value]
-        found = list(dict.fromkeys(relative_path(item) for item in items))
-    if len(found) > MAX_FILES:
-        raise Bad(f"lists {len(found)} files, the limit is {MAX_FILES}")
-    targets = [target for target, _ in map(target_and_source, found)]
+        files = list(dict.fromkeys(relative_path(item) for item in items))
+    if len(files) > MAX_FILES:
+        raise Bad(f"lists {len(files)} files, the limit is {MAX_FILES}")
+    targets = [target for target, _ in map(target_and_source, files)]
     if len(set(targets)) < len(targets):
         raise Bad("names two files alike, which would lie on one another", "rename one of them")
-    return tuple(found)
+    return tuple(files)
 
 
 def target_and_source(file: str | tuple[str, str]) -> tuple[str, str]:
@@ -166,21 +166,21 @@ def _sources(value: object) -> Sources:
         raise Bad(f"must be a table of names and units, got {shown(value)}", mend)
     if len(value) > MAX_VALUES:
         raise Bad(f"has {len(value)} names, the limit is {MAX_VALUES}")
-    found = []
-    for key, one in value.items():
+    sources = []
+    for key, item in value.items():
         if not str(key).replace("-", "_").isidentifier() or key in TAKEN:
             rule = f"has the name {shown(key)}, which cannot be a response"
             raise Bad(rule, "a name has letters, digits, - and _ and begins with a letter")
-        if not isinstance(one, Mapping):
-            found.append((str(key), value_unit(one), "", "", ""))
+        if not isinstance(item, Mapping):
+            sources.append((str(key), value_unit(item), "", "", ""))
             continue
-        if unknown := [k for k in one if k not in ("log", "unit", "file")]:
+        if unknown := [k for k in item if k not in ("log", "unit", "file")]:
             raise Bad(f"{key} has the unknown key {shown(unknown[0])}", "log, unit, file")
-        pattern, unit = pattern_of(one.get("log"))
-        given = value_unit(one["unit"]) if "unit" in one else unit
-        file = file_name(one["file"]) if "file" in one else ""
-        found.append((str(key), given, pattern, file, unit or given))
-    return tuple(found)
+        pattern, unit = pattern_of(item.get("log"))
+        given = value_unit(item["unit"]) if "unit" in item else unit
+        file = file_name(item["file"]) if "file" in item else ""
+        sources.append((str(key), given, pattern, file, unit or given))
+    return tuple(sources)
 
 
 def pattern_of(value: object) -> tuple[str, str]:
@@ -282,13 +282,13 @@ class ForwardModel:
     def document(self) -> dict[str, object]:
         """Plain values; keys that decide no number, and those left out that came later, are not."""
         later = {"curve": None, "values": None, "reaches": True}
-        found: dict[str, object] = {}
+        document: dict[str, object] = {}
         for key in keys_of(ForwardModel):
             value = getattr(self, key.name)
             if key.name in ("memory_MB", "keep") or value == later.get(key.name, ...):
                 continue
-            found[key.name] = _plain_section(value)
-        return found
+            document[key.name] = _plain_section(value)
+        return document
 
     def fault(self, where: str) -> Fault | None:
         """Say what is missing for its kind, or stands in the way of its answer."""

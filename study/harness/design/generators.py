@@ -148,23 +148,23 @@ Row = tuple[int, ...]
 
 def model_columns(rows: Ints, sizes: Sequence[int], words: Sequence[Word]) -> Array:
     """Columns of a model in orthonormal contrasts. Shapes: rows (n, factors); returns (n, p)."""
-    own = [_contrasts(size)[rows[:, k]] for k, size in enumerate(sizes)]
+    contrasts = [_contrasts(size)[rows[:, k]] for k, size in enumerate(sizes)]
     columns = [np.ones((len(rows), 1))]
     for word in words:
         product = np.ones((len(rows), 1))
         for k in word:
-            product = np.einsum("ni,nj->nij", product, own[k]).reshape(len(rows), -1)
+            product = np.einsum("ni,nj->nij", product, contrasts[k]).reshape(len(rows), -1)
         columns.append(product)
     return np.hstack(columns)
 
 
 def _contrasts(size: int) -> Array:
     """Helmert contrasts of some levels, each of mean square 1, shape (size, size - 1)."""
-    found = np.zeros((size, size - 1))
+    contrasts = np.zeros((size, size - 1))
     for k in range(1, size):
-        found[:k, k - 1], found[k, k - 1] = -1.0, float(k)
-        found[:, k - 1] *= math.sqrt(size / (k * (k + 1)))
-    return found
+        contrasts[:k, k - 1], contrasts[k, k - 1] = -1.0, float(k)
+        contrasts[:, k - 1] *= math.sqrt(size / (k * (k + 1)))
+    return contrasts
 
 
 def efficiency(rows: Sequence[Row], sizes: Sequence[int], words: Sequence[Word]) -> float:
@@ -192,10 +192,10 @@ def d_optimal(
     best: tuple[float, tuple[Row, ...]] | None = None
     for _ in range(STARTS):
         drawn = random.choice(len(free), size=runs, replace=False)
-        found = _exchanged([free[k] for k in drawn], list(given), sizes, words)
-        value = efficiency([*given, *found], sizes, words)
+        rows = _exchanged([free[k] for k in drawn], list(given), sizes, words)
+        value = efficiency([*given, *rows], sizes, words)
         if best is None or value > best[0] * (1 + _GAIN):
-            best = (value, tuple(sorted(found)))
+            best = (value, tuple(sorted(rows)))
         if best[0] > 1 - _GAIN:
             break
     if best is None:
@@ -258,7 +258,6 @@ class Alias:
 
     #: Columns of the factors in each.
     term: GeneratorWord
-    #: Columns of the factors in each.
     other: GeneratorWord
     #: Correlation of their columns; 1 or -1 where nothing tells them apart.
     r: float
@@ -326,16 +325,16 @@ def sentences(runs: Array, names: Sequence[str]) -> list[str]:
     partners: dict[GeneratorWord, list[Alias]] = {}
     for alias in aliases(runs):
         partners.setdefault(alias.term, []).append(alias)
-    told: set[GeneratorWord] = set()
+    named: set[GeneratorWord] = set()
     out = []
-    for term, found in partners.items():
-        whole = [a for a in found if abs(abs(a.r) - 1) < 1e-12]
-        if whole and term not in told:
-            told.update(a.other for a in whole)
+    for term, correlated in partners.items():
+        whole = [a for a in correlated if abs(abs(a.r) - 1) < 1e-12]
+        if whole and term not in named:
+            named.update(a.other for a in whole)
             others = " or ".join(_words_of(a.other, names) for a in whole)
             out.append(f"{_words_of(term, names)} cannot be told from {others}")
-        if len(term) == 1 and len(whole) < len(found):
-            part = [a for a in found if a not in whole]
+        if len(term) == 1 and len(whole) < len(correlated):
+            part = [a for a in correlated if a not in whole]
             largest = max(abs(a.r) for a in part)
             out.append(
                 f"{_words_of(term, names)} is mixed with a part (up to {largest:.3g}) of "
@@ -350,7 +349,7 @@ def _words_of(word: GeneratorWord, names: Sequence[str]) -> str:
     return "the interaction of " + " and ".join(names[i] for i in word)
 
 
-def clear_order(found: int | None) -> int | None:
+def clear_order(order: int | None) -> int | None:
     """Highest order of terms that are free of one another at a resolution; None for all.
 
     Examples
@@ -358,4 +357,4 @@ def clear_order(found: int | None) -> int | None:
     >>> clear_order(3), clear_order(4), clear_order(5), clear_order(None)
     (1, 1, 2, None)
     """
-    return None if found is None else max(1, (found - 1) // 2)
+    return None if order is None else max(1, (order - 1) // 2)

@@ -12,6 +12,7 @@ import numpy as np
 from study.ground.errors import nearest
 from study.harness.design.diagnostics import Faults, flatten, noted, read_table
 from study.harness.design.generators import clear_order, model_columns
+from study.harness.design.layout_kinds import word_of, words_of
 from study.harness.design.spec import Expected, Factor, ResponseSpec, Scheme
 from study.harness.design.study_file import Analysis, AnalysisTable
 from study.mechanics.setup.declaration import (
@@ -120,15 +121,15 @@ def expected_from(
     if not isinstance(value, list) or len(value) > MAX_EXPECTED:
         faults.add("expected", f"must be tables, got {shown(value)}", "write [[expected]]")
         return ()
-    named, known = {f.name: f for f in factors}, [r.name for r in responses if r.name]
-    found = [
-        _expected(table, f"expected[{i}]", named, known, faults) for i, table in enumerate(value)
+    named, names = {f.name: f for f in factors}, [r.name for r in responses if r.name]
+    read = [
+        _expected(table, f"expected[{i}]", named, names, faults) for i, table in enumerate(value)
     ]
-    return tuple(one for one in found if one is not None)
+    return tuple(expectation for expectation in read if expectation is not None)
 
 
 def _expected(
-    table: object, where: str, named: Mapping[str, Factor], known: Sequence[str], faults: Faults
+    table: object, where: str, named: Mapping[str, Factor], responses: Sequence[str], faults: Faults
 ) -> Expected | None:
     before = len(faults)
     kinds = [kind for kind in KINDS if isinstance(table, Mapping) and kind in table]
@@ -136,12 +137,12 @@ def _expected(
         rule = f"must hold one of {', '.join(KINDS)}" + (f", got {len(kinds)}" if kinds else "")
         faults.add(where, rule, _MEND)
     kind, others = kinds[0] if kinds else "", [key for k in kinds[1:] for key in _own_keys(k)]
-    found = read_table(KINDS.get(kind, Expectation), table, where, faults, others)
-    response = known[0] if known else ""
-    if found.response is not None:
-        response = noted(_one_of(known), found.response, f"{where}.response", faults) or ""
+    section = read_table(KINDS.get(kind, Expectation), table, where, faults, others)
+    response = responses[0] if responses else ""
+    if section.response is not None:
+        response = noted(_one_of(responses), section.response, f"{where}.response", faults) or ""
     read = _READERS.get(kind, _factor)
-    given = {key: getattr(found, key) for key in _own_keys(kind)}
+    given = {key: getattr(section, key) for key in _own_keys(kind)}
     values = [
         noted(partial(read, named), value, f"{where}.{key}", faults)
         for key, value in given.items()
@@ -151,7 +152,7 @@ def _expected(
         return None
     cells = tuple(value for value in values if isinstance(value, dict))
     names = tuple(name for value in values if isinstance(value, tuple) for name in value)
-    return Expected(kind, names, cells, response, found.source)
+    return Expected(kind, names, cells, response, section.source)
 
 
 def _own_keys(kind: str) -> tuple[str, ...]:
@@ -276,14 +277,7 @@ def _model(factors: Sequence[str], value: object) -> Model:
 
 
 def _term(value: object, factors: Sequence[str]) -> str:
-    parts = [p.strip() for p in value.split(":")] if isinstance(value, str) else [value]
-    named = [part for part in parts if isinstance(part, str) and part in factors]
-    for part in parts:
-        if part not in factors:
-            raise Bad(f"no factor {shown(part)}", nearest(str(part)[:80], factors))
-    if len(set(named)) < len(named):
-        raise Bad(f"a factor stands twice in {shown(value)}")
-    return ":".join(sorted(named, key=list(factors).index))
+    return ":".join(factors[k] for k in word_of(factors, value))
 
 
 def _check_told_apart(
@@ -294,26 +288,18 @@ def _check_told_apart(
     if scheme.rows is None or scheme.kind not in _FRACTIONS:
         return
     names = [factor.name for factor in factors]
-    words = _words(model, names)
+    most = min(model, len(names)) if isinstance(model, int) else len(names)
+    words = words_of(names, list(model) if isinstance(model, tuple) else most)
     runs = np.array(scheme.rows)
     columns = model_columns(runs, [len(factor.levels) for factor in factors], words)
-    told, asked = int(np.linalg.matrix_rank(columns)) - 1, columns.shape[1] - 1
-    if told == asked:
+    rank, columns_asked = int(np.linalg.matrix_rank(columns)) - 1, columns.shape[1] - 1
+    if rank == columns_asked:
         return
-    what = "terms" if asked == len(words) else "numbers"
-    rule = f"asks for {asked} {what}, of which {len(runs)} cells tell {told} apart"
+    what = "terms" if columns_asked == len(words) else "numbers"
+    rule = f"asks for {columns_asked} {what}, of which {len(runs)} cells tell {rank} apart"
     usual = default_model(scheme, factors)
     aliased = f": {scheme.aliases[0]}" if scheme.aliases else ""
     faults.add("analysis.model", rule + aliased, f"leave it out (model = {usual}), or list terms")
-
-
-def _words(model: Model, names: Sequence[str]) -> list[tuple[int, ...]]:
-    """Factors of every term, by their number."""
-    if isinstance(model, tuple):
-        return [tuple(names.index(name) for name in term.split(":")) for term in model]
-    highest = model if isinstance(model, int) else len(names)
-    orders = range(1, min(highest, len(names)) + 1)
-    return [word for order in orders for word in itertools.combinations(range(len(names)), order)]
 
 
 def terms_of(scheme: Scheme, factors: Sequence[Factor]) -> tuple[str, ...] | None:
@@ -322,20 +308,20 @@ def terms_of(scheme: Scheme, factors: Sequence[Factor]) -> tuple[str, ...] | Non
     if scheme.rows is None:
         return None
     columns = {f.name: c for f, c in zip(factors, zip(*scheme.rows, strict=True), strict=True)}
-    kept: list[str] = []
+    independent: list[str] = []
     for factor in factors:
-        if not any(_same(columns[factor.name], columns[other]) for other in kept):
-            kept.append(factor.name)
+        if not any(_same(columns[factor.name], columns[other]) for other in independent):
+            independent.append(factor.name)
     parents = {
         child: parent
-        for child in kept
-        for parent in kept
+        for child in independent
+        for parent in independent
         if child != parent and _determines(columns[child], columns[parent])
     }
     terms = [
         term
-        for order in range(1, len(kept) + 1)
-        for term in itertools.combinations(kept, order)
+        for order in range(1, len(independent) + 1)
+        for term in itertools.combinations(independent, order)
         if all(parents[n] in term for n in term if n in parents)
     ]
     return tuple(":".join(term) for term in terms)

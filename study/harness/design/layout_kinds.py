@@ -59,7 +59,7 @@ class DOptimal:
     seed: Annotated[int | None, Reads(integer(0, 2**32 - 1))] = None
 
     def make(self, request: Request) -> Made:
-        """Search the cells, and say how good they are."""
+        """StagedSearch the cells, and say how good they are."""
         names = [factor.name for factor in request.factors]
         sizes = [len(factor.levels) for factor in request.factors]
         words = noted(
@@ -72,12 +72,12 @@ class DOptimal:
             return request.nothing
         seed = request.seed if self.seed is None else self.seed
         rows = d_optimal(sizes, words, self.runs, seed)
-        found = efficiency(rows, sizes, words)
-        if not found:
+        precision = efficiency(rows, sizes, words)
+        if not precision:
             rule = f"{self.runs} cells were not found that tell all terms apart"
             request.fault("runs", rule, "add cells, or ask for fewer terms")
-        told = f"{100 * found:.1f} % of the precision of as many cells of an orthogonal design"
-        summary = f"D-optimal: {self.runs} of {math.prod(sizes)} cells, {told}"
+        text = f"{100 * precision:.1f} % of the precision of as many cells of an orthogonal design"
+        summary = f"D-optimal: {self.runs} of {math.prod(sizes)} cells, {text}"
         terms = tuple(":".join(names[k] for k in word) for word in words)
         note = f"told apart: {', '.join(terms)}; every other interaction may be mixed with these"
         return request.factors, Scheme(self.kind, rows, summary, (note,), terms=terms)
@@ -85,7 +85,7 @@ class DOptimal:
     def _fits(self, request: Request, sizes: Sequence[int], words: Sequence[Word]) -> bool:
         """Check the number of cells against the factors and the terms."""
         before, every = len(request.faults), math.prod(sizes)
-        wanted = 1 + sum(math.prod(sizes[k] - 1 for k in word) for word in words)
+        needed = 1 + sum(math.prod(sizes[k] - 1 for k in word) for word in words)
         if any(factor.span is not None for factor in request.factors):
             mend = 'list its levels, or use kind = "central-composite"'
             request.fault("kind", "a D-optimal design takes listed levels, no range", mend)
@@ -93,9 +93,9 @@ class DOptimal:
             request.fault(
                 "kind", f"{every} combinations are more than {MAX_CELLS}", "use fewer levels"
             )
-        if self.runs < wanted:
-            rule = f"{self.runs} cells cannot tell {wanted} numbers (the mean and the terms)"
-            request.fault("runs", rule, f"at least {wanted}")
+        if self.runs < needed:
+            rule = f"{self.runs} cells cannot tell {needed} numbers (the mean and the terms)"
+            request.fault("runs", rule, f"at least {needed}")
         if self.runs > every:
             rule = f"{self.runs} cells, of which there are {every}"
             request.fault("runs", rule, 'at most as many, or kind = "full"')
@@ -105,20 +105,21 @@ class DOptimal:
 def words_of(names: Sequence[str], value: object) -> tuple[Word, ...]:
     """Read an order of interaction or a list of terms as the numbers of their factors."""
     if isinstance(value, list) and value:
-        return tuple(dict.fromkeys(_word(names, term) for term in value))
+        return tuple(dict.fromkeys(word_of(names, term) for term in value))
     highest = integer(1, len(names))(value)
     orders = range(1, highest + 1)
     return tuple(w for order in orders for w in itertools.combinations(range(len(names)), order))
 
 
-def _word(names: Sequence[str], term: object) -> Word:
-    parts = [part.strip() for part in term.split(":")] if isinstance(term, str) else []
-    for part in parts or [shown(term)]:
+def word_of(names: Sequence[str], term: object) -> Word:
+    """Read a term such as ``"A:B"`` as the numbers of its factors."""
+    parts = [part.strip() for part in term.split(":")] if isinstance(term, str) else [term]
+    for part in parts:
         if part not in names:
-            raise Bad(f"no factor {shown(part)}", nearest(part[:80], names))
+            raise Bad(f"no factor {shown(part)}", nearest(str(part)[:80], names))
     if len(set(parts)) < len(parts):
         raise Bad(f"a factor stands twice in {shown(term)}")
-    return tuple(sorted(names.index(part) for part in parts))
+    return tuple(k for k, name in enumerate(names) if name in parts)
 
 
 # Kind ``adaptive`` of ``[design]``: a Latin hypercube, and cells that are added while it runs.
@@ -169,15 +170,15 @@ class Adaptive:
         others = [len(factor.levels) for factor in factors if factor.span is None]
         if not self._fits(request, len(ranges), math.prod(others)):
             return request.nothing
-        own = request.seed if self.seed is None else self.seed
-        shares = _start(factors, self.start // math.prod(others), own)
+        seed = request.seed if self.seed is None else self.seed
+        shares = _start(factors, self.start // math.prod(others), seed)
         made, rows = _placed(factors, np.vstack([shares, *(np.array([c]) for c in self.added)]))
         if len(set(rows)) < len(rows):
             request.fault("added", "two cells are the same", "leave it to `study run`")
-        settings = Sequential(self.start, self.batch, self.budget, self.until, self.q2, own)
+        settings = Sequential(self.start, self.batch, self.budget, self.until, self.q2, seed)
         note = "cells are added where an emulator is least sure: see the surface"
         return made, Scheme(
-            self.kind, rows, self._summary(own), (note,), sequential=settings
+            self.kind, rows, self._summary(seed), (note,), sequential=settings
         )  # fmt: skip
 
     def _summary(self, seed: int) -> str:
@@ -199,8 +200,8 @@ class Adaptive:
         if not ranges:
             mend = 'write one as { low = "28 mm", high = "32 mm" }'
             request.fault("kind", "no factor is a range to be filled", mend)
-        known = None not in (self.start, self.budget, self.batch, self.added, self.until, self.q2)
-        if not known or request.is_faulty("seed") or not ranges:
+        sound = None not in (self.start, self.budget, self.batch, self.added, self.until, self.q2)
+        if not sound or request.is_faulty("seed") or not ranges:
             return False
         least = FEWEST * ranges * others
         if self.start < least or self.start % others:
@@ -314,8 +315,8 @@ def scheme_from(
 ) -> Made:
     """Read ``[design]`` (None where it is left out) and give every factor the levels it needs."""
     written = {} if table is None else table
-    asked = written.get("kind", "full") if isinstance(written, Mapping) else "full"
-    kind = noted(choice(*LAYOUTS), asked, "design.kind", faults)
+    layout = written.get("kind", "full") if isinstance(written, Mapping) else "full"
+    kind = noted(choice(*LAYOUTS), layout, "design.kind", faults)
     if kind is None or not factors:
         return _few(factors), Scheme()
     before = len(faults)

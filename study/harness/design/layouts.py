@@ -70,19 +70,7 @@ class Layout(Protocol):
 
 
 def placed(request: Request, kind: str, shares: Array, summary: str, note: str) -> Made:
-    """Levels and rows of a design given as shares of each range.
-
-    Parameters
-    ----------
-    request : Request
-        Factors; one with listed levels takes them in equal shares.
-    kind : str
-        Name of the design.
-    shares : ndarray, shape (runs, factors)
-        0 at the low and 1 at the high end.
-    summary, note : str
-        What it is, and what it cannot tell.
-    """
+    """Levels and rows of a design whose runs are shares of each range, (runs, factors)."""
     made, columns = [], []
     for factor, column in zip(request.factors, shares.T, strict=True):
         if factor.span is None:
@@ -203,33 +191,33 @@ def _zipped(factors: Sequence[Factor], value: object) -> tuple[tuple[str, ...], 
 def _nests(tables: Sequence[Nested], request: Request) -> Nests | None:
     """Nested factors; None where one is faulty."""
     faults = request.faults
-    found: dict[str, tuple[str, Mapping[str, tuple[str, ...]]]] = {}
+    nests: dict[str, tuple[str, Mapping[str, tuple[str, ...]]]] = {}
     sound = not request.is_faulty("nested")
     by_name = {factor.name: factor for factor in request.factors}
     for i, table in enumerate(tables):
         where, before = f"design.nested[{i}]", len(faults)
-        known = partial(_known, by_name)
+        factor_named = partial(_known, by_name)
         child = (
-            noted(known, table.factor, f"{where}.factor", faults)
+            noted(factor_named, table.factor, f"{where}.factor", faults)
             if is_known(table.factor)
             else None
         )
         parent = (
-            noted(known, table.within, f"{where}.within", faults)
+            noted(factor_named, table.within, f"{where}.within", faults)
             if is_known(table.within)
             else None
         )
         if child is None or parent is None or not is_known(table.levels):
             sound = False
             continue
-        if child == parent or child in found or parent in found:
+        if child == parent or child in nests or parent in nests:
             faults.add(f"{where}.within", f"{child!r} in {parent!r} is no single nesting")
         else:
             read = partial(_levels_within, by_name[child], by_name[parent])
             levels = noted(read, table.levels, f"{where}.levels", faults)
-            found[child] = (parent, levels or {})
+            nests[child] = (parent, levels or {})
         sound = sound and len(faults) == before
-    return found if sound else None
+    return nests if sound else None
 
 
 def _known(by_name: Mapping[str, Factor], value: object) -> str:
@@ -243,17 +231,17 @@ def _levels_within(child: Factor, parent: Factor, value: object) -> Mapping[str,
     """Labels of the child within each level of the parent: every one in exactly one."""
     if not isinstance(value, Mapping):
         raise Bad(f"must be a table, got {shown(value)}", "{ LEVEL = [..], LEVEL = [..] }")
-    found: dict[str, tuple[str, ...]] = {}
+    labels_within: dict[str, tuple[str, ...]] = {}
     for label, items in value.items():
         if label not in parent.labels:
             raise Bad(f"no level {label!r} of {parent.name!r}", nearest(label, parent.labels))
         listed = items if isinstance(items, list) else [items]
-        found[label] = tuple(known_level(item, child) for item in listed)
-    flat = [label for labels in found.values() for label in labels]
-    if sorted(flat) != sorted(child.labels) or set(found) != set(parent.labels):
+        labels_within[label] = tuple(known_level(item, child) for item in listed)
+    flat = [label for labels in labels_within.values() for label in labels]
+    if sorted(flat) != sorted(child.labels) or set(labels_within) != set(parent.labels):
         rule = f"each level of {child.name!r} must stand in one level of {parent.name!r}"
         raise Bad(rule, f"levels: {', '.join(child.labels)}")
-    return found
+    return labels_within
 
 
 @section
@@ -334,8 +322,8 @@ class Fractional:
         if self.generators is not None:
             read = partial(_words, labels)
             given = noted(read, self.generators, "design.generators", request.faults)
-        one = (self.generators is None) != (self.resolution is None)
-        if not one and not request.is_faulty("resolution"):
+        exactly_one = (self.generators is None) != (self.resolution is None)
+        if not exactly_one and not request.is_faulty("resolution"):
             mend = 'for example generators = ["C = A:B"], or resolution = 4'
             request.fault("generators", "or a resolution must be given, and not both", mend)
             return request.nothing
@@ -360,22 +348,22 @@ def _smallest(request: Request, resolution: int) -> Made:
     return _verified(request, runs, resolution)
 
 
-def _verified(request: Request, runs: Array, wanted: int | None) -> Made:
+def _verified(request: Request, runs: Array, least: int | None) -> Made:
     """Scheme of a fraction whose resolution was found by brute force, not believed."""
     factors, labels = request.factors, [factor.name for factor in request.factors]
-    found = aliases.resolution(runs)
-    if found is not None and found < (wanted or 3):
-        rule = f"give resolution {found}: {aliases.defining_relation(runs, labels)}"
+    verified = aliases.resolution(runs)
+    if verified is not None and verified < (least or 3):
+        rule = f"give resolution {verified}: {aliases.defining_relation(runs, labels)}"
         mend = "main effects would be one another; generate with more factors"
         request.fault("generators", rule, mend)
     count = 2 ** len(factors)
-    word = "full" if found is None else aliases.ROMAN[found]
+    word = "full" if verified is None else aliases.ROMAN[verified]
     summary = (
         f"two-level fractional factorial: {len(runs)} of {count} cells, resolution {word}, "
         f"verified over all {count - 1} products of columns"
     )
     scheme = Scheme(
-        "fractional", _rows(runs), summary, tuple(aliases.sentences(runs, labels)), found,
+        "fractional", _rows(runs), summary, tuple(aliases.sentences(runs, labels)), verified,
         aliases.defining_relation(runs, labels),
     )  # fmt: skip
     return factors, scheme
@@ -385,24 +373,24 @@ def _words(labels: Sequence[str], value: object) -> Words:
     """Read ``"C = A:B"`` or ``"C = -A:B"``, each structured and never run as code."""
     if not isinstance(value, list) or not value:
         raise Bad(f"must be a list, got {shown(value)}", 'for example ["C = A:B"]')
-    found: dict[str, tuple[int, list[str]]] = {}
+    words: dict[str, tuple[int, list[str]]] = {}
     for item in value:
         name, sign, parts = _word(item)
         for part in (name, *parts):
             if part not in labels:
                 raise Bad(f"no factor {shown(part)}", nearest(part[:80], labels))
-        if name in found:
+        if name in words:
             raise Bad(f"{name!r} is generated twice", "leave one out")
         if len(set(parts)) < max(2, len(parts)):
             raise Bad(f"{shown(item)} needs two or more different factors on the right")
-        found[name] = (sign, parts)
-    if len({frozenset(parts) for _, parts in found.values()}) < len(found):
+        words[name] = (sign, parts)
+    if len({frozenset(parts) for _, parts in words.values()}) < len(words):
         raise Bad("two factors have the same generator", "they would be one another")
-    for _, parts in found.values():
+    for _, parts in words.values():
         for part in parts:
-            if part in found:
+            if part in words:
                 raise Bad(f"{part!r} is generated itself", "generate from the other factors")
-    return found
+    return words
 
 
 def _word(item: object) -> tuple[str, int, list[str]]:
@@ -427,15 +415,15 @@ class PlackettBurman:
             return request.nothing
         labels = [factor.name for factor in request.factors]
         runs = generators.plackett_burman(len(labels))
-        found = aliases.resolution(runs)
-        if found is not None and found < 3:
+        verified = aliases.resolution(runs)
+        if verified is not None and verified < 3:
             request.fault("kind", f"the design of {len(labels)} factors has aliased effects")
         summary = (
             f"Plackett-Burman: {len(runs)} of {2 ** len(labels)} cells; main effects are free of "
             "one another (verified), and each is mixed with interactions"
         )
-        told = tuple(aliases.sentences(runs, labels))
-        return request.factors, Scheme(self.kind, _rows(runs), summary, told, found)
+        aliased = tuple(aliases.sentences(runs, labels))
+        return request.factors, Scheme(self.kind, _rows(runs), summary, aliased, verified)
 
 
 def _two_levels(request: Request, least: int, most: int) -> bool:
@@ -569,10 +557,10 @@ def _filled(
         request.fault("kind", "no factor is a range to be filled", mend)
     if not runs or request.is_faulty("seed"):
         return request.nothing
-    own = request.seed if seed is None else seed
-    words = f"{kind.replace('-', ' ')}: {runs} cells, seed {own}".capitalize()
+    drawn_seed = request.seed if seed is None else seed
+    words = f"{kind.replace('-', ' ')}: {runs} cells, seed {drawn_seed}".capitalize()
     note = (
         "every setting of a range stands in one cell: no table of levels, but a surface over the "
         "ranges tells the factors apart; study run fits it"
     )
-    return placed(request, kind, draw(len(request.factors), runs, own), words, note)
+    return placed(request, kind, draw(len(request.factors), runs, drawn_seed), words, note)

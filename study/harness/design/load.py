@@ -69,24 +69,24 @@ MAX_FAULTS = 100
 def check_cells(design: Design, presets: Presets, faults: Faults) -> None:
     """Check every cell that is not left out; a fault of a level is told where it is written."""
     count, cells = 0, []
-    found: dict[Fault, list[str]] = {}
-    for one, levels in design.combinations():
-        if design.why_excluded(one.levels) is not None or len(found) > MAX_FAULTS:
+    labels_of: dict[Fault, list[str]] = {}
+    for cell_levels, levels in design.combinations():
+        if design.why_excluded(cell_levels.levels) is not None or len(labels_of) > MAX_FAULTS:
             continue
         count += 1
-        own = Faults()
-        cells.append(design.resolved(levels, own))
+        cell_faults = Faults()
+        cells.append(design.resolved(levels, cell_faults))
         places = _places(design, levels, presets)
-        for fault in own:
-            found.setdefault(_moved(fault, places), []).append(one.label)
-    for fault, labelled in found.items():
-        told = len(labelled) == count or fault.where.startswith(("presets.", "factors."))
-        where = "" if told else f" (in {_listed(labelled)})"
+        for fault in cell_faults:
+            labels_of.setdefault(_moved(fault, places), []).append(cell_levels.label)
+    for fault, labelled in labels_of.items():
+        is_general = len(labelled) == count or fault.where.startswith(("presets.", "factors."))
+        where = "" if is_general else f" (in {_listed(labelled)})"
         faults.add(fault.where, fault.rule + where, fault.mend)
     _check_left(design, faults)
     if not faults:  # a level that cannot be read would be missed here once more
         _check_contrasts(design, faults)
-    if not found and cells:
+    if not labels_of and cells:
         for cell in cells:
             for problem in (cell.problem, cell.fitted):
                 for where, rule, mend in problem.faults_in_design():
@@ -100,7 +100,7 @@ def _check_contrasts(design: Design, faults: Faults) -> None:
     """Find differences that are asked for of levels that do not exist, or of cells left out."""
     where = "analysis.contrasts"
     levels = {factor.name: factor.labels for factor in design.factors if factor.span is None}
-    kept = [one.levels for one, _ in design.combinations() if not design.why_excluded(one.levels)]
+    run_cells = [c.levels for c, _ in design.combinations() if not design.why_excluded(c.levels)]
     for text in design.analysis.contrasts:
         try:
             sides = sides_of(text, levels)
@@ -109,7 +109,7 @@ def _check_contrasts(design: Design, faults: Faults) -> None:
                 faults.add(where, f"{fault.where}: {fault.rule}", fault.mend)
             continue
         for side in sides:
-            if not any(side.items() <= cell.items() for cell in kept):
+            if not any(side.items() <= c.items() for c in run_cells):
                 named = ", ".join(f"{name}={level}" for name, level in side.items())
                 faults.add(where, f"contrast {text!r}: no cell that is run has {named}", "")
 
@@ -153,7 +153,7 @@ def _moved(fault: Fault, places: Mapping[str, str]) -> Fault:
 
 def _check_left(design: Design, faults: Faults) -> None:
     """Check that the exclusions leave every factor two levels."""
-    every = [one.levels for one, _ in design.combinations()]
+    every = [cell.levels for cell, _ in design.combinations()]
     left = [levels for levels in every if design.why_excluded(levels) is None]
     for factor in design.factors:
         count = len({levels[factor.name] for levels in left})
@@ -225,8 +225,8 @@ _NO_CONSTANT = (*SCORED, *MARKED, "seconds")
 
 def check_replicates(design: Design, cells: Sequence[Cell], faults: Faults) -> None:
     """Check that every cell has what its replicates vary."""
-    asked = design.replicates.noise or design.replicates.mesh_seeds or design.replicates.key
-    if design.analysis.error == "replicates" and not asked:
+    repeats = design.replicates.noise or design.replicates.mesh_seeds or design.replicates.key
+    if design.analysis.error == "replicates" and not repeats:
         rule = "is the scatter of replicates, and the design asks for none"
         faults.add("analysis.error", rule, "add [replicates] mesh_seeds = 5 or noise = 200")
     if design.replicates.noise:
@@ -287,9 +287,7 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Design:
 
 def loads(text: str | bytes, source: str = "<string>", overrides: Sequence[str] = ()) -> Design:
     """Load a design from a text, or from the bytes of a file; see :func:`load`."""
-    text = diagnostics.decode(text, source) if isinstance(text, bytes) else text
-    tables = _tables(text, source, overrides)
-    file, faults = _read(DesignFile, tables, source)
+    text, tables, file, faults = _opened(DesignFile, text, source, overrides)
     design = _design(file, tables, faults, source, text)
     _refuse(faults, source)
     return design
@@ -297,8 +295,6 @@ def loads(text: str | bytes, source: str = "<string>", overrides: Sequence[str] 
 
 def from_tables(tables: Mapping[str, object]) -> str:
     """Text of a file that holds some tables: its own keys, texts with units or bare numbers.
-
-    Units: tables mm, N, MPa.
 
     Examples
     --------
@@ -326,9 +322,7 @@ def loads_problem(
     text: str | bytes, source: str = "<string>", overrides: Sequence[str] = ()
 ) -> Config:
     """Load a problem from a text; see :func:`load_problem`."""
-    text = diagnostics.decode(text, source) if isinstance(text, bytes) else text
-    tables = _tables(text, source, overrides)
-    file, faults = _read(ProblemFile, tables, source)
+    _, tables, file, faults = _opened(ProblemFile, text, source, overrides)
     uncertainty_from(file.uncertainty, (), tables, faults)
     problem = resolve_problem(tables, faults, file.converge.ratio)
     material = problem.material
@@ -354,12 +348,10 @@ def loads_calibration(
     text: str | bytes, source: str = "<string>", overrides: Sequence[str] = ()
 ) -> CalibrationDesign:
     """Load a calibration from a text; see :func:`load_calibration`."""
-    text = diagnostics.decode(text, source) if isinstance(text, bytes) else text
-    tables = _tables(text, source, overrides)
-    file, faults = _read(CalibrationFile, tables, source)
-    found = resolve_calibration(file, tables, file.study.name or default_name(source), faults)
+    _, tables, file, faults = _opened(CalibrationFile, text, source, overrides)
+    calibration = resolve_calibration(file, tables, file.study.name or default_name(source), faults)
     _refuse(faults, source)
-    return found
+    return calibration
 
 
 def file_kind(path: str | Path) -> str:
@@ -385,12 +377,16 @@ def _kind(tables: Table) -> str:
     return "calibration" if "tests" in tables else "problem"
 
 
-def _read(kind: type[File], tables: Table, source: str) -> tuple[File, Faults]:
-    """Read the tables of a file that are the same for all of its cells."""
-    wanted, actual, faults = _KINDS[kind], _kind(tables), Faults()
-    if actual != wanted and (actual != "problem" or wanted == "calibration"):
-        raise InputError(Fault(source, f"is a {actual}, not a {wanted}", _VERBS[actual]))
-    return read_table(kind, tables, "", faults), faults
+def _opened(
+    kind: type[File], raw: str | bytes, source: str, overrides: Sequence[str]
+) -> tuple[str, Tables, File, Faults]:
+    """Text and tables of a file, and those of its tables that are the same for all its cells."""
+    text = diagnostics.decode(raw, source) if isinstance(raw, bytes) else raw
+    tables = _tables(text, source, overrides)
+    expected, actual, faults = _KINDS[kind], _kind(tables), Faults()
+    if actual != expected and (actual != "problem" or expected == "calibration"):
+        raise InputError(Fault(source, f"is a {actual}, not a {expected}", _VERBS[actual]))
+    return text, tables, read_table(kind, tables, "", faults), faults
 
 
 def _refuse(faults: Faults, source: str) -> None:
@@ -407,9 +403,9 @@ def _tables(text: str, source: str, overrides: Sequence[str]) -> Tables:
         if path[0] in ("factors", "uncertainty"):
             path = [path[0], ".".join(path[1:])] if len(path) > 1 else path
         _check_override(tables, path)
-        own = tables.get(path[0])
-        if path[0] in ("factors", "uncertainty") and len(path) > 1 and isinstance(own, dict):
-            tables[path[0]] = set_whole(own, path[1], value)
+        current = tables.get(path[0])
+        if path[0] in ("factors", "uncertainty") and len(path) > 1 and isinstance(current, dict):
+            tables[path[0]] = set_whole(current, path[1], value)
         elif path[0] in overlay.TABLES and len(path) > 1 and not any("." in part for part in path):
             tables = overlay.lay(tables, {".".join(path): value})
         else:
@@ -505,11 +501,11 @@ def _declared(tables: Table, presets: Presets) -> dict[str, str]:
     written = [forward.get("values") if isinstance(forward, Mapping) else None]
     levels = (level for labels in presets.values() for level in labels.values())
     written += [level.get("forward.values") for level in levels]
-    found: dict[str, str] = {}
+    units: dict[str, str] = {}
     for value in written:
         if isinstance(value, Mapping):  # what is wrong with it is told where its cells are read
-            found |= read_table(ValueFile, value, "forward.values", Faults()).units
-    return found
+            units |= read_table(ValueFile, value, "forward.values", Faults()).units
+    return units
 
 
 def _check_parameters(
@@ -523,10 +519,10 @@ def _check_parameters(
         for label, level in labels.items():
             settings += [(key, f"presets.{name}.{label}.{key}") for key in level]
     check_names(tables, settings, faults)
-    for i, one in enumerate(file.constraint):
-        if is_known(one.rule, one.why):
-            read = partial(constraint_of, why=one.why, config=tables)
-            noted(read, one.rule, f"constraint[{i}].rule", faults)
+    for i, constraint in enumerate(file.constraint):
+        if is_known(constraint.rule, constraint.why):
+            read = partial(constraint_of, why=constraint.why, config=tables)
+            noted(read, constraint.rule, f"constraint[{i}].rule", faults)
     converge, replicates = file.converge, file.replicates
     if converge.key is not None and not alone:
         rule = "refines a program of parameters alone; here the mesh of [model] is refined"

@@ -51,7 +51,7 @@ def _time(value: object) -> tuple[float, float]:
     ends = value if isinstance(value, list) else [value, value]
     if len(ends) != 2:
         raise Bad(f"must be a time or two of them, got {shown(value)}", '["0.5 s", "20 s"]')
-    low, high = (_TIME(one) for one in ends)
+    low, high = (_TIME(end) for end in ends)
     if isinstance(value, list) and not low < high:
         raise Bad(f"must rise, got {shown(value)}", '["0.5 s", "20 s"]')
     return low, high
@@ -85,35 +85,35 @@ def relaxation_from(value: object, faults: Faults, path: str) -> tuple[Relaxatio
     if not isinstance(value, list) or not 1 <= len(value) <= MOST_TERMS:
         faults.add(path, f"must be a list of 1 to {MOST_TERMS} terms, got {shown(value)}", _MEND)
         return ()
-    found = [_term(one, faults, f"{path}[{k}]") for k, one in enumerate(value)]
-    given = math.fsum(term.share or 0.0 for term in found)
+    terms = [_term(term, faults, f"{path}[{k}]") for k, term in enumerate(value)]
+    given = math.fsum(term.share or 0.0 for term in terms)
     if given >= 1:
         rule = f"the shares add up to {given:g}: nothing of the stiffness would be left"
         faults.add(path, rule, "the sum of all shares must stay below 1")
-    return tuple(found)
+    return tuple(terms)
 
 
 def _term(value: object, faults: Faults, path: str) -> RelaxationKey:
-    known = len(faults)
-    found = read_table(TermTable, value, path, faults)
-    if len(faults) > known or not isinstance(found.time, tuple):
+    before = len(faults)
+    section = read_table(TermTable, value, path, faults)
+    if len(faults) > before or not isinstance(section.time, tuple):
         return RelaxationKey(None, 1.0)
-    low, high = found.time
+    low, high = section.time
     middle = math.sqrt(low * high) if low < high else low
-    return RelaxationKey(found.share, middle, (low, high) if low < high else None)
+    return RelaxationKey(section.share, middle, (low, high) if low < high else None)
 
 
 def _grid(value: Table, faults: Faults, path: str) -> tuple[RelaxationKey, ...]:
-    known = len(faults)
-    found = read_table(GridTable, value, path, faults)
-    if len(faults) > known:
+    before = len(faults)
+    section = read_table(GridTable, value, path, faults)
+    if len(faults) > before:
         return ()
-    if not found.first < found.to:
-        rule = f"must be later than {found.first:g} s, got {found.to:g} s"
+    if not section.first < section.to:
+        rule = f"must be later than {section.first:g} s, got {section.to:g} s"
         faults.add(f"{path}.to", rule, "the grid runs from the shortest to the longest time")
         return ()
-    step = (found.to / found.first) ** (1 / (found.terms - 1))
-    return tuple(RelaxationKey(None, found.first * step**k) for k in range(found.terms))
+    step = (section.to / section.first) ** (1 / (section.terms - 1))
+    return tuple(RelaxationKey(None, section.first * step**k) for k in range(section.terms))
 
 
 #: keys of which a material has one
@@ -142,15 +142,15 @@ def material_from(table: object, faults: Faults, path: str = "material") -> Mate
     examples = energy.constant_names(3 if energy.has_order else 1) if energy else ()
     listed = energy.list_keys if energy else ()
     also = (*_COMPRESSIBILITY, *constants, *(listed or examples))
-    found = read_table(MaterialTable, table, path, faults, also)
+    section = read_table(MaterialTable, table, path, faults, also)
     volume = _compressibility(written, faults, path)
     if energy is None:
         return MaterialSection("", None, {}, volume)
     read = _terms if listed else _moduli
     values = read(energy, {key: written[key] for key in constants}, faults, path)
-    order = _order(energy, found.order, values, faults, path)
+    order = _order(energy, section.order, values, faults, path)
     where = f"{path}.relaxation"
-    fading = relaxation_from(found.relaxation, faults, where)
+    fading = relaxation_from(section.relaxation, faults, where)
     if fading and (energy.small_strain or not energy.splits):
         rule = f"is one of an isochoric energy, which {energy.name} is not"
         mend = 'write model = "neo-hookean", or another energy with an isochoric part'
@@ -162,26 +162,26 @@ def material_from(table: object, faults: Faults, path: str = "material") -> Mate
 
 
 def _compressibility(written: Table, faults: Faults, path: str) -> CompressibilityTable:
-    own = {key: value for key, value in written.items() if key in _COMPRESSIBILITY}
-    given = [key for key, value in own.items() if value is not False]
+    volume = {key: value for key, value in written.items() if key in _COMPRESSIBILITY}
+    given = [key for key, value in volume.items() if value is not False]
     mend = f"give one of {', '.join(_COMPRESSIBILITY)}"
     if not given:
         faults.add(f"{path}.poisson_ratio", "is missing", mend)
     first, *others = [key for key in _COMPRESSIBILITY if key in given] or [""]
     if others:
         faults.add(f"{path}.{first}", f"stands beside {' and '.join(others)}", mend)
-    return read_table(CompressibilityTable, own, path, faults)
+    return read_table(CompressibilityTable, volume, path, faults)
 
 
 def _moduli(energy: Energy, given: Table, faults: Faults, path: str) -> dict[str, float]:
     """Constants of every energy but Ogden's; all of them, or none where they are calibrated."""
     modulus = quantity("pressure", 0.0 if energy.small_strain else -math.inf)
-    found = {}
+    moduli = {}
     for key in energy.ordered(given):
         read = number() if energy.is_dimensionless(key) else modulus
         value = noted(read, given[key], f"{path}.{key}", faults)
-        found[key] = _UNREAD if value is None else value
-    return found
+        moduli[key] = _UNREAD if value is None else value
+    return moduli
 
 
 def _terms(energy: Energy, given: Table, faults: Faults, path: str) -> dict[str, float]:
@@ -200,10 +200,10 @@ def _terms(energy: Energy, given: Table, faults: Faults, path: str) -> dict[str,
         if value == 0:
             rule = f"must not be zero (term {i})"
             faults.add(f"{path}.alpha", rule, "its energy has no such term")
-    found: dict[str, float] = {}
+    constants: dict[str, float] = {}
     for i, (modulus, exponent) in enumerate(zip(mu, alpha, strict=False), 1):
-        found |= {f"mu{i}": modulus, f"alpha{i}": exponent}
-    return found
+        constants |= {f"mu{i}": modulus, f"alpha{i}": exponent}
+    return constants
 
 
 def _entries(
@@ -214,8 +214,8 @@ def _entries(
         mend = 'mu = ["5 kPa"], alpha = [2.0]'
         faults.add(f"{path}.{key}", f"must be a list of 1 to {_MOST_TERMS} entries", mend)
         return []
-    found = [noted(read, value, f"{path}.{key}[{i}]", faults) for i, value in enumerate(values)]
-    return [_UNREAD if value is None else value for value in found]
+    items = [noted(read, value, f"{path}.{key}[{i}]", faults) for i, value in enumerate(values)]
+    return [_UNREAD if value is None else value for value in items]
 
 
 def _order(
@@ -264,7 +264,10 @@ PARAMETERS: Mapping[str, tuple[str, ...]] = {
     "triangular": ("low", "mode", "high"),
     "lognormal": ("median", "factor"),
 }
-DISTRIBUTION_KEYS = ("distribution", *dict.fromkeys(k for own in PARAMETERS.values() for k in own))
+DISTRIBUTION_KEYS = (
+    "distribution",
+    *dict.fromkeys(k for names in PARAMETERS.values() for k in names),
+)
 
 
 @dataclass(frozen=True)
@@ -303,35 +306,35 @@ class InputDistribution:
         p = first + shares * (last - first)
         a, b = self.numbers[0], self.numbers[1]
         if self.kind == "normal":
-            found = a + b * special.ndtri(p)
+            quantiles = a + b * special.ndtri(p)
         elif self.kind == "lognormal":
-            found = a * np.exp(math.log(b) * special.ndtri(p))
+            quantiles = a * np.exp(math.log(b) * special.ndtri(p))
         elif self.kind == "uniform":
-            found = a + p * (b - a)
+            quantiles = a + p * (b - a)
         else:
-            found = _triangle(p, *self.numbers)
-        return np.asarray(np.clip(found, self.low, self.high))
+            quantiles = _triangle(p, *self.numbers)
+        return np.asarray(np.clip(quantiles, self.low, self.high))
 
     def halved(self) -> InputDistribution:
         """Give the distribution with half the spread, about the same middle."""
         a, b = self.numbers[0], self.numbers[1]
         if self.kind == "normal":
-            own: tuple[float, ...] = (a, 0.5 * b)
+            numbers: tuple[float, ...] = (a, 0.5 * b)
         elif self.kind == "lognormal":
-            own = (a, math.sqrt(b))
+            numbers = (a, math.sqrt(b))
         elif self.kind == "uniform":
-            own = (0.75 * a + 0.25 * b, 0.25 * a + 0.75 * b)
+            numbers = (0.75 * a + 0.25 * b, 0.25 * a + 0.75 * b)
         else:
             middle = sum(self.numbers) / 3
-            own = tuple(0.5 * (value + middle) for value in self.numbers)
-        return InputDistribution(self.kind, own, self.low, self.high)
+            numbers = tuple(0.5 * (value + middle) for value in self.numbers)
+        return InputDistribution(self.kind, numbers, self.low, self.high)
 
     def words(self, unit: str) -> str:
         """Say what it is, such as ``normal, mean 7 kPa, sd 0.5 kPa``."""
-        told = zip(PARAMETERS[self.kind], self.numbers, strict=True)
-        said = [f"{name} {v:.4g}" + ("" if name == "factor" or not unit else f" {unit}")
-                for name, v in told]  # fmt: skip
-        return ", ".join([self.kind, *said])
+        named = zip(PARAMETERS[self.kind], self.numbers, strict=True)
+        parts = [f"{name} {v:.4g}" + ("" if name == "factor" or not unit else f" {unit}")
+                for name, v in named]  # fmt: skip
+        return ", ".join([self.kind, *parts])
 
 
 def _below_triangle(x: float, low: float, mode: float, high: float) -> float:

@@ -228,7 +228,7 @@ def _measured(key: str, value: object, path: str) -> object:
     if isinstance(value, Mapping):
         return with_units(value, path)
     if isinstance(value, (list, tuple)):
-        return [_measured(key, one, path) for one in value]
+        return [_measured(key, item, path) for item in value]
     value = getattr(value, "item", lambda: value)()  # a number of numpy becomes one of Python
     unit = INTERNAL.get("time" if key in _TIMES else dimension(key) or "")  # none of ANY
     is_bare = isinstance(value, (int, float)) and not isinstance(value, bool)

@@ -17,8 +17,8 @@ Key = Callable[[Cell], Hashable]
 
 def _grouped(treatments: Sequence[Treatment], key: Key) -> Groups:
     groups: dict[Hashable, list[Treatment]] = {}
-    for one in treatments:
-        groups.setdefault(key(one.cell), []).append(one)
+    for t in treatments:
+        groups.setdefault(key(t.cell), []).append(t)
     return tuple(tuple(group) for group in groups.values())
 
 
@@ -45,7 +45,7 @@ def duplicates(design: Design) -> Groups:
 
 def calibration_groups(design: Design) -> Groups:
     """Cells that share one calibration problem (one fit a block); none where nothing is fitted."""
-    return _grouped([one for one in design.treatments if one.cell.is_calibrated], _calibration)
+    return _grouped([t for t in design.treatments if t.cell.is_calibrated], _calibration)
 
 
 def calibration_factors(design: Design) -> tuple[str, ...]:
@@ -59,31 +59,31 @@ def _calibrates(design: Design, factor: str) -> bool:
     The cells of a sample of ranges, each with levels of its own, would be made tens of thousands
     of times to find that out.
     """
-    fitted = any(one.cell.is_calibrated for one in design.treatments)
+    fitted = any(t.cell.is_calibrated for t in design.treatments)
     return fitted and _separated(design, factor, _calibration) > 0
 
 
 def _separated(design: Design, factor: str, key: Key) -> int:
     """Count the cells in which the factor changes the key."""
     if design.scheme.rows is not None:
-        return sum(_changes(design, one, factor, key) for one in design.treatments)
+        return sum(_changes(design, t, factor, key) for t in design.treatments)
     slices: dict[tuple[str, ...], list[Hashable]] = {}
-    for one in design.treatments:
-        others = tuple(label for name, label in one.levels.items() if name != factor)
-        slices.setdefault(others, []).append(key(one.cell))
+    for t in design.treatments:
+        others = tuple(label for name, label in t.levels.items() if name != factor)
+        slices.setdefault(others, []).append(key(t.cell))
     return sum(len(keys) for keys in slices.values() if len(set(keys)) > 1)
 
 
-def _changes(design: Design, treatment: Treatment, factor: str, key: Key) -> bool:
+def _changes(design: Design, t: Treatment, factor: str, key: Key) -> bool:
     """Whether another level of one factor alone changes the key of a cell."""
     # A part of the full factorial may hold no two cells that differ in one factor only, so the
     # other cell is made for the comparison.
-    own, place = key(treatment.cell), [f.name for f in design.factors].index(factor)
-    levels = [f.levels[f.labels.index(treatment.levels[f.name])] for f in design.factors]
+    own_key, place = key(t.cell), [f.name for f in design.factors].index(factor)
+    levels = [f.levels[f.labels.index(t.levels[f.name])] for f in design.factors]
     for other in _compared(design.factors[place]):
         faults = Faults()
         made = design.resolved([*levels[:place], other, *levels[place + 1 :]], faults)
-        if not faults and key(made) != own:
+        if not faults and key(made) != own_key:
             return True
     return False
 
@@ -144,7 +144,6 @@ class Overview:
     design: Design
     #: Computations and calibration problems that differ.
     distinct: int
-    #: Computations and calibration problems that differ.
     calibrations: int
     #: What each of them can tell.
     factors: tuple[FactorOverview, ...]
@@ -169,7 +168,7 @@ class Overview:
                 "calibrations": self.calibrations,
                 "factors": self.factors,
                 "matrix": self.matrix,
-                "excluded": [{"label": one.label, "why": why} for one, why in self.excluded],
+                "excluded": [{"label": cell.label, "why": why} for cell, why in self.excluded],
                 "scheme": {
                     "kind": scheme.kind,
                     "summary": scheme.summary,
@@ -178,7 +177,7 @@ class Overview:
                     "aliases": scheme.aliases,
                 },
                 "replicates": self.replicates,
-                "duplicates": [[one.label for one in group] for group in self.duplicates],
+                "duplicates": [[cell.label for cell in group] for group in self.duplicates],
                 "warnings": self.warnings,
             }
         )
@@ -202,25 +201,25 @@ def overview(design: Design) -> Overview:
 
 def replication(design: Design) -> Replication | None:
     """Say what is computed several times, and which question that answers."""
-    asked = design.replicates
-    if asked.mesh_seeds:
+    repeats = design.replicates
+    if repeats.mesh_seeds:
         sentence = (
-            f"every cell is solved on {asked.mesh_seeds} meshes of its size that differ by a seed: "
-            "is an effect larger than the mesh noise at this size? (E3)"
+            f"every cell is solved on {repeats.mesh_seeds} meshes of its size that differ by a "
+            "seed: is an effect larger than the mesh noise at this size? (E3)"
         )
-        return Replication("mesh-seeds", asked.mesh_seeds, sentence)
-    if asked.key is not None:
+        return Replication("mesh-seeds", repeats.mesh_seeds, sentence)
+    if repeats.key is not None:
         sentence = (
-            f"every cell is computed {asked.n} times with other values of {asked.key}, no two "
+            f"every cell is computed {repeats.n} times with other values of {repeats.key}, no two "
             "cells with one: is an effect larger than the scatter of the simulation itself? (E0)"
         )
-        return Replication("seeds", asked.n, sentence)
-    if asked.noise:
+        return Replication("seeds", repeats.n, sentence)
+    if repeats.noise:
         sentence = (
-            f"every fit is made {asked.noise} times more, to its curve with resampled residuals: "
+            f"every fit is made {repeats.noise} times more, to its curve with resampled residuals: "
             "is an effect larger than the noise in the measured data alone would give? (E2)"
         )
-        return Replication("noise", asked.noise, sentence)
+        return Replication("noise", repeats.noise, sentence)
     return None
 
 
@@ -245,38 +244,38 @@ def _note(calibrates: bool, inert: int, total: int, fitted: bool) -> str:
 
 
 def _matrix(design: Design, groups: Groups, fitted: Groups) -> tuple[CellOverview, ...]:
-    group = {one.label: i for i, members in enumerate(groups, 1) for one in members}
-    fit = {one.label: i for i, members in enumerate(fitted, 1) for one in members}
+    group = {member.label: i for i, members in enumerate(groups, 1) for member in members}
+    fit = {member.label: i for i, members in enumerate(fitted, 1) for member in members}
     return tuple(
         CellOverview(
-            one.label,
-            one.levels,
-            group[one.label],
-            fit.get(one.label),
-            one.cell.problem.is_homogeneous,
+            t.label,
+            t.levels,
+            group[t.label],
+            fit.get(t.label),
+            t.cell.problem.is_homogeneous,
         )
-        for one in design.treatments
+        for t in design.treatments
     )
 
 
 def warnings(design: Design) -> tuple[str, ...]:
     """Sentences about what is allowed and probably not meant."""
-    found: dict[str, None] = {}
-    for one in design.treatments:
-        problem = one.cell.problem
-        found.update(dict.fromkeys(cautions_of(problem)))
+    notes: dict[str, None] = {}
+    for t in design.treatments:
+        problem = t.cell.problem
+        notes.update(dict.fromkeys(cautions_of(problem)))
         spec = problem.measurements
         if spec is not None and spec.fit is not None and spec.fit == spec.score:
-            found["cells are scored on the rows they were fitted to: fit, not prediction"] = None
+            notes["cells are scored on the rows they were fitted to: fit, not prediction"] = None
     for group in duplicates(design):
-        labels = " = ".join(one.label for one in group)
-        found[f"cells with the same content are one computation, no replicates: {labels}"] = None
+        labels = " = ".join(t.label for t in group)
+        notes[f"cells with the same content are one computation, no replicates: {labels}"] = None
     presets = design.config.get("presets")
     unused = set(list(presets) if isinstance(presets, dict) else []) - {
         factor.name for factor in design.factors
     }
     for name in sorted(unused):
-        found[f"the preset set {name!r} is no factor and is not used"] = None
+        notes[f"the preset set {name!r} is no factor and is not used"] = None
     if design.converge.ratio < 1.3:
-        found[f"converge.ratio {design.converge.ratio:g} is below 1.3: orders will be noise"] = None
-    return tuple(found)
+        notes[f"converge.ratio {design.converge.ratio:g} is below 1.3: orders will be noise"] = None
+    return tuple(notes)

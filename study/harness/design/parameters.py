@@ -123,7 +123,7 @@ def parameters_from(
         return {}, {}
     usual = first if isinstance(first, Mapping) else {}
     values: dict[str, Value] = {}
-    found: dict[str, str] = {}
+    units_read: dict[str, str] = {}
     for name, raw in table.items():
         where = f"parameters.{quoted(name)}"
         if noted(parameter_name, name, where, faults) is None:
@@ -135,8 +135,8 @@ def parameters_from(
         if read is not None:
             values[name] = read[0]
             if read[1]:
-                found[name] = read[1]
-    return values, found
+                units_read[name] = read[1]
+    return values, units_read
 
 
 def _kind(raw: object) -> tuple[Value, str] | None:
@@ -188,10 +188,10 @@ class ParameterProblem:
 
     def document(self) -> dict[str, object]:
         """Plain values: parameters with their units, and what predicts."""
-        found: dict[str, object] = {"parameters": dict(self.parameters)}
+        document: dict[str, object] = {"parameters": dict(self.parameters)}
         if self.units:
-            found["units"] = dict(self.units)
-        return {**found, "forward": self.forward.document()}
+            document["units"] = dict(self.units)
+        return {**document, "forward": self.forward.document()}
 
     def physical(self) -> dict[str, object]:
         """Return the whole document: of a stranger's program nothing is known not to matter."""
@@ -254,8 +254,8 @@ class Constraint:
     @property
     def names(self) -> tuple[str, ...]:
         """Parameters that it compares."""
-        found = (n.id for n in ast.walk(_comparison(self.text)) if isinstance(n, ast.Name))
-        return tuple(dict.fromkeys(found))
+        identifiers = (n.id for n in ast.walk(_comparison(self.text)) if isinstance(n, ast.Name))
+        return tuple(dict.fromkeys(identifiers))
 
 
 def _comparison(rule: str) -> ast.Compare:
@@ -298,27 +298,27 @@ def _number(node: ast.expr, values: Mapping[str, Value]) -> float:
 
 def constraint_of(rule: object, why: object, config: Table) -> Constraint:
     """Read a constraint; its names must be parameters of the file whose units agree."""
-    found = Constraint(text(rule), text(why))
+    limit = Constraint(text(rule), text(why))
     table = config.get("parameters")
-    known = table if isinstance(table, Mapping) else {}
-    for name in found.names:
-        if name not in known:
-            raise Bad(f"names {name!r}, which [parameters] does not have", nearest(name, known))
-    compared = _comparison(found.text)
-    written = {n: number_and_unit(known[n])[1] for n in found.names if type(known[n]) is not bool}
+    named = table if isinstance(table, Mapping) else {}
+    for name in limit.names:
+        if name not in named:
+            raise Bad(f"names {name!r}, which [parameters] does not have", nearest(name, named))
+    compared = _comparison(limit.text)
+    written = {n: number_and_unit(named[n])[1] for n in limit.names if type(named[n]) is not bool}
     sides = [compared.left, *compared.comparators]
     plain = [written.get(side.id) for side in sides if isinstance(side, ast.Name)]
     if len(plain) == len(sides) and len(set(plain)) > 1:
         mend = "write all of them in one unit in [parameters]"
         raise Bad(f"compares numbers in {' and '.join(map(repr, plain))}", mend)
-    return found
+    return limit
 
 
 def constraints_of(config: Table) -> tuple[Constraint, ...]:
     """Every sound constraint of a file; what is wrong with another one is told where it is read."""
     written = config.get("constraint")
-    found = []
+    constraints = []
     for row in written if isinstance(written, list) else ():
         with suppress(Bad, KeyError, TypeError, AttributeError):
-            found.append(constraint_of(row["rule"], row["why"], config))
-    return tuple(found)
+            constraints.append(constraint_of(row["rule"], row["why"], config))
+    return tuple(constraints)

@@ -130,29 +130,29 @@ def _check_course(problem: CellProblem, faults: Faults, places: Mapping[str, str
     timed = problem.measurements is not None and problem.measurements.columns.time is not None
     given = [key for key in ("speed_mm_per_s", "hold_s", "cycles") if getattr(test, key)]
     words = {"speed_mm_per_s": "speed", "hold_s": "hold"}
-    told = [f"{at}.{words.get(key, key)}" for key in given]
-    told += [f"{places['material']}.relaxation"] if relaxes else []
-    told += [f"{places['measurements']}.columns.time"] if timed else []
-    if told and problem.specimen.shape not in (None, "homogeneous"):
+    courses = [f"{at}.{words.get(key, key)}" for key in given]
+    courses += [f"{places['material']}.relaxation"] if relaxes else []
+    courses += [f"{places['measurements']}.columns.time"] if timed else []
+    if courses and problem.specimen.shape not in (None, "homogeneous"):
         rule = "is of a test in closed form: finite elements know no time"
         mend = 'write specimen.shape = "homogeneous", with area and length, or leave it out'
-        faults.add(told[0], rule, mend)
+        faults.add(courses[0], rule, mend)
         return
     if relaxes and problem.forward is not None and problem.forward.model != "closed-form":
         rule = f"is no part of what {problem.forward.model} is told of a material"
         faults.add(f"{places['material']}.relaxation", rule, "give it in [parameters]")
-    _check_speed(problem, [told[0]] if given else [], relaxes, timed, faults, at)
+    _check_speed(problem, [courses[0]] if given else [], relaxes, timed, faults, at)
 
 
 def _check_speed(
-    problem: CellProblem, told: list[str], relaxes: bool, timed: bool, faults: Faults, at: str
+    problem: CellProblem, places: list[str], relaxes: bool, timed: bool, faults: Faults, at: str
 ) -> None:
     """Check that the times of a test are given once."""
     test = problem.test
-    if timed and told:
+    if timed and places:
         rule = "stands beside a column of time, which says how the test went"
-        faults.add(told[0], rule, "leave it out")
-    elif (relaxes and not timed or told) and not test.speed_mm_per_s:
+        faults.add(places[0], rule, "leave it out")
+    elif (relaxes and not timed or places) and not test.speed_mm_per_s:
         rule = "is missing: a material that relaxes resists a fast test more than a slow one"
         if not relaxes:
             rule = "is missing: what is held or repeated has a speed"
@@ -248,8 +248,8 @@ def half_width(specimen: Specimen) -> float | None:
         return specimen.half_width_mm
     if isinstance(specimen, Cylinder):
         return specimen.radius_mm
-    known = is_known(specimen.width_mm, specimen.depth_mm)
-    return specimen.half_width_mm if known else None
+    is_read = is_known(specimen.width_mm, specimen.depth_mm)
+    return specimen.half_width_mm if is_read else None
 
 
 def footprint(indenter: Indenter, depth: float | None) -> float | None:
@@ -304,8 +304,8 @@ def _depth(setup: Setup, material: MaterialSection) -> Iterator[str]:
     height, depth = setup.height_mm, setup.test.displacement_mm
     if setup.kind.compresses and height is not None and depth is not None:
         energy = ENERGIES[material.model]
-        if said := surface_warning(energy, setup.kind.mode, 1 - depth / height):
-            yield f"test.displacement: {said}"
+        if warning := surface_warning(energy, setup.kind.mode, 1 - depth / height):
+            yield f"test.displacement: {warning}"
         critical = buckling_strain(setup.test, setup.specimen)
         if critical is not None and depth >= CLOSE_TO_BUCKLING * critical * height:
             hidden = (

@@ -63,14 +63,14 @@ def resolve(tables: Table, written: Table, converge: Converge, faults: Faults) -
         first = written.get("parameters")
         values, units = parameters_from(tables["parameters"], first, faults)
         problem = replace(problem, parameters=values, units=units)
-    asked = calibration_from(tables, bool(problem.material.constants), faults)
+    calibration = calibration_from(tables, bool(problem.material.constants), faults)
     other = None
-    if asked.problem is not None:
-        own = {k: v for k, v in values_of(asked.problem).items() if v is not None}
-        places = {k: f"calibration.problem.{k}" for k in own}
-        other = resolve_problem({**tables, **own}, faults, ratio, places)
-    cell = Cell(problem, asked.method or "auto", asked.leave_out, other)
-    if asked.method is not None:
+    if calibration.problem is not None:
+        replaced = {k: v for k, v in values_of(calibration.problem).items() if v is not None}
+        places = {k: f"calibration.problem.{k}" for k in replaced}
+        other = resolve_problem({**tables, **replaced}, faults, ratio, places)
+    cell = Cell(problem, calibration.method or "auto", calibration.leave_out, other)
+    if calibration.method is not None:
         _check_method(cell, problem, other or problem, faults)
     return cell
 
@@ -140,8 +140,8 @@ def resolve_problem(
 
 def _check_closed_form(problem: CellProblem, faults: Faults, at: Mapping[str, str]) -> None:
     forward = problem.forward
-    asked = forward is not None and forward.model == "closed-form"
-    if asked and is_known(problem.test.kind) and not problem.is_homogeneous:
+    is_closed_form = forward is not None and forward.model == "closed-form"
+    if is_closed_form and is_known(problem.test.kind) and not problem.is_homogeneous:
         rule = "closed-form needs a test that deforms the specimen the same everywhere"
         mend = 'write test.interface = "frictionless", or another forward.model'
         faults.add(f"{at['forward']}.model", rule, mend)
@@ -203,10 +203,10 @@ def _range_end(problem: CellProblem, faults: Faults, at: Mapping[str, str]) -> f
 def calibration_from(tables: Table, given: bool, faults: Faults) -> Calibration:
     """Read ``[calibration]``; the method is ``auto`` unless the constants are given."""
     table = tables.get("calibration", {})
-    found = read_table(Calibration, table, "calibration", faults)
+    section = read_table(Calibration, table, "calibration", faults)
     if isinstance(table, Mapping) and "method" in table:
-        return found
-    return with_values(found, method="none" if given else "auto")
+        return section
+    return with_values(section, method="none" if given else "auto")
 
 
 def _check_method(cell: Cell, problem: CellProblem, fitted: CellProblem, faults: Faults) -> None:
@@ -241,7 +241,7 @@ def resolve_calibration(
     material = problems[0].material if all_about(faults, "calibration") else None
     bounds = _bounds(file.calibration, material, faults)
     shared = nuisance_from(file.nuisance, overlay.dimension, "nuisance", faults)
-    own = [
+    nuisances = [
         nuisance_from(test.nuisance, overlay.dimension, f"tests[{i}].nuisance", faults)
         for i, test in enumerate(file.tests)
     ]
@@ -255,7 +255,7 @@ def resolve_calibration(
             test.weight,
             of_test(shared, nuisance),
         )
-        for test, problem, nuisance in zip(file.tests, problems, own, strict=True)
+        for test, problem, nuisance in zip(file.tests, problems, nuisances, strict=True)
         if (spec := problem.measurements) is not None  # it must stand in the file
     )
     return CalibrationDesign(name, tests, file.calibration, bounds)
@@ -263,19 +263,19 @@ def resolve_calibration(
 
 def _test(tables: Table, test: TestTable, where: str, faults: Faults) -> CellProblem:
     """Resolve one of the ``[[tests]]``, whose own tables replace those of the file."""
-    own = ("test", "measurements", "specimen", "model")
-    given = {key: value for key in own if (value := getattr(test, key)) is not None}
+    keys = ("test", "measurements", "specimen", "model")
+    given = {key: value for key in keys if (value := getattr(test, key)) is not None}
     places = {key: f"{where}.{key}" for key in given}
     return resolve_problem({"test": {}, **tables, **given}, faults, places=places, all_rows=True)
 
 
-def _bounds(asked: Fitting, material: MaterialSection | None, faults: Faults) -> Bounds:
+def _bounds(fitting: Fitting, material: MaterialSection | None, faults: Faults) -> Bounds:
     """Bounds of the constants; keys that the closed form of indentations has alone are noted."""
     for key in ANALYTIC_KEYS:
-        if asked.method != "analytic" and getattr(asked, key) != getattr(Fitting(), key):
+        if fitting.method != "analytic" and getattr(fitting, key) != getattr(Fitting(), key):
             mend = 'write method = "analytic", or leave it out'
             faults.add(f"calibration.{key}", "is of the closed form of indentations", mend)
-    if asked.bounds is None:
+    if fitting.bounds is None:
         return {}
     names = () if material is None else material.calibrated_names
-    return noted(bounds_of(names), asked.bounds, "calibration.bounds", faults) or {}
+    return noted(bounds_of(names), fitting.bounds, "calibration.bounds", faults) or {}

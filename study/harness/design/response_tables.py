@@ -42,14 +42,14 @@ def responses_from(
     ``declared`` has the units of the values that a program leaves; a function of parameters alone
     may return others, whose unit stands in the table of the response.
     """
-    found = [
+    responses = [
         _response(table, f"response[{i}]", declared, alone, faults)
         for i, table in enumerate(tables)
     ]
-    given = [response.name for response in found if response.name]
+    given = [response.name for response in responses if response.name]
     for name in sorted({n for n in given if given.count(n) > 1}):
         faults.add("response", f"{name} stands {given.count(name)} times", "once is enough")
-    return tuple(found)
+    return tuple(responses)
 
 
 def _response(
@@ -141,7 +141,7 @@ def uncertainty_from(
 ) -> tuple[dict[str, float], dict[str, InputDistribution]]:
     """Read ``[uncertainty]``, dotted keys already joined."""
     plain: dict[str, float] = {}
-    found: dict[str, InputDistribution] = {}
+    distributions: dict[str, InputDistribution] = {}
     spans = {factor.name: factor.span for factor in factors if factor.span is not None}
     for key, raw in _grouped(entries(table, "uncertainty", faults)).items():
         where, kind, span = f"uncertainty.{key}", overlay.dimension(key), spans.get(key)
@@ -165,22 +165,22 @@ def uncertainty_from(
             )
             faults.add(where, rule, "widen the range in [factors], or narrow the distribution")
         elif read is not None:
-            found[key] = read
-    return plain, found
+            distributions[key] = read
+    return plain, distributions
 
 
 def _grouped(table: Table) -> dict[str, object]:
     """Join the keys of a distribution, which joining dotted keys took apart."""
-    found: dict[str, object] = {}
-    own: dict[str, dict[str, object]] = {}
+    joined: dict[str, object] = {}
+    parts: dict[str, dict[str, object]] = {}
     for key, value in table.items():
         name, _, last = key.rpartition(".")
         if name and last in DISTRIBUTION_KEYS and not overlay.may_vary(key):
-            found[name] = own.setdefault(name, {})
-            own[name][last] = value
+            joined[name] = parts.setdefault(name, {})
+            parts[name][last] = value
         else:
-            found[key] = value
-    return found
+            joined[key] = value
+    return joined
 
 
 def _distribution(
@@ -195,23 +195,23 @@ def _distribution(
     word = noted(choice(*PARAMETERS), raw.get("distribution"), f"{where}.distribution", faults)
     if word is None:
         return None
-    wanted = PARAMETERS[word]
-    for name in (n for n in wanted if n not in raw):
+    needed = PARAMETERS[word]
+    for name in (n for n in needed if n not in raw):
         faults.add(f"{where}.{name}", "is missing", f"for example {_EXAMPLE}")
-    for name in (n for n in raw if n not in (*wanted, "distribution")):
+    for name in (n for n in raw if n not in (*needed, "distribution")):
         rule = f"is no number of a {word} distribution"
-        faults.add(f"{where}.{name}", rule, nearest(name, wanted))
-    if set(raw) != {"distribution", *wanted}:
+        faults.add(f"{where}.{name}", rule, nearest(name, needed))
+    if set(raw) != {"distribution", *needed}:
         return None
-    values = [_value(raw[name], name, kind, span, f"{where}.{name}", faults) for name in wanted]
+    values = [_value(raw[name], name, kind, span, f"{where}.{name}", faults) for name in needed]
     if any(value is None for value in values):
         return None
-    told = tuple(value for value in values if value is not None)
-    if word in ("uniform", "triangular") and (list(told) != sorted(told) or told[0] == told[-1]):
-        faults.add(where, f"must rise, got {', '.join(shown(raw[n]) for n in wanted)}",
+    nums = tuple(value for value in values if value is not None)
+    if word in ("uniform", "triangular") and (list(nums) != sorted(nums) or nums[0] == nums[-1]):
+        faults.add(where, f"must rise, got {', '.join(shown(raw[n]) for n in needed)}",
                    "from low to high")  # fmt: skip
         return None
-    return InputDistribution(word, told, span.low, span.high)
+    return InputDistribution(word, nums, span.low, span.high)
 
 
 def _value(

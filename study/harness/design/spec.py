@@ -158,7 +158,6 @@ class Expected:
     cells: tuple[Mapping[str, str], ...]
     #: What it is said of, and who said it.
     response: str
-    #: What it is said of, and who said it.
     source: str = ""
 
 
@@ -173,9 +172,7 @@ class Design:
     config: Table
     #: What varies, what is left out, what is answered.
     factors: tuple[Factor, ...]
-    #: What varies, what is left out, what is answered.
     exclusions: tuple[Exclusion, ...]
-    #: What varies, what is left out, what is answered.
     responses: tuple[ResponseSpec, ...]
     #: Of every random draw of the study.
     seed: int
@@ -237,16 +234,16 @@ class Design:
         every = itertools.product(*(range(len(factor.levels)) for factor in self.factors))
         for row in self.scheme.rows or every:
             levels = tuple(f.levels[i] for f, i in zip(self.factors, row, strict=True))
-            yield Combination({n: one.label for n, one in zip(names, levels, strict=True)}), levels
+            yield (Combination({n: lv.label for n, lv in zip(names, levels, strict=True)}), levels)
 
     def why_excluded(self, levels: Mapping[str, str]) -> str | None:
         """Reason why a cell is left out; None if it is not."""
-        found = next((e.why for e in self.exclusions if e.matches(levels)), None)
-        if found is not None or not self.constraints:
-            return found
+        reason = next((e.why for e in self.exclusions if e.matches(levels)), None)
+        if reason is not None or not self.constraints:
+            return reason
         values = self._parameters_at(levels)
         try:
-            broken = [one for one in self.constraints if not one.holds(values)]
+            broken = [constraint for constraint in self.constraints if not constraint.holds(values)]
         except Bad as bad:
             raise InputError(Fault("constraint", bad.rule, bad.mend)) from None
         return f"{broken[0].why} ({broken[0].text})" if broken else None
@@ -257,26 +254,26 @@ class Design:
         table = dict(first) if isinstance(first, Mapping) else {}
         for factor in self.factors:
             level = factor.levels[factor.labels.index(levels[factor.name])]
-            own = {k.partition(".")[2]: v for k, v in level.settings.items() if is_parameter(k)}
-            table |= own
+            here = {k.partition(".")[2]: v for k, v in level.settings.items() if is_parameter(k)}
+            table |= here
         return parameters_from(table, first, Faults())[0]
 
     @property
     def excluded(self) -> tuple[tuple[Combination, str], ...]:
         """Cells left out and why; they are not resolved, for they may be impossible."""
-        reasons = ((one, self.why_excluded(one.levels)) for one, _ in self.combinations())
-        return tuple((one, why) for one, why in reasons if why is not None)
+        reasons = ((c, self.why_excluded(c.levels)) for c, _ in self.combinations())
+        return tuple((c, why) for c, why in reasons if why is not None)
 
     def resolved(self, levels: Sequence[Level], faults: Faults) -> Cell:
         """Resolve one cell, once where it is sound; faults name the keys of the merged file."""
-        known, place = self._sound, tuple(map(id, levels))
-        if place in known:
-            return known[place]
-        own = Faults()
-        cell = self._resolved(levels, own)
-        if not own:
-            known[place] = cell
-        for fault in own:
+        sound, place = self._sound, tuple(map(id, levels))
+        if place in sound:
+            return sound[place]
+        cell_faults = Faults()
+        cell = self._resolved(levels, cell_faults)
+        if not cell_faults:
+            sound[place] = cell
+        for fault in cell_faults:
             faults.add(fault.where, fault.rule, fault.mend)
         return cell
 
@@ -295,9 +292,9 @@ class Design:
         """Cells of the design without those left out."""
         faults = Faults()
         cells = tuple(
-            Treatment(one.levels, self.resolved(levels, faults))
-            for one, levels in self.combinations()
-            if self.why_excluded(one.levels) is None
+            Treatment(combination.levels, self.resolved(levels, faults))
+            for combination, levels in self.combinations()
+            if self.why_excluded(combination.levels) is None
         )
         if faults:
             raise InputError(faults)

@@ -169,11 +169,11 @@ def _schema(value: object) -> int:
 
 
 def _assumed(value: object) -> tuple[str, ...]:
-    found = texts("keys", "test.interface")(value)
-    for key in found:
+    keys = texts("keys", "test.interface")(value)
+    for key in keys:
         if key not in overlay.TABLES and not overlay.may_vary(key):
             raise Bad(f"names no input: {shown(key)}", overlay.suggestion(key))
-    return found
+    return keys
 
 
 def _response_name(value: object) -> str:
@@ -184,18 +184,19 @@ def _response_name(value: object) -> str:
     return value
 
 
-def _refined_key(value: object) -> str:
-    if not isinstance(value, str) or not is_parameter(value):
-        mend = 'for example key = "parameters.h"; [model] is refined without a key'
-        raise Bad(f"must be a key of [parameters], got {shown(value)}", mend)
-    return value
+def _parameter_key(mend: str) -> Callable[[object], str]:
+    """Reader of a dotted key of ``[parameters]``."""
+
+    def read(value: object) -> str:
+        if not isinstance(value, str) or not is_parameter(value):
+            raise Bad(f"must be a key of [parameters], got {shown(value)}", f"for example {mend}")
+        return value
+
+    return read
 
 
-def _seed_key(value: object) -> str:
-    if not isinstance(value, str) or not is_parameter(value):
-        mend = 'for example key = "parameters.seed"'
-        raise Bad(f"must be a key of [parameters], got {shown(value)}", mend)
-    return value
+_refined_key = _parameter_key('key = "parameters.h"; [model] is refined without a key')
+_seed_key = _parameter_key('key = "parameters.seed"')
 
 
 def _share(value: object) -> float:
@@ -229,10 +230,10 @@ def _formats(value: object) -> tuple[str, ...]:
 
 def _primary(value: object) -> tuple[str, ...]:
     """Read the terms that were declared before the run; three at most, or they are no choice."""
-    found = texts("terms", "material")(value)
-    if len(found) > MOST_PRIMARY:
-        raise Bad(f"has {len(found)} terms, at most {MOST_PRIMARY} are a choice before the run")
-    return found
+    terms = texts("terms", "material")(value)
+    if len(terms) > MOST_PRIMARY:
+        raise Bad(f"has {len(terms)} terms, at most {MOST_PRIMARY} are a choice before the run")
+    return terms
 
 
 def _roles(value: object) -> tuple[tuple[str, str], ...]:
@@ -248,13 +249,13 @@ def _retry(value: object) -> tuple[tuple[str, tuple[str, ...]], ...]:
     if not isinstance(value, Mapping):
         mend = f'for example {{ not-converged = ["{SMALLER_STEPS}", "{FINER_MESH}"] }}'
         raise Bad(f"must be a table of causes, got {shown(value)}", mend)
-    found = []
-    for cause, wanted in value.items():
+    read_causes = []
+    for cause, remedies in value.items():
         choice(*REMEDIES)(cause)
-        changes = wanted if isinstance(wanted, list) else [wanted]
+        changes = remedies if isinstance(remedies, list) else [remedies]
         read = choice(*REMEDIES[cause])
-        found.append((cause, tuple(dict.fromkeys(read(change) for change in changes))))
-    return tuple(found)
+        read_causes.append((cause, tuple(dict.fromkeys(read(change) for change in changes))))
+    return tuple(read_causes)
 
 
 def _weight(value: object) -> str | float:
@@ -313,9 +314,7 @@ class Sequential:
 
     #: Cells that it begins with, that are added at a time, and at most in all.
     start: int
-    #: Cells that it begins with, that are added at a time, and at most in all.
     batch: int
-    #: Cells that it begins with, that are added at a time, and at most in all.
     budget: int
     #: What ends it before its budget does.
     until: str

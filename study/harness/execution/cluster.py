@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import copy
 import functools
 import hashlib
 import json
@@ -19,7 +20,7 @@ import time
 import uuid
 from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, is_dataclass
 from multiprocessing.util import Finalize
 from pathlib import Path
 from typing import Protocol
@@ -157,10 +158,10 @@ def about(identity: Identity) -> dict[str, str]:
 def differences(here: Mapping[str, str], there: object) -> str:
     """Say what differs between this machine and a worker; empty if nothing does."""
     if not isinstance(there, Mapping):
-        told = first_line(there) if isinstance(there, BaseException) else str(there)
+        text = first_line(there) if isinstance(there, BaseException) else str(there)
         # the scheduler hands over errors of a worker as text
-        is_import = isinstance(there, ImportError) or _IMPORT.match(told) is not None
-        return f"study cannot be imported there: {told}" if is_import else told
+        is_import = isinstance(there, ImportError) or _IMPORT.match(text) is not None
+        return f"study cannot be imported there: {text}" if is_import else text
     return ", ".join(
         f"{name} {there.get(name, ABSENT)} (here {here.get(name, ABSENT)})"
         for name in dict.fromkeys([*here, *there])
@@ -172,8 +173,8 @@ def refusal(different: Mapping[str, str]) -> str:
     """Say which workers cannot be used and why, those with the same differences together."""
     alike = Counter(different.values())
     lines = [
-        f"    {count} worker{'s' if count > 1 else ''}: {told}"
-        for told, count in alike.most_common(LISTED)
+        f"    {count} worker{'s' if count > 1 else ''}: {difference}"
+        for difference, count in alike.most_common(LISTED)
     ]
     if len(alike) > LISTED:
         lines.append(f"    and {len(alike) - LISTED} more kinds of difference")
@@ -209,14 +210,14 @@ class Processes:
         self,
         place: tuple[str, int],
         perform: Perform,
-        text: str,
+        payloads: Sequence[object],
         limit_s: float | None,
         unwanted: Callable[[], bool],
     ) -> Answer:
-        """Do one task; never raises, never dies."""
+        """Do some tasks; never raises, never dies."""
         process = self._taken(place, perform)
         try:
-            return _watched(process, text, limit_s, unwanted)
+            return _watched(process, payloads, limit_s, unwanted)
         finally:
             self._put_back(place, process)
 
@@ -279,11 +280,14 @@ class Processes:
 
 
 def _watched(
-    process: Process, text: str, limit_s: float | None, unwanted: Callable[[], bool]
+    process: Process,
+    payloads: Sequence[object],
+    limit_s: float | None,
+    unwanted: Callable[[], bool],
 ) -> Answer:
     """Answer of a process, or what became of it."""
     done: queue.SimpleQueue[tuple[object, Answer]] = queue.SimpleQueue()
-    process.start(text, done, None)
+    process.start(payloads, done, None)
     ends = time.monotonic() + (float("inf") if limit_s is None else limit_s)
     while True:
         try:
@@ -297,7 +301,7 @@ def _watched(
             answer = Answer(death="stopped")
         elif answer is None and limit_s is not None and time.monotonic() >= ends:
             process.kill()
-            return Answer(json.dumps(stopped_late(limit_s)))
+            return Answer(json.dumps([stopped_late(limit_s)]))
         if answer is not None:
             if answer.death:
                 process.kill()
@@ -325,22 +329,37 @@ def keep_files(run: str, files: Mapping[str, bytes]) -> None:
     _COPIES[run] = folder, copies
 
 
+def with_copies(value: object, copies: Mapping[str, str]) -> object:
+    """Tasks in which the path of each file of the study's machine is that of its copy here."""
+    if isinstance(value, str):
+        return copies.get(value, value)
+    if isinstance(value, dict):
+        return {name: with_copies(item, copies) for name, item in value.items()}
+    if isinstance(value, list | tuple) and type(value) in (list, tuple):
+        return type(value)(with_copies(item, copies) for item in value)
+    if is_dataclass(value) and not isinstance(value, type):
+        changed = copy.copy(value)
+        changed.__dict__.update({k: with_copies(v, copies) for k, v in vars(value).items()})
+        return changed
+    return value
+
+
 def serve(
-    place: tuple[str, int], perform: Perform, text: str, limit_s: float | None
+    place: tuple[str, int], perform: Perform, payloads: Sequence[object], limit_s: float | None
 ) -> tuple[str, str]:
-    """Do one task on a worker: what the cluster calls."""
+    """Do some tasks on a worker: what the cluster calls."""
     from distributed import get_worker
 
     worker = get_worker()
     key = worker.get_current_task()
 
     def unwanted() -> bool:
-        known = worker.state.tasks.get(key)
-        return known is None or known.state in ("cancelled", "released", "forgotten")
+        task = worker.state.tasks.get(key)
+        return task is None or task.state in ("cancelled", "released", "forgotten")
 
-    for path, copy in _COPIES.get(place[0], ("", {}))[1].items():
-        text = text.replace(json.dumps(path), json.dumps(copy))
-    answer = HERE.perform(place, perform, text, limit_s, unwanted)
+    copies = _COPIES.get(place[0], ("", {}))[1]
+    there = [with_copies(payload, copies) for payload in payloads] if copies else payloads
+    answer = HERE.perform(place, perform, there, limit_s, unwanted)
     return answer.text, answer.death
 
 
@@ -384,29 +403,29 @@ class RemoteSlot:
     number: int
     worker: ClusterWorker | None = None
     future: Pending | None = None
-    waiting: tuple[str, Done, object] | None = None
+    waiting: tuple[Sequence[object], Done, object] | None = None
     end: Callable[[Answer], None] | None = None
 
-    def start(self, text: str, done: Done, ticket: object) -> None:
-        """Begin a task given as JSON, at once or when a worker comes."""
-        self.waiting = text, done, ticket
+    def start(self, payloads: Sequence[object], done: Done, ticket: object) -> None:
+        """Begin some tasks, at once or when a worker comes."""
+        self.waiting = payloads, done, ticket
         self.begin()
 
     def begin(self) -> None:
         """Send what waits to a worker, if there is one."""
         if self.waiting is None or not self.crew.place(self):
             return
-        (text, done, ticket), self.waiting = self.waiting, None
-        told: list[bool] = []
+        (payloads, done, ticket), self.waiting = self.waiting, None
+        answered: list[bool] = []
 
         def end(answer: Answer) -> None:
             """Tell once: of a worker that was lost, the answer may still come."""
-            if not told:
-                told.append(True)
+            if not answered:
+                answered.append(True)
                 done.put((ticket, answer))
 
         self.end = end
-        self.future = self.crew.send(self.number, self.worker, text)
+        self.future = self.crew.send(self.number, self.worker, payloads)
         self.future.add_done_callback(functools.partial(self._ended, end))
 
     def kill(self) -> None:
@@ -473,8 +492,8 @@ class Crew:
     def arrivals(self) -> list[RemoteSlot]:
         """Look at the workers now and then; slots for those that have come."""
         if time.monotonic() - self._looked >= LOOK_S or not self.dropped.empty():
-            for address, told in self._look().items():
-                print(f"warning: {address} gets no task of this study: {told}", file=sys.stderr)
+            for address, why in self._look().items():
+                print(f"warning: {address} gets no task of this study: {why}", file=sys.stderr)
             self._explain_dropped()
             if self.workers:
                 self._end_call()
@@ -482,29 +501,31 @@ class Crew:
                 self._call_for_workers()
             for slot in self.slots:
                 slot.begin()
-        known = len(self.slots)
-        self.slots += [RemoteSlot(self, k) for k in range(known, max(self.wanted, known))]
-        return self.slots[known:]
+        count = len(self.slots)
+        self.slots += [RemoteSlot(self, k) for k in range(count, max(self.wanted, count))]
+        return self.slots[count:]
 
     def place(self, slot: RemoteSlot) -> bool:
         """Find a worker for a slot: its own, unless it is gone or another has more room."""
         best = max(self.workers.values(), key=lambda worker: worker.free, default=None)
-        own = slot.worker
-        if own is not None and (best is None or self.workers.get(own.address) is not own):
-            own.load, own, slot.worker = own.load - 1, None, None
-        if best is not None and (own is None or best.free - own.free > 1):
-            if own is not None:
-                own.load -= 1
+        old = slot.worker
+        if old is not None and (best is None or self.workers.get(old.address) is not old):
+            old.load, old, slot.worker = old.load - 1, None, None
+        if best is not None and (old is None or best.free - old.free > 1):
+            if old is not None:
+                old.load -= 1
             best.load, slot.worker = best.load + 1, best
         return slot.worker is not None
 
-    def send(self, number: int, worker: ClusterWorker | None, text: str) -> Pending:
-        """Submit a task to one worker."""
+    def send(
+        self, number: int, worker: ClusterWorker | None, payloads: Sequence[object]
+    ) -> Pending:
+        """Submit tasks to one worker."""
         if worker is None:
             raise RuntimeError("a slot without a worker sends no task")
         self._check_scheduler()
         return self.client.submit(
-            serve, (self.name, number), self.perform, text, self.limit_s,
+            serve, (self.name, number), self.perform, payloads, self.limit_s,
             workers=[worker.address], pure=False, key=f"study-{self.name}-{uuid.uuid4().hex}",
         )  # fmt: skip
 
@@ -542,11 +563,11 @@ class Crew:
         new = [a for a in there if a not in self.workers and a not in self._strangers]
         different = self._differences(new) if new else {}
         self._strangers |= set(different)
-        known = [address for address in new if address not in different]
-        if known and self.files:
+        usable = [address for address in new if address not in different]
+        if usable and self.files:
             contents = {str(path): read_existing(path, MAX_BYTES) for path in self.files}
-            self.client.run(keep_files, self.name, contents, workers=known, on_error="ignore")
-        for address in known:
+            self.client.run(keep_files, self.name, contents, workers=usable, on_error="ignore")
+        for address in usable:
             self.workers[address] = ClusterWorker(address, max(there[address], 1))
         return different
 
@@ -559,13 +580,13 @@ class Crew:
         """Ask workers for their versions; say of each with other ones what differs."""
         here = about(self.identity)
         answers = self.client.run(about, self.identity, workers=list(addresses), on_error="return")
-        found = {}
+        different = {}
         for address in addresses:
             there = answers.get(address, "it gave no answer")
-            told = differences(here, there)
-            if told:
-                found[address] = told
-        return found
+            difference = differences(here, there)
+            if difference:
+                different[address] = difference
+        return different
 
     def _explain_dropped(self) -> None:
         """Report tasks that somebody else cancelled, the scheduler being there."""
@@ -599,8 +620,8 @@ def _lost(error: BaseException | None = None) -> str:
     )
 
 
-# Tasks on a Dask cluster that exists. Tasks and results travel as text, so that workers share no
-# disk with the study; where a worker is gone, its tasks are done once more elsewhere.
+# Tasks on a Dask cluster that exists. Tasks travel whole and results as text, so that workers share
+# no disk with the study; where a worker is gone, its tasks are done once more elsewhere.
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from typing import Protocol, TypeVar
 
 from study.ground.working_folder import SafeChildren
 from study.harness.execution.supervisor import Answer, ReadyQueue, Supervisor
-from study.harness.execution.task import Outcome, Perform, Results, Task, answer, check_limit
+from study.harness.execution.task import Outcome, Perform, Results, Task, answers, check_limit
 
 #: one thread a worker, set before numpy loads: workers times threads must not exceed the cores,
 #: and a sum split over threads could depend on their number
@@ -102,19 +102,22 @@ class Process:
         return pool
 
     def start(
-        self, text: str, done: queue.SimpleQueue[tuple[object, Answer]], ticket: object
+        self,
+        payloads: Sequence[object],
+        done: queue.SimpleQueue[tuple[object, Answer]],
+        ticket: object,
     ) -> bool:
-        """Begin a task given as JSON; a process that is not up yet is waited for by a thread."""
+        """Begin some tasks; a process that is not up yet is waited for by a thread."""
         pool = self._executor or self.open()
         up = self._up
         if up is None or up.done():
-            self._hand_over(pool, text, done, ticket)
+            self._hand_over(pool, payloads, done, ticket)
             return False
 
         def wait() -> None:
             wait_for([up])  # whatever became of it is said when the task is handed over
             done.put((ticket, Answer(began=True)))
-            self._hand_over(pool, text, done, ticket)
+            self._hand_over(pool, payloads, done, ticket)
 
         threading.Thread(target=wait, daemon=True).start()
         return True
@@ -122,7 +125,7 @@ class Process:
     def _hand_over(
         self,
         pool: ProcessPool,
-        text: str,
+        payloads: Sequence[object],
         done: queue.SimpleQueue[tuple[object, Answer]],
         ticket: object,
     ) -> None:
@@ -130,7 +133,7 @@ class Process:
             done.put((ticket, _judged(future)))
 
         try:
-            future = pool.submit(answer, self._perform, text)
+            future = pool.submit(answers, self._perform, payloads)
         except (BrokenExecutor, OSError, RuntimeError) as error:  # it died while it was idle
             done.put((ticket, Answer(death=cause_of_death(str(error)))))
             return
@@ -185,7 +188,7 @@ def _judged(future: Future[str]) -> Answer:
     return Answer(death="stopped")
 
 
-def cause_of_death(said: str) -> str:
+def cause_of_death(message: str) -> str:
     """How a process died, in a few words.
 
     Examples
@@ -195,10 +198,10 @@ def cause_of_death(said: str) -> str:
     >>> cause_of_death("... exit codes of the workers are {EXIT(3)}")
     'crashed (exit code 3)'
     """
-    found = re.search(r"exit codes of the workers are \{\w+\((-?\d+)\)", said)
-    if found is None:
+    match = re.search(r"exit codes of the workers are \{\w+\((-?\d+)\)", message)
+    if match is None:
         return "crashed"
-    code = int(found[1])
+    code = int(match[1])
     if code >= 0:
         return f"crashed (exit code {code})"
     hint = " (out of memory?)" if -code == signal.SIGKILL else ""

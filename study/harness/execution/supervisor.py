@@ -20,7 +20,7 @@ from study.harness.execution.task import (
     Perform,
     Results,
     Task,
-    answer,
+    answers,
     stopped_late,
 )
 
@@ -175,7 +175,7 @@ START_LIMIT_S = 60.0
 
 @dataclass(frozen=True)
 class Answer:
-    """What a slot says of its task: JSON of the result, how its worker died, or that it began."""
+    """What a slot says of its tasks: JSON of the results, how its worker died, or that it began."""
 
     text: str = ""
     death: str = ""
@@ -186,9 +186,12 @@ class Slot(Protocol):
     """Room for one task at a time, whose death, hang or bug costs that task alone."""
 
     def start(
-        self, text: str, done: queue.SimpleQueue[tuple[object, Answer]], ticket: object
+        self,
+        payloads: Sequence[object],
+        done: queue.SimpleQueue[tuple[object, Answer]],
+        ticket: object,
     ) -> bool | None:
-        """Begin a task given as JSON, at once: whatever blocks does so elsewhere."""
+        """Begin some tasks, at once: whatever blocks does so elsewhere."""
         # Puts ``(ticket, answer)`` on the queue when it ends. Returns whether it also does so when
         # it begins, for a worker that is still to come up.
         ...
@@ -247,10 +250,10 @@ class Supervisor:
                 if not busy:
                     names = ", ".join(self.ready.waiting)
                     raise RuntimeError(f"tasks wait for something that nobody makes: {names}")
-                found = [*self._answered(busy, done), *self._late(busy)]
-                for outcome in found:
+                ended = [*self._answered(busy, done), *self._late(busy)]
+                for outcome in ended:
                     self.ready.finish(outcome.key, outcome.result)
-                    yield replace(outcome, followed=outcome is not found[-1])
+                    yield replace(outcome, followed=outcome is not ended[-1])
         finally:
             for desk in desks:
                 desk.slot.kill()
@@ -268,27 +271,26 @@ class Supervisor:
                 self.ready.hold(task.group)
                 desk.group = task.group  # kept while the worker does tasks of no group
             desk.tasks, desk.ticket = (task, *self._together(task, len(desks))), object()
-            asked = [one.payload(self.ready.results) for one in desk.tasks]
-            text = json.dumps(asked if len(asked) > 1 else asked[0], allow_nan=False)
+            payloads = [each.payload(self.ready.results) for each in desk.tasks]
             desk.started = time.monotonic()
-            desk.began = not desk.slot.start(text, done, desk.ticket)
+            desk.began = not desk.slot.start(payloads, done, desk.ticket)
 
     def _together(self, first: Task, desks: int) -> list[Task]:
         """Short tasks that go to a worker along with a short one."""
-        found: list[Task] = []
+        short: list[Task] = []
         if not self._is_short(first):
-            return found
+            return short
         seconds, share = first.seconds, len(self.ready) // (SHARES * desks)
-        while len(found) < share and seconds < TOGETHER_S:
+        while len(short) < share and seconds < TOGETHER_S:
             task = self.ready.take("")
             if task is None:
                 break
             if not self._is_short(task):
                 self.ready.put_back(task)
                 break
-            found.append(task)
+            short.append(task)
             seconds += task.seconds
-        return found
+        return short
 
     def _is_short(self, task: Task) -> bool:
         """Whether a task is known to need next to no time and memory, and shares nothing."""
@@ -297,7 +299,7 @@ class Supervisor:
 
     def _has_room(self, task: Task, desks: list[Desk]) -> bool:
         """Whether a task fits beside those that run; one always does."""
-        running = [one.memory_MB for desk in desks for one in desk.tasks]
+        running = [running_task.memory_MB for desk in desks for running_task in desk.tasks]
         return (
             self.memory_MB is None
             or not running
@@ -323,14 +325,15 @@ class Supervisor:
         if answer.death:
             return self._died(desk, tasks, seconds, answer.death)
         try:
-            found = parse_json(answer.text, "a worker's answer")
+            results = parse_json(answer.text, "a worker's answer")
         except UnreadableError as error:
             return self._died(desk, tasks, seconds, str(error))
-        results = found if len(tasks) > 1 and isinstance(found, list) else [found]
-        if len(results) != len(tasks) or not all(map(_is_result, results)):
+        if not isinstance(results, list) or len(results) != len(tasks):
+            results = [None]
+        if not all(map(_is_result, results)):
             return self._died(desk, tasks, seconds, "a worker's answer is no result")
         each = seconds / len(tasks)
-        return [Outcome(one.key, result, each) for one, result in zip(tasks, results, strict=True)]
+        return [Outcome(t.key, result, each) for t, result in zip(tasks, results, strict=True)]
 
     def _died(self, desk: Desk, tasks: tuple[Task, ...], seconds: float, how: str) -> list[Outcome]:
         desk.slot.kill()
@@ -345,9 +348,9 @@ class Supervisor:
 
     def _apart(self, tasks: tuple[Task, ...]) -> list[Outcome]:
         """Have tasks done one by one, whose worker died or was late: nobody knows of which."""
-        self.alone.update(one.key for one in tasks)
-        for one in tasks:
-            self.ready.give_back(one)
+        self.alone.update(task.key for task in tasks)
+        for task in tasks:
+            self.ready.give_back(task)
         return []
 
     def _patience(self, busy: list[Desk]) -> float:
@@ -362,7 +365,7 @@ class Supervisor:
 
     def _late(self, busy: list[Desk]) -> list[Outcome]:
         """Stop every task that has run for longer than its limit."""
-        found = []
+        ended = []
         for desk in busy:
             seconds, limit = time.monotonic() - desk.started, self._limit(desk)
             tasks = desk.tasks
@@ -370,14 +373,14 @@ class Supervisor:
                 continue
             desk.tasks = ()
             if not desk.began:
-                found += self._died(desk, tasks, seconds, f"no worker was up within {limit:g} s")
+                ended += self._died(desk, tasks, seconds, f"no worker was up within {limit:g} s")
                 continue
             desk.slot.kill()
             if len(tasks) > 1:
-                found += self._apart(tasks)
+                ended += self._apart(tasks)
             else:
-                found.append(Outcome(tasks[0].key, stopped_late(limit), seconds))
-        return found
+                ended.append(Outcome(tasks[0].key, stopped_late(limit), seconds))
+        return ended
 
 
 # Tasks in this very process, one after the other: for notebooks, tests and debuggers.
@@ -400,7 +403,6 @@ class Inline:
                 names = ", ".join(ready.waiting)
                 raise RuntimeError(f"tasks wait for something that nobody makes: {names}")
             group, began = task.group, time.monotonic()
-            text = json.dumps(task.payload(ready.results), allow_nan=False)
-            result = json.loads(answer(self.perform, text))
+            (result,) = json.loads(answers(self.perform, [task.payload(ready.results)]))
             ready.finish(task.key, result)
             yield Outcome(task.key, result, time.monotonic() - began)

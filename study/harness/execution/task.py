@@ -6,16 +6,14 @@ import json
 import traceback
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 from study.ground.errors import Fault, InputError
 
-#: what JSON can hold under names: the only thing that crosses to a worker and back
+#: what JSON can hold under names: the only thing that comes back from a worker
 Document = Mapping[str, object]
-#: a document as a worker gets it, to be read at once by the task that it describes
-Received = Mapping[str, Any]
-#: a task's document in, a document with a ``status`` out; a function of a module, found by name
-Perform = Callable[[dict[str, object]], Document]
+#: a task in, a document with a ``status`` out; a function of a module, found by name
+Perform = Callable[..., Document]
 Results = Mapping[str, Document]
 
 
@@ -25,8 +23,8 @@ class Task:
 
     #: Unlike that of every other task of a run.
     key: str
-    #: Makes the plain data of the task from the results of those that it needs, once all are there.
-    payload: Callable[[Results], Document]
+    #: Makes what a worker gets from the results of the tasks that it needs, once all are there.
+    payload: Callable[[Results], object]
     #: Keys of tasks that must be finished first.
     needs: tuple[str, ...] = ()
     #: Tasks of one group share something that a worker keeps: one worker does them all.
@@ -68,19 +66,16 @@ class Executor(Protocol):
         ...
 
 
-def answer(perform: Perform, text: str) -> str:
-    """JSON of the result of one task, or of the list of them, given as JSON."""
+def answers(perform: Perform, payloads: Sequence[object]) -> str:
+    """JSON of the list of the results of some tasks."""
     # ``status``: ``failed`` with the traceback where ``perform`` raised or gave something that JSON
     # cannot hold, ``out-of-memory`` where memory was short.
-    asked = json.loads(text)
-    if isinstance(asked, list):
-        return f"[{','.join(_answer(perform, one) for one in asked)}]"
-    return _answer(perform, asked)
+    return f"[{','.join(_answer(perform, payload) for payload in payloads)}]"
 
 
-def _answer(perform: Perform, asked: dict[str, object]) -> str:
+def _answer(perform: Perform, payload: object) -> str:
     try:
-        return json.dumps(perform(asked), allow_nan=False)
+        return json.dumps(perform(payload), allow_nan=False)
     except MemoryError as error:
         return json.dumps({"status": "out-of-memory", "message": f"out of memory: {error}"})
     except Exception as error:  # noqa: BLE001 - the boundary: a bug must not stop the others

@@ -126,9 +126,9 @@ def _sandbox() -> Environment:
 
         def call_binop(self, context: object, operator: str, left: object, right: object) -> object:
             """Multiply and raise numbers."""
-            sizes = [len(one) for one in (left, right) if isinstance(one, str | list | tuple)]
-            counts = [one for one in (left, right) if isinstance(one, int | float)]
-            large = operator == "**" and any(abs(one) > 1000 for one in counts)
+            sizes = [len(side) for side in (left, right) if isinstance(side, str | list | tuple)]
+            counts = [side for side in (left, right) if isinstance(side, int | float)]
+            large = operator == "**" and any(abs(count) > 1000 for count in counts)
             if large or (sizes and counts and max(sizes) * max(counts) > _MOST_REPEATED):
                 raise SecurityError("makes a text or a number of more than 100,000 digits")
             return self.binop_table[operator](left, right)
@@ -236,16 +236,16 @@ def read_text(folder: Path, name: str) -> str:
     return data.decode("utf-8-sig", errors="replace")
 
 
-def curve_of(asked: CurveFile, folder: Path) -> Curve:
+def curve_of(curve_file: CurveFile, folder: Path) -> Curve:
     """Curve of a file, in mm and N."""
-    header, rows = _rows(read_text(folder, asked.file), asked.file)
+    header, rows = _rows(read_text(folder, curve_file.file), curve_file.file)
     columns = []
     for role in ("displacement", "force"):
-        column, unit = getattr(asked.columns, role), getattr(asked.units, role)
+        column, unit = getattr(curve_file.columns, role), getattr(curve_file.units, role)
         into = "mm" if role == "displacement" else "N"
-        values = _column(header, rows, column, asked.file)
-        columns.append(values * converted(1.0, unit, into, f"{role} of {asked.file}"))
-    return checked_curve(columns[0], columns[1], asked.file)
+        values = _column(header, rows, column, curve_file.file)
+        columns.append(values * converted(1.0, unit, into, f"{role} of {curve_file.file}"))
+    return checked_curve(columns[0], columns[1], curve_file.file)
 
 
 def checked_curve(displacement_mm: Array, force_N: Array, what: str) -> Curve:  # noqa: N803
@@ -274,7 +274,7 @@ def _rows(text: str, name: str) -> tuple[list[str], list[list[str]]]:
         raise NoAnswer("failed", f"{name} is empty")
     if len(lines) > 1_000_000:
         raise NoAnswer("failed", f"{name} has more than a million rows")
-    delimiter = next((one for one in (",", ";", "\t") if one in lines[0]), None)
+    delimiter = next((delimiter for delimiter in (",", ";", "\t") if delimiter in lines[0]), None)
     try:
         split = [line.split() for line in lines] if delimiter is None else [
             [cell.strip() for cell in row]
@@ -297,8 +297,8 @@ def _is_number(cell: str) -> bool:
 def _column(header: list[str], rows: list[list[str]], column: str | int, name: str) -> Array:
     if isinstance(column, str):
         if header.count(column) != 1:
-            known = ", ".join(header[:20]) or "numbers alone, without a header"
-            raise NoAnswer("failed", f"{name} needs one column {column!r}, it has {known}")
+            columns = ", ".join(header[:20]) or "numbers alone, without a header"
+            raise NoAnswer("failed", f"{name} needs one column {column!r}, it has {columns}")
         place = header.index(column)
     else:
         place = column - 1
@@ -336,23 +336,23 @@ def converted(value: float, unit: str, into: str, where: str) -> float:
         raise NoAnswer("failed", f"{rule}; the study file asks for {into or 'no unit'}") from error
 
 
-def values_of_files(asked: ValueFile, folder: Path, output: str) -> dict[str, float]:
+def values_of_files(value_file: ValueFile, folder: Path, output: str) -> dict[str, float]:
     """Every named value that a program left in its file or said in its output."""
     tables: Mapping[str, object] = {}
-    if asked.file and any(not pattern for _, _, pattern, *_ in asked.names):
-        tables = _table(read_text(folder, asked.file), asked.file)
-    found = {}
-    for name, unit, pattern, file, written in asked.names:
+    if value_file.file and any(not pattern for _, _, pattern, *_ in value_file.names):
+        tables = _table(read_text(folder, value_file.file), value_file.file)
+    values = {}
+    for name, unit, pattern, file, written in value_file.names:
         if pattern:
-            place = file or (asked.file if not tables else "")
+            place = file or (value_file.file if not tables else "")
             text, place = (read_text(folder, place) if place else output), place or "output"
-            found[name] = converted(_logged(text, pattern, place, name), written, unit, place)
+            values[name] = converted(_logged(text, pattern, place, name), written, unit, place)
         elif name not in tables:
             mend = nearest(name, list(tables)[:50])
-            raise NoAnswer("failed", f"{asked.file} has no value {name!r} ({mend})")
+            raise NoAnswer("failed", f"{value_file.file} has no value {name!r} ({mend})")
         else:
-            found[name] = quantity_in(tables[name], unit, f"{name} of {asked.file}")
-    return found
+            values[name] = quantity_in(tables[name], unit, f"{name} of {value_file.file}")
+    return values
 
 
 def quantity_in(value: object, unit: str, where: str) -> float:
@@ -374,23 +374,19 @@ def _table(text: str, name: str) -> Mapping[str, object]:
     """Names and values of a JSON object, or of a CSV of one row, or of rows of names."""
     if name.lower().endswith(".json"):
         try:
-            found = parse_json(text, name)
+            content = parse_json(text, name)
         except UnreadableError as error:
             raise NoAnswer("failed", str(error)) from error
-        if not isinstance(found, dict):
+        if not isinstance(content, dict):
             raise NoAnswer("failed", f"{name} must be an object of names and values")
-        return found
+        return content
     header, rows = _rows(text, name)
-    if _is_by_rows(header):
+    if [cell.lower() for cell in header[:2]] == ["name", "value"]:
         return {row[0]: _with_unit(row) for row in rows if len(row) > 1}
     if len(rows) != 1 or len(rows[0]) != len(header):
         rule = f"has {len(rows)} rows below {len(header)} names, of which there may be one"
         raise NoAnswer("failed", f"{name}: {rule}; or write name,value in every row")
     return dict(zip(header, rows[0], strict=True))
-
-
-def _is_by_rows(header: Sequence[str]) -> bool:
-    return [cell.lower() for cell in header[:2]] == ["name", "value"]
 
 
 def _with_unit(row: Sequence[str]) -> object:

@@ -96,7 +96,7 @@ def run(
     """Run a program in a folder, and end all that it started with it."""
     lifeline, held = os.pipe()
     answer, status = os.pipe()
-    said, output = os.pipe()
+    heard, output = os.pipe()
     process = None
     try:
         process = subprocess.Popen(
@@ -108,11 +108,11 @@ def run(
         for end in (lifeline, status, output):
             os.close(end)
         lifeline = status = output = -1
-        return _watched(folder, answer, said, until, output_bytes)
+        return _watched(folder, answer, heard, until, output_bytes)
     except OSError as error:  # of a folder that is gone, or more words than the system takes
         return Ended(None, excess=f"it could not be run ({error.strerror})")
     finally:
-        for end in (held, answer, said, lifeline, status, output):
+        for end in (held, answer, heard, lifeline, status, output):
             if end >= 0:
                 os.close(end)
         if process is not None:  # it ends all, for its lifeline is closed
@@ -122,11 +122,13 @@ def run(
             process.wait()
 
 
-def _watched(folder: Path, answer: int, said: int, until: float | None, output_bytes: int) -> Ended:
+def _watched(
+    folder: Path, answer: int, heard: int, until: float | None, output_bytes: int
+) -> Ended:
     """Follow a program by its two pipes until it ends, or comes to a limit."""
     head, tail, size, code, excess = b"", b"", 0, b"", ""
     look = time.monotonic() + _LOOK_S
-    pipes = [answer, said]
+    pipes = [answer, heard]
     while not excess:
         now = time.monotonic()
         if until is not None and now >= until:
@@ -136,12 +138,12 @@ def _watched(folder: Path, answer: int, said: int, until: float | None, output_b
             look = time.monotonic() + max(_LOOK_S, 10 * (time.monotonic() - now))
         wait = look if until is None else min(look, until)
         ready, _, _ = select.select(pipes, [], [], max(wait - time.monotonic(), 0.0))
-        if said in ready:
-            part = os.read(said, 1 << 16)
+        if heard in ready:
+            part = os.read(heard, 1 << 16)
             head = head + part if len(head) < TAIL else head
             tail, size = (tail + part)[-4 * LOG :], size + len(part)
             if not part:
-                pipes.remove(said)
+                pipes.remove(heard)
             if size > output_bytes:
                 excess = f"it said more than {output_bytes / 1e6:g} MB"
         elif answer in ready:
@@ -279,8 +281,8 @@ def run_commands(
                 logs.append(log)
                 _check(step, command)
             if command.success and not any(command.success in log for log in logs):
-                said = _last(document["steps"][-1]["output"])
-                raise NoAnswer("not-converged", f"no command said {command.success!r}: {said}")
+                text = _last(document["steps"][-1]["output"])
+                raise NoAnswer("not-converged", f"no command said {command.success!r}: {text}")
             answer = read(folder, "\n".join(logs))
         except NoAnswer as error:
             error.program = document
@@ -349,22 +351,22 @@ def _step(
 
 
 def _check(step: StepReport, command: Command) -> None:
-    name, said = step["argv"][0], step["output"]
+    name, text = step["argv"][0], step["output"]
     if step["code"] is None:
         raise NoAnswer("timeout", f"{name}: stopped after {command.timeout_s:g} s")
     if step["code"] == _FILE_TOO_LARGE:
         most = f"{FOLDER_BYTES / 1e9:g} GB"
         raise NoAnswer("failed", f"{name}: was ended, for it wrote a file of more than {most}")
     if step["code"] != 0:
-        raise NoAnswer("failed", f"{name}: return code {step['code']}: {_last(said)}")
-    if command.failure and command.failure in said:
-        raise NoAnswer("failed", f"{name} said: {_last(said)}")
+        raise NoAnswer("failed", f"{name}: return code {step['code']}: {_last(text)}")
+    if command.failure and command.failure in text:
+        raise NoAnswer("failed", f"{name} said: {_last(text)}")
 
 
-def _last(said: str) -> str:
-    lines = [line.strip() for line in said.splitlines() if line.strip()]
-    told = [line for line in lines if "ERROR" in line.upper()]
-    return (told or lines or ["no output"])[-1][:200]
+def _last(text: str) -> str:
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    errors = [line for line in lines if "ERROR" in line.upper()]
+    return (errors or lines or ["no output"])[-1][:200]
 
 
 def curve_files(folder: Path) -> dict[str, str]:
@@ -432,14 +434,14 @@ class External:
         table = tables.get("forward")
         if not isinstance(table, Mapping):
             return None
-        known = _READ.get(id(table))
-        if known is not None and known[0] is table:
-            return known[1]  # it is asked for several times a case
-        found = cls._of(table)
+        cached = _READ.get(id(table))
+        if cached is not None and cached[0] is table:
+            return cached[1]  # it is asked for several times a case
+        external = cls._of(table)
         if len(_READ) > _MOST_READ:
             _READ.clear()
-        _READ[id(table)] = table, found
-        return found
+        _READ[id(table)] = table, external
+        return external
 
     @classmethod
     def _of(cls, table: Mapping[str, object]) -> External | None:
@@ -478,10 +480,10 @@ class External:
 
     def command(self, contents: Mapping[str, str]) -> Command:
         """Commands of one solution with the files of its folder."""
-        one = self.section
+        section = self.section
         return Command(
-            one.argv, contents, one.version, one.success, one.failure, self.digest,
-            one.timeout_s, one.keep,
+            section.argv, contents, section.version, section.success, section.failure, self.digest,
+            section.timeout_s, section.keep,
         )  # fmt: skip
 
     def solve(
@@ -498,18 +500,18 @@ class External:
         contents, rendered = files_of(section, self.contents, context)
         contents[exchange.PROBLEM_FILE] = json.dumps(request, indent=1)
 
-        def read(folder: Path, said: str) -> ProgramAnswer:
-            values = {} if section.values is None else values_of_files(section.values, folder, said)
+        def read(folder: Path, text: str) -> ProgramAnswer:
+            values = {} if section.values is None else values_of_files(section.values, folder, text)
             if section.curve is None:
-                found = exchange.answer(curve_files(folder), displacement_mm, section.reaches)
+                curve = exchange.answer(curve_files(folder), displacement_mm, section.reaches)
             else:
-                found = exchange.of_curve(
+                curve = exchange.of_curve(
                     curve_of(section.curve, folder), displacement_mm, section.reaches
                 )
-            return replace(found, values=values)
+            return replace(curve, values=values)
 
-        found, document, kept = run_commands(self.command(contents), read)
-        return Solved(found, time.perf_counter() - began, document, kept, rendered)
+        solved, document, kept_folder = run_commands(self.command(contents), read)
+        return Solved(solved, time.perf_counter() - began, document, kept_folder, rendered)
 
     @property
     def _called(self) -> PythonFunction:
@@ -526,13 +528,13 @@ class External:
         contents, rendered = self.rendered(case)
         contents[exchange.CASE_FILE] = json.dumps(case, indent=1)
 
-        def read(folder: Path, said: str) -> tuple[dict[str, float], Curve | None]:
-            values = {} if section.values is None else values_of_files(section.values, folder, said)
+        def read(folder: Path, text: str) -> tuple[dict[str, float], Curve | None]:
+            values = {} if section.values is None else values_of_files(section.values, folder, text)
             return values, None if section.curve is None else curve_of(section.curve, folder)
 
-        (values, curve), document, kept = run_commands(self.command(contents), read)
+        (values, curve), document, kept_folder = run_commands(self.command(contents), read)
         seconds = time.perf_counter() - began
-        return ParameterAnswer(values, curve, seconds, document, kept, rendered)
+        return ParameterAnswer(values, curve, seconds, document, kept_folder, rendered)
 
     def rendered(self, case: Mapping[str, object]) -> tuple[dict[str, str], dict[str, str]]:
         """Files of the folder of a case of parameters alone, and those that were rendered."""
@@ -540,8 +542,8 @@ class External:
 
 
 def _texts(table: Mapping[str, object], key: str) -> dict[str, str]:
-    found = table.get(key)
-    return {str(k): str(v) for k, v in found.items()} if isinstance(found, Mapping) else {}
+    value = table.get(key)
+    return {str(k): str(v) for k, v in value.items()} if isinstance(value, Mapping) else {}
 
 
 def _deep(value: object) -> object:
@@ -552,37 +554,35 @@ def _deep(value: object) -> object:
 
 def check_allowed(models: Iterable[External], allowed: bool | str) -> None:
     """Refuse to run what the person at the keyboard did not allow, or what is not there."""
-    distinct = list({one.digest: one for one in models}.values())
-    if any(one.section.model == "python" and one.function is None for one in distinct):
+    distinct = list({model.digest: model for model in models}.values())
+    if any(model.section.model == "python" and model.function is None for model in distinct):
         raise RefusedError(
             "forward.model = 'python' stands for a function given in Python:\n"
             '    study.run(design, forward=function, version="1")'
         )
-    commands = [one for one in distinct if one.section.model == "command"]
+    commands = [model for model in distinct if model.section.model == "command"]
     name = common_digest(commands)
-    if commands and not (allowed is True or (isinstance(allowed, str) and _fits(name, allowed))):
+    if commands and not (
+        allowed is True
+        or (isinstance(allowed, str) and (len(allowed) >= 6 and name.startswith(allowed)))
+    ):
         raise RefusedError(_refusal(name, commands, allowed))
-    for one in commands:
-        if one.missing:
-            install = one.section.install or "install it, or leave these cells out"
-            rule = f"{', '.join(one.missing)}: there is no such program on this machine"
+    for model in commands:
+        if model.missing:
+            install = model.section.install or "install it, or leave these cells out"
+            rule = f"{', '.join(model.missing)}: there is no such program on this machine"
             raise RefusedError(str(Fault("forward.argv", rule, install)))
 
 
 def common_digest(models: Sequence[External]) -> str:
     """Name of all commands of a study together, which a person allows at once."""
-    return digest(sorted(one.digest for one in models), DIGITS) if models else ""
-
-
-def _fits(name: str, prefix: str) -> bool:
-    """Whether a digest begins with what was typed; fewer than six digits are a guess."""
-    return len(prefix) >= 6 and name.startswith(prefix)
+    return digest(sorted(model.digest for model in models), DIGITS) if models else ""
 
 
 def _refusal(name: str, commands: Sequence[External], allowed: bool | str) -> str:
     changed = f"this study runs other commands than {allowed!r} allows" if allowed else ""
     begin = changed or "this study runs programs with your rights, which nobody allowed"
-    what = "\n".join(f"    {line}" for one in commands for line in one.lines())
+    what = "\n".join(f"    {line}" for model in commands for line in model.lines())
     mend = (
         "    read them; then add --allow-commands, or, for exactly these commands, files and\n"
         f"    programs, --allow-digest {name}"

@@ -113,11 +113,11 @@ def context_of(request: Mapping[str, object]) -> dict[str, object]:
     if not isinstance(material, Mapping):
         raise TypeError("a request has no material")
     constants = material["constants_MPa"]
-    found = {k: v for k, v in material.items() if k != "constants_MPa"}
+    properties = {k: v for k, v in material.items() if k != "constants_MPa"}
     if isinstance(constants, Mapping):
         plain_names = {k: k if is_dimensionless(k) else f"{k}_MPa" for k in constants}
-        found |= {plain_names[k]: v for k, v in constants.items()}
-    return {**request, "material": found}
+        properties |= {plain_names[k]: v for k, v in constants.items()}
+    return {**request, "material": properties}
 
 
 def answer(files: Text, displacement_mm: Array, reaches: bool = True) -> ProgramAnswer:
@@ -145,27 +145,29 @@ def at_points(
         inside = displacement_mm <= columns[DISPLACEMENT][-1] * (1 + _SHORT)
         displacement_mm = displacement_mm[inside] if inside.any() else displacement_mm
     reached, force = _checked(columns, float(displacement_mm[-1]))
-    known = {k.removeprefix(GRADIENT): v for k, v in columns.items() if k.startswith(GRADIENT)}
+    gradients = {k.removeprefix(GRADIENT): v for k, v in columns.items() if k.startswith(GRADIENT)}
     try:
         with np.errstate(all="ignore"):
-            gradient = {k: between(reached, slope, displacement_mm) for k, slope in known.items()}
-            forces = between(reached, force, displacement_mm)
+            places = np.minimum(displacement_mm, reached[-1])
+            gradient = {
+                k: spline_from_origin(reached, slope, places) for k, slope in gradients.items()
+            }
+            forces = spline_from_origin(reached, force, places)
         curve = Curve(displacement_mm, forces, force_gradient=gradient)
     except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
         raise NoAnswer("failed", f"no spline goes through the curve: {error}") from error
-    return ProgramAnswer(curve, facts.get("dofs", 0), facts.get("elements", 0), tuple(known))
+    return ProgramAnswer(curve, facts.get("dofs", 0), facts.get("elements", 0), tuple(gradients))
 
 
-def between(knots: Array, values: Array, at: Array) -> Array:
-    """Cubic spline from the unloaded origin; the very values where points are asked for."""
+def spline_from_origin(knots: Array, values: Array, at: Array) -> Array:
+    """Cubic spline from the unloaded origin through some steps; linear in ``values``."""
     # Shapes: knots, values (m,); at (n,); returns (n,).
     from scipy.interpolate import CubicSpline
 
     x, y = (knots, values) if knots[0] <= 0 else (np.r_[0.0, knots], np.r_[0.0, values])
-    places = np.minimum(at, x[-1])
     if x.size < 3:
-        return np.asarray(np.interp(places, x, y))
-    return np.asarray(CubicSpline(x, y)(places))
+        return np.asarray(np.interp(at, x, y))
+    return np.asarray(CubicSpline(x, y)(at))
 
 
 def _exchange_columns(text: str) -> dict[str, Array]:
@@ -325,18 +327,18 @@ def _attributed(value: object) -> object:
 
 
 def _python_function_columns(
-    found: ArrayLike | Curve | Mapping[str, ArrayLike], displacement_mm: Array
+    given: ArrayLike | Curve | Mapping[str, ArrayLike], displacement_mm: Array
 ) -> dict[str, Array]:
-    if isinstance(found, Curve):
+    if isinstance(given, Curve):
         made: Mapping[str, ArrayLike] = {
-            DISPLACEMENT: found.displacement_mm,
-            FORCE: found.force_N,
-            **{GRADIENT + k: v for k, v in found.force_gradient.items()},
+            DISPLACEMENT: given.displacement_mm,
+            FORCE: given.force_N,
+            **{GRADIENT + k: v for k, v in given.force_gradient.items()},
         }
-    elif isinstance(found, Mapping):
-        made = {DISPLACEMENT: displacement_mm, **found}
+    elif isinstance(given, Mapping):
+        made = {DISPLACEMENT: displacement_mm, **given}
     else:
-        made = {DISPLACEMENT: displacement_mm, FORCE: found}
+        made = {DISPLACEMENT: displacement_mm, FORCE: given}
     columns = {name: np.asarray(values, dtype=float) for name, values in made.items()}
     if FORCE not in columns:
         raise NoAnswer("failed", f"the function gives no {FORCE}")

@@ -226,12 +226,12 @@ def holder(folder: Path) -> dict[str, object]:
     except OSError:
         return {}
     try:
-        found = parse_json(os.read(handle, 4096), LOCK_NAME)
+        content = parse_json(os.read(handle, 4096), LOCK_NAME)
     except (OSError, StoreError):
         return {}
     finally:
         os.close(handle)
-    return found if isinstance(found, dict) else {}
+    return content if isinstance(content, dict) else {}
 
 
 def is_locked(folder: Path) -> bool:

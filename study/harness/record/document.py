@@ -8,15 +8,10 @@ are in N, lengths in mm, constants of a fit in MPa and those of a record in kPa 
 
 from __future__ import annotations
 
-import hashlib
-import io
 import math
-import re
 import types
-import zipfile
 from collections.abc import Mapping, Sequence
 from functools import cache
-from pathlib import Path
 from typing import (
     Annotated,
     NamedTuple,
@@ -32,8 +27,6 @@ from typing import (
 )
 
 import numpy as np
-from numpy.lib.format import read_array_header_1_0, read_array_header_2_0, read_magic
-from numpy.typing import ArrayLike, NDArray
 from pydantic_core import SchemaValidator, ValidationError, core_schema
 from pydantic_core.core_schema import CoreSchema
 
@@ -219,7 +212,6 @@ class ExtraDocument(TypedDict, total=False):
     of: str
     level: int
     input: str
-    fields: str
     traceback: str
     not_finite: dict[str, str]
 
@@ -402,9 +394,9 @@ def fault_of(content: object, kind: type) -> str:
         place = ".".join(map(str, first["loc"]))
         if first["type"] == "missing":
             return f"it has no {place}"
-        _, _, wanted = first["msg"].partition("Input should ")
+        _, _, expectation = first["msg"].partition("Input should ")
         whose = f"its {place}" if place else "its content"
-        return f"{whose} should {wanted}" if wanted else f"{whose} has another length"
+        return f"{whose} should {expectation}" if expectation else f"{whose} has another length"
     return ""
 
 
@@ -431,7 +423,7 @@ def fault_of_curves(
         measured = curves.get(CurveKey("measured", key.label))
         if key.role == "predicted" and measured is not None and not _reaches(curve, measured):
             return f"its curve {key} ends before the measured one"
-    lost = [one for one in directions if CurveKey("predicted", one["score"]) not in curves]
+    lost = [row for row in directions if CurveKey("predicted", row["score"]) not in curves]
     return f"it has no curve predicted:{lost[0]['score']}" if lost else ""
 
 
@@ -460,7 +452,7 @@ def _is_readable(curve: Curve) -> bool:
     """Whether each row has every number of it; forces may be unknown, places not."""
     columns = (curve.force_N, curve.stiffness_N_per_mm, curve.work_Nmm, curve.time_s)
     shape = curve.displacement_mm.shape
-    alike = len(shape) == 1 and all(one is None or one.shape == shape for one in columns)
+    alike = len(shape) == 1 and all(column is None or column.shape == shape for column in columns)
     if not alike or not shape[0] or not _is_finite(curve.displacement_mm):
         return False
     if curve.time_s is not None and not _is_finite(curve.time_s):
@@ -475,11 +467,11 @@ def _is_finite(values: Array) -> bool:
 
 def _reaches(predicted: Curve, measured: Curve) -> bool:
     """Whether a prediction is known at every measured place; see :meth:`Curve.force_at`."""
-    asked, known = measured.displacement_mm, predicted.displacement_mm
+    there, reach = measured.displacement_mm, predicted.displacement_mm
     if predicted.time_s is not None:
-        span = float(np.abs(known).max())
-        return asked.shape == known.shape and np.allclose(asked, known, rtol=0, atol=1e-6 * span)
-    return bool(asked.min() >= -1e-12 and asked.max() <= known[-1] * (1 + 1e-9) + 1e-12)
+        span = float(np.abs(reach).max())
+        return there.shape == reach.shape and np.allclose(there, reach, rtol=0, atol=1e-6 * span)
+    return bool(there.min() >= -1e-12 and there.max() <= reach[-1] * (1 + 1e-9) + 1e-12)
 
 
 @cache
@@ -504,8 +496,8 @@ def _schema(hint: object) -> CoreSchema:
     if origin is Annotated:
         return cast(CoreSchema, {**_schema(inner[0]), **dict(inner[1:])})
     if origin in (Union, types.UnionType):
-        (one,) = (kind for kind in inner if kind is not types.NoneType)
-        return core_schema.nullable_schema(_schema(one))
+        (inner_hint,) = (kind for kind in inner if kind is not types.NoneType)
+        return core_schema.nullable_schema(_schema(inner_hint))
     if origin is dict:
         return core_schema.dict_schema(_PLAIN[str], _schema(inner[1]), strict=True)
     if origin is list:
@@ -519,63 +511,8 @@ def _table(kind: type) -> CoreSchema:
     by_class: frozenset[str] = kind.__dict__["__required_keys__"]
     for name, hint in get_type_hints(kind, include_extras=True).items():
         # in annotations that are kept as text the class itself does not see these two
-        said = get_origin(hint) if get_origin(hint) in (Required, NotRequired) else None
-        required = said is Required if said else name in by_class
-        inner = get_args(hint)[0] if said else hint
+        qualifier = get_origin(hint) if get_origin(hint) in (Required, NotRequired) else None
+        required = qualifier is Required if qualifier else name in by_class
+        inner = get_args(hint)[0] if qualifier else hint
         fields[name] = core_schema.typed_dict_field(_schema(inner), required=required)
     return core_schema.typed_dict_schema(fields, strict=True, extra_behavior="ignore")
-
-
-# Arrays beside a record: packed into one file, whose name holds the hash of its content.
-
-#: an array as it was kept: of numbers, flags or text
-Stored = NDArray[np.generic]
-
-MAX_FIELD_BYTES = 1_000_000_000
-_NAME = re.compile(r"fields-[0-9a-f]{16}\.npz")
-
-
-def pack(fields: Mapping[str, ArrayLike]) -> tuple[str, bytes]:
-    """File name and content of some arrays."""
-    arrays = {name: np.asarray(value) for name, value in fields.items()}
-    bad = [name for name, value in arrays.items() if value.dtype.hasobject]
-    if bad:
-        raise TypeError(f"field {bad[0]!r} holds Python objects, which are never stored")
-    stream = io.BytesIO()
-    np.savez_compressed(stream, allow_pickle=False, **arrays)
-    data = stream.getvalue()
-    return f"fields-{hashlib.sha256(data).hexdigest()[:16]}.npz", data
-
-
-def is_name(name: object) -> bool:
-    """Whether a text is the name of a file of arrays, and no path to somewhere else."""
-    return isinstance(name, str) and _NAME.fullmatch(name) is not None
-
-
-def fits(name: str, data: bytes | None) -> bool:
-    """Whether the content of a file is the one that its name promises."""
-    return data is not None and hashlib.sha256(data).hexdigest()[:16] == name[7:23]
-
-
-def unpack(data: bytes, path: Path) -> dict[str, Stored]:
-    """Arrays of a file."""
-    try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            size = sum(info.file_size for info in archive.infolist())
-            if size > MAX_FIELD_BYTES:
-                raise StoreError(f"{path}: unpacks to {size} bytes, which no field file does")
-            for info in archive.infolist():
-                with archive.open(info) as member:
-                    read = {(1, 0): read_array_header_1_0, (2, 0): read_array_header_2_0}
-                    shape, _, dtype = read[read_magic(member)](member)
-                    promised = member.tell() + math.prod(shape) * dtype.itemsize
-                if promised != info.file_size:
-                    raise ValueError(
-                        f"{info.filename} promises {promised} bytes and has {info.file_size}"
-                    )
-        with np.load(io.BytesIO(data), allow_pickle=False) as found:
-            return {name: found[name] for name in found.files}
-    except StoreError:
-        raise
-    except Exception as error:  # numpy's parser of headers raises whatever it stumbles over
-        raise StoreError(f"{path}: is no field file ({error})") from error

@@ -239,15 +239,15 @@ class ManifestFolder(SealedFolder):
 
     def read_runs(self) -> list[ManifestDocument]:
         """Every run that finished, the latest first."""
-        found = (self._manifest(f"runs/run-{number}") for number in reversed(self._numbers()))
-        return [one for one in found if one is not None]
+        manifests = (self._manifest(f"runs/run-{number}") for number in reversed(self._numbers()))
+        return [manifest for manifest in manifests if manifest is not None]
 
     def begin_run(self, meta: ManifestDocument) -> None:
         """Note what is going to be computed; a finished study of another design stays as it is."""
-        known = self.read_manifest()
-        if known is None or not known.get("finished", True):
+        manifest = self.read_manifest()
+        if manifest is None or not manifest.get("finished", True):
             self.write_manifest({**meta, "finished": False})
-        elif not is_same(known, meta):
+        elif not is_same(manifest, meta):
             self.write_json(_UNFINISHED, {**meta, "finished": False})
 
     def finish_run(self, meta: ManifestDocument) -> None:
@@ -263,7 +263,7 @@ class ManifestFolder(SealedFolder):
             if rows is not None:
                 self.write_json(name, rows)
         self.write_manifest(done)
-        for name in (_UNFINISHED, *(f"{_UNFINISHED}-{one}" for one in sorted(ROWS))):
+        for name in (_UNFINISHED, *(f"{_UNFINISHED}-{rows_name}" for rows_name in sorted(ROWS))):
             with contextlib.suppress(OSError):  # it says the same as the finished one
                 self._system.unlink(self._json(name))
 

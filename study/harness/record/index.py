@@ -43,8 +43,8 @@ def libraries_of(versions: Mapping[str, str]) -> dict[str, str]:
 
 def name_of(versions: Mapping[str, str]) -> str:
     """Short name of a set of libraries; empty where none is known."""
-    found = libraries_of(versions)
-    return hashlib.sha256(canonical(found).encode()).hexdigest()[:_DIGITS] if found else ""
+    libraries = libraries_of(versions)
+    return hashlib.sha256(canonical(libraries).encode()).hexdigest()[:_DIGITS] if libraries else ""
 
 
 @dataclass(frozen=True)
@@ -99,10 +99,10 @@ class FileStamp:
     def of(cls, path: str | Path) -> FileStamp | None:
         """Stamp of a file; None if there is none."""
         try:
-            found = os.stat(path)
+            status = os.stat(path)
         except (OSError, ValueError):
             return None
-        return cls(found.st_size, found.st_mtime_ns, found.st_ctime_ns)
+        return cls(status.st_size, status.st_mtime_ns, status.st_ctime_ns)
 
 
 NOWHERE = FileStamp(0, 0, 0)
@@ -153,11 +153,11 @@ class RecordIndex:
 
     def entry(self, case_id: str) -> Entry | None:
         """Entry of a record that was not touched since; None where it has to be read."""
-        found = self._known.get(case_id)
-        if found is None or found.stamp.changed_ns >= self._written_ns:
+        entry = self._known.get(case_id)
+        if entry is None or entry.stamp.changed_ns >= self._written_ns:
             return None
         stamp = FileStamp.of(f"{self._cases}{case_id}{os.sep}{CURRENT}")
-        return found if stamp == found.stamp else None
+        return entry if stamp == entry.stamp else None
 
     def note(self, record: Record, stamp: FileStamp | None) -> None:
         """Keep what a record says that was read or written whole, from the file of that stamp."""
@@ -221,10 +221,10 @@ def _entry(row: object) -> Entry:
     """Read an entry back."""
     if not isinstance(row, list):
         raise TypeError("an entry is a list")
-    size, modified, changed, *said = row
+    size, modified, changed, *words = row
     if not all(isinstance(n, int) for n in (size, modified, changed)):
         raise TypeError("a stamp has whole numbers")
-    status, input_hash, libraries, mesh = map(str, said)
+    status, input_hash, libraries, mesh = map(str, words)
     return Entry(FileStamp(size, modified, changed), status, input_hash, libraries, mesh)
 
 
@@ -261,10 +261,10 @@ class StoredRecords(Mapping[str, Record]):
             raise KeyError(case_id)
         if case_id not in self._read:
             self._read[case_id] = self._reader(case_id)
-        found = self._read[case_id]
-        if found is None:
+        record = self._read[case_id]
+        if record is None:
             raise KeyError(case_id)
-        return found
+        return record
 
     def __iter__(self) -> Iterator[str]:
         """Names of the cases that have one, in the order that they were asked for in."""

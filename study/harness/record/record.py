@@ -114,8 +114,8 @@ class Record:
 
     def value(self, name: str) -> float | None:
         """Look up the value of a response, whatever the status; None where there is none."""
-        found = self.responses.get(name)
-        value = None if found is None else found["value"]
+        response = self.responses.get(name)
+        value = None if response is None else response["value"]
         return None if value is None else float(value)
 
     @property
@@ -126,14 +126,14 @@ class Record:
     @property
     def scores(self) -> tuple[ScoreDocument, ...]:
         """Every scored curve of the case; empty without an answer, or for a refit."""
-        found = self.extra.get("directions", ()) if self.converged else ()
-        return tuple(cast("Sequence[ScoreDocument]", found))
+        written = self.extra.get("directions", ()) if self.converged else ()
+        return tuple(cast("Sequence[ScoreDocument]", written))
 
     @property
     def markers(self) -> tuple[MarkerDocument, ...]:
         """What markers inside the specimen say; empty where it has none."""
-        found = self.extra.get("markers", ()) if self.converged else ()
-        return tuple(cast("Sequence[MarkerDocument]", found))
+        written = self.extra.get("markers", ()) if self.converged else ()
+        return tuple(cast("Sequence[MarkerDocument]", written))
 
     def pair(self, label: str) -> tuple[Curve, Curve] | None:
         """Measured and predicted curve of a label; None unless both are kept."""
@@ -148,15 +148,15 @@ class Record:
 
     def first_prediction(self) -> Curve | None:
         """Predicted curve of the first direction; None without a prediction."""
-        found = (curve for key, curve in self.curves.items() if key.role == "predicted")
-        return next(found, None)
+        predicted = (curve for key, curve in self.curves.items() if key.role == "predicted")
+        return next(predicted, None)
 
     def to_json(self) -> str:
         """Text of the record with its checksum; never holds a bare NaN."""
         # Of a record that was read it is the text itself, where this version wrote it.
-        known = self.__dict__.get(_READ)
-        if known is not None:
-            return str(known)
+        text = self.__dict__.get(_READ)
+        if text is not None:
+            return str(text)
         lost: dict[str, str] = {}
         content = {
             f.name: plain(getattr(self, f.name), f.name, lost)
@@ -178,15 +178,15 @@ class Record:
         """Read a record back."""
         content = unseal(text, source)
         fault = fault_of(content, RecordDocument)
-        kept = cast("dict[str, Any]", content)
-        if not fault and set(kept) != set(RecordDocument.__annotations__):
+        fields_read = cast("dict[str, Any]", content)
+        if not fault and set(fields_read) != set(RecordDocument.__annotations__):
             fault = "its fields are others"
         if fault:
             raise StoreError(f"{source}: is no record of a case, {fault}")
         try:
-            written = kept.pop("curves")
+            written = fields_read.pop("curves")
             curves = {CurveKey.of(key): Curve.from_dict(curve) for key, curve in written.items()}
-            record = cls(**kept, curves=curves)
+            record = cls(**fields_read, curves=curves)
         except (TypeError, ValueError, LookupError, ArithmeticError, StoreError) as error:
             raise StoreError(f"{source}: is not a valid record ({error})") from error
         fault = fault_of_fits(record.fit or {}) or fault_of_curves(curves, record.scores)
@@ -268,10 +268,10 @@ def unseal(text: str | bytes, source: str) -> object:
     if whole["schema"] != SCHEMA:
         raise StoreError(f"{source}: has schema {whole['schema']!r}, this version reads {SCHEMA}")
     try:
-        found = hashlib.sha256(canonical(whole["content"]).encode()).hexdigest()
+        checksum = hashlib.sha256(canonical(whole["content"]).encode()).hexdigest()
     except (ValueError, RecursionError) as error:
         raise StoreError(f"{source}: holds what no record can hold ({error})") from error
-    if found != whole["checksum"]:
+    if checksum != whole["checksum"]:
         raise StoreError(f"{source}: is damaged, its checksum does not fit its content")
     return whole["content"]
 
@@ -348,11 +348,11 @@ def cell_names(frame: DataFrame, factors: Sequence[str]) -> Series[str]:
 
 
 def answered_often(
-    known: DataFrame, factors: Sequence[str], block: str, blocks: int
+    table_known: DataFrame, factors: Sequence[str], block: str, blocks: int
 ) -> Series[bool]:
     """Tell which rows belong to a cell with an answer in more than half of so many blocks."""
-    cell = cell_names(known, factors)
-    return 2 * known[block].groupby(cell).transform("nunique") > blocks
+    cell = cell_names(table_known, factors)
+    return 2 * table_known[block].groupby(cell).transform("nunique") > blocks
 
 
 def write_csv(frame: DataFrame, path: Path, system: FileSystem | None = None) -> None:
@@ -377,11 +377,11 @@ def write_csv(frame: DataFrame, path: Path, system: FileSystem | None = None) ->
 
 
 def _texts(frame: DataFrame) -> list[tuple[str, str]]:
-    found = [("header", str(name)) for name in frame.columns]
+    texts = [("header", str(name)) for name in frame.columns]
     for name in frame.columns:
         values = dict.fromkeys(v for v in frame[name].tolist() if isinstance(v, str))
-        found += [(f"column {name}", value) for value in values]
-    return found
+        texts += [(f"column {name}", value) for value in values]
+    return texts
 
 
 def _units(records: Sequence[Record]) -> dict[str, str]:

@@ -7,7 +7,6 @@
         index.json                  what each record says of itself, so that counting reads none
         fits/<fit_id>.json          calibrations shared by cases
         cases/<case_id>/record.json
-        cases/<case_id>/fields-<hash>.npz
         cases/<case_id>/*.corrupt-1 what was damaged, set aside
 """
 
@@ -18,23 +17,17 @@ import hashlib
 import os
 from collections import defaultdict
 from collections.abc import Collection, Mapping
-from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import cast
 
-from numpy.typing import ArrayLike
-
 from study.ground.curve import Curve
 from study.ground.errors import NewerSchemaError, StoreError
-from study.harness.record import document
 from study.harness.record.atomic_files import write_atomic
 from study.harness.record.document import (
-    MAX_FIELD_BYTES,
     CurveKey,
     ManifestDocument,
     SolutionDocument,
-    Stored,
     StoredFitDocument,
     fault_of_curves,
     fault_of_fits,
@@ -81,8 +74,8 @@ class ResultFolder(ManifestFolder):
 
     def read_fit(self, fit_id: str) -> dict[str, object] | None:
         """Read a shared calibration; None if it is missing, was damaged, or does not count."""
-        found = self.read_document(f"fits/{fit_id}", StoredFitDocument, _fault_of_fit)
-        return self._counting(found)
+        fit = self.read_document(f"fits/{fit_id}", StoredFitDocument, _fault_of_fit)
+        return self._counting(fit)
 
     def write_solution(self, key: str, content: Mapping[str, object]) -> None:
         """Store a solution of a refinement series."""
@@ -90,19 +83,19 @@ class ResultFolder(ManifestFolder):
 
     def read_solution(self, key: str) -> dict[str, object] | None:
         """Read a solution; None as for a calibration."""
-        found = self.read_document(f"solves/{key}", SolutionDocument, _fault_of_solution)
-        return self._counting(found)
+        solution = self.read_document(f"solves/{key}", SolutionDocument, _fault_of_solution)
+        return self._counting(solution)
 
     def _write_result(self, name: str, content: Mapping[str, object], followed: bool) -> None:
         self.write_json(name, {**content, _MADE_WITH: self._libraries}, followed=followed)
 
     def _counting(
-        self, found: StoredFitDocument | SolutionDocument | None
+        self, document: StoredFitDocument | SolutionDocument | None
     ) -> dict[str, object] | None:
         """Leave out the name of the libraries; None where other ones are to be as missing."""
-        if found is None:
+        if document is None:
             return None
-        result = cast("dict[str, object]", found)
+        result = cast("dict[str, object]", document)
         made_with = result.pop(_MADE_WITH, "")
         return None if self._strict and made_with != self._libraries else result
 
@@ -120,12 +113,12 @@ def _fault_of_fit(fit: StoredFitDocument) -> str:
     return fault_of_fits({"fit": fit}, needed=()) or _fault_of_curve(fit["curve"])
 
 
-def _fault_of_solution(found: SolutionDocument) -> str:
+def _fault_of_solution(solution: SolutionDocument) -> str:
     """Say why a series cannot use a solution; empty if it can."""
-    if found["status"] != CONVERGED:
-        return _fault_of_curve(found["curve"]) if found.get("curve") else ""
-    lost = [key for key in ("curve", "elements", "dofs") if key not in found]
-    return f"it has no {lost[0]}" if lost else _fault_of_curve(found["curve"])
+    if solution["status"] != CONVERGED:
+        return _fault_of_curve(solution["curve"]) if solution.get("curve") else ""
+    lost = [key for key in ("curve", "elements", "dofs") if key not in solution]
+    return f"it has no {lost[0]}" if lost else _fault_of_curve(solution["curve"])
 
 
 def _fault_of_curve(written: Mapping[str, object]) -> str:
@@ -144,29 +137,15 @@ def laid_by(input_hash: str) -> str:
 class Store(ResultFolder):
     """Records, shared fits and manifests of one study."""
 
-    def write(
-        self,
-        record: Record,
-        fields: Mapping[str, ArrayLike] | None = None,
-        *,
-        followed: bool = False,
-    ) -> Record:
-        """Store a record, whole or not at all, and after its fields."""
-        folder = self._case(record.case_id)
-        name = ""
-        if fields:
-            name, data = document.pack(fields)
-            record = replace(record, extra={**record.extra, "fields": name})
-            write_atomic(folder / name, data, self._system)
-        path = folder / CURRENT
+    def write(self, record: Record, *, followed: bool = False) -> None:
+        """Store a record, whole or not at all."""
+        path = self._case(record.case_id) / CURRENT
         self._lay_by(record)
         self._write(path, record.to_json().encode(), followed)
-        self._drop_other_fields(folder, name)
         if self._locked:
             self._index.note(record, FileStamp.of(path))
             if self._index.is_due:
                 self._write_index()
-        return record
 
     def write_folder(self, case_id: str, packed: bytes) -> None:
         """Keep the folder in which a program computed a case, as a zip beside the records."""
@@ -181,8 +160,8 @@ class Store(ResultFolder):
             self._index.note(record, stamp)
         if input_hash is None or (record is not None and record.input_hash == input_hash):
             return record
-        beside = self._read_file(case_id, folder / laid_by(input_hash))
-        return beside if beside is not None and beside.input_hash == input_hash else record
+        laid = self._read_file(case_id, folder / laid_by(input_hash))
+        return laid if laid is not None and laid.input_hash == input_hash else record
 
     def _read_file(self, case_id: str, path: Path) -> Record | None:
         data = self._bytes(path)
@@ -204,19 +183,6 @@ class Store(ResultFolder):
         """Every valid record, by case id: the order of the runs leaves no trace."""
         return [record for name in self._case_ids() if (record := self.read(name)) is not None]
 
-    def read_fields(self, record: Record) -> dict[str, Stored]:
-        """Arrays kept with a record; empty if it has none."""
-        name = record.extra.get("fields")
-        if not name:
-            return {}
-        if not isinstance(name, str) or not document.is_name(name):
-            raise StoreError(f"case {record.case_id}: {name!r} is no name of a field file")
-        path = self._case(record.case_id) / name
-        data = self._bytes(path, MAX_FIELD_BYTES)
-        if data is None or not document.fits(name, data):
-            raise StoreError(f"{path}: is missing or damaged; delete the case to run it again")
-        return document.unpack(data, path)
-
     def survey(self, input_hashes: Mapping[str, str]) -> Survey:
         """Sort the wanted cases into done, failed and missing."""
         done: list[str] = []
@@ -224,18 +190,18 @@ class Store(ResultFolder):
         made_with: dict[str, str] = {}
         missing: list[str] = []
         foreign: list[str] = []
-        for case_id, wanted in input_hashes.items():
-            said = self._said(case_id, wanted)
-            if said is None or not self._counts(said, wanted):
+        for case_id, input_hash in input_hashes.items():
+            entry = self._said(case_id, input_hash)
+            if entry is None or not self._counts(entry, input_hash):
                 missing.append(case_id)
-                if said is not None:
+                if entry is not None:
                     foreign.append(case_id)
                 continue
-            made_with[case_id] = said.libraries
-            if said.converged:
+            made_with[case_id] = entry.libraries
+            if entry.converged:
                 done.append(case_id)
             else:
-                statuses[case_id] = said.status
+                statuses[case_id] = entry.status
         if foreign:
             self._say(
                 f"{self.path}: {len(foreign)} records come from another version of the program, "
@@ -249,21 +215,21 @@ class Store(ResultFolder):
         self, input_hashes: Mapping[str, str], retry: Collection[str] = ()
     ) -> frozenset[str]:
         """Cases that need no run: a valid record of this input, whatever its status."""
-        found = self.survey(input_hashes)
-        again = {case_id for case_id, status in found.statuses.items() if status in retry}
-        return frozenset(found.done + found.failed) - again
+        survey = self.survey(input_hashes)
+        again = {case_id for case_id, status in survey.statuses.items() if status in retry}
+        return frozenset(survey.done + survey.failed) - again
 
     def records(self, input_hashes: Mapping[str, str]) -> list[Record]:
         """Read the records of this very input, in the order of ``input_hashes``."""
-        found = (self.read(case_id, wanted) for case_id, wanted in input_hashes.items())
+        saved = (self.read(case_id, input_hash) for case_id, input_hash in input_hashes.items())
         return [
-            r for r in found if r is not None and self._counts(Entry.of(r), input_hashes[r.case_id])
+            r for r in saved if r is not None and self._counts(Entry.of(r), input_hashes[r.case_id])
         ]
 
     def meshes(self, input_hashes: Mapping[str, str]) -> dict[str, str]:
         """Hash of the mesh of each case that has one."""
-        said = {case: self._said(case, wanted) for case, wanted in input_hashes.items()}
-        return {case: one.mesh for case, one in said.items() if one is not None and one.mesh}
+        entries = {case: self._said(case, input_hash) for case, input_hash in input_hashes.items()}
+        return {case: e.mesh for case, e in entries.items() if e is not None and e.mesh}
 
     def by_case(self, input_hashes: Mapping[str, str]) -> dict[str, Record]:
         """Read the records of this very input, by the name of their case."""
@@ -284,23 +250,23 @@ class Store(ResultFolder):
         for case_id, made_with in self.survey(input_hashes).made_with.items():
             if made_with not in ("", name_of(versions)):
                 cases[made_with].append(case_id)
-        found = []
+        others = []
         for ids in cases.values():
             record = self.read(ids[0], input_hashes[ids[0]])
             if record is not None:
-                found.append(OtherLibraries(tuple(ids), differences(record.versions, versions)))
-        return found
+                others.append(OtherLibraries(tuple(ids), differences(record.versions, versions)))
+        return others
 
     @cached_property
     def _index(self) -> RecordIndex:
         return RecordIndex(self.path)
 
     def _begin(self) -> None:
-        for known in ("_index", "_finished"):  # another runner may have written since
-            self.__dict__.pop(known, None)
+        for cached in ("_index", "_finished"):  # another runner may have written since
+            self.__dict__.pop(cached, None)
         names = [os.path.join(self.path, "cases", name) for name in self._case_ids()]
-        own = [os.path.join(self.path, name) for name in ("", "fits", "runs")]
-        self._clear_leftovers([*own, *names])
+        folders = [os.path.join(self.path, name) for name in ("", "fits", "runs")]
+        self._clear_leftovers([*folders, *names])
 
     def _end(self) -> None:
         self._flush()
@@ -313,36 +279,36 @@ class Store(ResultFolder):
             self._write(self._json(INDEX), index.text().encode())
             index.written()
 
-    def _said(self, case_id: str, wanted: str) -> Entry | None:
+    def _said(self, case_id: str, input_hash: str) -> Entry | None:
         """Say what a record says: the one that is wanted, by the index where that knows it."""
-        said = self._index.entry(case_id)
-        if said is not None and said.input_hash == wanted:
-            return said
-        record = self.read(case_id, wanted)
+        entry = self._index.entry(case_id)
+        if entry is not None and entry.input_hash == input_hash:
+            return entry
+        record = self.read(case_id, input_hash)
         return None if record is None else Entry.of(record)
 
-    def _counts(self, said: Entry, wanted: str) -> bool:
+    def _counts(self, entry: Entry, input_hash: str) -> bool:
         """Whether a result is one of the input that is wanted."""
-        made_now = not self._strict or said.libraries == self._libraries
-        return said.input_hash == wanted and made_now
+        made_now = not self._strict or entry.libraries == self._libraries
+        return entry.input_hash == input_hash and made_now
 
     def _lay_by(self, record: Record) -> None:
         """Keep the record of a finished study that one of an edited design takes the place of."""
-        kept = self._finished.get(record.case_id)
-        if kept is None or kept == record.input_hash:
+        last = self._finished.get(record.case_id)
+        if last is None or last == record.input_hash:
             return
         path = self._case(record.case_id) / CURRENT
         before = self._read_file(record.case_id, path)
-        if before is not None and before.input_hash == kept:
-            write_atomic(path.with_name(laid_by(kept)), before.to_json().encode(), self._system)
+        if before is not None and before.input_hash == last:
+            write_atomic(path.with_name(laid_by(last)), before.to_json().encode(), self._system)
 
     @cached_property
     def _finished(self) -> Mapping[str, str]:
         """Cases of the finished study that is to stay readable."""
-        known = self.read_manifest() if self._locked else None
-        if known is None or not known.get("finished", True):
+        manifest = self.read_manifest() if self._locked else None
+        if manifest is None or not manifest.get("finished", True):
             return {}
-        return known["cases"]
+        return manifest["cases"]
 
     def begin_run(self, meta: ManifestDocument) -> None:
         """Note what is going to be computed; a finished study of another design stays as it is."""
@@ -354,10 +320,10 @@ class Store(ResultFolder):
         before = dict(self._finished)
         super().finish_run(meta)
         self.__dict__.pop("_finished", None)
-        for case_id, kept in before.items():
-            if meta["cases"].get(case_id) != kept:
+        for case_id, finished_hash in before.items():
+            if meta["cases"].get(case_id) != finished_hash:
                 with contextlib.suppress(OSError):  # only space is lost
-                    self._system.unlink(self._case(case_id) / laid_by(kept))
+                    self._system.unlink(self._case(case_id) / laid_by(finished_hash))
 
     def _distrust(self, case_id: str) -> None:
         """Forget a damaged record; an index that vouched for it is worth nothing."""
@@ -380,10 +346,3 @@ class Store(ResultFolder):
             return []
         except OSError as error:
             raise StoreError(f"{folder}: cannot be read ({error.strerror or error})") from error
-
-    def _drop_other_fields(self, folder: Path, keep: str) -> None:
-        for name in os.listdir(folder):
-            if document.is_name(name) and name != keep:
-                self._flush()  # the record that names them is gone for good
-                with contextlib.suppress(OSError):  # only space is lost
-                    self._system.unlink(folder / name)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import base64
 import contextlib
-import math
 import signal
 import threading
 import time
@@ -16,25 +15,23 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-from study.harness.design.cell import plain
 from study.harness.design.study_file import FINER_MESH, LONGER_LIMIT, MORE_MEMORY, SMALLER_STEPS
 from study.harness.execution.task import Document, Executor, Outcome, Results, Task
 from study.harness.external.command import check_allowed
 from study.harness.record.record import Record
 from study.harness.record.store import Store
-from study.harness.runner.cost import Costs, Pace, same_model
+from study.harness.runner.cost import Costs
 from study.harness.runner.expansion import case_job
 from study.harness.runner.fit_problem import externals
 from study.harness.runner.fit_summary import FitResult
 from study.harness.runner.fit_task import FitTask
-from study.harness.runner.job import CaseFrame, CaseJob, CaseTask, FitJob, ScoreTask, Work, fits_of
-from study.harness.runner.problem_tables import PROBLEM, on_mesh, with_both
+from study.harness.runner.job import CaseJob, CaseTask, FitJob, Work, fits_of
+from study.harness.runner.problem_tables import on_mesh, with_both
 from study.harness.runner.refinement import base_size_mm
+from study.harness.runner.solve_task import LASTING
 from study.harness.runner.tasks import adapted, default_jobs, limit_of, processes
-from study.mechanics.forward.finite_element import Anchor
 from study.mechanics.setup.setup import Setup, Tables
 
-# -------------------------------------------------------------------------------------------------
 # What is tried when a case has no answer: declared in the design, by cause, and never silent.
 #
 # ``[execution] retry`` names the changes of every cause, in the order in which they are tried; each
@@ -73,13 +70,13 @@ def attempts(work: Work, store: Store, limited: bool) -> list[Attempt]:
         return []
     failed = store.survey(work.input_hashes).failed
     jobs = {job.case.case_id: job for job in work.jobs}
-    found = []
+    attempted = []
     for case_id in failed:
         record = store.read(case_id)
         if record is not None and case_id in jobs:
             attempt = _next(work, jobs[case_id], record, limited)
-            found += [] if attempt is None else [attempt]
-    return found
+            attempted += [] if attempt is None else [attempt]
+    return attempted
 
 
 def _next(work: Work, job: CaseJob, record: Record, limited: bool) -> Attempt | None:
@@ -103,8 +100,8 @@ def _next(work: Work, job: CaseJob, record: Record, limited: bool) -> Attempt | 
 
 def notes_of(record: Record) -> tuple[Mapping[str, str], ...]:
     """Every attempt that a record tells of; empty where the design's own setting gave it."""
-    kept = record.extra.get(RETRIES)
-    return tuple(kept) if isinstance(kept, (list, tuple)) else ()
+    notes = record.extra.get(RETRIES)
+    return tuple(notes) if isinstance(notes, (list, tuple)) else ()
 
 
 def has_other_mesh(record: Record) -> bool:
@@ -156,12 +153,6 @@ def _with_steps(tables: Tables) -> tuple[Tables, str]:
     new = STEPS_FACTOR * old
     return with_both(tables, "test", steps=new), f"{new} load steps instead of {old}"
 
-
-#: a fit with one of these results is worth keeping: the same input gives it again
-_KEPT = ("converged", "not-converged", "unstable", "lost-contact", "mesh-failed")
-
-#: seconds for which a prediction of the time left is good: it looks at all that is left
-FORETOLD_S = 0.2
 
 #: what may go better next time: memory and time depend on the machine
 RETRIED = ("crashed", "timeout", "out-of-memory")
@@ -237,10 +228,10 @@ def run_batch(
     with store.lock(), _terminate_is_interrupt():
         todo = missing(work, store)
         check_allowed(externals(job.case.config for job in todo), work.allowed.commands)
-        workers, told = jobs or default_jobs(), progress or (lambda _: None)
+        workers, report = jobs or default_jobs(), progress or (lambda _: None)
         place = executor or processes(workers, timeout_s, memory_MB)
-        first = _Batch(work, store, todo, told).execute(workers, place)
-        return _retried(work, store, first, workers, place, told)
+        first = _Batch(work, store, todo, report).execute(workers, place)
+        return _retried(work, store, first, workers, place, report)
 
 
 def _retried(
@@ -254,11 +245,11 @@ def _retried(
     """Try what the design says of the cases that failed, until nothing is left to be tried."""
     total = first
     while todo := attempts(work, store, limit_of(place) is not None):
-        ways = {(one.longer, one.alone): None for one in todo}
+        ways = {(a.longer, a.alone): None for a in todo}
         for longer, alone in ways:
-            own = [one for one in todo if (one.longer, one.alone) == (longer, alone)]
-            notes = {one.job.case.case_id: one.notes for one in own}
-            batch = _Batch(work, store, [one.job for one in own], progress, notes)
+            alike = [a for a in todo if (a.longer, a.alone) == (longer, alone)]
+            notes = {a.job.case.case_id: a.notes for a in alike}
+            batch = _Batch(work, store, [a.job for a in alike], progress, notes)
             there = adapted(place, longer, alone)
             total = total.with_retried(batch.execute(1 if alone else workers, there))
     return total
@@ -322,19 +313,19 @@ class _Batch:
         began = time.monotonic()
         tasks = self._tasks()
         prices = {task.key: task.seconds for task in tasks}
-        pace = Pace(prices, {task.key: self._kind(task.key) for task in tasks}, workers)
+        whole = left = sum(prices.values())
         outcomes = executor.run(tasks, self.known)
-        left, foretold = 0.0, -math.inf
         with contextlib.closing(outcomes):
             for count, outcome in enumerate(outcomes, 1):
                 self._keep(outcome)
-                pace.finished(outcome.key, outcome.seconds)
+                left -= prices[outcome.key]
                 seconds = time.monotonic() - began
-                if seconds - foretold > FORETOLD_S or count == len(tasks):
-                    left, foretold = pace.seconds_left(), seconds
+                # predicted seconds go on at the rate of those that are done
+                rate = seconds / (whole - left) if whole > left else 1 / workers
                 self.fits_done += outcome.key in self.fits
                 state = Progress(
-                    count, len(tasks), self.failed, seconds, left, self._label(outcome.key),
+                    count, len(tasks), self.failed, seconds, max(left * rate, 0.0),
+                    self._label(outcome.key),
                     self.fits_done, len(self.fits),
                 )  # fmt: skip
                 self.progress(state)
@@ -350,7 +341,7 @@ class _Batch:
         tasks = [
             Task(
                 job.key,
-                partial(_fit_document, job),
+                partial(_fit_task, job),
                 (job.start.key,) if job.start else (),
                 seconds=costs.fit_seconds(job.problem),
                 memory_MB=costs.fit_memory_MB(job.problem),
@@ -360,7 +351,7 @@ class _Batch:
         tasks += [
             Task(
                 key,
-                partial(_case_document, self.work, job),
+                partial(_case_task, self.work, job),
                 job.needs,
                 job.group,
                 costs.case_seconds(job),
@@ -370,12 +361,6 @@ class _Batch:
         ]
         return tasks
 
-    def _kind(self, key: str) -> str:
-        """Name what costs alike: computations on one mesh of one test."""
-        if key in self.fits:
-            return f"fit {same_model(self.fits[key].problem.tables)}"
-        return same_model(self.cases[key].case.config)
-
     def _label(self, key: str) -> str:
         if key in self.fits:
             return f"calibration of {self.fits[key].label}"
@@ -384,7 +369,7 @@ class _Batch:
     def _keep(self, outcome: Outcome) -> None:
         if outcome.key in self.fits:
             self.spent["fits"] += outcome.seconds
-            if outcome.status in _KEPT:
+            if outcome.status in LASTING:
                 self.store.write_fit(outcome.key, outcome.result, followed=outcome.followed)
             return
         self.spent["cases"] += outcome.seconds
@@ -402,7 +387,7 @@ class _Batch:
         text = outcome.result.get("record")
         if isinstance(text, str):
             return Record.from_json(text, f"worker, {self._label(outcome.key)}")
-        return _case_frame(self.work, self.cases[outcome.key]).record(
+        return CaseTask.of(self.cases[outcome.key], self.work, {}).record(
             outcome.status,
             outcome.message,
             seconds=outcome.seconds,
@@ -410,47 +395,15 @@ class _Batch:
         )
 
 
-def _fit_document(job: FitJob, results: Results) -> Document:
+def _fit_task(job: FitJob, results: Results) -> FitTask:
     """Make what a worker gets of a fit, once the fit that starts it is known."""
     start = None if job.start is None else FitResult.from_json(results[job.start.key])
-    return FitTask(job.problem, job.measured, start, job.noise).to_json()
+    return FitTask(job.problem, job.measured, start, job.noise)
 
 
-def _case_frame(work: Work, job: CaseJob) -> CaseFrame:
-    """Everything of a record that is known before the case is computed."""
-    case = job.case
-    return CaseFrame(
-        case.case_id, work.design.name, case.levels, case.block, work.responses, job.input_hash,
-        job.origin,
-    )  # fmt: skip
-
-
-def _case_document(work: Work, job: CaseJob, results: Results) -> Document:
+def _case_task(work: Work, job: CaseJob, results: Results) -> CaseTask:
     """Make what a worker gets of a case, once its fits are known."""
-    fits = {key: FitResult.from_json(results[key]) for key in job.needs}
-    directions = tuple(
-        ScoreTask(
-            pair.label, pair.measured, pair.role, pair.fit_label, pair.scatter_N, pair.depth_mm,
-            pair.fit_key,
-            None if pair.fit is None else fits[pair.fit.key],
-        )
-        for pair in job.directions
-    )  # fmt: skip
-    known = job.case.config
-    names = (*PROBLEM, "markers", "parameters", "units")
-    tables = plain({name: known[name] for name in names if name in known})
-    frame = _case_frame(work, job)
-    return CaseTask(frame, tables, job.forward, directions, _anchor(job, fits)).to_json()
-
-
-def _anchor(job: CaseJob, fits: Mapping[str, FitResult]) -> Anchor | None:
-    """Name of the shared solution and its constants; None where they could not be fitted."""
-    if not job.group:
-        return None
-    if job.anchor is None:
-        return Anchor(job.group)
-    fit = fits[job.anchor.key]
-    return Anchor(job.group, fit.constants) if fit.usable else None
+    return CaseTask.of(job, work, {key: FitResult.from_json(results[key]) for key in job.needs})
 
 
 @contextlib.contextmanager

@@ -15,7 +15,6 @@ from study.ground.arrays import Array, Flags
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, RefusedError, nearest
 from study.harness.design.study_file import is_simulated, simulated_at
-from study.harness.execution.task import Received
 from study.harness.external.answers import NoAnswer
 from study.harness.external.command import External
 from study.harness.record.document import (
@@ -32,11 +31,12 @@ from study.harness.record.document import (
 from study.harness.record.record import STATUSES, Record
 from study.harness.runner import response
 from study.harness.runner.fit_summary import (
+    FitResult,
     PredictedCurve,
     answer_of_parameters,
     external_curve,
 )
-from study.harness.runner.job import CaseTask, ScoreTask
+from study.harness.runner.job import CaseTask, ScorePair
 from study.mechanics.forward import closed_form
 from study.mechanics.forward.finite_element import Anchors, load_compiled, solve
 from study.mechanics.measurement.marker_states import MarkerStates, read_markers
@@ -98,8 +98,8 @@ class PlateFit:
     def to_json(self, layers: tuple[str, ...]) -> PlateFitDocument:
         """Plain values, for a record and a report."""
         shown = zip(COMPONENTS, self.motion, self.standard_error, strict=True)
-        own = np.array(layers) if layers else np.full(len(self.errors), "")
-        names = dict.fromkeys(own[self.scored].tolist()) if layers else {}
+        layer_of = np.array(layers) if layers else np.full(len(self.errors), "")
+        names = dict.fromkeys(layer_of[self.scored].tolist()) if layers else {}
         by_axis = np.sqrt((self.errors[self.scored] ** 2).mean(axis=0))
         return {
             "plate": self.plate,
@@ -108,17 +108,14 @@ class PlateFit:
             "error_mm": self.rms_mm,
             "error_by_axis_mm": [float(v) for v in by_axis],
             "error_by_layer_mm": {
-                str(k): rms(self.errors[self.scored & (own == k)]) for k in names
+                str(k): rms(self.errors[self.scored & (layer_of == k)]) for k in names
             },
             "motion": {name: [float(value), float(error)] for name, value, error in shown},
         }
 
 
 def rms(errors: Array) -> float:
-    """Root mean square length of vectors.
-
-    Shapes: errors (n, 3), mm.
-    """
+    """Root mean square length of vectors; errors (n, 3), mm."""
     return float(np.sqrt((errors**2).sum(axis=1).mean()))
 
 
@@ -193,11 +190,11 @@ class _Fitter:
 
 
 def _solved(slope: Array, errors: Array) -> Array:
-    found, _, rank, _ = np.linalg.lstsq(slope, errors, rcond=1e-10)
+    solution, _, rank, _ = np.linalg.lstsq(slope, errors, rcond=1e-10)
     if rank < slope.shape[1]:
         rule = "the markers that are fitted do not tell every component of the plate's motion"
         raise InputError(Fault("markers.fit", rule, "fit more layers, or another plate"))
-    return np.asarray(found)
+    return np.asarray(solution)
 
 
 def _standard_errors(slope: Array, errors: Array) -> Array:
@@ -208,17 +205,13 @@ def _standard_errors(slope: Array, errors: Array) -> Array:
     return np.asarray(np.sqrt(np.diag(inverse @ (share * scores.T @ scores) @ inverse)))
 
 
-# -------------------------------------------------------------------------------------------------
 # A specimen with markers inside: its prediction, and what the markers say of it.
 
 
 def predicted_markers(
     tables: Tables, constants: Mapping[str, float] | None, label: str, depth_mm: float
 ) -> PredictedCurve:
-    """Predict a state of a marked specimen and compare all markers.
-
-    Units: constants MPa.
-    """
+    """Predict a state of a marked specimen and compare all markers; constants MPa."""
     from study.mechanics.solver.load_path import NoEquilibrium
 
     began, spec = time.perf_counter(), MarkerSpec.from_dict(table_of(tables, "markers"))
@@ -239,15 +232,15 @@ def predicted_markers(
         "floor_mm": markers.localization_floor(label),
         "fits": [fit.to_json(markers.layers) for fit in fits],
     }
-    found = PredictedCurve.of(solution, time.perf_counter() - began)
-    return replace(found, markers=document)
+    predicted = PredictedCurve.of(solution, time.perf_counter() - began)
+    return replace(predicted, markers=document)
 
 
-def marker_responses(tables: Tables, found: MarkerDocument) -> dict[str, Quantity]:
+def marker_responses(tables: Tables, document: MarkerDocument) -> dict[str, Quantity]:
     """Errors of the markers, with the plate that the study asks for, mm."""
     plate = MarkerSpec.from_dict(table_of(tables, "markers")).plate
     # of all markers first; then, where layers are named, of those outside them
-    errors = [fit["error_mm"] for fit in found["fits"] if fit["plate"] == plate]
+    errors = [fit["error_mm"] for fit in document["fits"] if fit["plate"] == plate]
     return {
         "marker_error": {"value": errors[0], "unit": "mm"},
         "predicted_marker_error": {"value": errors[1] if len(errors) > 1 else None, "unit": "mm"},
@@ -275,17 +268,17 @@ class Executed:
     folder: bytes = b""
 
 
-def perform(document: Received) -> dict[str, object]:
+def perform(task: CaseTask) -> dict[str, object]:
     """Execute one case: a task for a worker."""
-    found = executed(CaseTask.from_json(document))
-    record = found.record
+    done = executed(task)
+    record = done.record
     answer: dict[str, object] = {
         "status": record.status,
         "message": record.message,
         "record": record.to_json(),
     }
-    if found.folder:
-        answer["folder"] = base64.b64encode(found.folder).decode("ascii")
+    if done.folder:
+        answer["folder"] = base64.b64encode(done.folder).decode("ascii")
     return answer
 
 
@@ -293,20 +286,20 @@ def executed(task: CaseTask) -> Executed:
     """Execute one case; what has no answer is a status of its record."""
     began = time.perf_counter()
     try:
-        for direction in task.directions:
-            _check_fit(direction)
-        if task.is_alone:
+        for direction in task.job.directions:
+            _check_fit(task.fit(direction), direction)
+        if "specimen" not in task.tables:
             return _of_parameters(task)
-        return _predicted(task) if task.frame.origin.predicts else Executed(_refitted(task))
+        return _predicted(task) if task.job.origin.predicts else Executed(_refitted(task))
     except Stopped as stop:
         seconds = time.perf_counter() - began
-        record, cause = task.frame.record(stop.status, str(stop), seconds=seconds), stop.cause
+        record, cause = task.record(stop.status, str(stop), seconds=seconds), stop.cause
         if cause is None or cause.program is None:
             return Executed(record)
         solver = cast("SolverDocument", {"program": cause.program})
         return Executed(replace(record, solver=solver), cause.folder)
     except InputError as error:
-        return Executed(task.frame.record("failed", str(error)))
+        return Executed(task.record("failed", str(error)))
 
 
 #: characters of a rendered file that a record keeps
@@ -316,30 +309,33 @@ _RENDERED = 64_000
 def _of_parameters(task: CaseTask) -> Executed:
     """Record of a case of parameters alone."""
     try:
-        found, solver = answer_of_parameters(task.tables, task.frame.case_id)
+        answer, solver = answer_of_parameters(task.tables, task.job.case.case_id)
     except NoAnswer as error:
         raise Stopped(error.status, str(error), error) from error
-    known = {**found.values, "seconds": found.seconds}
-    wanted: dict[str, ResponseDocument] = {}
-    for name, unit in task.frame.units.items():
-        value = known.get(name)
-        if value is None and found.curve is not None and is_simulated(name):
-            value = _of_curve(name, found.curve)
+    values = {**answer.values, "seconds": answer.seconds}
+    responses: dict[str, ResponseDocument] = {}
+    for name, unit in task.units.items():
+        value = values.get(name)
+        if value is None and answer.curve is not None and is_simulated(name):
+            place, end = simulated_at(name)[1], float(answer.curve.displacement_mm[-1])
+            if place is not None and place > end * (1 + 1e-9):
+                raise Stopped("not-converged", f"the curve ends at {end:g} mm, {name} is beyond")
+            value = response.SimulatedResponse(name).of(answer.curve)
         if value is None:
-            named = nearest(name, found.values) if found.values else "it gives a curve alone"
+            named = nearest(name, answer.values) if answer.values else "it gives a curve alone"
             raise Stopped("failed", f"there is no {name} among the answers ({named})")
-        wanted[name] = {"value": float(value), "unit": unit}
-    record = task.frame.record("converged", "")
+        responses[name] = {"value": float(value), "unit": unit}
+    record = task.record("converged", "")
     return Executed(
         replace(
             record,
-            responses=wanted,
-            curves={} if found.curve is None else {CurveKey("predicted", "all"): found.curve},
-            timings={"predict": found.seconds, "total": found.seconds},
+            responses=responses,
+            curves={} if answer.curve is None else {CurveKey("predicted", "all"): answer.curve},
+            timings={"predict": answer.seconds, "total": answer.seconds},
             solver=solver,
-            extra={**record.extra, **_rendered(found.rendered)},
+            extra={**record.extra, **_rendered(answer.rendered)},
         ),
-        found.folder,
+        answer.folder,
     )
 
 
@@ -348,16 +344,7 @@ def _rendered(files: Mapping[str, str]) -> dict[str, object]:
     return {"rendered": {k: text[:_RENDERED] for k, text in files.items()}} if files else {}
 
 
-def _of_curve(name: str, curve: Curve) -> float:
-    """Response of a curve of somebody else, which must reach the place where it is asked for."""
-    place, end = simulated_at(name)[1], float(curve.displacement_mm[-1])
-    if place is not None and place > end * (1 + 1e-9):
-        raise Stopped("not-converged", f"the curve ends at {end:g} mm, {name} is beyond")
-    return response.SimulatedResponse(name).of(curve)
-
-
-def _check_fit(direction: ScoreTask) -> None:
-    fit = direction.fit
+def _check_fit(fit: FitResult | None, direction: ScorePair) -> None:
     if fit is None:
         return
     if not fit.converged:
@@ -372,28 +359,28 @@ def _predicted(task: CaseTask) -> Executed:
     """Record of a case whose curves are predicted and scored."""
     directions = task.scored
     predictions = [_predict(task, direction) for direction in directions]
-    found = [
-        direction.scored(task.tables, prediction.curve)
+    compared = [
+        task.compared(direction, prediction.curve)
         for direction, prediction in zip(directions, predictions, strict=True)
     ]
-    scores = [response.score(one, task.frame.units) for one in found]
+    scores = [response.score(curves, task.units) for curves in compared]
     seconds = _seconds(task, predictions)
     means = response.averaged(scores) | _constants(task)
     means |= {"seconds": {"value": seconds["total"], "unit": "s"}}
-    marked = [one.markers for one in predictions if one.markers is not None]
-    for one in marked:
-        means |= marker_responses(task.tables, one)
+    marked = [prediction.markers for prediction in predictions if prediction.markers is not None]
+    for document in marked:
+        means |= marker_responses(task.tables, document)
     means |= {"dofs": {"value": predictions[-1].mesh.get("dofs"), "unit": ""}}
     for name in predictions[0].values:
-        every = [one.values[name] for one in predictions if name in one.values]
-        means[name] = {"value": float(np.mean(every)), "unit": task.frame.units.get(name, "")}
+        every = [prediction.values[name] for prediction in predictions if name in prediction.values]
+        means[name] = {"value": float(np.mean(every)), "unit": task.units.get(name, "")}
     steps = _step_uncertainty(task, predictions)
-    record = task.frame.record("converged", "")
+    record = task.record("converged", "")
     whole = replace(
         record,
         responses=_wanted(task, means, steps),
         parameters=_parameters(task),
-        fit=_fits(task.directions),
+        fit=_fits(task),
         curves=_curves(predictions, directions),
         timings=seconds,
         mesh=predictions[-1].mesh,
@@ -411,52 +398,50 @@ def _predicted(task: CaseTask) -> Executed:
 def _refitted(task: CaseTask) -> Record:
     """Record of a fit to resampled noise: its constants, and no prediction."""
     return replace(
-        task.frame.record("converged", ""),
+        task.record("converged", ""),
         responses=_wanted(task, _constants(task), {}),
         parameters=_parameters(task),
-        fit=_fits(task.directions),
+        fit=_fits(task),
         timings=_seconds(task, []),
     )
 
 
 def _constants(task: CaseTask) -> dict[str, Quantity]:
     """Constants averaged over the directions that give them, with units."""
-    return response.averaged(
-        [response.constants_of(one.scored(task.tables)) for one in task.identified]
-    )
+    return response.averaged([response.constants_of(task.compared(p)) for p in task.identified])
 
 
 def _wanted(
     task: CaseTask, means: Mapping[str, Quantity], steps: Mapping[str, float]
 ) -> dict[str, ResponseDocument]:
     """Responses that the record of a case holds, with the uncertainty of the load steps."""
-    wanted: dict[str, ResponseDocument] = {}
-    for name, unit in task.frame.units.items():
+    responses: dict[str, ResponseDocument] = {}
+    for name, unit in task.units.items():
         mean = means.get(name, {"value": None, "unit": unit})
-        wanted[name] = {"value": mean["value"], "unit": mean["unit"]}
+        responses[name] = {"value": mean["value"], "unit": mean["unit"]}
         if name in steps:
-            wanted[name]["u_steps"] = steps[name]
-    return wanted
+            responses[name]["u_steps"] = steps[name]
+    return responses
 
 
-def _predict(task: CaseTask, direction: ScoreTask) -> PredictedCurve:
+def _predict(task: CaseTask, direction: ScorePair) -> PredictedCurve:
     """Predicted curve of the scored test with the constants of the fit."""
-    fit = direction.fit
-    if task.forward == "fit" and fit is not None and fit.prediction is not None:
+    fit = task.fit(direction)
+    if task.job.forward == "fit" and fit is not None and fit.prediction is not None:
         # the last solution of the fit is the prediction: same geometry, same constants
         return fit.prediction
     constants = None if fit is None else fit.constants
     if task.tables.get("markers"):
         return _marked(task, constants, direction.depth_mm)
-    if task.forward == "closed-form":
+    if task.job.forward == "closed-form":
         return _closed_form(task, constants, direction)
-    if task.forward == "external" or External.of(task.tables) is not None:
+    if task.job.forward == "external" or External.of(task.tables) is not None:
         return _external(task.tables, constants, direction)
-    found = _ANCHORS.predict(task.tables, constants, direction.depth_mm, task.anchor)
-    solution = found.solution
+    anchored = _ANCHORS.predict(task.tables, constants, direction.depth_mm, task.anchor)
+    solution = anchored.solution
     if solution.status != "converged":
         raise Stopped(solution.status, f"{solution.message} (reached {solution.reached_mm:g} mm)")
-    return PredictedCurve.of(solution, found.cold_seconds)
+    return PredictedCurve.of(solution, anchored.cold_seconds)
 
 
 def _marked(
@@ -464,13 +449,13 @@ def _marked(
 ) -> PredictedCurve:
     """Curve of a specimen with markers, and what these say of it."""
     try:
-        return predicted_markers(task.tables, constants, str(task.frame.block), depth_mm)
+        return predicted_markers(task.tables, constants, str(task.job.case.block), depth_mm)
     except NoAnswer as error:
         raise Stopped(error.status, str(error)) from error
 
 
 def _external(
-    tables: Tables, constants: Mapping[str, float] | None, direction: ScoreTask
+    tables: Tables, constants: Mapping[str, float] | None, direction: ScorePair
 ) -> PredictedCurve:
     """Curve of another program, at the measured displacements or at the load steps."""
     if direction.measured is not None:
@@ -490,18 +475,18 @@ _STEPS = 50
 
 
 def _closed_form(
-    task: CaseTask, constants: Mapping[str, float] | None, direction: ScoreTask
+    task: CaseTask, constants: Mapping[str, float] | None, direction: ScorePair
 ) -> PredictedCurve:
     """Curve at the measured displacements, or at the load steps."""
     problem, measured = problem_of(task.tables, constants, direction.depth_mm), direction.measured
     if measured is None:
         test = replace(problem.test, steps=max(problem.test.steps, _STEPS))
-        found = closed_form.solution(replace(problem, test=test))
-        if found.status != "converged":
-            raise Stopped(found.status, found.message)
-        return PredictedCurve(found.curve.without_gradients(), solver={"name": found.solver})
+        solution = closed_form.solution(replace(problem, test=test))
+        if solution.status != "converged":
+            raise Stopped(solution.status, solution.message)
+        return PredictedCurve(solution.curve.without_gradients(), solver={"name": solution.solver})
     setup, material = problem.setup, problem.material
-    if measured.time_s is None and response.of_prediction(task.frame.units):
+    if measured.time_s is None and response.of_prediction(task.units):
         curve = closed_form.between_rows(setup, material, measured.displacement_mm)
     else:
         curve = closed_form.at_rows(setup, material, measured)
@@ -513,35 +498,35 @@ def _closed_form(
 def _step_uncertainty(task: CaseTask, predictions: Sequence[PredictedCurve]) -> dict[str, float]:
     """Return what half the load steps change in every response, as a mean over directions."""
     if External.of(task.tables) is not None:
-        each = [response.splined_uncertainty(one.curve, task.frame.units) for one in predictions]
+        each = [response.splined_uncertainty(p.curve, task.units) for p in predictions]
     else:
         each = [
-            response.step_uncertainty(prediction.curve, direction.measured, task.frame.units)
-            for prediction, direction in zip(predictions, task.scored, strict=True)
+            response.step_uncertainty(p.curve, direction.measured, task.units)
+            for p, direction in zip(predictions, task.scored, strict=True)
         ]
     # of one direction fewer points may have been measured, too few to leave half of them out
-    known = [name for name in each[0] if all(name in u for u in each)]
-    return {name: float(np.mean([u[name] for u in each])) for name in known}
+    names = [name for name in each[0] if all(name in u for u in each)]
+    return {name: float(np.mean([u[name] for u in each])) for name in names}
 
 
 def _solver(predictions: Sequence[PredictedCurve]) -> SolverDocument:
     """Facts of the last direction's solver, with the worst energy balance of all directions."""
     every = [prediction.solver for prediction in predictions]
-    found: SolverDocument = {**every[-1]}
-    mismatch = [one["energy_mismatch"] for one in every if "energy_mismatch" in one]
+    facts: SolverDocument = {**every[-1]}
+    mismatch = [each["energy_mismatch"] for each in every if "energy_mismatch" in each]
     if mismatch:
-        found["energy_mismatch"] = max(mismatch)
-    shares = [one["stabilization_share"] for one in every if "stabilization_share" in one]
+        facts["energy_mismatch"] = max(mismatch)
+    shares = [each["stabilization_share"] for each in every if "stabilization_share" in each]
     if shares:
-        found["stabilization_share"] = max(shares)
-    if "snaps_mm" in found:
-        found["snaps_mm"] = sorted({place for one in every for place in one.get("snaps_mm", ())})
-    return found
+        facts["stabilization_share"] = max(shares)
+    if "snaps_mm" in facts:
+        facts["snaps_mm"] = sorted({place for each in every for place in each.get("snaps_mm", ())})
+    return facts
 
 
 def _seconds(task: CaseTask, predictions: Sequence[PredictedCurve]) -> dict[str, float]:
     """Add up what this cell would cost alone: its fits (shared or not) and its predictions."""
-    fits = [direction.fit for direction in task.directions if direction.fit is not None]
+    fits = [fit for pair in task.job.directions if (fit := task.fit(pair)) is not None]
     fitted = sum(fit.seconds + fit.start_seconds for fit in fits)
     predicted = sum(prediction.seconds for prediction in predictions)
     return {"fit": fitted, "predict": predicted, "total": fitted + predicted}
@@ -549,7 +534,9 @@ def _seconds(task: CaseTask, predictions: Sequence[PredictedCurve]) -> dict[str,
 
 def _parameters(task: CaseTask) -> dict[str, ParameterDocument]:
     """Each constant averaged over the directions, with the error of that average."""
-    fits = [FitDocument() if d.fit is None else d.fit.fit for d in task.identified]
+    fits = [
+        FitDocument() if (fit := task.fit(pair)) is None else fit.fit for pair in task.identified
+    ]
     return {
         name: {
             **mean,
@@ -564,33 +551,34 @@ def _parameters(task: CaseTask) -> dict[str, ParameterDocument]:
 def _standard_error(name: str, fits: Sequence[FitDocument]) -> float | None:
     """Find the standard error of the mean of a constant; None unless all fits know theirs."""
     errors = [fit.get("standard_error", {}).get(name) for fit in fits]
-    known = [response.scale_of(name) * float(e) for e in errors if e is not None]
-    complete = bool(known) and len(known) == len(fits)
-    return float(np.sqrt(np.sum(np.square(known))) / len(known)) if complete else None
+    in_unit = [response.scale_of(name) * float(e) for e in errors if e is not None]
+    complete = bool(in_unit) and len(in_unit) == len(fits)
+    return float(np.sqrt(np.sum(np.square(in_unit))) / len(in_unit)) if complete else None
 
 
 def _interval(name: str, fit: FitDocument) -> list[float] | None:
     pair = fit.get("ci95", {}).get(name) or ()
-    known = [response.scale_of(name) * float(end) for end in pair if end is not None]
-    return known if len(known) == 2 else None
+    in_unit = [response.scale_of(name) * float(end) for end in pair if end is not None]
+    return in_unit if len(in_unit) == 2 else None
 
 
-def _fits(directions: Sequence[ScoreTask]) -> dict[str, FitDocument] | None:
+def _fits(task: CaseTask) -> dict[str, FitDocument] | None:
     """Describe each fit, by the label of its specimen."""
-    found: dict[str, FitDocument] = {}
-    for direction in directions:
-        if direction.fit is None or direction.fit_key is None:
+    described: dict[str, FitDocument] = {}
+    for direction in task.job.directions:
+        fit, key = task.fit(direction), direction.fit_key
+        if fit is None or key is None:
             continue
         name = direction.fit_label or "all"
-        if name in found and found[name]["key"] != direction.fit_key:
+        if name in described and described[name]["key"] != key:
             # with one specimen left out, both directions fit "all but" it, to other curves
             name = f"{name}, to score {direction.label}"
-        found[name] = {**direction.fit.fit, "key": direction.fit_key}
-    return found or None
+        described[name] = {**fit.fit, "key": key}
+    return described or None
 
 
 def _curves(
-    predictions: Sequence[PredictedCurve], directions: Sequence[ScoreTask]
+    predictions: Sequence[PredictedCurve], directions: Sequence[ScorePair]
 ) -> dict[CurveKey, Curve]:
     out: dict[CurveKey, Curve] = {}
     for prediction, direction in zip(predictions, directions, strict=True):
@@ -600,7 +588,7 @@ def _curves(
     return out
 
 
-def _score_document(direction: ScoreTask, responses: Mapping[str, Quantity]) -> ScoreDocument:
+def _score_document(direction: ScorePair, responses: Mapping[str, Quantity]) -> ScoreDocument:
     return {
         "score": direction.label,
         "fit": direction.fit_label,

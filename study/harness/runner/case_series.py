@@ -42,7 +42,7 @@ def half_width(
     values: Sequence[float],
     sizes: Sequence[float],
     formal: float | None,
-    own: Literal["coarsest", "finest"] = "coarsest",
+    end: Literal["coarsest", "finest"] = "coarsest",
 ) -> tuple[str, float]:
     """Behaviour of a series from coarse to fine, and half-width for one of its end meshes.
 
@@ -57,7 +57,7 @@ def half_width(
     """
     order = assumed_order(formal) if len(values) == 2 else formal
     result = grid_convergence(sizes, values, formal_order=order)
-    bound = result.u_num if own == "finest" else result.bound_of(values[0])
+    bound = result.u_num if end == "finest" else result.bound_of(values[0])
     return result.behaviour, math.inf if bound is None else bound
 
 
@@ -120,28 +120,29 @@ class CaseSeries:
     @property
     def good(self) -> list[tuple[CaseJob, Record]]:
         """Cases with an answer on the mesh that is theirs in the series."""
-        found = [(job, self.records.get(job.case.case_id)) for job in self.jobs]
-        return [
-            (job, record)
-            for job, record in found
-            if record is not None and record.converged and not has_other_mesh(record)
-        ]
+        return [(job, record) for job in self.jobs if (record := self._answer(job)) is not None]
+
+    def _answer(self, job: CaseJob) -> Record | None:
+        """Record of a case with an answer on the mesh that is its own."""
+        record = self.records.get(job.case.case_id)
+        usable = record is not None and record.converged and not has_other_mesh(record)
+        return record if usable else None
 
     def due(self) -> list[CaseJob]:
         """Cases that were not computed yet: all of them, for none depends on another."""
         return [job for job in self.every if job.case.case_id not in self.records]
 
-    def add(self, step: CaseJob, found: Record | None) -> None:
+    def add(self, step: CaseJob, result: Record | None) -> None:
         """Take the record of a case."""
-        self.records[step.case.case_id] = found
+        self.records[step.case.case_id] = result
 
     def sizes(self, records: Sequence[Record]) -> tuple[float, ...]:
         """Mesh sizes of some records by the elements of their meshes, the first as asked for."""
-        asked = {job.case.case_id: job for job in self.jobs}
+        job_of = {job.case.case_id: job for job in self.jobs}
         if self.base.case.treatment.cell.problem.refinement is not None:
-            return tuple(size_of(asked[record.case_id]) for record in records)
+            return tuple(size_of(job_of[record.case_id]) for record in records)
         # another program does not say what its mesh is: it was asked for this one
-        sizes = [float(r.mesh.get("mesh_size_mm") or base_size_mm(asked[r.case_id]))
+        sizes = [float(r.mesh.get("mesh_size_mm") or base_size_mm(job_of[r.case_id]))
                  for r in records]  # fmt: skip
         elements = [int(record.mesh.get("elements", 0)) for record in records]
         return tuple(series_sizes(sizes, elements, self.base.case.setup, anchor=0))
@@ -159,18 +160,18 @@ class CaseSeries:
         and adds up in squares. Thrice the difference of two meshes holds the deviation of one from
         the mean of all in 89 of 100 cases.
         """
-        known = [(job, r, v) for job, r in self.good if (v := r.value(response)) is not None]
-        values = tuple(value for _, _, value in known)
-        lacking = self._lacking([job for job, _, _ in known])
+        answered = [(job, r, v) for job, r in self.good if (v := r.value(response)) is not None]
+        values = tuple(value for _, _, value in answered)
+        lacking = self._lacking([job for job, _, _ in answered])
         if lacking:
-            first = bool(known) and known[0][0] is self.base and self.own == "coarsest"
+            first = bool(answered) and answered[0][0] is self.base and self.own == "coarsest"
             value = values[0] if first else None
             return NumericalUncertainty(
                 self.levels, response, value, None, unit, "not available", lacking
             )
-        sizes, formal = self.sizes([record for _, record, _ in known]), self.formal
+        sizes, formal = self.sizes([record for _, record, _ in answered]), self.formal
         behaviour, u = self.half_width(values, sizes, formal.order)
-        value, note = values[0] if self.own == "coarsest" else values[-1], self._note(len(known))
+        value, note = values[0] if self.own == "coarsest" else values[-1], self._note(len(answered))
         if self.other is not None:
             again = None if self._again is None else self._again.value(response)
             if again is None:
@@ -186,16 +187,14 @@ class CaseSeries:
     @property
     def _again(self) -> Record | None:
         """Answer on another mesh of the study's own size."""
-        record = None if self.other is None else self.records.get(self.other.case.case_id)
-        usable = record is not None and record.converged and not has_other_mesh(record)
-        return record if usable else None
+        return None if self.other is None else self._answer(self.other)
 
-    def _lacking(self, known: Sequence[CaseJob]) -> str:
+    def _lacking(self, answered: Sequence[CaseJob]) -> str:
         """Why the meshes with an answer are too few; empty if they are enough."""
         if self.own == "finest":
-            few = len(known) < len(self.jobs)
-            return f"{len(known)} of {len(self.jobs)} meshes gave an answer" if few else ""
-        few = len(known) < 2 or known[0] is not self.base
+            few = len(answered) < len(self.jobs)
+            return f"{len(answered)} of {len(self.jobs)} meshes gave an answer" if few else ""
+        few = len(answered) < 2 or answered[0] is not self.base
         return f"no second mesh gave an answer ({self.base.case.label})" if few else ""
 
     def _note(self, meshes: int) -> str:
@@ -226,8 +225,8 @@ class CaseSeries:
         sizes, formal = self.sizes([record for _, record in good]), self.formal.order
         u = np.array([self.half_width(list(place), sizes, formal)[1] for place in forces.T])
         if self._again is not None:
-            own = forces[0 if self.own == "coarsest" else -1]
-            u = np.hypot(u, CAUTIOUS * np.abs(force_at_places(self._again) - own))
+            reference = forces[0 if self.own == "coarsest" else -1]
+            u = np.hypot(u, CAUTIOUS * np.abs(force_at_places(self._again) - reference))
         if self.own == "coarsest":
             return {self.base.case.case_id: u / np.abs(forces[0])}
         return {
@@ -238,13 +237,13 @@ class CaseSeries:
     def judge(self, spec: Converge, units: Mapping[str, str]) -> SeriesJudgement:
         """Judge curves, responses and constants of the series."""
         records, formal = [record for _, record in self.good], self.formal
-        said = list(self._unanswered())
+        warnings = list(self._unanswered())
         values = quantities(records, units)
-        known = spec.qoi if spec.qoi in QUANTITIES else "peak_force"
+        name = spec.qoi if spec.qoi in QUANTITIES else "peak_force"
         verdict = f"an order needs three meshes with an answer, there are {len(records)}"
         facts = SeriesJudgement(
             inconclusive(
-                spec.qoi, QUANTITIES[known][1], [], [], formal_order=formal.order, verdict=verdict
+                spec.qoi, QUANTITIES[name][1], [], [], formal_order=formal.order, verdict=verdict
             ),
             {},
             formal,
@@ -252,14 +251,14 @@ class CaseSeries:
             block=self.base.case.block,
         )
         if len(records) < FEWEST or not values:
-            return facts.warned(*said)
+            return facts.warned(*warnings)
         qoi = spec.qoi if spec.qoi in values else next(iter(values))
         elements = [int(record.mesh.get("elements", 0)) for record in records]
         sizes = [size_of(job) for job, _ in self.good]
         if self.base.case.treatment.cell.problem.refinement is None:
             sizes = series_sizes(sizes, elements, self.base.case.setup)
         results = judged(sizes, values, formal.order, TOLERANCE)
-        return combined(facts, qoi, results, spec.tolerance, said)
+        return combined(facts, qoi, results, spec.tolerance, warnings)
 
     def _unanswered(self) -> Iterable[str]:
         """Say which meshes gave no answer, and why."""
@@ -290,9 +289,9 @@ def quantities(records: Sequence[Record], units: Mapping[str, str]) -> Values:
     columns: dict[str, tuple[list[float], str]] = {}
 
     def add(name: str, numbers: Iterable[float | None], unit: str) -> None:
-        known = [float(v) for v in numbers if v is not None]
-        if known and len(known) == len(records):
-            columns.setdefault(name, (known, unit))
+        values = [float(v) for v in numbers if v is not None]
+        if values and len(values) == len(records):
+            columns.setdefault(name, (values, unit))
 
     curves = [record.first_prediction() for record in records]
     for name, (function, unit) in QUANTITIES.items():
@@ -301,8 +300,8 @@ def quantities(records: Sequence[Record], units: Mapping[str, str]) -> Values:
         if name not in COSTS:
             add(name, (record.value(name) for record in records), unit)
     for name, entry in (records[0].parameters if records else {}).items():
-        known = [record.parameters.get(name) for record in records]
-        add(name, (None if p is None else p["value"] for p in known), entry["unit"])
+        entries = [record.parameters.get(name) for record in records]
+        add(name, (None if p is None else p["value"] for p in entries), entry["unit"])
     return columns
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 
 from study.ground.canonical import digest
 from study.ground.errors import InputError
@@ -72,11 +72,11 @@ class Costs:
             return overhead + job.predictions * external.section.price_s
         if not job.origin.predicts or job.forward != "simulation":
             return _OVERHEAD_S
-        one, solves = self.solve_seconds(config, job.depth_mm), float(job.predictions)
+        solve_s, solves = self.solve_seconds(config, job.depth_mm), float(job.predictions)
         if job.group:
             solves = _from_anchor(config) * solves + (job.group not in self._anchored)
             self._anchored.add(job.group)
-        return _OVERHEAD_S + solves * one
+        return _OVERHEAD_S + solves * solve_s
 
     def total_seconds(self, fits: Iterable[FitJob], cases: Iterable[CaseJob], jobs: int) -> float:
         """Wall time on a number of workers."""
@@ -143,9 +143,9 @@ def _evaluations(names: Sequence[str]) -> int:
 
 def program_calls(fits: Iterable[FitJob], cases: Iterable[CaseJob]) -> int:
     """Count the calls of other programs in some fits and cases."""
-    asked = (one for one in cases if one.forward == "external" and one.origin.predicts)
-    predicted = sum(one.predictions for one in asked)
-    return predicted + sum(fit_calls(one.problem) for one in fits)
+    external_cases = (job for job in cases if job.forward == "external" and job.origin.predicts)
+    predicted = sum(job.predictions for job in external_cases)
+    return predicted + sum(fit_calls(fit.problem) for fit in fits)
 
 
 def _scales(names: Sequence[str]) -> bool:
@@ -175,41 +175,7 @@ def _estimated(
     depth = depth_mm or 0.2 * (Setup.of(config).height_mm or 1.0)
     try:
         problem = with_placeholder(config, depth, C10_MPa=0.005)
-        found = estimate(problem.setup, patience_s=patience_s)
-        return float(found.seconds), float(found.memory_MB), found.counting_s
+        estimated = estimate(problem.setup, patience_s=patience_s)
+        return float(estimated.seconds), float(estimated.memory_MB), estimated.counting_s
     except (InputError, ValueError, RuntimeError):
         return 1.0, 0.0, 0.0  # an estimate must never stop a plan; the case will say what is wrong
-
-
-#: share of the work after which what was done is believed more than a prediction
-_ENOUGH = 0.05
-
-
-class Pace:
-    """Predicted seconds of computations, corrected by those that are done.
-
-    Computations of one kind cost alike: what one of them took tells more of the next than what
-    others took. A kind of which none is done yet goes at the pace of all.
-    """
-
-    def __init__(self, prices: Mapping[str, float], kinds: Mapping[str, str], workers: int) -> None:
-        self._left, self._kinds, self._workers = dict(prices), kinds, workers
-        self._enough = _ENOUGH * sum(prices.values())
-        self._predicted: dict[str, float] = {}
-        self._taken: dict[str, float] = {}
-
-    def finished(self, key: str, seconds: float) -> None:
-        """Count a computation that kept a worker busy for so many seconds."""
-        kind, price = self._kinds[key], self._left.pop(key)
-        self._predicted[kind] = self._predicted.get(kind, 0.0) + price
-        self._taken[kind] = self._taken.get(kind, 0.0) + seconds
-
-    def seconds_left(self) -> float:
-        """Wall time of the rest."""
-        predicted = sum(self._predicted.values())
-        if predicted < self._enough or not predicted:
-            return Costs.side_by_side(list(self._left.values()), self._workers)
-        usual = sum(self._taken.values()) / predicted
-        own = {kind: self._taken[kind] / price for kind, price in self._predicted.items() if price}
-        rest = [price * own.get(self._kinds[key], usual) for key, price in self._left.items()]
-        return Costs.side_by_side(rest, self._workers)

@@ -48,11 +48,10 @@ from study.mechanics.setup.calibration_table import NOTHING as calibration_NOTHI
 from study.mechanics.setup.declaration import table_of
 from study.mechanics.setup.setup import Tables
 
-# -------------------------------------------------------------------------------------------------
 # Repeats of every cell for an error term: other meshes, or fits to resampled noise.
 
 
-def seeded(found: Sequence[Case], design: Design) -> tuple[tuple[Case, Origin], ...]:
+def seeded(distinct: Sequence[Case], design: Design) -> tuple[tuple[Case, Origin], ...]:
     """Every case on each of its meshes, with the number of the mesh; once where none are asked.
 
     Seeds are made of the study's seed and the cell: the meshes of one cell are the same in
@@ -60,26 +59,26 @@ def seeded(found: Sequence[Case], design: Design) -> tuple[tuple[Case, Origin], 
     """
     seeds = design.replicates.mesh_seeds
     if design.replicates.key is not None:
-        return _reseeded(found, design, design.replicates.key.partition(".")[2])
+        return _reseeded(distinct, design, design.replicates.key.partition(".")[2])
     if not seeds:
-        return tuple((case, Origin()) for case in found)
-    _check_count(len(found) * seeds)
+        return tuple((case, Origin()) for case in distinct)
+    _check_count(len(distinct) * seeds)
     return tuple(
         (_on_mesh(case, _seed(design, case, number)), Origin(mesh_seed=number))
-        for case in found
+        for case in distinct
         for number in range(1, seeds + 1)
     )
 
 
-def _reseeded(found: Sequence[Case], design: Design, name: str) -> tuple[tuple[Case, Origin], ...]:
+def _reseeded(cases: Sequence[Case], design: Design, name: str) -> tuple[tuple[Case, Origin], ...]:
     """Every case with several values of the parameter that seeds a stochastic simulation.
 
     No two cells share a seed, so that the cases of a cell are true replicates.
     """
     count = design.replicates.n
-    _check_count(len(found) * count)
+    _check_count(len(cases) * count)
     made = []
-    for case in found:
+    for case in cases:
         for number in range(1, count + 1):
             parameters = {**table_of(case.config, "parameters"), name: _seed(design, case, number)}
             config = {**case.config, "parameters": parameters}
@@ -120,7 +119,10 @@ def refitted(case: Case, number: int) -> Case:
 
 
 def _again(job: CaseJob, seed: int, number: int) -> CaseJob:
-    directions = tuple(_refitted(pair, seed, number) for pair in job.directions)
+    directions = tuple(
+        (pair if pair.fit is None else replace(pair, fit=pair.fit.resampled(seed, number)))
+        for pair in job.directions
+    )
     keys = {pair.fit_key for pair in directions} - {None}
     return replace(
         job,
@@ -133,12 +135,6 @@ def _again(job: CaseJob, seed: int, number: int) -> CaseJob:
     )
 
 
-def _refitted(pair: ScorePair, seed: int, number: int) -> ScorePair:
-    """Copy a pair with the fit to resampled residuals; one whose constants are given stays."""
-    return pair if pair.fit is None else replace(pair, fit=pair.fit.resampled(seed, number))
-
-
-# -------------------------------------------------------------------------------------------------
 # Cross-validation: which curve a score is held out from, and the fit that did not see it.
 #
 # A model with more constants fits the curve that it was fitted to at least as well, whatever the
@@ -166,71 +162,56 @@ def held_out(
     return "specimen" if sees_the_scored and blocks >= FEWEST_BLOCKS else None
 
 
-@dataclass(frozen=True)
-class LeftOut:
-    """One scored curve and the fit that did not see it."""
-
-    test: MeasuredTest
-    score_where: Selection | None
-    problem: FitProblem
-    measured: tuple[Curve, ...]
-    label: str
-
-
 def distinct_tests(configs: Sequence[Tables]) -> tuple[Tables, ...]:
     """List the tests of a study: its different specimens, tests and measurements."""
     tested = [config for config in configs if "test" in config]
-    found = {_name(config): _sections(config) for config in tested}
-    return tuple(found.values())
+    by_name = {
+        _name(config): {key: config[key] for key in ("specimen", "test", "measurements")}
+        for config in tested
+    }
+    return tuple(by_name.values())
 
 
-def left_out(kind: str, case: Case, scored: Measurements, data: DataCache) -> list[LeftOut]:
-    """Every scored curve of a case, with the fit to everything else."""
-    if kind == "specimen":
-        return _without_specimen(case, scored, data)
-    return [_without_test(case, scored, data)]
-
-
-def _without_specimen(case: Case, scored: Measurements, data: DataCache) -> list[LeftOut]:
-    own = data.calibrated(case.config)
-    fitted = scored if own is None else own
+def _without_specimen(
+    case: Case, problem: FitProblem, scored: Measurements, data: DataCache
+) -> list[ScorePair]:
+    """Every scored curve of a specimen, with the fit to all other specimens."""
+    calibrated = data.calibrated(case.config)
+    fitted = scored if calibrated is None else calibrated
     others = [block for block in fitted.blocks if block != case.block]
     if not others or case.block is None:
         rule = "leaves one specimen out, but the measurements have fewer than two blocks"
         mend = "name the column of the specimens in measurements.block"
         raise InputError(Fault("calibration.leave_out", rule, mend))
-    out = []
+    pairs = []
     for fit_where, score_where in scored.sides:
-        where = dict((fit_where if own is None else own.fit) or {})
+        where = dict((fit_where if calibrated is None else calibrated.fit) or {})
         curves = tuple(fitted.curve(block, **where).curve for block in others)
-        test = scored.curve(case.block, **dict(score_where or {}))
-        label = f"all but {case.block}"
-        out.append(LeftOut(test, score_where, fit_problem(case.config), curves, label))
-    return out
+        fit = fit_job(problem, curves, case.label)
+        pair = _pair(scored.curve(case.block, **dict(score_where or {})), score_where, fit)
+        pairs.append(replace(pair, fit_label=f"all but {case.block}"))
+    return pairs
 
 
-def _without_test(case: Case, scored: Measurements, data: DataCache) -> LeftOut:
-    own = _name(case.config)
-    others = [test for test in data.tests if _name(test) != own]
+def _without_test(case: Case, scored: Measurements, data: DataCache) -> ScorePair:
+    """Scored curve of a test, with the fit to all other tests of the study."""
+    name = _name(case.config)
+    others = [test for test in data.tests if _name(test) != name]
     if not others:
         rule = "leaves one test out, but the design has only one"
         mend = "make the tests a factor: presets with test and measurements"
         raise InputError(Fault("calibration.leave_out", rule, mend))
     curves = []
     for test in others:
-        found = data.scored(test)
-        if found is None:
+        measured = data.scored(test)
+        if measured is None:
             raise InputError(Fault("measurements", "are missing for one of the tests"))
-        block = case.block if found.block is not None else None
-        curves.append(found.curve(block, **dict(found.fit or {})).curve)
-    problem = together(case.config, others)
+        block = case.block if measured.block is not None else None
+        curves.append(measured.curve(block, **dict(measured.fit or {})).curve)
+    fit = fit_job(together(case.config, others), tuple(curves), case.label)
     where = scored.score or scored.fit
-    held = scored.curve(case.block, **dict(where or {}))
-    return LeftOut(held, where, problem, tuple(curves), "all other tests")
-
-
-def _sections(config: Tables) -> Tables:
-    return {key: config[key] for key in ("specimen", "test", "measurements")}
+    pair = _pair(scored.curve(case.block, **dict(where or {})), where, fit)
+    return replace(pair, fit_label="all other tests")
 
 
 def _name(config: Tables) -> str:
@@ -269,26 +250,26 @@ def cases_by_id(design: Design, blocks: Sequence[str]) -> dict[str, Case]:
 
 
 def relabeled(
-    records: Iterable[Record], design: Design, known: Mapping[str, Case]
+    records: Iterable[Record], design: Design, cases: Mapping[str, Case]
 ) -> tuple[Record, ...]:
     """Give records the levels of their cases: a level of another name is computed no more."""
-    found = []
+    relabelled = []
     for record in records:
-        case = known.get(record.case_id)
+        case = cases.get(record.case_id)
         if case is None:
-            found += [record] if _is_of(record, design) else []
+            relabelled += [record] if _is_of(record, design) else []
         elif case.levels == record.levels and case.block == record.block:
-            found.append(record)
+            relabelled.append(record)
         else:
-            found.append(replace(record, levels=dict(case.levels), block=case.block))
-    return tuple(found)
+            relabelled.append(replace(record, levels=dict(case.levels), block=case.block))
+    return tuple(relabelled)
 
 
 def _is_of(record: Record, design: Design) -> bool:
     """Whether each level of a record is one of the design's."""
-    known = {factor.name: factor.labels for factor in design.factors}
-    return known.keys() == record.levels.keys() and all(
-        record.levels[name] in labels for name, labels in known.items()
+    labels_of = {factor.name: factor.labels for factor in design.factors}
+    return labels_of.keys() == record.levels.keys() and all(
+        record.levels[name] in labels for name, labels in labels_of.items()
     )
 
 
@@ -309,8 +290,8 @@ class Computed:
         """Work out what the cases of a cell share, from one whose files were found."""
         problem = fit_problem(case.config)
         names = (code_version(), *provenance.fingerprints(case.config), *identity(case.config))
-        asked = sorted(units_asked(design))
-        return cls(case.config, problem, _forward_of(case, problem), (asked, *names))
+        names_asked = sorted(units_asked(design))
+        return cls(case.config, problem, _forward_of(case, problem), (names_asked, *names))
 
 
 def units_asked(design: Design) -> dict[str, str]:
@@ -318,31 +299,31 @@ def units_asked(design: Design) -> dict[str, str]:
     if design.is_alone:
         return {response.name: response.unit for response in design.responses}
     forwards = {cell.cell.problem.forward for cell in design.treatments}
-    values = {k: u for one in forwards if one is not None for k, u in one.units.items()}
+    values = {k: u for forward in forwards if forward is not None for k, u in forward.units.items()}
     names = [response.name for response in design.responses if response.name not in values]
-    asked = {r.name: r.unit for r in design.responses if r.name in values}
-    return units_of(names, design.is_measured) | asked
+    of_program = {r.name: r.unit for r in design.responses if r.name in values}
+    return units_of(names, design.is_measured) | of_program
 
 
 def _common_blocks(cells: Sequence[Treatment], data: DataCache) -> tuple[str, ...]:
     """Labels of the blocks, the same in the measurements of every treatment."""
-    found: tuple[str, ...] | None = None
+    common: tuple[str, ...] | None = None
     for cell in cells:
         measured, marked = data.scored(cell.config), cell.cell.problem.markers
-        own = () if measured is None else measured.blocks
-        own = own if marked is None else marked.labels
-        if found is not None and own != found:
-            rule = f"treatments have different blocks: {', '.join(found)} and {', '.join(own)}"
+        labels = () if measured is None else measured.blocks
+        labels = labels if marked is None else marked.labels
+        if common is not None and labels != common:
+            rule = f"treatments have different blocks: {', '.join(common)} and {', '.join(labels)}"
             raise InputError(Fault("measurements.block", rule))
-        found = own
-    return found or ()
+        common = labels
+    return common or ()
 
 
-def _distinct(found: Sequence[Case]) -> tuple[Case, ...]:
+def _distinct(repeated_cases: Sequence[Case]) -> tuple[Case, ...]:
     """Give cells of equal content names of their own, so that none hides the other's record."""
     seen: set[str] = set()
     out = []
-    for case in found:
+    for case in repeated_cases:
         made = repeated(case, [case.levels]) if case.case_id in seen else case
         seen.add(made.case_id)
         out.append(made)
@@ -351,8 +332,8 @@ def _distinct(found: Sequence[Case]) -> tuple[Case, ...]:
 
 def _located(case: Case, places: Sequence[Path], allowed: Allowed = NOTHING) -> Case:
     """Copy a case with its surfaces, and the files of its forward model, found and checked."""
-    found = provenance.with_markers(provenance.located(case.config, places), places)
-    made = with_external(found, places, allowed.function)
+    config = provenance.with_markers(provenance.located(case.config, places), places)
+    made = with_external(config, places, allowed.function)
     check_templates(made, case.case_id)
     return replace(case, config=made)
 
@@ -381,8 +362,8 @@ def _forward_of(case: Case, problem: FitProblem) -> Forward:
     forward = case.treatment.cell.problem.forward
     if forward is not None:
         return "closed-form" if forward.model == "closed-form" else "external"
-    asked = case.treatment.cell.method == "analytic" and case.setup.is_homogeneous
-    return "closed-form" if asked or case.setup.has_no_elements else "simulation"
+    is_analytic = case.treatment.cell.method == "analytic" and case.setup.is_homogeneous
+    return "closed-form" if is_analytic or case.setup.has_no_elements else "simulation"
 
 
 def _score_pairs(
@@ -398,7 +379,14 @@ def _score_pairs(
         return [_first_pair(scored, case, None)]
     kind = _held_out(case, scored, design)
     if kind is not None:
-        return _held_out_pairs(kind, case, scored, data, design)
+        if kind != "specimen":
+            return [_without_test(case, scored, data)]
+        pairs = _without_specimen(case, problem, scored, data)
+        if design.asks_for_constants:
+            # those of all other specimens would differ less between specimens than these do
+            alone = _fitted_pairs(case, problem, scored, data)[0]
+            pairs.append(replace(alone, role=CONSTANTS, fit_label=f"{case.block} alone"))
+        return pairs
     return _fitted_pairs(case, problem, scored, data)
 
 
@@ -425,35 +413,15 @@ def _held_out(case: Case, scored: Measurements, design: Design) -> str | None:
     )  # fmt: skip
 
 
-def _held_out_pairs(
-    kind: str, case: Case, scored: Measurements, data: DataCache, design: Design
-) -> list[ScorePair]:
-    """Pairs whose fits never saw what is scored.
-
-    A constant that is asked for is a specimen's own: those of all others together would differ
-    less between specimens than specimens do.
-    """
-    pairs = [
-        replace(
-            _pair(one.test, one.score_where, fit_job(one.problem, one.measured, case.label)),
-            fit_label=one.label,
-        )
-        for one in left_out(kind, case, scored, data)
-    ]
-    if kind == "specimen" and design.asks_for_constants:
-        own = _fitted_pairs(case, fit_problem(case.config), scored, data)
-        label = f"{case.block} alone"
-        pairs += [replace(one, role=CONSTANTS, fit_label=label) for one in own[:1]]
-    return pairs
-
-
 def _fitted_pairs(
     case: Case, problem: FitProblem, scored: Measurements, data: DataCache
 ) -> list[ScorePair]:
     """Pairs whose constants come from the curves that the study file selects."""
-    own = data.calibrated(case.config)
-    if own is not None:
-        fitted = own.curve(_block_in(own, case.block), **dict(own.fit or {}))
+    other = data.calibrated(case.config)
+    if other is not None:
+        fitted = other.curve(
+            case.block if other.block is not None else None, **dict(other.fit or {})
+        )
         return [_first_pair(scored, case, fit_job(problem, (fitted.curve,), case.label))]
     return _swapped_pairs(scored, case, problem)
 
@@ -499,17 +467,16 @@ def fit_job(problem: FitProblem, measured: tuple[Curve, ...], label: str) -> Fit
     return FitJob.of(problem, measured, start, label)
 
 
-def _block_in(found: Measurements, block: str | None) -> str | None:
-    return block if found.block is not None else None
-
-
-def _anchored(found: Iterable[CaseJob]) -> tuple[CaseJob, ...]:
+def _anchored(unanchored: Iterable[CaseJob]) -> tuple[CaseJob, ...]:
     """Give the cases of each cell their anchor: the fit of the first case's first direction.
 
     The anchor decides the last digits of a prediction and is therefore part of its identity.
     """
-    jobs = tuple(found)
-    groups = [_group(job) if _may_share_a_start(job) else "" for job in jobs]
+    jobs = tuple(unanchored)
+    groups = [
+        digest([plain(job.case.config), job.depth_mm], 32) if _may_share_a_start(job) else ""
+        for job in jobs
+    ]
     solutions: Counter[str] = Counter()
     first: dict[str, CaseJob] = {}
     for job, group in zip(jobs, groups, strict=True):
@@ -525,10 +492,6 @@ def _with_anchor(job: CaseJob, group: str, leader: CaseJob) -> CaseJob:
     anchor = leader.directions[0].fit
     name = digest([job.input_hash, None if anchor is None else anchor.key])
     return replace(job, group=group, anchor=anchor, input_hash=name)
-
-
-def _group(job: CaseJob) -> str:
-    return digest([plain(job.case.config), job.depth_mm], 32)
 
 
 def _may_share_a_start(job: CaseJob) -> bool:

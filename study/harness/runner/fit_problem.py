@@ -27,7 +27,8 @@ from study.harness.external.command import External
 from study.harness.external.exchange import PythonFunction
 from study.harness.runner.problem_tables import (
     PROBLEM,
-    CalibrationTable,
+    calibrated_test,
+    method_of,
     own_tables,
     with_placeholder,
 )
@@ -38,7 +39,6 @@ from study.mechanics.setup.declaration import table_of
 from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import Setup, Tables
 
-# -------------------------------------------------------------------------------------------------
 # Programs and functions of a study: found, named, allowed, and asked for curves.
 
 _WHERE = "forward.files"
@@ -135,8 +135,10 @@ def _text(name: str, places: Sequence[Path]) -> str:
 
 def externals(configs: Iterable[Tables]) -> list[External]:
     """Forward models of some configurations that are not ours, each once."""
-    found = {one.digest: one for config in configs if (one := External.of(config)) is not None}
-    return list(found.values())
+    by_digest = {
+        model.digest: model for config in configs if (model := External.of(config)) is not None
+    }
+    return list(by_digest.values())
 
 
 def identity(tables: Tables) -> list[str]:
@@ -180,40 +182,39 @@ class FitProblem:
             return [(self.method, self.tables)]
         shared = {"material": self.tables["material"]}
         parts = cast("list[dict[str, object]]", self.tables["tests"])
-        return [(str(one["method"]), {**shared, **one}) for one in parts]
+        return [(str(part["method"]), {**shared, **part}) for part in parts]
 
 
 def fit_problem(tables: Tables) -> FitProblem:
     """Calibration of the resolved tables of a case; of parameters alone there is none."""
     if "material" not in tables:
         return FitProblem("none", tables, False)
-    section = CalibrationTable.of(tables)
-    own = section.problem or {}
+    calibration = calibrated_test(tables)
     scored = {k: tables[k] for k in PROBLEM if k in tables}
-    merged = scored | {k: own[k] for k in _REPLACEABLE if own.get(k)}
+    merged = scored | {k: calibration[k] for k in _REPLACEABLE if calibration.get(k)}
     shared = merged == scored
     merged["material"] = _written(table_of(tables, "material"))
     external = External.of(merged)
-    method = _method(section.method, merged, external is not None)
+    method = _method(method_of(tables), merged, external is not None)
     if method == "closed-form":
         merged.pop("model", None)
         merged.pop("forward", None)
         # its depth, steps and base do not enter
         test, relaxes = table_of(merged, "test"), bool(MaterialSection.of(merged).relaxation)
-        kept = {"kind": test["kind"], "interface": "frictionless"}
+        entering_keys = {"kind": test["kind"], "interface": "frictionless"}
         entering = ["prestretch"] + ["speed_mm_per_s"] * relaxes
-        merged["test"] = kept | {key: test[key] for key in entering if test.get(key)}
+        merged["test"] = entering_keys | {key: test[key] for key in entering if test.get(key)}
     return FitProblem(method, merged, shared)
 
 
 def together(tables: Tables, tests: Sequence[Tables]) -> FitProblem:
     """One fit to several tests, with the material and model of a case."""
-    asked = {"method": CalibrationTable.of(tables).method}
+    calibration = {"method": method_of(tables)}
     parts = []
     for test in tests:
-        found = fit_problem({**tables, **test, "calibration": asked})
-        sections = {k: v for k, v in found.tables.items() if k != "material"}
-        parts.append({"method": found.method, **sections})
+        problem = fit_problem({**tables, **test, "calibration": calibration})
+        sections = {k: v for k, v in problem.tables.items() if k != "material"}
+        parts.append({"method": problem.method, **sections})
     material = _written(table_of(tables, "material"))
     return FitProblem("together", {"material": material, "tests": parts}, False)
 
@@ -223,17 +224,17 @@ def _written(material: Tables) -> dict[str, object]:
     return {k: v for k, v in material.items() if v not in (None, {}, False)}
 
 
-def _method(asked: str, tables: Tables, is_external: bool) -> str:
-    if asked == "none":
+def _method(method: str, tables: Tables, is_external: bool) -> str:
+    if method == "none":
         return "none"
-    if is_external and asked != "analytic":
+    if is_external and method != "analytic":
         return "external"
     setup = Setup.of(tables)
     homogeneous = setup.is_homogeneous
-    if asked == "analytic" and not homogeneous:
+    if method == "analytic" and not homogeneous:
         rule = "method = 'analytic' needs compression with both faces frictionless"
         raise InputError(Fault("calibration.method", rule, "use 'auto' or 'inverse-fem'"))
-    if asked == "inverse-fem" and not setup.has_no_elements:
+    if method == "inverse-fem" and not setup.has_no_elements:
         return "inverse-fem"
     return "closed-form" if homogeneous else "inverse-fem"
 
@@ -250,11 +251,11 @@ def start_problem(problem: FitProblem) -> FitProblem | None:
     A third-order polynomial that starts from the neo-Hookean constant alone walks into
     constants that soften without end. Start values are thus a function of the case alone.
     """
-    own = problem.material
+    section = problem.material
     simulated = any(method == "inverse-fem" for method, _ in problem.tests)
-    if not simulated or own.constants:
+    if not simulated or section.constants:
         return None
-    simpler = ENERGIES[own.model].simpler(own.order or 1)
+    simpler = ENERGIES[section.model].simpler(section.order or 1)
     if simpler is None:
         return None
     model, order = simpler

@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from study.mechanics.solver.solution import Solution
 
 
-# -------------------------------------------------------------------------------------------------
 # A predicted curve, and how it was found.
 
 
@@ -84,10 +83,7 @@ def mesh_document(solution: Solution) -> MeshDocument:
 
 
 def solver_document(solution: Solution) -> SolverDocument:
-    """Describe how a solution was found, and its energy balance, for the record.
-
-    Units: solution mm.
-    """
+    """Describe how a solution was found, and its energy balance, for the record."""
     touching = solution.equilibria.contact
     return {
         "name": str(solution.solver),
@@ -95,8 +91,8 @@ def solver_document(solution: Solution) -> SolverDocument:
         "energy_mismatch": float(solution.energy.largest_mismatch),
         "stabilization_share": float(solution.energy.stabilization_share),
         "snaps_mm": [float(place) for place in solution.energy.jumps_mm],
-        "penetration_mm": max((one.penetration_mm for one in touching), default=0.0),
-        "gap_mm": max((one.gap_mm for one in touching), default=0.0),
+        "penetration_mm": max((contact.penetration_mm for contact in touching), default=0.0),
+        "gap_mm": max((contact.gap_mm for contact in touching), default=0.0),
     }
 
 
@@ -106,17 +102,17 @@ FitStatus = Literal["converged", "at-edge", "at-kink", "not-converged"]
 WITH_CONSTANTS: Collection[str] = ("converged", "at-edge", "at-kink")
 
 
-def status_of(found: Fit) -> FitStatus:
+def status_of(fit: Fit) -> FitStatus:
     """How a fit ended, in the words of every verb.
 
     ``at-edge`` and ``at-kink`` are ends with constants that describe the data as well as the
     model can, and without standard errors.
     """
-    if found.status is Status.at_edge:
+    if fit.status is Status.at_edge:
         return "at-edge"
-    if found.status is Status.at_kink:
+    if fit.status is Status.at_kink:
         return "at-kink"
-    return "converged" if found.converged else "not-converged"
+    return "converged" if fit.converged else "not-converged"
 
 
 @dataclass(frozen=True)
@@ -171,39 +167,36 @@ class FitResult:
     @classmethod
     def from_json(cls, document: Mapping[str, object]) -> FitResult:
         """Inverse of :meth:`to_json`; a task that had no answer has a status and a message."""
-        known = {k: v for k, v in document.items() if k in FitDocument.__annotations__}
+        fields_read = {k: v for k, v in document.items() if k in FitDocument.__annotations__}
         return cls(
             str(document["status"]),
-            cast(FitDocument, known),
+            cast(FitDocument, fields_read),
             PredictedCurve.from_json(document) if "curve" in document else None,
             cast(float, document.get("start_seconds", 0.0)),
         )
 
 
-def described(found: Fit, tables: Tables, measured: Sequence[Curve]) -> FitDocument:
-    """Describe a fit.
-
-    Units: found MPa; returns MPa.
-    """
-    names = found.names
+def described(fit: Fit, tables: Tables, measured: Sequence[Curve]) -> FitDocument:
+    """Describe a fit."""
+    names = fit.names
     document: FitDocument = {
-        "message": found.message,
+        "message": fit.message,
         "names": list(names),  # JSON sorts keys; the matrices need their order
-        "values": found.constants(),
-        "standard_error": {n: _finite(v) for n, v in zip(names, found.standard_error, strict=True)},
-        "ci95": {n: _row(pair) for n, pair in zip(names, found.ci95, strict=True)},
-        "correlation": [_row(row) for row in found.correlation],
-        "condition": _finite(found.condition),
-        "rss": _finite(found.rss),
-        "r_squared": _finite(found.r_squared),
-        "aicc": _finite(found.aicc),
-        "n": int(found.n),
-        "identifiable": bool(found.identifiable) and found.converged,
-        "reason": str(found.reason),
-        "evaluations": int(found.evaluations),
+        "values": fit.constants(),
+        "standard_error": {n: _finite(v) for n, v in zip(names, fit.standard_error, strict=True)},
+        "ci95": {n: _row(pair) for n, pair in zip(names, fit.ci95, strict=True)},
+        "correlation": [_row(row) for row in fit.correlation],
+        "condition": _finite(fit.condition),
+        "rss": _finite(fit.rss),
+        "r_squared": _finite(fit.r_squared),
+        "aicc": _finite(fit.aicc),
+        "n": int(fit.n),
+        "identifiable": bool(fit.identifiable) and fit.converged,
+        "reason": str(fit.reason),
+        "evaluations": int(fit.evaluations),
     }
-    if found.status.usable:
-        document.update(_stability(tables, found.constants(), measured))
+    if fit.status.usable:
+        document.update(_stability(tables, fit.constants(), measured))
     return document
 
 
@@ -257,7 +250,6 @@ def _row(values: Array) -> list[float | None]:
     return [_finite(value) for value in values]
 
 
-# -------------------------------------------------------------------------------------------------
 # Constants found through a program or a function, with gradients it has or differences.
 
 #: evaluations of a fit beside those of its gradients: measured on neo-Hookean to third order
@@ -347,8 +339,8 @@ def predicted_of(solved: Solved, external: External) -> PredictedCurve:
 def _name(solved: Solved | ParameterAnswer, external: External) -> str:
     if external.function is not None:
         return f"Python function, version {external.function.version}"
-    said = "" if solved.program is None else solved.program["version"]
-    return said or external.section.argv[0][0]
+    version = "" if solved.program is None else solved.program["version"]
+    return version or external.section.argv[0][0]
 
 
 def answer_of_parameters(tables: Tables, case_id: str) -> tuple[ParameterAnswer, SolverDocument]:
@@ -356,27 +348,24 @@ def answer_of_parameters(tables: Tables, case_id: str) -> tuple[ParameterAnswer,
     external = External.of(tables)
     if external is None:
         raise ValueError("these tables name no external forward model")
-    found = external.answer({"case_id": case_id, **own_tables(tables)})
-    solver: SolverDocument = {"name": _name(found, external)}
-    if found.program is not None:
-        solver["program"] = found.program
-    return found, solver
+    answer = external.answer({"case_id": case_id, **own_tables(tables)})
+    solver: SolverDocument = {"name": _name(answer, external)}
+    if answer.program is not None:
+        solver["program"] = answer.program
+    return answer, solver
 
 
 def external_curve(
     tables: Tables, constants: Mapping[str, float] | None, displacement_mm: Array
 ) -> PredictedCurve:
-    """Curve of a case by its external forward model.
-
-    Shapes: constants MPa; displacement_mm (n,).
-    """
+    """Curve of a case by its external forward model; constants MPa; displacement_mm (n,)."""
     external = External.of(tables)
     if external is None:
         raise ValueError("these tables name no external forward model")
     problem = problem_of(tables, constants, float(displacement_mm[-1]))
     solved = external.solve(problem, displacement_mm, own_tables(tables))
-    found = predicted_of(solved, external)
-    mesh = found.mesh
+    prediction = predicted_of(solved, external)
+    mesh = prediction.mesh
     if mesh and problem.model.mesh_size_mm is not None:
         mesh = {**mesh, "mesh_size_mm": problem.model.mesh_size_mm}
-    return replace(found, curve=found.curve.with_tangents(), mesh=mesh)
+    return replace(prediction, curve=prediction.curve.with_tangents(), mesh=mesh)

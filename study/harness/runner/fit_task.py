@@ -18,7 +18,7 @@ from study.ground.arrays import Array
 from study.ground.canonical import digest
 from study.ground.curve import Curve
 from study.ground.errors import InputError
-from study.harness.execution.task import Received
+from study.harness.external.exchange import spline_from_origin
 from study.harness.record.document import FitDocument
 from study.harness.runner.fit_problem import FitProblem
 from study.harness.runner.fit_summary import (
@@ -29,9 +29,9 @@ from study.harness.runner.fit_summary import (
     status_of,
 )
 from study.harness.runner.staged_fit import (
-    Checkpoint,
     FitPart,
     Predict,
+    StagedSearch,
     is_proportional,
     single_stage,
     staged_fit,
@@ -66,36 +66,10 @@ class FitTask:
     #: Seed and number of a fit to resampled residuals.
     noise: tuple[int, int] | None = None
 
-    @property
-    def kind(self) -> str:
-        """Name of what a worker does with it."""
-        return "fit" if self.noise is None else "noise"
 
-    def to_json(self) -> dict[str, object]:
-        """Plain data for a worker."""
-        return {
-            "kind": self.kind,
-            "method": self.problem.method,
-            "tables": dict(self.problem.tables),
-            "measured": [curve.as_dict(recorded=True) for curve in self.measured],
-            "start": None if self.start is None else self.start.to_json(),
-            "noise": self.noise,
-        }
-
-    @classmethod
-    def from_json(cls, task: Received) -> FitTask:
-        """Inverse of :meth:`to_json`."""
-        return cls(
-            FitProblem(task["method"], task["tables"], False),
-            tuple(Curve.from_dict(curve) for curve in task["measured"]),
-            None if task["start"] is None else FitResult.from_json(task["start"]),
-            None if task["noise"] is None else (task["noise"][0], task["noise"][1]),
-        )
-
-
-def perform_fit(document: Received) -> dict[str, object]:
-    """Fit the constants of one material to measured curves: a task for a worker."""
-    return fitted(FitTask.from_json(document)).to_json()
+def perform(task: FitTask) -> dict[str, object]:
+    """Fit the constants of one material, to resampled curves where it has a seed: for a worker."""
+    return (fitted if task.noise is None else refitted)(task).to_json()
 
 
 def fitted(task: FitTask) -> FitResult:
@@ -110,23 +84,23 @@ def fitted(task: FitTask) -> FitResult:
         parts[0].tables, task.measured, None if start is None else start.constants
     )
     done = staged_fit(parts, names, first, fitted_model)
-    fitted_curves = [one for part in parts for one in part.measured]
-    found = described(
+    fitted_curves = [curve for part in parts for curve in part.measured]
+    facts = described(
         with_serial_correlation(done.fit, fitted_curves),
         parts[0].tables,
         task.measured[:1] if len(parts) > 1 else task.measured,
     )
-    asked = task.problem.method
-    found.update({"message": done.message, "evaluations": done.evaluations, "method": asked})
+    method = task.problem.method
+    facts.update({"message": done.message, "evaluations": done.evaluations, "method": method})
     predict, predicted = done.models[0], None
     if isinstance(predict, InverseFem) and task.problem.method == "inverse-fem":
         predicted = predict.predicted(done.fit.values)
-        found.update({"newton_iterations": predict.newton_iterations, "solves": predict.solves})
+        facts.update({"newton_iterations": predict.newton_iterations, "solves": predict.solves})
     if isinstance(predict, InverseExternal):
         predicted = predict.predicted(done.fit.values) if done.fit.status.usable else None
-        found["solves"] = predict.solves
-    found["seconds"] = time.perf_counter() - began
-    return FitResult(status_of(done.fit), found, predicted, 0.0 if start is None else start.seconds)
+        facts["solves"] = predict.solves
+    facts["seconds"] = time.perf_counter() - began
+    return FitResult(status_of(done.fit), facts, predicted, 0.0 if start is None else start.seconds)
 
 
 def parts_of(task: FitTask) -> list[FitPart]:
@@ -138,7 +112,7 @@ def parts_of(task: FitTask) -> list[FitPart]:
     ]
     if len(tests) == 1:
         return [FitPart(*tests[0], tuple(data))]
-    return [FitPart(*test, (one,)) for test, one in zip(tests, data, strict=True)]
+    return [FitPart(*test, (curve,)) for test, curve in zip(tests, data, strict=True)]
 
 
 def start_values(
@@ -151,32 +125,34 @@ def start_values(
 
     Shapes: neo_hookean MPa; returns (p,), MPa, s.
     """
-    known = MaterialSection.of(tables)
-    names, fading = known.calibrated_names, known.starts_of_relaxation()
-    if known.constants:
-        return names, np.array([float({**known.constants, **fading}[n]) for n in names])
+    section = MaterialSection.of(tables)
+    names, fading = section.calibrated_names, section.starts_of_relaxation()
+    if section.constants:
+        return names, np.array([float({**section.constants, **fading}[n]) for n in names])
     if neo_hookean is None:
         first = measured[0]
         neo_hookean = closed_form.neo_hookean_start(tables, first.displacement_mm, first.force_N)
-    energy, shear_modulus = ENERGIES[known.model], 2 * float(neo_hookean["C10"])
-    own = [name for name in names if name not in fading]
-    values = {**neo_hookean, **energy.starting_values(own, shear_modulus), **fading}
+    energy, shear_modulus = ENERGIES[section.model], 2 * float(neo_hookean["C10"])
+    elastic = [name for name in names if name not in fading]
+    values = {**neo_hookean, **energy.starting_values(elastic, shear_modulus), **fading}
     return names, np.array([values.get(n, 0.0) for n in names])
 
 
 def fitted_model(
     method: str, tables: Tables, measured: Sequence[Curve], names: Sequence[str]
 ) -> Predict:
-    """Model of one test, for the optimizer.
-
-    Units: measured mm, s; returns MPa.
-    """
+    """Model of one test, for the optimizer."""
     if method == "external":
         return InverseExternal(tables, measured, names)
     if method == "closed-form":
         return closed_form_model(tables, measured, names)
     make = ProportionalFem if is_proportional(tables, names) else InverseFem
     return make(tables, measured, names)
+
+
+def models_of(parts: Sequence[FitPart], names: Sequence[str]) -> list[Predict]:
+    """Models of the parts of a fit."""
+    return [fitted_model(part.method, part.tables, part.curves, names) for part in parts]
 
 
 def closed_form_model(tables: Tables, measured: Sequence[Curve], names: Sequence[str]) -> Predict:
@@ -251,9 +227,10 @@ class InverseFem:
         """Interpolate force and gradient at measured points, each consistent with the other."""
         base = curve if self._base is None else self._base
         here = curve.displacement_mm
-        added = _spline(here, curve.force_N - base.force_at(here), grid)
+        added = spline_from_origin(here, curve.force_N - base.force_at(here), grid)
         gradient = {
-            n: _spline(curve.displacement_mm, curve.force_gradient[n], grid) for n in self._names
+            n: spline_from_origin(curve.displacement_mm, curve.force_gradient[n], grid)
+            for n in self._names
         }
         return Curve(grid, base.force_at(grid) + added, force_gradient=gradient)
 
@@ -344,16 +321,6 @@ class ProportionalFem(InverseFem):
         return replace(self._unit.predicted, curve=self.curves[np.asarray(values).tobytes()])
 
 
-def _spline(knots: Array, values: Array, at: Array) -> Array:
-    """Cubic spline from the unloaded origin through the solved steps; linear in ``values``."""
-    from scipy.interpolate import CubicSpline
-
-    x, y = (knots, values) if knots[0] <= 0 else (np.r_[0.0, knots], np.r_[0.0, values])
-    if x.size < 3:
-        return np.asarray(np.interp(at, x, y))
-    return np.asarray(CubicSpline(x, y)(at))
-
-
 # -------------------------------------------------------------------------------------------------
 # What the noise of a measured curve does to its constants: fits to resampled residuals.
 #
@@ -383,10 +350,7 @@ class Residuals:
 
 
 def residuals_of(measured: Curve, predicted_N: Array, share: float) -> Residuals:  # noqa: N803
-    """Residuals of a fit with their block length.
-
-    Shapes: predicted_N (n,).
-    """
+    """Residuals of a fit with their block length; predicted_N (n,)."""
     left = measured.force_N - predicted_N
     left = left - left.mean()
     power = float(left @ left)
@@ -420,11 +384,6 @@ def resampled(residuals: Residuals, random: np.random.Generator) -> Array:
     return np.asarray(residuals.predicted_N + residuals.noise_N[drawn])
 
 
-def perform_bootstrap(document: Received) -> dict[str, object]:
-    """Fit the constants again to resampled curves: a task for a worker."""
-    return refitted(FitTask.from_json(document)).to_json()
-
-
 def refitted(task: FitTask) -> FitResult:
     """Fit the constants again to resampled curves."""
     began = time.perf_counter()
@@ -437,28 +396,26 @@ def refitted(task: FitTask) -> FitResult:
     names = tuple(base.fit["names"])
     start = np.array([base.constants[name] for name in names])
     parts = parts_of(task)
-    models = [_Remembering(fitted_model(p.method, p.tables, _curves(p), names)) for p in parts]
+    models = [_Remembering(model) for model in models_of(parts, names)]
     predicted = [curve for model in models for curve in model(start)]
     points = sum(len(curve) for curve in task.measured)
     share = points / max(1, points - len(names))
-    found = [
-        residuals_of(curve, own.force_at(curve.displacement_mm), share)
-        for curve, own in zip(task.measured, predicted, strict=True)
+    residuals = [
+        residuals_of(curve, model_curve.force_at(curve.displacement_mm), share)
+        for curve, model_curve in zip(task.measured, predicted, strict=True)
     ]
     drawn = [
-        Curve(curve.displacement_mm, resampled(own, _random(seed, curve, number)))
-        for curve, own in zip(task.measured, found, strict=True)
+        Curve(curve.displacement_mm, resampled(residual, _random(seed, curve, number)))
+        for curve, residual in zip(task.measured, residuals, strict=True)
     ]
     again, made = _with_forces(parts, drawn), iter(models)
-    done = single_stage(
-        "resampled", again, names, start, lambda *_: next(made), None, None, Checkpoint()
-    )
-    document = _described(done.fit, parts[0].tables, found)
+    done = single_stage("resampled", again, start, StagedSearch(names, lambda *_: next(made)))
+    document = _described(done.fit, parts[0].tables, residuals)
     document.update({"method": task.problem.method, "seconds": time.perf_counter() - began})
     return FitResult(status_of(done.fit), document)
 
 
-def _described(fit: Fit, tables: Tables, found: Sequence[Residuals]) -> FitDocument:
+def _described(fit: Fit, tables: Tables, residuals: Sequence[Residuals]) -> FitDocument:
     """Describe a refit; unstable constants stay, for they are part of the scatter."""
     constants = fit.constants()
     return {
@@ -469,7 +426,7 @@ def _described(fit: Fit, tables: Tables, found: Sequence[Residuals]) -> FitDocum
         "identifiable": fit.converged,
         "reason": "" if fit.converged else fit.status.sentence,
         "evaluations": int(fit.evaluations),
-        "resampling": [{"block": own.block, "lag1": own.lag1} for own in found],
+        "resampling": [{"block": residual.block, "lag1": residual.lag1} for residual in residuals],
     }
 
 
@@ -479,15 +436,11 @@ def _random(seed: int, measured: Curve, number: int) -> np.random.Generator:
     return np.random.default_rng([seed, int(name, 16), number])
 
 
-def _curves(part: FitPart) -> list[Curve]:
-    return [one.curve for one in part.measured]
-
-
 def _with_forces(parts: Sequence[FitPart], drawn: Sequence[Curve]) -> list[FitPart]:
     """Put resampled curves, in order, in place of the measured ones."""
     left = iter(drawn)
     return [
-        replace(part, measured=tuple(replace(one, curve=next(left)) for one in part.measured))
+        replace(part, measured=tuple(replace(curve, curve=next(left)) for curve in part.measured))
         for part in parts
     ]
 

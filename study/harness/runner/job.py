@@ -10,14 +10,18 @@ from typing import Literal
 
 from study.ground.canonical import digest
 from study.ground.curve import Curve
-from study.harness.design.cell import case_id
+from study.harness.design.cell import case_id, plain
 from study.harness.design.spec import Case, Design
-from study.harness.execution.task import Received
 from study.harness.record.record import Record, is_repeat
 from study.harness.runner import provenance
 from study.harness.runner.fit_problem import NOTHING, Allowed, FitProblem, fit_key
 from study.harness.runner.fit_summary import FitResult
-from study.harness.runner.problem_tables import CalibrationTable, gauge_of, measurements_of
+from study.harness.runner.problem_tables import (
+    PROBLEM,
+    calibrated_test,
+    gauge_of,
+    measurements_of,
+)
 from study.harness.runner.provenance import versions
 from study.harness.runner.response import Scored
 from study.mechanics.forward.finite_element import Anchor
@@ -30,7 +34,6 @@ from study.mechanics.measurement.recording import Recordings, read_recordings
 from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import Setup, Tables
 
-# -------------------------------------------------------------------------------------------------
 # A case as it goes to a worker: what is known of its record, its problem, its fits.
 
 #: role of a direction that gives the constants of a specimen where its score is held out
@@ -69,148 +72,6 @@ class Origin:
         return {name: value for name, value in asdict(self).items() if value is not None}
 
 
-@dataclass(frozen=True)
-class CaseFrame:
-    """Everything of a record that is known before the case is computed."""
-
-    case_id: str
-    study: str
-    levels: Mapping[str, str]
-    block: str | None
-    #: Unit of every response that the record holds.
-    units: Mapping[str, str]
-    input_hash: str
-    #: Why it is computed besides the cells of the design.
-    origin: Origin
-
-    def to_json(self) -> dict[str, object]:
-        """Plain data for a worker."""
-        return asdict(self)
-
-    @classmethod
-    def from_json(cls, document: Received) -> CaseFrame:
-        """Inverse of :meth:`to_json`."""
-        return cls(**{**document, "origin": Origin(**document["origin"])})
-
-    def record(
-        self,
-        status: str,
-        message: str,
-        *,
-        seconds: float | None = None,
-        traceback: str = "",
-    ) -> Record:
-        """Record of a case without an answer: every response is missing."""
-        return Record(
-            case_id=self.case_id,
-            study=self.study,
-            levels=self.levels,
-            block=self.block,
-            status=status,
-            message=message,
-            responses={name: {"value": None, "unit": unit} for name, unit in self.units.items()},
-            timings={} if seconds is None else {"total": seconds},
-            versions=versions(),
-            input_hash=self.input_hash,
-            extra=self.origin.to_json() | ({"traceback": traceback} if traceback else {}),
-        )
-
-
-@dataclass(frozen=True)
-class ScoreTask:
-    """One direction of a case: the scored curve, and the fit that gives the constants."""
-
-    label: str
-    measured: Curve | None
-    role: str
-    fit_label: str
-    scatter_N: tuple[float, ...] | None  # noqa: N815
-    #: How far the curve is predicted.
-    depth_mm: float
-    fit_key: str | None
-    #: What it found; None where the constants are given.
-    fit: FitResult | None
-
-    def to_json(self) -> dict[str, object]:
-        """Plain data for a worker."""
-        return {
-            **vars(self),
-            "measured": None if self.measured is None else self.measured.as_dict(),
-            "fit": None if self.fit is None else self.fit.to_json(),
-        }
-
-    @classmethod
-    def from_json(cls, document: Received) -> ScoreTask:
-        """Inverse of :meth:`to_json`."""
-        fit, measured = document["fit"], document["measured"]
-        scatter = document["scatter_N"]
-        return cls(**{
-            **document,
-            "measured": None if measured is None else Curve.from_dict(measured),
-            "scatter_N": None if scatter is None else tuple(scatter),
-            "fit": None if fit is None else FitResult.from_json(fit),
-        })  # fmt: skip
-
-    def scored(self, tables: Tables, predicted: Curve | None = None) -> Scored:
-        """Collect what responses are computed from; given constants stand in the tables."""
-        if self.fit is not None:
-            return Scored(self.measured, predicted, self.fit.constants, self.fit.fit.get("mu0"))
-        material = MaterialSection.of(tables).material()
-        return Scored(self.measured, predicted, material.constants, material.mu0)
-
-
-@dataclass(frozen=True)
-class CaseTask:
-    """A case as it goes to a worker, complete in itself."""
-
-    #: What is known of its record.
-    frame: CaseFrame
-    tables: Tables
-    #: Where the predicted curves come from.
-    forward: Forward
-    directions: tuple[ScoreTask, ...]
-    #: The solution that the cases of a cell start from.
-    anchor: Anchor | None = None
-
-    @property
-    def is_alone(self) -> bool:
-        """Whether it is one of parameters alone, without a specimen and a material."""
-        return "specimen" not in self.tables
-
-    @property
-    def scored(self) -> tuple[ScoreTask, ...]:
-        """Directions whose curves are predicted and scored."""
-        return tuple(one for one in self.directions if one.role != CONSTANTS)
-
-    @property
-    def identified(self) -> tuple[ScoreTask, ...]:
-        """Directions that give the constants: the specimen's own where its score is held out."""
-        return tuple(one for one in self.directions if one.role == CONSTANTS) or self.directions
-
-    def to_json(self) -> dict[str, object]:
-        """Plain data for a worker."""
-        return {
-            "kind": "case",
-            "frame": self.frame.to_json(),
-            "tables": dict(self.tables),
-            "forward": self.forward,
-            "directions": [one.to_json() for one in self.directions],
-            "anchor": None if self.anchor is None else asdict(self.anchor),
-        }
-
-    @classmethod
-    def from_json(cls, document: Received) -> CaseTask:
-        """Inverse of :meth:`to_json`."""
-        anchor = document["anchor"]
-        return cls(
-            CaseFrame.from_json(document["frame"]),
-            document["tables"],
-            document["forward"],
-            tuple(ScoreTask.from_json(one) for one in document["directions"]),
-            None if anchor is None else Anchor(**anchor),
-        )
-
-
 #: ends in the name of the file that says how virtual measurements were made
 TRUTH_SUFFIX = ".virtual.json"
 
@@ -232,37 +93,34 @@ class DataCache:
 
     def calibrated(self, tables: Tables) -> Measurements | None:
         """Measurements that only the calibration uses."""
-        own = CalibrationTable.of(tables).problem
-        if not own or own.get("measurements") == tables.get("measurements"):
+        problem = calibrated_test(tables)
+        if not problem or problem.get("measurements") == tables.get("measurements"):
             return None
-        return self._get(own)
+        return self._get(problem)
 
     def notes(self) -> tuple[str, ...]:
         """Count what every rule did to the data, each once."""
-        return tuple(dict.fromkeys(n for found in self._read.values() for n in found.notes))
+        return tuple(dict.fromkeys(n for measured in self._read.values() for n in measured.notes))
 
     def files(self) -> dict[str, str]:
         """Name of each file read and its sha256."""
-        return {name: sha for found in self._read.values() for name, sha in found.files.items()}
+        return {name: sha for data in self._read.values() for name, sha in data.files.items()}
 
     def _get(self, tables: Tables) -> Measurements | None:
-        spec, made = tables.get("measurements"), measurements_of(tables)
-        if made is None:
+        spec = measurements_of(tables)
+        if spec is None:
             return None
         setup = Setup.of(tables)
-        asked = (id(spec), setup.height_mm, setup.test.displacement_mm, gauge_of(setup))
-        if asked not in self._asked:
-            self._asked[asked] = (spec, self._conditioned(made, setup))
-        return self._asked[asked][1]
-
-    def _conditioned(self, made: MeasurementSpec, setup: Setup) -> Measurements:
         height, depth, gauge = setup.height_mm, setup.test.displacement_mm, gauge_of(setup)
-        key = digest([made.as_dict(), height, depth, None if gauge is None else asdict(gauge)])
-        if key not in self._read:
-            rows = self._recordings(made)
-            found = read_measurements(made, self.root, height, depth, gauge, rows)
-            self._read[key] = conditioning.checked(found, setup)
-        return self._read[key]
+        place = (id(spec), height, depth, gauge)
+        if place not in self._asked:
+            key = digest([spec.as_dict(), height, depth, None if gauge is None else asdict(gauge)])
+            if key not in self._read:
+                rows = self._recordings(spec)
+                measurements = read_measurements(spec, self.root, height, depth, gauge, rows)
+                self._read[key] = conditioning.checked(measurements, setup)
+            self._asked[place] = spec, self._read[key]
+        return self._asked[place][1]
 
     def _recordings(self, spec: MeasurementSpec) -> Recordings:
         """Rows of the files, read once for all ranges that are cut out of them."""
@@ -376,8 +234,8 @@ class CaseJob:
     @property
     def fits(self) -> tuple[FitJob, ...]:
         """The fits that it waits for, each once."""
-        found = (self.anchor, *(pair.fit for pair in self.directions))
-        return tuple({fit.key: fit for fit in found if fit is not None}.values())
+        every = (self.anchor, *(pair.fit for pair in self.directions))
+        return tuple({fit.key: fit for fit in every if fit is not None}.values())
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -428,8 +286,8 @@ class Work:
 
     def plain(self) -> Work:
         """Leave the replicates out: the first mesh of a cell, the curve as measured."""
-        own = [job for job in self.jobs if not is_repeat(job.origin.to_json())]
-        return replace(self, jobs=tuple(own))
+        originals = [job for job in self.jobs if not is_repeat(job.origin.to_json())]
+        return replace(self, jobs=tuple(originals))
 
     @property
     def input_hashes(self) -> dict[str, str]:
@@ -437,15 +295,104 @@ class Work:
         return {job.case.case_id: job.input_hash for job in self.jobs}
 
 
+@dataclass(frozen=True)
+class CaseTask:
+    """A case as it goes to a worker, complete in itself."""
+
+    job: CaseJob
+    study: str
+    #: Unit of every response that the record holds.
+    units: Mapping[str, str]
+    #: Outcomes of its fits by their keys.
+    fits: Mapping[str, FitResult]
+
+    @classmethod
+    def of(cls, job: CaseJob, work: Work, fits: Mapping[str, FitResult]) -> CaseTask:
+        """Task of a case whose fits are done: a worker needs of each fit its name and outcome."""
+        names = (*PROBLEM, "markers", "parameters", "units")
+        tables: dict[str, object] = dict(
+            plain({k: v for k, v in job.case.config.items() if k in names})
+        )
+        pairs = tuple(
+            replace(pair, fit=pair.fit and replace(pair.fit, measured=(), start=None))
+            for pair in job.directions
+        )
+        anchor = job.anchor and replace(job.anchor, measured=(), start=None)
+        case = replace(job.case, config=tables)
+        sent = replace(job, case=case, directions=pairs, anchor=anchor)
+        return cls(sent, work.design.name, work.responses, fits)
+
+    @property
+    def tables(self) -> Tables:
+        """Document of the problem."""
+        return self.job.case.config
+
+    @property
+    def scored(self) -> tuple[ScorePair, ...]:
+        """Directions whose curves are predicted and scored."""
+        return tuple(pair for pair in self.job.directions if pair.role != CONSTANTS)
+
+    @property
+    def identified(self) -> tuple[ScorePair, ...]:
+        """Directions that give the constants: the specimen's own where its score is held out."""
+        apart = tuple(pair for pair in self.job.directions if pair.role == CONSTANTS)
+        return apart or self.job.directions
+
+    @property
+    def anchor(self) -> Anchor | None:
+        """Name of the shared solution and its constants; None where they could not be fitted."""
+        group, fitted = self.job.group, self.job.anchor
+        if not group or fitted is None:
+            return Anchor(group) if group else None
+        fit = self.fits[fitted.key]
+        return Anchor(group, fit.constants) if fit.usable else None
+
+    def fit(self, pair: ScorePair) -> FitResult | None:
+        """Outcome of the fit of a direction; None where the constants are given."""
+        return None if pair.fit is None else self.fits[pair.fit.key]
+
+    def compared(self, pair: ScorePair, predicted: Curve | None = None) -> Scored:
+        """Collect what responses are computed from; given constants stand in the tables."""
+        fit = self.fit(pair)
+        if fit is not None:
+            return Scored(pair.measured, predicted, fit.constants, fit.fit.get("mu0"))
+        material = MaterialSection.of(self.tables).material()
+        return Scored(pair.measured, predicted, material.constants, material.mu0)
+
+    def record(
+        self,
+        status: str,
+        message: str,
+        *,
+        seconds: float | None = None,
+        traceback: str = "",
+    ) -> Record:
+        """Record of a case without an answer: every response is missing."""
+        case = self.job.case
+        return Record(
+            case_id=case.case_id,
+            study=self.study,
+            levels=case.levels,
+            block=case.block,
+            status=status,
+            message=message,
+            responses={name: {"value": None, "unit": unit} for name, unit in self.units.items()},
+            timings={} if seconds is None else {"total": seconds},
+            versions=versions(),
+            input_hash=self.job.input_hash,
+            extra=self.job.origin.to_json() | ({"traceback": traceback} if traceback else {}),
+        )
+
+
 def fits_of(jobs: Iterable[CaseJob]) -> dict[str, FitJob]:
     """Every fit that some cases need, by its key, with those that give start values first."""
-    found: dict[str, FitJob] = {}
+    by_key: dict[str, FitJob] = {}
     for job in jobs:
         for fit in job.fits:
-            for one in fit.chain:
-                found.setdefault(one.key, one)
-    starts = {fit.start.key for fit in found.values() if fit.start is not None}
-    return dict(sorted(found.items(), key=lambda item: item[0] not in starts))
+            for link in fit.chain:
+                by_key.setdefault(link.key, link)
+    starts = {fit.start.key for fit in by_key.values() if fit.start is not None}
+    return dict(sorted(by_key.items(), key=lambda item: item[0] not in starts))
 
 
 def repeated(case: Case, way: Sequence[object], tables: Tables | None = None) -> Case:

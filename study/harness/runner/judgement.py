@@ -29,7 +29,6 @@ from study.statistics.convergence.grid_convergence import (
     grid_convergence,
 )
 
-# -------------------------------------------------------------------------------------------------
 # Errors of mesh, load steps and solver tolerance side by side.
 
 #: How many load steps replace one.
@@ -73,19 +72,19 @@ def other_sources(
     count = Setup.of(tables).test.steps
     steps = [(float(count * k), r) for k, r in zip(STEPS, results, strict=False)]
     looser = list(zip(LOOSER, [results[0], *results[len(STEPS) :]], strict=True))
-    rows, said = [], []
+    rows, warnings = [], []
     for name, pairs, text in (
         ("load steps", steps[::-1], "{:g} load steps"),
         ("solver tolerance", looser, "a tolerance {:g} times the usual"),
     ):
         good = [(k, result) for k, result in pairs if result.converged]
-        said += [
+        warnings += [
             f"{text.format(k)} gave no answer: {result.message}"
             for k, result in pairs
             if not result.converged
         ]
         rows += [_source(name, quantity, good) for quantity in QUANTITIES if len(good) > 1]
-    return rows, said
+    return rows, warnings
 
 
 def _source(source: str, name: str, good: Sequence[tuple[float, SolveResult]]) -> ErrorSource:
@@ -112,33 +111,33 @@ def one_table(
 ) -> tuple[ErrorSource, ...]:
     """Set the three sources of error of every quantity side by side."""
     table: list[ErrorSource] = []
-    for name, found in quantities.items():
-        u, value = found.u_num, found.value[0]
+    for name, result in quantities.items():
+        u, value = result.u_num, result.value[0]
         relative = None if u is None or not value else u / abs(value)
-        mesh = ErrorSource("mesh", name, found.unit, found.mesh_size, found.value, u, relative)
+        mesh = ErrorSource("mesh", name, result.unit, result.mesh_size, result.value, u, relative)
         table += [mesh, *(row for row in others if row.quantity == name)]
     return tuple(table)
 
 
 def remarks(table: Sequence[ErrorSource]) -> list[str]:
     """Say where another error is too large beside that of the mesh."""
-    found = []
+    sentences = []
     meshes = {row.quantity: row.relative for row in table if row.source == "mesh"}
     for row in table:
-        mesh, own = meshes.get(row.quantity), row.relative
-        if row.source == "mesh" or mesh is None or own is None:
+        mesh, relative = meshes.get(row.quantity), row.relative
+        if row.source == "mesh" or mesh is None or relative is None:
             continue
-        if row.source == "solver tolerance" and own * ALGEBRAIC > max(mesh, 1e-9):
-            found.append(
-                f"{row.quantity}: the solver's tolerance moves it by {own:.1g} of its value, "
+        if row.source == "solver tolerance" and relative * ALGEBRAIC > max(mesh, 1e-9):
+            sentences.append(
+                f"{row.quantity}: the solver's tolerance moves it by {relative:.1g} of its value, "
                 f"more than a hundredth of the mesh's {mesh:.1g}"
             )
-        if row.source == "load steps" and own > mesh:
-            found.append(
-                f"{row.quantity}: the load steps are off by {own:.1g} of its value, more than "
+        if row.source == "load steps" and relative > mesh:
+            sentences.append(
+                f"{row.quantity}: the load steps are off by {relative:.1g} of its value, more than "
                 f"the mesh ({mesh:.1g}): raise test.steps before refining"
             )
-    return found
+    return sentences
 
 
 Values = Mapping[str, tuple[Sequence[float], str]]
@@ -178,14 +177,14 @@ def outlook(
     levels: Sequence[MeshLevel], setup: Setup, wanted: float | None, formal: float | None
 ) -> Outlook:
     """Whether every quantity has the accuracy that its problem asks for, else the size it takes."""
-    kept, _ = usable(levels)
-    if len(kept) < FEWEST or wanted is None:
+    meshes, _ = usable(levels)
+    if len(meshes) < FEWEST or wanted is None:
         return Outlook(False)
-    sizes = representative_sizes(kept, setup)
-    results = judged(sizes, curve_values(kept), formal)
+    sizes = representative_sizes(meshes, setup)
+    results = judged(sizes, curve_values(meshes), formal)
     sizes_needed = [size_needed(r, wanted) for r in results.values()]
-    known = [size for size in sizes_needed if size is not None]
-    return Outlook(all(within(results, wanted).values()), min(known, default=None))
+    sizes_known = [size for size in sizes_needed if size is not None]
+    return Outlook(all(within(results, wanted).values()), min(sizes_known, default=None))
 
 
 def series_of(
@@ -252,9 +251,9 @@ class SeriesJudgement:
         """Mesh size that would have the wanted accuracy, in mm."""
         return None if self.accuracy is None else size_needed(self.main, self.accuracy)
 
-    def warned(self, *said: str) -> SeriesJudgement:
+    def warned(self, *sentences: str) -> SeriesJudgement:
         """Copy with further warnings, each once."""
-        warnings = tuple(dict.fromkeys([*self.main.warnings, *said]))
+        warnings = tuple(dict.fromkeys([*self.main.warnings, *sentences]))
         return replace(self, main=replace(self.main, warnings=warnings))
 
     def to_json(self) -> dict[str, object]:
@@ -268,7 +267,7 @@ class SeriesJudgement:
             del of_problem["sources"]
         return {
             **self.main.to_json(),
-            "quantities": {name: one.to_json() for name, one in self.quantities.items()},
+            "quantities": {name: result.to_json() for name, result in self.quantities.items()},
             "accuracy": self.accuracy,
             "settled": self.settled,
             "given_mesh": None if self.given is None else vars(self.given),
@@ -284,13 +283,13 @@ def judge(
 ) -> SeriesJudgement:
     """Judge the series of a problem."""
     function, unit = quantity(series.spec.qoi)
-    kept, said = usable(series.levels)
+    meshes, warnings = usable(series.levels)
     facts = SeriesJudgement(
         inconclusive(
             series.spec.qoi,
             unit,
-            [level.mesh_size_mm for level in kept],
-            [function(level.curve) for level in kept],
+            [level.mesh_size_mm for level in meshes],
+            [function(level.result.curve) for level in meshes],
             formal_order=formal.order,
         ),
         {},
@@ -299,31 +298,31 @@ def judge(
         meshes=tuple(reversed(series.levels)),
         stopped=series.stopped,
     )
-    if len(kept) < FEWEST:
-        if len(kept) == FEWEST - 1:
-            sizes, order = representative_sizes(kept, series.setup), assumed_order(formal.order)
-            pair = judged(sizes, curve_values(kept), order)
+    if len(meshes) < FEWEST:
+        if len(meshes) == FEWEST - 1:
+            sizes, order = representative_sizes(meshes, series.setup), assumed_order(formal.order)
+            pair = judged(sizes, curve_values(meshes), order)
             of_two = pair[series.spec.qoi]
             verdict = f"{facts.main.verdict}; {of_two.verdict}"
             facts = replace(facts, main=replace(of_two, verdict=verdict))
-        return facts.warned(*said)
-    fraction, coarsest = SOLVER_TOLERANCE, kept[0]
-    if tolerance and (main := function(kept[-1].curve)):
+        return facts.warned(*warnings)
+    fraction, coarsest = SOLVER_TOLERANCE, meshes[0]
+    if tolerance and (main := function(meshes[-1].result.curve)):
         fraction = tolerance / abs(main)
-    sizes = representative_sizes(kept, series.setup)
-    results = judged(sizes, curve_values(kept), formal.order, fraction)
-    found = combined(facts, series.spec.qoi, results, series.spec.tolerance, said)
-    given = given_mesh(found.main)
-    return replace(found, given=replace(given, mesh_size=coarsest.mesh_size_mm))
+    sizes = representative_sizes(meshes, series.setup)
+    results = judged(sizes, curve_values(meshes), formal.order, fraction)
+    judgement = combined(facts, series.spec.qoi, results, series.spec.tolerance, warnings)
+    given = given_mesh(judgement.main)
+    return replace(judgement, given=replace(given, mesh_size=coarsest.mesh_size_mm))
 
 
 def with_sources(
-    found: SeriesJudgement, series: RefinementSeries, solve: Solver
+    judgement: SeriesJudgement, series: RefinementSeries, solve: Solver
 ) -> SeriesJudgement:
     """Add the errors of load steps and solver on the coarsest mesh to those of the meshes."""
-    rows, said = other_sources(series.tables, series.good[0].mesh_size_mm, solve)
-    table = one_table(found.quantities, rows)
-    return replace(found, sources=table).warned(*said, *remarks(table))
+    rows, warnings = other_sources(series.tables, series.good[0].mesh_size_mm, solve)
+    table = one_table(judgement.quantities, rows)
+    return replace(judgement, sources=table).warned(*warnings, *remarks(table))
 
 
 def combined(
@@ -331,20 +330,20 @@ def combined(
     qoi: str,
     results: Mapping[str, ConvergenceResult],
     accuracy: float | None,
-    said: Sequence[str],
+    warnings: Sequence[str],
 ) -> SeriesJudgement:
     """Judgement of several judged quantities, all of which must settle."""
     main = results[qoi]
-    found = replace(
+    judgement = replace(
         facts,
-        main=replace(main, warnings=(*said, *main.warnings)),
+        main=replace(main, warnings=(*warnings, *main.warnings)),
         quantities=results,
         accuracy=accuracy,
         given=given_mesh(main),
     )
-    if accuracy is None or not found.unsettled:
-        return found.warned()
-    return found.warned(f"not within {100 * accuracy:g} %: {', '.join(found.unsettled)}")
+    if accuracy is None or not judgement.unsettled:
+        return judgement.warned()
+    return judgement.warned(f"not within {100 * accuracy:g} %: {', '.join(judgement.unsettled)}")
 
 
 def given_mesh(result: ConvergenceResult) -> GivenMesh:
@@ -363,10 +362,7 @@ def inconclusive(
     u_num: float | None = None,
     verdict: str = "",
 ) -> ConvergenceResult:
-    """Make the result of a series, coarse to fine, with too few meshes for an order.
-
-    Units: sizes, values mm.
-    """
+    """Make the result of a series, coarse to fine, with too few meshes for an order."""
     usual = f"an order needs three meshes with an answer, there are {len(values)}"
     return ConvergenceResult(
         qoi=qoi,

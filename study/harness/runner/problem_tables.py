@@ -7,7 +7,7 @@ A document is what is hashed and what a worker gets; :class:`study.mechanics.set
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from study.mechanics.forward.closed_form import height_and_area
 from study.mechanics.measurement.measurement_section import MeasurementSpec
@@ -20,26 +20,21 @@ from study.mechanics.setup.setup import Problem, Setup, Tables
 PROBLEM = ("specimen", "test", "material", "model", "forward")
 
 
-@dataclass(frozen=True)
-class CalibrationTable:
-    """How the constants of a case are found."""
+def calibrated_test(tables: Tables) -> Tables:
+    """Document of the test whose curve gives the constants; empty where it is the case's own."""
+    return table_of(table_of(tables, "calibration"), "problem")
 
-    method: str
-    #: Document of the test whose curve gives the constants, where that is another one.
-    problem: Tables | None
 
-    @classmethod
-    def of(cls, tables: Tables) -> CalibrationTable:
-        """Read the table ``calibration``; without one everything is left to the program."""
-        table = table_of(tables, "calibration")
-        return cls(str(table.get("method") or "auto"), table_of(table, "problem") or None)
+def method_of(tables: Tables) -> str:
+    """How the constants are found; without a word of it that is left to the program."""
+    return str(table_of(tables, "calibration").get("method") or "auto")
 
 
 def with_both(tables: Tables, name: str, **changes: object) -> dict[str, object]:
     """Copy a document with other values in one table, in the problem of the calibration too."""
-    made, own = with_table(tables, name, **changes), CalibrationTable.of(tables).problem
-    if own and table_of(own, name):
-        made = with_table(made, "calibration", problem=with_table(own, name, **changes))
+    made, problem = with_table(tables, name, **changes), calibrated_test(tables)
+    if problem and table_of(problem, name):
+        made = with_table(made, "calibration", problem=with_table(problem, name, **changes))
     return made
 
 
@@ -88,9 +83,7 @@ def value_named(table: Mapping[str, object], key: str) -> tuple[str, float] | No
 def measurements_of(tables: Tables) -> MeasurementSpec | None:
     """Where the measured curves of a problem are."""
     spec = tables.get("measurements")
-    if isinstance(spec, MeasurementSpec):
-        return spec
-    return MeasurementSpec.from_dict(spec) if isinstance(spec, Mapping) and spec else None
+    return spec if isinstance(spec, MeasurementSpec) else None
 
 
 def own_tables(tables: Tables) -> dict[str, object]:

@@ -17,7 +17,7 @@ from study.ground.bounded_file import sha256_of
 from study.ground.errors import Fault, InputError, MissingDataError, StoreError, nearest
 from study.harness.design.cell import Config
 from study.harness.record.atomic_files import write_atomic
-from study.harness.runner.problem_tables import CalibrationTable, with_placeholder
+from study.harness.runner.problem_tables import calibrated_test, with_placeholder
 from study.mechanics.measurement.marker_states import read_markers
 from study.mechanics.measurement.measurement_section import MarkerSpec
 from study.mechanics.measurement.recording import check_relative, locate
@@ -71,15 +71,15 @@ def code_version() -> str:
     formatting may change without sending a finished study back to work.
     """
     root = Path(__file__).resolve().parents[2]
-    state, kept = _state(root), root / "__pycache__" / "code-version"
+    state, cache = _state(root), root / "__pycache__" / "code-version"
     with contextlib.suppress(OSError, ValueError):
-        known, version = kept.read_text(encoding="ascii").split()
-        if known == state:
+        cached_state, version = cache.read_text(encoding="ascii").split()
+        if cached_state == state:
             return version
     version = f"{study.__version__}+{_code_hash(root)}"
     with contextlib.suppress(OSError, StoreError):  # an installation that may not be written to
-        kept.parent.mkdir(exist_ok=True)
-        write_atomic(kept, f"{state} {version}".encode("ascii"))
+        cache.parent.mkdir(exist_ok=True)
+        write_atomic(cache, f"{state} {version}".encode("ascii"))
     return version
 
 
@@ -107,30 +107,30 @@ def versions() -> dict[str, str]:
 @functools.cache
 def libraries() -> Mapping[str, str]:
     """Versions of Python and of the libraries that compute, looked up once a process."""
-    found = {"python": platform.python_version()}
+    versions_read = {"python": platform.python_version()}
     for name in _PACKAGES:
         with contextlib.suppress(metadata.PackageNotFoundError):
-            found[name] = metadata.version(name)
-    return found
+            versions_read[name] = metadata.version(name)
+    return versions_read
 
 
 def _numeric_files(root: Path) -> Sequence[tuple[Path, ast.Module]]:
     """Files that the tasks of a worker import, one through the other, with their syntax."""
-    found: dict[str, tuple[Path, ast.Module]] = {}
+    trees: dict[str, tuple[Path, ast.Module]] = {}
     waiting = list(_TASKS)
     while waiting:
         module = waiting.pop()
         path = _file_of(root, module)
         parts = module.split(".")
-        if path is None or module in found or module in _WITHOUT_NUMBERS:
+        if path is None or module in trees or module in _WITHOUT_NUMBERS:
             continue
         if not f"{module}.".startswith(tuple(f"{room}." for room in _NUMERIC_ROOMS)):
             continue
         tree = ast.parse(path.read_text(encoding="utf-8"))
-        found[module] = (path, tree)
+        trees[module] = (path, tree)
         waiting += _imported(tree)
         waiting += [".".join(parts[:k]) for k in range(2, len(parts))]
-    return [found[module] for module in sorted(found)]
+    return [trees[module] for module in sorted(trees)]
 
 
 def _file_of(root: Path, module: str) -> Path | None:
@@ -148,8 +148,8 @@ def _imported(tree: ast.Module) -> Sequence[str]:
         id(inner)
         for node in ast.walk(tree)
         if isinstance(node, ast.If) and _is_type_checking(node.test)
-        for one in node.body
-        for inner in ast.walk(one)
+        for statement in node.body
+        for inner in ast.walk(statement)
     }
     nodes = [node for node in ast.walk(tree) if id(node) not in for_types]
     froms = [n for n in nodes if isinstance(n, ast.ImportFrom) and n.module]
@@ -190,16 +190,21 @@ _USUAL_DEPTH = 0.1
 def folders(source: str | Path, data_root: Path) -> tuple[Path, ...]:
     """Where a surface may be: the data root first, as measurements; then beside the design."""
     home = Path(source).resolve().parent if Path(source).is_file() else None
-    found = [data_root, *([home] if home is not None else [])]
-    return tuple(dict.fromkeys(folder.resolve() for folder in found))
+    places = [data_root, *([home] if home is not None else [])]
+    return tuple(dict.fromkeys(folder.resolve() for folder in places))
 
 
 def located(config: Tables, places: Sequence[Path]) -> Config:
     """Copy a configuration with every surface in it found and checked."""
-    found = cast(Config, _walked(config, places))
-    if _is_surface(found.get("specimen")):
-        _check_use(found)
-    return found
+    config_found = cast(Config, _walked(config, places))
+    if _is_surface(config_found.get("specimen")):
+        # Refuse what cannot be meshed or held, with placeholders for what a fit will find.
+        from study.mechanics.solver.finite_element_solution import check
+
+        setup = Setup.of(config_found)
+        depth = setup.test.displacement_mm or _USUAL_DEPTH * (setup.height_mm or 1.0)
+        check(with_placeholder(config_found, depth, C10_MPa=0.005))
+    return config_found
 
 
 def _is_surface(section: object) -> TypeGuard[Tables]:
@@ -208,18 +213,14 @@ def _is_surface(section: object) -> TypeGuard[Tables]:
 
 def _walked(value: object, places: Sequence[Path]) -> object:
     if _is_surface(value):
-        return _found(value, places)
+        from study.mechanics.surface.closed_surface import height_of
+
+        path = find(str(value["file"]), places)
+        whole = {**value, "path": str(path), "sha256": sha256_of(path)}
+        return {**whole, "height_mm": height_of(specimen_of(whole))}
     if isinstance(value, Mapping):
         return {k: _walked(v, places) for k, v in value.items()}
     return [_walked(v, places) for v in value] if isinstance(value, list) else value
-
-
-def _found(section: Tables, places: Sequence[Path]) -> Tables:
-    from study.mechanics.surface.closed_surface import height_of
-
-    path = find(str(section["file"]), places)
-    whole = {**section, "path": str(path), "sha256": sha256_of(path)}
-    return {**whole, "height_mm": height_of(specimen_of(whole))}
 
 
 def with_markers(config: Config, places: Sequence[Path]) -> Config:
@@ -261,15 +262,6 @@ def find(name: str, places: Sequence[Path]) -> Path:
     raise InputError(Fault(_WHERE, f"there is no file {name!r} below {looked}", mend))
 
 
-def _check_use(config: Tables) -> None:
-    """Refuse what cannot be meshed or held, with placeholders for what a fit will find."""
-    from study.mechanics.solver.finite_element_solution import check
-
-    setup = Setup.of(config)
-    depth = setup.test.displacement_mm or _USUAL_DEPTH * (setup.height_mm or 1.0)
-    check(with_placeholder(config, depth, C10_MPa=0.005))
-
-
 def surface_notes(configs: Sequence[Tables]) -> tuple[str, ...]:
     """List what was mended in the surfaces of some configurations, each once."""
     return tuple(dict.fromkeys(note for config in configs for note in _notes(config)))
@@ -287,9 +279,9 @@ def _notes(config: Tables) -> Iterator[str]:
 
 def fingerprints(config: Tables) -> list[str]:
     """Hashes of the files of surfaces and markers that a configuration uses."""
-    own = CalibrationTable.of(config).problem or {}
+    calibrated = calibrated_test(config)
     sections = [table_of(config, name) for name in ("specimen", "markers")]
-    sections.append(table_of(own, "specimen"))
+    sections.append(table_of(calibrated, "specimen"))
     return [str(section["sha256"]) for section in sections if section.get("sha256")]
 
 

@@ -9,7 +9,6 @@ its accuracy and its budget want; the cells of a study know all their meshes fro
 from __future__ import annotations
 
 import math
-import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -21,6 +20,7 @@ import numpy as np
 from study.ground.arrays import Array
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, nearest
+from study.ground.memory import free_memory_MB
 from study.harness.runner.problem_tables import with_placeholder
 from study.harness.runner.solve_task import Solver, SolveResult, SolveTask, solutions
 from study.mechanics.material.material import Material
@@ -46,7 +46,7 @@ class Refinable(Protocol[Step, Found_contra]):
         """List what is to be computed next; empty where the series has ended."""
         ...
 
-    def add(self, step: Step, found: Found_contra) -> None:
+    def add(self, step: Step, result: Found_contra) -> None:
         """Take what a computation gave."""
         ...
 
@@ -55,18 +55,19 @@ def refine(
     series: Sequence[Refinable[Step, Found]], compute: Callable[[Sequence[Step]], Sequence[Found]]
 ) -> None:
     """Compute what is due of every series, all series of one round together, until none is."""
-    while due := [(one, step) for one in series for step in one.due()]:
-        found = compute([step for _, step in due])
-        for (one, step), result in zip(due, found, strict=True):
-            one.add(step, result)
+    while due := [(member, step) for member in series for step in member.due()]:
+        results = compute([step for _, step in due])
+        for (member, step), result in zip(due, results, strict=True):
+            member.add(step, result)
 
 
 #: an order needs as many meshes, and no series gets longer than this
 FEWEST = 3
 MOST = 10
 
-#: part of the free memory that a solution may take
+#: part of the free memory that a solution may take, and what is free where no system says it
 MEMORY_SHARE = 0.7
+USUAL_MB = 4096.0
 
 #: exponents of time in the unknowns where only one mesh is known (numerics.md)
 _TIME_EXPONENT = {"axisymmetric": 1.2, "3d": 1.95}
@@ -99,21 +100,6 @@ class MeshLevel:
     result: SolveResult
     predicted: Predictions = field(default_factory=Predictions)
 
-    @property
-    def converged(self) -> bool:
-        """Whether it has an answer."""
-        return self.result.converged
-
-    @property
-    def curve(self) -> Curve:
-        """Predicted curve, as far as it came."""
-        return self.result.curve
-
-    @property
-    def elements(self) -> int:
-        """Elements of the mesh."""
-        return self.result.elements
-
     def to_json(self) -> dict[str, object]:
         """Everything but the curve."""
         return {
@@ -135,7 +121,7 @@ class Budget:
     """When a series must stop: seconds from ``began``, and memory."""
 
     seconds: float | None = None
-    memory_MB: float = field(default_factory=lambda: MEMORY_SHARE * free_MB())
+    memory_MB: float | None = None
     began: float = field(default_factory=time.monotonic)
 
     def refuses(self, seconds: float | None, memory: float | None) -> str:
@@ -143,8 +129,9 @@ class Budget:
         left = None if self.seconds is None else self.seconds - (time.monotonic() - self.began)
         if left is not None and (seconds or 0.0) > left:
             return f"the next mesh would take {seconds or 0:.3g} s of {max(left, 0):.3g} s left"
-        if memory is not None and memory > self.memory_MB:
-            return f"the next mesh would take {memory:.0f} MB of {self.memory_MB:.0f} MB"
+        limit = self.memory_MB or MEMORY_SHARE * (free_memory_MB() or USUAL_MB)
+        if memory is not None and memory > limit:
+            return f"the next mesh would take {memory:.0f} MB of {limit:.0f} MB"
         return ""
 
 
@@ -181,7 +168,7 @@ class RefinementSeries:
     @property
     def good(self) -> list[MeshLevel]:
         """Meshes with an answer."""
-        return [level for level in self.levels if level.converged]
+        return [level for level in self.levels if level.result.converged]
 
     def due(self) -> list[PlannedMesh]:
         """List the next mesh; none where the series has ended (``stopped`` says why)."""
@@ -191,14 +178,14 @@ class RefinementSeries:
         size = float(self.first_mm / self.spec.ratio ** len(self.levels))
         return [PlannedMesh(size, SolveTask.of(self.tables, size), self.predicted())]
 
-    def add(self, step: PlannedMesh, found: SolveResult) -> None:
+    def add(self, step: PlannedMesh, result: SolveResult) -> None:
         """Take a solution."""
-        self.levels.append(MeshLevel(step.mesh_size_mm, found, step.predicted))
+        self.levels.append(MeshLevel(step.mesh_size_mm, result, step.predicted))
 
     def _end(self) -> str:
         """Why no further mesh is solved; empty while one is wanted."""
-        count, wanted = len(self.levels), max(FEWEST, self.spec.levels)
-        if count >= wanted and len(self.good) >= FEWEST:
+        count, needed = len(self.levels), max(FEWEST, self.spec.levels)
+        if count >= needed and len(self.good) >= FEWEST:
             if self.spec.tolerance is None:
                 return f"{count} meshes were asked for"
             seen = self.outlook(self.levels)
@@ -206,7 +193,7 @@ class RefinementSeries:
                 return "every quantity has the wanted accuracy"
             if hopeless := self._hopeless(seen.size_needed_mm):
                 return hopeless
-        if count >= MOST or (count >= wanted + 2 and len(self.good) < FEWEST):
+        if count >= MOST or (count >= needed + 2 and len(self.good) < FEWEST):
             return f"{count} meshes are enough"
         next_one = self.predicted()
         return self.budget.refuses(next_one.seconds, next_one.memory_MB) if count else ""
@@ -228,17 +215,17 @@ class RefinementSeries:
 
     def predicted(self) -> Predictions:
         """Cost of the next mesh, from what the meshes so far took."""
-        known = [level.result for level in self.good if level.result.dofs > 0]
-        if not known:
+        solved = [level.result for level in self.good if level.result.dofs > 0]
+        if not solved:
             return Predictions()
-        last, space = known[-1], self.setup.model.space
+        last, space = solved[-1], self.setup.model.space
         growth = self.spec.ratio ** (2 if space == "axisymmetric" else 3)
         time_exponent = _TIME_EXPONENT[space]
-        if len(known) > 1 and known[-2].dofs < last.dofs:
-            growth = last.dofs / known[-2].dofs
-            time_exponent = _exponent(known[-2], last, time_exponent)
-        own = max(last.memory_MB - last.base_MB, 1.0)
-        memory = last.base_MB + own * growth**_MEMORY_EXPONENT
+        if len(solved) > 1 and solved[-2].dofs < last.dofs:
+            growth = last.dofs / solved[-2].dofs
+            time_exponent = _exponent(solved[-2], last, time_exponent)
+        growth_MB = max(last.memory_MB - last.base_MB, 1.0)
+        memory = last.base_MB + growth_MB * growth**_MEMORY_EXPONENT
         return Predictions(last.seconds * growth**time_exponent, memory, round(last.dofs * growth))
 
 
@@ -246,21 +233,8 @@ def _exponent(before: SolveResult, last: SolveResult, usual: float) -> float:
     """Power of the unknowns that the time followed; small times say nothing."""
     if before.seconds < 0.02 or last.seconds <= before.seconds:
         return usual
-    found = math.log(last.seconds / before.seconds) / math.log(last.dofs / before.dofs)
-    return min(max(found, 1.0), 3.0)
-
-
-def budget_of(seconds: float | None, memory_MB: float | None) -> Budget:  # noqa: N803
-    """Budget of a command, from now on."""
-    return Budget(seconds) if memory_MB is None else Budget(seconds, memory_MB)
-
-
-def free_MB() -> float:  # noqa: N802
-    """Memory that is free on this machine, in MB."""
-    try:
-        return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 2**20
-    except (ValueError, OSError):
-        return 4096.0
+    exponent = math.log(last.seconds / before.seconds) / math.log(last.dofs / before.dofs)
+    return min(max(exponent, 1.0), 3.0)
 
 
 def solving(
@@ -276,14 +250,13 @@ def solving(
 
 
 def _announced(planned: Sequence[PlannedMesh]) -> str:
-    known = [m.predicted.seconds for m in planned if m.predicted.seconds is not None]
+    foretold = [m.predicted.seconds for m in planned if m.predicted.seconds is not None]
     sizes = ", ".join(dict.fromkeys(f"{mesh.mesh_size_mm:.3g}" for mesh in planned[:4]))
-    cost = f", about {sum(known):.2g} s of computing" if known else ""
+    cost = f", about {sum(foretold):.2g} s of computing" if foretold else ""
     several = "s" if len(planned) > 1 else ""
     return f"mesh size {sizes} mm: {len(planned)} solution{several}{cost}"
 
 
-# -------------------------------------------------------------------------------------------------
 # Single numbers of a curve whose convergence is judged: peak force, root mean square, work.
 
 #: points of a curve that integrals over it take, between the solved steps by their tangents
@@ -331,12 +304,11 @@ def quantity(name: str) -> tuple[Callable[[Curve], float], str]:
 def curve_values(levels: Sequence[MeshLevel]) -> dict[str, tuple[list[float], str]]:
     """Every quantity of the curves of a series, in the order of the meshes."""
     return {
-        name: ([function(level.curve) for level in levels], unit)
+        name: ([function(level.result.curve) for level in levels], unit)
         for name, (function, unit) in QUANTITIES.items()
     }
 
 
-# -------------------------------------------------------------------------------------------------
 # Formal order of the force: what an element can promise where the solution is singular.
 #
 # The force of a test driven by a displacement is a derivative of the energy, whose error is
@@ -375,28 +347,21 @@ def formal_order(problem: Problem) -> FormalOrder:
     """Order that the element promises for the force of a problem; work and RMS share it."""
     smooth = 2.0 * _DEGREE[problem.model.element_order]
     degree = problem.model.element_order
-    limits = _limits(problem)  # first: of two equal limits the problem's says more
+    singularities = problem.setup.kind.singularities(problem.test)
+    singular = [_limit(problem, singularity) for singularity in singularities]
+    if problem.model.space == "3d" and isinstance(problem.specimen, Cylinder):
+        singular.append((2.0, "the cylinder's straight-sided elements"))
+    if isinstance(problem.specimen, Enclosed):
+        singular.append((2.0, "straight-sided elements, and edges of the surface that are corners"))
+    limits = singular  # first: of two equal limits the problem's says more
     limits.append((smooth, f"{degree} elements: twice the order of their gradient"))
     order, why = min(limits, key=lambda item: item[0])
     return FormalOrder(order, why)
 
 
 def formal_of_case(job: CaseJob) -> FormalOrder:
-    """Formal order of a case whose constants are not known yet.
-
-    Units: job mm.
-    """
+    """Formal order of a case whose constants are not known yet."""
     return formal_order(_in_mind(job))
-
-
-def _limits(problem: Problem) -> list[tuple[float, str]]:
-    singularities = problem.setup.kind.singularities(problem.test)
-    found = [_limit(problem, singularity) for singularity in singularities]
-    if problem.model.space == "3d" and isinstance(problem.specimen, Cylinder):
-        found.append((2.0, "the cylinder's straight-sided elements"))
-    if isinstance(problem.specimen, Enclosed):
-        found.append((2.0, "straight-sided elements, and edges of the surface that are corners"))
-    return found
 
 
 def _limit(problem: Problem, singularity: Singularity) -> tuple[float, str]:
@@ -503,37 +468,37 @@ def _in_mind(job: CaseJob) -> Problem:
     return with_placeholder(job.case.config, job.depth_mm if job.directions else 1.0)
 
 
-# -------------------------------------------------------------------------------------------------
 # Meshes of a series that can be judged, and the sizes by which they are.
 
 
 def usable(levels: Sequence[MeshLevel]) -> tuple[list[MeshLevel], list[str]]:
     """Meshes with an answer and with elements of their own, and what is wrong with the others."""
-    kept: list[MeshLevel] = []
-    said = [
+    meshes: list[MeshLevel] = []
+    warnings = [
         f"the mesh of {level.mesh_size_mm:.4g} mm gave no answer: {level.result.message}"
         for level in levels
-        if not level.converged
+        if not level.result.converged
     ]
     for level in levels:
-        if not level.converged:
+        if not level.result.converged:
             continue
-        same = [k for k in kept if k.elements == level.elements and level.elements > 0]
+        count = level.result.elements
+        same = [mesh for mesh in meshes if mesh.result.elements == count > 0]
         if same:
-            said.append(
+            warnings.append(
                 f"the meshes of {same[0].mesh_size_mm:.4g} mm and {level.mesh_size_mm:.4g} mm "
-                f"have the same {level.elements} elements: the coarser is left out; a larger "
+                f"have the same {count} elements: the coarser is left out; a larger "
                 "ratio or a smaller mesh_size would refine"
             )
-            kept.remove(same[0])
-        kept.append(level)
-    return kept, said
+            meshes.remove(same[0])
+        meshes.append(level)
+    return meshes, warnings
 
 
 def representative_sizes(levels: Sequence[MeshLevel], setup: Setup) -> list[float]:
     """Sizes of solved meshes, scaled to the finest mesh's own size."""
     sizes = [level.mesh_size_mm for level in levels]
-    return series_sizes(sizes, [level.elements for level in levels], setup)
+    return series_sizes(sizes, [level.result.elements for level in levels], setup)
 
 
 def series_sizes(
@@ -543,10 +508,7 @@ def series_sizes(
     *,
     anchor: int = -1,
 ) -> list[float]:
-    """Sizes by which a series is judged: by its elements, or those at a sharp edge.
-
-    Units: sizes, elements mm.
-    """
+    """Sizes by which a series is judged: by its elements, or those at a sharp edge."""
     if edge_rules(setup):
         return list(sizes)
     return by_elements(sizes, elements, setup.model.space, anchor=anchor)
@@ -559,8 +521,6 @@ def by_elements(
 
     What counts is the ratio, and the elements a mesh really has decide it (Celik et al. 2008):
     whole numbers of cells never give exactly the ratio that was asked for.
-
-    Units: sizes, elements mm.
 
     Examples
     --------

@@ -68,7 +68,7 @@ class Response(Protocol):
         """What it is computed from."""
         ...
 
-    def compute(self, found: Scored) -> float:
+    def compute(self, scored: Scored) -> float:
         """Value of the response, in its unit."""
         ...
 
@@ -80,7 +80,7 @@ class CurveResponse(ABC):
     unit: ClassVar[str]
     needs: ClassVar[frozenset[Need]] = frozenset({Need.CURVES})
 
-    def compute(self, found: Scored) -> float:
+    def compute(self, scored: Scored) -> float:
         """Value of the response, in its unit.
 
         Raises
@@ -88,9 +88,9 @@ class CurveResponse(ABC):
         ValueError
             If one of the curves is missing.
         """
-        if found.predicted is None or found.measured is None:
+        if scored.predicted is None or scored.measured is None:
             raise ValueError(f"{self.name} needs {Need.CURVES.value}")
-        return self.between(found.predicted, found.measured)
+        return self.between(scored.predicted, scored.measured)
 
     @abstractmethod
     def between(self, predicted: Curve, measured: Curve) -> float:
@@ -176,7 +176,7 @@ class SimulatedResponse:
         """Unit of its value."""
         return SIMULATED[simulated_at(self.name)[0]]
 
-    def compute(self, found: Scored) -> float:
+    def compute(self, scored: Scored) -> float:
         """Value of the response, in its unit.
 
         Raises
@@ -184,9 +184,9 @@ class SimulatedResponse:
         ValueError
             If there is no predicted curve.
         """
-        if found.predicted is None:
+        if scored.predicted is None:
             raise ValueError(f"{self.name} needs {Need.PREDICTION.value}")
-        return self.of(found.predicted)
+        return self.of(scored.predicted)
 
     def of(self, curve: Curve) -> float:
         """Value for a curve."""
@@ -199,20 +199,16 @@ class SimulatedResponse:
             return float(np.max(values))
         if name == "peak_force":
             return float(curve.force_N.max())
-        return _work_of(curve)
+        # Work done on the specimen from the unloaded state, N mm.
+        if curve.work_Nmm is not None:
+            return float(curve.work_Nmm[-1])
+        ends = np.linspace(0.0, float(curve.displacement_mm[-1]), _POINTS + 1)
+        return float(np.trapezoid(curve.force_at(ends), ends))
 
 
 #: points between which the work of a curve is summed: the trapezoidal rule is then off by a
 #: millionth of the work, for a force that grows with the square of the displacement
 _POINTS = 400
-
-
-def _work_of(curve: Curve) -> float:
-    """Work done on the specimen from the unloaded state, N mm."""
-    if curve.work_Nmm is not None:
-        return float(curve.work_Nmm[-1])
-    ends = np.linspace(0.0, float(curve.displacement_mm[-1]), _POINTS + 1)
-    return float(np.trapezoid(curve.force_at(ends), ends))
 
 
 @dataclass(frozen=True)
@@ -227,9 +223,9 @@ class ConstantResponse:
         """Unit of its value."""
         return unit_shown(self.name)
 
-    def compute(self, found: Scored) -> float:
+    def compute(self, scored: Scored) -> float:
         """Value of the constant."""
-        return scale_of(self.name) * float(found.constants[self.name])
+        return scale_of(self.name) * float(scored.constants[self.name])
 
 
 class InitialShearModulus:
@@ -239,104 +235,68 @@ class InitialShearModulus:
     unit: ClassVar[str] = RESPONSES[name]
     needs: ClassVar[frozenset[Need]] = frozenset({Need.CONSTANTS})
 
-    def compute(self, found: Scored) -> float:
+    def compute(self, scored: Scored) -> float:
         """Value of the modulus, kPa; NaN where it is not known."""
-        return float("nan") if found.mu0 is None else KPA * found.mu0
+        return float("nan") if scored.mu0 is None else KPA * scored.mu0
 
 
 #: responses of a predicted and a measured curve, by name; every record holds them all
 CURVE_RESPONSES: Mapping[str, CurveResponse] = {
-    one.name: one
-    for one in (RelativeRmsForceError(), RmsForceError(), PeakForceError(), WorkError())
+    r.name: r for r in (RelativeRmsForceError(), RmsForceError(), PeakForceError(), WorkError())
 }
 
 
-def units_of(asked: Iterable[str], measured: bool = True) -> dict[str, str]:
-    """Units of all responses that the records of a study hold, by name.
-
-    Parameters
-    ----------
-    asked : iterable of str
-        Names of the responses that the study asks for; every record also holds those of
-        :data:`CURVE_RESPONSES` and the initial shear modulus.
-    measured : bool
-        Whether predicted curves stand beside measured ones.
-    """
+def units_of(named: Iterable[str], measured: bool = True) -> dict[str, str]:
+    """Units of all responses that the records of a study hold, those not asked for too."""
     every: list[Response] = [*(CURVE_RESPONSES.values() if measured else ()), InitialShearModulus()]
-    names = list(asked)
+    names = list(named)
     every += [SimulatedResponse(name) for name in names if is_simulated(name)]
-    units = {one.name: one.unit for one in every}
+    units = {r.name: r.unit for r in every}
     units |= {name: RESPONSES[name] for name in names if name in MARKED}
     constants = [ConstantResponse(name) for name in names if name not in {*units, "seconds"}]
-    units |= {one.name: one.unit for one in constants}
+    units |= {r.name: r.unit for r in constants}
     return units | ({"seconds": RESPONSES["seconds"]} if "seconds" in names else {})
 
 
 def scale_of(constant: str) -> float:
-    """Factor from MPa to the unit in which a constant is reported; 1 for one that is no modulus.
-
-    Parameters
-    ----------
-    constant : str
-        Name, such as ``"C10"``; a share or time of relaxation has the factor 1 too.
-    """
+    """Factor from MPa to the unit in which a constant is reported; 1 for one that is no modulus."""
     return 1.0 if is_dimensionless(constant) else KPA
 
 
-def score(found: Scored, asked: Iterable[str] = ()) -> dict[str, Quantity]:
-    """Every response that a curve has, with its unit.
+def in_shown_units(constants: Sequence[str], values: Array) -> dict[str, object]:
+    """Numbers of every constant in the unit in which it is reported; values (p,) or (p, k), MPa."""
+    pairs = zip(constants, values, strict=True)
+    return {name: (scale_of(name) * value).tolist() for name, value in pairs}
 
-    Parameters
-    ----------
-    found : Scored
-        The predicted curve, the measured one if there is one, and the constants.
-    asked : iterable of str
-        Names of the responses that the record holds.
-    """
+
+def score(scored: Scored, names: Iterable[str] = ()) -> dict[str, Quantity]:
+    """Every response that a curve has, with its unit."""
     every: list[Response] = []
-    if found.predicted is not None:
-        every += of_prediction(asked)
-        every += [] if found.measured is None else list(CURVE_RESPONSES.values())
-    return _computed(every, found) | constants_of(found)
+    if scored.predicted is not None:
+        every += of_prediction(names)
+        every += [] if scored.measured is None else list(CURVE_RESPONSES.values())
+    return _computed(every, scored) | constants_of(scored)
 
 
-def of_prediction(asked: Iterable[str]) -> list[SimulatedResponse]:
-    """Those responses asked for that a predicted curve alone gives.
-
-    Parameters
-    ----------
-    asked : iterable of str
-        Names of responses; others are passed over, as is ``dofs``, which the mesh gives.
-    """
-    return [SimulatedResponse(name) for name in asked if is_simulated(name) and name != "dofs"]
+def of_prediction(names: Iterable[str]) -> list[SimulatedResponse]:
+    """Those responses asked for that a predicted curve alone gives."""
+    return [SimulatedResponse(name) for name in names if is_simulated(name) and name != "dofs"]
 
 
-def constants_of(found: Scored) -> dict[str, Quantity]:
-    """List the initial shear modulus, where it is known, and every constant, with its unit.
-
-    Parameters
-    ----------
-    found : Scored
-        Its constants in MPa are listed in kPa, plain numbers and times as they are.
-    """
-    known: list[Response] = [] if found.mu0 is None else [InitialShearModulus()]
-    known += [ConstantResponse(name) for name in found.constants]
-    return _computed(known, found)
+def constants_of(scored: Scored) -> dict[str, Quantity]:
+    """List the initial shear modulus and every constant: moduli in kPa, others as they are."""
+    responses: list[Response] = [] if scored.mu0 is None else [InitialShearModulus()]
+    responses += [ConstantResponse(name) for name in scored.constants]
+    return _computed(responses, scored)
 
 
-def _computed(responses: Iterable[Response], found: Scored) -> dict[str, Quantity]:
+def _computed(responses: Iterable[Response], scored: Scored) -> dict[str, Quantity]:
     """Values of some responses, by name."""
-    return {one.name: {"value": one.compute(found), "unit": one.unit} for one in responses}
+    return {r.name: {"value": r.compute(scored), "unit": r.unit} for r in responses}
 
 
 def averaged(scores: Sequence[Mapping[str, Quantity]]) -> dict[str, Quantity]:
-    """Mean over the directions (fit and score changed places), with units.
-
-    Parameters
-    ----------
-    scores : sequence of mapping of str to Quantity
-        One a direction; the first says which responses. A mean that is not finite becomes None.
-    """
+    """Mean over the directions, with units; a mean that is not finite is None."""
     out: dict[str, Quantity] = {}
     for name, first in scores[0].items():
         numbers = [score[name]["value"] for score in scores if name in score]
@@ -345,26 +305,21 @@ def averaged(scores: Sequence[Mapping[str, Quantity]]) -> dict[str, Quantity]:
     return out
 
 
-def splined_uncertainty(predicted: Curve, asked: Iterable[str]) -> dict[str, float]:
+def splined_uncertainty(predicted: Curve, names: Iterable[str]) -> dict[str, float]:
     """Change of every response of a curve whose tangents are a spline's, with half of its points.
 
     Another program solves with load steps of its own, which are not ours to halve; what lies
     between the displacements that it was asked for is. Nothing where too few points are left.
-
-    Parameters
-    ----------
-    predicted, asked
-        A curve with tangents, and names of responses; the change is in the unit of each.
     """
     rough = replace(predicted.every_other_point(), stiffness_N_per_mm=None, work_Nmm=None)
     rough = rough.with_tangents()
     if rough.stiffness_N_per_mm is None:
         return {}
-    return {one.name: abs(one.of(predicted) - one.of(rough)) for one in of_prediction(asked)}
+    return {r.name: abs(r.of(predicted) - r.of(rough)) for r in of_prediction(names)}
 
 
 def step_uncertainty(
-    predicted: Curve, measured: Curve | None, asked: Iterable[str] = ()
+    predicted: Curve, measured: Curve | None, names: Iterable[str] = ()
 ) -> dict[str, float]:
     """Change of every response where the curve keeps every other load step only.
 
@@ -372,26 +327,20 @@ def step_uncertainty(
     the response itself is a part of this change, since the interpolation between two steps gets
     better by more than twice when they are halved. Zero where the force is known everywhere
     (closed form), and nothing where one step is all there is.
-
-    Parameters
-    ----------
-    predicted, measured, asked
-        The curve, the measured one that it is compared with (None where there is none), and the
-        names of the responses asked for. The change is in the unit of each response.
     """
-    own = of_prediction(asked)
+    predicted_alone = of_prediction(names)
     compared = CURVE_RESPONSES if measured is not None else {}
     if predicted.stiffness_N_per_mm is None:
-        return dict.fromkeys([*compared, *(one.name for one in own)], 0.0)
+        return dict.fromkeys([*compared, *(r.name for r in predicted_alone)], 0.0)
     if len(predicted) < 2:
         return {}
     rough = predicted.every_other_point()
-    scatter = {one.name: abs(one.of(predicted) - one.of(rough)) for one in own}
+    scatter = {r.name: abs(r.of(predicted) - r.of(rough)) for r in predicted_alone}
     if measured is None:
         return scatter
     return scatter | {
-        name: abs(one.between(predicted, measured) - one.between(rough, measured))
-        for name, one in compared.items()
+        name: abs(r.between(predicted, measured) - r.between(rough, measured))
+        for name, r in compared.items()
     }
 
 

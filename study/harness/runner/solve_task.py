@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
 from study.ground.canonical import digest
 from study.ground.curve import Curve
 from study.harness.execution.local import Loky
-from study.harness.execution.task import Document, Executor, Received, Results, Task
+from study.harness.execution.task import Executor, Results, Task
 from study.harness.external.command import External
 from study.harness.record.folder import own_folder
 from study.harness.record.store import Store
@@ -55,20 +55,6 @@ class SolveTask:
         """Name of the solution: a hash of the problem and of the code."""
         return digest([self.tables, self.looser, self.more_steps, code_version()], 32)
 
-    def to_json(self) -> dict[str, object]:
-        """Plain data for a worker."""
-        return {
-            "kind": "solve",
-            "tables": dict(self.tables),
-            "looser": self.looser,
-            "more_steps": self.more_steps,
-        }
-
-    @classmethod
-    def from_json(cls, document: Received) -> SolveTask:
-        """Inverse of :meth:`to_json`."""
-        return cls(document["tables"], float(document["looser"]), int(document["more_steps"]))
-
 
 def _no_curve() -> Curve:
     return Curve(np.zeros(0), np.zeros(0))
@@ -101,12 +87,12 @@ class SolveResult:
         return {**vars(self), "curve": self.curve.as_dict()}
 
     @classmethod
-    def from_json(cls, document: Received) -> SolveResult:
+    def from_json(cls, document: Mapping[str, object]) -> SolveResult:
         """Inverse of :meth:`to_json`; of a task that had no answer a status and a message stay."""
         known = {k: v for k, v in document.items() if k in cls.__dataclass_fields__}
         if "curve" in known:
-            known["curve"] = Curve.from_dict(known["curve"])
-        return cls(**known)
+            known["curve"] = Curve.from_dict(cast("Mapping[str, object]", known["curve"]))
+        return cls(**known)  # type: ignore[arg-type]
 
 
 #: Solves some tasks and gives each result with the key of its task as soon as it is there.
@@ -115,13 +101,13 @@ Solver = Callable[[Sequence[SolveTask]], Iterable[tuple[str, SolveResult]]]
 
 def solutions(solve: Solver, tasks: Sequence[SolveTask]) -> list[SolveResult]:
     """Results of some tasks in their order; equal ones are solved once."""
-    found = dict(solve(list({task.key: task for task in tasks}.values())))
-    return [found[task.key] for task in tasks]
+    by_key = dict(solve(list({task.key: task for task in tasks}.values())))
+    return [by_key[task.key] for task in tasks]
 
 
-def perform(document: Received) -> dict[str, object]:
+def perform(task: SolveTask) -> dict[str, object]:
     """Solve: a task for a worker."""
-    return solved(SolveTask.from_json(document)).to_json()
+    return solved(task).to_json()
 
 
 def solved(task: SolveTask) -> SolveResult:
@@ -130,17 +116,18 @@ def solved(task: SolveTask) -> SolveResult:
         return SolveResult("failed", "another program predicts here; this solves with ours alone")
     problem = problem_of(task.tables)
     load_compiled(problem)
-    reset_peak()
+    with contextlib.suppress(OSError), open("/proc/self/clear_refs", "w") as stream:
+        stream.write("5")
     before = peak_MB()
-    found = finite_element.solve(problem, gradients=False, options=_options(task))
+    solution = finite_element.solve(problem, gradients=False, options=_options(task))
     return SolveResult(
-        status=str(found.status),
-        message=str(found.message),
-        curve=found.curve,
-        elements=int(found.elements),
-        dofs=int(found.dofs),
-        mesh_hash=str(found.mesh_hash),
-        seconds=float(found.seconds.get("total", 0.0)),
+        status=str(solution.status),
+        message=str(solution.message),
+        curve=solution.curve,
+        elements=int(solution.elements),
+        dofs=int(solution.dofs),
+        mesh_hash=str(solution.mesh_hash),
+        seconds=float(solution.seconds.get("total", 0.0)),
         memory_MB=peak_MB(),
         base_MB=before,
     )
@@ -158,12 +145,6 @@ def _options(task: SolveTask) -> Options | None:
     return replace(usual, newton=newton, steps=steps)
 
 
-def reset_peak() -> None:
-    """Forget the peak memory of what this process did before; only Linux can."""
-    with contextlib.suppress(OSError), open("/proc/self/clear_refs", "w") as stream:
-        stream.write("5")
-
-
 def peak_MB() -> float:  # noqa: N802
     """Peak memory of this process in MB since :func:`reset_peak`."""
     with contextlib.suppress(OSError), open("/proc/self/status") as stream:
@@ -175,11 +156,10 @@ def peak_MB() -> float:  # noqa: N802
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
-# -------------------------------------------------------------------------------------------------
 # Where solutions of refinement series come from: this process, workers, or the store.
 
 #: results that the same input gives again; memory and time may be better another day
-_KEPT = ("converged", "not-converged", "unstable", "lost-contact", "mesh-failed")
+LASTING = ("converged", "not-converged", "unstable", "lost-contact", "mesh-failed")
 
 
 def in_process(tasks: Sequence[SolveTask]) -> Iterator[tuple[str, SolveResult]]:
@@ -192,16 +172,16 @@ def by_workers(jobs: int, executor: Executor | None = None) -> Solver:
     """Solve on several worker processes; a worker that dies costs its own solution only."""
 
     def solve(tasks: Sequence[SolveTask]) -> Iterator[tuple[str, SolveResult]]:
-        work = [Task(task.key, partial(_as_is, task.to_json())) for task in tasks]
+        work = [Task(task.key, partial(_as_is, task)) for task in tasks]
         for outcome in (executor or Loky(perform, jobs)).run(work):
             yield outcome.key, SolveResult.from_json(outcome.result)
 
     return solve
 
 
-def _as_is(document: Document, results: Results) -> Document:
+def _as_is(task: SolveTask, results: Results) -> SolveTask:
     """Payload of a task that needs no other's result."""
-    return document
+    return task
 
 
 def kept(solve: Solver, store: Store) -> Solver:
@@ -210,13 +190,13 @@ def kept(solve: Solver, store: Store) -> Solver:
     def looked_up(tasks: Sequence[SolveTask]) -> Iterator[tuple[str, SolveResult]]:
         missing = []
         for task in tasks:
-            known = store.read_solution(task.key)
-            if known is not None:
-                yield task.key, SolveResult.from_json(known)
+            stored = store.read_solution(task.key)
+            if stored is not None:
+                yield task.key, SolveResult.from_json(stored)
             else:
                 missing.append(task)
         for key, result in solve(missing) if missing else ():
-            if result.status in _KEPT:
+            if result.status in LASTING:
                 with store.lock():
                     store.write_solution(key, result.to_json())
             yield key, result

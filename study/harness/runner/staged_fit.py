@@ -14,7 +14,7 @@ import math
 import re
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict, cast
 
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from study.mechanics.calibration.residual_function import MeasuredCurve
 
 
-# -------------------------------------------------------------------------------------------------
 # Starts of a fit, the wanted one first, then gentler ones for where the model has no answer.
 #
 # Higher constants that were fitted on another mesh, or with one constant less, can soften so much
@@ -83,14 +82,14 @@ def gentler(
     [ 3.  -0.1] the higher constants halved twice
     [3. 0.] the neo-Hookean constant alone
     """
-    found = [Start(np.array(start, float))]
+    starts = [Start(np.array(start, float))]
     for share, words in _SHARES:
-        values = _softened(names, found[0].values, share)
+        values = _softened(names, starts[0].values, share)
         if bounds is not None:
             values = np.clip(values, *np.array(bounds, float).T)
-        if not any(np.array_equal(values, one.values) for one in found):
-            found.append(Start(values, words))
-    return found
+        if not any(np.array_equal(values, earlier.values) for earlier in starts):
+            starts.append(Start(values, words))
+    return starts
 
 
 def _softened(names: Sequence[str], start: Array, share: float) -> Array:
@@ -164,6 +163,11 @@ class FitPart:
     #: Tables of the wanted problem, where this is a cheaper one.
     wanted: Tables | None = None
 
+    @property
+    def curves(self) -> list[Curve]:
+        """Measured rows of its curves."""
+        return [each.curve for each in self.measured]
+
 
 @dataclass(frozen=True)
 class FitStep:
@@ -233,21 +237,18 @@ def staged_fit(
     progress: Progress | None = None,
     checkpoint: Checkpoint | None = None,
 ) -> Staged:
-    """Fit common constants to all parts at once.
-
-    Shapes: start (p,), MPa.
-    """
-    kept = checkpoint or Checkpoint()
+    """Fit common constants to all parts at once; start (p,), MPa."""
+    search = StagedSearch(names, make, bounds, progress, checkpoint or Checkpoint())
     cheap = [cheaper(part) for part in parts]
     starts = gentler(names, start, bounds)
     rough: Staged | None = None
-    if len(names) > 1 and any(one is not None for one in cheap):
-        first = [own if own is not None else part for own, part in zip(cheap, parts, strict=True)]
-        rough = begun_stage(FIRST, first, names, starts, make, bounds, progress, kept)
+    if len(names) > 1 and any(part is not None for part in cheap):
+        first = [other or part for other, part in zip(cheap, parts, strict=True)]
+        rough = begun_stage(FIRST, first, starts, search)
         if rough.fit.status.usable and not np.array_equal(rough.fit.values, start):
             # what the cheaper problem could solve may be beyond the wanted one
             starts = [Start(rough.fit.values, f"the constants of the {FIRST}"), *starts]
-    done = begun_stage(LAST, parts, names, starts, make, bounds, progress, kept)
+    done = begun_stage(LAST, parts, starts, search)
     if rough is None:
         return done
     return replace(
@@ -259,25 +260,15 @@ def staged_fit(
 
 
 def begun_stage(
-    stage: str,
-    parts: Sequence[FitPart],
-    names: tuple[str, ...],
-    starts: Sequence[Start],
-    make: MakeModel,
-    bounds: Sequence[tuple[float, float]] | None,
-    progress: Progress | None,
-    checkpoint: Checkpoint,
+    stage: str, parts: Sequence[FitPart], starts: Sequence[Start], search: StagedSearch
 ) -> Staged:
     """Fit from the first start that leads anywhere; from the last one if none does."""
-    labels = [stage, *(f"{stage}, {one.words}" for one in starts[1:])]
+    labels = [stage, *(f"{stage}, {begun.words}" for begun in starts[1:])]
     # an interrupted fit goes on from the start that it was at; those before it failed at once
-    number = max((k for k, one in enumerate(labels) if checkpoint.last(one)), default=0)
+    number = max((k for k, label in enumerate(labels) if search.checkpoint.last(label)), default=0)
     fruitless = number
     while True:
-        done = single_stage(
-            labels[number], parts, names, starts[number].values, make, bounds, progress, checkpoint
-        )
-
+        done = single_stage(labels[number], parts, starts[number].values, search)
         if number + 1 == len(starts) or not _nowhere(done.fit):
             break
         fruitless, number = fruitless + done.fit.evaluations, number + 1
@@ -285,39 +276,33 @@ def begun_stage(
     return replace(done, fruitless=fruitless, notes=notes)
 
 
-def _nowhere(found: Fit) -> bool:
+def _nowhere(fit_result: Fit) -> bool:
     """Whether the model had no answer at the start of a fit, or nowhere around it."""
-    stuck = found.status is Status.too_many_failures and len(found.history) <= 1
-    return found.status is Status.start_failed or stuck
+    stuck = fit_result.status is Status.too_many_failures and len(fit_result.history) <= 1
+    return fit_result.status is Status.start_failed or stuck
 
 
 def _told(stage: str, tried: Sequence[Start], in_vain: bool) -> str:
     """Say which starts were given up, and what was begun with."""
     failed = tried if in_vain else tried[:-1]
-    rule = f"the {stage} led nowhere from {', nor from '.join(one.words for one in failed)}"
+    rule = f"the {stage} led nowhere from {', nor from '.join(start.words for start in failed)}"
     return rule if in_vain else f"{rule}: it was begun with {tried[-1].words}"
 
 
 def single_stage(
-    stage: str,
-    parts: Sequence[FitPart],
-    names: tuple[str, ...],
-    start: Array,
-    make: MakeModel,
-    bounds: Sequence[tuple[float, float]] | None,
-    progress: Progress | None,
-    checkpoint: Checkpoint,
+    stage: str, parts: Sequence[FitPart], start: Array, search: StagedSearch
 ) -> Staged:
     """Fit on the given meshes from one start."""
-    models = [model_of(part, names, make) for part in parts]
+    names, checkpoint = search.names, search.checkpoint
+    models = [model_of(part, names, search.make) for part in parts]
 
     def predict(values: Array) -> list[Curve]:
         return [curve for model in models for curve in model(values)]
 
     def accepted(iteration: Iteration) -> bool:
         checkpoint.keep(stage, iteration)
-        if progress is not None:
-            progress(FitStep(stage, names, iteration))
+        if search.progress is not None:
+            search.progress(FitStep(stage, names, iteration))
         return checkpoint.limits.is_late
 
     resume = checkpoint.last(stage)
@@ -329,20 +314,20 @@ def single_stage(
     tolerances = "start" if stage.startswith(FIRST) else "inverse-fem"
     if any(part.method == "external" for part in parts):
         simulated, tolerances = True, "external"
-    found = fit(
+    fitted = fit(
         predict,
-        [m for part in parts for m in part.measured],
+        [each for part in parts for each in part.measured],
         names,
         start,
-        bounds=bounds,
+        bounds=search.bounds,
         callback=accepted,
         resume=resume,
         max_evaluations=checkpoint.limits.evaluations,
         **TOLERANCES[tolerances if simulated else "closed-form"],
     )
-    if found.status is Status.stopped:
-        found = replace(found, failure="the time of calibration.max_time is over")
-    return Staged(found, tuple(models))
+    if fitted.status is Status.stopped:
+        fitted = replace(fitted, failure="the time of calibration.max_time is over")
+    return Staged(fitted, tuple(models))
 
 
 def cheaper(part: FitPart) -> FitPart | None:
@@ -365,7 +350,7 @@ def model_of(part: FitPart, names: Sequence[str], make: MakeModel) -> Predict:
     The factor at each displacement is that of a neo-Hookean solid, whose force on either mesh is
     known once for all constants.
     """
-    curves = [one.curve for one in part.measured]
+    curves = part.curves
     model = make(part.method, part.tables, curves, names)
     if part.wanted is None:
         return model
@@ -456,12 +441,13 @@ class Checkpoint:
 
     def last(self, stage: str) -> Iteration | None:
         """Last accepted iteration of a stage; None where it has not begun."""
-        kept = self.stages.get(stage)
-        if kept is None:
+        at = self.stages.get(stage)
+        if at is None:
             return None
         return Iteration(
-            kept["iteration"], kept["evaluations"], np.array(kept["x"], float), kept["cost"],
-            kept["radius"], kept["damping"], kept["offset"], np.array(kept["scale"], float),
+            at["iteration"], at["evaluations"], np.array(at["x"], float),
+            at["cost"], at["radius"], at["damping"], at["offset"],
+            np.array(at["scale"], float)
         )  # fmt: skip
 
     def keep(self, stage: str, iteration: Iteration) -> None:
@@ -485,7 +471,19 @@ def _read(path: Path, key: str) -> dict[str, StageDocument]:
     try:
         content = cast(CheckpointDocument, read_json(path))
         stages: dict[str, StageDocument] = content["stages"] if content["key"] == key else {}
-        wanted = set(StageDocument.__annotations__)
-        return {name: kept for name, kept in stages.items() if set(kept) == wanted}
+        keys = set(StageDocument.__annotations__)
+        return {name: stored for name, stored in stages.items() if set(stored) == keys}
     except (StoreError, KeyError, TypeError, AttributeError):
         return {}
+
+
+@dataclass(frozen=True)
+class StagedSearch:
+    """What all stages of a fit share."""
+
+    names: tuple[str, ...]
+    #: Makes the model of a part.
+    make: MakeModel
+    bounds: Sequence[tuple[float, float]] | None = None
+    progress: Progress | None = None
+    checkpoint: Checkpoint = field(default_factory=Checkpoint)

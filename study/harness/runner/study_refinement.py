@@ -26,7 +26,7 @@ from study.harness.runner.cost import Costs
 from study.harness.runner.expansion import case_job
 from study.harness.runner.job import CaseJob, Origin, Work, varied
 from study.harness.runner.problem_tables import (
-    CalibrationTable,
+    calibrated_test,
     measurements_of,
     on_mesh,
     value_named,
@@ -77,10 +77,10 @@ def chosen_series(work: Work, records: Mapping[str, Record]) -> list[CaseSeries]
     ]
 
 
-def refinement_work(work: Work, bases: Sequence[CaseJob] = ()) -> Work:
+def refinement_work(work: Work) -> Work:
     """List the refined cases of a study, as work like any other."""
-    series = every_series(work, bases, {}) if bases else chosen_series(work, {})
-    return replace(work, jobs=tuple(job for one in series for job in one.every[1:]))
+    refined_cases = (job for cell in chosen_series(work, {}) for job in cell.every[1:])
+    return replace(work, jobs=tuple(refined_cases))
 
 
 def refined_series(
@@ -113,13 +113,13 @@ def own_series(work: Work, records: Mapping[str, Record]) -> list[CaseSeries]:
 
     Empty unless every column of the study has its three meshes.
     """
-    found: dict[str, list[CaseJob]] = {}
+    columns: dict[str, list[CaseJob]] = {}
     for job in meshed_cells(work):
-        found.setdefault(_column(job), []).append(job)
-    if any(len(jobs) < FEWEST for jobs in found.values()):
+        columns.setdefault(_column(job), []).append(job)
+    if any(len(jobs) < FEWEST for jobs in columns.values()):
         return []
     series = []
-    for jobs in found.values():
+    for jobs in columns.values():
         ordered = sorted(jobs, key=lambda job: -size_of(job))
         series.append(_series(work, tuple(ordered), records, "finest"))
     return series
@@ -129,17 +129,17 @@ def _series(
     work: Work,
     jobs: tuple[CaseJob, ...],
     records: Mapping[str, Record],
-    own: Literal["coarsest", "finest"] = "coarsest",
+    end: Literal["coarsest", "finest"] = "coarsest",
 ) -> CaseSeries:
     """Series with its records; of a surface with another mesh of the study's own size."""
-    base = jobs[0 if own == "coarsest" else -1]
+    base = jobs[0 if end == "coarsest" else -1]
     other = None
     alone = "specimen" not in base.case.config
     if not alone and isinstance(base.case.setup.specimen, Enclosed):
         case = varied(base.case, on_mesh(base.case.config, mesh_seed=OTHER_MESH), PURPOSE)
         origin = Origin(purpose=PURPOSE, of=base.case.case_id, level=0)
         other = case_job(case, work.data, work.design, origin)
-    series = CaseSeries(jobs, work.design.converge.ratio, own, other=other)
+    series = CaseSeries(jobs, work.design.converge.ratio, end, other=other)
     for job in series.every:
         record = records.get(job.case.case_id)
         if record is not None:
@@ -156,10 +156,10 @@ def chosen(work: Work) -> list[CaseJob]:
     groups: dict[str, list[CaseJob]] = {}
     for job in meshed_cells(work):
         problem = job.case.treatment.cell.problem
-        own = problem.discretization if problem.refinement else discretization_key(job.case.config)
-        groups.setdefault(own, []).append(job)
+        kind = problem.discretization if problem.refinement else discretization_key(job.case.config)
+        groups.setdefault(kind, []).append(job)
     costs = Costs()
-    found = []
+    cells = []
     for jobs in groups.values():
         ordered = sorted(
             jobs, key=lambda job: len(job.case.treatment.cell.problem.calibrated_names)
@@ -167,8 +167,8 @@ def chosen(work: Work) -> list[CaseJob]:
         priced = _spread(ordered, PRICED_CELLS)
         finest = [_refined_seconds(work, job, costs) for job in priced]
         cheap = len(jobs) * float(np.mean(finest)) <= ALL_CELLS_S
-        found += jobs if cheap else _spread(ordered, FEW_CELLS)
-    return found
+        cells += jobs if cheap else _spread(ordered, FEW_CELLS)
+    return cells
 
 
 def _spread(jobs: Sequence[CaseJob], count: int) -> list[CaseJob]:
@@ -206,8 +206,7 @@ def refined(case: Case, size: float) -> Case:
     refinement = case.treatment.cell.problem.refinement
     if refinement is not None:
         return varied(case, refinement.refined(case.config, size), PURPOSE)
-    size_mm = size
-    return varied(case, on_mesh(case.config, mesh=None, mesh_size_mm=size_mm), PURPOSE)
+    return varied(case, on_mesh(case.config, mesh=None, mesh_size_mm=size), PURPOSE)
 
 
 def discretization_key(tables: Tables) -> str:
@@ -221,10 +220,10 @@ def _column(job: CaseJob) -> str:
     tables, refinement = job.case.config, job.case.treatment.cell.problem.refinement
     if refinement is not None:
         return digest(plain(refinement.without(tables)))
-    own = CalibrationTable.of(tables).problem or {}
+    other = calibrated_test(tables)
     rest = {k: v for k, v in tables.items() if k not in ("model", "calibration")}
     return digest(
-        [plain(rest), _meshless(table_of(tables, "model")), _meshless(table_of(own, "model"))]
+        [plain(rest), _meshless(table_of(tables, "model")), _meshless(table_of(other, "model"))]
     )
 
 
@@ -232,7 +231,6 @@ def _meshless(model: Tables) -> dict[str, object]:
     return {k: v for k, v in model.items() if k not in _MESH_KEYS}
 
 
-# -------------------------------------------------------------------------------------------------
 # What the uncertainty of the inputs does: cases computed again with one input moved.
 #
 # One cell of every combination of the factors that are no discretization, the one that costs
@@ -249,23 +247,23 @@ def input_work(work: Work) -> Work:
     """List the cases with one input moved by its standard uncertainty, as work like any other."""
     jobs = []
     for base in representatives(work):
-        for key, amount in moved_inputs(work).items():
-            case = _moved(base.case, key, amount)
+        for key, amount in (
+            {
+                k: float(u)
+                for k, u in work.design.uncertainty.items()
+                if u and not k.startswith("measurements.")
+            }
+        ).items():
+            # Copy a case with one input moved; the measured points stay where they are.
+            config = shifted(_fixed_range(base.case.config), key, amount)
+            calibrated = calibrated_test(config)
+            if calibrated and key.split(".")[0] in calibrated:
+                inner = shifted(_fixed_range(calibrated), key, amount)
+                config = with_table(config, "calibration", problem=inner)
+            case = varied(base.case, config, INPUT_PURPOSE)
             origin = Origin(purpose=INPUT_PURPOSE, of=base.case.case_id, input=key)
             jobs.append(case_job(case, work.data, work.design, origin))
     return replace(work, jobs=tuple(jobs))
-
-
-def moved_inputs(work: Work) -> dict[str, float]:
-    """List the uncertain inputs of the simulation; those of the data move no case.
-
-    Units: returns mm, N, MPa, deg, s.
-    """
-    return {
-        k: float(u)
-        for k, u in work.design.uncertainty.items()
-        if u and not k.startswith("measurements.")
-    }
 
 
 def representatives(work: Work) -> list[CaseJob]:
@@ -287,16 +285,6 @@ def physics_of(levels: Mapping[str, str]) -> Physics:
     )
 
 
-def _moved(case: Case, key: str, amount: float) -> Case:
-    """Copy a case with one input moved; the measured points stay where they are."""
-    config = shifted(_fixed_range(case.config), key, amount)
-    own = CalibrationTable.of(config).problem
-    if own and key.split(".")[0] in own:
-        inner = shifted(_fixed_range(own), key, amount)
-        config = with_table(config, "calibration", problem=inner)
-    return varied(case, config, INPUT_PURPOSE)
-
-
 def shifted(config: Tables, key: str, amount: float) -> Tables:
     """Copy of a configuration with one value moved, named as in the file.
 
@@ -316,9 +304,9 @@ def _shifted(section: Tables, path: Sequence[str], amount: float, key: str) -> T
     constants = section.get("constants")
     if isinstance(constants, Mapping) and path[-1] in constants:
         return {**section, "constants": _shifted(constants, path[-1:], amount, key)}
-    found = value_named(section, path[-1])
-    if found is not None:
-        return {**section, found[0]: found[1] + amount}
+    entry = value_named(section, path[-1])
+    if entry is not None:
+        return {**section, entry[0]: entry[1] + amount}
     rule = "has no value in the design that could be uncertain"
     raise InputError(Fault(f"uncertainty.{key}", rule, "give the input, or leave this out"))
 
@@ -339,7 +327,7 @@ def input_shares(work: Work, moved: Work, records: Mapping[str, Record]) -> dict
 
     Shapes: returns (places,).
     """
-    found: dict[Physics, Array] = {}
+    shares: dict[Physics, Array] = {}
     for base in representatives(work):
         record = records.get(base.case.case_id)
         if record is None or not record.converged:
@@ -354,8 +342,8 @@ def input_shares(work: Work, moved: Work, records: Mapping[str, Record]) -> dict
         ]
         if changes:
             squares = np.sum([change**2 for change in changes], axis=0)
-            found[physics_of(base.case.levels)] = np.sqrt(squares) / np.abs(force)
-    return found
+            shares[physics_of(base.case.levels)] = np.sqrt(squares) / np.abs(force)
+    return shares
 
 
 # The same cylinder in both spaces: what they differ by where the geometry does not.
@@ -375,12 +363,12 @@ class SpacePair:
 
 def pairs(work: Work, records: Mapping[str, Record]) -> list[SpacePair]:
     """List what to solve for a study that holds both spaces and a block; empty elsewhere."""
-    known = [job for job in in_blocks(work) if _constants(records.get(job.case.case_id))]
-    found = []
-    for levels, chosen in _chosen(known):
+    solved_cells = [job for job in in_blocks(work) if _constants(records.get(job.case.case_id))]
+    compared_pairs = []
+    for levels, chosen in _chosen(solved_cells):
         first, second = (_task(job, _constants(records[job.case.case_id])) for job in chosen)
-        found.append(SpacePair(levels, (first, second)))
-    return found
+        compared_pairs.append(SpacePair(levels, (first, second)))
+    return compared_pairs
 
 
 def upcoming(
@@ -394,13 +382,13 @@ def upcoming(
     hopeful = [
         job for job in in_blocks(work) if job.case.case_id not in records or given[job.case.case_id]
     ]
-    found = []
+    open_cells = []
     for _, chosen in _chosen(hopeful):
         for job in chosen:
             constants = given[job.case.case_id]
             if not constants or not solved(_task(job, constants)):
-                found.append(job)
-    return found
+                open_cells.append(job)
+    return open_cells
 
 
 def in_blocks(work: Work) -> list[CaseJob]:

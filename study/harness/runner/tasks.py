@@ -10,30 +10,34 @@ from pathlib import Path
 from typing import TypeGuard, cast
 
 from study.ground.errors import Fault, InputError, UnitError
+from study.ground.memory import free_memory_MB
 from study.ground.units import parse
 from study.harness.execution.cluster import Client, Cluster
 from study.harness.execution.local import Loky
 from study.harness.execution.task import Document, Executor, Perform
 from study.harness.runner import case, fit_task, solve_task, virtual_specimens
+from study.harness.runner.job import CaseTask
 from study.harness.runner.provenance import versions
 
 #: where a study is computed: an executor, or the scheduler of a Dask cluster by its address, its
 #: scheduler file or a client of it
 Engine = Executor | Client | str | Path
 
-KINDS: dict[str, Perform] = {
-    "case": case.perform,
-    "fit": fit_task.perform_fit,
-    "noise": fit_task.perform_bootstrap,
-    "reference": virtual_specimens.perform,
-    "solve": solve_task.perform,
-    "ping": lambda task: {"status": "converged"},
+#: a task that only asks whether a worker answers
+PING = "ping"
+#: what does a task, by its class
+KINDS: dict[type, Perform] = {
+    CaseTask: case.perform,
+    fit_task.FitTask: fit_task.perform,
+    virtual_specimens.ReferenceTask: virtual_specimens.perform,
+    solve_task.SolveTask: solve_task.perform,
+    str: lambda task: {"status": "converged"},
 }
 
 
-def perform(task: dict[str, object]) -> Document:
-    """Do one task, named by its ``kind``."""
-    return KINDS[str(task["kind"])](task)
+def perform(task: object) -> Document:
+    """Do one task in a worker."""
+    return KINDS[type(task)](task)
 
 
 def processes(
@@ -45,16 +49,6 @@ def processes(
     return Loky(perform, jobs, timeout_s, memory_MB or free_memory_MB())
 
 
-def free_memory_MB() -> float | None:  # noqa: N802
-    """Memory of this machine that nobody uses now; None where it does not say."""
-    try:
-        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
-        found = {name: rest for name, _, rest in (line.partition(":") for line in lines)}
-        return float(found["MemAvailable"].split()[0]) * 1.024e-3  # of 1,024 bytes each
-    except (OSError, KeyError, ValueError, IndexError):
-        return None
-
-
 def memory_of(text: str) -> float:
     """Read an amount of memory in MB.
 
@@ -64,12 +58,12 @@ def memory_of(text: str) -> float:
     20000.0
     """
     try:
-        found = parse(text, "memory")
+        amount_MB = parse(text, "memory")
     except UnitError as error:
         raise InputError([replace(fault, where="memory") for fault in error.faults]) from error
-    if found <= 0:
+    if amount_MB <= 0:
         raise InputError(Fault("memory", f"must be more than zero, got {text!r}"))
-    return found
+    return amount_MB
 
 
 def computing_on(

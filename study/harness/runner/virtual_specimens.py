@@ -23,11 +23,11 @@ from study.ground.units import parse
 from study.harness.design.spec import Design
 from study.harness.design.study_file import Virtual
 from study.harness.execution.local import Loky
-from study.harness.execution.task import Received, Task
+from study.harness.execution.task import Task
 from study.harness.record.atomic_files import write_atomic, write_new
 from study.harness.runner import provenance
 from study.harness.runner.job import TRUTH_SUFFIX
-from study.harness.runner.problem_tables import CalibrationTable, measurements_of
+from study.harness.runner.problem_tables import calibrated_test, measurements_of
 from study.harness.runner.solve_task import SolveResult
 from study.mechanics.forward import finite_element
 from study.mechanics.material.homogeneous import LOADINGS
@@ -77,7 +77,6 @@ def _write(path: Path, column: str, measure: Array, stress: Array) -> Path:
     return path
 
 
-# -------------------------------------------------------------------------------------------------
 # Materials behind virtual specimens: energies with published constants, and how they scatter.
 #
 # The truth of a virtual specimen should lie in no family that a design compares; otherwise
@@ -118,13 +117,13 @@ def _ogden() -> Truth:
     return Truth("ogden", constants, directions, "Ogden's energy of two terms")
 
 
-def _humphrey(order: int = 9) -> Truth:
+def _humphrey() -> Truth:
     """W = b (exp(c (I1 - 3)) - 1) (Humphrey and Yin 1987), as its power series.
 
     What nine terms leave out is below 4e-5 of the stress up to I1 - 3 = 6; a stretch of 2.5
     has 4. The exponent scatters at fixed initial modulus 2 b c.
     """
-    b, c = 24.913774e-3, 0.25632133
+    b, c, order = 24.913774e-3, 0.25632133, 9
     constants = {f"C{k}0": b * c**k / factorial(k) for k in range(1, order + 1)}
     exponent = {f"C{k}0": (k - 1) * constants[f"C{k}0"] for k in range(2, order + 1)}
     return Truth("reduced-polynomial", constants, (exponent,), "Humphrey's exponential energy")
@@ -140,7 +139,6 @@ def truth(name: str) -> Truth:
     return TRUTHS[name]
 
 
-# -------------------------------------------------------------------------------------------------
 # Reference curve of virtual specimens: a finer model than any cell of the design.
 
 #: plates of a reference curve for a design of a single test
@@ -181,9 +179,13 @@ def reference_error(
 
 
 def _task(
-    tables: Tables, material: Truth, poisson_ratio: float, as_designed: bool, asked: Virtual | None
+    tables: Tables,
+    material: Truth,
+    poisson_ratio: float,
+    as_designed: bool,
+    asked_for: Virtual | None,
 ) -> ReferenceTask:
-    virtual, setup = asked or Virtual(), Setup.of(tables)
+    virtual, setup = asked_for or Virtual(), Setup.of(tables)
     # the grid runs a little past the range, as a real test does
     changes = {"steps": virtual.steps, "displacement_mm": 1.03 * setup.test.depth_mm}
     test = {**table_of(tables, "test"), **({} if as_designed else _BONDED), **changes}
@@ -201,12 +203,12 @@ def _task(
 
 
 def _solved(task: ReferenceTask, what: str) -> Curve:
-    (outcome,) = Loky(perform, 1).run([Task("reference", lambda _: task.to_json())])
-    found = SolveResult.from_json(outcome.result)
-    if not found.converged:
-        rule = f"{what} failed: {found.message}"
+    (outcome,) = Loky(perform, 1).run([Task("reference", lambda _: task)])
+    result = SolveResult.from_json(outcome.result)
+    if not result.converged:
+        rule = f"{what} failed: {result.message}"
         raise InputError(Fault("virtual specimens", rule))
-    return found.curve
+    return result.curve
 
 
 def _reference_model(setup: Setup, virtual: Virtual, as_designed: bool) -> dict[str, object]:
@@ -215,19 +217,19 @@ def _reference_model(setup: Setup, virtual: Virtual, as_designed: bool) -> dict[
     Without one, and where every test is as the design has it, the mesh is the finest that the
     design uses, to be made finer still.
     """
-    specimen, own = setup.specimen, setup.model
+    specimen, designed = setup.specimen, setup.model
     corners = isinstance(specimen, Block) and setup.kind.takes_indenter
     solid = isinstance(specimen, Enclosed) or corners
     order = virtual.element_order
-    found: dict[str, object] = {"space": "3d" if solid else "axisymmetric", "element_order": order}
-    ratio = {"mesh_ratio": own.mesh_ratio}
+    model: dict[str, object] = {"space": "3d" if solid else "axisymmetric", "element_order": order}
+    ratio = {"mesh_ratio": designed.mesh_ratio}
     if virtual.mesh_size_mm is not None:
-        return found | ratio | {"mesh_size_mm": virtual.mesh_size_mm}
+        return model | ratio | {"mesh_size_mm": virtual.mesh_size_mm}
     if virtual.mesh is not None:
-        return found | ratio | {"mesh": virtual.mesh}
+        return model | ratio | {"mesh": virtual.mesh}
     if not as_designed:
-        return {**found, "mesh": "fine"}
-    return found | ratio | {"mesh": own.mesh, "mesh_size_mm": own.mesh_size_mm}
+        return {**model, "mesh": "fine"}
+    return model | ratio | {"mesh": designed.mesh, "mesh_size_mm": designed.mesh_size_mm}
 
 
 @dataclass(frozen=True)
@@ -241,19 +243,9 @@ class ReferenceTask:
     #: Whether the derivatives by the constants are wanted.
     gradients: bool = True
 
-    def to_json(self) -> dict[str, object]:
-        """Plain data for a worker."""
-        return {"kind": "reference", **vars(self), "tables": dict(self.tables)}
 
-    @classmethod
-    def from_json(cls, document: Received) -> ReferenceTask:
-        """Inverse of :meth:`to_json`."""
-        return cls(document["tables"], int(document["refined"]), bool(document["gradients"]))
-
-
-def perform(document: Received) -> dict[str, object]:
+def perform(task: ReferenceTask) -> dict[str, object]:
     """Solve the reference problem: a task for a worker."""
-    task = ReferenceTask.from_json(document)
     problem = problem_of(task.tables)
     if task.refined:
         from study.mechanics.mesh.mesher import mesh_size
@@ -264,7 +256,6 @@ def perform(document: Received) -> dict[str, object]:
     return SolveResult(solution.status, solution.message, solution.curve).to_json()
 
 
-# -------------------------------------------------------------------------------------------------
 # Virtual specimens: measured curves with known truth, for the demo and for trying a design.
 #
 # The generator, in full. A batch of silicone has the constants of one of the energies of
@@ -285,8 +276,6 @@ def perform(document: Received) -> dict[str, object]:
 # and density together are such a factor, and what its weight does is known to first order. What is
 # written is the truth of this generator, and p values on it describe this scatter and nothing else.
 
-#: constants of the usual truth, MPa
-ECOFLEX_00_10 = TRUTHS["yeoh"].constants
 CITATION = (
     "virtual specimens with the constants of Dawood et al. (2026), Hyperelastic "
     "Characterisation of Silicone Tissue Phantoms, data CC BY 4.0"
@@ -375,22 +364,22 @@ def write_virtual(design: Design, out: Path, generator: Generator | None = None)
 
 def _sources(design: Design) -> list[tuple[MeasurementSpec, Tables]]:
     """Each file that a design reads, with the deepest test and the finest mesh that read it."""
-    found: dict[str, tuple[MeasurementSpec, Tables]] = {}
+    sources: dict[str, tuple[MeasurementSpec, Tables]] = {}
     for treatment in design.treatments:
-        own = CalibrationTable.of(treatment.config).problem or {}
-        for config in (treatment.config, own):
+        calibrated = calibrated_test(treatment.config)
+        for config in (treatment.config, calibrated):
             spec = measurements_of(config)
             if spec is None:
                 continue
             _depth(config)
             name = str(spec.file or spec.files)
-            if name in found:  # every treatment reads its own range from the same file
-                deepest = max(config, found[name][1], key=_depth)
-                finest = min(found[name][1], config, key=_coarseness)
+            if name in sources:  # every treatment reads its own range from the same file
+                deepest = max(config, sources[name][1], key=_depth)
+                finest = min(sources[name][1], config, key=_coarseness)
                 config = {**deepest, "model": finest["model"]}
                 spec = measurements_of(config) or spec
-            found[name] = (spec, config)
-    return list(found.values())
+            sources[name] = (spec, config)
+    return list(sources.values())
 
 
 def _coarseness(tables: Tables) -> tuple[float, int]:
@@ -441,9 +430,9 @@ def generate(
         shape = sum((n * slope for n, slope in zip(numbers, slopes, strict=True)), 0.0 * d)
         stiffness = np.exp(generator.batch_sd * random.standard_normal())
         for groups in _specimens(spec, str(batch)):
-            own = stiffness * np.exp(generator.specimen_sd * random.standard_normal())
+            factor = stiffness * np.exp(generator.specimen_sd * random.standard_normal())
             for labels in _repeats(spec, groups, generator.repeats):
-                true = own * (force + shape) + (1 - own) * by_weight
+                true = factor * (force + shape) + (1 - factor) * by_weight
                 yield VirtualTest(labels, d, _measured(d, true, generator, cell))
 
 
@@ -519,7 +508,7 @@ def _files(spec: MeasurementSpec, tests: Sequence[VirtualTest]) -> dict[str, str
             raise InputError(Fault("measurements.files", rule)) from None
         sorted_tests.setdefault(name, []).append(test)
     inside = [n for n in tests[0].groups if "{" + n + "}" not in pattern]
-    return {name: _csv(spec, found, inside) for name, found in sorted_tests.items()}
+    return {name: _csv(spec, tests, inside) for name, tests in sorted_tests.items()}
 
 
 def _csv(spec: MeasurementSpec, tests: Sequence[VirtualTest], groups: Sequence[str]) -> str:
