@@ -354,26 +354,9 @@ def _key(name: str) -> str:
 def augment(
     design: Design | str | Path, cells: int, *, terms: int | Sequence[str] = 2
 ) -> Augmentation:
-    """Choose further cells of a fraction by D-optimality.
+    """Choose further cells of a fraction by D-optimality, for terms such as ``"a:b"`` or an order.
 
-    Parameters
-    ----------
-    design : Design, str or Path
-        A design that runs fewer cells than combinations.
-    cells : int
-        How many more.
-    terms : int or sequence of str
-        What shall be told apart: the highest order of interaction, or terms such as ``"a:b"``.
-
-    Returns
-    -------
-    Augmentation
-        The cells, and how precise the terms are before and after.
-
-    Raises
-    ------
-    InputError
-        For a design that runs every combination or samples ranges, or too few cells.
+    A design that runs every combination or samples ranges has none, and is refused.
     """
     loaded = design if isinstance(design, Design) else load(design)
     rows = loaded.scheme.rows

@@ -213,28 +213,9 @@ def choose_energy(
     overrides: Sequence[str] = (),
     progress: Callable[[FitStep], None] | None = None,
 ) -> EnergyChoice:
-    """Fit every energy to the tests of a calibration and weigh them by AICc.
+    """Fit every energy to the tests of a calibration file and weigh them by AICc.
 
-    Parameters
-    ----------
-    source : str or Path
-        Calibration file: its compressibility is kept, the energy that it names does not matter.
-    data : str or Path, optional
-        Folder of the measurements.
-    overrides : sequence of str
-        ``key=value`` each, laid over the file before it is validated.
-    progress : callable, optional
-        Gets every accepted iteration.
-
-    Returns
-    -------
-    EnergyChoice
-        A fit of every energy that converged, its Akaike weight, and why others have no answer.
-
-    Raises
-    ------
-    InputError
-        For a faulty file or faulty data.
+    The compressibility of the file is kept; the energy that it names does not matter.
     """
     config = load_calibration(source, overrides)
     root = calibration_root(config, source, data)
@@ -252,32 +233,8 @@ def compare_tests(
 ) -> ModelComparison:
     """Fit every test of a calibration for itself; Wald test that all have the same constants.
 
-    Parameters
-    ----------
-    source : str or Path
-        Calibration file.
-    data : str or Path, optional
-        Folder of the measurements.
-    overrides : sequence of str
-        ``key=value`` each, laid over the file before it is validated.
-    difference : float
-        Share by which the moduli of one test are off in what the power is stated for.
-    zero : float
-        Standard uncertainty of the zero of a test's force, over its largest force.
-    progress : callable, optional
-        Gets every accepted iteration.
-
-    Returns
-    -------
-    Comparison
-        Constants of every test, the test of equality and its power.
-
-    Raises
-    ------
-    InputError
-        For a faulty file or faulty data, or a difference that is no share.
-    RefusedError
-        If a test alone does not determine the constants.
+    The power is that of seeing the moduli of one test off by the share ``difference``; ``zero`` is
+    the standard uncertainty of the zero of a test's force, over its largest force.
     """
     if not 0 < difference < 1:
         rule = f"must lie between 0 and 1, got {difference:g}"
@@ -375,28 +332,8 @@ def virtual(
 ) -> list[Path]:
     """Write virtual measurements for a design, the demo's by default; or a tracker's recording.
 
-    Parameters
-    ----------
-    out : str or Path
-        Data root: the files get the names that the design gives them below it.
-    source : str or Path, optional
-        The design, or a file of ``study tracking``.
-    overrides : sequence of str
-        ``key=value`` each, laid over the design before it is validated.
-    truth : str
-        Material behind the specimens: ``yeoh``, ``ogden`` or ``humphrey``.
-    blocks : int, optional
-        Number of specimens (or batches); 6 by default.
-
-    Returns
-    -------
-    list of Path
-        Files written.
-
-    Raises
-    ------
-    InputError
-        For a faulty file, or options that a tracker's recording does not have.
+    ``truth`` is the material behind the specimens (yeoh, ogden or humphrey), of which there are
+    ``blocks``, 6 by default; the files get the names that the design gives them below ``out``.
     """
     from importlib import resources
 

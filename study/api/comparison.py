@@ -69,25 +69,7 @@ class StudyComparison:
 def diff(
     first: str | Path, second: str | Path, *, results: str | Path = RESULTS
 ) -> StudyComparison:
-    """Compare two finished studies: which of their conclusions hold under both.
-
-    Parameters
-    ----------
-    first, second : str or Path
-        Results folder, design file or name of each study.
-    results : str or Path
-        Folder of all results, where a study is given by its name or its design file.
-
-    Returns
-    -------
-    Comparison
-        Both studies, and what they say beside each other.
-
-    Raises
-    ------
-    InputError
-        If a study has no results, both are the same, or they have nothing in common.
-    """
+    """Compare two finished studies: which of their conclusions hold under both."""
     folders = [results_folder(path, results) for path in (first, second)]
     _refuse_same(folders[0], folders[1])
     studies = open_study(folders[0], results), open_study(folders[1], results)
@@ -355,27 +337,7 @@ def _plain(change: Change) -> dict[str, object]:
 
 
 def why(case: str, *, study: str | Path | None = None, results: str | Path = RESULTS) -> Record:
-    """Record of one case, found by the beginning of its id in one study or in all of them.
-
-    Parameters
-    ----------
-    case : str
-        Id of the case, or its beginning.
-    study : str or Path, optional
-        Results folder, design file or name of the study to look in; all by default.
-    results : str or Path
-        Folder of all results.
-
-    Returns
-    -------
-    Record
-        The only one whose id begins so.
-
-    Raises
-    ------
-    InputError
-        If no case, or more than one, has an id that begins so.
-    """
+    """Record of one case, by the beginning of its id, of one study or of all of them."""
     return explain(case, study=study, results=results).record
 
 
@@ -386,24 +348,9 @@ def explain(
     results: str | Path = RESULTS,
     data: str | Path | None = None,
 ) -> CaseState:
-    """Record of a case, and what changed since it was made.
+    """Record of a case, by the beginning of its id, and what changed since it was made.
 
-    Parameters
-    ----------
-    case : str
-        Id of the case, or its beginning.
-    study : str or Path, optional
-        Study to look in; all by default. A design file is compared as it stands now, edited or
-        not, whatever was run.
-    results : Path
-        Folder of the results.
-    data : str or Path, optional
-        Folder of the measurements, where a design file is given.
-
-    Raises
-    ------
-    InputError
-        If no case, or more than one, has an id that begins so.
+    A design file is compared as it stands now, edited or not, whatever was run.
     """
     folders = [results_folder(study, results)] if study is not None else _all_studies(results)
     store, name = _only_case(case, folders, results)

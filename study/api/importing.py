@@ -43,39 +43,11 @@ def import_runs(
     practical: str = "",
     results: str | Path = RESULTS,
 ) -> Study:
-    """Make a study of a table of runs, one row a run.
+    """Make a study of a table of runs, one row a run; rows of equal levels are replicates.
 
-    Parameters
-    ----------
-    path : str or Path
-        CSV or workbook; rows of equal levels, in one block, are replicates.
-    factors, responses : str or sequence of str
-        Columns; a text has commas between them. A response may be ``name=unit``.
-    failed : str, optional
-        Column that says which runs have no answer: empty, 0, no, false or ok for those that have;
-        any other text is the reason, or one of the statuses of a record.
-    block : str, optional
-        Column of the unit that was replicated.
-    name : str, optional
-        Name of the study; by default that of the file.
-    decimal : {".", ","}
-        Mark of decimals.
-    practical : str
-        Smallest difference that matters of each response, with commas: ``peak=1 N,work=5 % of
-        mean``; without one there is no verdict.
-    results : str or Path
-        Folder of all results.
-
-    Returns
-    -------
-    Study
-        The study, opened from its records.
-
-    Raises
-    ------
-    InputError
-        For a column that is not there or has a name that no response can have, or for a results
-        folder that holds a study of another kind.
+    Columns are a sequence or a text with commas. A response may be ``name=unit``, and
+    ``practical`` says which difference of it matters: ``peak=1 N,work=5 % of mean``. The column
+    ``failed`` holds a status, a reason, or nothing (also 0, no, false, ok) for runs with an answer.
     """
     columns = names_of(factors.split(",") if isinstance(factors, str) else factors)
     columns = tuple(column.strip() for column in columns)

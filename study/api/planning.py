@@ -194,30 +194,7 @@ def plan(
 ) -> Plan:
     """Say what a design computes, what is done already and what the rest will cost.
 
-    Data that are not there yet do not stop a plan: it then counts cells, not cases.
-
-    Parameters
-    ----------
-    design : Design, str or Path
-        The study, or its file.
-    data : str or Path, optional
-        Folder of the measurements.
-    results : str or Path
-        Folder of all results; what the study's own holds is not computed again.
-    overrides : sequence of str
-        ``key=value`` each, laid over the file before it is validated; not used for a Design.
-    jobs : int, optional
-        Workers by which the wall time is predicted; one a core by default.
-
-    Returns
-    -------
-    Plan
-        Cells, cases, predicted time in s and memory in MB; no time where measurements are missing.
-
-    Raises
-    ------
-    InputError
-        For a faulty design or faulty data.
+    Data that are not there yet do not stop a plan: it then counts cells, not cases, and no time.
     """
     loaded = design if isinstance(design, Design) else load(design, overrides)
     loaded = continued(loaded, Store(Path(results) / loaded.name, warn=lambda _: None))
@@ -288,22 +265,11 @@ def _idle_replicates(work: Work) -> list[str]:
 
 
 def status(path: str | Path, *, results: str | Path = RESULTS) -> dict[str, Any]:
-    """Progress of a study, from any shell.
+    """Progress of a study, from any shell: the document of ``study status --json``.
 
-    Parameters
-    ----------
-    path : str or Path
-        Results folder, design file or name of the study.
-    results : str or Path
-        Folder of all results, where ``path`` is a name or a design file.
-
-    Returns
-    -------
-    dict
-        The document of ``study status --json``, with ``running`` (pid, host, since, and what its
-        progress line said last) or None; the predicted seconds are those that are left. Counted
-        are the cases of the last finished run; ``unfinished`` says how far a later one is, of an
-        edited design, and what was edited.
+    ``running`` holds pid, host, since and the last progress, or None; the predicted seconds are
+    those that are left. Counted are the cases of the last finished run; ``unfinished`` says how
+    far a later one is, of an edited design, and what was edited.
     """
     folder = results_folder(path, results)
     warnings: list[str] = []
@@ -356,28 +322,10 @@ SIMULATED = ("model", "material", "forward", "calibration", "measurements")
 def run_sheet(
     design: Design | str | Path, specimens: int, *, path: str | Path | None = None
 ) -> pd.DataFrame:
-    """Draw the order of physical trials.
+    """Draw the order of physical trials: each specimen once under every physical condition.
 
-    Parameters
-    ----------
-    design : Design, str or Path
-        Its factors that change something in the laboratory make the conditions; combinations
-        that it excludes are left out.
-    specimens : int
-        Specimens, each measured once under every condition.
-    path : str or Path, optional
-        CSV to write; it is refused where it exists.
-
-    Returns
-    -------
-    DataFrame
-        One row a trial: ``run`` (from 1, in the order of work), ``specimen``, the factors, and
-        empty columns for what is written down.
-
-    Raises
-    ------
-    InputError
-        Where no factor changes anything in the laboratory, or the file exists.
+    One row a trial: ``run`` (from 1, in the order of work), ``specimen``, the factors, and empty
+    columns for what is written down. A file that exists is not overwritten.
     """
     import pandas as pd
 

@@ -384,23 +384,7 @@ def demo(
     jobs: int | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> Study:
-    """Run the embedded study on virtual specimens, from generated data to the report.
-
-    Parameters
-    ----------
-    results : str or Path
-        Where the generated measurements and the records go, in a folder of the study's name.
-    reports : Path, optional
-        Where the report goes; None writes none.
-    jobs : int, optional
-        Workers; one a core by default.
-    progress : callable, optional
-        Called after every computation.
-
-    Returns
-    -------
-    Study
-    """
+    """Run the embedded study on virtual specimens, from generated data to the report."""
     from importlib import resources
 
     text = resources.files("study.harness.runner").joinpath("demo.toml").read_text(encoding="utf-8")

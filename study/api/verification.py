@@ -105,38 +105,11 @@ def verify(
     allow_commands: bool | str = False,
     tolerance: float | None = None,
 ) -> Verification:
-    """Compute every number of a report again.
+    """Compute every number of a report again from its records; ``resolve`` cases from nothing.
 
-    Parameters
-    ----------
-    path : str or Path
-        Page or folder of the report, or name of the study.
-    results : Path
-        Folder of the results.
-    reports : Path
-        Folder of the reports, where ``path`` is a name.
-    resolve : int
-        Cases to be solved again from nothing, drawn at random.
-    seed : int
-        Of the draw.
-    data : str or Path, optional
-        Folder of the measurements, for the cases that are solved again.
-    allow_commands : bool or str
-        Whether programs that the design names may run then; see :func:`study.run`.
-    tolerance : float, optional
-        Relative difference of numbers that is passed over. By default none where the report was
-        written with the libraries and on the kind of processor of this machine, else 1e-9: sums
-        of the same numbers differ in their last digits there.
-
-    Returns
-    -------
-    Verification
-        What was compared, and every difference.
-
-    Raises
-    ------
-    InputError
-        If there is no report, or no results to compute it from.
+    The tolerance is the relative difference of numbers that is passed over: by default none where
+    the report was written with the libraries and on the kind of processor of this machine, else
+    1e-9, for sums of the same numbers differ in their last digits there.
     """
     page = _page(Path(path), Path(reports))
     folder = results_folder(page.parent.name, results)
