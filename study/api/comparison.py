@@ -323,18 +323,6 @@ class CaseState:
     #: Libraries that had another version then than they have here now.
     libraries: tuple[Change, ...] = ()
 
-    def to_json(self) -> dict[str, object]:
-        """Plain data beside the record: what changed, each with both values."""
-        return {
-            "use": self.use,
-            "changes": [_plain(change) for change in self.changes],
-            "libraries": [_plain(library) for library in self.libraries],
-        }
-
-
-def _plain(change: Change) -> dict[str, object]:
-    return {"kind": change.kind, "key": change.key, "values": list(change.values)}
-
 
 def why(case: str, *, study: str | Path | None = None, results: str | Path = RESULTS) -> Record:
     """Record of one case, by the beginning of its id, of one study or of all of them."""

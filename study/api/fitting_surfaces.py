@@ -723,19 +723,16 @@ def _runs(
 
 
 def write_surface_page(
-    fits: Sequence[FittedSurface],
-    out_dir: str | Path,
-    *,
-    source: AnalysisSource,
-    formats: Sequence[str] = ("html",),
+    data: ReportData, out_dir: str | Path, formats: Sequence[str] = ("html",)
 ) -> Path:
     """Write the page of the surfaces of one response, with the CSV of its tables and figures."""
+    check_taken(list(data.factors))
+    return write(data, out_dir, formats)
+
+
+def table_data(fits: Sequence[FittedSurface], source: AnalysisSource) -> ReportData:
+    """Gather what a report shows of the surfaces of one response of a table."""
     runs = next(fitted.found for fitted in fits if fitted.found is not None).runs
-    check_taken([*runs.names, *fits[0].labels])
-    return write(_report_data(fits, runs, source), out_dir, formats)
-
-
-def _report_data(fits: Sequence[FittedSurface], runs: Runs, source: AnalysisSource) -> ReportData:
     practical = fits[0].practical
     table = _table(fits)
     ends = {f.name: (f.low, f.high) for f in runs.factors}

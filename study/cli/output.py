@@ -9,19 +9,22 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import typer
 
+from study.ground.canonical import plain
 from study.ground.errors import Fault, InputError, StudyError
 
 if TYPE_CHECKING:
     from study.api.planning import Plan
     from study.ground.curve import Curve
     from study.harness.runner.batch import Progress
+    from study.reporting.content.content_table import Table as Content
     from study.reporting.results.study_result import StudyResult
 
 
+T = TypeVar("T")
 #: what a verb answers with --json
 Document = Mapping[str, Any]
 
@@ -32,9 +35,22 @@ QUIET_S = 10.0
 SAME = 4
 
 
-def print_json(document: object) -> None:
-    """One JSON document on stdout; never a bare NaN."""
+def print_json(result: object) -> None:
+    """One JSON document on stdout: fields by name, NaN as null; or what ``to_json`` makes."""
+    shaped = getattr(result, "to_json", None)
+    document = plain(result) if shaped is None else shaped()
     print(json.dumps(document, indent=2, allow_nan=False))
+
+
+def show(
+    result: T, as_json: bool, printed: Callable[[T], object], warnings: Sequence[str] = ()
+) -> None:
+    """Print what a verb found, in words or as JSON, after its warnings."""
+    warn(warnings)
+    if as_json:
+        print_json(result)
+    else:
+        printed(result)
 
 
 def complain(error: StudyError) -> None:
@@ -72,7 +88,14 @@ def paragraph(text: str) -> None:
     import shutil
     import textwrap
 
+    text = text.replace("\N{NO-BREAK SPACE}", " ")
     print(textwrap.fill(text, min(shutil.get_terminal_size((100, 24)).columns, 100)))
+
+
+def paragraphs(lines: Iterable[str]) -> None:
+    """Print sentences, each folded by itself."""
+    for line in lines:
+        paragraph(line)
 
 
 def table(rows: Sequence[Sequence[str]], title: str = "") -> None:
@@ -81,7 +104,7 @@ def table(rows: Sequence[Sequence[str]], title: str = "") -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    if not rows:
+    if len(rows) < 2:
         return
     made = Table(title=escape(title) or None, title_justify="left", box=None, pad_edge=False)
     for name in rows[0]:
@@ -92,6 +115,21 @@ def table(rows: Sequence[Sequence[str]], title: str = "") -> None:
     if not console.is_terminal:
         console.width = 160  # a file has no width: lines must not be folded at 80
     console.print(made)
+
+
+def cells(table: Content) -> list[list[str]]:
+    """Rows of a table of a report, its heads first, with spaces that every terminal knows."""
+    rows = [table.columns, *table.rows]
+    return [[cell.replace("\N{NO-BREAK SPACE}", " ") for cell in row] for row in rows]
+
+
+def content(shown: Content | None, title: str = "") -> None:
+    """Print a table of a report and its note; nothing for None."""
+    if shown is not None:
+        table(cells(shown), title or shown.name)
+        if shown.note:
+            paragraph(shown.note)
+        print()
 
 
 def seconds(value: float) -> str:

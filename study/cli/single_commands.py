@@ -20,6 +20,7 @@ from study.ground.errors import Fault, InputError
 if TYPE_CHECKING:
     from study.harness.calibration.calibration_result import CalibrationResult
     from study.harness.runner.staged_fit import FitStep
+    from study.mechanics.measurement.inspection import Inspection
     from study.mechanics.solver.solution import Solution
 
 
@@ -103,14 +104,11 @@ def doctor(as_json: Json = False) -> None:
     """Check the installation."""
     from study.api.solving import examine
 
-    found = examine()
-    if as_json:
-        output.print_json(found)
-    else:
-        rows = [["check", "outcome", "finding"]]
-        rows += [[c["name"], c["outcome"], c["finding"]] for c in found["checks"]]
-        output.table(rows)
-    if not found["ok"]:
+    findings = examine()
+    rows = [["check", "outcome", "finding"]]
+    rows += [[c["name"], c["outcome"], c["finding"]] for c in findings["checks"]]
+    output.show(findings, as_json, lambda _: output.table(rows))
+    if not findings["ok"]:
         raise typer.Exit(1)
 
 
@@ -163,11 +161,11 @@ def calibrate(
             mend = "write --by test, without --energies, --profile, --numerics and --bootstrap"
             raise InputError(Fault("--by", f"cannot compare by {by!r} with these options", mend))
         compared = _compared(file, data, asked, difference, zero)
-        output.print_json(compared) if as_json else _print_comparison(compared)
+        output.show(compared, as_json, _print_comparison)
         return
     if energies:
         choice = _chosen(file, data, asked)
-        output.print_json(choice) if as_json else _print_energies(choice)
+        output.show(choice, as_json, _print_energies)
         return
     line = _Line()
     found = api.calibrate(
@@ -185,10 +183,8 @@ def _show(found: CalibrationResult, convention: str, folder: Path, as_json: bool
     if convention != "study":
         converted = found.converted(convention)
         document["converted"] = {**vars(converted), "constants": dict(converted.constants)}
-    if as_json:
-        output.print_json(document)
-    else:
-        _print_calibration(document)
+    output.show(document, as_json, _print_calibration)
+    if not as_json:
         names = ("calibration.json", "calibration.svg", "recording.svg")
         print(f"written: {', '.join(str(folder / name) for name in names)}")
 
@@ -226,10 +222,10 @@ def inspect(
     """Show what a recorded file holds, and the table [measurements] that reads it."""
     from study import api
 
-    found = api.inspect(file, sheet=sheet)
-    if as_json:
-        output.print_json(found.to_json())
-        return
+    output.show(api.inspect(file, sheet=sheet), as_json, _print_inspection)
+
+
+def _print_inspection(found: Inspection) -> None:
     names = "" if found.header_line is None else f", names in line {found.header_line}"
     names += "" if found.unit_line is None else f", units in line {found.unit_line}"
     print(f"{found.file}: {found.encoding}, delimiter {found.delimiter}, decimal mark "
