@@ -138,12 +138,9 @@ def _ranges(study: StudyResult) -> dict[str, str]:
 def _convergence(study: StudyResult) -> tuple[Mapping[str, Any], ...]:
     """Series with enough meshes for an order."""
     rows = stored_convergence([row for row in study.numerical if len(row.series) >= 3])
-    return tuple(_named(row) for row in rows)
-
-
-def _named(row: dict[str, Any]) -> dict[str, Any]:
-    """Name a series by its levels and its response."""
-    return row | {"levels": {**row["levels"], "response": name_of(row["qoi"])}}
+    return tuple(
+        row | {"levels": {**row["levels"], "response": name_of(row["qoi"])}} for row in rows
+    )
 
 
 def _inputs(design: Design) -> dict[str, str]:

@@ -156,7 +156,9 @@ def next_cells(design: Design, records: Sequence[Record]) -> tuple[list[list[flo
     rule = design.scheme.sequential
     if rule is None:
         raise ValueError("the design is not adaptive")
-    places = _places(design)
+    others = [factor for factor in design.factors if factor.span is None]
+    every = itertools.product(*(factor.labels for factor in others))
+    places = [dict(zip([f.name for f in others], labels, strict=True)) for labels in every]
     fitted = [_fit(design, rule, labels, records) for labels in places]
     size = len(design.treatments)
     errors: dict[str, float] = {}
@@ -177,13 +179,6 @@ def _end(rule: Sequential, step: AugmentStep, free: int, answered: bool) -> str:
         goal = f"the Q2 of every response is at least {rule.q2:g}"
         return goal if rule.until == "q2" else "every factor has a verdict"
     return "" if free > 0 else f"the budget of {rule.budget} cells is spent"
-
-
-def _places(design: Design) -> list[dict[str, str]]:
-    """List the combinations of the levels of the factors that are no ranges."""
-    others = [factor for factor in design.factors if factor.span is None]
-    every = itertools.product(*(factor.labels for factor in others))
-    return [dict(zip([f.name for f in others], labels, strict=True)) for labels in every]
 
 
 def _fit(

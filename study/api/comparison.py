@@ -342,7 +342,8 @@ def explain(
     """
     folders = [results_folder(study, results)] if study is not None else _all_studies(results)
     store, name = _only_case(case, folders, results)
-    runs = _runs(store)
+    manifests = [store.read_unfinished(), store.read_manifest(), *store.read_runs()]
+    runs = [run for run in manifests if run is not None and "cases" in run]
     now = _design_now(study, data) or (runs[0] if runs else None)
     record = store.read(name, None if now is None else now["cases"].get(name))
     if record is None:
@@ -367,12 +368,6 @@ def _code_alone(record: Record) -> tuple[Change, ...]:
     """Compare the version of the code with today's, where nothing else is known."""
     then, now = record.versions.get("study"), versions()["study"]
     return () if then == now else (Change("code", "version of study", (then, now)),)
-
-
-def _runs(store: Store) -> list[ManifestDocument]:
-    """Every run that is known, the latest first."""
-    manifests = [store.read_unfinished(), store.read_manifest(), *store.read_runs()]
-    return [run for run in manifests if run is not None and "cases" in run]
 
 
 def _design_now(study: str | Path | None, data: str | Path | None) -> ManifestDocument | None:

@@ -732,9 +732,12 @@ def write_surface_page(
 
 def table_data(fits: Sequence[FittedSurface], source: AnalysisSource) -> ReportData:
     """Gather what a report shows of the surfaces of one response of a table."""
+    import pandas as pd
+
     runs = next(fitted.found for fitted in fits if fitted.found is not None).runs
-    practical = fits[0].practical
-    table = _table(fits)
+    parts = [_rows(fitted.found.runs, fitted.labels) for fitted in fits if fitted.found is not None]
+    table = pd.concat(parts, ignore_index=True)
+    table.insert(0, "case_id", [str(n + 1) for n in range(len(table))])
     ends = {f.name: (f.low, f.high) for f in runs.factors}
     labels = list(fits[0].labels)
     return ReportData(
@@ -744,7 +747,12 @@ def table_data(fits: Sequence[FittedSurface], source: AnalysisSource) -> ReportD
         table=table,
         responses=(
             ResponseAnalysis(
-                runs.name, "", None, practical=practical, title=runs.name, refused=SEE_SURFACE
+                runs.name,
+                "",
+                None,
+                practical=fits[0].practical,
+                title=runs.name,
+                refused=SEE_SURFACE,
             ),
         ),
         block="block" if runs.blocks else "",
@@ -761,16 +769,6 @@ def table_data(fits: Sequence[FittedSurface], source: AnalysisSource) -> ReportD
         ranges={name: f"{low:g} to {high:g}" for name, (low, high) in ends.items()},
         is_table=True,
     )
-
-
-def _table(fits: Sequence[FittedSurface]) -> pd.DataFrame:
-    """Rows as a report wants them: settings, block, status, the response under its own name."""
-    import pandas as pd
-
-    parts = [_rows(fitted.found.runs, fitted.labels) for fitted in fits if fitted.found is not None]
-    frame = pd.concat(parts, ignore_index=True)
-    frame.insert(0, "case_id", [str(n + 1) for n in range(len(frame))])
-    return frame
 
 
 def _rows(runs: Runs, labels: Mapping[str, str]) -> pd.DataFrame:

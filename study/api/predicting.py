@@ -90,7 +90,14 @@ def predict(
         be extrapolated, or the study has no surface.
     """
     study = api.open_study(path, results) if isinstance(path, str | Path) else path
-    surfaces = _surfaces(study, response)
+    if not study.surfaces:
+        rule = "has no surface: no factor is a range"
+        mend = 'write { low = "1 mm", high = "3 mm" } and [design] kind = "latin-hypercube"'
+        raise InputError(Fault(study.design.name, rule, mend))
+    names = list(dict.fromkeys(fitted.response for fitted in study.surfaces))
+    if response is not None and response not in names:
+        raise InputError(Fault("--response", f"there is no {response!r}", nearest(response, names)))
+    surfaces = tuple(fitted for fitted in study.surfaces if response in (None, fitted.response))
     factors = {factor.name: factor for factor in study.design.factors}
     unknown = [
         Fault(n, "no such factor", nearest(n, list(factors))) for n in at if n not in factors
@@ -103,17 +110,6 @@ def predict(
     return tuple(
         _predicted(fitted, numbers) for fitted in surfaces if dict(fitted.labels) == labels
     )
-
-
-def _surfaces(study: StudyResult, response: str | None) -> tuple[FittedSurface, ...]:
-    if not study.surfaces:
-        rule = "has no surface: no factor is a range"
-        mend = 'write { low = "1 mm", high = "3 mm" } and [design] kind = "latin-hypercube"'
-        raise InputError(Fault(study.design.name, rule, mend))
-    names = list(dict.fromkeys(fitted.response for fitted in study.surfaces))
-    if response is not None and response not in names:
-        raise InputError(Fault("--response", f"there is no {response!r}", nearest(response, names)))
-    return tuple(fitted for fitted in study.surfaces if response in (None, fitted.response))
 
 
 def _label(factor: Factor, setting: Setting) -> str:

@@ -153,18 +153,13 @@ def cautions(problem: str | Path, overrides: Sequence[str] = ()) -> tuple[str, .
 def _problem(problem: Problem | Tables | str | Path, overrides: Sequence[str]) -> Problem:
     if not isinstance(problem, Problem):
         problem = problem_of(problem_tables(problem, overrides))
-    _judge(problem)
-    return problem
-
-
-def _judge(problem: Problem) -> None:
-    """Refuse constants that are unstable on the way, before anything is meshed."""
     import numpy as np
 
     height = float(getattr(problem.specimen, "height_mm", 0.0))
     depth = problem.test.depth_mm
     compressed = problem.setup.kind.compresses and depth < height
     check(problem.material, np.linspace(1 - depth / height, 1, 41) if compressed else None)
+    return problem
 
 
 def solution_json(solution: Solution) -> dict[str, object]:

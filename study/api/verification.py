@@ -25,7 +25,6 @@ from study.api.study import report
 from study.ground.bounded_file import MAX_BYTES, UnreadableError, read_existing, unzip
 from study.ground.errors import Fault, InputError, StoreError
 from study.harness.design.load import loads
-from study.harness.record.record import Record
 from study.harness.record.store import Store
 from study.harness.runner.batch import run_batch
 from study.harness.runner.expansion import expand
@@ -264,17 +263,14 @@ def _solve_again(
         fresh = again.by_case(part.input_hashes)
     for job in part.jobs:
         verification.solved += 1
-        _compare_records(stored[job.case.case_id], fresh.get(job.case.case_id), verification)
-
-
-def _compare_records(old: Record, new: Record | None, verification: Verification) -> None:
-    """Compare the responses of a record with those of another solution; seconds are a clock."""
-    for name in old.responses:
-        first, second = old.value(name), None if new is None else new.value(name)
-        if name == "seconds" or first == second:
-            continue
-        if first is None or second is None or not math.isclose(
-            first, second, rel_tol=SOLVED_AGAIN, abs_tol=1e-9
-        ):  # fmt: skip
-            where = f"case {old.case_id} solved again: {name}"
-            verification.differences.append(Difference(where, str(first), str(second)))
+        old = stored[job.case.case_id]
+        new = fresh.get(job.case.case_id)
+        for name in old.responses:
+            first, second = old.value(name), None if new is None else new.value(name)
+            if name == "seconds" or first == second:
+                continue
+            if first is None or second is None or not math.isclose(
+                first, second, rel_tol=SOLVED_AGAIN, abs_tol=1e-9
+            ):  # fmt: skip
+                where = f"case {old.case_id} solved again: {name}"
+                verification.differences.append(Difference(where, str(first), str(second)))

@@ -32,7 +32,13 @@ def print_analysis(analysis: AnalysisResult, data: ReportData) -> None:
         output.content(analysis_content.checks(analysis), "Assumptions")
         _print_further_checks(analysis)
         output.content(analysis_content.robustness(analysis, data))
-        _print_bounds(analysis)
+        rows = [["Term", "lowest", "highest", "p from", "p to", "verdicts", "holds"]]
+        for b in analysis.data.bounds:
+            p = (MISSING, MISSING) if b.p is None else (p_value(b.p[0]), p_value(b.p[1]))
+            holds = "yes" if b.holds else "no"
+            ends = significant(b.low, 4), significant(b.high, 4)
+            rows.append([b.term, *ends, *p, ", ".join(b.verdicts), holds])
+        output.table(rows, "Largest differences, whatever the missing responses are")
         _print_power(analysis)
     in_sentences: tuple[str, ...] = ()
     if analysis.data.nested is not None:
@@ -74,16 +80,6 @@ def _print_further_checks(analysis: AnalysisResult) -> None:
     if checks.box_cox is not None:
         low, high = checks.box_cox.ci95
         print(f"Box-Cox exponent {checks.box_cox.exponent:.2f} (95 % {low:.2f} to {high:.2f})")
-
-
-def _print_bounds(analysis: AnalysisResult) -> None:
-    rows = [["Term", "lowest", "highest", "p from", "p to", "verdicts", "holds"]]
-    for b in analysis.data.bounds:
-        p = (MISSING, MISSING) if b.p is None else (p_value(b.p[0]), p_value(b.p[1]))
-        holds = "yes" if b.holds else "no"
-        ends = significant(b.low, 4), significant(b.high, 4)
-        rows.append([b.term, *ends, *p, ", ".join(b.verdicts), holds])
-    output.table(rows, "Largest differences, whatever the missing responses are")
 
 
 def _print_power(analysis: AnalysisResult) -> None:

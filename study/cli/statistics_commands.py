@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from study.api.contrast_power import ContrastDetection, Power
     from study.api.fitting_surfaces import Surface as SurfaceKind
     from study.api.predicting import Permission
-    from study.reporting.results.study_result import ReportData
     from study.statistics.analysis.analysis_request import AnovaOptions
     from study.statistics.analysis.analysis_result import AnalysisResult
     from study.statistics.analysis.comparisons import Comparisons
@@ -225,7 +224,16 @@ def _show(
             further["reference"] = _compared_json(*compared)
         output.print_json(analysis.to_json() | further)
         return
-    _print_analysis(analysis, analyzing.report_data(analysis, asked), compared)
+    data = analyzing.report_data(analysis, asked)
+    from study.cli import analysis_tables
+    from study.reporting.content import analysis_content
+
+    analysis_tables.print_analysis(analysis, data)
+    if analysis.contrasts:
+        contrasts = analysis_content.contrast_table(analysis, analysis.request.response)
+        output.content(contrasts, "Differences that were asked for")
+    if compared is not None:
+        output.content(analysis_content.against_reference(*compared, data))
     if page is not None:
         print(f"\nreport: {page}")
     is_open = all(e.verdict == "cannot tell" for e in analysis.effects if e.is_main)
@@ -239,20 +247,6 @@ def _compared_json(factor: str, compared: Comparisons) -> dict[str, object]:
     document = plain(compared)
     return {"factor": factor, "scale": compared.effect,
             **{key: document[key] for key in ("method", "alpha", "pairs")}}  # fmt: skip
-
-
-def _print_analysis(
-    analysis: AnalysisResult, data: ReportData, compared: tuple[str, Comparisons] | None
-) -> None:
-    from study.cli import analysis_tables
-    from study.reporting.content import analysis_content
-
-    analysis_tables.print_analysis(analysis, data)
-    if analysis.contrasts:
-        contrasts = analysis_content.contrast_table(analysis, analysis.request.response)
-        output.content(contrasts, "Differences that were asked for")
-    if compared is not None:
-        output.content(analysis_content.against_reference(*compared, data))
 
 
 # A mixed model: blocks and other columns as random factors.
