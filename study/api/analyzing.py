@@ -5,7 +5,7 @@ from __future__ import annotations
 import platform
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict, Unpack, cast
@@ -263,11 +263,6 @@ def provenance(source: AnalysisSource) -> dict[str, str]:
 class TableAnalysis(Shown, AnalysisResult):
     """What :func:`study.analyze` returns: an :class:`AnalysisResult` that can be shown."""
 
-    @classmethod
-    def of(cls, analysis: AnalysisResult) -> TableAnalysis:
-        """Give a result the ways to be shown."""
-        return cls(**{item.name: getattr(analysis, item.name) for item in fields(AnalysisResult)})
-
     def to_frame(self) -> pd.DataFrame:
         """Table of the analysis of variance, one row a term; what does not apply is missing."""
         return self.anova.to_frame()
@@ -364,7 +359,7 @@ def _study(
     options: AnovaOptions,
 ) -> AnalysisResult:
     """Analysis of stored records: what is not said is taken from the design."""
-    study = api.open_study(source, results)
+    study = api.load(source, results)
     by_name = {r.name: r for r in study.design.responses}
     name = response or next(iter(by_name))
     if not study.records:
@@ -720,7 +715,7 @@ def fit_mixed_model(
         labels = (factors, random) if factors else (random[:1], random[1:])
         table = read_tidy_csv(path, response, *labels, None, decimal, options.get("covariates", ()))
         return mixed_model(table, response, factors, **options)
-    study = api.open_study(source, results)
+    study = api.load(source, results)
     if options.get("covariates"):
         rule = "a study has factors alone"
         raise InputError(Fault("--covariates", rule, "give a CSV with that column"))

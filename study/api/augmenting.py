@@ -8,15 +8,14 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, TypedDict
+from typing import TYPE_CHECKING
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from study.api.fitting_surfaces import fit_runs, runs_at
+from study.api.fitting_surfaces import coded_settings, fit_runs, ranges_of, runs_at
 from study.ground.arrays import Array
 from study.ground.errors import Fault, InputError, RefusedError, StudyError
-from study.harness.design.factors import settings_of
 from study.harness.design.generators import d_optimal, efficiency
 from study.harness.design.layout_kinds import share_of, words_of
 from study.harness.design.load import dump, load, loads
@@ -38,7 +37,7 @@ from study.statistics.surfaces.emulator import (
     next_run,
 )
 from study.statistics.surfaces.gaussian_process import GaussianProcess
-from study.statistics.surfaces.surface_factors import NumericFactor, Runs
+from study.statistics.surfaces.surface_factors import Runs
 
 if TYPE_CHECKING:
     from study.harness.record.record import Record
@@ -95,15 +94,6 @@ _COSTS = ("seconds", "dofs")
 _SEARCHING = 2.0
 
 
-class AugmentStep(TypedDict):
-    """What was known with so many cells: Q2 by response, what was not known, why it ended."""
-
-    cells: int
-    q2: dict[str, float]
-    open: list[str]
-    stopped: str
-
-
 @dataclass(frozen=True)
 class _Fitted:
     """Emulators of the responses at one combination of the other levels."""
@@ -151,7 +141,7 @@ def run_adaptive(
         )
 
 
-def next_cells(design: Design, records: Sequence[Record]) -> tuple[list[list[float]], AugmentStep]:
+def next_cells(design: Design, records: Sequence[Record]) -> tuple[list[list[float]], AdaptiveStep]:
     """Choose the cells that make the emulators of a design surest."""
     rule = design.scheme.sequential
     if rule is None:
@@ -165,13 +155,13 @@ def next_cells(design: Design, records: Sequence[Record]) -> tuple[list[list[flo
     for surface_fit in fitted:
         for name, model in surface_fit.responses.items():
             errors[name] = min(errors.get(name, 1.0), float(model.q2))
-    step: AugmentStep = {"cells": size, "q2": errors, "open": _open(fitted), "stopped": ""}
+    step: AdaptiveStep = {"cells": size, "q2": {**errors}, "open": _open(fitted), "stopped": ""}
     free = min(rule.batch, rule.budget - size)
     step["stopped"] = _end(rule, step, free, any(record.converged for record in records))
     return ([] if step["stopped"] else _chosen(design, rule, places, fitted, free)), step
 
 
-def _end(rule: Sequential, step: AugmentStep, free: int, answered: bool) -> str:
+def _end(rule: Sequential, step: AdaptiveStep, free: int, answered: bool) -> str:
     """Say why no cell is added; nothing where some are."""
     if not answered:
         return "no cell has an answer"
@@ -280,18 +270,9 @@ def _processes(model: Emulator | BlockedEmulator) -> list[GaussianProcess]:
 
 def _made(design: Design, labels: Mapping[str, str]) -> Array:
     """Cells of one combination of levels, in the unit box, those without an answer too."""
-    columns = []
     levels_made = [treatment.levels for treatment in design.treatments
            if all(treatment.levels[name] == label for name, label in labels.items())]  # fmt: skip
-    for factor in design.factors:
-        span = factor.span
-        if span is None:
-            continue
-        settings_by_level = settings_of(factor)
-        settings = np.array([settings_by_level[levels[factor.name]] for levels in levels_made])
-        numeric = NumericFactor(factor.name, span.low, span.high, span.log)
-        columns.append(0.5 * (numeric.coded(settings) + 1.0))
-    return np.column_stack(columns)
+    return 0.5 * (coded_settings(design, ranges_of(design), levels_made) + 1.0)
 
 
 def _cell(design: Design, labels: Mapping[str, str], point: Array) -> list[float]:

@@ -7,7 +7,7 @@ import io
 import json
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -107,11 +107,6 @@ class Calibrated(Shown, CalibrationResult):
     """What :func:`study.calibrate` returns: a :class:`CalibrationResult` that can be shown."""
 
     digits: ClassVar[int] = 5
-
-    @classmethod
-    def of(cls, found: CalibrationResult) -> Calibrated:
-        """Give a calibration the ways to be shown."""
-        return cls(**{item.name: getattr(found, item.name) for item in fields(CalibrationResult)})
 
     def to_frame(self) -> pd.DataFrame:
         """Constants with one row each."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from study.api.folders import RESULTS, design_root, results_folder
 from study.api.manifest import changes, manifest_of, run_changes
-from study.api.opened_study import open_study
+from study.api.opened_study import load as load_study
 from study.ground.errors import Fault, InputError, MissingDataError, nearest
 from study.harness.design.load import load
 from study.harness.record.document import ManifestDocument
@@ -72,7 +72,7 @@ def diff(
     """Compare two finished studies: which of their conclusions hold under both."""
     folders = [results_folder(path, results) for path in (first, second)]
     _refuse_same(folders[0], folders[1])
-    studies = open_study(folders[0], results), open_study(folders[1], results)
+    studies = load_study(folders[0], results), load_study(folders[1], results)
     return StudyComparison(studies, compare(*studies))
 
 

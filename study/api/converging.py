@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from study.api.folders import RESULTS, data_root, design_root, problem_tables
-from study.api.opened_study import open_study
+from study.api.opened_study import load as load_study
 from study.api.uncertainty import uncertainties
 from study.ground.arrays import Array
 from study.ground.canonical import digest, plain
@@ -510,7 +510,7 @@ def converge(
 
 def stored(source: str | Path, results: Path = RESULTS) -> dict[str, object]:
     """Judge the series that a finished study keeps."""
-    study = open_study(source, results)
+    study = load_study(source, results)
     cells = stored_convergence(study.numerical)
     if not cells:
         rule = "no refinement is stored of this study"

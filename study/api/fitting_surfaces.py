@@ -590,7 +590,7 @@ def runs_at(
     """Return the runs of a response that have an answer, at one combination of other levels."""
     here = [r for r in records if all(r.levels[name] == label for name, label in labels.items())]
     good = [r for r in here if not is_repeat(r.extra) and r.value(response) is not None]
-    return _runs(design, response, good, None, _factors(design))
+    return _runs(design, response, good, None, ranges_of(design))
 
 
 def _half_width(
@@ -658,21 +658,21 @@ def _left_out(failed: int) -> tuple[str, ...]:
     return (f"{count(failed, 'run')} without an answer left out; nothing is put in the place",)
 
 
-def _factors(design: Design) -> tuple[NumericFactor, ...]:
+def ranges_of(design: Design) -> tuple[NumericFactor, ...]:
     """Ranges of a design."""
     ranged = [(factor, factor.span) for factor in design.factors if factor.span is not None]
     return tuple(NumericFactor(f.name, span.low, span.high, span.log) for f, span in ranged)
 
 
-def _coded(design: Design, factors: Sequence[NumericFactor], records: Sequence[Record]) -> Array:
-    """Coded settings of some runs, shape (n, k)."""
-    columns = []
-    ranged = [factor for factor in design.factors if factor.span is not None]
-    for factor, numeric in zip(ranged, factors, strict=True):
-        coded_of = settings_of(factor)
-        settings = [coded_of[record.levels[factor.name]] for record in records]
-        columns.append(numeric.coded(np.array(settings, dtype=np.float64)))
-    return np.column_stack(columns)
+def coded_settings(
+    design: Design, factors: Sequence[NumericFactor], levels: Sequence[Mapping[str, str]]
+) -> Array:
+    """Coded settings of some runs by their levels, shape (n, k)."""
+    ranged = [settings_of(factor) for factor in design.factors if factor.span is not None]
+    return np.column_stack([
+        numeric.coded(np.array([settings[at[numeric.name]] for at in levels], dtype=np.float64))
+        for settings, numeric in zip(ranged, factors, strict=True)
+    ])  # fmt: skip
 
 
 def _answered(
@@ -682,7 +682,8 @@ def _answered(
 
     A surface beyond its last run is a guess, and where runs fail there may be nothing to guess.
     """
-    factors, coded = _factors(design), _coded(design, _factors(design), records)
+    factors = ranges_of(design)
+    coded = coded_settings(design, factors, [record.levels for record in records])
     good = np.array([record.value(response) is not None for record in records], dtype=bool)
     if good.all() or not good.any():
         return factors, ()
@@ -716,7 +717,8 @@ def _runs(
     values = np.array([record.value(response) for record in records], dtype=np.float64)
     blocks = tuple(str(record.block) for record in records if record.block is not None)
     u = None if half_width is None else np.full(values.size, half_width / 2.0)
-    return Runs(response, factors, _coded(design, factors, records), values, blocks, u)
+    coded = coded_settings(design, factors, [record.levels for record in records])
+    return Runs(response, factors, coded, values, blocks, u)
 
 
 # Write the page of a surface that was fitted to a table.

@@ -11,7 +11,8 @@ import numpy as np
 
 from study.api.comparison import why
 from study.api.folders import REPORTS, RESULTS, data_root, finished_manifest, results_folder
-from study.api.opened_study import open_study
+from study.api.opened_study import load as load_study
+from study.api.predicting import surfaces_of
 from study.api.solving import solve
 from study.ground.arrays import Array
 from study.ground.bounded_file import UnreadableError, read_json
@@ -450,16 +451,12 @@ def export_surface(
     InputError
         If the study has no surface, or not that response; nothing is written.
     """
-    study = open_study(path, results) if isinstance(path, str | Path) else path
-    names = list(dict.fromkeys(fitted.response for fitted in study.surfaces))
-    if response is not None and names and response not in names:
-        raise InputError(Fault("--response", f"there is no {response!r}", nearest(response, names)))
-    chosen = [fitted for fitted in study.surfaces if response in (None, fitted.response)]
+    study = load_study(path, results) if isinstance(path, str | Path) else path
+    chosen = surfaces_of(study, response)
     good = [fitted for fitted in chosen if fitted.found is not None]
     if not good:
         rule = "has no surface that could be a function"
-        reason = next((fitted.refused for fitted in chosen), "no factor is a range")
-        raise InputError(Fault(study.design.name, rule, reason))
+        raise InputError(Fault(study.design.name, rule, chosen[0].refused))
     made = tuple(surface_function(study.design.name, fitted) for fitted in good)
     folder = Path(out)
     texts = {place: text for function in made for place, text in function.files(folder).items()}

@@ -8,7 +8,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from study.api.folders import RESULTS
-from study.api.opened_study import Study, open_study
+from study.api.opened_study import Study
+from study.api.opened_study import load as load_study
 from study.ground.canonical import digest
 from study.ground.errors import Fault, InputError, nearest
 from study.ground.tabular import CsvTable, label_fault, names_of, read_csv
@@ -85,7 +86,7 @@ def import_runs(
         for record in records:
             store.write(record)
         store.finish_run(manifest)
-    return open_study(store.path)
+    return load_study(store.path)
 
 
 def _units(responses: str | Sequence[str]) -> dict[str, str]:

@@ -10,16 +10,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study import api
+from study.api.fitting_surfaces import coded_settings, ranges_of
 from study.api.folders import RESULTS
-from study.api.predicting import Permission, confirm, joined, number_in_unit
+from study.api.predicting import (
+    Permission,
+    confirm,
+    joined,
+    number_in_unit,
+    unknown_factors,
+)
 from study.ground import tabular, units
-from study.ground.errors import Fault, InputError, RefusedError, nearest
-from study.harness.design.factors import settings_of
+from study.ground.errors import Fault, InputError, RefusedError
 from study.harness.record.record import is_repeat
 from study.harness.record.store import Store
 from study.mechanics.calibration.serial_correlation import effective_rows
 from study.reporting.results.study_answers import Checked, Determined, InputSet, Inverted
-from study.statistics.surfaces.surface_factors import NumericFactor, Runs
+from study.statistics.surfaces.surface_factors import Runs
 from study.statistics.surfaces.surface_inversion import InversionAgreement, agreeing
 from study.statistics.surfaces.surface_profile import CurveEmulator, fit_curves
 
@@ -93,7 +99,7 @@ def invert(  # noqa: PLR0913  # the public face: one keyword for each thing that
     RefusedError
         If the emulator does not predict left-out curves (a Q2 below .9), or no curve agrees.
     """
-    study = api.open_study(path, results) if isinstance(path, str | Path) else path
+    study = api.load(path, results) if isinstance(path, str | Path) else path
     given = _known(study, dict(at or {}))
     curve, notes = _read(Path(to), columns, in_units, decimal), []
     more = joined(study.design, Store(study.folder), study.manifest)
@@ -156,7 +162,7 @@ def _known(study: StudyResult, at: Mapping[str, Setting]) -> _Known:
         rule = "has no numeric factor: there is nothing to be found"
         mend = 'write { low = "5 kPa", high = "15 kPa" } and [design] kind = "latin-hypercube"'
         raise InputError(Fault(design.name, rule, mend))
-    faults = [Fault(n, "no such factor", nearest(n, list(factors))) for n in at if n not in factors]
+    faults = unknown_factors(at, list(factors))
     for name, factor in factors.items():
         if factor.span is None and str(at.get(name, "")) not in factor.labels:
             rule = "is no number: say at which of its levels the test was made"
@@ -215,13 +221,9 @@ def _covered(
 def _runs(study: StudyResult, records: Sequence[Record]) -> Runs:
     """Coded settings of runs."""
     more = joined(study.design, Store(study.folder), study.manifest)
-    ranges = [(f, f.span) for f in more.design.factors if f.span is not None]
-    factors = tuple(NumericFactor(f.name, s.low, s.high, s.log) for f, s in ranges)
-    columns = []
-    for (factor, _), numeric in zip(ranges, factors, strict=True):
-        of = settings_of(factor)
-        columns.append(numeric.coded(np.array([of[r.levels[factor.name]] for r in records])))
-    return Runs("force", factors, np.column_stack(columns), np.zeros(len(records)))
+    factors = ranges_of(more.design)
+    coded = coded_settings(more.design, factors, [record.levels for record in records])
+    return Runs("force", factors, coded, np.zeros(len(records)))
 
 
 def _fitted(

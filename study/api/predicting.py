@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -89,19 +89,10 @@ def predict(
         If a factor is missing or unknown, a setting has another dimension, a point would have to
         be extrapolated, or the study has no surface.
     """
-    study = api.open_study(path, results) if isinstance(path, str | Path) else path
-    if not study.surfaces:
-        rule = "has no surface: no factor is a range"
-        mend = 'write { low = "1 mm", high = "3 mm" } and [design] kind = "latin-hypercube"'
-        raise InputError(Fault(study.design.name, rule, mend))
-    names = list(dict.fromkeys(fitted.response for fitted in study.surfaces))
-    if response is not None and response not in names:
-        raise InputError(Fault("--response", f"there is no {response!r}", nearest(response, names)))
-    surfaces = tuple(fitted for fitted in study.surfaces if response in (None, fitted.response))
+    study = api.load(path, results) if isinstance(path, str | Path) else path
+    surfaces = surfaces_of(study, response)
     factors = {factor.name: factor for factor in study.design.factors}
-    unknown = [
-        Fault(n, "no such factor", nearest(n, list(factors))) for n in at if n not in factors
-    ]
+    unknown = unknown_factors(at, list(factors))
     unknown += [Fault(n, "has no setting", "give every factor one") for n in factors if n not in at]
     if unknown:
         raise InputError(unknown)
@@ -110,6 +101,23 @@ def predict(
     return tuple(
         _predicted(fitted, numbers) for fitted in surfaces if dict(fitted.labels) == labels
     )
+
+
+def surfaces_of(study: StudyResult, response: str | None = None) -> tuple[FittedSurface, ...]:
+    """Surfaces of a study, of one response alone where it is named; refused where there is none."""
+    if not study.surfaces:
+        rule = "has no surface: no factor is a range"
+        mend = 'write { low = "1 mm", high = "3 mm" } and [design] kind = "latin-hypercube"'
+        raise InputError(Fault(study.design.name, rule, mend))
+    names = list(dict.fromkeys(fitted.response for fitted in study.surfaces))
+    if response is not None and response not in names:
+        raise InputError(Fault("--response", f"there is no {response!r}", nearest(response, names)))
+    return tuple(fitted for fitted in study.surfaces if response in (None, fitted.response))
+
+
+def unknown_factors(at: Iterable[str], factors: Sequence[str]) -> list[Fault]:
+    """Faults of settings of what is no factor."""
+    return [Fault(n, "no such factor", nearest(n, factors)) for n in at if n not in factors]
 
 
 def _label(factor: Factor, setting: Setting) -> str:

@@ -6,7 +6,7 @@ import importlib
 import platform
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -44,11 +44,6 @@ class SolvedProblem(Shown, Solution):
     """What :func:`study.solve` returns: a :class:`Solution` that can be shown."""
 
     digits: ClassVar[int] = 6
-
-    @classmethod
-    def of(cls, solution: Solution) -> SolvedProblem:
-        """Give a solution the ways to be shown."""
-        return cls(**{item.name: getattr(solution, item.name) for item in fields(Solution)})
 
     def to_frame(self) -> pd.DataFrame:
         """Curve with one row a load step.

@@ -16,7 +16,8 @@ from study.api.augmenting import continued, run_adaptive
 from study.api.comparison import compare
 from study.api.folders import REPORTS, RESULTS, design_root, results_folder
 from study.api.manifest import WARN, check_choice, check_stale, manifest_of, mixed_meshes
-from study.api.opened_study import Study, count_cases, open_study
+from study.api.opened_study import Study, count_cases
+from study.api.opened_study import load as load_study
 from study.api.planning import control_seconds, controls_of, refinement_seconds, with_time_left
 from study.api.predicting import Permission, confirm_claims
 from study.api.uncertainty import validate
@@ -209,7 +210,7 @@ def run(
             _finish(store, work, clock.parts, summary)
             warnings += mixed_meshes(work, store)
     if confirm:
-        confirm_claims(open_study(store.path), Permission(data, allowed, progress))
+        confirm_claims(load_study(store.path), Permission(data, allowed, progress))
         clock.mark("confirming runs")
     with _records_written():
         return report(
@@ -332,10 +333,10 @@ def report(
             study = (
                 Study.of(study_before)
                 if isinstance(study_before, StudyResult)
-                else open_study(study_before)
+                else load_study(study_before)
             )
         if beside is not None:
-            study = replace(study, beside=compare(study, open_study(beside, results)))
+            study = replace(study, beside=compare(study, load_study(beside, results)))
         study = replace(study, warnings=tuple(dict.fromkeys([*extra_warnings, *study.warnings])))
         clock.mark("statistics")
         if reports is None:

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from study.api.folders import REPORTS, RESULTS, design_root, finished_manifest, results_folder
-from study.api.opened_study import open_study
+from study.api.opened_study import load as load_study
 from study.api.study import report
 from study.ground.bounded_file import MAX_BYTES, UnreadableError, read_existing, unzip
 from study.ground.errors import Fault, InputError, StoreError
@@ -157,7 +157,7 @@ def _compare_report(home: Path, folder: Path, verification: Verification) -> Non
     with tempfile.TemporaryDirectory(prefix="study-verify-") as place:
         formats = ["html", *(["tex"] if list(home.glob("*.tex")) else [])]
         again = report(
-            open_study(folder, tell_unfinished=False), reports=Path(place), formats=formats
+            load_study(folder, tell_unfinished=False), reports=Path(place), formats=formats
         )
         if again.report is None:
             raise InputError(f"{folder}: {'; '.join(again.warnings)}")

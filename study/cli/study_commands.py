@@ -12,8 +12,8 @@ from study.cli.output import Document
 
 if TYPE_CHECKING:
     from study.api.comparison import CaseState
+    from study.api.opened_study import Study as OpenedStudy
     from study.api.verification import Verification
-    from study.reporting.results.study_result import StudyResult
 
 
 Json = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")]
@@ -330,7 +330,7 @@ def _folders(results: Path, reports: Path) -> output.Options:
     }
 
 
-def _finish(study: StudyResult, as_json: bool, typed: output.Options) -> None:
+def _finish(study: OpenedStudy, as_json: bool, typed: output.Options) -> None:
     """Print verdicts and report; exit 1 if cases failed or a report could not be written."""
     from study.cli.study_tables import print_study
 

@@ -12,13 +12,14 @@ from study.reporting.content.numbers import MISSING
 from study.reporting.content.report_facts import facts
 from study.reporting.content.text import count
 from study.reporting.results.study_answers import Beside
-from study.reporting.results.study_result import ReportData, StudyResult
+from study.reporting.results.study_result import ReportData
 from study.statistics.analysis.anova_table import Effect
 from study.statistics.analysis.simple_effects import CANNOT_TELL, NOT_RESOLVED, claim
 
 if TYPE_CHECKING:
     from study.api.augmenting import Augmentation
     from study.api.comparison import StudyComparison
+    from study.api.opened_study import Study
     from study.api.planning import Plan
     from study.harness.design.overview import Overview
     from study.harness.design.spec import Scheme
@@ -124,7 +125,7 @@ def print_further(augmentation: Augmentation) -> None:
 Rows = list[list[str]]
 
 
-def print_study(study: StudyResult) -> None:
+def print_study(study: Study) -> None:
     """Print answer, verdicts and differences that the design asks for, then surfaces."""
     from study.api.assemble import report_data
     from study.cli import surface_tables
@@ -132,7 +133,7 @@ def print_study(study: StudyResult) -> None:
     data = report_data(study, study.manifest.get("timings", {}))
     print(f"\n{study.design.name}: {output.counts(study.cases)}")
     try:
-        _print_answers(data)
+        _print_answers(study, data)
     except (KeyError, ValueError, TypeError, AttributeError) as error:
         # the numbers are stored and the report is separate: a table must not end the run
         output.warn([f"the verdict table could not be printed: {error}"])
@@ -145,8 +146,8 @@ def print_study(study: StudyResult) -> None:
         print(f"\nreport: {study.report}")
 
 
-def _print_answers(data: ReportData) -> None:
-    output.paragraphs(answer_lines(data))
+def _print_answers(study: Study, data: ReportData) -> None:
+    output.paragraphs(study.answers)
     for title, rows in verdict_tables(data):
         print()
         output.table(rows, title)
@@ -177,17 +178,6 @@ def refused(effect: Effect) -> bool:
         return False
     low, high, practical = (math.log(x) if effect.is_ratio else x for x in ends if x is not None)
     return bool(claim(low, high, practical))
-
-
-def answer_lines(data: ReportData) -> list[str]:
-    """Return the sentences of the answer box, which cases fail, and what would change them."""
-    from study.reporting.content import recommendation, sentences
-
-    all_facts = facts(data)
-    where = data.failure_pattern
-    failure_lines = () if where is None else tables.failure_sentences(where, data.labels)
-    change = f"What would change this? {recommendation.would_change(data, all_facts)}"
-    return [*sentences.answer(data, all_facts), *failure_lines, change]
 
 
 def beside_lines(comparison: Beside) -> list[str]:

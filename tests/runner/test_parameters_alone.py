@@ -131,7 +131,7 @@ def test_effects_of_a_program_with_a_template_are_those_of_the_formula(tmp_path)
     for factor in ("parameters.stiffness", "parameters.damping"):
         effect = next(v for v in verdicts if (v["response"], v["factor"]) == ("peak", factor))
         assert effect["effect"] == pytest.approx(expected_effect(factor), rel=1e-9)
-    record = api.open_study(tmp_path / "results" / "spring").records[0]
+    record = api.load(tmp_path / "results" / "spring").records[0]
     assert "stiffness 800" in record.extra["rendered"]["input.txt"]
     assert record.solver["program"]["steps"][0]["code"] == 0
     assert record.response("static") == pytest.approx(0.0625, rel=1e-12)
