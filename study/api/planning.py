@@ -70,30 +70,30 @@ def refinement_seconds(work: Work, store: Store, workers: int) -> float:
     return Costs().total_seconds(open_fits(todo, store), todo, workers)
 
 
-def with_time_left(
-    store: Store, progress: Callable[[Progress], None] | None, later: float
+def noted_progress(
+    store: Store, progress: Callable[[Progress], None] | None
 ) -> Callable[[Progress], None]:
-    """Progress that also counts ``later`` seconds, and is left beside the lock for others."""
+    """Progress that is also left beside the lock, for other shells."""
     noted = -math.inf
 
     def note(state: Progress) -> None:
         nonlocal noted
-        whole, now = replace(state, seconds_left=state.seconds_left + later), time.monotonic()
-        if now - noted > NOTED_S or whole.done == whole.total:
+        now = time.monotonic()
+        if now - noted > NOTED_S or state.done == state.total:
             noted = now
             store.note(
                 {
-                    "done": whole.done,
-                    "total": whole.total,
-                    "counted": whole.counted,
-                    "failed": whole.failed,
-                    "label": whole.label[:80],
-                    "seconds_left": round(whole.seconds_left, 1),
+                    "done": state.done,
+                    "total": state.total,
+                    "counted": state.counted,
+                    "failed": state.failed,
+                    "label": state.label[:80],
+                    "seconds_left": round(state.seconds_left, 1),
                     "at": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
                 }
             )
         if progress is not None:
-            progress(whole)
+            progress(state)
 
     return note
 

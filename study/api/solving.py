@@ -7,6 +7,7 @@ import platform
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -198,43 +199,31 @@ _SYSTEM_LIBRARIES = (
 
 def examine() -> dict[str, Any]:
     """Try every part of the installation."""
-    tries: list[tuple[str, Callable[[], tuple[str, str]]]] = [
-        ("python", _python),
-        *((name, _importer(name)) for name in _NEEDED),
-        ("gmsh", _gmsh),
-        ("pypardiso", _pardiso),
-        ("a solved compression", _solve),
-        ("a worker process", _worker),
-    ]
+    tries: dict[str, Callable[[], tuple[str, str]]] = {
+        "python": lambda: (
+            "pass" if sys.version_info >= (3, 11) else "fail",
+            platform.python_version(),
+        ),
+        **{name: partial(_imported, name) for name in (*_NEEDED, "gmsh")},
+        "pypardiso": _pardiso,
+        "a solved compression": _solve,
+        "a worker process": _worker,
+    }
     checks = []
-    for name, attempt in tries:
+    for name, attempt in tries.items():
         try:
             outcome, finding = attempt()
         except Exception as error:  # noqa: BLE001 - whatever fails is the finding
             outcome, finding = "fail", f"{type(error).__name__}: {error}"
+            if name == "gmsh" and isinstance(error, OSError):
+                finding = f"{error}; a system library is missing: {_SYSTEM_LIBRARIES}"
         checks.append({"name": name, "outcome": outcome, "finding": finding})
     return {"ok": all(c["outcome"] != "fail" for c in checks), "checks": checks}
 
 
-def _python() -> tuple[str, str]:
-    return ("pass" if sys.version_info >= (3, 11) else "fail"), platform.python_version()
-
-
-def _importer(name: str) -> Callable[[], tuple[str, str]]:
-    def attempt() -> tuple[str, str]:
-        importlib.import_module(name)
-        package = {"skfem": "scikit-fem"}.get(name, name)
-        return "pass", metadata.version(package)
-
-    return attempt
-
-
-def _gmsh() -> tuple[str, str]:
-    try:
-        importlib.import_module("gmsh")
-    except OSError as error:
-        return "fail", f"{error}; a system library is missing: {_SYSTEM_LIBRARIES}"
-    return "pass", metadata.version("gmsh")
+def _imported(name: str) -> tuple[str, str]:
+    importlib.import_module(name)
+    return "pass", metadata.version({"skfem": "scikit-fem"}.get(name, name))
 
 
 def _pardiso() -> tuple[str, str]:

@@ -18,7 +18,7 @@ from study.api.folders import REPORTS, RESULTS, design_root, results_folder
 from study.api.manifest import WARN, check_choice, check_stale, manifest_of, mixed_meshes
 from study.api.opened_study import Study, count_cases
 from study.api.opened_study import load as load_study
-from study.api.planning import control_seconds, controls_of, refinement_seconds, with_time_left
+from study.api.planning import noted_progress
 from study.api.predicting import Permission, confirm_claims
 from study.api.uncertainty import validate
 from study.ground.errors import InputError, RefusedError, StoppedError, StudyError, WriteError
@@ -238,11 +238,8 @@ def _compute(
     executor: Executor | None,
     expanded: Callable[[Design], Work],
 ) -> tuple[Work, Summary]:
-    """Cases, then what says how far they can be trusted; every part knows what comes after it."""
-    workers = jobs or default_jobs()
-    finer = refinement_seconds(work, store, workers) if refine else 0.0
-    spaces = control_seconds(controls_of(work, store) if refine else (), workers)
-    noted = with_time_left(store, progress, finer + spaces)
+    """Cases, then what says how far they can be trusted."""
+    noted = noted_progress(store, progress)
     work, summary = run_adaptive(
         work,
         store,
@@ -256,9 +253,7 @@ def _compute(
     clock.mark("simulation" if work.design.is_alone else "calibration and simulation")
     if not refine:
         return work, summary
-    noted = with_time_left(store, progress, spaces)
     uncertainty.refine(plain, store, jobs, noted, timeout_s, executor)
-    noted = with_time_left(store, progress, 0.0)
     uncertainty.compare_spaces(plain, store, jobs, noted, executor)
     clock.mark("mesh refinement")
     if work.design.uncertainty and work.design.is_measured:

@@ -133,22 +133,10 @@ def content(shown: Content | None, title: str = "") -> None:
 
 
 def seconds(value: float) -> str:
-    """Give a duration in words.
+    """Give a duration in words."""
+    from study.reporting.content.numbers import THIN, duration
 
-    Examples
-    --------
-    >>> seconds(0.1), seconds(4.2), seconds(75), seconds(7300)
-    ('under 1 s', '4 s', '1 min 15 s', '2 h 2 min')
-    """
-    whole = round(value)
-    if whole < 1:
-        return "under 1 s"
-    if whole < 60:
-        return f"{whole} s"
-    if whole < 3600:
-        return f"{whole // 60} min {whole % 60} s"
-    minutes = round(value / 60)
-    return f"{minutes // 60} h {minutes % 60} min"
+    return duration(value).replace(THIN, " ")
 
 
 def number(value: float | None, digits: int = 4) -> str:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,13 +17,12 @@ from study.cli.laboratory_commands import closed_form
 from study.cli.output import Document, designs
 from study.cli.study_commands import RESULTS, Data, Json, Results, Set
 from study.ground import units
+from study.ground.canonical import plain
 from study.ground.errors import Fault, InputError
 
 if TYPE_CHECKING:
-    from study.harness.calibration.calibration_result import CalibrationResult
     from study.harness.runner.staged_fit import FitStep
     from study.mechanics.measurement.inspection import Inspection
-    from study.mechanics.solver.solution import Solution
 
 
 Numerics = Annotated[
@@ -52,15 +53,18 @@ def solve(
 ) -> None:
     """Simulate one test."""
     from study import api
-    from study.api.solving import cautions, solution_json
+    from study.api.solving import cautions, solution_json, writable, write_picture, write_vtu
 
-    if picture or vtu:
-        _writable(picture, vtu)
+    writable(picture, vtu)
     output.warn(cautions(file, settings or ()))
     solution = api.solve(file, overrides=settings or (), follow=follow)
     curve = solution.curve
-    if picture or vtu:
-        _write_fields(solution, picture, vtu, whole=whole)
+    if (picture or vtu) and not len(curve.displacement_mm):
+        print("no step converged: nothing is drawn or written", file=sys.stderr)
+    elif picture or vtu:
+        for path, write in ((picture, write_picture), (vtu, partial(write_vtu, whole=whole))):
+            if path is not None:
+                write(solution, path)
     if as_json:
         output.print_json(solution_json(solution))
     else:
@@ -78,26 +82,6 @@ def solve(
         print(f"{solution.dofs} unknowns, {total:.2f} s, {solution.solver}")
     if solution.status != "converged":
         raise typer.Exit(1)
-
-
-def _writable(*paths: Path | None) -> None:
-    from study.api.solving import writable
-
-    writable(*paths)
-
-
-def _write_fields(
-    solution: Solution, picture: Path | None, vtu: Path | None, *, whole: bool
-) -> None:
-    from study.api.solving import write_picture, write_vtu
-
-    if not len(solution.curve.displacement_mm):
-        print("no step converged: nothing is drawn or written", file=sys.stderr)
-        return
-    if picture is not None:
-        write_picture(solution, picture)
-    if vtu is not None:
-        write_vtu(solution, vtu, whole=whole)
 
 
 def doctor(as_json: Json = False) -> None:
@@ -160,58 +144,33 @@ def calibrate(
         if by != "test" or not (alone and not energies):
             mend = "write --by test, without --energies, --profile, --numerics and --bootstrap"
             raise InputError(Fault("--by", f"cannot compare by {by!r} with these options", mend))
-        compared = _compared(file, data, asked, difference, zero)
-        output.show(compared, as_json, _print_comparison)
+        with _iterations() as progress:
+            compared = api.compare_tests(
+                file, data=data, overrides=asked, progress=progress,
+                difference=units.parse(difference, "ratio"), zero=units.parse(zero, "ratio"),
+            )  # fmt: skip
+        output.show(compared.to_json(), as_json, _print_comparison)
         return
     if energies:
-        choice = _chosen(file, data, asked)
-        output.show(choice, as_json, _print_energies)
+        with _iterations() as progress:
+            choice = api.choose_energy(file, data=data, overrides=asked, progress=progress)
+        output.show(choice.to_json(), as_json, _print_energies)
         return
-    line = _Line()
-    found = api.calibrate(
-        file, data=data, overrides=asked, results=results, progress=line.show, profiles=profiles,
-        numerics=numerics, resamples=bootstrap,
-    )  # fmt: skip
-    line.end()
-    _show(found, convention, results / found.name, as_json)
-    if not found.usable:
-        raise typer.Exit(1)
-
-
-def _show(found: CalibrationResult, convention: str, folder: Path, as_json: bool) -> None:
-    document = found.to_json()
+    with _iterations() as progress:
+        calibrated = api.calibrate(
+            file, data=data, overrides=asked, results=results, progress=progress,
+            profiles=profiles, numerics=numerics, resamples=bootstrap,
+        )  # fmt: skip
+    document = calibrated.to_json()
     if convention != "study":
-        converted = found.converted(convention)
-        document["converted"] = {**vars(converted), "constants": dict(converted.constants)}
+        document["converted"] = plain(calibrated.converted(convention))
     output.show(document, as_json, _print_calibration)
     if not as_json:
         names = ("calibration.json", "calibration.svg", "recording.svg")
+        folder = results / calibrated.name
         print(f"written: {', '.join(str(folder / name) for name in names)}")
-
-
-def _chosen(file: Path, data: Path | None, settings: Sequence[str] | None) -> Document:
-    from study import api
-
-    line = _Line()
-    found = api.choose_energy(file, data=data, overrides=settings or (), progress=line.show)
-    line.end()
-    document: Document = found.to_json()
-    return document
-
-
-def _compared(
-    file: Path, data: Path | None, settings: Sequence[str] | None, difference: str, zero: str
-) -> Document:
-    from study import api
-
-    line = _Line()
-    found = api.compare_tests(
-        file, data=data, overrides=settings or (), difference=units.parse(difference, "ratio"),
-        zero=units.parse(zero, "ratio"), progress=line.show,
-    )  # fmt: skip
-    line.end()
-    document: Document = found.to_json()
-    return document
+    if not calibrated.usable:
+        raise typer.Exit(1)
 
 
 def inspect(
@@ -250,17 +209,16 @@ def _print_inspection(found: Inspection) -> None:
     print(f"\n{found.toml}")
 
 
-class _Line:
+@contextmanager
+def _iterations() -> Iterator[Callable[[FitStep], None]]:
     """One line on stderr: stage, iteration, cost and constants; redrawn where it can be."""
+    from study.harness.runner.staged_fit import LAST
+    from study.mechanics.material.material import is_dimensionless, unit_shown
 
-    def __init__(self) -> None:
-        self.width = 0
+    width = 0
 
-    def show(self, step: FitStep) -> None:
-        """Show an accepted iteration."""
-        from study.harness.runner.staged_fit import LAST
-        from study.mechanics.material.material import is_dimensionless, unit_shown
-
+    def show(step: FitStep) -> None:
+        nonlocal width
         it = step.iteration
         values = ", ".join(
             f"{n} {v:.5g} {unit_shown(n)}".rstrip()
@@ -273,13 +231,12 @@ class _Line:
         if not sys.stderr.isatty():
             print(text, file=sys.stderr)
             return
-        print("\r" + text[:160].ljust(self.width), end="", file=sys.stderr, flush=True)
-        self.width = min(len(text), 160)
+        print("\r" + text[:160].ljust(width), end="", file=sys.stderr, flush=True)
+        width = min(len(text), 160)
 
-    def end(self) -> None:
-        """Leave the line."""
-        if self.width:
-            print(file=sys.stderr)
+    yield show
+    if width:
+        print(file=sys.stderr)
 
 
 def _print_calibration(found: Document) -> None:
