@@ -137,10 +137,11 @@ def _ranges(study: StudyResult) -> dict[str, str]:
 
 def _convergence(study: StudyResult) -> tuple[Mapping[str, Any], ...]:
     """Series with enough meshes for an order."""
-    rows = stored_convergence([row for row in study.numerical if len(row.series) >= 3])
-    return tuple(
-        row | {"levels": {**row["levels"], "response": name_of(row["qoi"])}} for row in rows
+    rows: Sequence[dict[str, Any]] = stored_convergence(
+        [row for row in study.numerical if len(row.series) >= 3]
     )
+    named = ({**row["levels"], "response": name_of(row["qoi"])} for row in rows)
+    return tuple(row | {"levels": levels} for row, levels in zip(rows, named, strict=True))
 
 
 def _inputs(design: Design) -> dict[str, str]:

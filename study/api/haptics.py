@@ -25,6 +25,7 @@ from study.harness.record.atomic_files import write_atomic
 from study.harness.record.record import Record
 from study.harness.record.store import Store
 from study.harness.runner import provenance
+from study.harness.runner.cost import Costs
 from study.harness.runner.expansion import cases_by_id
 from study.harness.runner.tasks import default_jobs
 from study.laboratory.haptics.force_surface import surface_function
@@ -51,6 +52,7 @@ from study.mechanics.material.material import Material, is_dimensionless
 from study.mechanics.material.stability import check, stability
 from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import Problem, Tables, problem_of
+from study.reporting.content.numbers import THIN, duration
 from study.reporting.figures.registry import slug
 from study.reporting.output.accuracy_page import shape_page, tracker_page, write_accuracy
 from study.reporting.output.haptic_pages import warnings, write_force_law, write_requirement
@@ -356,6 +358,10 @@ def export(
 # What the sensors of a test must be for constants as accurate as wanted.
 
 
+#: solutions that a simulated test takes: its own, and those of the fit to it
+SOLUTIONS_A_TEST = 6
+
+
 @dataclass(frozen=True)
 class Required:
     """What the sensors must be, and the page that says so."""
@@ -414,7 +420,12 @@ def require(
         fitted=provenance.located(file.fitted, places),
         predicted=provenance.located(file.predicted, places),
     )
-    sensors = sensor_requirement(file, jobs or default_jobs(), progress)
+    workers, tests = jobs or default_jobs(), file.asked.samples * len(file.asked.multiples)
+    if progress is not None and tests:
+        seconds = tests * SOLUTIONS_A_TEST * Costs().solve_seconds(file.fitted) / workers
+        time = duration(seconds).replace(THIN, " ")
+        progress(f"{tests} simulated tests on {workers} workers, predicted to take {time}")
+    sensors = sensor_requirement(file, workers, progress)
     return Required(sensors, write_requirement(sensors, out), tuple(warnings(sensors)))
 
 

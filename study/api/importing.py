@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
@@ -183,13 +184,18 @@ def _design(
         mend = "leave it out: a factor has two levels or more"
         raise InputError(Fault(source, f"{few[0]} is the same in all runs", mend))
     presets: dict[str, object] = {}
+    parameters: dict[str, object] = {}
     for place, (column, levels) in enumerate(labels.items()):
-        key = f"parameters.factor_{place + 1}"
-        presets[column] = {level: {key: f"level {level}"} for level in levels}
+        key, numbers = f"factor_{place + 1}", _numbers(levels)
+        if numbers:  # numbers stay numbers, in their order
+            levels.sort(key=numbers.__getitem__)
+        values = numbers or {level: f"level {level}" for level in levels}
+        presets[column] = {level: {f"parameters.{key}": values[level]} for level in levels}
+        parameters[key] = min(numbers.values()) if numbers else ""
     cells = list({tuple(row.levels.items()): row.levels for row in rows}.values())
     tables: dict[str, object] = {
         "study": {"name": name, "question": f"Runs that were made elsewhere: {source}"},
-        "parameters": {f"factor_{k + 1}": "" for k in range(len(labels))},
+        "parameters": parameters,
         "forward": {"model": "python"},
         "presets": presets,
         "factors": labels,
@@ -202,9 +208,18 @@ def _design(
         tables["design"] = {"kind": "listed", "treatments": cells}
     most = max(map(len, _by_cell(rows).values()))
     if most > 1:
-        tables["parameters"] |= {"replicate_number": 1}  # type: ignore[operator]
+        parameters["replicate_number"] = 1
         tables["replicates"] = {"key": "parameters.replicate_number", "n": most}
     return loads(from_tables(tables), source)
+
+
+def _numbers(levels: Sequence[str]) -> dict[str, float]:
+    """Numbers of the levels of a factor; empty where one of them is none."""
+    try:
+        numbers = {level: float(level) for level in levels}
+    except ValueError:
+        return {}
+    return numbers if all(map(math.isfinite, numbers.values())) else {}
 
 
 def _by_cell(rows: Sequence[_Run]) -> dict[tuple[object, ...], list[_Run]]:

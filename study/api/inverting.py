@@ -148,7 +148,8 @@ class _Found:
 def _share(within: str | None) -> float | None:
     if within is None:
         return None
-    share = units.parse(within, "ratio")
+    with units.naming("--within"):
+        share = units.parse(within, "ratio")
     if not share > 0:
         raise InputError(Fault("--within", f"must be more than zero, got {within!r}", "say 2 %"))
     return share
@@ -184,8 +185,9 @@ def _read(source: Path, columns: Sequence[str], in_units: Sequence[str], decimal
         rule = "needs two names each: displacement and force"
         raise InputError(Fault("--columns, --units", rule, "write --columns d,f --units mm,N"))
     table = tabular.read_csv(source, required=columns, numbers=columns, decimal=decimal)
-    displacement = table.numbers(columns[0]) * units.unit_factor(in_units[0], "length")
-    force = table.numbers(columns[1]) * units.unit_factor(in_units[1], "force")
+    with units.naming("--units"):
+        displacement = table.numbers(columns[0]) * units.unit_factor(in_units[0], "length")
+        force = table.numbers(columns[1]) * units.unit_factor(in_units[1], "force")
     falls = np.flatnonzero(np.diff(displacement) <= 0)
     if falls.size:
         rule = "displacements must increase from row to row"

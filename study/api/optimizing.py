@@ -157,12 +157,8 @@ def _bound(text: str, units_of: Mapping[str, str]) -> Bound:
         mend = "write 'stiffness >= 0.3 N/mm', with >= or <="
         raise InputError(Fault("--subject-to", f"cannot read {text!r}", mend))
     name = _named(parts["name"], list(units_of), "--subject-to")
-    try:
+    with units.naming(f"--subject-to {name}"):
         value = _in_unit(parts["value"], units_of[name])
-    except UnitError as error:
-        raise InputError(
-            [replace(f, where=f"--subject-to {name}") for f in error.faults]
-        ) from error
     return Bound(name, units_of[name], 1 if parts["sign"] == ">=" else -1, value)
 
 
@@ -208,7 +204,10 @@ def _of_table(
     names = surface_of_goal.runs.names
     if faults := unknown_factors(at, names):
         raise InputError(faults)
-    held = {n: units.parse_number(str(setting)) for n, setting in at.items()}
+    held = {}
+    for n, setting in at.items():
+        with units.naming(f"--at {n}"):
+            held[n] = units.parse_number(str(setting))
     if len(held) == len(names):
         raise InputError(Fault("--at", "holds every factor", "leave those out that are choices"))
     columns = [_LIMIT.fullmatch(text) for text in limits_typed]

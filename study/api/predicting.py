@@ -135,11 +135,12 @@ def number_in_unit(factor: Factor, setting: Setting) -> Array:
     kind, unit = overlay.dimension(factor.name), "" if factor.span is None else factor.span.unit
     if not isinstance(setting, str):
         return np.atleast_1d(np.asarray(setting, dtype=np.float64))
-    if kind == overlay.ANY and unit:
-        return np.array([units.converted(*units.split(setting), unit)])
-    if kind is None or not unit:
-        return np.array([units.parse_number(setting)])
-    return np.array([units.parse(setting, kind) / units.parse(f"1 {unit}", kind)])
+    with units.naming(factor.name):
+        if kind == overlay.ANY and unit:
+            return np.array([units.converted(*units.split(setting), unit)])
+        if kind is None or not unit:
+            return np.array([units.parse_number(setting)])
+        return np.array([units.parse(setting, kind) / units.parse(f"1 {unit}", kind)])
 
 
 def _predicted(fitted: FittedSurface, at: Mapping[str, Array]) -> PredictedAnswer:

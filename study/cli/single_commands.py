@@ -144,11 +144,14 @@ def calibrate(
         if by != "test" or not (alone and not energies):
             mend = "write --by test, without --energies, --profile, --numerics and --bootstrap"
             raise InputError(Fault("--by", f"cannot compare by {by!r} with these options", mend))
+        with units.naming("--difference"):
+            off = units.parse(difference, "ratio")
+        with units.naming("--zero"):
+            uncertain = units.parse(zero, "ratio")
         with _iterations() as progress:
             compared = api.compare_tests(
-                file, data=data, overrides=asked, progress=progress,
-                difference=units.parse(difference, "ratio"), zero=units.parse(zero, "ratio"),
-            )  # fmt: skip
+                file, data=data, overrides=asked, progress=progress, difference=off, zero=uncertain
+            )
         output.show(compared.to_json(), as_json, _print_comparison)
         return
     if energies:

@@ -310,10 +310,11 @@ def _print_mixed(model: MixedModel, response: str, alpha: float) -> None:
         item = Facts(ResponseAnalysis(response, ""), response, "", model.effects)
         print_effects(item, data)
     rows = [["asked for", "difference", f"{ends}, all together", "DF", "p", "verdict"]]
-    for c in model.contrasts:
-        between = interval(*(c.ci_simultaneous or c.ci or (None, None)), digits=4)
-        df = "" if c.df is None else f"{c.df:.1f}"
-        rows.append([c.name, significant(c.difference, 4), between, df, p_value(c.p), c.verdict])
+    for asked in model.contrasts:
+        low, high = asked.ci_simultaneous or asked.ci or (None, None)
+        df = "" if asked.df is None else f"{asked.df:.1f}"
+        size = significant(asked.difference, 4), interval(low, high, digits=4)
+        rows.append([asked.name, *size, df, p_value(asked.p), asked.verdict])
     output.table(rows, "Differences that were asked for")
 
 
@@ -345,7 +346,7 @@ def _options(flags: Flags, alpha: float | None) -> AnovaOptions:
         "error": flags["--error"], "type": flags["--type"], "model": _model(flags["--model"]),
         "practical": flags["--practical"], "transform": flags["--transform"],
     }  # fmt: skip
-    given = {key: value for key, value in options.items() if value not in (None, "", [])}
+    given: dict[str, object] = {k: v for k, v in options.items() if v not in (None, "", [])}
     given["block"] = blocks if len(blocks) > 1 else next(iter(blocks), None)
     return cast("AnovaOptions", given if alpha is None else given | {"alpha": alpha})
 

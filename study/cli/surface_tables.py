@@ -42,7 +42,7 @@ def show(
     refuse_useless(flags, _USED, "a surface over numeric factors")
     every = api.fit_surfaces(
         source,
-        cast(str, flags["--response"]),
+        flags["--response"],
         numeric,
         names(flags["--factors"]),
         surface=cast("Surface", surface),

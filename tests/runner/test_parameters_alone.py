@@ -413,6 +413,20 @@ def test_runs_of_elsewhere_become_a_study(tmp_path):
     assert {v["practical"] for v in copies.verdicts} == {2.0}
 
 
+def test_factors_of_elsewhere_that_are_numbers_stay_numbers_in_their_order(tmp_path):
+    rows = "".join(f"{h},{m},{h + len(m)}\n" for h in (10, 2.5, 1e1, 20) for m in ("soft", "stiff"))
+    (tmp_path / "runs.csv").write_text(f"height,gel,peak\n{rows}")
+    made = api.import_runs(tmp_path / "runs.csv", "height,gel", "peak=N", results=tmp_path / "r")
+    height, gel = made.design.factors
+    assert height.labels == ("2.5", "10", "20")
+    assert [level.settings["parameters.factor_1"] for level in height.levels] == [2.5, 10.0, 20.0]
+    assert gel.labels == ("soft", "stiff")
+    opened = api.load("runs", results=tmp_path / "r")
+    assert len(opened.table) == 8
+    assert opened.answers
+    assert set(opened.effects["factor"]) >= {"height", "gel"}
+
+
 @pytest.mark.parametrize(
     ("changed", "into", "said"),
     [

@@ -91,6 +91,9 @@ def _files(value: object) -> tuple[str | tuple[str, str], ...]:
     if len(found) > MAX_FILES:
         raise Bad(f"lists {len(found)} files, the limit is {MAX_FILES}")
     targets = [target for target, _ in map(target_and_source, found)]
+    if own := sorted({*targets} & {"problem.json", "case.json"}):
+        rule = f"holds {own[0]}, which this package writes into the folder of every case"
+        raise Bad(rule, "give that file another name")
     if len(set(targets)) < len(targets):
         raise Bad("names two files alike, which would lie on one another", "rename one of them")
     return tuple(found)

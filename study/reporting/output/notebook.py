@@ -22,7 +22,7 @@ class Shown(ABC):
     @classmethod
     def of(cls, result: Dataclass) -> Self:
         """Give a result the ways to be shown: a class of these and of its own has its fields."""
-        return cls(**{item.name: getattr(result, item.name) for item in fields(result)})  # type: ignore[call-arg]
+        return cls(**{item.name: getattr(result, item.name) for item in fields(result)})
 
     @abstractmethod
     def tables(self) -> Sequence[pd.DataFrame]:
