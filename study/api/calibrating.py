@@ -175,12 +175,10 @@ def calibrate(
     InputError
         For a faulty file or faulty data.
     """
-    config = load_calibration(source, overrides)
+    config, root = _opened(source, overrides, data)
     if config.asked.method == "analytic":
         rule = "analytic gives one modulus a curve, not the constants of an energy"
         raise InputError(Fault("calibration.method", rule, "call study.indentation_modulus"))
-    root = calibration_root(config, source, data)
-    config = _located(config, source, root)
     folder = None if results is None else own_folder(Path(results), config.name)
     found = run_calibration(
         config,
@@ -212,9 +210,7 @@ def choose_energy(
 
     The compressibility of the file is kept; the energy that it names does not matter.
     """
-    config = load_calibration(source, overrides)
-    root = calibration_root(config, source, data)
-    return choose(_located(config, source, root), root, progress=progress)
+    return choose(*_opened(source, overrides, data), progress=progress)
 
 
 def compare_tests(
@@ -237,22 +233,19 @@ def compare_tests(
     if not 0 <= zero < 1:
         rule = f"must be a share of the largest force, got {zero:g}"
         raise InputError(Fault("zero", rule, 'write "0.2 %" on the command line, 0.002 here'))
+    opened = _opened(source, overrides, data)
+    return compare(*opened, difference=difference, zero=zero, progress=progress)
+
+
+def _opened(
+    source: str | Path, overrides: Sequence[str], data: str | Path | None
+) -> tuple[CalibrationDesign, Path]:
+    """Calibration of a file with the place of every surface, and the folder of its measurements."""
     config = load_calibration(source, overrides)
     root = calibration_root(config, source, data)
-    return compare(
-        _located(config, source, root),
-        root,
-        difference=difference,
-        zero=zero,
-        progress=progress,
-    )
-
-
-def _located(config: CalibrationDesign, source: str | Path, root: Path) -> CalibrationDesign:
-    """Copy a calibration with the surface of every test found."""
     places = provenance.folders(source, root)
-    found = (replace(t, tables=provenance.located(t.tables, places)) for t in config.tests)
-    return replace(config, tests=tuple(found))
+    tests = (replace(t, tables=provenance.located(t.tables, places)) for t in config.tests)
+    return replace(config, tests=tuple(tests)), root
 
 
 def save_calibration(found: CalibrationResult, folder: Path) -> tuple[Path, Path]:

@@ -213,9 +213,8 @@ def test_a_file_of_another_verb_names_that_verb(
 
 
 def test_a_value_without_its_unit_names_its_option(tmp_path: Path) -> None:
-    (tmp_path / "tests.toml").write_text("[[tests]]")
-    message = refused(tmp_path, "calibrate", tmp_path / "tests.toml", "--by", "test",
-                      "--difference", "5")  # fmt: skip
+    file = Path(__file__).parents[2] / "designs" / "tests-of-material.toml"
+    message = refused(tmp_path, "calibrate", file, "--by", "test", "--difference", "5")
     assert "--difference: needs a unit" in message
 
 

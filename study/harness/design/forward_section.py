@@ -298,7 +298,7 @@ class ForwardModel:
         if self.model == "command" and not self.argv:
             mend = 'write argv = [["PROGRAM", "ARGUMENT"]]'
             return Fault(f"{where}.argv", "is missing: model = 'command' runs a program", mend)
-        given = {target for target, _ in map(target_and_source, self.files)}
+        given = {target for target, _ in map(target_and_source, self.files or ())}
         read = {"" if self.curve is None else self.curve.file}
         if self.values is not None:
             read |= {self.values.file, *(file for *_, file, _ in self.values.names)}
