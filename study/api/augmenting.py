@@ -99,7 +99,6 @@ class _Fitted:
     """Emulators of the responses at one combination of the other levels."""
 
     responses: Mapping[str, Emulator | BlockedEmulator]
-    refused: Mapping[str, str]
     open: tuple[str, ...]
 
 
@@ -176,7 +175,6 @@ def _fit(
 ) -> _Fitted:
     """Fit every response at one combination of levels, and say which is not known well enough."""
     models: dict[str, Emulator | BlockedEmulator] = {}
-    refused: dict[str, str] = {}
     still = []
     for response in design.responses:
         if response.name in _COSTS:
@@ -193,12 +191,11 @@ def _fit(
             model = fit_blocks(runs) if len(set(runs.blocks)) > 1 else fit_emulator(runs)
             models[response.name] = model
             is_good = _is_known(design, response.name, runs, model, rule)
-        except StudyError as error:
-            refused[response.name] = str(error)
+        except StudyError:  # without a surface it is not known
             is_good = False
         if not is_good:
             still.append(response.name)
-    return _Fitted(models, refused, tuple(still))
+    return _Fitted(models, tuple(still))
 
 
 def _is_known(

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import glob
 import json
 import shlex
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -344,58 +345,33 @@ def _folders(options: Options) -> Options:
     return {name: options.get(name) for name in ("--results", "--reports")}
 
 
-#: where results are kept when no option says otherwise
-_RESULTS = Path("results")
-
 #: cases that are offered at most: nobody reads more
 _MOST = 200
 
 
 def designs(incomplete: str) -> list[str]:
     """Offer TOML files and the folders on the way to one."""
-    return _paths(incomplete, (".toml",))
+    return _beginning(incomplete, ".toml", "/")
 
 
 def studies(context: typer.Context, incomplete: str) -> list[str]:
     """Offer studies with results, and what :func:`designs` does."""
-    names = _beginning(incomplete, (folder.name for folder in _results_in(context)))
-    return [*names, *designs(incomplete)]
+    folders = _beginning(f"{context.params.get('results') or 'results'}/{incomplete}", "/")
+    return [*(Path(folder).name for folder in folders), *designs(incomplete)]
 
 
 def studies_and_tables(context: typer.Context, incomplete: str) -> list[str]:
     """Offer what :func:`studies` does, and CSV files."""
-    return [*studies(context, incomplete), *_paths(incomplete, (".csv",), folders=False)]
+    return [*studies(context, incomplete), *_beginning(incomplete, ".csv")]
 
 
 def cases(context: typer.Context, incomplete: str) -> list[str]:
     """Offer the cases of all studies whose names begin so."""
-    names = (path.name for study in _results_in(context) for path in _inside(study / "cases"))
-    return _beginning(incomplete, names)[:_MOST]
+    results = Path(context.params.get("results") or "results")
+    named = results.glob(f"*/cases/{glob.escape(incomplete)}*")
+    return sorted({path.name for path in named})[:_MOST]
 
 
-def _results_in(context: typer.Context) -> list[Path]:
-    """Folders of studies, in that of the results."""
-    results = Path(context.params.get("results") or _RESULTS)
-    return [folder for folder in _inside(results) if folder.is_dir()]
-
-
-def _paths(incomplete: str, endings: tuple[str, ...], *, folders: bool = True) -> list[str]:
-    """Files and folders below what is typed already, as it was typed."""
-    typed, _, _ = incomplete.rpartition("/")
-    above = f"{typed}/" if "/" in incomplete else ""
-    entries = list(_inside(Path(above or ".")))
-    names = [
-        f"{above}{entry.name}" for entry in entries if entry.suffix in endings and entry.is_file()
-    ]
-    names += [f"{above}{entry.name}/" for entry in entries if folders and entry.is_dir()]
-    return _beginning(incomplete, names)
-
-
-def _inside(folder: Path) -> Iterator[Path]:
-    """List what a folder holds but hidden files; nothing of one that cannot be read."""
-    with suppress(OSError):
-        yield from (entry for entry in folder.iterdir() if not entry.name.startswith("."))
-
-
-def _beginning(start: str, names: Iterable[str]) -> list[str]:
-    return sorted({name for name in names if name.startswith(start)})
+def _beginning(typed: str, *endings: str) -> list[str]:
+    """Files and folders that begin so and end so, as they are typed; no hidden ones."""
+    return sorted(path for end in endings for path in glob.glob(f"{glob.escape(typed)}*{end}"))

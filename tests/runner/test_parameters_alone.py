@@ -1,5 +1,6 @@
 """Studies of parameters alone: a stranger's program or function, end to end through the verbs."""
 
+import itertools
 import json
 import math
 import os
@@ -414,7 +415,8 @@ def test_runs_of_elsewhere_become_a_study(tmp_path):
 
 
 def test_factors_of_elsewhere_that_are_numbers_stay_numbers_in_their_order(tmp_path):
-    rows = "".join(f"{h},{m},{h + len(m)}\n" for h in (10, 2.5, 1e1, 20) for m in ("soft", "stiff"))
+    every = itertools.product((10, 2.5, 20), ("soft", "stiff"), (0, 0.1))
+    rows = "".join(f"{h},{gel},{h + len(gel) + more}\n" for h, gel, more in every)
     (tmp_path / "runs.csv").write_text(f"height,gel,peak\n{rows}")
     made = api.import_runs(tmp_path / "runs.csv", "height,gel", "peak=N", results=tmp_path / "r")
     height, gel = made.design.factors
@@ -422,7 +424,7 @@ def test_factors_of_elsewhere_that_are_numbers_stay_numbers_in_their_order(tmp_p
     assert [level.settings["parameters.factor_1"] for level in height.levels] == [2.5, 10.0, 20.0]
     assert gel.labels == ("soft", "stiff")
     opened = api.load("runs", results=tmp_path / "r")
-    assert len(opened.table) == 8
+    assert len(opened.table) == 12
     assert opened.answers
     assert set(opened.effects["factor"]) >= {"height", "gel"}
 
