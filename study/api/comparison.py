@@ -60,7 +60,7 @@ class StudyComparison:
         named = zip(self.beside.names, self.studies, strict=True)
         studies = [
             {"name": name, "study": s.design.name, "folder": str(s.folder),
-             "cases": s.to_json()["cases"]}
+             "cases": s.cases}
             for name, s in named
         ]  # fmt: skip
         return {"studies": studies, **document(self.beside), "warnings": list(self.warnings)}

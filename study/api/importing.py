@@ -189,8 +189,9 @@ def _design(
         key, numbers = f"factor_{place + 1}", _numbers(levels)
         if numbers:  # numbers stay numbers, in their order
             levels.sort(key=numbers.__getitem__)
-        values = numbers or {level: f"level {level}" for level in levels}
-        presets[column] = {level: {f"parameters.{key}": values[level]} for level in levels}
+        presets[column] = {
+            level: {f"parameters.{key}": numbers.get(level, f"level {level}")} for level in levels
+        }
         parameters[key] = min(numbers.values()) if numbers else ""
     cells = list({tuple(row.levels.items()): row.levels for row in rows}.values())
     tables: dict[str, object] = {

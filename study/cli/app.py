@@ -228,7 +228,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except Exception as error:
         if not (hasattr(error, "show") and hasattr(error, "exit_code")):
             raise
-        error.show()  # type: ignore[attr-defined]
+        error.show()
         return 2
     if code == INTERRUPTED:  # the parser turns Ctrl-C into this code
         with suppress(OSError):  # a terminal that was closed cannot be written to

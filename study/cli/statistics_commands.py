@@ -311,9 +311,9 @@ def _print_mixed(model: MixedModel, response: str, alpha: float) -> None:
         print_effects(item, data)
     rows = [["asked for", "difference", f"{ends}, all together", "DF", "p", "verdict"]]
     for asked in model.contrasts:
-        low, high = asked.ci_simultaneous or asked.ci or (None, None)
+        first, last = asked.ci_simultaneous or asked.ci or (None, None)
         df = "" if asked.df is None else f"{asked.df:.1f}"
-        size = significant(asked.difference, 4), interval(low, high, digits=4)
+        size = significant(asked.difference, 4), interval(first, last, digits=4)
         rows.append([asked.name, *size, df, p_value(asked.p), asked.verdict])
     output.table(rows, "Differences that were asked for")
 
