@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import typer
 
-from study.ground.canonical import plain
 from study.ground.errors import Fault, InputError, StudyError
 
 if TYPE_CHECKING:
@@ -38,8 +37,10 @@ SAME = 4
 
 def print_json(result: object) -> None:
     """One JSON document on stdout: fields by name, NaN as null; or what ``to_json`` makes."""
+    from study.ground.canonical import plain
+
     shaped = getattr(result, "to_json", None)
-    document = plain(result) if shaped is None else shaped()
+    document = plain(result if shaped is None else shaped())
     print(json.dumps(document, indent=2, allow_nan=False))
 
 

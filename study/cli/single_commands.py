@@ -17,7 +17,6 @@ from study.cli.laboratory_commands import closed_form
 from study.cli.output import Document, designs
 from study.cli.study_commands import RESULTS, Data, Json, Results, Set
 from study.ground import units
-from study.ground.canonical import plain
 from study.ground.errors import Fault, InputError
 
 if TYPE_CHECKING:
@@ -166,7 +165,7 @@ def calibrate(
         )  # fmt: skip
     document = calibrated.to_json()
     if convention != "study":
-        document["converted"] = plain(calibrated.converted(convention))
+        document["converted"] = vars(calibrated.converted(convention))
     output.show(document, as_json, _print_calibration)
     if not as_json:
         names = ("calibration.json", "calibration.svg", "recording.svg")

@@ -13,7 +13,6 @@ import typer
 from study.cli import output, surface_tables
 from study.cli.study_commands import RESULTS, Data, Design, Json, Results, Set, Study
 from study.cli.surface_tables import names
-from study.ground.canonical import plain
 from study.ground.errors import Fault, InputError
 
 if TYPE_CHECKING:
@@ -244,9 +243,10 @@ def _show(
 
 def _compared_json(factor: str, compared: Comparisons) -> dict[str, object]:
     """Comparisons with a reference as ``--json`` shows them."""
-    document = plain(compared)
-    return {"factor": factor, "scale": compared.effect,
-            **{key: document[key] for key in ("method", "alpha", "pairs")}}  # fmt: skip
+    return {
+        "factor": factor, "method": compared.method, "alpha": compared.alpha,
+        "scale": compared.effect, "pairs": compared.pairs,
+    }  # fmt: skip
 
 
 # A mixed model: blocks and other columns as random factors.
@@ -276,7 +276,7 @@ def _show_mixed(
         decimal=flags["--decimal"] or ".",
     )  # fmt: skip
     alpha = options.get("alpha", 0.05)
-    document = {"method": "REML", "alpha": alpha, **plain(model)}
+    document = {"method": "REML", "alpha": alpha, **vars(model)}
     response = flags["--response"] or ""
     output.show(document, as_json, lambda _: _print_mixed(model, response, alpha))
 

@@ -257,11 +257,10 @@ def why(
     import json
 
     from study import api
-    from study.ground.canonical import plain
 
     state = api.explain(case, study=study, results=results, data=data)
     facts = {"use": state.use, "changes": state.changes, "libraries": state.libraries}
-    whole = json.loads(state.record.to_json())["content"] | {"state": plain(facts)}
+    whole = json.loads(state.record.to_json())["content"] | {"state": facts}
     output.show(whole, as_json, lambda _: _print_case(state))
 
 
