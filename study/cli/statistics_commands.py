@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from study.api.predicting import Permission
     from study.statistics.analysis.analysis_request import AnovaOptions
     from study.statistics.analysis.analysis_result import AnalysisResult
-    from study.statistics.analysis.comparisons import Comparisons
     from study.statistics.analysis.mixed_model import MixedModel
 
 
@@ -220,7 +219,11 @@ def _show(
         output.warn(analysis.notes)
         further: dict[str, object] = {} if page is None else {"report": str(page)}
         if compared is not None:
-            further["reference"] = _compared_json(*compared)
+            factor, pairs = compared
+            further["reference"] = {
+                "factor": factor, "method": pairs.method, "alpha": pairs.alpha,
+                "scale": pairs.effect, "pairs": pairs.pairs,
+            }  # fmt: skip
         output.print_json(analysis.to_json() | further)
         return
     data = analyzing.report_data(analysis, asked)
@@ -239,14 +242,6 @@ def _show(
     if flags["--practical"] is None and is_open:
         hint = "--practical 0.5 or --practical '5 % of mean'"
         output.warn([f"no smallest difference that matters is given, so no verdict: {hint}"])
-
-
-def _compared_json(factor: str, compared: Comparisons) -> dict[str, object]:
-    """Comparisons with a reference as ``--json`` shows them."""
-    return {
-        "factor": factor, "method": compared.method, "alpha": compared.alpha,
-        "scale": compared.effect, "pairs": compared.pairs,
-    }  # fmt: skip
 
 
 # A mixed model: blocks and other columns as random factors.
@@ -496,37 +491,33 @@ def power(
 
 def _print_power(answer: Power) -> None:
     for detection in answer.detections:
-        _print(detection, answer.blocks)
-
-
-def _print(detection: ContrastDetection, blocks: int) -> None:
-    output.paragraph(
-        f"{detection.response}: {_size(detection.practical, detection)} matters; between "
-        f"specimens a difference scatters by {_size(detection.sd, detection)} ({detection.source})"
-        + (f"; numerics {_size(detection.u, detection)}" if detection.u else "")
-    )
-    rows = [["specimens", "shows that none matters", "shows that one matters", "cases", "time"]]
-    for row in detection.rows:
-        mark = " (measured)" if row.blocks == blocks else ""
-        rows.append(
-            [
-                f"{row.blocks}{mark}",
-                f"{100 * row.equal.no_practical_difference:.0f} %",
-                f"{100 * row.double.matters:.0f} %",
-                str(row.cases),
-                "" if row.seconds is None else output.seconds(row.seconds),
-            ]
+        matters, sd = _size(detection.practical, detection), _size(detection.sd, detection)
+        numerics = f"; numerics {_size(detection.u, detection)}" if detection.u else ""
+        output.paragraph(
+            f"{detection.response}: {matters} matters; between specimens a difference scatters by "
+            f"{sd} ({detection.source}){numerics}"
         )
-    output.table(rows, "")
-    enough_lines = [
-        f"{100 * share_wanted:.0f} %: {'no number up to 200' if n is None else f'{n} specimens'}"
-        for share_wanted, n in detection.enough
-    ]
-    output.paragraph(
-        "Right in both cases (no difference, and one twice as large as matters) with "
-        + ", ".join(enough_lines)
-        + "\n"
-    )
+        rows = [["specimens", "shows that none matters", "shows that one matters", "cases", "time"]]
+        for row in detection.rows:
+            mark = " (measured)" if row.blocks == answer.blocks else ""
+            rows.append(
+                [
+                    f"{row.blocks}{mark}",
+                    f"{100 * row.equal.no_practical_difference:.0f} %",
+                    f"{100 * row.double.matters:.0f} %",
+                    str(row.cases),
+                    "" if row.seconds is None else output.seconds(row.seconds),
+                ]
+            )
+        output.table(rows, "")
+        enough = [
+            f"{100 * share:.0f} %: {'no number up to 200' if n is None else f'{n} specimens'}"
+            for share, n in detection.enough
+        ]
+        output.paragraph(
+            "Right in both cases (no difference, and one twice as large as matters) with "
+            f"{', '.join(enough)}\n"
+        )
 
 
 def _size(value: float, detection: ContrastDetection) -> str:
