@@ -44,14 +44,15 @@ _HIDDEN = ("schema", "study", "presets", "factors", "exclude", "response", "anal
 def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
     """Everything that the report of a study shows but its analyses by depth, which take longest."""
     design, manifest = study.design, study.manifest
-    blocks = tuple(manifest["blocks"])
+    blocks, spec = tuple(manifest["blocks"]), design.measurements
     return ReportData(
         name=design.name,
         question=design.question,
         factors={factor.name: factor.labels for factor in design.factors},
         table=study.table,
         responses=study.analyses,
-        block=_block(design) if blocks else "",
+        # groups of the measurements, or states of marked specimens
+        block=(("state" if spec is None else spec.block or "") if blocks else ""),
         blocks=blocks,
         inputs=_inputs(design),
         assumed=_assumed(design),
@@ -59,8 +60,16 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
         exclusions=tuple((cell.label, why) for cell, why in design.excluded),
         curves=tuple(_curves(study.plain)),
         fits=tuple(_fits(design, study.plain)),
-        markers=tuple(_marked(study.plain)),
-        failures=tuple(_failures(study.records)),
+        markers=tuple(
+            MarkedCase(record.levels, fit["state"], fit["floor_mm"], tuple(fit["fits"]))
+            for record in study.plain
+            for fit in record.markers
+        ),
+        failures=tuple(
+            Failure(r.case_id, r.levels, r.block or "", r.status, r.message)
+            for r in study.records
+            if not r.converged
+        ),
         failure_pattern=study.failure_pattern if study.failed else None,
         retried=tuple(
             Retried(
@@ -104,12 +113,6 @@ def _scheme(study: StudyResult) -> str:
     why = f": {last['stopped']}" if last["stopped"] else ", and is not finished"
     q2_text = f" (Q2: {listing(reached)})" if reached else ""
     return f"{summary}; it ended with {last['cells']} cells{why}{q2_text}"
-
-
-def _block(design: Design) -> str:
-    """Say what the blocks are: groups of the measurements, or states of marked specimens."""
-    spec = design.measurements
-    return "state" if spec is None else spec.block or ""
 
 
 def _is_measured(design: Design) -> bool:
@@ -193,18 +196,12 @@ def _curves(records: tuple[Record, ...]) -> Iterator[CurvePair]:
                 record.levels,
                 record.block or "",
                 measured,
-                _shown(predicted, measured),
+                Curve(measured.displacement_mm, predicted.force_at(measured.displacement_mm)),
                 label,
                 fact["role"],
                 None if scatter is None else np.asarray(scatter, dtype=float),
                 record.case_id,
             )
-
-
-def _shown(predicted: Curve, measured: Curve) -> Curve:
-    """Predicted force at the measured displacements, for drawing and subtracting."""
-    d = measured.displacement_mm
-    return Curve(d, predicted.force_at(d))
 
 
 def _fits(design: Design, records: tuple[Record, ...]) -> Iterator[FittedConstant]:
@@ -238,15 +235,6 @@ def _fits(design: Design, records: tuple[Record, ...]) -> Iterator[FittedConstan
                     _rms(fit.get("rss"), fit.get("n")),
                     fit.get("r_squared"),
                 )
-
-
-def _marked(records: tuple[Record, ...]) -> Iterator[MarkedCase]:
-    """Markers of every case that has some."""
-    for record in records:
-        for marked in record.markers:
-            yield MarkedCase(
-                record.levels, marked["state"], marked["floor_mm"], tuple(marked["fits"])
-            )
 
 
 def _levels_of_fits(
@@ -286,14 +274,6 @@ def _correlated(name: str, fit: Mapping[str, Any]) -> dict[str, float]:
 
 def _scaled(value: float | None, scale: float) -> float | None:
     return None if value is None else scale * value
-
-
-def _failures(records: tuple[Record, ...]) -> Iterator[Failure]:
-    for record in records:
-        if not record.converged:
-            yield Failure(
-                record.case_id, record.levels, record.block or "", record.status, record.message
-            )
 
 
 def _checks(study: StudyResult) -> Iterator[Check]:

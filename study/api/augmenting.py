@@ -154,7 +154,8 @@ def next_cells(design: Design, records: Sequence[Record]) -> tuple[list[list[flo
     for surface_fit in fitted:
         for name, model in surface_fit.responses.items():
             errors[name] = min(errors.get(name, 1.0), float(model.q2))
-    step: AdaptiveStep = {"cells": size, "q2": {**errors}, "open": _open(fitted), "stopped": ""}
+    unknown = list(dict.fromkeys(name for place in fitted for name in place.open))
+    step: AdaptiveStep = {"cells": size, "q2": {**errors}, "open": unknown, "stopped": ""}
     free = min(rule.batch, rule.budget - size)
     step["stopped"] = _end(rule, step, free, any(record.converged for record in records))
     return ([] if step["stopped"] else _chosen(design, rule, places, fitted, free)), step
@@ -220,10 +221,6 @@ def _is_known(
     sensitivity = fit_runs(runs, "emulator", practical).sensitivity
     verdicts = [None if item.range is None else item.range.verdict for item in sensitivity]
     return bool(verdicts) and all(v not in (None, "cannot tell") for v in verdicts)
-
-
-def _open(fitted: Sequence[_Fitted]) -> list[str]:
-    return list(dict.fromkeys(name for place in fitted for name in place.open))
 
 
 def _chosen(

@@ -83,7 +83,13 @@ def compare(first: StudyResult, second: StudyResult) -> Beside:
     names = _names(studies)
     pairs = _pairs(studies)
     only = [*_only_responses(studies), *(o for p in pairs for o in _only_terms(p, _levels(p)))]
-    conclusions = tuple(row for pair in pairs for row in _conclusions(pair, names))
+    conclusions = tuple(
+        _conclusion(pair.responses[0], (effect, second[key]), names)
+        for pair in pairs
+        for second in (pair.effects(1),)
+        for key, effect in pair.effects(0).items()
+        if key in second
+    )
     if not conclusions:
         raise InputError(_nothing(studies, names))
     comparison = Beside(
@@ -185,13 +191,6 @@ def _levels(pair: _Pair) -> dict[str, tuple[set[str], set[str]]]:
     first, second = (pair.effects(which) for which in (0, 1))
     shared = [key for key in first if key in second and ":" not in key]
     return {key: (set(first[key].levels), set(second[key].levels)) for key in shared}
-
-
-def _conclusions(pair: _Pair, names: tuple[str, str]) -> Iterator[Conclusion]:
-    first, second = (pair.effects(which) for which in (0, 1))
-    for key, effect in first.items():
-        if key in second:
-            yield _conclusion(pair.responses[0], (effect, second[key]), names)
 
 
 def _conclusion(
@@ -340,7 +339,8 @@ def explain(
 
     A design file is compared as it stands now, edited or not, whatever was run.
     """
-    folders = [results_folder(study, results)] if study is not None else _all_studies(results)
+    every = sorted(path.parent for path in Path(results).glob("*/study.json"))
+    folders = every if study is None else [results_folder(study, results)]
     store, name = _only_case(case, folders, results)
     manifests = [store.read_unfinished(), store.read_manifest(), *store.read_runs()]
     runs = [run for run in manifests if run is not None and "cases" in run]
@@ -358,16 +358,13 @@ def explain(
     made = next((run for run in runs if run["cases"].get(name) == record.input_hash), None)
     if made is None:
         use = "the study does not use it; the run that made it left no manifest"
-        return CaseState(record, use, _code_alone(record), others)
+        # where nothing else is known the version of the code is compared with today's
+        then, today = record.versions.get("study"), versions()["study"]
+        code = () if then == today else (Change("code", "version of study", (then, today)),)
+        return CaseState(record, use, code, others)
     changes = run_changes(made, now)
     what = "has this case no more" if name not in now["cases"] else "makes it of other inputs now"
     return CaseState(record, f"the study {what}", changes, others)
-
-
-def _code_alone(record: Record) -> tuple[Change, ...]:
-    """Compare the version of the code with today's, where nothing else is known."""
-    then, now = record.versions.get("study"), versions()["study"]
-    return () if then == now else (Change("code", "version of study", (then, now)),)
 
 
 def _design_now(study: str | Path | None, data: str | Path | None) -> ManifestDocument | None:
@@ -398,7 +395,3 @@ def _only_case(case: str, folders: Sequence[Path], results: str | Path) -> tuple
         listed = ", ".join(name for _, name in matches[:6])
         raise InputError(Fault("case", f"{case!r} begins several ids: {listed}"))
     return matches[0]
-
-
-def _all_studies(results: str | Path) -> list[Path]:
-    return sorted(path.parent for path in Path(results).glob("*/study.json"))

@@ -68,7 +68,11 @@ def import_runs(
     records = _records(design, blocks, rows, units, table.sha256)
     store = Store(own_folder(Path(results), design.name))
     with store.lock():
-        _check_own(store, path)
+        known = store.read_manifest()
+        if known is not None and not any("made elsewhere" in note for note in known["notes"]):
+            rule = f"{known['name']!r} is a study that was computed here"
+            mend = "give the imported one a name of its own: --name"
+            raise InputError(Fault(str(path), rule, mend))
         manifest: ManifestDocument = {
             "name": design.name,
             "design": dump(design),
@@ -256,11 +260,3 @@ def _records(
                 )
             )  # fmt: skip
     return made
-
-
-def _check_own(store: Store, path: str | Path) -> None:
-    """Refuse the folder of a study that was computed here."""
-    known = store.read_manifest()
-    if known is not None and not any("were made elsewhere" in note for note in known["notes"]):
-        rule = f"{known['name']!r} is a study that was computed here"
-        raise InputError(Fault(str(path), rule, "give the imported one a name of its own: --name"))

@@ -19,9 +19,8 @@ from study.api.manifest import run_changes
 from study.ground.errors import Fault, InputError, MissingDataError
 from study.harness.design.load import load
 from study.harness.design.overview import Overview, overview
-from study.harness.design.spec import Design, Factor
+from study.harness.design.spec import Design
 from study.harness.external.command import common_digest
-from study.harness.record.document import ManifestDocument
 from study.harness.record.index import Survey
 from study.harness.record.record import write_csv
 from study.harness.record.store import Store
@@ -158,6 +157,9 @@ class Plan:
 
     def to_json(self) -> dict[str, object]:
         """Document of ``study plan --json``."""
+        rule, adaptive = self.design.scheme.sequential, dict[str, object]()
+        if rule is not None:
+            adaptive["adaptive"] = asdict(rule) | {"most_seconds": self.most_seconds}
         return {
             "study": self.design.name,
             "cases": self.counts,
@@ -173,15 +175,8 @@ class Plan:
             "commands": list(self.commands),
             "commands_digest": self.digest,
             "design": self.overview.to_json(),
-            **self._adaptive(),
+            **adaptive,
         }
-
-    def _adaptive(self) -> dict[str, object]:
-        """How cells are added, where they are."""
-        rule = self.design.scheme.sequential
-        return (
-            {} if rule is None else {"adaptive": asdict(rule) | {"most_seconds": self.most_seconds}}
-        )
 
 
 def plan(
@@ -288,7 +283,12 @@ def status(path: str | Path, *, results: str | Path = RESULTS) -> dict[str, Any]
         "running": running,
         "timings": manifest.get("timings", {}),
         "finished": bool(manifest.get("finished", not survey.missing)),
-        "unfinished": None if later is None else _unfinished(store, manifest, later),
+        "unfinished": None
+        if later is None
+        else {
+            "cases": _counts(Store(store.path).survey(later["cases"])),
+            "changed": [change.sentence for change in run_changes(manifest, later)],
+        },
     }
 
 
@@ -298,15 +298,6 @@ def _counts(survey: Survey) -> dict[str, int]:
         "done": len(survey.done), "failed": len(survey.failed), "missing": len(survey.missing),
     }  # fmt: skip
     return {"total": sum(counts.values()), **counts}
-
-
-def _unfinished(
-    store: Store, manifest: ManifestDocument, later: ManifestDocument
-) -> dict[str, object]:
-    """Describe a run of an edited design that is not finished, and what was edited."""
-    quiet = Store(store.path)
-    changed = [change.sentence for change in run_changes(manifest, later)]
-    return {"cases": _counts(quiet.survey(later["cases"])), "changed": changed}
 
 
 # A run sheet for physical trials: every specimen under every condition, in random order.
@@ -332,7 +323,11 @@ def run_sheet(
     loaded = design if isinstance(design, Design) else load(design)
     if specimens < 1:
         raise InputError(Fault("specimens", f"must be at least 1, got {specimens}"))
-    physical = [factor.name for factor in loaded.factors if _is_physical(factor)]
+    physical = [
+        factor.name
+        for factor in loaded.factors
+        if any(key.partition(".")[0] not in SIMULATED for key in factor.keys)
+    ]
     if not physical:
         rule = "no factor changes anything in the laboratory, so there is nothing to randomize"
         raise InputError(
@@ -356,7 +351,3 @@ def run_sheet(
             raise InputError(Fault(str(path), "exists; a sheet that is in use is not overwritten"))
         write_csv(sheet, Path(path))
     return sheet
-
-
-def _is_physical(factor: Factor) -> bool:
-    return any(key.partition(".")[0] not in SIMULATED for key in factor.keys)

@@ -13,7 +13,7 @@ import os
 import re
 import tempfile
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -162,7 +162,12 @@ def _compare_report(home: Path, folder: Path, verification: Verification) -> Non
         if again.report is None:
             raise InputError(f"{folder}: {'; '.join(again.warnings)}")
         fresh = again.report.parent
-        names = {p.relative_to(top) for top in (home, fresh) for p in _texts(top)}
+        names = {
+            p.relative_to(top)
+            for top in (home, fresh)
+            for p in top.rglob("*")
+            if p.suffix in _TEXTS and p.name != write.NAME and os.path.isfile(p)
+        }
         for name in sorted(names):
             there = os.path.isfile(home / name), os.path.isfile(fresh / name)
             if not all(there):
@@ -176,11 +181,6 @@ def _compare_report(home: Path, folder: Path, verification: Verification) -> Non
                 verification.differences.append(Difference(str(name), str(error), "readable"))
                 continue
             _compare(str(name), _lines(reported), _lines(text), verification)
-
-
-def _texts(folder: Path) -> Iterator[Path]:
-    paths = (p for p in folder.rglob("*") if p.suffix in _TEXTS and os.path.isfile(p))
-    return (p for p in paths if p.name != write.NAME)
 
 
 def _text(path: Path, limit: int = MAX_BYTES) -> str:
