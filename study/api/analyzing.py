@@ -627,19 +627,16 @@ def _rescored(record: Record, name: str, depth_mm: float) -> Record:
     """Record whose response covers the first part of its curves only."""
     if not record.converged:
         return record
-    pairs = [(predicted, _first(measured, depth_mm)) for predicted, measured in _pairs(record)]
-    values = [CURVE_RESPONSES[name].between(p, m) for p, m in pairs]
+    values = []
+    for predicted, measured in _pairs(record):
+        inside = measured.displacement_mm <= depth_mm * (1 + 1e-9)
+        part = Curve(measured.displacement_mm[inside], measured.force_N[inside])
+        values.append(CURVE_RESPONSES[name].between(predicted, part))
     if not values:
         return record
     entry = record.responses[name].copy()
     entry["value"] = sum(values) / len(values)
     return replace(record, responses={**record.responses, name: entry})
-
-
-def _first(measured: Curve, depth_mm: float) -> Curve:
-    """Part of a measured curve up to a displacement."""
-    inside = measured.displacement_mm <= depth_mm * (1 + 1e-9)
-    return Curve(measured.displacement_mm[inside], measured.force_N[inside])
 
 
 # Tests that are adjusted together: those of a response, those declared, those of a whole study.

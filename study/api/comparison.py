@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -80,9 +80,11 @@ def compare(first: StudyResult, second: StudyResult) -> Beside:
     """Set two opened studies beside each other."""
     _refuse_same(first.folder, second.folder)
     studies = (first, second)
-    names = _names(studies)
+    names = first.design.name, second.design.name
+    if names[0] == names[1]:  # told apart by their folders
+        names = f"{names[0]} in {first.folder.parent}", f"{names[1]} in {second.folder.parent}"
     pairs = _pairs(studies)
-    only = [*_only_responses(studies), *(o for p in pairs for o in _only_terms(p, _levels(p)))]
+    only = [*_only_responses(studies), *(o for pair in pairs for o in _only_terms(pair))]
     conclusions = tuple(
         _conclusion(pair.responses[0], (effect, second[key]), names)
         for pair in pairs
@@ -129,14 +131,6 @@ def _refuse_same(first: Path, second: Path) -> None:
         raise InputError(Fault(str(second), "is the same study as the other one", mend))
 
 
-def _names(studies: _Studies) -> tuple[str, str]:
-    """Names of the studies, with their folders where they would be the same."""
-    first, second = (study.design.name for study in studies)
-    if first != second:
-        return first, second
-    return f"{first} in {studies[0].folder.parent}", f"{second} in {studies[1].folder.parent}"
-
-
 def _analyzed(study: StudyResult) -> dict[str, ResponseAnalysis]:
     return {a.name: a for a in study.analyses if a.result is not None and a.result.effects}
 
@@ -171,26 +165,22 @@ def _reason(analysis: ResponseAnalysis) -> str:
     return analysis.refused or "no effect could be estimated"
 
 
-def _only_terms(pair: _Pair, levels: Mapping[str, tuple[set[str], set[str]]]) -> list[OnlyInOne]:
+def _only_terms(pair: _Pair) -> list[OnlyInOne]:
+    """Terms of one study alone, and levels of the factors that both have."""
     missing = []
-    effects = [pair.effects(which) for which in (0, 1)]
+    effects = first, second = pair.effects(0), pair.effects(1)
+    shared = [key for key in first if key in second and ":" not in key]
     for which in (0, 1):
         for key, effect in effects[which].items():
             if key not in effects[1 - which]:
                 missing.append(
                     OnlyInOne("factor" if ":" not in key else "term", effect.term, which)
                 )
-        for factor, levels_of in levels.items():
-            for level in sorted(levels_of[which] - levels_of[1 - which]):
+        for factor in shared:
+            levels = [set(effect[factor].levels) for effect in effects]
+            for level in sorted(levels[which] - levels[1 - which]):
                 missing.append(OnlyInOne("level", f"{factor} = {level}", which))
     return missing
-
-
-def _levels(pair: _Pair) -> dict[str, tuple[set[str], set[str]]]:
-    """Levels in each study of the factors that both have."""
-    first, second = (pair.effects(which) for which in (0, 1))
-    shared = [key for key in first if key in second and ":" not in key]
-    return {key: (set(first[key].levels), set(second[key].levels)) for key in shared}
 
 
 def _conclusion(

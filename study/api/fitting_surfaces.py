@@ -613,6 +613,8 @@ def _study_surface_fitted(
 ) -> FittedSurface:
     design, response = question.design, question.response
     good, lost = question.good(labels, records)
+    rule = f"{count(lost, 'run')} without an answer left out; nothing is put in the place"
+    left_out = (rule,) if lost else ()
     # each of two settings may be off by its own bound
     bound = None if question.half_width is None else 2.0 * question.half_width
     practical = None
@@ -623,7 +625,7 @@ def _study_surface_fitted(
         if limit is not None:
             practical = limit.on_scale(float(runs.response.mean()), "none")
         fitted_model = fitted(runs, design.analysis.surface) if model is None else model
-        made = told(fitted_model, practical, bound or 0.0).noted(*_left_out(lost), *question.ends)
+        made = told(fitted_model, practical, bound or 0.0).noted(*left_out, *question.ends)
         uncertain, refused = _propagated(design, made)
         made = made.noted(refused) if refused else made
     except StudyError as error:
@@ -650,12 +652,6 @@ def _propagated(design: Design, made: SurfaceAnalysis) -> tuple[Propagated | Non
         return propagate(made, design.inputs, fixed, design.seed), ""
     except StudyError as error:
         return None, str(error)
-
-
-def _left_out(failed: int) -> tuple[str, ...]:
-    if not failed:
-        return ()
-    return (f"{count(failed, 'run')} without an answer left out; nothing is put in the place",)
 
 
 def ranges_of(design: Design) -> tuple[NumericFactor, ...]:

@@ -96,7 +96,13 @@ def predict(
     unknown += [Fault(n, "has no setting", "give every factor one") for n in factors if n not in at]
     if unknown:
         raise InputError(unknown)
-    labels = {n: _label(f, at[n]) for n, f in factors.items() if f.span is None}
+    labels = {n: str(at[n]) for n, f in factors.items() if f.span is None}
+    if wrong := [
+        Fault(n, f"has no level {label!r}", nearest(label, factors[n].labels))
+        for n, label in labels.items()
+        if label not in factors[n].labels
+    ]:
+        raise InputError(wrong)
     numbers = {n: number_in_unit(f, at[n]) for n, f in factors.items() if f.span is not None}
     return tuple(
         _predicted(fitted, numbers) for fitted in surfaces if dict(fitted.labels) == labels
@@ -118,13 +124,6 @@ def surfaces_of(study: StudyResult, response: str | None = None) -> tuple[Fitted
 def unknown_factors(at: Iterable[str], factors: Sequence[str]) -> list[Fault]:
     """Faults of settings of what is no factor."""
     return [Fault(n, "no such factor", nearest(n, factors)) for n in at if n not in factors]
-
-
-def _label(factor: Factor, setting: Setting) -> str:
-    if str(setting) not in factor.labels:
-        mend = nearest(str(setting), factor.labels)
-        raise InputError(Fault(factor.name, f"has no level {str(setting)!r}", mend))
-    return str(setting)
 
 
 def number_in_unit(factor: Factor, setting: Setting) -> Array:
