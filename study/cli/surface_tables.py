@@ -132,11 +132,12 @@ def print_surfaces(data: ReportData) -> None:
     from study.statistics.surfaces.quadratic import QuadraticSurface
 
     for fitted in data.surfaces:
+        if fitted.found is None:
+            continue
         print(f"\n{surface_content.title(fitted, data)}")
         for table in (surface_content.coefficients, surface_content.sensitivity):
             output.content(table(fitted, data))
-        model = None if fitted.found is None else fitted.found.model
-        if isinstance(model, QuadraticSurface):
+        if isinstance(model := fitted.found.model, QuadraticSurface):
             for name, test in model.factor_tests.items():
                 ratio = f"F({test.df:.3g}, {test.df_error:.3g}) = {test.f:.3g}"
                 print(f"all terms of {name}: {ratio}, p = {test.p:.3g}")
