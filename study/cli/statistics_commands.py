@@ -207,7 +207,8 @@ def _show(
     from study.api import analyzing
 
     given = {flag: value for flag, value in flags.items() if value and flag != "--contrast"}
-    asked = analyzing.AnalysisSource(source, given, tuple(c.name for c in analysis.contrasts))
+    named = tuple(contrast.name for contrast in analysis.contrasts)
+    asked = analyzing.AnalysisSource(source if source.is_file() else None, given, named)
     reference, page = flags["--reference"], None
     compared = None if reference is None else analyzing.against_reference(analysis, reference)
     if report is not None:
