@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from study import api
-from study.cli.app import run as typed
 from study.ground import errors
+from tests.cli.small import study
 
 
 def loads(text):
@@ -415,7 +415,7 @@ def test_runs_of_elsewhere_become_a_study(tmp_path):
     assert {v["practical"] for v in copies.verdicts} == {2.0}
 
 
-def test_factors_of_elsewhere_that_are_numbers_stay_numbers_in_their_order(tmp_path, capsys):
+def test_factors_of_elsewhere_that_are_numbers_stay_numbers_in_their_order(tmp_path):
     every = itertools.product((10, 2.5, 20), ("soft", "stiff"), (0, 0.1))
     rows = "".join(f"{h},{gel},{h + len(gel) + more}\n" for h, gel, more in every)
     (tmp_path / "runs.csv").write_text(f"height,gel,peak\n{rows}")
@@ -428,8 +428,7 @@ def test_factors_of_elsewhere_that_are_numbers_stay_numbers_in_their_order(tmp_p
     assert len(opened.table) == 12
     assert opened.answers
     assert set(opened.effects["factor"]) >= {"height", "gel"}
-    assert typed(["analyze", str(opened.folder)]) == 0
-    assert "Analysis of Variance: peak" in capsys.readouterr().out
+    assert "Analysis of Variance: peak" in study("analyze", opened.folder).out
 
 
 @pytest.mark.parametrize(
