@@ -12,6 +12,7 @@ __version__ = "0.1.0"
 _LAZY = {
     "load_design": "study.api",
     "run": "study.api",
+    "load": "study.api",
     "solve": "study.api",
     "calibrate": "study.api",
     "indentation_modulus": "study.api",

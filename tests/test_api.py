@@ -64,7 +64,7 @@ def test_a_loaded_design_is_the_same_study(home: Path, outcome: api.study.StudyR
 
 def test_a_study_opens_by_name_folder_and_file(home: Path, outcome: api.study.StudyResult) -> None:
     for path in ("small", home / "results" / "small", home / "small.toml"):
-        found = api.open_study(path, home / "results")
+        found = api.load(path, home / "results")
         pd.testing.assert_frame_equal(found.table, outcome.table)
 
 

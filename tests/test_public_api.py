@@ -12,6 +12,7 @@ import study
 
 ROOT = Path(__file__).resolve().parent.parent
 PUBLIC = {
+    "load",
     "load_design",
     "run",
     "solve",

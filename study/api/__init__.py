@@ -8,7 +8,7 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
-#: module of every name, and what it is called there if not the same
+#: module of every name
 _HOME = {
     "load_design": "study.api.study",
     "run": "study.api.study",
@@ -23,7 +23,7 @@ _HOME = {
     "explain": "study.api.comparison",
     "report": "study.api.study",
     "serve": "study.api.serving",
-    "open_study": "study.api.opened_study",
+    "load": "study.api.opened_study",
     "diff": "study.api.comparison",
     "verify": "study.api.verification",
     "analyze": "study.api.analyzing",
@@ -58,5 +58,4 @@ __all__ = list(_HOME)  # noqa: PLE0605
 def __getattr__(name: str) -> Any:
     if name not in _HOME:
         raise AttributeError(f"module 'study.api' has no attribute {name!r}")
-    module, _, known_as = _HOME[name].partition(":")
-    return getattr(importlib.import_module(module), known_as or name)
+    return getattr(importlib.import_module(_HOME[name]), name)

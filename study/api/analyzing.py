@@ -5,7 +5,7 @@ from __future__ import annotations
 import platform
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict, Unpack, cast
@@ -263,11 +263,6 @@ def provenance(source: AnalysisSource) -> dict[str, str]:
 class TableAnalysis(Shown, AnalysisResult):
     """What :func:`study.analyze` returns: an :class:`AnalysisResult` that can be shown."""
 
-    @classmethod
-    def of(cls, analysis: AnalysisResult) -> TableAnalysis:
-        """Give a result the ways to be shown."""
-        return cls(**{item.name: getattr(analysis, item.name) for item in fields(AnalysisResult)})
-
     def to_frame(self) -> pd.DataFrame:
         """Table of the analysis of variance, one row a term; what does not apply is missing."""
         return self.anova.to_frame()
@@ -364,7 +359,7 @@ def _study(
     options: AnovaOptions,
 ) -> AnalysisResult:
     """Analysis of stored records: what is not said is taken from the design."""
-    study = api.open_study(source, results)
+    study = api.load(source, results)
     by_name = {r.name: r for r in study.design.responses}
     name = response or next(iter(by_name))
     if not study.records:
@@ -632,19 +627,16 @@ def _rescored(record: Record, name: str, depth_mm: float) -> Record:
     """Record whose response covers the first part of its curves only."""
     if not record.converged:
         return record
-    pairs = [(predicted, _first(measured, depth_mm)) for predicted, measured in _pairs(record)]
-    values = [CURVE_RESPONSES[name].between(p, m) for p, m in pairs]
+    values = []
+    for predicted, measured in _pairs(record):
+        inside = measured.displacement_mm <= depth_mm * (1 + 1e-9)
+        part = Curve(measured.displacement_mm[inside], measured.force_N[inside])
+        values.append(CURVE_RESPONSES[name].between(predicted, part))
     if not values:
         return record
     entry = record.responses[name].copy()
     entry["value"] = sum(values) / len(values)
     return replace(record, responses={**record.responses, name: entry})
-
-
-def _first(measured: Curve, depth_mm: float) -> Curve:
-    """Part of a measured curve up to a displacement."""
-    inside = measured.displacement_mm <= depth_mm * (1 + 1e-9)
-    return Curve(measured.displacement_mm[inside], measured.force_N[inside])
 
 
 # Tests that are adjusted together: those of a response, those declared, those of a whole study.
@@ -720,7 +712,7 @@ def fit_mixed_model(
         labels = (factors, random) if factors else (random[:1], random[1:])
         table = read_tidy_csv(path, response, *labels, None, decimal, options.get("covariates", ()))
         return mixed_model(table, response, factors, **options)
-    study = api.open_study(source, results)
+    study = api.load(source, results)
     if options.get("covariates"):
         rule = "a study has factors alone"
         raise InputError(Fault("--covariates", rule, "give a CSV with that column"))

@@ -45,14 +45,15 @@ _HIDDEN = ("schema", "study", "presets", "factors", "exclude", "response", "anal
 def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
     """Everything that the report of a study shows but its analyses by depth, which take longest."""
     design, manifest = study.design, study.manifest
-    blocks = tuple(manifest["blocks"])
+    blocks, spec = tuple(manifest["blocks"]), design.measurements
     return ReportData(
         name=design.name,
         question=design.question,
         factors={factor.name: factor.labels for factor in design.factors},
         table=study.table,
         responses=study.analyses,
-        block=_block(design) if blocks else "",
+        # groups of the measurements, or states of marked specimens
+        block=(("state" if spec is None else spec.block or "") if blocks else ""),
         blocks=blocks,
         inputs=_inputs(design),
         assumed=_assumed(design),
@@ -60,8 +61,16 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
         exclusions=tuple((cell.label, why) for cell, why in design.excluded),
         curves=tuple(_curves(study.plain)),
         fits=tuple(_fits(design, study.plain)),
-        markers=tuple(_marked(study.plain)),
-        failures=tuple(_failures(study.records)),
+        markers=tuple(
+            MarkedCase(record.levels, fit["state"], fit["floor_mm"], tuple(fit["fits"]))
+            for record in study.plain
+            for fit in record.markers
+        ),
+        failures=tuple(
+            Failure(r.case_id, r.levels, r.block or "", r.status, r.message)
+            for r in study.records
+            if not r.converged
+        ),
         failure_pattern=study.failure_pattern if study.failed else None,
         retried=tuple(
             Retried(
@@ -107,12 +116,6 @@ def _scheme(study: StudyResult) -> str:
     return f"{summary}; it ended with {last['cells']} cells{why}{q2_text}"
 
 
-def _block(design: Design) -> str:
-    """Say what the blocks are: groups of the measurements, or states of marked specimens."""
-    spec = design.measurements
-    return "state" if spec is None else spec.block or ""
-
-
 def _is_measured(design: Design) -> bool:
     """Whether anything stands beside the simulation: a curve, a fitted test, markers."""
     fitted = design.calibration.problem is not None
@@ -138,13 +141,11 @@ def _ranges(study: StudyResult) -> dict[str, str]:
 
 def _convergence(study: StudyResult) -> tuple[Mapping[str, Any], ...]:
     """Series with enough meshes for an order."""
-    rows = stored_convergence([row for row in study.numerical if len(row.series) >= 3])
-    return tuple(_named(row) for row in rows)
-
-
-def _named(row: dict[str, Any]) -> dict[str, Any]:
-    """Name a series by its levels and its response."""
-    return row | {"levels": {**row["levels"], "response": name_of(row["qoi"])}}
+    rows: Sequence[dict[str, Any]] = stored_convergence(
+        [row for row in study.numerical if len(row.series) >= 3]
+    )
+    named = ({**row["levels"], "response": name_of(row["qoi"])} for row in rows)
+    return tuple(row | {"levels": levels} for row, levels in zip(rows, named, strict=True))
 
 
 def _inputs(design: Design) -> dict[str, str]:
@@ -196,18 +197,12 @@ def _curves(records: tuple[Record, ...]) -> Iterator[CurvePair]:
                 record.levels,
                 record.block or "",
                 measured,
-                _shown(predicted, measured),
+                Curve(measured.displacement_mm, predicted.force_at(measured.displacement_mm)),
                 label,
                 fact["role"],
                 None if scatter is None else np.asarray(scatter, dtype=float),
                 record.case_id,
             )
-
-
-def _shown(predicted: Curve, measured: Curve) -> Curve:
-    """Predicted force at the measured displacements, for drawing and subtracting."""
-    d = measured.displacement_mm
-    return Curve(d, predicted.force_at(d))
 
 
 def _fits(design: Design, records: tuple[Record, ...]) -> Iterator[FittedConstant]:
@@ -241,15 +236,6 @@ def _fits(design: Design, records: tuple[Record, ...]) -> Iterator[FittedConstan
                     _rms(fit.get("rss"), fit.get("n")),
                     fit.get("r_squared"),
                 )
-
-
-def _marked(records: tuple[Record, ...]) -> Iterator[MarkedCase]:
-    """Markers of every case that has some."""
-    for record in records:
-        for marked in record.markers:
-            yield MarkedCase(
-                record.levels, marked["state"], marked["floor_mm"], tuple(marked["fits"])
-            )
 
 
 def _levels_of_fits(
@@ -289,14 +275,6 @@ def _correlated(name: str, fit: Mapping[str, Any]) -> dict[str, float]:
 
 def _scaled(value: float | None, scale: float) -> float | None:
     return None if value is None else scale * value
-
-
-def _failures(records: tuple[Record, ...]) -> Iterator[Failure]:
-    for record in records:
-        if not record.converged:
-            yield Failure(
-                record.case_id, record.levels, record.block or "", record.status, record.message
-            )
 
 
 def _checks(study: StudyResult) -> Iterator[Check]:

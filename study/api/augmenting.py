@@ -8,15 +8,14 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, TypedDict
+from typing import TYPE_CHECKING
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from study.api.fitting_surfaces import fit_runs, runs_at
+from study.api.fitting_surfaces import coded_settings, fit_runs, ranges_of, runs_at
 from study.ground.arrays import Array
 from study.ground.errors import Fault, InputError, RefusedError, StudyError
-from study.harness.design.factors import settings_of
 from study.harness.design.generators import d_optimal, efficiency
 from study.harness.design.layout_kinds import share_of, words_of
 from study.harness.design.load import dump, load, loads
@@ -38,7 +37,7 @@ from study.statistics.surfaces.emulator import (
     next_run,
 )
 from study.statistics.surfaces.gaussian_process import GaussianProcess
-from study.statistics.surfaces.surface_factors import NumericFactor, Runs
+from study.statistics.surfaces.surface_factors import Runs
 
 if TYPE_CHECKING:
     from study.harness.record.record import Record
@@ -95,21 +94,11 @@ _COSTS = ("seconds", "dofs")
 _SEARCHING = 2.0
 
 
-class AugmentStep(TypedDict):
-    """What was known with so many cells: Q2 by response, what was not known, why it ended."""
-
-    cells: int
-    q2: dict[str, float]
-    open: list[str]
-    stopped: str
-
-
 @dataclass(frozen=True)
 class _Fitted:
     """Emulators of the responses at one combination of the other levels."""
 
     responses: Mapping[str, Emulator | BlockedEmulator]
-    refused: Mapping[str, str]
     open: tuple[str, ...]
 
 
@@ -151,25 +140,28 @@ def run_adaptive(
         )
 
 
-def next_cells(design: Design, records: Sequence[Record]) -> tuple[list[list[float]], AugmentStep]:
+def next_cells(design: Design, records: Sequence[Record]) -> tuple[list[list[float]], AdaptiveStep]:
     """Choose the cells that make the emulators of a design surest."""
     rule = design.scheme.sequential
     if rule is None:
         raise ValueError("the design is not adaptive")
-    places = _places(design)
+    others = [factor for factor in design.factors if factor.span is None]
+    every = itertools.product(*(factor.labels for factor in others))
+    places = [dict(zip([f.name for f in others], labels, strict=True)) for labels in every]
     fitted = [_fit(design, rule, labels, records) for labels in places]
     size = len(design.treatments)
     errors: dict[str, float] = {}
     for surface_fit in fitted:
         for name, model in surface_fit.responses.items():
             errors[name] = min(errors.get(name, 1.0), float(model.q2))
-    step: AugmentStep = {"cells": size, "q2": errors, "open": _open(fitted), "stopped": ""}
+    unknown = list(dict.fromkeys(name for place in fitted for name in place.open))
+    step: AdaptiveStep = {"cells": size, "q2": {**errors}, "open": unknown, "stopped": ""}
     free = min(rule.batch, rule.budget - size)
     step["stopped"] = _end(rule, step, free, any(record.converged for record in records))
     return ([] if step["stopped"] else _chosen(design, rule, places, fitted, free)), step
 
 
-def _end(rule: Sequential, step: AugmentStep, free: int, answered: bool) -> str:
+def _end(rule: Sequential, step: AdaptiveStep, free: int, answered: bool) -> str:
     """Say why no cell is added; nothing where some are."""
     if not answered:
         return "no cell has an answer"
@@ -179,19 +171,11 @@ def _end(rule: Sequential, step: AugmentStep, free: int, answered: bool) -> str:
     return "" if free > 0 else f"the budget of {rule.budget} cells is spent"
 
 
-def _places(design: Design) -> list[dict[str, str]]:
-    """List the combinations of the levels of the factors that are no ranges."""
-    others = [factor for factor in design.factors if factor.span is None]
-    every = itertools.product(*(factor.labels for factor in others))
-    return [dict(zip([f.name for f in others], labels, strict=True)) for labels in every]
-
-
 def _fit(
     design: Design, rule: Sequential, labels: Mapping[str, str], records: Sequence[Record]
 ) -> _Fitted:
     """Fit every response at one combination of levels, and say which is not known well enough."""
     models: dict[str, Emulator | BlockedEmulator] = {}
-    refused: dict[str, str] = {}
     still = []
     for response in design.responses:
         if response.name in _COSTS:
@@ -208,12 +192,11 @@ def _fit(
             model = fit_blocks(runs) if len(set(runs.blocks)) > 1 else fit_emulator(runs)
             models[response.name] = model
             is_good = _is_known(design, response.name, runs, model, rule)
-        except StudyError as error:
-            refused[response.name] = str(error)
+        except StudyError:  # without a surface it is not known
             is_good = False
         if not is_good:
             still.append(response.name)
-    return _Fitted(models, refused, tuple(still))
+    return _Fitted(models, tuple(still))
 
 
 def _is_known(
@@ -238,10 +221,6 @@ def _is_known(
     sensitivity = fit_runs(runs, "emulator", practical).sensitivity
     verdicts = [None if item.range is None else item.range.verdict for item in sensitivity]
     return bool(verdicts) and all(v not in (None, "cannot tell") for v in verdicts)
-
-
-def _open(fitted: Sequence[_Fitted]) -> list[str]:
-    return list(dict.fromkeys(name for place in fitted for name in place.open))
 
 
 def _chosen(
@@ -285,18 +264,9 @@ def _processes(model: Emulator | BlockedEmulator) -> list[GaussianProcess]:
 
 def _made(design: Design, labels: Mapping[str, str]) -> Array:
     """Cells of one combination of levels, in the unit box, those without an answer too."""
-    columns = []
     levels_made = [treatment.levels for treatment in design.treatments
            if all(treatment.levels[name] == label for name, label in labels.items())]  # fmt: skip
-    for factor in design.factors:
-        span = factor.span
-        if span is None:
-            continue
-        settings_by_level = settings_of(factor)
-        settings = np.array([settings_by_level[levels[factor.name]] for levels in levels_made])
-        numeric = NumericFactor(factor.name, span.low, span.high, span.log)
-        columns.append(0.5 * (numeric.coded(settings) + 1.0))
-    return np.column_stack(columns)
+    return 0.5 * (coded_settings(design, ranges_of(design), levels_made) + 1.0)
 
 
 def _cell(design: Design, labels: Mapping[str, str], point: Array) -> list[float]:
@@ -354,26 +324,9 @@ def _key(name: str) -> str:
 def augment(
     design: Design | str | Path, cells: int, *, terms: int | Sequence[str] = 2
 ) -> Augmentation:
-    """Choose further cells of a fraction by D-optimality.
+    """Choose further cells of a fraction by D-optimality, for terms such as ``"a:b"`` or an order.
 
-    Parameters
-    ----------
-    design : Design, str or Path
-        A design that runs fewer cells than combinations.
-    cells : int
-        How many more.
-    terms : int or sequence of str
-        What shall be told apart: the highest order of interaction, or terms such as ``"a:b"``.
-
-    Returns
-    -------
-    Augmentation
-        The cells, and how precise the terms are before and after.
-
-    Raises
-    ------
-    InputError
-        For a design that runs every combination or samples ranges, or too few cells.
+    A design that runs every combination or samples ranges has none, and is refused.
     """
     loaded = design if isinstance(design, Design) else load(design)
     rows = loaded.scheme.rows

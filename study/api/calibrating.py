@@ -7,7 +7,7 @@ import io
 import json
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -108,11 +108,6 @@ class Calibrated(Shown, CalibrationResult):
 
     digits: ClassVar[int] = 5
 
-    @classmethod
-    def of(cls, found: CalibrationResult) -> Calibrated:
-        """Give a calibration the ways to be shown."""
-        return cls(**{item.name: getattr(found, item.name) for item in fields(CalibrationResult)})
-
     def to_frame(self) -> pd.DataFrame:
         """Constants with one row each."""
         import pandas as pd
@@ -180,12 +175,10 @@ def calibrate(
     InputError
         For a faulty file or faulty data.
     """
-    config = load_calibration(source, overrides)
+    config, root = _opened(source, overrides, data)
     if config.asked.method == "analytic":
         rule = "analytic gives one modulus a curve, not the constants of an energy"
         raise InputError(Fault("calibration.method", rule, "call study.indentation_modulus"))
-    root = calibration_root(config, source, data)
-    config = _located(config, source, root)
     folder = None if results is None else own_folder(Path(results), config.name)
     found = run_calibration(
         config,
@@ -213,32 +206,11 @@ def choose_energy(
     overrides: Sequence[str] = (),
     progress: Callable[[FitStep], None] | None = None,
 ) -> EnergyChoice:
-    """Fit every energy to the tests of a calibration and weigh them by AICc.
+    """Fit every energy to the tests of a calibration file and weigh them by AICc.
 
-    Parameters
-    ----------
-    source : str or Path
-        Calibration file: its compressibility is kept, the energy that it names does not matter.
-    data : str or Path, optional
-        Folder of the measurements.
-    overrides : sequence of str
-        ``key=value`` each, laid over the file before it is validated.
-    progress : callable, optional
-        Gets every accepted iteration.
-
-    Returns
-    -------
-    EnergyChoice
-        A fit of every energy that converged, its Akaike weight, and why others have no answer.
-
-    Raises
-    ------
-    InputError
-        For a faulty file or faulty data.
+    The compressibility of the file is kept; the energy that it names does not matter.
     """
-    config = load_calibration(source, overrides)
-    root = calibration_root(config, source, data)
-    return choose(_located(config, source, root), root, progress=progress)
+    return choose(*_opened(source, overrides, data), progress=progress)
 
 
 def compare_tests(
@@ -252,32 +224,8 @@ def compare_tests(
 ) -> ModelComparison:
     """Fit every test of a calibration for itself; Wald test that all have the same constants.
 
-    Parameters
-    ----------
-    source : str or Path
-        Calibration file.
-    data : str or Path, optional
-        Folder of the measurements.
-    overrides : sequence of str
-        ``key=value`` each, laid over the file before it is validated.
-    difference : float
-        Share by which the moduli of one test are off in what the power is stated for.
-    zero : float
-        Standard uncertainty of the zero of a test's force, over its largest force.
-    progress : callable, optional
-        Gets every accepted iteration.
-
-    Returns
-    -------
-    Comparison
-        Constants of every test, the test of equality and its power.
-
-    Raises
-    ------
-    InputError
-        For a faulty file or faulty data, or a difference that is no share.
-    RefusedError
-        If a test alone does not determine the constants.
+    The power is that of seeing the moduli of one test off by the share ``difference``; ``zero`` is
+    the standard uncertainty of the zero of a test's force, over its largest force.
     """
     if not 0 < difference < 1:
         rule = f"must lie between 0 and 1, got {difference:g}"
@@ -285,22 +233,19 @@ def compare_tests(
     if not 0 <= zero < 1:
         rule = f"must be a share of the largest force, got {zero:g}"
         raise InputError(Fault("zero", rule, 'write "0.2 %" on the command line, 0.002 here'))
+    opened = _opened(source, overrides, data)
+    return compare(*opened, difference=difference, zero=zero, progress=progress)
+
+
+def _opened(
+    source: str | Path, overrides: Sequence[str], data: str | Path | None
+) -> tuple[CalibrationDesign, Path]:
+    """Calibration of a file with the place of every surface, and the folder of its measurements."""
     config = load_calibration(source, overrides)
     root = calibration_root(config, source, data)
-    return compare(
-        _located(config, source, root),
-        root,
-        difference=difference,
-        zero=zero,
-        progress=progress,
-    )
-
-
-def _located(config: CalibrationDesign, source: str | Path, root: Path) -> CalibrationDesign:
-    """Copy a calibration with the surface of every test found."""
     places = provenance.folders(source, root)
-    found = (replace(t, tables=provenance.located(t.tables, places)) for t in config.tests)
-    return replace(config, tests=tuple(found))
+    tests = (replace(t, tables=provenance.located(t.tables, places)) for t in config.tests)
+    return replace(config, tests=tuple(tests)), root
 
 
 def save_calibration(found: CalibrationResult, folder: Path) -> tuple[Path, Path]:
@@ -375,28 +320,8 @@ def virtual(
 ) -> list[Path]:
     """Write virtual measurements for a design, the demo's by default; or a tracker's recording.
 
-    Parameters
-    ----------
-    out : str or Path
-        Data root: the files get the names that the design gives them below it.
-    source : str or Path, optional
-        The design, or a file of ``study tracking``.
-    overrides : sequence of str
-        ``key=value`` each, laid over the design before it is validated.
-    truth : str
-        Material behind the specimens: ``yeoh``, ``ogden`` or ``humphrey``.
-    blocks : int, optional
-        Number of specimens (or batches); 6 by default.
-
-    Returns
-    -------
-    list of Path
-        Files written.
-
-    Raises
-    ------
-    InputError
-        For a faulty file, or options that a tracker's recording does not have.
+    ``truth`` is the material behind the specimens (yeoh, ogden or humphrey), of which there are
+    ``blocks``, 6 by default; the files get the names that the design gives them below ``out``.
     """
     from importlib import resources
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from study.api.folders import RESULTS, design_root, results_folder
 from study.api.manifest import changes, manifest_of, run_changes
-from study.api.opened_study import open_study
+from study.api.opened_study import load as load_study
 from study.ground.errors import Fault, InputError, MissingDataError, nearest
 from study.harness.design.load import load
 from study.harness.record.document import ManifestDocument
@@ -60,7 +60,7 @@ class StudyComparison:
         named = zip(self.beside.names, self.studies, strict=True)
         studies = [
             {"name": name, "study": s.design.name, "folder": str(s.folder),
-             "cases": s.to_json()["cases"]}
+             "cases": s.cases}
             for name, s in named
         ]  # fmt: skip
         return {"studies": studies, **document(self.beside), "warnings": list(self.warnings)}
@@ -69,28 +69,10 @@ class StudyComparison:
 def diff(
     first: str | Path, second: str | Path, *, results: str | Path = RESULTS
 ) -> StudyComparison:
-    """Compare two finished studies: which of their conclusions hold under both.
-
-    Parameters
-    ----------
-    first, second : str or Path
-        Results folder, design file or name of each study.
-    results : str or Path
-        Folder of all results, where a study is given by its name or its design file.
-
-    Returns
-    -------
-    Comparison
-        Both studies, and what they say beside each other.
-
-    Raises
-    ------
-    InputError
-        If a study has no results, both are the same, or they have nothing in common.
-    """
+    """Compare two finished studies: which of their conclusions hold under both."""
     folders = [results_folder(path, results) for path in (first, second)]
     _refuse_same(folders[0], folders[1])
-    studies = open_study(folders[0], results), open_study(folders[1], results)
+    studies = load_study(folders[0], results), load_study(folders[1], results)
     return StudyComparison(studies, compare(*studies))
 
 
@@ -98,10 +80,18 @@ def compare(first: StudyResult, second: StudyResult) -> Beside:
     """Set two opened studies beside each other."""
     _refuse_same(first.folder, second.folder)
     studies = (first, second)
-    names = _names(studies)
+    names = first.design.name, second.design.name
+    if names[0] == names[1]:  # told apart by their folders
+        names = f"{names[0]} in {first.folder.parent}", f"{names[1]} in {second.folder.parent}"
     pairs = _pairs(studies)
-    only = [*_only_responses(studies), *(o for p in pairs for o in _only_terms(p, _levels(p)))]
-    conclusions = tuple(row for pair in pairs for row in _conclusions(pair, names))
+    only = [*_only_responses(studies), *(o for pair in pairs for o in _only_terms(pair))]
+    conclusions = tuple(
+        _conclusion(pair.responses[0], (effect, second[key]), names)
+        for pair in pairs
+        for second in (pair.effects(1),)
+        for key, effect in pair.effects(0).items()
+        if key in second
+    )
     if not conclusions:
         raise InputError(_nothing(studies, names))
     comparison = Beside(
@@ -141,14 +131,6 @@ def _refuse_same(first: Path, second: Path) -> None:
         raise InputError(Fault(str(second), "is the same study as the other one", mend))
 
 
-def _names(studies: _Studies) -> tuple[str, str]:
-    """Names of the studies, with their folders where they would be the same."""
-    first, second = (study.design.name for study in studies)
-    if first != second:
-        return first, second
-    return f"{first} in {studies[0].folder.parent}", f"{second} in {studies[1].folder.parent}"
-
-
 def _analyzed(study: StudyResult) -> dict[str, ResponseAnalysis]:
     return {a.name: a for a in study.analyses if a.result is not None and a.result.effects}
 
@@ -183,33 +165,22 @@ def _reason(analysis: ResponseAnalysis) -> str:
     return analysis.refused or "no effect could be estimated"
 
 
-def _only_terms(pair: _Pair, levels: Mapping[str, tuple[set[str], set[str]]]) -> list[OnlyInOne]:
+def _only_terms(pair: _Pair) -> list[OnlyInOne]:
+    """Terms of one study alone, and levels of the factors that both have."""
     missing = []
-    effects = [pair.effects(which) for which in (0, 1)]
+    effects = first, second = pair.effects(0), pair.effects(1)
+    shared = [key for key in first if key in second and ":" not in key]
     for which in (0, 1):
         for key, effect in effects[which].items():
             if key not in effects[1 - which]:
                 missing.append(
                     OnlyInOne("factor" if ":" not in key else "term", effect.term, which)
                 )
-        for factor, levels_of in levels.items():
-            for level in sorted(levels_of[which] - levels_of[1 - which]):
+        for factor in shared:
+            levels = [set(effect[factor].levels) for effect in effects]
+            for level in sorted(levels[which] - levels[1 - which]):
                 missing.append(OnlyInOne("level", f"{factor} = {level}", which))
     return missing
-
-
-def _levels(pair: _Pair) -> dict[str, tuple[set[str], set[str]]]:
-    """Levels in each study of the factors that both have."""
-    first, second = (pair.effects(which) for which in (0, 1))
-    shared = [key for key in first if key in second and ":" not in key]
-    return {key: (set(first[key].levels), set(second[key].levels)) for key in shared}
-
-
-def _conclusions(pair: _Pair, names: tuple[str, str]) -> Iterator[Conclusion]:
-    first, second = (pair.effects(which) for which in (0, 1))
-    for key, effect in first.items():
-        if key in second:
-            yield _conclusion(pair.responses[0], (effect, second[key]), names)
 
 
 def _conclusion(
@@ -341,41 +312,9 @@ class CaseState:
     #: Libraries that had another version then than they have here now.
     libraries: tuple[Change, ...] = ()
 
-    def to_json(self) -> dict[str, object]:
-        """Plain data beside the record: what changed, each with both values."""
-        return {
-            "use": self.use,
-            "changes": [_plain(change) for change in self.changes],
-            "libraries": [_plain(library) for library in self.libraries],
-        }
-
-
-def _plain(change: Change) -> dict[str, object]:
-    return {"kind": change.kind, "key": change.key, "values": list(change.values)}
-
 
 def why(case: str, *, study: str | Path | None = None, results: str | Path = RESULTS) -> Record:
-    """Record of one case, found by the beginning of its id in one study or in all of them.
-
-    Parameters
-    ----------
-    case : str
-        Id of the case, or its beginning.
-    study : str or Path, optional
-        Results folder, design file or name of the study to look in; all by default.
-    results : str or Path
-        Folder of all results.
-
-    Returns
-    -------
-    Record
-        The only one whose id begins so.
-
-    Raises
-    ------
-    InputError
-        If no case, or more than one, has an id that begins so.
-    """
+    """Record of one case, by the beginning of its id, of one study or of all of them."""
     return explain(case, study=study, results=results).record
 
 
@@ -386,28 +325,15 @@ def explain(
     results: str | Path = RESULTS,
     data: str | Path | None = None,
 ) -> CaseState:
-    """Record of a case, and what changed since it was made.
+    """Record of a case, by the beginning of its id, and what changed since it was made.
 
-    Parameters
-    ----------
-    case : str
-        Id of the case, or its beginning.
-    study : str or Path, optional
-        Study to look in; all by default. A design file is compared as it stands now, edited or
-        not, whatever was run.
-    results : Path
-        Folder of the results.
-    data : str or Path, optional
-        Folder of the measurements, where a design file is given.
-
-    Raises
-    ------
-    InputError
-        If no case, or more than one, has an id that begins so.
+    A design file is compared as it stands now, edited or not, whatever was run.
     """
-    folders = [results_folder(study, results)] if study is not None else _all_studies(results)
+    every = sorted(path.parent for path in Path(results).glob("*/study.json"))
+    folders = every if study is None else [results_folder(study, results)]
     store, name = _only_case(case, folders, results)
-    runs = _runs(store)
+    manifests = [store.read_unfinished(), store.read_manifest(), *store.read_runs()]
+    runs = [run for run in manifests if run is not None and "cases" in run]
     now = _design_now(study, data) or (runs[0] if runs else None)
     record = store.read(name, None if now is None else now["cases"].get(name))
     if record is None:
@@ -422,22 +348,13 @@ def explain(
     made = next((run for run in runs if run["cases"].get(name) == record.input_hash), None)
     if made is None:
         use = "the study does not use it; the run that made it left no manifest"
-        return CaseState(record, use, _code_alone(record), others)
+        # where nothing else is known the version of the code is compared with today's
+        then, today = record.versions.get("study"), versions()["study"]
+        code = () if then == today else (Change("code", "version of study", (then, today)),)
+        return CaseState(record, use, code, others)
     changes = run_changes(made, now)
     what = "has this case no more" if name not in now["cases"] else "makes it of other inputs now"
     return CaseState(record, f"the study {what}", changes, others)
-
-
-def _code_alone(record: Record) -> tuple[Change, ...]:
-    """Compare the version of the code with today's, where nothing else is known."""
-    then, now = record.versions.get("study"), versions()["study"]
-    return () if then == now else (Change("code", "version of study", (then, now)),)
-
-
-def _runs(store: Store) -> list[ManifestDocument]:
-    """Every run that is known, the latest first."""
-    manifests = [store.read_unfinished(), store.read_manifest(), *store.read_runs()]
-    return [run for run in manifests if run is not None and "cases" in run]
 
 
 def _design_now(study: str | Path | None, data: str | Path | None) -> ManifestDocument | None:
@@ -468,7 +385,3 @@ def _only_case(case: str, folders: Sequence[Path], results: str | Path) -> tuple
         listed = ", ".join(name for _, name in matches[:6])
         raise InputError(Fault("case", f"{case!r} begins several ids: {listed}"))
     return matches[0]
-
-
-def _all_studies(results: str | Path) -> list[Path]:
-    return sorted(path.parent for path in Path(results).glob("*/study.json"))

@@ -6,14 +6,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from study.api.analyzing import analyze
 from study.api.folders import RESULTS, design_root
-from study.ground.canonical import plain
 from study.ground.errors import Fault, InputError, MissingDataError, StudyError
 from study.harness.design.load import load
 from study.harness.design.spec import Design, ResponseSpec
@@ -135,10 +133,6 @@ class Power:
     blocks: int
     detections: tuple[ContrastDetection, ...]
     warnings: tuple[str, ...]
-
-    def to_json(self) -> dict[str, Any]:
-        """Document of ``study power --json``."""
-        return dict(plain(self))
 
 
 def power(

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from study.api.folders import RESULTS, data_root, design_root, problem_tables
-from study.api.opened_study import open_study
+from study.api.opened_study import load as load_study
 from study.api.uncertainty import uncertainties
 from study.ground.arrays import Array
-from study.ground.canonical import digest
+from study.ground.canonical import digest, plain
 from study.ground.errors import Fault, InputError
 from study.harness.design.cell import case_id
 from study.harness.design.load import file_kind, load
@@ -38,7 +38,6 @@ from study.harness.runner.refinement import (
     Budget,
     FormalOrder,
     RefinementSeries,
-    formal_order,
     refine,
     solving,
 )
@@ -73,26 +72,13 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class FrontPoint:
+class FrontPoint(CostPoint):
     """Error and cost of one mesh of one cell; the error is a share of the reference."""
 
     cell: str
-    mesh_size: float
     unknowns: int
-    seconds: float
     memory_MB: float  # noqa: N815
     value: float
-    error: float
-
-
-@dataclass(frozen=True)
-class RankedCell:
-    """Seconds and mesh size with which a cell reaches the accuracy; None where it does not."""
-
-    cell: str
-    seconds: float | None
-    mesh_size: float | None
-    how: str
 
 
 @dataclass(frozen=True)
@@ -106,53 +92,44 @@ class CostFront:
     accuracy: float
     points: tuple[FrontPoint, ...]
     #: Which cell reaches the accuracy, the cheapest first.
-    ranking: tuple[RankedCell, ...]
+    ranking: tuple[CostToAccuracy, ...]
     answer: str
 
 
 @dataclass(frozen=True)
-class ProblemConvergence:
-    """Series of one problem, and its page where one was asked for."""
-
-    judgement: SeriesJudgement
-    report: Path | None = None
-
-    @property
-    def cells(self) -> tuple[SeriesJudgement, ...]:
-        """The one series."""
-        return (self.judgement,)
-
-    def to_json(self) -> dict[str, object]:
-        """Document of ``study converge PROBLEM --json``."""
-        return self.judgement.to_json() | _page(self.report)
-
-
-@dataclass(frozen=True)
-class DesignConvergence:
-    """Series of the cells of a design."""
+class Convergence:
+    """Series of one problem, or of the cells of a design, with the tables of each."""
 
     cells: tuple[SeriesJudgement, ...]
+    tables: tuple[Tables, ...]
     #: What an accuracy costs, for cells without measurements.
     fronts: tuple[CostFront, ...] | None = None
     #: Cells of a study that the time budget did not allow.
     left_out: tuple[CaseJob, ...] | None = None
     report: Path | None = None
+    is_problem: bool = False
 
     def to_json(self) -> dict[str, object]:
-        """Document of ``study converge DESIGN --json``."""
-        document: dict[str, object] = {"cells": [cell.to_json() for cell in self.cells]}
+        """Document of ``study converge --json``: that of the one series of a problem."""
+        cells = [cell.to_json() for cell in self.cells]
+        document: dict[str, object] = cells[0] if self.is_problem else {"cells": cells}
         if self.fronts is not None:
-            document["fronts"] = [asdict(front) for front in self.fronts]
+            document["fronts"] = plain(self.fronts)
         if self.left_out is not None:
             document["left_out"] = [
                 {"levels": dict(job.case.levels), "verdict": "left out: the time budget"}
                 for job in self.left_out
             ]
-        return document | _page(self.report)
+        return document if self.report is None else document | {"report": str(self.report)}
 
-
-def _page(report: Path | None) -> dict[str, object]:
-    return {} if report is None else {"report": str(report)}
+    def written(self, name: str, question: str, reports: Path | None) -> Convergence:
+        """Write the page where a folder is given."""
+        if reports is None:
+            return self
+        pictures, window = meshes(self.cells, self.tables)
+        folder = reports / slug(name)
+        page = write_convergence(name, question, self.to_json(), folder, pictures, window)
+        return replace(self, report=page)
 
 
 # The page of a convergence study, with pictures of its meshes.
@@ -164,19 +141,6 @@ SHOWN = 4
 _SHAPES = {3: "triangles", 4: "quadrilaterals"}
 
 
-def write_page(
-    name: str,
-    question: str,
-    convergence: ProblemConvergence | DesignConvergence,
-    tables: Sequence[Tables],
-    reports: Path,
-) -> Path:
-    """Write the page of what was found; a picture that cannot be made costs nothing else."""
-    pictures, window = meshes(convergence.cells, tables)
-    folder = reports / slug(name)
-    return write_convergence(name, question, convergence.to_json(), folder, pictures, window)
-
-
 def meshes(
     cells: Sequence[SeriesJudgement], tables: Sequence[Tables]
 ) -> tuple[list[tuple[str, Array, NDArray[np.int64]]], Array | None]:
@@ -184,6 +148,8 @@ def meshes(
 
     Shapes: returns (n, 2), mm; returns (2, 2).
     """
+    from study.mechanics.mesh.mesher import build_mesh
+
     drawn: dict[str, tuple[str, Array, NDArray[np.int64]]] = {}
     window = None
     for cell, its_tables in zip(cells, tables, strict=True):
@@ -191,18 +157,13 @@ def meshes(
         if Setup.of(its_tables).model.space == "3d" or not sizes or len(drawn) >= 2 * SHOWN:
             continue
         for size in (sizes[-1], sizes[0]):
-            key, picture = _picture(its_tables, size)
-            drawn.setdefault(key, picture)
+            mesh = build_mesh(problem_of(SolveTask.of(its_tables, size).tables).setup)
+            elements = f"{size:.3g} mm, {len(mesh.cells)} elements"
+            label = f"{_SHAPES[mesh.cells.shape[1]]}, {elements}"
+            picture = label, np.asarray(mesh.points), np.asarray(mesh.cells)
+            drawn.setdefault(mesh.digest(), picture)
         window = near(its_tables) if window is None else window
     return list(drawn.values()), window
-
-
-def _picture(tables: Tables, size: float) -> tuple[str, tuple[str, Array, NDArray[np.int64]]]:
-    from study.mechanics.mesh.mesher import build_mesh
-
-    mesh = build_mesh(problem_of(SolveTask.of(tables, size).tables).setup)
-    label = f"{_SHAPES[mesh.cells.shape[1]]}, {size:.3g} mm, {len(mesh.cells)} elements"
-    return mesh.digest(), (label, np.asarray(mesh.points), np.asarray(mesh.cells))
 
 
 def near(tables: Tables) -> Array:
@@ -264,77 +225,60 @@ def _price(case_series: CaseSeries, level: int, predicted: Mapping[str, float]) 
     return taken * predicted[names[level]] / predicted[names[level - 1]]
 
 
-CellProgress = Callable[[str], None]
+Progress = Callable[[str], None]
 
 #: relative error of a force where the design asks for no accuracy
 USUAL_ACCURACY = 0.01
-
-
-def design_series(
-    source: str | Path,
-    overrides: Sequence[str],
-    data: Path,
-    *,
-    jobs: int | None,
-    results: Path,
-    progress: CellProgress,
-    reports: Path | None = None,
-    memory_MB: float | None = None,  # noqa: N803
-) -> DesignConvergence:
-    """Refine every cell of a design: whole cases where it has measurements, else problems."""
-    design = load(source, overrides)
-    workers = jobs or default_jobs()
-    if design.measurements is None:
-        return problem_cells(
-            design, workers, results, progress, reports=reports, memory_MB=memory_MB
-        )
-    if memory_MB is not None:
-        rule = "is not taken where a design has measurements: its cases run as a study's do"
-        raise InputError(Fault("--memory", rule, "leave it out, or use fewer --jobs"))
-    return measured_cells(design, data, workers, results, progress, reports=reports)
 
 
 def problem_cells(
     design: Design,
     jobs: int,
     results: Path,
-    progress: CellProgress,
+    progress: Progress,
     *,
     reports: Path | None = None,
     memory_MB: float | None = None,  # noqa: N803
     solve: Solver | None = None,
-) -> DesignConvergence:
+) -> Convergence:
     """Judge every cell of a design without measurements, and what each accuracy costs."""
     spec = design.converge
-    refinement.quantity(spec.qoi)
     places = provenance.folders(design.source, data_root(design.source))
-    budget = Budget(spec.budget_s, memory_MB)
     tables = [provenance.located(t.config, places) for t in design.treatments]
-    formal = [formal_order(problem_of(cell_tables)) for cell_tables in tables]
-    cells = [
-        series_of(cell, spec, order, budget, dict(treatment.levels))
-        for cell, order, treatment in zip(tables, formal, design.treatments, strict=True)
-    ]
+    labels = [dict(treatment.levels) for treatment in design.treatments]
     solver = solve or kept(by_workers(jobs), store_of(results, design.name))
+    formal = [promised(problem_of(cell_tables)) for cell_tables in tables]
+    budget = Budget(spec.budget_s, memory_MB)
+    cells, judged = _judged(tables, spec, formal, labels, budget, solver, progress)
+    fronts = cost_fronts(cells, judged, spec.tolerance or USUAL_ACCURACY)
+    convergence = Convergence(tuple(judged), tuple(tables), tuple(fronts))
+    return convergence.written(design.name, design.question, reports)
+
+
+def _judged(
+    tables: Sequence[Tables],
+    spec: Converge,
+    formal: Sequence[FormalOrder],
+    labels: Sequence[Mapping[str, str]],
+    budget: Budget,
+    solver: Solver,
+    progress: Progress,
+    tolerance: float | None = None,
+) -> tuple[list[RefinementSeries], list[SeriesJudgement]]:
+    """Refine problems until their meshes are enough, and study their other errors besides."""
+    refinement.quantity(spec.qoi)
+    cells = [
+        series_of(cell, spec, order, budget, its_labels)
+        for cell, order, its_labels in zip(tables, formal, labels, strict=True)
+    ]
     refine(cells, solving(solver, progress))
-    judged = [judge(cell, order) for cell, order in zip(cells, formal, strict=True)]
-    progress("load steps and solver tolerance")
-    judged = [
+    judged = [judge(cell, order, tolerance) for cell, order in zip(cells, formal, strict=True)]
+    if any(judgement.quantities for judgement in judged):
+        progress("load steps and solver tolerance")
+    return cells, [
         with_sources(judgement, cell, solver) if judgement.quantities else judgement
         for judgement, cell in zip(judged, cells, strict=True)
     ]
-    fronts = cost_fronts(cells, judged, spec.tolerance or USUAL_ACCURACY)
-    convergence = DesignConvergence(tuple(judged), tuple(fronts))
-    return _with_page(convergence, design, tables, reports)
-
-
-def _with_page(
-    convergence: DesignConvergence, design: Design, tables: Sequence[Tables], reports: Path | None
-) -> DesignConvergence:
-    if reports is None:
-        return convergence
-    page = write_page(design.name, design.question, convergence, tables, reports)
-    return replace(convergence, report=page)
 
 
 def cost_fronts(
@@ -346,8 +290,9 @@ def cost_fronts(
         groups.setdefault(
             case_id({k: cell.tables.get(k) for k in ("specimen", "test", "material")}), []
         ).append(k)
+    names = [" / ".join(cell.levels_of.values()) or f"cell {k + 1}" for k, cell in enumerate(cells)]
     fronts = [
-        _front([(_label(cells[k], k), cells[k], judged[k]) for k in members], accuracy)
+        _front([(names[k], cells[k], judged[k]) for k in members], accuracy)
         for members in groups.values()
     ]
     return [front for front in fronts if front is not None]
@@ -362,25 +307,15 @@ def _front(
     if not value:
         return None
     points = {name: _points(name, cell, judgement, value) for name, cell, judgement in members}
-    ranked = cost_to_accuracy(
-        {
-            name: [CostPoint(p.mesh_size, p.error, p.seconds) for p in row]
-            for name, row in points.items()
-        },
-        accuracy,
-    )
+    ranked = cost_to_accuracy(points, accuracy)
     return CostFront(
         value,
         u,
         accuracy,
         tuple(point for row in points.values() for point in row),
-        tuple(RankedCell(r.name, r.seconds, r.mesh_size, r.how) for r in ranked),
+        tuple(ranked),
         _answer(ranked, accuracy, u, value),
     )
-
-
-def _label(series: RefinementSeries, number: int) -> str:
-    return " / ".join(series.levels_of.values()) or f"cell {number + 1}"
 
 
 def _points(
@@ -389,8 +324,8 @@ def _points(
     function = QUANTITIES[judgement.main.qoi][0]
     return [
         FrontPoint(
-            name, level.mesh_size_mm, level.result.dofs, level.result.seconds,
-            level.result.memory_MB, value, abs(value - reference) / abs(reference),
+            level.mesh_size_mm, abs(value - reference) / abs(reference), level.result.seconds,
+            name, level.result.dofs, level.result.memory_MB, value,
         )
         for level in series.good
         for value in (function(level.result.curve),)
@@ -405,7 +340,7 @@ def _answer(
         return f"no cell gets within {100 * accuracy:g} %"
     best = reached[0]
     text = (
-        f"{best.name} gives {100 * accuracy:g} % error for the least time: {best.seconds:.2g} s "
+        f"{best.cell} gives {100 * accuracy:g} % error for the least time: {best.seconds:.2g} s "
         f"at a mesh size of {best.mesh_size:.2g} mm"
     )
     if best.how == "extrapolated":
@@ -413,7 +348,7 @@ def _answer(
     if best.how == "coarsest mesh":
         text += ", its coarsest mesh"
     if len(reached) > 1:
-        text += f"; next {reached[1].name} with {reached[1].seconds:.2g} s"
+        text += f"; next {reached[1].cell} with {reached[1].seconds:.2g} s"
     if u is not None and u > accuracy * abs(value) / 3:
         text += f"; the reference itself is only known to {100 * u / abs(value):.2g} %"
     return text
@@ -424,11 +359,11 @@ def measured_cells(
     data: Path,
     jobs: int,
     results: Path,
-    progress: CellProgress,
+    progress: Progress,
     *,
     reports: Path | None = None,
     executor: Executor | None = None,
-) -> DesignConvergence:
+) -> Convergence:
     """Refine every cell of a study in its first block: its calibration, its score, its curve."""
     whole = expand(design, data)
     work = whole.plain()
@@ -437,7 +372,11 @@ def measured_cells(
     finer = sum(len(case_series.jobs) - 1 for case_series in every)
     limit = "" if seconds is None else f", as many as {seconds:g} s allow"
     progress(f"{len(every)} cells, {finer} refined cases besides{limit}")
-    compute = computing(work, store, jobs=jobs, executor=executor, progress=_said(progress))
+
+    def say(state: RunProgress) -> None:
+        progress(f"{state.done}/{state.total}: {state.label}")
+
+    compute = computing(work, store, jobs=jobs, executor=executor, progress=say)
     if seconds is None:
         refine(every, compute)
     else:
@@ -447,17 +386,12 @@ def measured_cells(
     with store.lock():
         store.write_json("numerical-cells", {"of": digest(whole.input_hashes), "rows": rows})
     judged = [case_series.judge(design.converge, work.responses) for case_series in series]
-    convergence = DesignConvergence(
+    convergence = Convergence(
         tuple(judged),
+        tuple(case_series.base.case.config for case_series in series),
         left_out=tuple(case_series.base for case_series in every if case_series not in series),
     )
-    return _with_page(
-        convergence, design, [case_series.base.case.config for case_series in series], reports
-    )
-
-
-def _said(progress: CellProgress) -> Callable[[RunProgress], None]:
-    return lambda state: progress(f"{state.done}/{state.total}: {state.label}")
+    return convergence.written(design.name, design.question, reports)
 
 
 # Refinement series as a notebook shows them: a frame, a table in HTML, a figure.
@@ -468,13 +402,9 @@ class SeriesDocument(Shown, dict[str, object]):
 
     digits: ClassVar[int] = 6
 
-    @property
-    def _cells(self) -> Sequence[Document]:
-        return cast("Sequence[Document]", self.get("cells", [self]))
-
     def to_frame(self) -> pd.DataFrame:
         """Return the meshes of all series, one row each."""
-        return value_points(self._cells)
+        return value_points(cast("Sequence[Document]", self.get("cells", [self])))
 
     def plot(self) -> Drawing:
         """Draw value against mesh size, a panel a series, with the limit at zero."""
@@ -485,11 +415,6 @@ class SeriesDocument(Shown, dict[str, object]):
         """Meshes and values."""
         names = ["cell", "mesh_size", "value", "unit", "observed_order", "extrapolated", "u_num"]
         return (self.to_frame()[names],)
-
-
-# ``study converge``: of plain numbers, of a problem, or of every cell of a design.
-
-Progress = Callable[[str], None]
 
 
 def converge(
@@ -570,17 +495,21 @@ def converge(
     design = load(source, overrides)
     if design.is_alone:  # its series are those of its run, which alone may start a program
         return SeriesDocument(stored(source, results))
-    root = design_root(design, data)
-    every = design_series(
-        source, overrides, root, jobs=jobs, results=results, reports=reports,
-        progress=say, memory_MB=memory_MB,
-    )  # fmt: skip
+    workers = jobs or default_jobs()
+    if design.measurements is None:
+        every = problem_cells(design, workers, results, say, reports=reports, memory_MB=memory_MB)
+    elif memory_MB is not None:
+        rule = "is not taken where a design has measurements: its cases run as a study's do"
+        raise InputError(Fault("--memory", rule, "leave it out, or use fewer --jobs"))
+    else:
+        root = design_root(design, data)
+        every = measured_cells(design, root, workers, results, say, reports=reports)
     return SeriesDocument(every.to_json())
 
 
 def stored(source: str | Path, results: Path = RESULTS) -> dict[str, object]:
     """Judge the series that a finished study keeps."""
-    study = open_study(source, results)
+    study = load_study(source, results)
     cells = stored_convergence(study.numerical)
     if not cells:
         rule = "no refinement is stored of this study"
@@ -604,24 +533,16 @@ def problem(
     progress: Progress = lambda _: None,
     memory_MB: float | None = None,  # noqa: N803
     solve: Solver | None = None,
-) -> ProblemConvergence:
-    """Refine one problem until its meshes are enough, and study the other errors beside."""
+) -> Convergence:
+    """Refine one problem until its meshes are enough, and study the other errors besides."""
     tables = problem_tables(source, overrides)
     name = "problem" if isinstance(source, Mapping) else Path(source).stem
     spec = tables.get("converge")
     spec = spec if isinstance(spec, Converge) else Converge()  # tables of the program have none
-    refinement.quantity(spec.qoi)
     formal = promised(problem_of(tables))
     if formal_order is not None:
         formal = FormalOrder(formal_order, "as given")
     solver = solve or kept(in_process, store_of(results, name))
-    series = series_of(tables, spec, formal, Budget(spec.budget_s, memory_MB))
-    refine([series], solving(solver, progress))
-    judgement = judge(series, formal, tolerance or None)
-    if judgement.quantities:
-        progress("load steps and solver tolerance")
-        judgement = with_sources(judgement, series, solver)
-    made = ProblemConvergence(judgement)
-    if reports is None:
-        return made
-    return replace(made, report=write_page(name, "", made, [tables], reports))
+    budget = Budget(spec.budget_s, memory_MB)
+    _, judged = _judged([tables], spec, [formal], [{}], budget, solver, progress, tolerance or None)
+    return Convergence(tuple(judged), (tables,), is_problem=True).written(name, "", reports)

@@ -590,7 +590,7 @@ def runs_at(
     """Return the runs of a response that have an answer, at one combination of other levels."""
     here = [r for r in records if all(r.levels[name] == label for name, label in labels.items())]
     good = [r for r in here if not is_repeat(r.extra) and r.value(response) is not None]
-    return _runs(design, response, good, None, _factors(design))
+    return _runs(design, response, good, None, ranges_of(design))
 
 
 def _half_width(
@@ -613,6 +613,8 @@ def _study_surface_fitted(
 ) -> FittedSurface:
     design, response = question.design, question.response
     good, lost = question.good(labels, records)
+    rule = f"{count(lost, 'run')} without an answer left out; nothing is put in the place"
+    left_out = (rule,) if lost else ()
     # each of two settings may be off by its own bound
     bound = None if question.half_width is None else 2.0 * question.half_width
     practical = None
@@ -623,7 +625,7 @@ def _study_surface_fitted(
         if limit is not None:
             practical = limit.on_scale(float(runs.response.mean()), "none")
         fitted_model = fitted(runs, design.analysis.surface) if model is None else model
-        made = told(fitted_model, practical, bound or 0.0).noted(*_left_out(lost), *question.ends)
+        made = told(fitted_model, practical, bound or 0.0).noted(*left_out, *question.ends)
         uncertain, refused = _propagated(design, made)
         made = made.noted(refused) if refused else made
     except StudyError as error:
@@ -652,27 +654,21 @@ def _propagated(design: Design, made: SurfaceAnalysis) -> tuple[Propagated | Non
         return None, str(error)
 
 
-def _left_out(failed: int) -> tuple[str, ...]:
-    if not failed:
-        return ()
-    return (f"{count(failed, 'run')} without an answer left out; nothing is put in the place",)
-
-
-def _factors(design: Design) -> tuple[NumericFactor, ...]:
+def ranges_of(design: Design) -> tuple[NumericFactor, ...]:
     """Ranges of a design."""
     ranged = [(factor, factor.span) for factor in design.factors if factor.span is not None]
     return tuple(NumericFactor(f.name, span.low, span.high, span.log) for f, span in ranged)
 
 
-def _coded(design: Design, factors: Sequence[NumericFactor], records: Sequence[Record]) -> Array:
-    """Coded settings of some runs, shape (n, k)."""
-    columns = []
-    ranged = [factor for factor in design.factors if factor.span is not None]
-    for factor, numeric in zip(ranged, factors, strict=True):
-        coded_of = settings_of(factor)
-        settings = [coded_of[record.levels[factor.name]] for record in records]
-        columns.append(numeric.coded(np.array(settings, dtype=np.float64)))
-    return np.column_stack(columns)
+def coded_settings(
+    design: Design, factors: Sequence[NumericFactor], levels: Sequence[Mapping[str, str]]
+) -> Array:
+    """Coded settings of some runs by their levels, shape (n, k)."""
+    ranged = [settings_of(factor) for factor in design.factors if factor.span is not None]
+    return np.column_stack([
+        numeric.coded(np.array([settings[at[numeric.name]] for at in levels], dtype=np.float64))
+        for settings, numeric in zip(ranged, factors, strict=True)
+    ])  # fmt: skip
 
 
 def _answered(
@@ -682,7 +678,8 @@ def _answered(
 
     A surface beyond its last run is a guess, and where runs fail there may be nothing to guess.
     """
-    factors, coded = _factors(design), _coded(design, _factors(design), records)
+    factors = ranges_of(design)
+    coded = coded_settings(design, factors, [record.levels for record in records])
     good = np.array([record.value(response) is not None for record in records], dtype=bool)
     if good.all() or not good.any():
         return factors, ()
@@ -716,28 +713,29 @@ def _runs(
     values = np.array([record.value(response) for record in records], dtype=np.float64)
     blocks = tuple(str(record.block) for record in records if record.block is not None)
     u = None if half_width is None else np.full(values.size, half_width / 2.0)
-    return Runs(response, factors, _coded(design, factors, records), values, blocks, u)
+    coded = coded_settings(design, factors, [record.levels for record in records])
+    return Runs(response, factors, coded, values, blocks, u)
 
 
 # Write the page of a surface that was fitted to a table.
 
 
 def write_surface_page(
-    fits: Sequence[FittedSurface],
-    out_dir: str | Path,
-    *,
-    source: AnalysisSource,
-    formats: Sequence[str] = ("html",),
+    data: ReportData, out_dir: str | Path, formats: Sequence[str] = ("html",)
 ) -> Path:
     """Write the page of the surfaces of one response, with the CSV of its tables and figures."""
+    check_taken(list(data.factors))
+    return write(data, out_dir, formats)
+
+
+def table_data(fits: Sequence[FittedSurface], source: AnalysisSource) -> ReportData:
+    """Gather what a report shows of the surfaces of one response of a table."""
+    import pandas as pd
+
     runs = next(fitted.found for fitted in fits if fitted.found is not None).runs
-    check_taken([*runs.names, *fits[0].labels])
-    return write(_report_data(fits, runs, source), out_dir, formats)
-
-
-def _report_data(fits: Sequence[FittedSurface], runs: Runs, source: AnalysisSource) -> ReportData:
-    practical = fits[0].practical
-    table = _table(fits)
+    parts = [_rows(fitted.found.runs, fitted.labels) for fitted in fits if fitted.found is not None]
+    table = pd.concat(parts, ignore_index=True)
+    table.insert(0, "case_id", [str(n + 1) for n in range(len(table))])
     ends = {f.name: (f.low, f.high) for f in runs.factors}
     labels = list(fits[0].labels)
     return ReportData(
@@ -747,7 +745,12 @@ def _report_data(fits: Sequence[FittedSurface], runs: Runs, source: AnalysisSour
         table=table,
         responses=(
             ResponseAnalysis(
-                runs.name, "", None, practical=practical, title=runs.name, refused=SEE_SURFACE
+                runs.name,
+                "",
+                None,
+                practical=fits[0].practical,
+                title=runs.name,
+                refused=SEE_SURFACE,
             ),
         ),
         block="block" if runs.blocks else "",
@@ -764,16 +767,6 @@ def _report_data(fits: Sequence[FittedSurface], runs: Runs, source: AnalysisSour
         ranges={name: f"{low:g} to {high:g}" for name, (low, high) in ends.items()},
         is_table=True,
     )
-
-
-def _table(fits: Sequence[FittedSurface]) -> pd.DataFrame:
-    """Rows as a report wants them: settings, block, status, the response under its own name."""
-    import pandas as pd
-
-    parts = [_rows(fitted.found.runs, fitted.labels) for fitted in fits if fitted.found is not None]
-    frame = pd.concat(parts, ignore_index=True)
-    frame.insert(0, "case_id", [str(n + 1) for n in range(len(frame))])
-    return frame
 
 
 def _rows(runs: Runs, labels: Mapping[str, str]) -> pd.DataFrame:

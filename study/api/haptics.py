@@ -11,7 +11,8 @@ import numpy as np
 
 from study.api.comparison import why
 from study.api.folders import REPORTS, RESULTS, data_root, finished_manifest, results_folder
-from study.api.opened_study import open_study
+from study.api.opened_study import load as load_study
+from study.api.predicting import surfaces_of
 from study.api.solving import solve
 from study.ground.arrays import Array
 from study.ground.bounded_file import UnreadableError, read_json
@@ -24,9 +25,10 @@ from study.harness.record.atomic_files import write_atomic
 from study.harness.record.record import Record
 from study.harness.record.store import Store
 from study.harness.runner import provenance
+from study.harness.runner.cost import Costs
 from study.harness.runner.expansion import cases_by_id
 from study.harness.runner.tasks import default_jobs
-from study.laboratory.haptics.force_surface import SurfaceFunction, surface_function
+from study.laboratory.haptics.force_surface import surface_function
 from study.laboratory.haptics.haptic_export import (
     TOLERANCE,
     Wanted,
@@ -45,12 +47,12 @@ from study.laboratory.shape.shape_deviation import ShapeDeviation, ShapeOptions,
 from study.laboratory.tracker.tracker_error import TrackerAccuracy, judge_tracker
 from study.laboratory.tracker.tracker_recording import load_tracking
 from study.mechanics.material import material as conversions
-from study.mechanics.material.energy import Converted
 from study.mechanics.material.input_file import abaqus_text, febio_text, material_name, remarks
 from study.mechanics.material.material import Material, is_dimensionless
 from study.mechanics.material.stability import check, stability
 from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import Problem, Tables, problem_of
+from study.reporting.content.numbers import THIN, duration
 from study.reporting.figures.registry import slug
 from study.reporting.output.accuracy_page import shape_page, tracker_page, write_accuracy
 from study.reporting.output.haptic_pages import warnings, write_force_law, write_requirement
@@ -68,37 +70,35 @@ PROGRAMS: Mapping[str, tuple[Callable[[Material, str], str], str]] = {
 
 
 @dataclass(frozen=True)
-class MaterialExport:
-    """A material in another program's words, and its file."""
+class Export:
+    """What was written for a device or another program, and what must be known of it."""
 
-    name: str
-    converted: Converted
-    text: str
+    #: Document of ``study export --json``.
+    document: Mapping[str, object]
+    sentences: tuple[str, ...]
+    #: JSON, CSV, Python module, C header and report page of a law; the input file of a material.
     paths: tuple[Path, ...]
-    #: Units, Drucker's criterion, and what differs.
-    remarks: tuple[str, ...]
+    #: Such as a tolerance that is not met.
     warnings: tuple[str, ...]
-
-    def to_json(self) -> dict[str, object]:
-        """Document of ``study export --json``."""
-        return {
-            "name": self.name,
-            "program": self.converted.convention,
-            "keyword": self.converted.keyword,
-            "constants": dict(self.converted.constants),
-            "text": self.text,
-            "files": {path.suffix.removeprefix("."): str(path) for path in self.paths},
-            "remarks": list(self.remarks),
-            "warnings": list(self.warnings),
-        }
-
-    def sentences(self) -> tuple[str, ...]:
-        """Say what was written, and what must be known of it."""
-        return (f"{self.name}: {self.converted.keyword}", *self.remarks)
+    #: The law, where one was made.
+    law: ForceLaw | None = None
 
 
-def export_material(title: str, material: Material, program: str, folder: Path) -> MaterialExport:
-    """Write a material for another program."""
+def _exported(
+    content: Mapping[str, object],
+    lines: Sequence[str],
+    paths: Sequence[Path],
+    warnings: Sequence[str],
+    law: ForceLaw | None = None,
+) -> Export:
+    """Make the result of an export whose files are told apart by their endings."""
+    by_ending = {path.suffix.removeprefix("."): str(path) for path in paths}
+    whole = {**content, "files": by_ending, "warnings": list(warnings)}
+    return Export(whole, tuple(lines), tuple(paths), tuple(warnings), law)
+
+
+def export_material(title: str, material: Material, program: str, folder: Path) -> Export:
+    """Write a material for another program: its keyword, units, Drucker's criterion."""
     name = material_name(title)
     check(material, None)
     write, ending = PROGRAMS[program]
@@ -107,7 +107,16 @@ def export_material(title: str, material: Material, program: str, folder: Path) 
     warnings = () if judged.stable else (f"{judged.sentence}: Abaqus warns of it, FEBio does not",)
     path = folder / f"{name}{ending}"
     write_atomic(path, text.encode())
-    return MaterialExport(name, converted, text, (path,), remarks(material, converted), warnings)
+    notes = remarks(material, converted)
+    content = {
+        "name": name,
+        "program": converted.convention,
+        "keyword": converted.keyword,
+        "constants": dict(converted.constants),
+        "text": text,
+        "remarks": list(notes),
+    }
+    return _exported(content, (f"{name}: {converted.keyword}", *notes), (path,), warnings)
 
 
 # What a verb about one simulation is given: a problem file, a calibration, a case of a study.
@@ -273,26 +282,6 @@ def _recorded(path: Path, case: str) -> ForceLawSource:
 FORMS = ("force-law", "emulator", *PROGRAMS)
 
 
-@dataclass(frozen=True)
-class Export:
-    """A force law and the files that hold it."""
-
-    law: ForceLaw
-    #: JSON, CSV, Python module, C header and report page.
-    paths: tuple[Path, ...]
-    #: Such as a tolerance that is not met.
-    warnings: tuple[str, ...]
-
-    def sentences(self) -> Sequence[str]:
-        """Say where the law holds, and how near it is."""
-        return sentences(self.law)
-
-    def to_json(self) -> dict[str, object]:
-        """Document of ``study export --json``."""
-        written = {path.suffix.removeprefix("."): str(path) for path in self.paths}
-        return {**document(self.law), "files": written, "warnings": list(self.warnings)}
-
-
 def export(
     source: str | Path,
     *,
@@ -303,7 +292,7 @@ def export(
     tolerance: float = TOLERANCE,
     out: str | Path = REPORTS,
     progress: Callable[[str], None] | None = None,
-) -> Export | MaterialExport:
+) -> Export:
     """Turn a simulated test into a function, or its material into input of another program.
 
     Parameters
@@ -327,8 +316,8 @@ def export(
 
     Returns
     -------
-    Export or MaterialExport
-        The law or the material, and the files that were written.
+    Export
+        What was written, with the law where one was made.
 
     Raises
     ------
@@ -351,27 +340,26 @@ def export(
     check(case_source.problem.material, None)
     accuracy = Wanted(tolerance, case_source.half_ranges, case_source.covariance)
     law = solved_force_law(case_source.name, case_source.problem, accuracy, progress)
-    warnings = _warnings(law, tolerance)
-    folder = Path(out)
-    made = files(law, folder)
-    for path, text in made.items():
-        write_atomic(path, text.encode())
-    question = "How does the force follow from displacement and constants?"
-    page = write_force_law(law, question, folder, warnings)
-    return Export(law, (*made, page), warnings)
-
-
-def _warnings(law: ForceLaw, tolerance: float) -> tuple[str, ...]:
     warnings = []
     if law.relative_error > tolerance:
         warnings.append(
             f"the error bound is {100 * law.relative_error:.2g} % of the largest force, not "
             f"{100 * tolerance:.2g} %: a finer mesh bends the curve less where contact begins"
         )
-    return tuple(warnings)
+    folder = Path(out)
+    made = files(law, folder)
+    for path, text in made.items():
+        write_atomic(path, text.encode())
+    question = "How does the force follow from displacement and constants?"
+    page = write_force_law(law, question, folder, tuple(warnings))
+    return _exported(document(law), sentences(law), (*made, page), warnings, law)
 
 
 # What the sensors of a test must be for constants as accurate as wanted.
+
+
+#: solutions that a simulated test takes: its own, and those of the fit to it
+SOLUTIONS_A_TEST = 6
 
 
 @dataclass(frozen=True)
@@ -432,30 +420,16 @@ def require(
         fitted=provenance.located(file.fitted, places),
         predicted=provenance.located(file.predicted, places),
     )
-    sensors = sensor_requirement(file, jobs or default_jobs(), progress)
+    workers, tests = jobs or default_jobs(), file.asked.samples * len(file.asked.multiples)
+    if progress is not None and tests:
+        seconds = tests * SOLUTIONS_A_TEST * Costs().solve_seconds(file.fitted) / workers
+        time = duration(seconds).replace(THIN, " ")
+        progress(f"{tests} simulated tests on {workers} workers, predicted to take {time}")
+    sensors = sensor_requirement(file, workers, progress)
     return Required(sensors, write_requirement(sensors, out), tuple(warnings(sensors)))
 
 
 # The surfaces of a study as functions that need no package.
-
-
-@dataclass(frozen=True)
-class SurfaceExport:
-    """Functions and the files that hold them."""
-
-    #: One for each response at each combination of the levels that are no numbers.
-    functions: tuple[SurfaceFunction, ...]
-    #: JSON and Python module of each.
-    paths: tuple[Path, ...]
-    warnings: tuple[str, ...]
-
-    def to_json(self) -> dict[str, object]:
-        """Document of ``study export --as emulator --json``."""
-        return {
-            "functions": [function.document() for function in self.functions],
-            "files": [str(path) for path in self.paths],
-            "warnings": list(self.warnings),
-        }
 
 
 def export_surface(
@@ -464,7 +438,7 @@ def export_surface(
     response: str | None = None,
     out: str | Path = REPORTS,
     results: Path = RESULTS,
-) -> SurfaceExport:
+) -> Export:
     """Write the surfaces of a study as JSON and as Python modules that import nothing.
 
     Parameters
@@ -480,7 +454,7 @@ def export_surface(
 
     Returns
     -------
-    SurfaceExport
+    Export
         The functions, each with its error bound, and the files that were written.
 
     Raises
@@ -488,16 +462,12 @@ def export_surface(
     InputError
         If the study has no surface, or not that response; nothing is written.
     """
-    study = open_study(path, results) if isinstance(path, str | Path) else path
-    names = list(dict.fromkeys(fitted.response for fitted in study.surfaces))
-    if response is not None and names and response not in names:
-        raise InputError(Fault("--response", f"there is no {response!r}", nearest(response, names)))
-    chosen = [fitted for fitted in study.surfaces if response in (None, fitted.response)]
+    study = load_study(path, results) if isinstance(path, str | Path) else path
+    chosen = surfaces_of(study, response)
     good = [fitted for fitted in chosen if fitted.found is not None]
     if not good:
         rule = "has no surface that could be a function"
-        reason = next((fitted.refused for fitted in chosen), "no factor is a range")
-        raise InputError(Fault(study.design.name, rule, reason))
+        raise InputError(Fault(study.design.name, rule, chosen[0].refused))
     made = tuple(surface_function(study.design.name, fitted) for fitted in good)
     folder = Path(out)
     texts = {place: text for function in made for place, text in function.files(folder).items()}
@@ -506,7 +476,10 @@ def export_surface(
     missing = tuple(
         f"{fitted.response}: {fitted.refused}" for fitted in chosen if fitted.found is None
     )
-    return SurfaceExport(made, tuple(texts), missing)
+    files = {"files": [str(place) for place in texts], "warnings": list(missing)}
+    content = {"functions": [function.document() for function in made], **files}
+    lines = tuple(sentence for function in made for sentence in function.sentences())
+    return Export(content, lines, tuple(texts), missing)
 
 
 # Deviation of a simulated body from a scan, and accuracy of a tracker.

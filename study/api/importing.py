@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from study.api.folders import RESULTS
-from study.api.opened_study import Study, open_study
+from study.api.opened_study import Study
+from study.api.opened_study import load as load_study
 from study.ground.canonical import digest
 from study.ground.errors import Fault, InputError, nearest
 from study.ground.tabular import CsvTable, label_fault, names_of, read_csv
@@ -43,39 +45,11 @@ def import_runs(
     practical: str = "",
     results: str | Path = RESULTS,
 ) -> Study:
-    """Make a study of a table of runs, one row a run.
+    """Make a study of a table of runs, one row a run; rows of equal levels are replicates.
 
-    Parameters
-    ----------
-    path : str or Path
-        CSV or workbook; rows of equal levels, in one block, are replicates.
-    factors, responses : str or sequence of str
-        Columns; a text has commas between them. A response may be ``name=unit``.
-    failed : str, optional
-        Column that says which runs have no answer: empty, 0, no, false or ok for those that have;
-        any other text is the reason, or one of the statuses of a record.
-    block : str, optional
-        Column of the unit that was replicated.
-    name : str, optional
-        Name of the study; by default that of the file.
-    decimal : {".", ","}
-        Mark of decimals.
-    practical : str
-        Smallest difference that matters of each response, with commas: ``peak=1 N,work=5 % of
-        mean``; without one there is no verdict.
-    results : str or Path
-        Folder of all results.
-
-    Returns
-    -------
-    Study
-        The study, opened from its records.
-
-    Raises
-    ------
-    InputError
-        For a column that is not there or has a name that no response can have, or for a results
-        folder that holds a study of another kind.
+    Columns are a sequence or a text with commas. A response may be ``name=unit``, and
+    ``practical`` says which difference of it matters: ``peak=1 N,work=5 % of mean``. The column
+    ``failed`` holds a status, a reason, or nothing (also 0, no, false, ok) for runs with an answer.
     """
     columns = names_of(factors.split(",") if isinstance(factors, str) else factors)
     columns = tuple(column.strip() for column in columns)
@@ -94,7 +68,11 @@ def import_runs(
     records = _records(design, blocks, rows, units, table.sha256)
     store = Store(own_folder(Path(results), design.name))
     with store.lock():
-        _check_own(store, path)
+        known = store.read_manifest()
+        if known is not None and not any("made elsewhere" in note for note in known["notes"]):
+            rule = f"{known['name']!r} is a study that was computed here"
+            mend = "give the imported one a name of its own: --name"
+            raise InputError(Fault(str(path), rule, mend))
         manifest: ManifestDocument = {
             "name": design.name,
             "design": dump(design),
@@ -113,7 +91,7 @@ def import_runs(
         for record in records:
             store.write(record)
         store.finish_run(manifest)
-    return open_study(store.path)
+    return load_study(store.path)
 
 
 def _units(responses: str | Sequence[str]) -> dict[str, str]:
@@ -210,13 +188,19 @@ def _design(
         mend = "leave it out: a factor has two levels or more"
         raise InputError(Fault(source, f"{few[0]} is the same in all runs", mend))
     presets: dict[str, object] = {}
+    parameters: dict[str, object] = {}
     for place, (column, levels) in enumerate(labels.items()):
-        key = f"parameters.factor_{place + 1}"
-        presets[column] = {level: {key: f"level {level}"} for level in levels}
+        key, numbers = f"factor_{place + 1}", _numbers(levels)
+        if numbers:  # numbers stay numbers, in their order
+            levels.sort(key=numbers.__getitem__)
+        presets[column] = {
+            level: {f"parameters.{key}": numbers.get(level, f"level {level}")} for level in levels
+        }
+        parameters[key] = min(numbers.values()) if numbers else ""
     cells = list({tuple(row.levels.items()): row.levels for row in rows}.values())
     tables: dict[str, object] = {
         "study": {"name": name, "question": f"Runs that were made elsewhere: {source}"},
-        "parameters": {f"factor_{k + 1}": "" for k in range(len(labels))},
+        "parameters": parameters,
         "forward": {"model": "python"},
         "presets": presets,
         "factors": labels,
@@ -229,9 +213,18 @@ def _design(
         tables["design"] = {"kind": "listed", "treatments": cells}
     most = max(map(len, _by_cell(rows).values()))
     if most > 1:
-        tables["parameters"] |= {"replicate_number": 1}  # type: ignore[operator]
+        parameters["replicate_number"] = 1
         tables["replicates"] = {"key": "parameters.replicate_number", "n": most}
     return loads(from_tables(tables), source)
+
+
+def _numbers(levels: Sequence[str]) -> dict[str, float]:
+    """Numbers of the levels of a factor; empty where one of them is none."""
+    try:
+        numbers = {level: float(level) for level in levels}
+    except ValueError:
+        return {}
+    return numbers if all(map(math.isfinite, numbers.values())) else {}
 
 
 def _by_cell(rows: Sequence[_Run]) -> dict[tuple[object, ...], list[_Run]]:
@@ -267,11 +260,3 @@ def _records(
                 )
             )  # fmt: skip
     return made
-
-
-def _check_own(store: Store, path: str | Path) -> None:
-    """Refuse the folder of a study that was computed here."""
-    known = store.read_manifest()
-    if known is not None and not any("were made elsewhere" in note for note in known["notes"]):
-        rule = f"{known['name']!r} is a study that was computed here"
-        raise InputError(Fault(str(path), rule, "give the imported one a name of its own: --name"))

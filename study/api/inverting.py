@@ -10,16 +10,23 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study import api
+from study.api.fitting_surfaces import coded_settings, ranges_of
 from study.api.folders import RESULTS
-from study.api.predicting import Permission, confirm, joined, number_in_unit
+from study.api.predicting import (
+    Permission,
+    confirm,
+    joined,
+    number_in_unit,
+    unknown_factors,
+)
 from study.ground import tabular, units
-from study.ground.errors import Fault, InputError, RefusedError, nearest
-from study.harness.design.factors import settings_of
+from study.ground.curve import Curve
+from study.ground.errors import Fault, InputError, RefusedError
 from study.harness.record.record import is_repeat
 from study.harness.record.store import Store
 from study.mechanics.calibration.serial_correlation import effective_rows
 from study.reporting.results.study_answers import Checked, Determined, InputSet, Inverted
-from study.statistics.surfaces.surface_factors import NumericFactor, Runs
+from study.statistics.surfaces.surface_factors import Runs
 from study.statistics.surfaces.surface_inversion import InversionAgreement, agreeing
 from study.statistics.surfaces.surface_profile import CurveEmulator, fit_curves
 
@@ -93,7 +100,7 @@ def invert(  # noqa: PLR0913  # the public face: one keyword for each thing that
     RefusedError
         If the emulator does not predict left-out curves (a Q2 below .9), or no curve agrees.
     """
-    study = api.open_study(path, results) if isinstance(path, str | Path) else path
+    study = api.load(path, results) if isinstance(path, str | Path) else path
     given = _known(study, dict(at or {}))
     curve, notes = _read(Path(to), columns, in_units, decimal), []
     more = joined(study.design, Store(study.folder), study.manifest)
@@ -123,14 +130,6 @@ class _Known:
 
 
 @dataclass(frozen=True)
-class _Measured:
-    """A measured curve, mm and N."""
-
-    displacement: Array
-    force: Array
-
-
-@dataclass(frozen=True)
 class _Found:
     """A set, and the emulator that it comes from."""
 
@@ -142,7 +141,8 @@ class _Found:
 def _share(within: str | None) -> float | None:
     if within is None:
         return None
-    share = units.parse(within, "ratio")
+    with units.naming("--within"):
+        share = units.parse(within, "ratio")
     if not share > 0:
         raise InputError(Fault("--within", f"must be more than zero, got {within!r}", "say 2 %"))
     return share
@@ -156,7 +156,7 @@ def _known(study: StudyResult, at: Mapping[str, Setting]) -> _Known:
         rule = "has no numeric factor: there is nothing to be found"
         mend = 'write { low = "5 kPa", high = "15 kPa" } and [design] kind = "latin-hypercube"'
         raise InputError(Fault(design.name, rule, mend))
-    faults = [Fault(n, "no such factor", nearest(n, list(factors))) for n in at if n not in factors]
+    faults = unknown_factors(at, list(factors))
     for name, factor in factors.items():
         if factor.span is None and str(at.get(name, "")) not in factor.labels:
             rule = "is no number: say at which of its levels the test was made"
@@ -172,14 +172,15 @@ def _known(study: StudyResult, at: Mapping[str, Setting]) -> _Known:
     return _Known(numbers, {n: str(at[n]) for n, f in factors.items() if f.span is None})
 
 
-def _read(source: Path, columns: Sequence[str], in_units: Sequence[str], decimal: str) -> _Measured:
+def _read(source: Path, columns: Sequence[str], in_units: Sequence[str], decimal: str) -> Curve:
     """Read a measured curve."""
     if len(columns) != 2 or len(in_units) != 2:
         rule = "needs two names each: displacement and force"
         raise InputError(Fault("--columns, --units", rule, "write --columns d,f --units mm,N"))
     table = tabular.read_csv(source, required=columns, numbers=columns, decimal=decimal)
-    displacement = table.numbers(columns[0]) * units.unit_factor(in_units[0], "length")
-    force = table.numbers(columns[1]) * units.unit_factor(in_units[1], "force")
+    with units.naming("--units"):
+        displacement = table.numbers(columns[0]) * units.unit_factor(in_units[0], "length")
+        force = table.numbers(columns[1]) * units.unit_factor(in_units[1], "force")
     falls = np.flatnonzero(np.diff(displacement) <= 0)
     if falls.size:
         rule = "displacements must increase from row to row"
@@ -188,12 +189,10 @@ def _read(source: Path, columns: Sequence[str], in_units: Sequence[str], decimal
     if displacement.size < FEWEST or displacement[0] < 0:
         rule = f"needs at least {FEWEST} rows, with displacements from 0 on"
         raise InputError(Fault(str(source), rule))
-    return _Measured(displacement, force)
+    return Curve(displacement, force)
 
 
-def _covered(
-    curve: _Measured, records: Sequence[Record], source: Path
-) -> tuple[_Measured, list[str]]:
+def _covered(curve: Curve, records: Sequence[Record], source: Path) -> tuple[Curve, list[str]]:
     """Rows that every run reaches, and what is to be said of the others."""
     ends = [
         float(curve_of_run.displacement_mm[-1])
@@ -202,59 +201,55 @@ def _covered(
     ]
     if not ends:
         raise InputError(Fault(str(source), "no run has a curve to compare with"))
-    inside = curve.displacement <= min(ends) * (1 + 1e-9)
+    inside = curve.displacement_mm <= min(ends) * (1 + 1e-9)
     if int(inside.sum()) < FEWEST:
         rule = f"has {int(inside.sum())} rows up to {min(ends):.4g} mm, where the runs end"
         mend = "give the study a longer test.displacement"
         raise InputError(Fault(str(source), rule, mend))
     lost = int((~inside).sum())
     lines = [f"{lost} rows beyond {min(ends):.4g} mm are left out: the runs end there"]
-    return _Measured(curve.displacement[inside], curve.force[inside]), lines if lost else []
+    return Curve(curve.displacement_mm[inside], curve.force_N[inside]), lines if lost else []
 
 
 def _runs(study: StudyResult, records: Sequence[Record]) -> Runs:
     """Coded settings of runs."""
     more = joined(study.design, Store(study.folder), study.manifest)
-    ranges = [(f, f.span) for f in more.design.factors if f.span is not None]
-    factors = tuple(NumericFactor(f.name, s.low, s.high, s.log) for f, s in ranges)
-    columns = []
-    for (factor, _), numeric in zip(ranges, factors, strict=True):
-        of = settings_of(factor)
-        columns.append(numeric.coded(np.array([of[r.levels[factor.name]] for r in records])))
-    return Runs("force", factors, np.column_stack(columns), np.zeros(len(records)))
+    factors = ranges_of(more.design)
+    coded = coded_settings(more.design, factors, [record.levels for record in records])
+    return Runs("force", factors, coded, np.zeros(len(records)))
 
 
 def _fitted(
     study: StudyResult,
     given: _Known,
-    curve: _Measured,
+    curve: Curve,
     records: Sequence[Record],
     share: float | None,
 ) -> _Found:
     """Emulate the curves, and find the set."""
     runs = _runs(study, records)
-    curves = np.array([c.force_at(curve.displacement) for r in records
+    curves = np.array([c.force_at(curve.displacement_mm) for r in records
                        if (c := r.first_prediction())])  # fmt: skip
     model = fit_curves(runs, curves, study.design.seed)
     held = np.array([runs.coded_inside(n, given.numbers[n]) if n in given.numbers else np.nan
                      for n in runs.names])  # fmt: skip
-    size = float(np.sqrt(np.mean(curve.force**2)))
+    size = float(np.sqrt(np.mean(curve.force_N**2)))
     largest = None if share is None else share * size
-    solutions = agreeing(model, curve.force, held, largest=largest)
-    residual = np.asarray(curve.force - model.value(solutions.at[None, :])[0])
+    solutions = agreeing(model, curve.force_N, held, largest=largest)
+    residual = np.asarray(curve.force_N - model.value(solutions.at[None, :])[0])
     if share is None and residual.size >= _TOO_FEW:
         square = float(residual @ residual)
         worth = effective_rows(
             residual.size, float(residual[1:] @ residual[:-1]) / square if square > 0 else 0.0
         )
-        solutions = agreeing(model, curve.force, held, rows_worth=worth)
+        solutions = agreeing(model, curve.force_N, held, rows_worth=worth)
     return _Found(model, solutions, residual)
 
 
 def _solved(
     study: StudyResult,
     given: _Known,
-    curve: _Measured,
+    curve: Curve,
     records: list[Record],
     share: float | None,
     confirming: bool,
@@ -297,10 +292,10 @@ def _judged(run: Checked, answer: _Found) -> Checked:
     return Checked(run.settings, run.rms, bool(run.rms <= 1.02 * answer.set.limit))
 
 
-def _check_agrees(answer: _Found, curve: _Measured, share: float | None) -> None:
+def _check_agrees(answer: _Found, curve: Curve, share: float | None) -> None:
     if share is None or answer.set.rms <= answer.set.limit:
         return
-    best = answer.set.rms / float(np.sqrt(np.mean(curve.force**2)))
+    best = answer.set.rms / float(np.sqrt(np.mean(curve.force_N**2)))
     rule = f"no curve inside of what was run agrees within {100 * share:.3g} %: the best misses"
     mend = "widen the ranges, ask for less, or look for what the model lacks"
     raise RefusedError(str(Fault("invert", f"{rule} {100 * best:.3g} %", mend)))
@@ -309,7 +304,7 @@ def _check_agrees(answer: _Found, curve: _Measured, share: float | None) -> None
 def _run(
     study: StudyResult,
     given: _Known,
-    curve: _Measured,
+    curve: Curve,
     answer: _Found,
     at: Array,
     permission: Permission,
@@ -321,21 +316,21 @@ def _run(
     levels = dict(records[0].levels) if records else {}
     if record is None:
         return Checked(levels, float("nan"), False), None
-    rms = float(np.sqrt(np.mean((_force(record, curve) - curve.force) ** 2)))
+    rms = float(np.sqrt(np.mean((_force(record, curve) - curve.force_N) ** 2)))
     return Checked(levels, rms, False), record
 
 
-def _force(record: Record, curve: _Measured) -> Array:
+def _force(record: Record, curve: Curve) -> Array:
     predicted = record.first_prediction()
     if predicted is None:
         raise RefusedError("a confirming run has no curve")
-    return predicted.force_at(curve.displacement)
+    return predicted.force_at(curve.displacement_mm)
 
 
 def _told(
     study: StudyResult,
     given: _Known,
-    curve: _Measured,
+    curve: Curve,
     answer: _Found,
     runs: Sequence[Checked],
     notes: Sequence[str],
@@ -356,10 +351,10 @@ def _told(
     notes_of = [*notes]
     if runs and not all(run.agrees for run in runs):
         notes_of.append("a run of the true model does not agree: add runs to the study")
-    size = float(np.sqrt(np.mean(curve.force**2)))
+    size = float(np.sqrt(np.mean(curve.force_N**2)))
     members = tuple(own.settings(point) for point in result.points)
     return Inverted(
         inputs, combinations, {**given.labels, **given.numbers}, units_of, result.rms, result.limit,
-        result.rms / size, curve.force.size, answer.model.q2, members,
+        result.rms / size, curve.force_N.size, answer.model.q2, members,
         runs[0] if runs else None, tuple(runs[1:]), tuple(notes_of),
     )  # fmt: skip

@@ -19,7 +19,6 @@ from study.harness.runner.provenance import versions
 from study.reporting.results.study_answers import Change
 
 if TYPE_CHECKING:
-    from study.harness.runner.job import CaseJob
     from study.reporting.results.study_result import StudyResult
 
 
@@ -37,7 +36,7 @@ def changes(first: StudyResult, second: StudyResult) -> tuple[Change, ...]:
     """Every input that differs, the design's keys first."""
     studies = (first, second)
     return (
-        *_differing("design", *(_keys(study) for study in studies)),
+        *_differing("design", *(_named_keys(study.design.config) for study in studies)),
         *_differing("extent", *(_extent(study) for study in studies)),
         *_differing("measurements", *(_files(study) for study in studies)),
         *_truths(first, second),
@@ -62,11 +61,6 @@ def _differing(kind: str, first: Mapping[str, str], second: Mapping[str, str]) -
         values = first.get(key), second.get(key)
         if values[0] != values[1]:
             yield Change(kind, key, values)
-
-
-def _keys(study: StudyResult) -> dict[str, str]:
-    """Dotted keys of a design and their values as text, tables in lists by their names."""
-    return _named_keys(study.design.config)
 
 
 def _named_keys(config: Mapping[str, object]) -> dict[str, str]:
@@ -226,7 +220,10 @@ def mixed_meshes(work: Work, store: Store) -> list[str]:
     for job in work.jobs:
         mesh = meshes.get(job.case.case_id)
         if mesh is not None:
-            name = _same_mesh(job)
+            fits = [() if pair.fit is None else pair.fit.measured for pair in job.directions]
+            fitted = [[float(curve.displacement_mm.max()) for curve in curves] for curves in fits]
+            scored = [pair.depth_mm for pair in job.directions]
+            name = digest([plain(job.case.config), job.forward, scored, fitted], 32)
             meshes_of[name].add(mesh)
             labels.setdefault(name, job.case.label)
     mixed = [labels[name] for name, several in meshes_of.items() if len(several) > 1]
@@ -237,11 +234,3 @@ def mixed_meshes(work: Work, store: Store) -> list[str]:
         f"{mixed[0]}{more}: the cases of this cell were computed on different meshes, by another "
         "gmsh or on another machine; study run --stale rerun makes them again on one"
     ]
-
-
-def _same_mesh(job: CaseJob) -> str:
-    """Name of all cases that have one mesh."""
-    fits = [() if pair.fit is None else pair.fit.measured for pair in job.directions]
-    fitted = [[float(curve.displacement_mm.max()) for curve in curves] for curves in fits]
-    scored = [pair.depth_mm for pair in job.directions]
-    return digest([plain(job.case.config), job.forward, scored, fitted], 32)

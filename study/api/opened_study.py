@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,7 +31,11 @@ from study.harness.record.record import Record
 from study.harness.record.store import Store
 from study.harness.runner.expansion import cases_by_id, relabeled
 from study.mechanics.measurement.conditioning import is_caution
+from study.reporting.content import sentences
+from study.reporting.content.numbers import THIN
+from study.reporting.content.recommendation import would_change
 from study.reporting.content.report_facts import facts
+from study.reporting.content.tables import failure_sentences
 from study.reporting.figures.effect_figures import shown_effect_sizes
 from study.reporting.output.notebook import Shown
 from study.reporting.results.study_result import ResponseAnalysis, StudyResult
@@ -51,10 +55,22 @@ if TYPE_CHECKING:
 class Study(Shown, StudyResult):
     """What :func:`study.run` and :func:`study.report` return: a study that can be shown."""
 
-    @classmethod
-    def of(cls, study_result: StudyResult) -> Study:
-        """Give a study the ways to be shown."""
-        return cls(**{item.name: getattr(study_result, item.name) for item in fields(StudyResult)})
+    @property
+    def answers(self) -> tuple[str, ...]:
+        """Sentences that answer the question, which cases fail, and what would change them."""
+        data = report_data(self, {})
+        all_facts, pattern = facts(data), data.failure_pattern
+        failures = () if pattern is None else failure_sentences(pattern, data.labels)
+        change = f"What would change this? {would_change(data, all_facts)}"
+        lines = (*sentences.answer(data, all_facts), *failures, change)
+        return tuple(line.replace(THIN, " ") for line in lines)
+
+    @property
+    def effects(self) -> pd.DataFrame:
+        """Verdict of every response and factor with its effect, interval and p, one row each."""
+        import pandas as pd
+
+        return pd.DataFrame(self.verdicts)
 
     def to_frame(self) -> pd.DataFrame:
         """Table of the study, one tidy row a case, failed ones included."""
@@ -74,15 +90,12 @@ class Study(Shown, StudyResult):
         """Cases and verdicts."""
         import pandas as pd
 
-        shape = {"response", "factor", "verdict", "effect", "p"}
-        rows = [{k: v for k, v in row.items() if k in shape} for row in self.verdicts]
-        return pd.DataFrame([{"study": self.design.name, **self.cases}]), pd.DataFrame(rows)
+        shape = [n for n in ("response", "factor", "verdict", "effect", "p") if n in self.effects]
+        return pd.DataFrame([{"study": self.design.name, **self.cases}]), self.effects[shape]
 
 
-def open_study(
-    path: str | Path, results: str | Path = RESULTS, *, tell_unfinished: bool = True
-) -> Study:
-    """Open the stored records of a study and analyze them: those of its last finished run.
+def load(path: str | Path, results: str | Path = RESULTS, *, tell_unfinished: bool = True) -> Study:
+    """Open a study: the stored records of its last finished run, analyzed.
 
     Parameters
     ----------
@@ -92,6 +105,12 @@ def open_study(
         Folder of the results, where ``path`` is a name.
     tell_unfinished : bool
         Whether a later run that is not finished is a warning.
+
+    Returns
+    -------
+    Study
+        ``answers`` in sentences, ``table`` with one row a case, ``effects`` with one row a
+        verdict, ``analyses``, ``surfaces`` and ``records``.
 
     Raises
     ------

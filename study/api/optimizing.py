@@ -14,7 +14,13 @@ import numpy as np
 from study import api
 from study.api.fitting_surfaces import fit_surface
 from study.api.folders import RESULTS
-from study.api.predicting import Permission, confirm, number_in_unit
+from study.api.predicting import (
+    Permission,
+    confirm,
+    number_in_unit,
+    surfaces_of,
+    unknown_factors,
+)
 from study.ground import units
 from study.ground.errors import Fault, InputError, RefusedError, UnitError, nearest
 from study.harness.design import overlay
@@ -125,7 +131,7 @@ def optimize(  # noqa: PLR0913  # the public face: one keyword for each thing th
     if numeric:
         rule = "names columns of a table: the factors of a study are known"
         raise InputError(Fault("--numeric", rule, "leave it out"))
-    study = api.open_study(path, results) if isinstance(path, str | Path) else path
+    study = api.load(path, results) if isinstance(path, str | Path) else path
     recommendations = _of_study(study, goal, name, limits_typed, dict(at or {}))
     if not confirming:
         return recommendations
@@ -151,12 +157,8 @@ def _bound(text: str, units_of: Mapping[str, str]) -> Bound:
         mend = "write 'stiffness >= 0.3 N/mm', with >= or <="
         raise InputError(Fault("--subject-to", f"cannot read {text!r}", mend))
     name = _named(parts["name"], list(units_of), "--subject-to")
-    try:
+    with units.naming(f"--subject-to {name}"):
         value = _in_unit(parts["value"], units_of[name])
-    except UnitError as error:
-        raise InputError(
-            [replace(f, where=f"--subject-to {name}") for f in error.faults]
-        ) from error
     return Bound(name, units_of[name], 1 if parts["sign"] == ">=" else -1, value)
 
 
@@ -200,14 +202,12 @@ def _of_table(
 ) -> Recommendation:
     surface_of_goal = table.of(name)
     names = surface_of_goal.runs.names
-    faults = [
-        Fault(name_given, "no such factor", nearest(name_given, names))
-        for name_given in at
-        if name_given not in names
-    ]
-    if faults:
+    if faults := unknown_factors(at, names):
         raise InputError(faults)
-    held = {n: units.parse_number(str(setting)) for n, setting in at.items()}
+    held = {}
+    for n, setting in at.items():
+        with units.naming(f"--at {n}"):
+            held[n] = units.parse_number(str(setting))
     if len(held) == len(names):
         raise InputError(Fault("--at", "holds every factor", "leave those out that are choices"))
     columns = [_LIMIT.fullmatch(text) for text in limits_typed]
@@ -290,19 +290,12 @@ def _of_study(
     at: Mapping[str, Setting],
 ) -> tuple[Recommendation, ...]:
     """Recommend at every combination of the levels that nobody chooses."""
-    design, units_of = (
-        study.design,
-        {surface_of.response: surface_of.unit for surface_of in study.surfaces},
-    )
-    if not units_of:
-        rule = "has no surface: no factor is a range"
-        mend = 'write { low = "1 mm", high = "3 mm" } and [design] kind = "latin-hypercube"'
-        raise InputError(Fault(design.name, rule, mend))
+    design = study.design
+    units_of = {fitted.response: fitted.unit for fitted in surfaces_of(study)}
     name = _named(word, list(units_of), f"--{goal}")
     bounds = tuple(_bound(text, units_of) for text in limits_typed)
     factors = {factor.name: factor for factor in design.factors}
-    faults = [Fault(n, "no such factor", nearest(n, list(factors))) for n in at if n not in factors]
-    if faults:
+    if faults := unknown_factors(at, list(factors)):
         raise InputError(faults)
     free = [n for n in factors if design.roles[n] == "choice" and n not in at]
     if not free:

@@ -19,9 +19,8 @@ from study.api.manifest import run_changes
 from study.ground.errors import Fault, InputError, MissingDataError
 from study.harness.design.load import load
 from study.harness.design.overview import Overview, overview
-from study.harness.design.spec import Design, Factor
+from study.harness.design.spec import Design
 from study.harness.external.command import common_digest
-from study.harness.record.document import ManifestDocument
 from study.harness.record.index import Survey
 from study.harness.record.record import write_csv
 from study.harness.record.store import Store
@@ -70,30 +69,30 @@ def refinement_seconds(work: Work, store: Store, workers: int) -> float:
     return Costs().total_seconds(open_fits(todo, store), todo, workers)
 
 
-def with_time_left(
-    store: Store, progress: Callable[[Progress], None] | None, later: float
+def noted_progress(
+    store: Store, progress: Callable[[Progress], None] | None
 ) -> Callable[[Progress], None]:
-    """Progress that also counts ``later`` seconds, and is left beside the lock for others."""
+    """Progress that is also left beside the lock, for other shells."""
     noted = -math.inf
 
     def note(state: Progress) -> None:
         nonlocal noted
-        whole, now = replace(state, seconds_left=state.seconds_left + later), time.monotonic()
-        if now - noted > NOTED_S or whole.done == whole.total:
+        now = time.monotonic()
+        if now - noted > NOTED_S or state.done == state.total:
             noted = now
             store.note(
                 {
-                    "done": whole.done,
-                    "total": whole.total,
-                    "counted": whole.counted,
-                    "failed": whole.failed,
-                    "label": whole.label[:80],
-                    "seconds_left": round(whole.seconds_left, 1),
+                    "done": state.done,
+                    "total": state.total,
+                    "counted": state.counted,
+                    "failed": state.failed,
+                    "label": state.label[:80],
+                    "seconds_left": round(state.seconds_left, 1),
                     "at": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
                 }
             )
         if progress is not None:
-            progress(whole)
+            progress(state)
 
     return note
 
@@ -158,6 +157,9 @@ class Plan:
 
     def to_json(self) -> dict[str, object]:
         """Document of ``study plan --json``."""
+        rule, adaptive = self.design.scheme.sequential, dict[str, object]()
+        if rule is not None:
+            adaptive["adaptive"] = asdict(rule) | {"most_seconds": self.most_seconds}
         return {
             "study": self.design.name,
             "cases": self.counts,
@@ -173,15 +175,8 @@ class Plan:
             "commands": list(self.commands),
             "commands_digest": self.digest,
             "design": self.overview.to_json(),
-            **self._adaptive(),
+            **adaptive,
         }
-
-    def _adaptive(self) -> dict[str, object]:
-        """How cells are added, where they are."""
-        rule = self.design.scheme.sequential
-        return (
-            {} if rule is None else {"adaptive": asdict(rule) | {"most_seconds": self.most_seconds}}
-        )
 
 
 def plan(
@@ -194,30 +189,7 @@ def plan(
 ) -> Plan:
     """Say what a design computes, what is done already and what the rest will cost.
 
-    Data that are not there yet do not stop a plan: it then counts cells, not cases.
-
-    Parameters
-    ----------
-    design : Design, str or Path
-        The study, or its file.
-    data : str or Path, optional
-        Folder of the measurements.
-    results : str or Path
-        Folder of all results; what the study's own holds is not computed again.
-    overrides : sequence of str
-        ``key=value`` each, laid over the file before it is validated; not used for a Design.
-    jobs : int, optional
-        Workers by which the wall time is predicted; one a core by default.
-
-    Returns
-    -------
-    Plan
-        Cells, cases, predicted time in s and memory in MB; no time where measurements are missing.
-
-    Raises
-    ------
-    InputError
-        For a faulty design or faulty data.
+    Data that are not there yet do not stop a plan: it then counts cells, not cases, and no time.
     """
     loaded = design if isinstance(design, Design) else load(design, overrides)
     loaded = continued(loaded, Store(Path(results) / loaded.name, warn=lambda _: None))
@@ -288,22 +260,11 @@ def _idle_replicates(work: Work) -> list[str]:
 
 
 def status(path: str | Path, *, results: str | Path = RESULTS) -> dict[str, Any]:
-    """Progress of a study, from any shell.
+    """Progress of a study, from any shell: the document of ``study status --json``.
 
-    Parameters
-    ----------
-    path : str or Path
-        Results folder, design file or name of the study.
-    results : str or Path
-        Folder of all results, where ``path`` is a name or a design file.
-
-    Returns
-    -------
-    dict
-        The document of ``study status --json``, with ``running`` (pid, host, since, and what its
-        progress line said last) or None; the predicted seconds are those that are left. Counted
-        are the cases of the last finished run; ``unfinished`` says how far a later one is, of an
-        edited design, and what was edited.
+    ``running`` holds pid, host, since and the last progress, or None; the predicted seconds are
+    those that are left. Counted are the cases of the last finished run; ``unfinished`` says how
+    far a later one is, of an edited design, and what was edited.
     """
     folder = results_folder(path, results)
     warnings: list[str] = []
@@ -322,7 +283,12 @@ def status(path: str | Path, *, results: str | Path = RESULTS) -> dict[str, Any]
         "running": running,
         "timings": manifest.get("timings", {}),
         "finished": bool(manifest.get("finished", not survey.missing)),
-        "unfinished": None if later is None else _unfinished(store, manifest, later),
+        "unfinished": None
+        if later is None
+        else {
+            "cases": _counts(Store(store.path).survey(later["cases"])),
+            "changed": [change.sentence for change in run_changes(manifest, later)],
+        },
     }
 
 
@@ -332,15 +298,6 @@ def _counts(survey: Survey) -> dict[str, int]:
         "done": len(survey.done), "failed": len(survey.failed), "missing": len(survey.missing),
     }  # fmt: skip
     return {"total": sum(counts.values()), **counts}
-
-
-def _unfinished(
-    store: Store, manifest: ManifestDocument, later: ManifestDocument
-) -> dict[str, object]:
-    """Describe a run of an edited design that is not finished, and what was edited."""
-    quiet = Store(store.path)
-    changed = [change.sentence for change in run_changes(manifest, later)]
-    return {"cases": _counts(quiet.survey(later["cases"])), "changed": changed}
 
 
 # A run sheet for physical trials: every specimen under every condition, in random order.
@@ -356,35 +313,21 @@ SIMULATED = ("model", "material", "forward", "calibration", "measurements")
 def run_sheet(
     design: Design | str | Path, specimens: int, *, path: str | Path | None = None
 ) -> pd.DataFrame:
-    """Draw the order of physical trials.
+    """Draw the order of physical trials: each specimen once under every physical condition.
 
-    Parameters
-    ----------
-    design : Design, str or Path
-        Its factors that change something in the laboratory make the conditions; combinations
-        that it excludes are left out.
-    specimens : int
-        Specimens, each measured once under every condition.
-    path : str or Path, optional
-        CSV to write; it is refused where it exists.
-
-    Returns
-    -------
-    DataFrame
-        One row a trial: ``run`` (from 1, in the order of work), ``specimen``, the factors, and
-        empty columns for what is written down.
-
-    Raises
-    ------
-    InputError
-        Where no factor changes anything in the laboratory, or the file exists.
+    One row a trial: ``run`` (from 1, in the order of work), ``specimen``, the factors, and empty
+    columns for what is written down. A file that exists is not overwritten.
     """
     import pandas as pd
 
     loaded = design if isinstance(design, Design) else load(design)
     if specimens < 1:
         raise InputError(Fault("specimens", f"must be at least 1, got {specimens}"))
-    physical = [factor.name for factor in loaded.factors if _is_physical(factor)]
+    physical = [
+        factor.name
+        for factor in loaded.factors
+        if any(key.partition(".")[0] not in SIMULATED for key in factor.keys)
+    ]
     if not physical:
         rule = "no factor changes anything in the laboratory, so there is nothing to randomize"
         raise InputError(
@@ -408,7 +351,3 @@ def run_sheet(
             raise InputError(Fault(str(path), "exists; a sheet that is in use is not overwritten"))
         write_csv(sheet, Path(path))
     return sheet
-
-
-def _is_physical(factor: Factor) -> bool:
-    return any(key.partition(".")[0] not in SIMULATED for key in factor.keys)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -89,23 +89,28 @@ def predict(
         If a factor is missing or unknown, a setting has another dimension, a point would have to
         be extrapolated, or the study has no surface.
     """
-    study = api.open_study(path, results) if isinstance(path, str | Path) else path
-    surfaces = _surfaces(study, response)
+    study = api.load(path, results) if isinstance(path, str | Path) else path
+    surfaces = surfaces_of(study, response)
     factors = {factor.name: factor for factor in study.design.factors}
-    unknown = [
-        Fault(n, "no such factor", nearest(n, list(factors))) for n in at if n not in factors
-    ]
+    unknown = unknown_factors(at, list(factors))
     unknown += [Fault(n, "has no setting", "give every factor one") for n in factors if n not in at]
     if unknown:
         raise InputError(unknown)
-    labels = {n: _label(f, at[n]) for n, f in factors.items() if f.span is None}
+    labels = {n: str(at[n]) for n, f in factors.items() if f.span is None}
+    if wrong := [
+        Fault(n, f"has no level {label!r}", nearest(label, factors[n].labels))
+        for n, label in labels.items()
+        if label not in factors[n].labels
+    ]:
+        raise InputError(wrong)
     numbers = {n: number_in_unit(f, at[n]) for n, f in factors.items() if f.span is not None}
     return tuple(
         _predicted(fitted, numbers) for fitted in surfaces if dict(fitted.labels) == labels
     )
 
 
-def _surfaces(study: StudyResult, response: str | None) -> tuple[FittedSurface, ...]:
+def surfaces_of(study: StudyResult, response: str | None = None) -> tuple[FittedSurface, ...]:
+    """Surfaces of a study, of one response alone where it is named; refused where there is none."""
     if not study.surfaces:
         rule = "has no surface: no factor is a range"
         mend = 'write { low = "1 mm", high = "3 mm" } and [design] kind = "latin-hypercube"'
@@ -116,11 +121,9 @@ def _surfaces(study: StudyResult, response: str | None) -> tuple[FittedSurface, 
     return tuple(fitted for fitted in study.surfaces if response in (None, fitted.response))
 
 
-def _label(factor: Factor, setting: Setting) -> str:
-    if str(setting) not in factor.labels:
-        mend = nearest(str(setting), factor.labels)
-        raise InputError(Fault(factor.name, f"has no level {str(setting)!r}", mend))
-    return str(setting)
+def unknown_factors(at: Iterable[str], factors: Sequence[str]) -> list[Fault]:
+    """Faults of settings of what is no factor."""
+    return [Fault(n, "no such factor", nearest(n, factors)) for n in at if n not in factors]
 
 
 def number_in_unit(factor: Factor, setting: Setting) -> Array:
@@ -131,11 +134,12 @@ def number_in_unit(factor: Factor, setting: Setting) -> Array:
     kind, unit = overlay.dimension(factor.name), "" if factor.span is None else factor.span.unit
     if not isinstance(setting, str):
         return np.atleast_1d(np.asarray(setting, dtype=np.float64))
-    if kind == overlay.ANY and unit:
-        return np.array([units.converted(*units.split(setting), unit)])
-    if kind is None or not unit:
-        return np.array([units.parse_number(setting)])
-    return np.array([units.parse(setting, kind) / units.parse(f"1 {unit}", kind)])
+    with units.naming(factor.name):
+        if kind == overlay.ANY and unit:
+            return np.array([units.converted(*units.split(setting), unit)])
+        if kind is None or not unit:
+            return np.array([units.parse_number(setting)])
+        return np.array([units.parse(setting, kind) / units.parse(f"1 {unit}", kind)])
 
 
 def _predicted(fitted: FittedSurface, at: Mapping[str, Array]) -> PredictedAnswer:

@@ -207,7 +207,8 @@ def without_gaps(
     levels that fails, while each is sound by itself, leaves no level out: its factors are judged
     at the settings that have answers.
     """
-    designed = _designed(design, factors)
+    cells = (tuple(str(t.levels[name]) for name in factors) for t in design.treatments)
+    designed = list(dict.fromkeys(cells))
     complete = table.dropna(subset=[response])
     if block is not None and len(complete):
         complete = complete[answered_often(complete, factors, block, table[block].nunique())]
@@ -226,11 +227,6 @@ def without_gaps(
         designed = [cell for cell in designed if cell[place] != level]
         table = table[table[factors[place]].astype(str) != level]
     return table, tuple(notes)
-
-
-def _designed(design: Design, factors: Sequence[str]) -> list[Cell]:
-    cells = (tuple(str(t.levels[name]) for name in factors) for t in design.treatments)
-    return list(dict.fromkeys(cells))
 
 
 def _worst(

@@ -6,7 +6,8 @@ import importlib
 import platform
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
+from functools import partial
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -44,11 +45,6 @@ class SolvedProblem(Shown, Solution):
     """What :func:`study.solve` returns: a :class:`Solution` that can be shown."""
 
     digits: ClassVar[int] = 6
-
-    @classmethod
-    def of(cls, solution: Solution) -> SolvedProblem:
-        """Give a solution the ways to be shown."""
-        return cls(**{item.name: getattr(solution, item.name) for item in fields(Solution)})
 
     def to_frame(self) -> pd.DataFrame:
         """Curve with one row a load step.
@@ -153,18 +149,13 @@ def cautions(problem: str | Path, overrides: Sequence[str] = ()) -> tuple[str, .
 def _problem(problem: Problem | Tables | str | Path, overrides: Sequence[str]) -> Problem:
     if not isinstance(problem, Problem):
         problem = problem_of(problem_tables(problem, overrides))
-    _judge(problem)
-    return problem
-
-
-def _judge(problem: Problem) -> None:
-    """Refuse constants that are unstable on the way, before anything is meshed."""
     import numpy as np
 
     height = float(getattr(problem.specimen, "height_mm", 0.0))
     depth = problem.test.depth_mm
     compressed = problem.setup.kind.compresses and depth < height
     check(problem.material, np.linspace(1 - depth / height, 1, 41) if compressed else None)
+    return problem
 
 
 def solution_json(solution: Solution) -> dict[str, object]:
@@ -208,43 +199,31 @@ _SYSTEM_LIBRARIES = (
 
 def examine() -> dict[str, Any]:
     """Try every part of the installation."""
-    tries: list[tuple[str, Callable[[], tuple[str, str]]]] = [
-        ("python", _python),
-        *((name, _importer(name)) for name in _NEEDED),
-        ("gmsh", _gmsh),
-        ("pypardiso", _pardiso),
-        ("a solved compression", _solve),
-        ("a worker process", _worker),
-    ]
+    tries: dict[str, Callable[[], tuple[str, str]]] = {
+        "python": lambda: (
+            "pass" if sys.version_info >= (3, 11) else "fail",
+            platform.python_version(),
+        ),
+        **{name: partial(_imported, name) for name in (*_NEEDED, "gmsh")},
+        "pypardiso": _pardiso,
+        "a solved compression": _solve,
+        "a worker process": _worker,
+    }
     checks = []
-    for name, attempt in tries:
+    for name, attempt in tries.items():
         try:
             outcome, finding = attempt()
         except Exception as error:  # noqa: BLE001 - whatever fails is the finding
             outcome, finding = "fail", f"{type(error).__name__}: {error}"
+            if name == "gmsh" and isinstance(error, OSError):
+                finding = f"{error}; a system library is missing: {_SYSTEM_LIBRARIES}"
         checks.append({"name": name, "outcome": outcome, "finding": finding})
     return {"ok": all(c["outcome"] != "fail" for c in checks), "checks": checks}
 
 
-def _python() -> tuple[str, str]:
-    return ("pass" if sys.version_info >= (3, 11) else "fail"), platform.python_version()
-
-
-def _importer(name: str) -> Callable[[], tuple[str, str]]:
-    def attempt() -> tuple[str, str]:
-        importlib.import_module(name)
-        package = {"skfem": "scikit-fem"}.get(name, name)
-        return "pass", metadata.version(package)
-
-    return attempt
-
-
-def _gmsh() -> tuple[str, str]:
-    try:
-        importlib.import_module("gmsh")
-    except OSError as error:
-        return "fail", f"{error}; a system library is missing: {_SYSTEM_LIBRARIES}"
-    return "pass", metadata.version("gmsh")
+def _imported(name: str) -> tuple[str, str]:
+    importlib.import_module(name)
+    return "pass", metadata.version({"skfem": "scikit-fem"}.get(name, name))
 
 
 def _pardiso() -> tuple[str, str]:

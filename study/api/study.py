@@ -16,8 +16,9 @@ from study.api.augmenting import continued, run_adaptive
 from study.api.comparison import compare
 from study.api.folders import REPORTS, RESULTS, design_root, results_folder
 from study.api.manifest import WARN, check_choice, check_stale, manifest_of, mixed_meshes
-from study.api.opened_study import Study, count_cases, open_study
-from study.api.planning import control_seconds, controls_of, refinement_seconds, with_time_left
+from study.api.opened_study import Study, count_cases
+from study.api.opened_study import load as load_study
+from study.api.planning import noted_progress
 from study.api.predicting import Permission, confirm_claims
 from study.api.uncertainty import validate
 from study.ground.errors import InputError, RefusedError, StoppedError, StudyError, WriteError
@@ -209,7 +210,7 @@ def run(
             _finish(store, work, clock.parts, summary)
             warnings += mixed_meshes(work, store)
     if confirm:
-        confirm_claims(open_study(store.path), Permission(data, allowed, progress))
+        confirm_claims(load_study(store.path), Permission(data, allowed, progress))
         clock.mark("confirming runs")
     with _records_written():
         return report(
@@ -237,11 +238,8 @@ def _compute(
     executor: Executor | None,
     expanded: Callable[[Design], Work],
 ) -> tuple[Work, Summary]:
-    """Cases, then what says how far they can be trusted; every part knows what comes after it."""
-    workers = jobs or default_jobs()
-    finer = refinement_seconds(work, store, workers) if refine else 0.0
-    spaces = control_seconds(controls_of(work, store) if refine else (), workers)
-    noted = with_time_left(store, progress, finer + spaces)
+    """Cases, then what says how far they can be trusted."""
+    noted = noted_progress(store, progress)
     work, summary = run_adaptive(
         work,
         store,
@@ -255,9 +253,7 @@ def _compute(
     clock.mark("simulation" if work.design.is_alone else "calibration and simulation")
     if not refine:
         return work, summary
-    noted = with_time_left(store, progress, spaces)
     uncertainty.refine(plain, store, jobs, noted, timeout_s, executor)
-    noted = with_time_left(store, progress, 0.0)
     uncertainty.compare_spaces(plain, store, jobs, noted, executor)
     clock.mark("mesh refinement")
     if work.design.uncertainty and work.design.is_measured:
@@ -332,10 +328,10 @@ def report(
             study = (
                 Study.of(study_before)
                 if isinstance(study_before, StudyResult)
-                else open_study(study_before)
+                else load_study(study_before)
             )
         if beside is not None:
-            study = replace(study, beside=compare(study, open_study(beside, results)))
+            study = replace(study, beside=compare(study, load_study(beside, results)))
         study = replace(study, warnings=tuple(dict.fromkeys([*extra_warnings, *study.warnings])))
         clock.mark("statistics")
         if reports is None:
@@ -384,23 +380,7 @@ def demo(
     jobs: int | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> Study:
-    """Run the embedded study on virtual specimens, from generated data to the report.
-
-    Parameters
-    ----------
-    results : str or Path
-        Where the generated measurements and the records go, in a folder of the study's name.
-    reports : Path, optional
-        Where the report goes; None writes none.
-    jobs : int, optional
-        Workers; one a core by default.
-    progress : callable, optional
-        Called after every computation.
-
-    Returns
-    -------
-    Study
-    """
+    """Run the embedded study on virtual specimens, from generated data to the report."""
     from importlib import resources
 
     text = resources.files("study.harness.runner").joinpath("demo.toml").read_text(encoding="utf-8")

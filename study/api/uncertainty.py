@@ -17,8 +17,7 @@ from study.harness.record.document import NumericalCells, NumericalRow, fault_of
 from study.harness.runner import refinement, study_refinement
 from study.harness.runner.batch import Progress, computing, run_batch
 from study.harness.runner.case_series import COSTS, PLACES, CaseSeries, places_of
-from study.harness.runner.cost import Costs
-from study.harness.runner.solve_task import SolveResult, SolveTask, by_workers, is_kept, kept
+from study.harness.runner.solve_task import SolveResult, by_workers, kept
 from study.harness.runner.study_refinement import input_shares, input_work, physics_of
 from study.harness.runner.tasks import default_jobs
 from study.reporting.content.numbers import percent, quantity
@@ -81,50 +80,22 @@ def compare_spaces(
     pairs = study_refinement.pairs(work, store.on_demand(work.input_hashes))
     if not pairs:
         return
-    workers = jobs or default_jobs()
     # the solids take longest: all of them first
     tasks = [pair.tasks[k] for k in (1, 0) for pair in pairs]
-    todo = [task for task in tasks if not is_kept(task, store)]
-    watch = _Watch(todo, workers, progress or (lambda state: None))
-    results: dict[str, SolveResult] = {}
-    for key, result in kept(by_workers(workers, executor), store)(tasks):
+    began, results = time.monotonic(), dict[str, SolveResult]()
+    for key, result in kept(by_workers(jobs or default_jobs(), executor), store)(tasks):
         results[key] = result
-        watch.finished(key)
+        done, seconds = len(results), time.monotonic() - began
+        if progress is not None:
+            left = seconds / done * (len(tasks) - done)
+            label = "one cylinder in both spaces, a control"
+            progress(Progress(done, len(tasks), 0, seconds, left, label))
     rows = [
         study_refinement.compared(pair, *(results[task.key] for task in pair.tasks))
         for pair in pairs
     ]
     with store.lock():
         store.write_rows("spaces", [asdict(row) for row in rows])
-
-
-class _Watch:
-    """Progress of solutions whose time is predicted, the first line before any is there."""
-
-    def __init__(
-        self,
-        tasks: Sequence[SolveTask],
-        workers: int,
-        progress: Callable[[Progress], None],
-    ) -> None:
-        costs = Costs()
-        self._side_by_side = costs.side_by_side
-        self._left = {task.key: costs.solve_seconds(task.tables) for task in tasks}
-        self._total, self._workers, self._progress = len(self._left), workers, progress
-        self._began = time.monotonic()
-        if tasks:
-            self._say()
-
-    def finished(self, key: str) -> None:
-        """Say what is left after one more; what was stored already was not waited for."""
-        if self._left.pop(key, None) is not None:
-            self._say()
-
-    def _say(self) -> None:
-        left = self._side_by_side(list(self._left.values()), self._workers)
-        done, seconds = self._total - len(self._left), time.monotonic() - self._began
-        label = "one cylinder in both spaces, a control"
-        self._progress(Progress(done, self._total, 0, seconds, left, label))
 
 
 def checks_of_spaces(rows: tuple[Mapping[str, Any], ...]) -> Iterator[Check]:

@@ -13,19 +13,18 @@ import os
 import re
 import tempfile
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from study.api.folders import REPORTS, RESULTS, design_root, finished_manifest, results_folder
-from study.api.opened_study import open_study
+from study.api.opened_study import load as load_study
 from study.api.study import report
 from study.ground.bounded_file import MAX_BYTES, UnreadableError, read_existing, unzip
 from study.ground.errors import Fault, InputError, StoreError
 from study.harness.design.load import loads
-from study.harness.record.record import Record
 from study.harness.record.store import Store
 from study.harness.runner.batch import run_batch
 from study.harness.runner.expansion import expand
@@ -105,38 +104,11 @@ def verify(
     allow_commands: bool | str = False,
     tolerance: float | None = None,
 ) -> Verification:
-    """Compute every number of a report again.
+    """Compute every number of a report again from its records; ``resolve`` cases from nothing.
 
-    Parameters
-    ----------
-    path : str or Path
-        Page or folder of the report, or name of the study.
-    results : Path
-        Folder of the results.
-    reports : Path
-        Folder of the reports, where ``path`` is a name.
-    resolve : int
-        Cases to be solved again from nothing, drawn at random.
-    seed : int
-        Of the draw.
-    data : str or Path, optional
-        Folder of the measurements, for the cases that are solved again.
-    allow_commands : bool or str
-        Whether programs that the design names may run then; see :func:`study.run`.
-    tolerance : float, optional
-        Relative difference of numbers that is passed over. By default none where the report was
-        written with the libraries and on the kind of processor of this machine, else 1e-9: sums
-        of the same numbers differ in their last digits there.
-
-    Returns
-    -------
-    Verification
-        What was compared, and every difference.
-
-    Raises
-    ------
-    InputError
-        If there is no report, or no results to compute it from.
+    The tolerance is the relative difference of numbers that is passed over: by default none where
+    the report was written with the libraries and on the kind of processor of this machine, else
+    1e-9, for sums of the same numbers differ in their last digits there.
     """
     page = _page(Path(path), Path(reports))
     folder = results_folder(page.parent.name, results)
@@ -185,12 +157,17 @@ def _compare_report(home: Path, folder: Path, verification: Verification) -> Non
     with tempfile.TemporaryDirectory(prefix="study-verify-") as place:
         formats = ["html", *(["tex"] if list(home.glob("*.tex")) else [])]
         again = report(
-            open_study(folder, tell_unfinished=False), reports=Path(place), formats=formats
+            load_study(folder, tell_unfinished=False), reports=Path(place), formats=formats
         )
         if again.report is None:
             raise InputError(f"{folder}: {'; '.join(again.warnings)}")
         fresh = again.report.parent
-        names = {p.relative_to(top) for top in (home, fresh) for p in _texts(top)}
+        names = {
+            p.relative_to(top)
+            for top in (home, fresh)
+            for p in top.rglob("*")
+            if p.suffix in _TEXTS and p.name != write.NAME and os.path.isfile(p)
+        }
         for name in sorted(names):
             there = os.path.isfile(home / name), os.path.isfile(fresh / name)
             if not all(there):
@@ -204,11 +181,6 @@ def _compare_report(home: Path, folder: Path, verification: Verification) -> Non
                 verification.differences.append(Difference(str(name), str(error), "readable"))
                 continue
             _compare(str(name), _lines(reported), _lines(text), verification)
-
-
-def _texts(folder: Path) -> Iterator[Path]:
-    paths = (p for p in folder.rglob("*") if p.suffix in _TEXTS and os.path.isfile(p))
-    return (p for p in paths if p.name != write.NAME)
 
 
 def _text(path: Path, limit: int = MAX_BYTES) -> str:
@@ -291,17 +263,14 @@ def _solve_again(
         fresh = again.by_case(part.input_hashes)
     for job in part.jobs:
         verification.solved += 1
-        _compare_records(stored[job.case.case_id], fresh.get(job.case.case_id), verification)
-
-
-def _compare_records(old: Record, new: Record | None, verification: Verification) -> None:
-    """Compare the responses of a record with those of another solution; seconds are a clock."""
-    for name in old.responses:
-        first, second = old.value(name), None if new is None else new.value(name)
-        if name == "seconds" or first == second:
-            continue
-        if first is None or second is None or not math.isclose(
-            first, second, rel_tol=SOLVED_AGAIN, abs_tol=1e-9
-        ):  # fmt: skip
-            where = f"case {old.case_id} solved again: {name}"
-            verification.differences.append(Difference(where, str(first), str(second)))
+        old = stored[job.case.case_id]
+        new = fresh.get(job.case.case_id)
+        for name in old.responses:
+            first, second = old.value(name), None if new is None else new.value(name)
+            if name == "seconds" or first == second:
+                continue
+            if first is None or second is None or not math.isclose(
+                first, second, rel_tol=SOLVED_AGAIN, abs_tol=1e-9
+            ):  # fmt: skip
+                where = f"case {old.case_id} solved again: {name}"
+                verification.differences.append(Difference(where, str(first), str(second)))

@@ -226,9 +226,9 @@ def run(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except Exception as error:
-        if not _is_usage(error):
+        if not (hasattr(error, "show") and hasattr(error, "exit_code")):
             raise
-        error.show()  # type: ignore[attr-defined]
+        error.show()
         return 2
     if code == INTERRUPTED:  # the parser turns Ctrl-C into this code
         with suppress(OSError):  # a terminal that was closed cannot be written to
@@ -250,8 +250,3 @@ def _with_digest(word: str) -> str:
 
 def _interrupt(number: int, frame: object) -> None:
     raise KeyboardInterrupt
-
-
-def _is_usage(error: Exception) -> bool:
-    """Whether the parser complains: it knows how to show itself and which code it has."""
-    return hasattr(error, "show") and hasattr(error, "exit_code")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -60,19 +59,14 @@ def converge(
             _print_series(cell)
         for front in document.get("fronts", ()):
             _print_front(front)
-        _print_left_out(document.get("left_out") or ())
+        if left_out := document.get("left_out"):
+            cells_left = (" / ".join(map(str, cell["levels"].values())) for cell in left_out)
+            print(f"not refined, for the time budget does not allow it: {', '.join(cells_left)}")
+            print("  a longer budget in [converge], or none, refines them too\n")
         if document.get("report"):
             print(f"report: {document['report']}")
     if any(mesh["status"] != "converged" for cell in cells for mesh in cell.get("meshes", ())):
         raise typer.Exit(1)
-
-
-def _print_left_out(cells: Sequence[Document]) -> None:
-    """Name the cells that the budget of ``[converge]`` did not allow to be refined."""
-    if cells:
-        named = ", ".join(" / ".join(str(v) for v in cell["levels"].values()) for cell in cells)
-        print(f"not refined, for the time budget does not allow it: {named}")
-        print("  a longer budget in [converge], or none, refines them too\n")
 
 
 def _numbers(text: str, option: str) -> list[float]:
@@ -84,6 +78,8 @@ def _numbers(text: str, option: str) -> list[float]:
 
 
 def _print_series(cell: Document) -> None:
+    from study.reporting.output import convergence_page
+
     labels = " / ".join(str(v) for v in (cell.get("levels") or {}).values())
     parts = (labels, cell["qoi"].removeprefix("value"), cell.get("note", ""))
     title = ": ".join(part for part in parts[:2] if part) + (f" ({parts[2]})" if parts[2] else "")
@@ -94,9 +90,9 @@ def _print_series(cell: Document) -> None:
         print(f"formal order {cell['formal_order']:.3g}: {cell['formal_reason']}")
     _print_limit(cell)
     if len(cell.get("quantities") or {}) > 1:
-        output.table(_quantity_rows(cell["quantities"]))
-    if cell.get("sources"):
-        output.table(_source_rows(cell["sources"]), "error by source")
+        output.content(convergence_page.series_table([cell]), "quantities")
+    for table in convergence_page.sources_tables([cell]):
+        output.content(table, "error by source")
     output.warn(cell.get("warnings") or ())
     print()
 
@@ -133,26 +129,6 @@ def _print_limit(cell: Document) -> None:
         print(f"{100 * cell['accuracy']:g} % needs a mesh size of {cell['mesh_size_needed']:.3g}")
     if cell.get("stopped"):
         print(f"stopped: {cell['stopped']}")
-
-
-def _quantity_rows(quantities: Mapping[str, Document]) -> list[list[str]]:
-    rows = [["quantity", "finest value", "unit", "behavior", "order", "u_num"]]
-    for name, q in quantities.items():
-        rows.append([
-            name, f"{q['value'][0]:.6g}", q["unit"], q["behaviour"],
-            output.number(q["observed_order"], 3), output.number(q["u_num"], 2),
-        ])  # fmt: skip
-    return rows
-
-
-def _source_rows(sources: Sequence[Document]) -> list[list[str]]:
-    from study.reporting.output.convergence_page import part_of_value
-
-    rows = [["quantity", "source", "u", "unit", "part of the value"]]
-    for row in sources:
-        part = part_of_value(row["relative"]).replace("\N{NO-BREAK SPACE}", " ")
-        rows.append([row["quantity"], row["source"], output.number(row["u"], 2), row["unit"], part])
-    return rows
 
 
 def _print_front(front: Document) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,7 +13,7 @@ from study.cli import output
 from study.cli.study_commands import REPORTS, RESULTS, Data, Jobs, Json, Reports, Results, Set
 
 if TYPE_CHECKING:
-    from study.api.haptics import Export, MaterialExport, Required
+    from study.api.haptics import Required
     from study.mechanics.indentation.indentation_modulus import (
         AnalyticCalibration,
         IndentationModulus,
@@ -32,12 +32,9 @@ def closed_form(
     from study import api
 
     calibration = api.indentation_modulus(file, data=data, overrides=settings, results=results)
-    for test in calibration.tests:
-        output.warn(test.warnings)
-    if as_json:
-        output.print_json(calibration.to_json())
-    else:
-        _print(calibration)
+    warnings = [text for test in calibration.tests for text in test.warnings]
+    output.show(calibration, as_json, _print, warnings)
+    if not as_json:
         folder = results / calibration.name
         print(f"written: {folder / 'analytic.json'}, {folder / 'moduli.csv'}")
     if not calibration.is_complete:
@@ -130,35 +127,25 @@ def export(
 
     if form == "emulator":
         made = api.export_surface(source, response=response, out=reports, results=results)
-        output.warn(made.warnings)
-        if as_json:
-            output.print_json(made.to_json())
-            return
-        for line in (sentence for function in made.functions for sentence in function.sentences()):
-            output.paragraph(line)
-        for path in made.paths:
-            print(f"written: {path}")
-        return
-    exported = api.export(
-        source, form=form, case=case, test=test, tolerance=tolerance, overrides=settings or (),
-        out=reports, progress=_say,
-    )  # fmt: skip
-    output.warn(exported.warnings)
-    if as_json:
-        output.print_json(exported.to_json())
-        return
-    _print_export(exported)
+    else:
+        made = api.export(
+            source, form=form, case=case, test=test, tolerance=tolerance,
+            overrides=settings or (), out=reports, progress=_say,
+        )  # fmt: skip
+    output.show(
+        made.document, as_json, lambda _: _print_files(made.sentences, *made.paths), made.warnings
+    )
+
+
+def _print_files(lines: Iterable[str], *paths: Path | str | None) -> None:
+    """Print sentences, then the files that hold the rest, whose names are not folded."""
+    output.paragraphs(lines)
+    for path in paths:
+        print(f"written: {path}")
 
 
 def _say(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
-
-
-def _print_export(exported: Export | MaterialExport) -> None:
-    for line in exported.sentences():
-        output.paragraph(line)
-    for path in exported.paths:
-        print(f"written: {path}")
 
 
 def require(
@@ -178,18 +165,13 @@ def require(
     from study import api
 
     answer = api.require(file, overrides=settings or (), jobs=jobs, out=reports, progress=_say)
-    output.warn(answer.warnings)
-    if as_json:
-        output.print_json(answer.to_json())
-        return
-    _print_requirement(answer)
+    output.show(answer, as_json, _print_requirement, answer.warnings)
 
 
 def _print_requirement(answer: Required) -> None:
     from study.laboratory.sensors import requirement
 
-    for line in requirement.sentences(answer.requirement):
-        output.paragraph(line)
+    output.paragraphs(requirement.sentences(answer.requirement))
     rows = [["sensor", "error", "given", "allowed alone", "allowed beside the others"]]
     for k, source in enumerate(answer.requirement.propagation.sources):
         alone, jointly = (requirement.size(source, v) for v in answer.requirement.allowed(k))
@@ -216,12 +198,7 @@ def tracking(
     from study.reporting.output.accuracy_page import tracker_answers as answers
 
     accuracy = api.tracking(file, data=data, reports=reports)
-    if as_json:
-        output.print_json(accuracy.to_json())
-        return
-    for line in answers(accuracy):
-        output.paragraph(line)
-    print(f"report: {accuracy.report}")
+    output.show(accuracy, as_json, lambda _: _print_files(answers(accuracy), accuracy.report))
 
 
 def shape(
@@ -253,10 +230,7 @@ def shape(
         simulation, scan, markers=markers, unit=unit, surface_unit=surface_unit,
         options=Options(not as_it_lies, any_state), overrides=settings or (), reports=reports,
     )  # fmt: skip
-    output.warn(deviation.notes)
-    if as_json:
-        output.print_json(deviation.to_json())
-        return
-    for line in answers(deviation):
-        output.paragraph(line)
-    print(f"report: {deviation.report}")
+    words = answers(deviation)
+    output.show(
+        deviation, as_json, lambda _: _print_files(words, deviation.report), deviation.notes
+    )

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import glob
 import json
 import shlex
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import typer
 
@@ -19,9 +20,11 @@ if TYPE_CHECKING:
     from study.api.planning import Plan
     from study.ground.curve import Curve
     from study.harness.runner.batch import Progress
+    from study.reporting.content.content_table import Table as Content
     from study.reporting.results.study_result import StudyResult
 
 
+T = TypeVar("T")
 #: what a verb answers with --json
 Document = Mapping[str, Any]
 
@@ -32,9 +35,24 @@ QUIET_S = 10.0
 SAME = 4
 
 
-def print_json(document: object) -> None:
-    """One JSON document on stdout; never a bare NaN."""
+def print_json(result: object) -> None:
+    """One JSON document on stdout: fields by name, NaN as null; or what ``to_json`` makes."""
+    from study.ground.canonical import plain
+
+    shaped = getattr(result, "to_json", None)
+    document = plain(result if shaped is None else shaped())
     print(json.dumps(document, indent=2, allow_nan=False))
+
+
+def show(
+    result: T, as_json: bool, printed: Callable[[T], object], warnings: Sequence[str] = ()
+) -> None:
+    """Print what a verb found, in words or as JSON, after its warnings."""
+    warn(warnings)
+    if as_json:
+        print_json(result)
+    else:
+        printed(result)
 
 
 def complain(error: StudyError) -> None:
@@ -72,7 +90,14 @@ def paragraph(text: str) -> None:
     import shutil
     import textwrap
 
+    text = text.replace("\N{NO-BREAK SPACE}", " ")
     print(textwrap.fill(text, min(shutil.get_terminal_size((100, 24)).columns, 100)))
+
+
+def paragraphs(lines: Iterable[str]) -> None:
+    """Print sentences, each folded by itself."""
+    for line in lines:
+        paragraph(line)
 
 
 def table(rows: Sequence[Sequence[str]], title: str = "") -> None:
@@ -81,7 +106,7 @@ def table(rows: Sequence[Sequence[str]], title: str = "") -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    if not rows:
+    if len(rows) < 2:
         return
     made = Table(title=escape(title) or None, title_justify="left", box=None, pad_edge=False)
     for name in rows[0]:
@@ -94,23 +119,26 @@ def table(rows: Sequence[Sequence[str]], title: str = "") -> None:
     console.print(made)
 
 
-def seconds(value: float) -> str:
-    """Give a duration in words.
+def cells(table: Content) -> list[list[str]]:
+    """Rows of a table of a report, its heads first, with spaces that every terminal knows."""
+    rows = [table.columns, *table.rows]
+    return [[cell.replace("\N{NO-BREAK SPACE}", " ") for cell in row] for row in rows]
 
-    Examples
-    --------
-    >>> seconds(0.1), seconds(4.2), seconds(75), seconds(7300)
-    ('under 1 s', '4 s', '1 min 15 s', '2 h 2 min')
-    """
-    whole = round(value)
-    if whole < 1:
-        return "under 1 s"
-    if whole < 60:
-        return f"{whole} s"
-    if whole < 3600:
-        return f"{whole // 60} min {whole % 60} s"
-    minutes = round(value / 60)
-    return f"{minutes // 60} h {minutes % 60} min"
+
+def content(shown: Content | None, title: str = "") -> None:
+    """Print a table of a report and its note; nothing for None."""
+    if shown is not None:
+        table(cells(shown), title or shown.name)
+        if shown.note:
+            paragraph(shown.note)
+        print()
+
+
+def seconds(value: float) -> str:
+    """Give a duration in words."""
+    from study.reporting.content.numbers import THIN, duration
+
+    return duration(value).replace(THIN, " ")
 
 
 def number(value: float | None, digits: int = 4) -> str:
@@ -318,58 +346,33 @@ def _folders(options: Options) -> Options:
     return {name: options.get(name) for name in ("--results", "--reports")}
 
 
-#: where results are kept when no option says otherwise
-_RESULTS = Path("results")
-
 #: cases that are offered at most: nobody reads more
 _MOST = 200
 
 
 def designs(incomplete: str) -> list[str]:
     """Offer TOML files and the folders on the way to one."""
-    return _paths(incomplete, (".toml",))
+    return _beginning(incomplete, ".toml", "/")
 
 
 def studies(context: typer.Context, incomplete: str) -> list[str]:
     """Offer studies with results, and what :func:`designs` does."""
-    names = _beginning(incomplete, (folder.name for folder in _results_in(context)))
-    return [*names, *designs(incomplete)]
+    folders = _beginning(f"{context.params.get('results') or 'results'}/{incomplete}", "/")
+    return [*(Path(folder).name for folder in folders), *designs(incomplete)]
 
 
 def studies_and_tables(context: typer.Context, incomplete: str) -> list[str]:
     """Offer what :func:`studies` does, and CSV files."""
-    return [*studies(context, incomplete), *_paths(incomplete, (".csv",), folders=False)]
+    return [*studies(context, incomplete), *_beginning(incomplete, ".csv")]
 
 
 def cases(context: typer.Context, incomplete: str) -> list[str]:
     """Offer the cases of all studies whose names begin so."""
-    names = (path.name for study in _results_in(context) for path in _inside(study / "cases"))
-    return _beginning(incomplete, names)[:_MOST]
+    results = Path(context.params.get("results") or "results")
+    named = results.glob(f"*/cases/{glob.escape(incomplete)}*")
+    return sorted({path.name for path in named})[:_MOST]
 
 
-def _results_in(context: typer.Context) -> list[Path]:
-    """Folders of studies, in that of the results."""
-    results = Path(context.params.get("results") or _RESULTS)
-    return [folder for folder in _inside(results) if folder.is_dir()]
-
-
-def _paths(incomplete: str, endings: tuple[str, ...], *, folders: bool = True) -> list[str]:
-    """Files and folders below what is typed already, as it was typed."""
-    typed, _, _ = incomplete.rpartition("/")
-    above = f"{typed}/" if "/" in incomplete else ""
-    entries = list(_inside(Path(above or ".")))
-    names = [
-        f"{above}{entry.name}" for entry in entries if entry.suffix in endings and entry.is_file()
-    ]
-    names += [f"{above}{entry.name}/" for entry in entries if folders and entry.is_dir()]
-    return _beginning(incomplete, names)
-
-
-def _inside(folder: Path) -> Iterator[Path]:
-    """List what a folder holds but hidden files; nothing of one that cannot be read."""
-    with suppress(OSError):
-        yield from (entry for entry in folder.iterdir() if not entry.name.startswith("."))
-
-
-def _beginning(start: str, names: Iterable[str]) -> list[str]:
-    return sorted({name for name in names if name.startswith(start)})
+def _beginning(typed: str, *endings: str) -> list[str]:
+    """Files and folders that begin so and end so, as they are typed; no hidden ones."""
+    return sorted(path for end in endings for path in glob.glob(f"{glob.escape(typed)}*{end}"))

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,9 +20,8 @@ from study.ground import units
 from study.ground.errors import Fault, InputError
 
 if TYPE_CHECKING:
-    from study.harness.calibration.calibration_result import CalibrationResult
     from study.harness.runner.staged_fit import FitStep
-    from study.mechanics.solver.solution import Solution
+    from study.mechanics.measurement.inspection import Inspection
 
 
 Numerics = Annotated[
@@ -51,15 +52,18 @@ def solve(
 ) -> None:
     """Simulate one test."""
     from study import api
-    from study.api.solving import cautions, solution_json
+    from study.api.solving import cautions, solution_json, writable, write_picture, write_vtu
 
-    if picture or vtu:
-        _writable(picture, vtu)
+    writable(picture, vtu)
     output.warn(cautions(file, settings or ()))
     solution = api.solve(file, overrides=settings or (), follow=follow)
     curve = solution.curve
-    if picture or vtu:
-        _write_fields(solution, picture, vtu, whole=whole)
+    if (picture or vtu) and not len(curve.displacement_mm):
+        print("no step converged: nothing is drawn or written", file=sys.stderr)
+    elif picture or vtu:
+        for path, write in ((picture, write_picture), (vtu, partial(write_vtu, whole=whole))):
+            if path is not None:
+                write(solution, path)
     if as_json:
         output.print_json(solution_json(solution))
     else:
@@ -79,38 +83,15 @@ def solve(
         raise typer.Exit(1)
 
 
-def _writable(*paths: Path | None) -> None:
-    from study.api.solving import writable
-
-    writable(*paths)
-
-
-def _write_fields(
-    solution: Solution, picture: Path | None, vtu: Path | None, *, whole: bool
-) -> None:
-    from study.api.solving import write_picture, write_vtu
-
-    if not len(solution.curve.displacement_mm):
-        print("no step converged: nothing is drawn or written", file=sys.stderr)
-        return
-    if picture is not None:
-        write_picture(solution, picture)
-    if vtu is not None:
-        write_vtu(solution, vtu, whole=whole)
-
-
 def doctor(as_json: Json = False) -> None:
     """Check the installation."""
     from study.api.solving import examine
 
-    found = examine()
-    if as_json:
-        output.print_json(found)
-    else:
-        rows = [["check", "outcome", "finding"]]
-        rows += [[c["name"], c["outcome"], c["finding"]] for c in found["checks"]]
-        output.table(rows)
-    if not found["ok"]:
+    findings = examine()
+    rows = [["check", "outcome", "finding"]]
+    rows += [[c["name"], c["outcome"], c["finding"]] for c in findings["checks"]]
+    output.show(findings, as_json, lambda _: output.table(rows))
+    if not findings["ok"]:
         raise typer.Exit(1)
 
 
@@ -162,60 +143,36 @@ def calibrate(
         if by != "test" or not (alone and not energies):
             mend = "write --by test, without --energies, --profile, --numerics and --bootstrap"
             raise InputError(Fault("--by", f"cannot compare by {by!r} with these options", mend))
-        compared = _compared(file, data, asked, difference, zero)
-        output.print_json(compared) if as_json else _print_comparison(compared)
+        with units.naming("--difference"):
+            off = units.parse(difference, "ratio")
+        with units.naming("--zero"):
+            uncertain = units.parse(zero, "ratio")
+        with _iterations() as progress:
+            compared = api.compare_tests(
+                file, data=data, overrides=asked, progress=progress, difference=off, zero=uncertain
+            )
+        output.show(compared.to_json(), as_json, _print_comparison)
         return
     if energies:
-        choice = _chosen(file, data, asked)
-        output.print_json(choice) if as_json else _print_energies(choice)
+        with _iterations() as progress:
+            choice = api.choose_energy(file, data=data, overrides=asked, progress=progress)
+        output.show(choice.to_json(), as_json, _print_energies)
         return
-    line = _Line()
-    found = api.calibrate(
-        file, data=data, overrides=asked, results=results, progress=line.show, profiles=profiles,
-        numerics=numerics, resamples=bootstrap,
-    )  # fmt: skip
-    line.end()
-    _show(found, convention, results / found.name, as_json)
-    if not found.usable:
-        raise typer.Exit(1)
-
-
-def _show(found: CalibrationResult, convention: str, folder: Path, as_json: bool) -> None:
-    document = found.to_json()
+    with _iterations() as progress:
+        calibrated = api.calibrate(
+            file, data=data, overrides=asked, results=results, progress=progress,
+            profiles=profiles, numerics=numerics, resamples=bootstrap,
+        )  # fmt: skip
+    document = calibrated.to_json()
     if convention != "study":
-        converted = found.converted(convention)
-        document["converted"] = {**vars(converted), "constants": dict(converted.constants)}
-    if as_json:
-        output.print_json(document)
-    else:
-        _print_calibration(document)
+        document["converted"] = vars(calibrated.converted(convention))
+    output.show(document, as_json, _print_calibration)
+    if not as_json:
         names = ("calibration.json", "calibration.svg", "recording.svg")
+        folder = results / calibrated.name
         print(f"written: {', '.join(str(folder / name) for name in names)}")
-
-
-def _chosen(file: Path, data: Path | None, settings: Sequence[str] | None) -> Document:
-    from study import api
-
-    line = _Line()
-    found = api.choose_energy(file, data=data, overrides=settings or (), progress=line.show)
-    line.end()
-    document: Document = found.to_json()
-    return document
-
-
-def _compared(
-    file: Path, data: Path | None, settings: Sequence[str] | None, difference: str, zero: str
-) -> Document:
-    from study import api
-
-    line = _Line()
-    found = api.compare_tests(
-        file, data=data, overrides=settings or (), difference=units.parse(difference, "ratio"),
-        zero=units.parse(zero, "ratio"), progress=line.show,
-    )  # fmt: skip
-    line.end()
-    document: Document = found.to_json()
-    return document
+    if not calibrated.usable:
+        raise typer.Exit(1)
 
 
 def inspect(
@@ -226,10 +183,10 @@ def inspect(
     """Show what a recorded file holds, and the table [measurements] that reads it."""
     from study import api
 
-    found = api.inspect(file, sheet=sheet)
-    if as_json:
-        output.print_json(found.to_json())
-        return
+    output.show(api.inspect(file, sheet=sheet), as_json, _print_inspection)
+
+
+def _print_inspection(found: Inspection) -> None:
     names = "" if found.header_line is None else f", names in line {found.header_line}"
     names += "" if found.unit_line is None else f", units in line {found.unit_line}"
     print(f"{found.file}: {found.encoding}, delimiter {found.delimiter}, decimal mark "
@@ -254,17 +211,16 @@ def inspect(
     print(f"\n{found.toml}")
 
 
-class _Line:
+@contextmanager
+def _iterations() -> Iterator[Callable[[FitStep], None]]:
     """One line on stderr: stage, iteration, cost and constants; redrawn where it can be."""
+    from study.harness.runner.staged_fit import LAST
+    from study.mechanics.material.material import is_dimensionless, unit_shown
 
-    def __init__(self) -> None:
-        self.width = 0
+    width = 0
 
-    def show(self, step: FitStep) -> None:
-        """Show an accepted iteration."""
-        from study.harness.runner.staged_fit import LAST
-        from study.mechanics.material.material import is_dimensionless, unit_shown
-
+    def show(step: FitStep) -> None:
+        nonlocal width
         it = step.iteration
         values = ", ".join(
             f"{n} {v:.5g} {unit_shown(n)}".rstrip()
@@ -277,13 +233,12 @@ class _Line:
         if not sys.stderr.isatty():
             print(text, file=sys.stderr)
             return
-        print("\r" + text[:160].ljust(self.width), end="", file=sys.stderr, flush=True)
-        self.width = min(len(text), 160)
+        print("\r" + text[:160].ljust(width), end="", file=sys.stderr, flush=True)
+        width = min(len(text), 160)
 
-    def end(self) -> None:
-        """Leave the line."""
-        if self.width:
-            print(file=sys.stderr)
+    yield show
+    if width:
+        print(file=sys.stderr)
 
 
 def _print_calibration(found: Document) -> None:

@@ -1,10 +1,10 @@
-"""The verb analyze: the table that a user of Minitab recognizes, and what it rests on."""
+"""The verbs about statistics: analyze, optimize, invert, power."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
@@ -17,133 +17,12 @@ from study.ground.errors import Fault, InputError
 
 if TYPE_CHECKING:
     from study.api.analyzing import MixedOptions
-    from study.api.contrast_power import ContrastDetection
+    from study.api.contrast_power import ContrastDetection, Power
     from study.api.fitting_surfaces import Surface as SurfaceKind
     from study.api.predicting import Permission
     from study.statistics.analysis.analysis_request import AnovaOptions
     from study.statistics.analysis.analysis_result import AnalysisResult
-    from study.statistics.analysis.comparisons import Comparisons
     from study.statistics.analysis.mixed_model import MixedModel
-
-
-# A mixed model as the terminal shows it.
-
-#: flags that a mixed model has a use for
-USED = frozenset({
-    "--response", "--factors", "--block", "--error", "--model", "--alpha", "--decimal", "--random",
-    "--covariates", "--practical", "--contrast",
-})  # fmt: skip
-
-
-def show(
-    source: Path,
-    flags: Mapping[str, str | None],
-    options: MixedOptions,
-    results: Path,
-    as_json: bool,
-) -> None:
-    """Fit a mixed model and print it; ``options`` holds what is no text in the flags."""
-    from study.api.analyzing import fit_mixed_model
-
-    unused = [flag for flag, value in flags.items() if value and flag not in USED]
-    if unused:
-        rule = "has no meaning for a mixed model"
-        raise InputError([Fault(flag, rule, "leave it out") for flag in unused])
-    options["random"], options["covariates"] = (
-        names(flags["--random"]),
-        names(flags["--covariates"]),
-    )
-    if blocks := names(flags["--block"]):
-        options["block"] = blocks
-    if practical := flags["--practical"]:
-        options["practical"] = practical
-    factors = names(flags["--factors"])
-    model = fit_mixed_model(
-        source, flags["--response"], factors, options, results=results,
-        decimal=flags["--decimal"] or ".",
-    )  # fmt: skip
-    alpha = options.get("alpha", 0.05)
-    if as_json:
-        output.print_json(mixed_json(model, alpha))
-    else:
-        print_mixed(model, alpha)
-
-
-def check_none(flags: Mapping[str, str | None]) -> None:
-    """Refuse what only a mixed model has, where none is asked for."""
-    faults = [
-        Fault(flag, "belongs to a mixed model", "add --error reml")
-        for flag in ("--random", "--covariates")
-        if flags[flag]
-    ]
-    if faults:
-        raise InputError(faults)
-
-
-def mixed_json(model: MixedModel, alpha: float) -> dict[str, object]:
-    """Document of a mixed model as ``--json`` shows it; a limit that is not known is null."""
-    from study.ground.canonical import plain
-
-    return {
-        "method": "REML",
-        "alpha": alpha,
-        "rows": model.rows,
-        "deviance": model.deviance,
-        "components": [plain(component) for component in model.components],
-        "terms": [asdict(term) for term in model.terms],
-        "slopes": [asdict(slope) for slope in model.slopes],
-        "effects": [plain(effect) for effect in model.effects],
-        "contrasts": [plain(contrast) for contrast in model.contrasts],
-    }
-
-
-def print_mixed(model: MixedModel, alpha: float) -> None:
-    """Print variance components, tests, slopes, means, effects and contrasts."""
-    from study.cli.analysis_tables import print_effects
-
-    ends = f"{100 * (1 - alpha):.4g} % interval"
-    rows = [["Source", "standard deviation", ends, "share of the variance"]]
-    rows += [
-        [c.source, output.number(c.sd), _between(c.low, c.high), f"{100 * c.share:.0f} %"]
-        for c in model.components
-    ]
-    output.table(rows, f"Scatter by source (REML, {model.rows} rows)")
-    print()
-    if model.terms:
-        rows = [["Term", "DF", "F-Value", "DF of error", "P-Value"]]
-        rows += [
-            [term.term, str(term.df), f"{term.f:.2f}", f"{term.df_error:.1f}", _p(term.p)]
-            for term in model.terms
-        ]
-        output.table(rows, "Tests of the fixed terms (Kenward and Roger)")
-        print()
-    if model.slopes:
-        rows = [["Covariate", "change for each unit", ends]]
-        rows += [
-            [slope.covariate, output.number(slope.value), _between(slope.low, slope.high)]
-            for slope in model.slopes
-        ]
-        output.table(rows, "Slopes")
-        print()
-    if model.effects:
-        print_effects(model.effects, {}, alpha)
-    if model.contrasts:
-        rows = [["asked for", "difference", f"{ends}, all together", "DF", "p", "verdict"]]
-        rows += [
-            [c.name, output.number(c.difference), _between(*(c.ci_simultaneous or c.ci or (0, 0))),
-             "" if c.df is None else f"{c.df:.1f}", "" if c.p is None else _p(c.p), c.verdict]
-            for c in model.contrasts
-        ]  # fmt: skip
-        output.table(rows, "Differences that were asked for")
-        print()
-
-
-def _between(low: float, high: float) -> str:
-    return f"{output.number(low)} to {'unknown' if high == float('inf') else output.number(high)}"
-
-
-def _p(p: float) -> str:
-    return "< 0.001" if p < 0.001 else f"{p:.3f}"
 
 
 #: Flags as they were given; what was not given is None or empty.
@@ -303,19 +182,136 @@ def analyze(
             mixed["alpha"] = alpha
         if (terms := _model(flags["--model"])) is not None:
             mixed["model"] = terms
-        show(source, flags, mixed, results, as_json)
+        _show_mixed(source, flags, mixed, results, as_json)
         return
-    check_none(flags)
+    if faults := [
+        Fault(flag, "belongs to a mixed model", "add --error reml")
+        for flag in ("--random", "--covariates")
+        if flags[flag]
+    ]:
+        raise InputError(faults)
+    options = _options(flags, alpha)
     analysis = api.analyze(
         source, response, [*names(factors), *names(numeric)], results=results, decimal=decimal,
-        **_options(flags, alpha),
+        **options,
     )  # fmt: skip
     if contrast:
         analysis = replace(analysis, contrasts=api.contrasts(analysis, contrast))
-    page = None if report is None else _write_page(analysis, source, report, flags)
-    _show(analysis, _Beside(_compared(analysis, reference), page), as_json)
-    if not as_json and all(e.verdict == "cannot tell" for e in analysis.effects if e.is_main):
-        _hint_practical(practical)
+    _show(analysis, source, flags, report, as_json)
+
+
+def _show(
+    analysis: AnalysisResult, source: Path, flags: Flags, report: Path | None, as_json: bool
+) -> None:
+    """Print an analysis, with what was asked for besides: a reference, a page."""
+    from study.api import analyzing
+
+    given = {flag: value for flag, value in flags.items() if value and flag != "--contrast"}
+    named = tuple(contrast.name for contrast in analysis.contrasts)
+    asked = analyzing.AnalysisSource(source if source.is_file() else None, given, named)
+    reference, page = flags["--reference"], None
+    compared = None if reference is None else analyzing.against_reference(analysis, reference)
+    if report is not None:
+        formats = tuple(names(flags["--format"])) or ("html",)
+        page = analyzing.write_page(
+            analysis, report, source=asked, reference=reference, formats=formats
+        )
+    if as_json:
+        output.warn(analysis.notes)
+        further: dict[str, object] = {} if page is None else {"report": str(page)}
+        if compared is not None:
+            factor, pairs = compared
+            further["reference"] = {
+                "factor": factor, "method": pairs.method, "alpha": pairs.alpha,
+                "scale": pairs.effect, "pairs": pairs.pairs,
+            }  # fmt: skip
+        output.print_json(analysis.to_json() | further)
+        return
+    data = analyzing.report_data(analysis, asked)
+    from study.cli import analysis_tables
+    from study.reporting.content import analysis_content
+
+    analysis_tables.print_analysis(analysis, data)
+    if analysis.contrasts:
+        contrasts = analysis_content.contrast_table(analysis, analysis.request.response)
+        output.content(contrasts, "Differences that were asked for")
+    if compared is not None:
+        output.content(analysis_content.against_reference(*compared, data))
+    if page is not None:
+        print(f"\nreport: {page}")
+    is_open = all(e.verdict == "cannot tell" for e in analysis.effects if e.is_main)
+    if flags["--practical"] is None and is_open:
+        hint = "--practical 0.5 or --practical '5 % of mean'"
+        output.warn([f"no smallest difference that matters is given, so no verdict: {hint}"])
+
+
+# A mixed model: blocks and other columns as random factors.
+
+#: flags that a mixed model has a use for
+_OF_MIXED = frozenset({
+    "--response", "--factors", "--block", "--error", "--model", "--alpha", "--decimal", "--random",
+    "--covariates", "--practical", "--contrast",
+})  # fmt: skip
+
+
+def _show_mixed(
+    source: Path, flags: Flags, options: MixedOptions, results: Path, as_json: bool
+) -> None:
+    """Fit a mixed model and print it; ``options`` holds what is no text in the flags."""
+    from study.api.analyzing import fit_mixed_model
+
+    surface_tables.refuse_useless(flags, _OF_MIXED, "a mixed model")
+    options["random"] = names(flags["--random"])
+    options["covariates"] = names(flags["--covariates"])
+    if blocks := names(flags["--block"]):
+        options["block"] = blocks
+    if practical := flags["--practical"]:
+        options["practical"] = practical
+    model = fit_mixed_model(
+        source, flags["--response"], names(flags["--factors"]), options, results=results,
+        decimal=flags["--decimal"] or ".",
+    )  # fmt: skip
+    alpha = options.get("alpha", 0.05)
+    document = {"method": "REML", "alpha": alpha, **vars(model)}
+    response = flags["--response"] or ""
+    output.show(document, as_json, lambda _: _print_mixed(model, response, alpha))
+
+
+def _print_mixed(model: MixedModel, response: str, alpha: float) -> None:
+    """Print variance components, tests, slopes, means, effects and contrasts."""
+    import pandas as pd
+
+    from study.cli.analysis_tables import print_effects
+    from study.reporting.content.numbers import interval, p_value, significant
+    from study.reporting.content.report_facts import Facts
+    from study.reporting.results.study_result import ReportData, ResponseAnalysis
+
+    ends = f"{100 * (1 - alpha):.4g} % interval"
+    rows = [["Source", "standard deviation", ends, "share of the variance"]]
+    for c in model.components:
+        high = "unknown" if math.isinf(c.high) else significant(c.high, 4)
+        between = f"{significant(c.low, 4)} to {high}"
+        rows.append([c.source, significant(c.sd, 4), between, f"{100 * c.share:.0f} %"])
+    output.table(rows, f"Scatter by source (REML, {model.rows} rows)")
+    rows = [["Term", "DF", "F", "DF of error", "p"]]
+    rows += [[term.term, str(term.df), f"{term.f:.2f}", f"{term.df_error:.1f}", p_value(term.p)]
+             for term in model.terms]  # fmt: skip
+    output.table(rows, "Tests of the fixed terms (Kenward and Roger)")
+    rows = [["Covariate", "change for each unit", ends]]
+    rows += [[slope.covariate, significant(slope.value, 4), interval(slope.low, slope.high)]
+             for slope in model.slopes]  # fmt: skip
+    output.table(rows, "Slopes")
+    if model.effects:
+        data = ReportData("table", "", {}, pd.DataFrame(), alpha=alpha)
+        item = Facts(ResponseAnalysis(response, ""), response, "", model.effects)
+        print_effects(item, data)
+    rows = [["asked for", "difference", f"{ends}, all together", "DF", "p", "verdict"]]
+    for asked in model.contrasts:
+        first, last = asked.ci_simultaneous or asked.ci or (None, None)
+        df = "" if asked.df is None else f"{asked.df:.1f}"
+        size = significant(asked.difference, 4), interval(first, last, digits=4)
+        rows.append([asked.name, *size, df, p_value(asked.p), asked.verdict])
+    output.table(rows, "Differences that were asked for")
 
 
 #: flags that groups of which only moments are known have a use for; a format has a default
@@ -326,10 +322,7 @@ def _show_moments(
     source: Path, columns: Sequence[str], flags: Flags, alpha: float | None, as_json: bool
 ) -> None:
     """Compare groups of which mean, standard deviation and number of rows are known."""
-    rule, mend = "has no meaning for groups of which only moments are known", "leave it out"
-    useless = [flag for flag, value in flags.items() if value and flag not in _OF_MOMENTS]
-    if useless:
-        raise InputError([Fault(flag, rule, mend) for flag in useless])
+    surface_tables.refuse_useless(flags, _OF_MOMENTS, "groups of which only moments are known")
     from study.api.analyzing import analyze_summary
     from study.cli import analysis_tables
 
@@ -337,81 +330,21 @@ def _show_moments(
         source, names(flags["--factors"]), columns, practical=flags["--practical"],
         alpha=0.05 if alpha is None else alpha, decimal=flags["--decimal"] or ".",
     )  # fmt: skip
-    if as_json:
-        output.print_json(groups.to_json())
-    else:
-        analysis_tables.print_summaries(groups)
-
-
-@dataclass(frozen=True)
-class _Beside:
-    """What was asked for beside the table: a reference, a page."""
-
-    compared: tuple[str, Comparisons] | None
-    page: Path | None
-
-    def to_json(self) -> dict[str, object]:
-        document: dict[str, object] = {}
-        if self.compared is not None:
-            from study.cli import analysis_tables
-
-            document["reference"] = analysis_tables.reference_json(*self.compared)
-        return document if self.page is None else document | {"report": str(self.page)}
-
-
-def _show(analysis: AnalysisResult, extras: _Beside, as_json: bool) -> None:
-    from study.cli import analysis_tables
-
-    if as_json:
-        output.warn(analysis.notes)
-        output.print_json(analysis.to_json() | extras.to_json())
-        return
-    analysis_tables.print_analysis(analysis)
-    if analysis.contrasts:
-        from study.cli import study_tables
-
-        print()
-        output.table(study_tables.contrast_rows(analysis), "Differences that were asked for")
-        print()
-    if extras.compared is not None:
-        analysis_tables.print_reference(*extras.compared)
-    if extras.page is not None:
-        print(f"\nreport: {extras.page}")
+    output.show(groups, as_json, analysis_tables.print_summaries)
 
 
 def _options(flags: Flags, alpha: float | None) -> AnovaOptions:
     """Options of the analysis that were given on the command line."""
     blocks = names(flags["--block"])
-    options: AnovaOptions = {"block": blocks if len(blocks) > 1 else next(iter(blocks), None)}
-    if unit := flags["--unit"]:
-        options["unit"] = unit
-    if plots := names(flags["--whole-plot"]):
-        options["whole_plot"] = plots
-    if replicates := flags["--replicates"]:
-        options["replicates"] = replicates
-    if copies := flags["--copies"]:
-        options["copies"] = copies
-    if error := flags["--error"]:
-        options["error"] = error
-    if kind := flags["--type"]:
-        options["type"] = kind
-    if (model := _model(flags["--model"])) is not None:
-        options["model"] = model
-    if practical := flags["--practical"]:
-        options["practical"] = practical
-    if transform := flags["--transform"]:
-        options["transform"] = transform
-    if alpha is not None:
-        options["alpha"] = alpha
-    return options
-
-
-def _compared(analysis: AnalysisResult, reference: str | None) -> tuple[str, Comparisons] | None:
-    if reference is None:
-        return None
-    from study.api.analyzing import against_reference
-
-    return against_reference(analysis, reference)
+    options = {
+        "unit": flags["--unit"], "whole_plot": names(flags["--whole-plot"]),
+        "replicates": flags["--replicates"], "copies": flags["--copies"],
+        "error": flags["--error"], "type": flags["--type"], "model": _model(flags["--model"]),
+        "practical": flags["--practical"], "transform": flags["--transform"],
+    }  # fmt: skip
+    given: dict[str, object] = {k: v for k, v in options.items() if v not in (None, "", [])}
+    given["block"] = blocks if len(blocks) > 1 else next(iter(blocks), None)
+    return cast("AnovaOptions", given if alpha is None else given | {"alpha": alpha})
 
 
 def _check_report(source: Path, report: Path | None, formats: str) -> None:
@@ -429,18 +362,6 @@ def _check_report(source: Path, report: Path | None, formats: str) -> None:
         checked_formats(names(formats))
     if report is not None and report.exists() and not report.is_dir():
         raise InputError(Fault("--report", f"{report} is a file", "name a folder"))
-
-
-def _write_page(analysis: AnalysisResult, source: Path, report: Path, flags: Flags) -> Path:
-    from study.api.analyzing import AnalysisSource as Source
-    from study.api.analyzing import write_page
-
-    given = {flag: value for flag, value in flags.items() if value and flag != "--contrast"}
-    at = Source(source, given, tuple(contrast.name for contrast in analysis.contrasts))
-    formats_chosen = tuple(names(flags["--format"])) or ("html",)
-    return write_page(
-        analysis, report, source=at, reference=flags["--reference"], formats=formats_chosen
-    )
 
 
 At = Annotated[
@@ -488,13 +409,10 @@ def optimize(
         surface=cast("SurfaceKind", surface), decimal=decimal, results=results,
         confirming=confirm, permission=_permission(data, allow_commands),
     )  # fmt: skip
-    output.warn([note for recommended in recommendations for note in recommended.notes])
-    if as_json:
-        output.print_json(
-            {"recommendations": [recommended.to_json() for recommended in recommendations]}
-        )
-    else:
-        surface_tables.print_recommendations(recommendations)
+    notes = [note for recommended in recommendations for note in recommended.notes]
+    document = {"recommendations": [recommended.to_json() for recommended in recommendations]}
+    printed = surface_tables.print_recommendations
+    output.show(document, as_json, lambda _: printed(recommendations), notes)
     if any(
         recommended.confirmed is not None and not recommended.confirmed.predicted
         for recommended in recommendations
@@ -529,11 +447,7 @@ def invert(
         in_units=names(units), within=within, decimal=decimal, results=results,
         confirming=confirm, permission=_permission(data, allow_commands),
     )  # fmt: skip
-    output.warn(answer.notes)
-    if as_json:
-        output.print_json(answer.to_json())
-    else:
-        surface_tables.print_inverted(answer)
+    output.show(answer, as_json, surface_tables.print_inverted, answer.notes)
     if answer.best_run is not None and not answer.best_run.agrees:
         raise typer.Exit(1)
 
@@ -544,13 +458,6 @@ def _permission(data: Path | None, allow_commands: bool) -> Permission:
     from study.harness.runner.fit_problem import Allowed
 
     return Permission(data, Allowed(allow_commands))
-
-
-def _hint_practical(practical: str | None) -> None:
-    """Say what verdicts lack: without a smallest difference that matters nobody can tell."""
-    if practical is None:
-        hint = "--practical 0.5 or --practical '5 % of mean'"
-        output.warn([f"no smallest difference that matters is given, so no verdict: {hint}"])
 
 
 def _model(text: str | None) -> str | int | list[str] | None:
@@ -580,42 +487,38 @@ def power(
     from study import api
 
     answer = api.power(design, sd=sd, data=data, results=results, overrides=settings or ())
-    output.warn(answer.warnings)
-    if as_json:
-        output.print_json(answer.to_json())
-        return
+    output.show(answer, as_json, _print_power, answer.warnings)
+
+
+def _print_power(answer: Power) -> None:
     for detection in answer.detections:
-        _print(detection, answer.blocks)
-
-
-def _print(detection: ContrastDetection, blocks: int) -> None:
-    output.paragraph(
-        f"{detection.response}: {_size(detection.practical, detection)} matters; between "
-        f"specimens a difference scatters by {_size(detection.sd, detection)} ({detection.source})"
-        + (f"; numerics {_size(detection.u, detection)}" if detection.u else "")
-    )
-    rows = [["specimens", "shows that none matters", "shows that one matters", "cases", "time"]]
-    for row in detection.rows:
-        mark = " (measured)" if row.blocks == blocks else ""
-        rows.append(
-            [
-                f"{row.blocks}{mark}",
-                f"{100 * row.equal.no_practical_difference:.0f} %",
-                f"{100 * row.double.matters:.0f} %",
-                str(row.cases),
-                "" if row.seconds is None else output.seconds(row.seconds),
-            ]
+        matters, sd = _size(detection.practical, detection), _size(detection.sd, detection)
+        numerics = f"; numerics {_size(detection.u, detection)}" if detection.u else ""
+        output.paragraph(
+            f"{detection.response}: {matters} matters; between specimens a difference scatters by "
+            f"{sd} ({detection.source}){numerics}"
         )
-    output.table(rows, "")
-    enough_lines = [
-        f"{100 * share_wanted:.0f} %: {'no number up to 200' if n is None else f'{n} specimens'}"
-        for share_wanted, n in detection.enough
-    ]
-    output.paragraph(
-        "Right in both cases (no difference, and one twice as large as matters) with "
-        + ", ".join(enough_lines)
-        + "\n"
-    )
+        rows = [["specimens", "shows that none matters", "shows that one matters", "cases", "time"]]
+        for row in detection.rows:
+            mark = " (measured)" if row.blocks == answer.blocks else ""
+            rows.append(
+                [
+                    f"{row.blocks}{mark}",
+                    f"{100 * row.equal.no_practical_difference:.0f} %",
+                    f"{100 * row.double.matters:.0f} %",
+                    str(row.cases),
+                    "" if row.seconds is None else output.seconds(row.seconds),
+                ]
+            )
+        output.table(rows, "")
+        enough = [
+            f"{100 * share:.0f} %: {'no number up to 200' if n is None else f'{n} specimens'}"
+            for share, n in detection.enough
+        ]
+        output.paragraph(
+            "Right in both cases (no difference, and one twice as large as matters) with "
+            f"{', '.join(enough)}\n"
+        )
 
 
 def _size(value: float, detection: ContrastDetection) -> str:

@@ -11,9 +11,9 @@ from study.cli import output
 from study.cli.output import Document
 
 if TYPE_CHECKING:
+    from study.api.comparison import CaseState
+    from study.api.opened_study import Study as OpenedStudy
     from study.api.verification import Verification
-    from study.reporting.results.study_answers import Beside
-    from study.reporting.results.study_result import StudyResult
 
 
 Json = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")]
@@ -184,10 +184,10 @@ def status(
     from study import api
 
     state = api.status(path, results=results)
-    output.warn(state["warnings"])
-    if as_json:
-        output.print_json(state)
-        return
+    output.show(state, as_json, _print_status, state["warnings"])
+
+
+def _print_status(state: Document) -> None:
     print(f"{state['study']}: {output.counts(state['cases'])}")
     for name, count in sorted(state["failures"].items()):
         print(f"  {count} {name}")
@@ -235,13 +235,10 @@ def diff(
 ) -> None:
     """Compare two studies: what was changed, and which conclusions hold under both."""
     from study import api
+    from study.cli.study_tables import print_comparison
 
     comparison = api.diff(first, second, results=results)
-    output.warn(comparison.warnings)
-    if as_json:
-        output.print_json(comparison.to_json())
-    else:
-        _print_diff(comparison.beside)
+    output.show(comparison, as_json, print_comparison, comparison.warnings)
 
 
 def why(
@@ -260,13 +257,17 @@ def why(
     import json
 
     from study import api
-    from study.harness.runner.batch import notes_of
 
     state = api.explain(case, study=study, results=results, data=data)
+    facts = {"use": state.use, "changes": state.changes, "libraries": state.libraries}
+    whole = json.loads(state.record.to_json())["content"] | {"state": facts}
+    output.show(whole, as_json, lambda _: _print_case(state))
+
+
+def _print_case(state: CaseState) -> None:
+    from study.harness.runner.batch import notes_of
+
     record = state.record
-    if as_json:
-        output.print_json(json.loads(record.to_json())["content"] | {"state": state.to_json()})
-        return
     print(f"case {record.case_id} of {record.study}: {record.status}")
     print(f"  {state.use}")
     for change in (*state.changes, *state.libraries):
@@ -303,10 +304,9 @@ def predict(
     from study.cli import surface_tables
 
     predictions = api.predict(path, surface_tables.settings(at), response=response, results=results)
-    if as_json:
-        output.print_json({"predictions": [prediction.to_json() for prediction in predictions]})
-        return
-    surface_tables.print_predictions(predictions)
+    document = {"predictions": [prediction.to_json() for prediction in predictions]}
+    printed = surface_tables.print_predictions
+    output.show(document, as_json, lambda _: printed(predictions))
 
 
 def _running(runner: Document | None, seconds_left: float | None) -> str:
@@ -329,67 +329,17 @@ def _folders(results: Path, reports: Path) -> output.Options:
     }
 
 
-def _finish(study: StudyResult, as_json: bool, typed: output.Options) -> None:
+def _finish(study: OpenedStudy, as_json: bool, typed: output.Options) -> None:
     """Print verdicts and report; exit 1 if cases failed or a report could not be written."""
-    output.warn(study.warnings)
+    from study.cli.study_tables import print_study
+
     after = output.after_run(study, typed)
-    if as_json:
-        output.print_json(study.to_json() | {"next": after[1]})
-    else:
-        _print_study(study)
+    document = study.to_json() | {"next": after[1]}
+    output.show(document, as_json, lambda _: print_study(study), study.warnings)
+    if not as_json:
         output.next_step(*after)
     if study.failed or study.report is None:
         raise typer.Exit(1)
-
-
-def _print_study(study: StudyResult) -> None:
-    from study.api.assemble import report_data
-    from study.cli import study_tables, surface_tables
-
-    data = report_data(study, study.manifest.get("timings", {}))
-    print(f"\n{study.design.name}: {output.counts(study.cases)}")
-    try:
-        for line in study_tables.answer_lines(data):
-            output.paragraph(line)
-        for title, rows in study_tables.verdict_tables(data):
-            print()
-            output.table(rows, title)
-        for line in study_tables.unresolved_lines(data):
-            output.paragraph(line)
-        for title, rows in study_tables.contrast_tables(data):
-            print()
-            output.table(rows, title)
-    except (KeyError, ValueError, TypeError, AttributeError) as error:
-        # the numbers are stored and the report is separate: a table must not end the run
-        output.warn([f"the verdict table could not be printed: {error}"])
-    for surface in study.surfaces:
-        if surface.found is not None:
-            surface_tables.print_fitted(surface)
-    if study.beside is not None:
-        print()
-        for line in study_tables.beside_lines(study.beside):
-            output.paragraph(line)
-    if study.report is not None:
-        print(f"\nreport: {study.report}")
-
-
-def _print_diff(comparison: Beside) -> None:
-    """Print what was changed, what holds, then the numbers of both studies."""
-    from study.cli import study_tables
-
-    changed = study_tables.changes_rows(comparison)
-    if len(changed) > 1:
-        output.table(changed, "what was changed")
-    else:
-        print("nothing was changed: design, measurements and code are the same")
-    print()
-    for line in study_tables.beside_lines(comparison):
-        output.paragraph(line)
-    for title, rows, note in study_tables.beside_tables(comparison):
-        print()
-        output.table(rows, title)
-        if note:
-            output.paragraph(note)
 
 
 # The verb ``verify``: every number of a report once more.
@@ -429,14 +379,11 @@ def verify(
         path, results=results, reports=reports, resolve=resolve, seed=seed, data=data,
         allow_commands=allow_commands, tolerance=tolerance,
     )  # fmt: skip
-    if as_json:
-        output.print_json(verification.to_json())
-    else:
-        _show(verification)
+    output.show(verification, as_json, _print_verification)
     raise typer.Exit(0 if verification.agrees else 1)
 
 
-def _show(verification: Verification) -> None:
+def _print_verification(verification: Verification) -> None:
     from study.api.verification import TOLD
 
     counted = ", ".join(

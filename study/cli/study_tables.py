@@ -6,19 +6,20 @@ import math
 from typing import TYPE_CHECKING
 
 from study.cli import output
+from study.cli.output import cells
 from study.reporting.content import analysis_content, comparison_content, tables, verdicts
-from study.reporting.content.content_table import Table
 from study.reporting.content.numbers import MISSING
 from study.reporting.content.report_facts import facts
 from study.reporting.content.text import count
 from study.reporting.results.study_answers import Beside
 from study.reporting.results.study_result import ReportData
-from study.statistics.analysis.analysis_result import AnalysisResult
 from study.statistics.analysis.anova_table import Effect
 from study.statistics.analysis.simple_effects import CANNOT_TELL, NOT_RESOLVED, claim
 
 if TYPE_CHECKING:
     from study.api.augmenting import Augmentation
+    from study.api.comparison import StudyComparison
+    from study.api.opened_study import Study
     from study.api.planning import Plan
     from study.harness.design.overview import Overview
     from study.harness.design.spec import Scheme
@@ -119,36 +120,55 @@ def print_further(augmentation: Augmentation) -> None:
     print(f"\n{augmentation.table()}")
 
 
-# Tables of a report as plain rows for the terminal.
+# Tables of a report, narrow enough for a terminal.
 
 Rows = list[list[str]]
 
 
-def verdict_rows(data: ReportData) -> Rows:
-    """Verdict table; the first row is the header."""
-    return _rows(tables.verdicts(facts(data), data))
+def print_study(study: Study) -> None:
+    """Print answer, verdicts and differences that the design asks for, then surfaces."""
+    from study.api.assemble import report_data
+    from study.cli import surface_tables
+
+    data = report_data(study, study.manifest.get("timings", {}))
+    print(f"\n{study.design.name}: {output.counts(study.cases)}")
+    try:
+        _print_answers(study, data)
+    except (KeyError, ValueError, TypeError, AttributeError) as error:
+        # the numbers are stored and the report is separate: a table must not end the run
+        output.warn([f"the verdict table could not be printed: {error}"])
+    if study.surfaces:
+        surface_tables.print_surfaces(data)
+    if study.beside is not None:
+        print()
+        output.paragraphs(beside_lines(study.beside))
+    if study.report is not None:
+        print(f"\nreport: {study.report}")
+
+
+def _print_answers(study: Study, data: ReportData) -> None:
+    output.paragraphs(study.answers)
+    for title, rows in verdict_tables(data):
+        print()
+        output.table(rows, title)
+    for item in facts(data):
+        for effect in item.effects:
+            if effect.verdict == NOT_RESOLVED or refused(effect):
+                output.paragraph(verdicts.verdict(effect, item, data.labels))
+        if (table := analysis_content.contrasts(item)) is not None:
+            print()
+            output.table(cells(table), f"{item.title}: asked for")
 
 
 def verdict_tables(data: ReportData) -> list[tuple[str, Rows]]:
-    """Title and verdict table of each response, narrow enough for a terminal."""
-    header, *rows = verdict_rows(data)
+    """Title and verdict table of each response."""
+    header, *rows = cells(tables.verdicts(facts(data), data))
     shown = [i for i, name in enumerate(header) if name != "response"]
     by_response: dict[str, Rows] = {}
     for row in rows:
         table = by_response.setdefault(row[0], [[header[i] for i in shown]])
         table.append([row[i] for i in shown])
     return list(by_response.items())
-
-
-def unresolved_lines(data: ReportData) -> list[str]:
-    """Say of every factor that its interval does not leave open what does, and where."""
-    lines = [
-        verdicts.verdict(effect, facts_of_response, data.labels)
-        for facts_of_response in facts(data)
-        for effect in facts_of_response.effects
-        if effect.is_main and (effect.verdict == NOT_RESOLVED or refused(effect))
-    ]
-    return [line.replace("\N{NO-BREAK SPACE}", " ") for line in lines]
 
 
 def refused(effect: Effect) -> bool:
@@ -160,59 +180,40 @@ def refused(effect: Effect) -> bool:
     return bool(claim(low, high, practical))
 
 
-def contrast_tables(data: ReportData) -> list[tuple[str, Rows]]:
-    """Title and table of the differences that the design asks for, of each response."""
-    titled = [(item.title, analysis_content.contrasts(item)) for item in facts(data)]
-    return [(f"{title}: asked for", _rows(table)) for title, table in titled if table is not None]
-
-
-def contrast_rows(analysis: AnalysisResult) -> Rows:
-    """Differences of an analysis that were asked for; the first row is the header."""
-    return _rows(analysis_content.contrast_table(analysis, analysis.request.response))
-
-
-def answer_lines(data: ReportData) -> list[str]:
-    """Return the sentences of the answer box, which cases fail, and what would change them."""
-    from study.reporting.content import recommendation, sentences, tables
-
-    all_facts = facts(data)
-    where = data.failure_pattern
-    failure_lines = () if where is None else tables.failure_sentences(where, data.labels)
-    change = f"What would change this? {recommendation.would_change(data, all_facts)}"
-    lines = [*sentences.answer(data, all_facts), *failure_lines, change]
-    return [line.replace("\N{NO-BREAK SPACE}", " ") for line in lines]
-
-
-def changes_rows(comparison: Beside) -> Rows:
-    """Return the inputs in which two studies differ; the first row is the header."""
-    return _rows(comparison_content.changes(comparison))
-
-
 def beside_lines(comparison: Beside) -> list[str]:
     """Return what holds in both studies, and what only one of them has."""
-    lines = [*comparison_content.summary(comparison), *comparison_content.only_lines(comparison)]
-    return [line.replace("\N{NO-BREAK SPACE}", " ") for line in lines]
+    return [*comparison_content.summary(comparison), *comparison_content.only_lines(comparison)]
+
+
+def print_comparison(compared: StudyComparison) -> None:
+    """Print what was changed, what holds, then the numbers of both studies."""
+    comparison = compared.beside
+    changed = comparison_content.changes(comparison)
+    if changed.rows:
+        output.table(cells(changed), "what was changed")
+    else:
+        print("nothing was changed: design, measurements and code are the same")
+    print()
+    output.paragraphs(beside_lines(comparison))
+    for title, rows, note in beside_tables(comparison):
+        print()
+        output.table(rows, title)
+        if note:
+            output.paragraph(note)
 
 
 def beside_tables(comparison: Beside) -> list[tuple[str, Rows, str]]:
     """Title, table and note of each response; a term is named in the first of its two rows."""
-    header, *rows = _rows(comparison_content.table(comparison))
+    header, *rows = cells(comparison_content.table(comparison))
     by_response: dict[str, Rows] = {}
     for row in rows:
         table = by_response.setdefault(row[0], [header[1:]])
         second = len(table) % 2 == 0
         table.append(["", "", *row[3:]] if second else row[1:])
     notes = dict(comparison_content.quiet_lines(comparison))
-    return [(title, _filled(table), notes.get(title, "")) for title, table in by_response.items()]
-
-
-def _filled(rows: Rows) -> Rows:
-    """Rows without the columns that hold dashes alone: a terminal is narrow."""
-    filled = [i for i in range(len(rows[0])) if any(row[i] != MISSING for row in rows[1:])]
-    return [[row[i] for i in filled] for row in rows]
-
-
-def _rows(table: Table) -> Rows:
-    # a terminal may not know the space that does not break
-    rows = [list(table.columns), *(list(row) for row in table.rows)]
-    return [[cell.replace("\N{NO-BREAK SPACE}", " ") for cell in row] for row in rows]
+    titled: list[tuple[str, Rows, str]] = []
+    for title, table in by_response.items():
+        # columns that hold dashes alone are left out: a terminal is narrow
+        filled = [i for i in range(len(table[0])) if any(row[i] != MISSING for row in table[1:])]
+        titled.append((title, [[row[i] for i in filled] for row in table], notes.get(title, "")))
+    return titled

@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import replace
 from decimal import Decimal
 from functools import lru_cache
 from typing import Any
 
-from study.ground.errors import Fault, UnitError, nearest
+from study.ground.errors import Fault, InputError, UnitError, nearest
 
 #: internal unit of every dimension
 INTERNAL: Mapping[str, str] = {
@@ -101,6 +102,15 @@ _QUANTITY = re.compile(rf"({_NUMBER.pattern})[ \t]*(\S(?:.*\S)?)", re.ASCII)
 _WORD = r"[A-Za-z]+(?:(?:\*\*|\^)?-?[1-9])?"
 _UNIT = re.compile(rf"{_WORD}(?:[ ]?[*/ ][ ]?{_WORD}){{0,3}}")
 MAX_LENGTH = 80
+
+
+@contextmanager
+def naming(where: str) -> Iterator[None]:
+    """Context in which a fault of a value names the option, key or factor that the value is of."""
+    try:
+        yield
+    except UnitError as error:
+        raise InputError([replace(fault, where=where) for fault in error.faults]) from error
 
 
 def is_unit(word: str) -> bool:

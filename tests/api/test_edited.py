@@ -47,7 +47,7 @@ def interrupted(home: Path, after: int) -> None:
 
 def test_the_finished_study_is_read_until_the_edited_one_is_finished(home: Path) -> None:
     before = study("analyze", "results/small", "--json").json
-    table = api.open_study("results/small").table
+    table = api.load("results/small").table
     edited(home)
     interrupted(home, 8)
     found = study("status", "small", "--json").json
@@ -66,19 +66,19 @@ def test_the_finished_study_is_read_until_the_edited_one_is_finished(home: Path)
     assert "presets.range.large.measurements.range: from 1 %, 20 % to 1 %, 15 %" in words
     # every number is still that of the finished run, and the report says which run it is
     assert study("analyze", "results/small", "--json").json == before
-    assert api.open_study("results/small").table.equals(table)
+    assert api.load("results/small").table.equals(table)
     reported = study("report", "small", "--json")
     assert "this is the last finished run; one of an edited design" in reported.err
     assert "run small.toml again to finish it" in reported.err
     # once it is finished, it is the one that is read
     api.run("small.toml", data="data", jobs=1, reports=None)
     assert study("status", "small", "--json").json["unfinished"] is None
-    assert api.open_study("results/small").design.analysis.alpha == 0.01
+    assert api.load("results/small").design.analysis.alpha == 0.01
     assert len(Store(home / "results/small").read_runs()) == 2
 
 
 def test_why_names_the_input_that_changed(home: Path) -> None:
-    cases = {r.levels["range"]: r.case_id for r in api.open_study("results/small").records}
+    cases = {r.levels["range"]: r.case_id for r in api.load("results/small").records}
     used = study("why", cases["large"])
     assert "the study uses it" in used.out
     edited(home)
@@ -98,7 +98,7 @@ def test_why_names_the_input_that_changed(home: Path) -> None:
 
 
 def test_why_names_the_file_that_changed(home: Path) -> None:
-    cases = {r.block: r.case_id for r in api.open_study("results/small").records}
+    cases = {r.block: r.case_id for r in api.load("results/small").records}
     data = home / "data" / "tests.csv"
     text = data.read_text()
     assert "M1,A,1,2.0000," in text
@@ -184,7 +184,7 @@ def test_a_newer_manifest_is_refused_politely(home: Path) -> None:
 
 def test_memory_is_an_amount_with_its_unit(home: Path) -> None:
     """A run in room for nothing does one thing after the other, and comes to the same digits."""
-    before = api.open_study("results/small").table
+    before = api.load("results/small").table
     found = api.run(
         "small.toml", data="data", jobs=2, reports=None, memory="1 MB", results=home / "again"
     )

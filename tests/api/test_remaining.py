@@ -23,16 +23,16 @@ def _stopped_clock(monkeypatch):
     monkeypatch.setattr(datetime, "datetime", Stopped)
 
 
-def test_progress_counts_what_comes_after_and_is_noted(tmp_path):
+def test_progress_is_noted_for_other_shells(tmp_path):
     shown: list[Progress] = []
     store = Store(tmp_path)
     with store.lock():
-        planning.with_time_left(store, shown.append, 40.0)(Progress(3, 10, 0, 5.0, 20.0, "a case"))
+        planning.noted_progress(store, shown.append)(Progress(3, 10, 0, 5.0, 20.0, "a case"))
         running = store.running()
         assert running is not None
-        assert (running["done"], running["total"], running["seconds_left"]) == (3, 10, 60.0)
-        assert planning.seconds_left(running) == 60.0
-    assert [state.seconds_left for state in shown] == [60.0]
+        assert (running["done"], running["total"], running["seconds_left"]) == (3, 10, 20.0)
+        assert planning.seconds_left(running) == 20.0
+    assert [state.seconds_left for state in shown] == [20.0]
 
 
 def test_time_passes_after_a_note():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from study import api
-from study.api.opened_study import open_study
+from study.api.opened_study import load as open_study
 from study.api.planning import plan
 from study.ground.errors import InputError
 from study.harness.design.load import loads

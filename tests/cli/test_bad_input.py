@@ -172,3 +172,60 @@ def test_equal_faults_are_told_once_with_their_places(home: Path) -> None:
     assert words.count("shorten the range") == 1
     assert "the same at: " in words
     assert "and 8 more" in words
+
+
+MEASURED = """
+schema = 1
+[specimen]
+shape = "cylinder"
+radius = "9 mm"
+height = "20 mm"
+[test]
+kind = "compression"
+[material]
+model = "yeoh"
+incompressible = true
+[measurements]
+file = "a.csv"
+[calibration]
+method = "auto"
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "verbs", "mend"),
+    [
+        ("[recording]\nfile = 'a.csv'\n[factors]\na = 1", ("plan", "run"), "study tracking"),
+        ("[material]\n[requirement]\naccuracy = '5 %'", ("plan", "solve"), "study require"),
+        ("[specimen]\n[test]\n[material]\n[model]", ("plan", "run"), "study export"),
+        (MEASURED, ("plan", "solve", "calibrate"), "[[tests]]"),
+    ],
+    ids=["tracker", "sensors", "problem", "single"],
+)
+def test_a_file_of_another_verb_names_that_verb(
+    tmp_path: Path, text: str, verbs: tuple[str, ...], mend: str
+) -> None:
+    (tmp_path / "file.toml").write_text(text)
+    for verb in verbs:
+        message = refused(tmp_path, verb, tmp_path / "file.toml")
+        assert message.startswith("error:")  # one fault, not a list of missing keys
+        assert mend in message
+
+
+def test_a_value_without_its_unit_names_its_option(tmp_path: Path) -> None:
+    file = Path(__file__).parents[2] / "designs" / "tests-of-material.toml"
+    message = refused(tmp_path, "calibrate", file, "--by", "test", "--difference", "5")
+    assert "--difference: needs a unit" in message
+
+
+@pytest.mark.parametrize("name", ["case.json", "problem.json"])
+def test_a_file_that_every_case_gets_is_not_among_those_that_go_along(
+    tmp_path: Path, name: str
+) -> None:
+    forward = f'[forward]\nmodel = "command"\nargv = [["true"]]\nfiles = ["{name}"]\n'
+    text = f"""[study]\nname = "own"\n[parameters]\na = 1\n{forward}
+[factors]\n"parameters.a" = [1, 2]\n[[response]]\nname = "peak"\nunit = "N"\n"""
+    (tmp_path / "own.toml").write_text(text)
+    assert f"holds {name}, which this package writes" in refused(
+        tmp_path, "plan", tmp_path / "own.toml"
+    )

@@ -110,7 +110,7 @@ def test_a_reference_of_a_log_response_gives_ratios(
     assert run(asked) == 0
     printed = capsys.readouterr().out
     assert "x / " in printed  # simple effects are ratios, too
-    assert re.search(r"Level +ratio", printed)
+    assert re.search(r"level +ratio", printed)
 
 
 def test_holm_stands_beside_the_raw_p(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -122,7 +122,7 @@ ROWS = (None, 1, [1], [{}], {"a": 1}, [[]], ["x"])
 def test_rows_that_are_none_are_set_aside_and_named(done: Path, name: str) -> None:
     for content in ROWS:
         (SMALL / f"{name}.json").write_text(seal(content))
-        (said,) = [one for one in api.open_study(SMALL).warnings if f"{name}.json: " in one]
+        (said,) = [one for one in api.load(SMALL).warnings if f"{name}.json: " in one]
         assert said.endswith("it is not used, and the next run replaces it"), content
     assert study("report", "small", "--format", "csv").code == 0
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from study.api.opened_study import open_study
+from study.api.opened_study import load as open_study
 from tests.cli.small import study
 
 DESIGN = """schema = 1

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import study as package
-from study.api import open_study
+from study.api import load as open_study
 from study.laboratory.haptics.tabulated_force import ForceLaw, force_table
 from tests.cli.small import CALIBRATION, DESIGN, PROBLEM, Finished, study
 

@@ -125,7 +125,7 @@ def test_a_format_is_checked_before_anything_is_computed(
         raise AssertionError("something was computed")
 
     (home / "t.csv").write_text(TABLE.format(stiff="stiff"))
-    for verb in ("analyze", "open_study"):
+    for verb in ("analyze", "load"):
         monkeypatch.setattr(api, verb, compute, raising=False)
     words = ("--report", "out", "--format", "htm")
     for command in (("analyze", "t.csv", *ASKED, *words), ("report", "small", "--format", "htm")):

@@ -12,7 +12,7 @@ from tests.cli.small import DESIGN, study
 
 def means(home: Path) -> dict[tuple[str, str], float]:
     """Mean score of every cell, by its labels."""
-    table = api.open_study(home / "results" / "small").table
+    table = api.load(home / "results" / "small").table
     found = table.groupby(["material", "range"])["relative_rms_force_error"].mean()
     return {(str(a), str(b)): float(mean) for (a, b), mean in found.items()}
 
@@ -49,6 +49,6 @@ def test_labels_are_those_of_the_design_not_of_the_records(
 def test_a_renamed_factor_is_shown_under_its_new_name(done: Path) -> None:
     text = DESIGN.replace("presets.range.", "presets.depth.").replace('range = ["s', 'depth = ["s')
     run_again(done, text)
-    table = api.open_study(done / "results" / "small").table
+    table = api.load(done / "results" / "small").table
     assert set(table["depth"]) == {"small", "large"}
     assert "range" not in table

@@ -136,7 +136,7 @@ def test_a_study_that_loses_a_worker_gives_the_table_of_a_local_run(
         folder / "small.toml", data=folder / "data", jobs=2, results=tmp_path / "local",
         reports=None,
     )  # fmt: skip
-    assert_equal(api.open_study(folder / "results" / "small"), local)
+    assert_equal(api.load(folder / "results" / "small"), local)
 
 
 def test_a_study_that_loses_its_scheduler_keeps_what_is_finished_and_resumes(

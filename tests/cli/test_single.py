@@ -216,7 +216,7 @@ def test_analyze_a_table(tidy: Path) -> None:
     assert verdicts["plates"] == "no practical difference"
     words = study(*arguments)
     assert words.code == 0, words.err
-    assert "material:plates" in words.out
+    assert "material × plates" in words.out
     assert "Ryan-Joiner" in words.out
     assert "--practical" in words.err
 

@@ -74,7 +74,7 @@ def test_run_gives_the_document_of_the_contract(finished: Finished) -> None:
 
 
 def test_run_scores_what_was_measured(finished: Finished) -> None:
-    table = api.open_study(finished.folder / "results" / "small").table
+    table = api.load(finished.folder / "results" / "small").table
     d = np.linspace(0.3, 6.0, 30)
     for mix in ("M1", "M2", "M3"):
         a, b = (incompressible_force(*TRUTH[mix, s], d) for s in "AB")

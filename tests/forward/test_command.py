@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from study.api.opened_study import open_study
+from study.api.opened_study import load as open_study
 from study.ground.errors import RefusedError
 from study.harness.design.forward_section import ValueFile
 from study.harness.external import command, exchange

@@ -16,6 +16,7 @@ import pytest
 from matplotlib.figure import Figure as Drawing
 
 from study.cli import study_tables
+from study.cli.output import cells
 from study.ground.errors import InputError
 from study.reporting.content import tables
 from study.reporting.content.content_table import Table
@@ -140,14 +141,14 @@ def test_tex_has_no_command_of_a_user():
 
 
 def test_terminal_rows_have_one_width(data: ReportData):
-    rows = study_tables.verdict_rows(data)
+    rows = cells(tables.verdicts(facts(data), data))
     assert len({len(row) for row in rows}) == 1
     assert not any("\N{NO-BREAK SPACE}" in cell for row in rows for cell in row)
     assert rows[0][2] == "verdict"
     made = study_tables.verdict_tables(data)
     assert [title for title, _ in made] == ["relative RMS force error", "initial shear modulus"]
     assert all(rows[0][:2] == ["factor", "verdict"] for _, rows in made)
-    assert sum(len(rows) - 1 for _, rows in made) == len(study_tables.verdict_rows(data)) - 1
+    assert sum(len(rows) - 1 for _, rows in made) == len(rows) - 1
 
 
 def test_every_cell_of_the_matrix_is_there(data: ReportData):

@@ -1,5 +1,6 @@
 """Studies of parameters alone: a stranger's program or function, end to end through the verbs."""
 
+import itertools
 import math
 import os
 import re
@@ -125,7 +126,7 @@ def test_effects_of_a_program_with_a_template_are_those_of_the_formula(tmp_path,
     for factor in ("parameters.stiffness", "parameters.damping"):
         effect = next(v for v in verdicts if (v["response"], v["factor"]) == ("peak", factor))
         assert effect["effect"] == pytest.approx(expected_effect(factor), rel=1e-9)
-    record = api.open_study(tmp_path / "results" / "spring").records[0]
+    record = api.load(tmp_path / "results" / "spring").records[0]
     assert "stiffness 800" in record.extra["rendered"]["input.txt"]
     assert record.solver["program"]["steps"][0]["code"] == 0
     assert record.response("static") == pytest.approx(0.0625, rel=1e-12)
@@ -410,6 +411,22 @@ def test_runs_of_elsewhere_become_a_study(tmp_path):
     )  # fmt: skip
     assert copies.analyses[0].result.error_term.source == "E0"
     assert {v["practical"] for v in copies.verdicts} == {2.0}
+
+
+def test_factors_of_elsewhere_that_are_numbers_stay_numbers_in_their_order(tmp_path):
+    every = itertools.product((10, 2.5, 20), ("soft", "stiff"), (0, 0.1))
+    rows = "".join(f"{h},{gel},{h + len(gel) + more}\n" for h, gel, more in every)
+    (tmp_path / "runs.csv").write_text(f"height,gel,peak\n{rows}")
+    made = api.import_runs(tmp_path / "runs.csv", "height,gel", "peak=N", results=tmp_path / "r")
+    height, gel = made.design.factors
+    assert height.labels == ("2.5", "10", "20")
+    assert [level.settings["parameters.factor_1"] for level in height.levels] == [2.5, 10.0, 20.0]
+    assert gel.labels == ("soft", "stiff")
+    opened = api.load("runs", results=tmp_path / "r")
+    assert len(opened.table) == 12
+    assert opened.answers
+    assert set(opened.effects["factor"]) >= {"height", "gel"}
+    assert "Analysis of Variance: peak" in study("analyze", opened.folder).out
 
 
 @pytest.mark.parametrize(

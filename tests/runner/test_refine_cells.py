@@ -12,7 +12,7 @@ import pytest
 from study.api import uncertainty
 from study.api.converging import measured_cells, refine_within
 from study.api.manifest import manifest_of
-from study.api.opened_study import open_study
+from study.api.opened_study import load as open_study
 from study.ground.errors import InputError
 from study.harness.design.load import loads
 from study.harness.design.spec import Design

@@ -9,7 +9,7 @@ import pytest
 
 from study.api.analyzing import analyze
 from study.api.manifest import manifest_of
-from study.api.opened_study import open_study
+from study.api.opened_study import load as open_study
 from study.api.study import report
 from study.api.uncertainty import refine
 from study.harness.design.load import loads

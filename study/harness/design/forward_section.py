@@ -91,6 +91,9 @@ def _files(value: object) -> tuple[str | tuple[str, str], ...]:
     if len(files) > MAX_FILES:
         raise Bad(f"lists {len(files)} files, the limit is {MAX_FILES}")
     targets = [target for target, _ in map(target_and_source, files)]
+    if own := sorted({*targets} & {"problem.json", "case.json"}):
+        rule = f"holds {own[0]}, which this package writes into the folder of every case"
+        raise Bad(rule, "give that file another name")
     if len(set(targets)) < len(targets):
         raise Bad("names two files alike, which would lie on one another", "rename one of them")
     return tuple(files)
@@ -295,7 +298,7 @@ class ForwardModel:
         if self.model == "command" and not self.argv:
             mend = 'write argv = [["PROGRAM", "ARGUMENT"]]'
             return Fault(f"{where}.argv", "is missing: model = 'command' runs a program", mend)
-        given = {target for target, _ in map(target_and_source, self.files)}
+        given = {target for target, _ in map(target_and_source, self.files or ())}
         read = {"" if self.curve is None else self.curve.file}
         if self.values is not None:
             read |= {self.values.file, *(file for *_, file, _ in self.values.names)}

@@ -273,11 +273,17 @@ _KINDS: Mapping[type, str] = {
     DesignFile: "design",
     CalibrationFile: "calibration",
 }
+#: verbs of every kind of file, which its tables tell apart
 _VERBS = {
     "design": "use `study plan` and `study run` with it",
-    "problem": "use `study solve` with it, or give it [factors]",
+    "problem": "use `study solve` or `study export` with it, or give it [factors]",
     "calibration": "use `study calibrate` with it",
+    "tracker study": "use `study tracking` with it",
+    "question to sensors": "use `study require` with it",
+    "single measured test": "for `study calibrate` write the test as [[tests]], with "
+    "test = { ... } and [tests.measurements]; for `study run` add [factors] and [[response]]",
 }
+_SIMULATED = frozenset({"schema", "study", "specimen", "test", "material", "model", "converge"})
 
 
 def load(path: str | Path, overrides: Sequence[str] = ()) -> Design:
@@ -355,7 +361,7 @@ def loads_calibration(
 
 
 def file_kind(path: str | Path) -> str:
-    """Kind of a file: ``"design"``, ``"calibration"`` or ``"problem"``."""
+    """Kind of a file: ``"design"``, ``"calibration"``, ``"problem"``, or that of another verb."""
     return _kind(diagnostics.parse_toml(diagnostics.read_text(path), str(path)))
 
 
@@ -373,8 +379,12 @@ def default_name(source: str) -> str:
 
 def _kind(tables: Table) -> str:
     if "factors" in tables or "response" in tables:
-        return "design"
-    return "calibration" if "tests" in tables else "problem"
+        return "tracker study" if "recording" in tables else "design"
+    if "tests" in tables:
+        return "calibration"
+    if "recording" in tables or "requirement" in tables:
+        return "tracker study" if "recording" in tables else "question to sensors"
+    return "single measured test" if {"test", "measurements"} <= tables.keys() else "problem"
 
 
 def _opened(
@@ -384,7 +394,10 @@ def _opened(
     text = diagnostics.decode(raw, source) if isinstance(raw, bytes) else raw
     tables = _tables(text, source, overrides)
     expected, actual, faults = _KINDS[kind], _kind(tables), Faults()
-    if actual != expected and (actual != "problem" or expected == "calibration"):
+    # of a design that is begun all faults are listed; a whole problem is none
+    is_whole = {"test", "material"} <= tables.keys() <= _SIMULATED
+    begun = expected == "design" and actual == "problem" and not is_whole
+    if actual != expected and not begun:
         raise InputError(Fault(source, f"is a {actual}, not a {expected}", _VERBS[actual]))
     return text, tables, read_table(kind, tables, "", faults), faults
 

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, ClassVar
+from dataclasses import fields
+from typing import TYPE_CHECKING, ClassVar, Self
+
+from study.ground.canonical import Dataclass
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -15,6 +18,11 @@ class Shown(ABC):
 
     #: significant digits of a number
     digits: ClassVar[int] = 4
+
+    @classmethod
+    def of(cls, result: Dataclass) -> Self:
+        """Give a result the ways to be shown: a class of these and of its own has its fields."""
+        return cls(**{item.name: getattr(result, item.name) for item in fields(result)})
 
     @abstractmethod
     def tables(self) -> Sequence[pd.DataFrame]:

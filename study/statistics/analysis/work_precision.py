@@ -38,9 +38,9 @@ class CostPoint:
 
 @dataclass(frozen=True)
 class CostToAccuracy:
-    """Seconds that a discretization needs for a wanted relative error."""
+    """Seconds that a discretization (a cell of a study) needs for a wanted relative error."""
 
-    name: str
+    cell: str
     #: None where its meshes are too few or do not get better.
     seconds: float | None
     mesh_size: float | None
