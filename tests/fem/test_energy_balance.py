@@ -261,3 +261,21 @@ def test_the_interpolation_error_of_few_steps_is_covered(pressed: Indenter, step
         off = np.sqrt(np.mean((curve.force_at(d) - exact.force_at(d)) ** 2)) / size
         assert off <= curve.relative_interpolation_error()
     assert curve.relative_interpolation_error() <= 5e-4
+
+
+def test_an_interpolation_that_misses_its_tolerance_is_said() -> None:
+    """Six rounds of steps cannot reach a millionth; what is left stands in the message."""
+    problem = path("sphere")
+    problem = replace(problem, test=replace(problem.test, steps=1), model=Model(mesh="coarse"))
+    met = solve(problem, gradients=False, options=Options(curve_error=5e-3))
+    assert met.message == "every step converged"
+    missed = solve(problem, gradients=False, options=Options(curve_error=1e-7))
+    error = missed.curve.relative_interpolation_error()
+    assert error > 1e-7
+    assert f"may be off by {100 * error:.2g} % of the force" in missed.message
+    # points of a solution for other constants are followed, whether they are enough or not
+    other = replace(problem, material=problem.material.with_constants([2e-3]))
+    coarse = solve(problem, options=Options(curve_error=1.0))
+    later = solve(other, gradients=False, warm=coarse, options=Options(curve_error=1e-4))
+    assert len(later.curve) == len(coarse.curve)
+    assert "between its points" in later.message
