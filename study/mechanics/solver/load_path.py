@@ -219,7 +219,7 @@ _BEYOND = 8.0
 _LOAD_PATH_HALVINGS = 3
 
 #: Times that steps are added to a curve whose interpolation is not as near as asked.
-_ROUNDS = 6
+_ROUNDS = 8
 
 
 @dataclass(frozen=True)

@@ -117,7 +117,13 @@ def solve_step(
         fraction, J = _filtered(system, state.x, J, increment, settings)
         if fraction == 0 or (lift.size and fraction < 1):  # the plate would stay on its way
             return NewtonResult(state, False, iteration, "an element would be inverted", ())
-        multipliers = _multipliers(system, state, assembly, increment, fraction)
+        updated = []
+        for points, old, touch in zip(
+            system.contact, state.multipliers, assembly.contact, strict=True
+        ):
+            new = touch.new_multiplier(points, increment[points.dofs(system.space.dim)])
+            updated.append(old + fraction * (new - old))
+        multipliers = tuple(updated)
         state = replace(state, x=state.x + fraction * increment, multipliers=multipliers)
         lift = np.zeros(0)
     reason = f"no equilibrium after {iteration} iterations"
@@ -181,16 +187,6 @@ def _filtered(
             return fraction, J
         fraction /= 2
     return 0.0, before
-
-
-def _multipliers(
-    system: System, state: State, assembly: Assembly, increment: Array, fraction: float
-) -> tuple[Array, ...]:
-    updated = []
-    for points, old, touch in zip(system.contact, state.multipliers, assembly.contact, strict=True):
-        new = touch.new_multiplier(points, increment[points.dofs(system.space.dim)])
-        updated.append(old + fraction * (new - old))
-    return tuple(updated)
 
 
 def _relative(system: System, state: State, assembly: Assembly) -> float:

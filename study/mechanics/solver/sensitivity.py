@@ -247,7 +247,10 @@ def _loads(system: System, state: State, assembly: Assembly, wanted: tuple[str, 
     # dR/dtheta reuses the element arrays for residuals only: the tangent stays valid
     for column, name in enumerate(wanted, start=1):
         right[:, column] = -system.constant_derivative(state, name)
-    right[:, 0] = _rotations(system, assembly)
+    # -dR/dd at fixed unknowns: contact normals turn while a curved surface moves past
+    for points, touch in zip(system.contact, assembly.contact, strict=True):
+        dofs = points.dofs(system.space.dim)
+        np.add.at(right[:, 0], dofs.ravel(), -points.rotation_forces(touch).ravel())
     return Loads(right, start, _targets(system, state, assembly, wanted))
 
 
@@ -295,15 +298,6 @@ def _rate(system: System, rates: Rates, j: int) -> Rate:
         everywhere[each.among] = each.pressure[:, j]
         pressures.append(everywhere)
     return Rate(rates.x[:, j].copy(), tuple(pressures))
-
-
-def _rotations(system: System, assembly: Assembly) -> Array:
-    """-dR/dd at fixed unknowns: contact normals turn while a curved surface moves past."""
-    out = np.zeros(system.space.n)
-    for points, touch in zip(system.contact, assembly.contact, strict=True):
-        dofs = points.dofs(system.space.dim)
-        np.add.at(out, dofs.ravel(), -points.rotation_forces(touch).ravel())
-    return out
 
 
 def _targets(
