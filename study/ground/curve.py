@@ -222,7 +222,7 @@ class Curve:
             return self._gradients(names)
         if np.array_equal(d, self.displacement_mm):  # the spline passes through its points
             return self._gradients(names)
-        return self._splined(self._gradients(names), d)
+        return self.splined(self._gradients(names), d)
 
     def smooth_at(self, names: Sequence[str], displacement_mm: ArrayLike) -> tuple[Array, Array]:
         """Force and dF/dtheta, without the corners of chords between few points."""
@@ -231,7 +231,7 @@ class Curve:
         is_course = self.time_s is not None
         if self.stiffness_N_per_mm is not None or is_course or len(self) < 3:
             return self.force_at(d), self.gradients_at(names, d)
-        found = self._splined(np.column_stack([self.force_N, self._gradients(names)]), d)
+        found = self.splined(np.column_stack([self.force_N, self._gradients(names)]), d)
         return found[:, 0], found[:, 1:]
 
     def _gradients(self, names: Sequence[str]) -> Array:
@@ -240,8 +240,8 @@ class Curve:
             return np.empty((len(self), 0))
         return np.stack([self.force_gradient[name] for name in names], axis=1)
 
-    def _splined(self, values: Array, d: Array) -> Array:
-        """Columns of values at the points, zero at the unloaded origin, at other places."""
+    def splined(self, values: Array, d: Array) -> Array:
+        """Columns of values at the points, zero at the unloaded origin, at other places in mm."""
         from scipy.interpolate import CubicSpline
 
         knots = self.displacement_mm

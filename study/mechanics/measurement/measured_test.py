@@ -6,7 +6,6 @@ Repeats on one specimen are nested in it: they are averaged, never counted as in
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -104,11 +103,6 @@ class Measurements:
             name: tuple(dict.fromkeys(test.groups[name] for test in self.tests))
             for name in self.tests[0].groups
         }
-
-    @property
-    def data_hash(self) -> str:
-        """One sha256 over the contents of all files, whatever their names."""
-        return hashlib.sha256("\n".join(sorted(self.files.values())).encode()).hexdigest()
 
     def curve(self, block: str | None = None, **where: Label) -> MeasuredTest:
         """Average of the tests of one block that match ``where``."""

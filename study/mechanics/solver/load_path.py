@@ -58,9 +58,7 @@ _LESS = 0.25
 _MORE = 1.5
 _MUCH_MORE = 5.0
 
-#: tolerances of a step that leads to the next, and its iterations, also while contact changes
-_LIMIT_POINT_TOLERANCE = 1e-3
-_GAP = 2e-5
+#: iterations of a step that leads to the next, also while contact changes
 _ITERATIONS = 15
 _SWITCHING = 25
 
@@ -76,10 +74,7 @@ def solve_through(
 ) -> NewtonResult:
     """Equilibrium at ``guess.displacement_mm``, however far from the last one."""
     weights = _weights(system, lifted_from or guess)
-    rough = replace(
-        settings, tolerance=_LIMIT_POINT_TOLERANCE, gap=_GAP, max_iterations=_ITERATIONS,
-        max_switching=_SWITCHING,
-    )  # fmt: skip
+    rough = replace(settings.passing(), max_iterations=_ITERATIONS, max_switching=_SWITCHING)
     (place, lift), spent = _lifted(system, guess, rough, lifted_from)
     drag, trials = _FIRST, 0
     for _ in range(_STEPS):

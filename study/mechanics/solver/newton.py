@@ -31,6 +31,11 @@ _LOOSEST = 0.01
 _ROUGH = 1e-3
 
 
+#: tolerance and gap of a state that only leads to the next
+_PASSING_TOLERANCE = 1e-3
+_PASSING_GAP = 2e-5
+
+
 @dataclass(frozen=True)
 class NewtonSettings:
     """When Newton stops."""
@@ -46,16 +51,13 @@ class NewtonSettings:
     max_switching: int = 40
     #: A step is halved until no J falls below this fraction of its last value.
     j_filter: float = 0.5
-    #: Instead of ``tolerance`` and ``gap`` between the displacements that are asked for.
-    passing_tolerance: float = 1e-3
-    passing_gap: float = 2e-5
 
     def passing(self) -> NewtonSettings:
         """For a state that nobody asked for: it only leads to the next."""
         return replace(
             self,
-            tolerance=max(self.tolerance, self.passing_tolerance),
-            gap=max(self.gap, self.passing_gap),
+            tolerance=max(self.tolerance, _PASSING_TOLERANCE),
+            gap=max(self.gap, _PASSING_GAP),
         )
 
 
