@@ -20,7 +20,12 @@ from study.ground.arrays import Array
 _BY_CUBIC = 0.125
 _BY_QUARTIC = 0.75
 _BENT = 0.04
-_ALONE = 0.02
+_ALONE = 0.055
+#: share of what force and slopes do not agree by that counts as a jump of the force in an interval,
+#: beyond some times what intervals beside it tell of a smooth curve: a snap that loses less energy
+#: than interpolation may miss is seen by nothing else
+_JUMP = 0.5
+_SMOOTH = 8.0
 
 
 @dataclass(frozen=True)
@@ -141,7 +146,7 @@ class Curve:
         pairs = h / 2 * (f[2:] + f[:-2]) + h**2 / 12 * (k[:-2] - k[2:])
         quartic = cubic + 30 * (work[1:] + work[:-1] - pairs) / h * (t * (1 - t)) ** 2
         near = np.r_[0.0, _BY_CUBIC * np.abs(cubic) + _BY_QUARTIC * np.abs(quartic), 0.0]
-        return np.asarray(off + np.maximum(near[:-1], near[1:]))
+        return np.asarray(off + np.maximum(near[:-1], near[1:]) + _JUMP * _jumps(x, f, k))
 
     def _missed_by_a_parabola(self) -> float:
         """Mean force that a parabola from the origin lacks of the first interval's work, N."""
@@ -232,7 +237,7 @@ class Curve:
             return self._gradients(names)
         if np.array_equal(d, self.displacement_mm):  # the spline passes through its points
             return self._gradients(names)
-        return self._splined(self._gradients(names), d)
+        return self.splined(self._gradients(names), d)
 
     def smooth_at(self, names: Sequence[str], displacement_mm: ArrayLike) -> tuple[Array, Array]:
         """Force and dF/dtheta, without the corners of chords between few points."""
@@ -241,7 +246,7 @@ class Curve:
         is_course = self.time_s is not None
         if self.stiffness_N_per_mm is not None or is_course or len(self) < 3:
             return self.force_at(d), self.gradients_at(names, d)
-        found = self._splined(np.column_stack([self.force_N, self._gradients(names)]), d)
+        found = self.splined(np.column_stack([self.force_N, self._gradients(names)]), d)
         return found[:, 0], found[:, 1:]
 
     def _gradients(self, names: Sequence[str]) -> Array:
@@ -250,8 +255,8 @@ class Curve:
             return np.empty((len(self), 0))
         return np.stack([self.force_gradient[name] for name in names], axis=1)
 
-    def _splined(self, values: Array, d: Array) -> Array:
-        """Columns of values at the points, zero at the unloaded origin, at other places."""
+    def splined(self, values: Array, d: Array) -> Array:
+        """Columns of values at the points, zero at the unloaded origin, at other places in mm."""
         from scipy.interpolate import CubicSpline
 
         knots = self.displacement_mm
@@ -345,6 +350,24 @@ class Curve:
         k = np.clip(np.searchsorted(knots, places, side="right") - 1, 0, missed.size - 1)
         t = (places - knots[k]) / np.diff(knots)[k]
         return np.asarray(30.0 * missed[k] * (t * (1.0 - t)) ** 2)
+
+
+def _jumps(knots: Array, force: Array, slope: Array) -> Array:
+    """Change of the force that the slopes at both ends do not explain, N, shape (n - 1,).
+
+    Of a smooth curve it grows with the third power of the interval, by a factor that intervals
+    beside it share; what is beyond that is taken for a jump. The slope at the origin is made of
+    the work, so that the first interval tells nothing.
+    """
+    h = np.diff(knots)
+    missed = np.abs(h * (slope[:-1] + slope[1:]) / 2 - np.diff(force))
+    if missed.size < 3:
+        return np.zeros(missed.shape)
+    if knots[0] == 0.0:
+        missed[0] = 0.0
+    cubic = missed / h**3
+    beside = np.maximum(np.r_[cubic[1], cubic[:-1]], np.r_[cubic[1:], cubic[-2]])
+    return np.asarray(np.maximum(missed - _SMOOTH * beside * h**3, 0.0))
 
 
 def hermite_work(knots: Array, force: Array, slope: Array) -> Array:

@@ -9,8 +9,8 @@ import numpy as np
 from study.ground.curve import Curve
 from study.mechanics.calibration.fit import fit
 from study.mechanics.calibration.residual_function import MeasuredCurve
-from study.mechanics.material.homogeneous import uniaxial, uniaxial_gradient
 from study.mechanics.material.material import Material
+from tests.material.modes import uniaxial, uniaxial_gradient
 
 AREA_MM2 = np.pi * 25.0**2
 HEIGHT_MM = 30.0

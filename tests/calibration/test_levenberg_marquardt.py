@@ -13,7 +13,7 @@ from study.mechanics.calibration.levenberg_marquardt import (
     levenberg_marquardt,
     updated_radius,
 )
-from study.mechanics.calibration.residual_function import EvaluationFailed, finite_difference
+from study.mechanics.calibration.residual_function import EvaluationFailed
 from tests.calibration.nist import never_rises
 
 T = np.linspace(0.1, 3, 25)
@@ -269,14 +269,6 @@ def test_resume_continues_where_it_stopped():
     straight = levenberg_marquardt(decay, [9.0, 0.1])
     assert resumed.x == pytest.approx(straight.x, rel=1e-12)
     assert resumed.iterations == straight.iterations - 2
-
-
-@pytest.mark.parametrize(("scheme", "tolerance"), [("central", 1e-9), ("forward", 1e-6)])
-def test_finite_differences(scheme, tolerance):
-    x = np.array([1.7, 0.9])
-    numeric = finite_difference(lambda v: decay(v)[0], x, scheme=scheme)
-    # truncation and rounding meet near eps^(2/3) and eps^(1/2)
-    assert numeric == pytest.approx(decay(x)[1], abs=tolerance)
 
 
 def test_the_scatter_of_a_simulation_is_no_failure():

@@ -120,7 +120,7 @@ def test_a_certain_covariance_leaves_the_quantile_of_students_t_up_to_the_normal
     tables = {1: math.tan(0.475 * math.pi), 2: 4.302652729911275, 5: 2.570581835636314,
               30: 2.042272456301238, 120: 1.979930405052777, 1000: 1.962339080826408}  # fmt: skip
     for nu in [1, 2, 5, 30, 120, 1000, *np.logspace(4, 300, 75)]:
-        found = intervals(rows, known=np.array([[variance * (math.sqrt(nu) - 1)]]))
+        found = intervals(rows, other_covariance=np.array([[variance * (math.sqrt(nu) - 1)]]))
         assert found is not None
         # Cornish and Fisher's expansion about the normal (Abramowitz and Stegun 1964, 26.7.5)
         z = 1.959963984540054
@@ -139,7 +139,7 @@ def test_the_interval_of_a_mixture_holds_95_percent_of_normal_errors(certain):
         series = [Series(rng.normal(size=rows), design, design.T / rows)]
         alone = intervals(series)
         assert alone is not None
-        found = intervals(series, known=certain * alone.covariance)
+        found = intervals(series, other_covariance=certain * alone.covariance)
         assert found is not None
         z = found.half_width[0] / np.sqrt(found.mixture.covariance[:, 0, 0])
         inside = found.mixture.weight @ [math.erf(t / math.sqrt(2)) for t in z]

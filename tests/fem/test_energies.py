@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from study.ground.errors import InputError
-from study.mechanics.material.homogeneous import uniaxial
 from study.mechanics.material.material import ENERGIES, Material
 from study.mechanics.material.polynomial import ReducedPolynomial
 from study.mechanics.setup.geometry import Cylinder
@@ -18,6 +17,7 @@ from study.mechanics.solver.newton import NewtonSettings, Options, solve_step
 from study.mechanics.solver.system import State, System
 from tests.fem.homogeneous import TIGHT, driven, force, held, system_of
 from tests.fem.problems import GEL, compression, cube, grid
+from tests.material.modes import uniaxial
 
 NH = Material("neo-hookean", {"C10": 0.5}, bulk_modulus=1e3)
 MR = Material("mooney-rivlin", {"C10": 0.4, "C01": 0.1}, bulk_modulus=1e3)

@@ -12,6 +12,7 @@ from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Block, Cone, Cylinder, Flat, Indenter, Sphere
 from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Test as Loading
+from study.mechanics.solver import load_path
 from study.mechanics.solver.finite_element_solution import solve
 from study.mechanics.solver.internal_force import StoredEnergy
 from study.mechanics.solver.newton import Options
@@ -261,3 +262,24 @@ def test_the_interpolation_error_of_few_steps_is_covered(pressed: Indenter, step
         off = np.sqrt(np.mean((curve.force_at(d) - exact.force_at(d)) ** 2)) / size
         assert off <= curve.relative_interpolation_error()
     assert curve.relative_interpolation_error() <= 5e-4
+
+
+def test_an_interpolation_that_misses_its_tolerance_is_said(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """One round of added steps does not reach what is asked for: the rest is in the message."""
+    monkeypatch.setattr(load_path, "_ROUNDS", 1)
+    problem = path("sphere")
+    problem = replace(problem, test=replace(problem.test, steps=1), model=Model(mesh="coarse"))
+    met = solve(problem, gradients=False, options=Options(curve_error=0.2))
+    assert met.message == "every step converged"
+    missed = solve(problem, gradients=False, options=Options(curve_error=1e-4))
+    error = missed.curve.relative_interpolation_error()
+    assert error > 1e-4
+    assert f"may be off by {100 * error:.2g} % of the force" in missed.message
+    # points of a solution for other constants are followed, whether they are enough or not
+    other = replace(problem, material=problem.material.with_constants([2e-3]))
+    coarse = solve(problem, options=Options(curve_error=1.0))
+    later = solve(other, gradients=False, warm=coarse, options=Options(curve_error=1e-4))
+    assert len(later.curve) == len(coarse.curve)
+    assert "between its points" in later.message

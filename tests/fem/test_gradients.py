@@ -12,6 +12,7 @@ from study.mechanics.mesh.mesher import build_mesh
 from study.mechanics.setup.geometry import Block, Cone, Cylinder, Flat, Sphere
 from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Test as Loading
+from study.mechanics.solver import sensitivity
 from study.mechanics.solver.finite_element_solution import solve
 from tests.fem.problems import compression, taylor_slopes
 
@@ -61,7 +62,6 @@ def test_errors_of_the_rates_are_squared(
     kind: str, space: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Rates to three digits give derivatives to six: the first-order error is taken off."""
-    from study.mechanics.solver import sensitivity
 
     if kind == "indentation":
         test = Loading(kind, 1.5, "frictionless", "bonded", steps=2, indenter=Cone(30.0, 1.0))
@@ -122,3 +122,20 @@ def test_a_curve_has_one_slope_whatever_is_asked_for(name: str) -> None:
     low, high = (solve(p, gradients=False, mesh=mesh).curve.force_N[-1] for p in nearby)
     assert asked.size >= 4
     np.testing.assert_allclose(asked[-1], (high - low) / (2e-5 * depth), rtol=1e-4)
+
+
+def test_derivatives_that_do_not_converge_are_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without corrections the springs of the contact keep a part of every derivative."""
+    test = Loading("indentation", 1.0, "frictionless", "bonded", 2, Sphere(5.0))
+    problem = Problem(Cylinder(12, 10), test, MATERIALS[0], Model(mesh="coarse"))
+    right = solve(problem)
+    assert right.message == "every step converged"
+    # fewer than are needed: the tangent is factorized once more and serves for the rest
+    monkeypatch.setattr(sensitivity, "_CORRECTIONS", 3)
+    again = solve(problem)
+    assert again.message == "every step converged"
+    np.testing.assert_allclose(
+        again.curve.stiffness_N_per_mm, right.curve.stiffness_N_per_mm, rtol=1e-6
+    )
+    monkeypatch.setattr(sensitivity, "_CORRECTIONS", 0)
+    assert "steps did not converge: at" in solve(problem).message

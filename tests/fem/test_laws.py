@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from study.mechanics.element.point_law import WORK_ROWS, full_tangent, isochoric
 from study.mechanics.element.spectral import exponential_ratio, principal_axes, sinh_ratio
 from study.mechanics.material.energy import Law
-from study.mechanics.material.homogeneous import confined, first_piola
+from study.mechanics.material.homogeneous import first_piola
 from study.mechanics.material.material import Material
 from tests.fem import reference_law
+from tests.material.modes import confined
 
 Array = np.ndarray
 

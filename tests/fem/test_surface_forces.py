@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from study.ground.errors import InputError
-from study.mechanics.material.homogeneous import uniaxial
 from study.mechanics.mesh.mesher import build_mesh
 from study.mechanics.mesh.size_field import graded_table
 from study.mechanics.mesh.solid import expected_unknowns
@@ -32,6 +31,7 @@ from study.mechanics.solver.solution_cost import too_large, unknowns
 from study.mechanics.surface.closed_surface import body
 from tests.fem.problems import GEL
 from tests.fem.surfaces import Shape, box, cylinder, sphere, write
+from tests.material.modes import uniaxial
 
 SEGMENTS = 64
 #: area of the polygon over that of its circle

@@ -7,20 +7,17 @@ import numpy as np
 import pytest
 
 from study.ground.errors import InputError
-from study.mechanics.material.homogeneous import (
-    MODES,
+from study.mechanics.material.homogeneous import MODES, first_piola, response, strain_energy
+from study.mechanics.material.material import Material
+from study.mechanics.material.stability import stability
+from tests.material.modes import (
     confined,
     equibiaxial,
-    first_piola,
     planar,
-    response,
     simple_shear,
-    strain_energy,
     uniaxial,
     uniaxial_gradient,
 )
-from study.mechanics.material.material import Material
-from study.mechanics.material.stability import stability
 
 ROOT = Path(__file__).resolve().parents[2]
 with open(ROOT / "validation" / "material_points.csv", newline="", encoding="utf-8") as _file:

@@ -6,14 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from study.mechanics.material.homogeneous import (
-    confined,
-    first_piola,
-    first_piola_gradient,
-    strain_energy,
-    uniaxial,
-)
+from study.mechanics.material.homogeneous import first_piola, first_piola_gradient, strain_energy
 from study.mechanics.material.material import Material, is_dimensionless
+from tests.material.modes import confined, uniaxial
 
 #: positive constants: polyconvex, so that the energy has its only minimum at rest
 STABLE = [

@@ -9,8 +9,9 @@ import pytest
 
 import study
 from study.ground.errors import InputError
-from study.mechanics.material.homogeneous import LOADINGS, equibiaxial, uniaxial
+from study.mechanics.material.homogeneous import LOADINGS
 from study.mechanics.material.material import Material
+from tests.material.modes import equibiaxial, uniaxial
 
 C10, C01 = 0.02, 0.005
 TABLE = """measurements = { file = "b.csv", columns = { stretch_1 = "l1", stretch_2 = "l2", \

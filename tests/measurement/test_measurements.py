@@ -318,12 +318,6 @@ def test_size_caps(tmp_path, monkeypatch):
     assert "at most 10 are read" in refusal(tmp_path, LINE + "5,10\n" * 20)
 
 
-def test_data_hash_follows_the_content_only(tmp_path):
-    first = read(tmp_path, LINE).data_hash
-    assert read(tmp_path, LINE).data_hash == first
-    assert read(tmp_path, LINE + "5,10\n").data_hash != first
-
-
 ECOFLEX = Spec(
     file="ecoflex_compression/ef10_time_compression_load.csv.gz",
     columns={"displacement": "compression_mm", "force": "load_N"},

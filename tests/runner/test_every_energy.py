@@ -10,11 +10,11 @@ import pytest
 from study.api import solve
 from study.api.solving import solution_json
 from study.ground.errors import InputError
-from study.mechanics.material.homogeneous import uniaxial
 from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Cylinder
 from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Test
+from tests.material.modes import uniaxial
 
 PROBLEM = """
 schema = 1

@@ -24,7 +24,6 @@ from study.laboratory.haptics.tabulated_force import (
     ConstantRange,
     ForceLaw,
     HeldOut,
-    TabulatedFunction,
     force_table,
     gradient_table,
 )
@@ -99,7 +98,10 @@ def document(law: ForceLaw) -> dict[str, object]:
         "force_N": law.force.values.tolist(),
         "stiffness_N_per_mm": law.force.slopes.tolist(),
         "constants_MPa": dict(law.constants),
-        "force_gradient": {n: _table(t) for n, t in law.gradients.items()},
+        "force_gradient": {
+            n: ({"value": t.values.tolist(), "slope_per_mm": t.slopes.tolist()})
+            for n, t in law.gradients.items()
+        },
         "tested_mm": [0.0, law.force.end_mm],
         "continuation": {"below": "zero", "above": "linear", "simulated": False},
         "monotone": law.is_monotone,
@@ -125,10 +127,6 @@ def document(law: ForceLaw) -> dict[str, object]:
         "sentences": sentences(law),
         "version": study.__version__,
     }
-
-
-def _table(table: TabulatedFunction) -> dict[str, list[float]]:
-    return {"value": table.values.tolist(), "slope_per_mm": table.slopes.tolist()}
 
 
 def _finite(value: float) -> float | None:
@@ -221,7 +219,7 @@ def solved_force_law(
     intervals = max(problem.test.steps, FEWEST_INTERVALS)
     while True:
         solution = _solved(problem, PARTS * intervals)
-        law = tabulated(name, problem, _with_origin(solution.curve))
+        law = tabulated(name, problem, solution.curve)
         say(f"{intervals} intervals: {100 * law.relative_error:.2g} % of the largest force")
         if law.relative_error <= accuracy.tolerance or 2 * intervals > MOST_INTERVALS:
             break
@@ -230,28 +228,35 @@ def solved_force_law(
     return replace(law, ranges=tuple(_ranges(law, problem, solution, accuracy, say)))
 
 
-def tabulated(name: str, problem: Problem, curve: Curve) -> ForceLaw:
-    """Tabulate every fourth point of a curve that begins at the origin; judge by the others."""
-    slopes = curve.stiffness_N_per_mm
-    if slopes is None:
+def tabulated(name: str, problem: Problem, path: Curve) -> ForceLaw:
+    """Tabulate every fourth point of a path in even steps; judge by the others, and between them.
+
+    Between its points the path is its own interpolation, with the work that it does and without.
+    """
+    curve = _with_origin(path)
+    if curve.stiffness_N_per_mm is None:
         raise ValueError("a force law needs the stiffness of its curve")
-    knots, between = slice(0, None, 2), slice(1, None, 2)
-    step = float(curve.displacement_mm[2])
-    force = force_table(step, curve.force_N[knots], slopes[knots])
+    knots = np.arange(0, len(curve), PARTS)
+    others = np.setdiff1d(np.arange(len(curve)), knots)
+    d, force_N, slopes = curve.displacement_mm, curve.force_N, curve.stiffness_N_per_mm[knots]
+    force = force_table(float(d[PARTS]), force_N[knots], slopes)
     gradients = {
-        name: gradient_table(step, values[knots]) for name, values in curve.force_gradient.items()
+        name: gradient_table(float(d[PARTS]), values[knots])
+        for name, values in curve.force_gradient.items()
     }
-    others = curve.displacement_mm[between]
-    there = curve.force_N[between]
-    moved = np.flatnonzero(force.slopes[1:] != slopes[knots][1:]) + 1
+    between = np.linspace(0.0, float(d[-1]), PARTS * len(path) + 1)
+    missed = [force.at(between) - one.force_at(between) for one in (path, curve)]
     return ForceLaw(
         name=name,
         force=force,
         gradients=gradients,
         constants=dict(problem.material.constants),
-        limited=tuple(int(k) for k in moved),
-        held_out=HeldOut(others, there, force.at(others) - there),
-    )
+        limited=tuple(int(k) for k in np.flatnonzero(force.slopes[1:] != slopes[1:]) + 1),
+        held_out=HeldOut(
+            d[others], force_N[others], force.at(d[others]) - force_N[others],
+            float(np.abs(missed).max()),
+        ),
+    )  # fmt: skip
 
 
 def _solved(problem: Problem, steps: int, warm: Solution | None = None) -> Solution:

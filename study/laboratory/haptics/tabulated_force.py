@@ -116,39 +116,33 @@ class TabulatedFunction:
         return k, steps - k, np.maximum(d - self.end_mm, 0.0)
 
 
-#: Error bound over the largest deviation at the points kept out: contact that closes point by point
-#: makes no smooth function, and others lie between them
+#: Error bound over the largest deviation that is seen: contact that closes point by point makes no
+#: smooth function. Of six laws of punches, spheres and cones the largest deviation on a path of
+#: four times as many points was .9 to 1.2 times the largest that is seen here
 BEYOND_SEEN = 1.5
 
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Displacements between those of the table, solved and kept out of it.
-
-    A cubic through values and slopes is farthest from a smooth function in the middle of an
-    interval (h^4/384 of the fourth derivative). Where contact closes point by point it is not, so
-    that these are three in each interval, and the bound is larger than what is seen there.
-    """
+    """Points of a path that are kept out of the table made of it, three in each interval."""
 
     #: shape (n,); as the finite elements find them.
     displacement_mm: Array
     force_N: Array
     #: shape (n,); force of the law less that of the finite elements.
     deviation_N: Array
-
-    @property
-    def largest_N(self) -> float:  # noqa: N802
-        """Largest deviation, in size."""
-        return float(np.abs(self.deviation_N).max())
+    #: Largest deviation from the interpolated path, between its points too.
+    largest_between_N: float
 
     @property
     def bound_N(self) -> float:  # noqa: N802
         """Bound of the deviation, between these points too."""
-        return BEYOND_SEEN * self.largest_N
+        seen = float(np.abs(self.deviation_N).max())
+        return BEYOND_SEEN * max(seen, self.largest_between_N)
 
     @property
     def worst_mm(self) -> float:
-        """Where it is."""
+        """Displacement of the largest deviation at a point."""
         return float(self.displacement_mm[int(np.argmax(np.abs(self.deviation_N)))])
 
 

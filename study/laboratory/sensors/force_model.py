@@ -133,18 +133,17 @@ class Simulated:
         knots = curve.displacement_mm
         d = np.clip(displacement_mm, 0.0, knots[-1])
         touches = displacement_mm >= 0
-        more = curve.force_N - first.force_at(knots)
+        more = (curve.force_N - first.force_at(knots))[:, None]
 
         def force(at: Array) -> Array:
-            return np.asarray(first.force_at(at) + _spline(knots, more, at))
+            return np.asarray(first.force_at(at) + curve.splined(more, at)[:, 0])
 
         near = DIFFERENCE * float(knots[-1])
         below, above = np.maximum(d - near, 0.0), np.minimum(d + near, knots[-1])
-        columns = [_spline(knots, curve.force_gradient[n], d) for n in self._names]
         return ForceAt(
             np.where(touches, force(d), 0.0),
             np.where(touches, (force(above) - force(below)) / (above - below), 0.0),
-            np.where(touches[:, None], np.stack(columns, axis=1), 0.0),
+            np.where(touches[:, None], curve.gradients_at(self._names, d), 0.0),
         )
 
     def _base(self) -> Curve:
@@ -182,13 +181,6 @@ def _notes(solution: Solution) -> tuple[str, ...]:
         f"past {places} mm the surface snaps to another equilibrium: there the force is no smooth "
         "function of the constants; press less deep, or refine the mesh",
     )
-
-
-def _spline(knots: Array, values: Array, at: Array) -> Array:
-    """Cubic spline from the unloaded origin; linear in the values."""
-    from scipy.interpolate import CubicSpline
-
-    return np.asarray(CubicSpline(np.r_[0.0, knots], np.r_[0.0, values])(at))
 
 
 # Tables ``[position]``, ``[force]``, ``[requirement]`` of a file for ``study require``.

@@ -18,6 +18,8 @@ from study.ground.bounded_file import Unpacker, open_regular
 from study.ground.errors import Fault, InputError
 from study.ground.units import unit_factor
 from study.laboratory.registration.closest_point import TriangleSurface
+from study.mechanics.mesh.structured import MIDDLES
+from study.mechanics.surface.closed_surface import inspect, joined, read_mesh
 
 if TYPE_CHECKING:
     from scipy.interpolate import LinearNDInterpolator
@@ -28,31 +30,23 @@ SEGMENTS = 180
 #: Places within this share of the extent lie in a plane of symmetry, or are one point.
 SAME_PLACE = 1e-6
 
-_TRIANGLE = ((0, 1), (1, 2), (2, 0))
-_QUADRILATERAL = ((0, 1), (1, 2), (2, 3), (3, 0))
 _TETRAHEDRON = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2))
 _HEXAHEDRON = (
     (0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7),
 )  # fmt: skip
-#: Corners, sides as their corners, and corners in whose middle every further node lies (VTK).
-_SHAPES: dict[str, tuple[int, tuple[tuple[int, ...], ...], tuple[tuple[int, ...], ...]]] = {
-    "triangle": (3, _TRIANGLE, ()),
-    "triangle6": (3, _TRIANGLE, _TRIANGLE),
-    "quad": (4, _QUADRILATERAL, ()),
-    "quad9": (4, _QUADRILATERAL, (*_QUADRILATERAL, (0, 1, 2, 3))),
-    "tetra": (4, _TETRAHEDRON, ()),
-    "tetra10": (4, _TETRAHEDRON, ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))),
-    "hexahedron": (8, _HEXAHEDRON, ()),
-    "hexahedron27": (
-        8,
-        _HEXAHEDRON,
-        (
-            (0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6),
-            (3, 7), (0, 3, 4, 7), (1, 2, 5, 6), (0, 1, 4, 5), (2, 3, 6, 7), (0, 1, 2, 3),
-            (4, 5, 6, 7), (0, 1, 2, 3, 4, 5, 6, 7),
-        ),
-    ),
-}  # fmt: skip
+#: Sides of cells by the type of their corners, each as its corners.
+_SIDES: dict[str, tuple[tuple[int, ...], ...]] = {
+    "triangle": ((0, 1), (1, 2), (2, 0)),
+    "quad": ((0, 1), (1, 2), (2, 3), (3, 0)),
+    "tetra": _TETRAHEDRON,
+    "hexahedron": _HEXAHEDRON,
+}
+#: Corners, sides, and corners in whose middle every further node lies.
+_SHAPES = {
+    kind: (1 + max(max(side) for side in sides), sides, MIDDLES.get(kind, []))
+    for corners, sides in _SIDES.items()
+    for kind in (corners, *(k for k in MIDDLES if k.rstrip("0123456789") == corners))
+}
 KINDS = tuple(_SHAPES)
 PLANE_KINDS = ("triangle", "triangle6", "quad", "quad9")
 
@@ -251,30 +245,16 @@ def _joined(points: Array, displacement: Array, triangles: Ints) -> BodySurface:
     """Make one point of those at one place, drop triangles without area, and check it closes."""
     size = float(np.ptp(points, axis=0).max())
     used, place = np.unique(triangles, return_inverse=True)
-    group, first = _groups(points[used], SAME_PLACE * size)
-    joined = group[place.reshape(-1, 3)]
-    whole = (joined != np.roll(joined, 1, axis=1)).all(axis=1)
-    joined = joined[whole]
-    edges = np.sort(joined[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    group, first = joined(points[used], SAME_PLACE * size)
+    cells = group[place.reshape(-1, 3)]
+    cells = cells[(cells != np.roll(cells, 1, axis=1)).all(axis=1)]
+    edges = np.sort(cells[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     _, count = np.unique(edges, axis=0, return_counts=True)
     if (count != 2).any():
         rule = f"its surface does not close: {int((count != 2).sum())} open edges"
         mend = "the mesh must be a whole body, a quarter at x = 0 and y = 0, or a section"
         raise InputError(Fault("simulation", rule, mend))
-    return BodySurface(points[used][first], displacement[used][first], joined)
-
-
-def _groups(points: Array, tolerance: float) -> tuple[Ints, Ints]:
-    """Group points at one place: the group of every point, and a point of every group."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import cKDTree
-
-    near = cKDTree(points).query_pairs(tolerance, output_type="ndarray")
-    links = coo_matrix((np.ones(len(near)), near.T), shape=(len(points), len(points)))
-    _, group = connected_components(links, directed=False)
-    _, first = np.unique(group, return_index=True)
-    return group.astype(np.int64), first
+    return BodySurface(points[used][first], displacement[used][first], cells)
 
 
 # A simulated body: its surface before and after the deformation, and what moves inside.
@@ -355,7 +335,6 @@ def read_body(path: Path, unit: str) -> SimulatedBody:
     """Read a simulated body from a file. Units: unit mm."""
     if path.suffix.lower() == ".vtu":
         return body_of_mesh(_read_vtu(path))
-    from study.mechanics.surface.closed_surface import inspect, read_mesh
 
     where = f"simulation: {path.name}"
     points, triangles = read_mesh(path, where)

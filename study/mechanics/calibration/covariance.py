@@ -116,7 +116,7 @@ def student_t(degrees_of_freedom: int, level: float = 0.95) -> float:
     return float(stdtrit(degrees_of_freedom, 0.5 + level / 2))
 
 
-def identifiability(names: Sequence[str], values: Array, known: Uncertainty) -> tuple[bool, str]:
+def identifiability(names: Sequence[str], values: Array, estimate: Uncertainty) -> tuple[bool, str]:
     """Verdict of V39 on whether the data determine every constant, and why.
 
     Not identifiable: rank-deficient, two constants correlated beyond 0.99, or an interval
@@ -126,30 +126,31 @@ def identifiability(names: Sequence[str], values: Array, known: Uncertainty) -> 
 
     Shapes: values (p,).
     """
-    free = np.isfinite(np.diag(known.correlation)) | (known.rank < len(names))
-    if known.rank < int(free.sum()) and not np.isfinite(known.correlation).all():
+    free = np.isfinite(np.diag(estimate.correlation)) | (estimate.rank < len(names))
+    if estimate.rank < int(free.sum()) and not np.isfinite(estimate.correlation).all():
         return False, (
-            f"the data determine only {known.rank} of {len(names)} combinations of {_listed(names)}"
+            f"the data determine only {estimate.rank} of {len(names)} combinations of "
+            f"{_listed(names)}"
         )
-    off = np.nan_to_num(known.correlation - np.diag(np.diag(known.correlation)))
+    off = np.nan_to_num(estimate.correlation - np.diag(np.diag(estimate.correlation)))
     i, j = np.unravel_index(int(np.argmax(np.abs(off))), off.shape)
     first, second, worst = min(int(i), int(j)), max(int(i), int(j)), float(off[i, j])
     if abs(worst) > LIMIT_CORRELATION:
-        ratio = float(known.standard_error[first] / known.standard_error[second])
+        ratio = float(estimate.standard_error[first] / estimate.standard_error[second])
         return False, _together(names[first], names[second], worst, ratio)
-    if known.degrees_of_freedom <= 0:
+    if estimate.degrees_of_freedom <= 0:
         return False, "as many constants as points: nothing is left to judge them by"
-    wide = _widest(names, values, known)
+    wide = _widest(names, values, estimate)
     if wide:
         return False, wide
-    return True, _caution(names, first, second, worst, known.condition)
+    return True, _caution(names, first, second, worst, estimate.condition)
 
 
 def verdict_at_end(
-    names: Sequence[str], values: Array, known: Uncertainty, free: NDArray[np.bool_], ended: str
+    names: Sequence[str], values: Array, estimate: Uncertainty, free: NDArray[np.bool_], ended: str
 ) -> tuple[bool, str]:
     """Verdict on a fit that ended at a kink, at an edge or at a bound. Shapes: free (p,)."""
-    identifiable, reason = identifiability(names, values, known)
+    identifiable, reason = identifiability(names, values, estimate)
     if ended:
         return False, ended if identifiable or not reason else f"{ended}; besides, {reason}"
     if not free.all():
@@ -168,10 +169,10 @@ def _together(first: str, second: str, correlation: float, ratio: float) -> str:
     )
 
 
-def _widest(names: Sequence[str], values: Array, known: Uncertainty) -> str:
-    width = known.ci95[:, 1] - known.ci95[:, 0]
+def _widest(names: Sequence[str], values: Array, estimate: Uncertainty) -> str:
+    width = estimate.ci95[:, 1] - estimate.ci95[:, 0]
     # an interval that changes no force by more than this says that the constant is zero
-    seen = np.inf if known.influence is None else 0.5 * width * known.influence
+    seen = np.inf if estimate.influence is None else 0.5 * width * estimate.influence
     ratio = np.zeros(values.size)
     np.divide(width, np.abs(values), out=ratio, where=(values != 0) & (seen > AS_GOOD_AS_ZERO))
     worst = int(np.argmax(np.nan_to_num(ratio)))

@@ -86,8 +86,8 @@ class Fit:
     @property
     def message(self) -> str:
         """How the search ended and, where the model failed it, why."""
-        told = self.failure if not self.converged else ""
-        return f"{self.status.sentence} ({told})" if told else self.status.sentence
+        failure = self.failure if not self.converged else ""
+        return f"{self.status.sentence} ({failure})" if failure else self.status.sentence
 
     @property
     def degrees_of_freedom(self) -> int:
@@ -154,7 +154,7 @@ class _Model:
     ) -> None:  # fmt: skip
         self.predict, self.measured, self.names = predict, tuple(measured), names
         self.priors, self.slopes = priors, pseudo_jacobian(priors, names)
-        self.known: dict[bytes, tuple[Curve, ...]] = {}
+        self.curves_at: dict[bytes, tuple[Curve, ...]] = {}
         self.failure = ""
 
     def __call__(self, values: Array) -> tuple[Array, Array]:
@@ -168,11 +168,11 @@ class _Model:
         curves = tuple(self.predict(values))
         if len(curves) != len(self.measured):
             raise ValueError(f"predict gave {len(curves)} curves for {len(self.measured)} measured")
-        self.known[values.tobytes()] = curves
+        self.curves_at[values.tobytes()] = curves
         pairs = [(m, c) for m, c in zip(self.measured, curves, strict=True) if m.role == "fit"]
         residuals, rows = zip(*(self._one(m, c) for m, c in pairs), strict=True)
-        beside = pseudo_rows(self.priors, self.names, values)
-        return np.concatenate([*residuals, beside]), np.concatenate([*rows, self.slopes])
+        prior_rows = pseudo_rows(self.priors, self.names, values)
+        return np.concatenate([*residuals, prior_rows]), np.concatenate([*rows, self.slopes])
 
     def _one(self, measured: MeasuredCurve, predicted: Curve) -> tuple[Array, Array]:
         used = measured.weights > 0
@@ -191,7 +191,7 @@ class _Model:
     def watch(self, callback: Progress | None) -> Progress:
         def accepted(iteration: Iteration) -> bool | None:
             key = iteration.x.tobytes()
-            self.known = {k: v for k, v in self.known.items() if k == key}
+            self.curves_at = {k: v for k, v in self.curves_at.items() if k == key}
             return callback(iteration) if callback else None
 
         return accepted
@@ -208,7 +208,7 @@ def _report(result: LMResult, model: _Model) -> Fit:
     force, weight = model.measured_forces()
     residual = result.residual[: force.size]
     rss = float(residual @ residual) if residual.size else 2 * result.cost
-    known = replace(
+    estimate = replace(
         uncertainty(result.jacobian, result.residual, result.x, ~result.at_bound),
         influence=influence(result.jacobian, weight * force),
     )
@@ -216,22 +216,22 @@ def _report(result: LMResult, model: _Model) -> Fit:
     if result.status.usable:
         ended = "" if result.converged else reason
         free = ~result.at_bound
-        identifiable, reason = verdict_at_end(model.names, result.x, known, free, ended)
+        identifiable, reason = verdict_at_end(model.names, result.x, estimate, free, ended)
     if not result.converged:
-        none = np.full_like(known.covariance, np.nan)
-        known = replace(
-            known, covariance=none, standard_error=none[0], ci95=none[:, :1].repeat(2, 1)
+        none = np.full_like(estimate.covariance, np.nan)
+        estimate = replace(
+            estimate, covariance=none, standard_error=none[0], ci95=none[:, :1].repeat(2, 1)
         )
     mean = float(weight**2 @ force / (weight @ weight))
     total = float(np.sum((weight * (force - mean)) ** 2))
     return Fit(
         model.names,
         result.x,
-        known.standard_error,
-        known.ci95,
-        known.covariance,
-        known.correlation,
-        known.condition,
+        estimate.standard_error,
+        estimate.ci95,
+        estimate.covariance,
+        estimate.correlation,
+        estimate.condition,
         rss,
         1 - rss / total if total > 0 else math.nan,
         aicc(rss, force.size, result.x.size),
@@ -241,7 +241,7 @@ def _report(result: LMResult, model: _Model) -> Fit:
         result.status,
         result.evaluations,
         residual,
-        model.known.get(result.x.tobytes(), ()),
+        model.curves_at.get(result.x.tobytes(), ()),
         result.history,
         model.failure,
         priors=model.priors,

@@ -40,97 +40,99 @@ from study.mechanics.calibration.serial_correlation import (
 
 
 def with_serial_correlation(
-    found: Fit, measured: Sequence[MeasuredCurve], known: Array | None = None
+    fit: Fit, measured: Sequence[MeasuredCurve], extra_covariance: Array | None = None
 ) -> Fit:
     """Errors, intervals, AICc and verdict of a fit from its recorded rows and their correlation."""
-    # Shapes: known (p, p).
-    free = np.isfinite(found.standard_error)
-    if not found.converged or not free.any() or found.rss == 0:
-        return found
-    measured = [m.reweighted(c) for m, c in zip(measured, found.curves, strict=True)]
-    names = [name for name, is_free in zip(found.names, free, strict=True) if is_free]
-    series, beside = _series(found, measured, names)
-    if known is not None:
-        beside = beside + known[np.ix_(free, free)]
-    priors = [one for one in found.priors if one.name in names]
-    values = np.array([found.values[found.names.index(name)] for name in names])
+    # Shapes: extra_covariance (p, p).
+    free = np.isfinite(fit.standard_error)
+    if not fit.converged or not free.any() or fit.rss == 0:
+        return fit
+    measured = [m.reweighted(c) for m, c in zip(measured, fit.curves, strict=True)]
+    names = [name for name, is_free in zip(fit.names, free, strict=True) if is_free]
+    series, other_covariance = _series(fit, measured, names)
+    if extra_covariance is not None:
+        other_covariance = other_covariance + extra_covariance[np.ix_(free, free)]
+    priors = [prior for prior in fit.priors if prior.name in names]
+    values = np.array([fit.values[fit.names.index(name)] for name in names])
     from_rows = intervals(
-        series, Pseudo(pseudo_rows(priors, names, values), pseudo_jacobian(priors, names)), beside
+        series,
+        Pseudo(pseudo_rows(priors, names, values), pseudo_jacobian(priors, names)),
+        other_covariance,
     )
     if from_rows is None:
-        return found
-    rows = sum(one.residual.size for one in series)
-    covariance = np.full_like(found.covariance, np.nan)
+        return fit
+    rows = sum(part.residual.size for part in series)
+    covariance = np.full_like(fit.covariance, np.nan)
     covariance[np.ix_(free, free)] = from_rows.covariance
     half = np.full(free.size, np.nan)
     half[free] = from_rows.half_width
-    freedom = found.n + len(found.priors) - int(free.sum())
-    independent = student_t(freedom) * found.standard_error
+    freedom = fit.n + len(fit.priors) - int(free.sum())
+    independent = student_t(freedom) * fit.standard_error
     rho = from_rows.correlation
     mixture = from_rows.mixture if free.all() else None
     serial = SerialCorrelation(rows, rho, effective_rows(rows, rho), half / independent, mixture)
     scale = np.sqrt(np.diag(covariance))
     correlated = math.isfinite(from_rows.correlation)
     corrected = replace(
-        found,
+        fit,
         covariance=covariance,
         standard_error=np.sqrt(np.diag(covariance)),
-        ci95=np.stack([found.values - half, found.values + half], axis=1),
+        ci95=np.stack([fit.values - half, fit.values + half], axis=1),
         correlation=np.asarray(covariance / np.outer(scale, scale)),
-        aicc=small_sample_aic(from_rows.deviance, rows, found.values.size + 1 + int(correlated)),
+        aicc=small_sample_aic(from_rows.deviance, rows, fit.values.size + 1 + int(correlated)),
         serial=serial,
     )
     return (
-        _judged(corrected, rows + len(found.priors) - free.size, measured)
+        _judged(corrected, rows + len(fit.priors) - free.size, measured)
         if free.all()
         else corrected
     )
 
 
-def _judged(found: Fit, degrees_of_freedom: int, measured: Sequence[MeasuredCurve]) -> Fit:
+def _judged(fit: Fit, degrees_of_freedom: int, measured: Sequence[MeasuredCurve]) -> Fit:
     """Fit with the verdict that its new intervals give."""
-    pairs = [(m, c) for m, c in zip(measured, found.curves, strict=True) if m.role == "fit"]
-    rows = np.concatenate([_gradient(m, c, found.names) for m, c in pairs])
+    pairs = [(m, c) for m, c in zip(measured, fit.curves, strict=True) if m.role == "fit"]
+    rows = np.concatenate([_gradient(m, c, fit.names) for m, c in pairs])
     force = np.concatenate([m.weights * m.curve.force_N for m, _ in pairs])
     largest = influence(rows, force)
-    known = Uncertainty(
-        found.covariance,
-        found.standard_error,
-        found.ci95,
-        found.correlation,
-        found.condition,
-        found.values.size,
+    estimate = Uncertainty(
+        fit.covariance,
+        fit.standard_error,
+        fit.ci95,
+        fit.correlation,
+        fit.condition,
+        fit.values.size,
         degrees_of_freedom,
         largest,
     )
-    identifiable, reason = identifiability(found.names, found.values, known)
-    return replace(found, identifiable=identifiable, reason=reason)
+    identifiable, reason = identifiability(fit.names, fit.values, estimate)
+    return replace(fit, identifiable=identifiable, reason=reason)
 
 
 def _series(
-    found: Fit, measured: Sequence[MeasuredCurve], names: Sequence[str]
+    fit: Fit, measured: Sequence[MeasuredCurve], names: Sequence[str]
 ) -> tuple[list[Series], Array]:
     """Every recording with the influence of its rows on the free constants, and that of priors."""
-    pairs = [(m, c) for m, c in zip(measured, found.curves, strict=True) if m.role == "fit"]
+    pairs = [(m, c) for m, c in zip(measured, fit.curves, strict=True) if m.role == "fit"]
     rows = [_gradient(m, c, names) for m, c in pairs]
-    priors = [one for one in found.priors if one.name in names]
+    priors = [prior for prior in fit.priors if prior.name in names]
     inverse, _ = scaled_inverse(np.concatenate([*rows, pseudo_jacobian(priors, names)]))
     out = []
-    for (one, predicted), jacobian in zip(pairs, rows, strict=True):
-        used = one.weights > 0
+    for (test, predicted), jacobian in zip(pairs, rows, strict=True):
+        used = test.weights > 0
         # estimates move by minus this times a change of the measured forces at the points, N
-        by_point = inverse @ (jacobian * one.weights[used][:, None]).T
-        places = one.curve.places[used]
-        recorded = recorded_rows(one, predicted, names)
+        by_point = inverse @ (jacobian * test.weights[used][:, None]).T
+        places = test.curve.places[used]
+        recorded = recorded_rows(test, predicted, names)
         for weight, rows_used, force, slopes in recorded:
             residual = weight * (force - rows_used.force_N)
             noise = row_noise(residual, rows_used.places, force)
             # rows count in units of a common deviation, in which noise that grows is even
             even = np.ones_like(residual) if noise is None else noise.relative
-            own = interpolation_transposed(by_point, places, rows_used.places)
-            own /= len(one.recordings) or 1
+            by_row = interpolation_transposed(by_point, places, rows_used.places)
+            by_row /= len(test.recordings) or 1
             scaled = (weight / even)[:, None] * slopes
-            out.append(Series(residual / even, scaled, own / weight * even))
+            out.append(Series(residual / even, scaled, by_row / weight * even))
     return out, known_covariance(priors, names, inverse)
 
 
@@ -147,7 +149,7 @@ def recorded_rows(
     fitted = measured.weights > 0
     recordings = measured.recordings or (measured.curve.at_points(np.flatnonzero(fitted)),)
     places = measured.curve.places[fitted]
-    found = []
+    weighted_rows = []
     for recording in recordings:
         inside = (recording.places >= places[0]) & (recording.places <= places[-1])
         if not inside.any():
@@ -156,15 +158,18 @@ def recorded_rows(
         weights = np.interp(recording.places, measured.curve.places, measured.weights)
         weights /= math.sqrt(len(recordings))
         used = inside & (weights > 0)
-        found.append((weights[used], recording.at_points(np.flatnonzero(used))))
-    at = [rows.displacement_mm for _, rows in found]
-    if predicted.time_s is not None or not found:  # a course is known at its own rows alone
-        known = [predicted.smooth_at(names, d) for d in at]
+        weighted_rows.append((weights[used], recording.at_points(np.flatnonzero(used))))
+    at = [rows.displacement_mm for _, rows in weighted_rows]
+    if predicted.time_s is not None or not weighted_rows:  # a course is known at its own rows alone
+        predictions = [predicted.smooth_at(names, d) for d in at]
     else:
         ends = np.cumsum([d.size for d in at])[:-1]
         force, slopes = predicted.smooth_at(names, np.concatenate(at))
-        known = list(zip(np.split(force, ends), np.split(slopes, ends), strict=True))
-    return [(*one, *told) for one, told in zip(found, known, strict=True)]
+        predictions = list(zip(np.split(force, ends), np.split(slopes, ends), strict=True))
+    return [
+        (*weighted, *prediction)
+        for weighted, prediction in zip(weighted_rows, predictions, strict=True)
+    ]
 
 
 def interpolation_transposed(by_point: Array, places: Array, rows: Array) -> Array:
@@ -183,10 +188,10 @@ def interpolation_transposed(by_point: Array, places: Array, rows: Array) -> Arr
     left = np.minimum(place.astype(int), max(rows.size - 2, 0))
     share = place - left
     out = np.zeros((by_point.shape[0], rows.size))
-    for k, own in enumerate(by_point):
-        out[k] = np.bincount(left, own * (1 - share), rows.size)
+    for k, values in enumerate(by_point):
+        out[k] = np.bincount(left, values * (1 - share), rows.size)
         right = np.minimum(left + 1, rows.size - 1)
-        out[k] += np.bincount(right, own * share, rows.size)
+        out[k] += np.bincount(right, values * share, rows.size)
     return out
 
 
@@ -223,21 +228,21 @@ def population(fits: Sequence[Fit]) -> tuple[Population, ...]:
 
 
 def _of(name: str, k: int, fits: Sequence[Fit]) -> Population | None:
-    used = [one for one in fits if one.converged and not math.isnan(one.standard_error[k])]
+    used = [fit for fit in fits if fit.converged and not math.isnan(fit.standard_error[k])]
     n = len(used)
     if n < 2:
         return None
-    values = np.array([one.values[k] for one in used])
-    within = float(np.mean([one.standard_error[k] ** 2 for one in used]))
+    values = np.array([fit.values[k] for fit in used])
+    within = float(np.mean([fit.standard_error[k] ** 2 for fit in used]))
     mean, deviation = float(values.mean()), float(values.std(ddof=1))
     t = student_t(n - 1)
     of_mean, of_next = t * deviation / math.sqrt(n), t * deviation * math.sqrt(1 + 1 / n)
     between = max(deviation**2 - within, 0.0)
     shrunk = [
-        mean + between / (between + one.standard_error[k] ** 2) * (float(one.values[k]) - mean)
-        if any(one is other for other in used)
+        mean + between / (between + fit.standard_error[k] ** 2) * (float(fit.values[k]) - mean)
+        if any(fit is other for other in used)
         else math.nan
-        for one in fits
+        for fit in fits
     ]
     return Population(
         name,

@@ -94,25 +94,25 @@ class Identifiability:
     @property
     def sentence(self) -> str:
         """Say in words what is known, and what is not."""
-        open_ones = [one for one in self.constants if not one.is_known]
+        open_ones = [constant for constant in self.constants if not constant.is_known]
         # as many combinations as remain: the sloppy ones say of no constant more than its interval
         stiff = self.directions[: max(len(self.constants) - len(open_ones), 1)]
-        known = [one for one in stiff if one.is_known]
-        said = [f"{one.words} is known to {100 * one.relative:.2g} %" for one in known]
+        determined = [direction for direction in stiff if direction.is_known]
+        sentences = [f"{d.words} is known to {100 * d.relative:.2g} %" for d in determined]
         noise = f"the noise is {self.noise_N:.2g} N"
-        said += [
-            f"{one.name} alone is not: without it, the others fitted again, the curve changes by "
-            f"at most {one.refitted_N:.2g} N, where {noise}"
-            for one in open_ones
+        sentences += [
+            f"{constant.name} alone is not: without it, the others fitted again, the curve changes "
+            f"by at most {constant.refitted_N:.2g} N, where {noise}"
+            for constant in open_ones
         ]
-        return "; ".join(said)
+        return "; ".join(sentences)
 
 
-def identify(found: Fit, measured: Sequence[MeasuredCurve]) -> Identifiability | None:
+def identify(fit: Fit, measured: Sequence[MeasuredCurve]) -> Identifiability | None:
     """Stiff and sloppy combinations of the constants of a fit, and what each constant does."""
-    if not np.isfinite(found.covariance).all() or not found.curves:
+    if not np.isfinite(fit.covariance).all() or not fit.curves:
         return None
-    slopes, weights, left = fitted_rows(found, measured)
+    slopes, weights, left = fitted_rows(fit, measured)
     jacobian = weights[:, None] * slopes
     norms = np.linalg.norm(jacobian, axis=0)
     freedom = left.size - norms.size
@@ -120,55 +120,60 @@ def identify(found: Fit, measured: Sequence[MeasuredCurve]) -> Identifiability |
         return None
     noise = float(np.sqrt(left @ left / freedom))
     right = np.linalg.svd(jacobian / norms, full_matrices=False)[2]
-    directions = tuple(_direction(found, row, norms) for row in right)
-    force = max(float(np.abs(one.curve.force_N).max()) for one in measured)
-    half = 0.5 * (found.ci95[:, 1] - found.ci95[:, 0])
+    directions = tuple(_direction(fit, row, norms) for row in right)
+    force = max(float(np.abs(test.curve.force_N).max()) for test in measured)
+    half = 0.5 * (fit.ci95[:, 1] - fit.ci95[:, 0])
     constants = tuple(
-        _effect(found, k, slopes, jacobian, weights, half, force) for k in range(norms.size)
+        _effect(fit, k, slopes, jacobian, weights, half, force) for k in range(norms.size)
     )
     return Identifiability(noise, directions, constants)
 
 
-def fitted_rows(found: Fit, measured: Sequence[MeasuredCurve]) -> tuple[Array, Array, Array]:
+def fitted_rows(fit: Fit, measured: Sequence[MeasuredCurve]) -> tuple[Array, Array, Array]:
     """Slopes of the forces, weights and residuals of the fitted points."""
     # Shapes: returns (n, p), MPa; returns (n,), N.
     slopes, weights, left = [], [], []
-    for one, curve in zip(measured, found.curves, strict=True):
-        used = one.weights > 0
-        d = one.curve.displacement_mm[used]
-        slopes.append(curve.gradients_at(found.names, d))
-        weights.append(one.weights[used])
-        left.append(curve.force_at(d) - one.curve.force_N[used])
+    for test, curve in zip(measured, fit.curves, strict=True):
+        used = test.weights > 0
+        d = test.curve.displacement_mm[used]
+        slopes.append(curve.gradients_at(fit.names, d))
+        weights.append(test.weights[used])
+        left.append(curve.force_at(d) - test.curve.force_N[used])
     return np.concatenate(slopes), np.concatenate(weights), np.concatenate(left)
 
 
-def _direction(found: Fit, row: Array, norms: Array) -> Direction:
+def _direction(fit: Fit, row: Array, norms: Array) -> Direction:
     size = np.abs(row)
     first = int(np.argmax(size >= _FIRST * size.max()))
     coefficients = row * norms / (row[first] * norms[first])
-    kept = [k for k in np.argsort(np.arange(size.size) != first, kind="stable")
+    named = [k for k in np.argsort(np.arange(size.size) != first, kind="stable")
             if size[k] >= _PART * size.max()]  # fmt: skip
-    whole = np.where(np.isin(np.arange(size.size), kept), coefficients, 0.0)
+    whole = np.where(np.isin(np.arange(size.size), named), coefficients, 0.0)
     return Direction(
-        {found.names[k]: float(coefficients[k]) for k in kept},
-        float(whole @ found.values),
-        float(np.sqrt(whole @ found.covariance @ whole)),
+        {fit.names[k]: float(coefficients[k]) for k in named},
+        float(whole @ fit.values),
+        float(np.sqrt(whole @ fit.covariance @ whole)),
     )
 
 
 def _effect(
-    found: Fit, k: int, slopes: Array, jacobian: Array, weights: Array, half: Array, force: float
+    fit: Fit, k: int, slopes: Array, jacobian: Array, weights: Array, half: Array, force: float
 ) -> ConstantEffect:
-    value, column = abs(float(found.values[k])), jacobian[:, k]
+    value, column = abs(float(fit.values[k])), jacobian[:, k]
     others = np.delete(jacobian, k, axis=1)
-    own = column
+    column_alone = column
     if others.shape[1]:
         scale = np.linalg.norm(others, axis=0)
-        own = column - others / scale @ np.linalg.lstsq(others / scale, column, rcond=None)[0]
+        column_alone = (
+            column - others / scale @ np.linalg.lstsq(others / scale, column, rcond=None)[0]
+        )
     largest = float(np.abs(slopes[:, k]).max())
-    known = float(half[k]) <= max(value, AS_GOOD_AS_ZERO * force / largest)
+    is_known = float(half[k]) <= max(value, AS_GOOD_AS_ZERO * force / largest)
     return ConstantEffect(
-        found.names[k], value * largest, value * float(np.abs(own / weights).max()), bool(known)
+        fit.names[k],
+        value * largest,
+        value * float(np.abs(column_alone / weights).max()),
+        bool(is_known),
     )
 
 
@@ -246,10 +251,10 @@ def _profiled(
             residual, jacobian = function(full(value, rest))
             return residual, jacobian[:, others]
 
-        found = levenberg_marquardt(inner, last, bounds=kept, max_evaluations=100, gtol=1e-7)
-        if found.converged:
-            last = found.x
-        tried[value] = 2 * found.cost if found.converged else np.inf
+        result = levenberg_marquardt(inner, last, bounds=kept, max_evaluations=100, gtol=1e-7)
+        if result.converged:
+            last = result.x
+        tried[value] = 2 * result.cost if result.converged else np.inf
         return tried[value]
 
     return rss_at

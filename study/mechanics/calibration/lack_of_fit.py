@@ -97,13 +97,13 @@ def lack_of_fit(curves: Sequence[Repeated], parameters: int) -> LackOfFit | None
 
 def pattern(residuals: Sequence[Array]) -> ResidualPattern | None:
     """Pattern of the residuals along each curve; None below eight points."""
-    kept = [r for r in residuals if r.size > 1]
-    n = sum(r.size for r in kept)
-    power = sum(float(r @ r) for r in kept)
+    series = [r for r in residuals if r.size > 1]
+    n = sum(r.size for r in series)
+    power = sum(float(r @ r) for r in series)
     if n < 8 or power == 0:
         return None
-    lag1 = sum(float(r[1:] @ r[:-1]) for r in kept) / power
-    above = [r > 0 for r in kept]
+    lag1 = sum(float(r[1:] @ r[:-1]) for r in series) / power
+    above = [r > 0 for r in series]
     runs = sum(int(np.count_nonzero(a[1:] != a[:-1])) + 1 for a in above)
     expected, variance = _runs_expected(above)
     from scipy.special import erfc
@@ -188,16 +188,16 @@ class Adequacy:
     @property
     def sentence(self) -> str:
         """The verdict in words: the same in every output."""
-        told = {
+        verdict = {
             "describes": "the model describes the data",
             "doubtful": "it is doubtful that the model describes the data",
             "does not describe": "the model does not describe the data: use no constant of it",
         }[self.verdict]
-        return ": ".join([told, "; ".join(self.reasons)]) if self.reasons else told
+        return ": ".join([verdict, "; ".join(self.reasons)]) if self.reasons else verdict
 
     def as_dict(self) -> dict[str, object]:
         """Plain values, for JSON."""
-        rows = [vars(one) for one in self.rows]
+        rows = [vars(row) for row in self.rows]
         return {"verdict": self.verdict, "sentence": self.sentence,
                 "reasons": list(self.reasons), "rows": rows}  # fmt: skip
 
@@ -230,7 +230,7 @@ _Finding = tuple[int, str, tuple[SuspectRow, ...]]
 
 
 def adequacy(
-    found: Fit,
+    fit: Fit,
     measured: Sequence[MeasuredCurve],
     *,
     tests: Sequence[int] = (),
@@ -242,25 +242,25 @@ def adequacy(
     ``tests`` numbers the test of every curve: curves of one test are repeats or specimens, and
     what they differ by is noise. ``more`` are reasons that others have, with their verdicts.
     """
-    if not found.status.usable:
-        return Adequacy("does not describe", (f"the search has no minimum: {found.message}",))
+    if not fit.status.usable:
+        return Adequacy("does not describe", (f"the search has no minimum: {fit.message}",))
     findings: list[_Finding] = [(_GRADES.index(grade), why, ()) for grade, why in more]
-    findings += _of_bounds(found)
-    robust = {one.label for one in measured if one.loss != "linear"}
-    measured = [m.reweighted(c) for m, c in zip(measured, found.curves, strict=True)]
+    findings += _of_bounds(fit)
+    robust = {test.label for test in measured if test.loss != "linear"}
+    measured = [m.reweighted(c) for m, c in zip(measured, fit.curves, strict=True)]
     recordings = [
         _Recording(one.label, number, rows, force, weight, slopes)
         for one, curve, number in zip(
-            measured, found.curves, tests or range(len(measured)), strict=True
+            measured, fit.curves, tests or range(len(measured)), strict=True
         )
-        for weight, rows, force, slopes in recorded_rows(one, curve, found.names)
+        for weight, rows, force, slopes in recorded_rows(one, curve, fit.names)
     ]
     groups = [
         [r for r in recordings if r.test == t] for t in dict.fromkeys(r.test for r in recordings)
     ]
-    findings += _of_size(found, groups)
-    findings += [finding for one in recordings for finding in _of_rows(one, robust)]
-    findings += _of_trend(found, groups)
+    findings += _of_size(fit, groups)
+    findings += [finding for recording in recordings for finding in _of_rows(recording, robust)]
+    findings += _of_trend(fit, groups)
     if lack is not None and max(lack.p_independent, lack.p_dependent) < _CLEAR:
         why = f"repeats scatter less than the model misses them (p = {lack.p_dependent:.2g})"
         findings.append((1, f"{why}: take an energy with more constants", ()))
@@ -275,21 +275,21 @@ def adequacy(
     )
 
 
-def _of_bounds(found: Fit) -> list[_Finding]:
+def _of_bounds(fit: Fit) -> list[_Finding]:
     held = [
         f"{name} ended at its bound ({value:.6g}{'' if is_dimensionless(name) else ' MPa'})"
-        for name, value, error in zip(found.names, found.values, found.standard_error, strict=True)
-        if found.converged and math.isnan(error)
+        for name, value, error in zip(fit.names, fit.values, fit.standard_error, strict=True)
+        if fit.converged and math.isnan(error)
     ]
     mend = "widen calibration.bounds, or take an energy with fewer constants"
     return [(1, f"{', '.join(held)}: {mend}", ())] if held else []
 
 
-def _of_size(found: Fit, groups: Sequence[Sequence[_Recording]]) -> list[_Finding]:
+def _of_size(fit: Fit, groups: Sequence[Sequence[_Recording]]) -> list[_Finding]:
     """Find a root mean square error beyond the scatter of rows, repeats and specimens."""
     out: list[_Finding] = []
-    if found.r_squared < 0:
-        why = f"the mean force describes the rows better (R2 = {found.r_squared:.2f})"
+    if fit.r_squared < 0:
+        why = f"the mean force describes the rows better (R2 = {fit.r_squared:.2f})"
         out.append((2, f"{why}: check displacement_zero, sign, range and units of the columns", ()))
     for group in groups:
         squares = sum(float(np.sum((r.weight * r.residual) ** 2)) for r in group)
@@ -307,13 +307,13 @@ def _of_size(found: Fit, groups: Sequence[Sequence[_Recording]]) -> list[_Findin
 def _scatter(group: Sequence[_Recording]) -> float:
     """Sum of squares that rows and the differences of recordings leave, weighted."""
     total = 0.0
-    for one in group:
-        if one.noise is not None:
-            total += float(np.sum((one.weight * one.noise.deviation) ** 2))
+    for recording in group:
+        if recording.noise is not None:
+            total += float(np.sum((recording.weight * recording.noise.deviation) ** 2))
     if len(group) > 1:
         grid, rows = _on_one_grid(group)
         apart = rows - rows.mean(axis=0)
-        share = sum(one.rows.places.size for one in group) / grid.size / len(group)
+        share = sum(recording.rows.places.size for recording in group) / grid.size / len(group)
         total += share * float(np.sum(apart**2)) * len(group) / (len(group) - 1)
     return total
 
@@ -324,26 +324,29 @@ def _on_one_grid(group: Sequence[_Recording]) -> tuple[Array, Array]:
     return grid, np.array([np.interp(grid, r.rows.places, r.weight * r.residual) for r in group])
 
 
-def _of_rows(one: _Recording, robust: Collection[str]) -> list[_Finding]:
+def _of_rows(recording: _Recording, robust: Collection[str]) -> list[_Finding]:
     """Single rows far from their neighbors."""
-    if (noise := one.noise) is None:
+    if (noise := recording.noise) is None:
         return []
-    largest = float(np.abs(one.rows.force_N).max())
+    largest = float(np.abs(recording.rows.force_N).max())
     size = np.abs(noise.distance * noise.deviation)
-    far = np.abs(noise.distance) > _largest_distance(one.rows.places.size)
-    (places,) = np.nonzero(far & (size > _OFF * float(np.abs(one.predicted_N).max())))
+    far = np.abs(noise.distance) > _largest_distance(recording.rows.places.size)
+    (places,) = np.nonzero(far & (size > _OFF * float(np.abs(recording.predicted_N).max())))
     if not places.size:
         return []
-    rows = tuple(_suspect(one, int(k)) for k in places)
+    rows = tuple(_suspect(recording, int(k)) for k in places)
     listed = ", ".join(str(row.row) for row in rows[:8]) + (", ..." if len(rows) > 8 else "")
-    gone = float(np.sum(one.residual[places] ** 2) / np.sum(one.residual**2))
+    gone = float(np.sum(recording.residual[places] ** 2) / np.sum(recording.residual**2))
     mend = 'leave out what was misread, or write calibration.loss = "soft-l1"'
-    if one.label in robust:
+    if recording.label in robust:
         mend = "the loss lets them count for little"
-    grade = 0 if one.label in robust else 2 if gone > 0.5 and size.max() > 0.2 * largest else 1
+    grade = (
+        0 if recording.label in robust else 2 if gone > 0.5 and size.max() > 0.2 * largest else 1
+    )
     is_one = places.size == 1
     why = (
-        f"{one.label}: {'row' if is_one else 'rows'} {listed} of {one.rows.places.size} "
+        f"{recording.label}: {'row' if is_one else 'rows'} {listed} of "
+        f"{recording.rows.places.size} "
         f"{'is' if is_one else 'are'} off by up to {size.max():.3g} N where neighbors scatter by "
         f"{float(np.median(noise.deviation)):.2g} N, {100 * gone:.2g} % of the sum of squares: "
         f"{mend}"
@@ -351,23 +354,23 @@ def _of_rows(one: _Recording, robust: Collection[str]) -> list[_Finding]:
     return [(grade, why, rows)]
 
 
-def _suspect(one: _Recording, place: int) -> SuspectRow:
+def _suspect(recording: _Recording, place: int) -> SuspectRow:
     return SuspectRow(
-        one.label,
+        recording.label,
         place + 1,
-        float(one.rows.displacement_mm[place]),
-        float(one.rows.force_N[place]),
-        float(one.predicted_N[place]),
+        float(recording.rows.displacement_mm[place]),
+        float(recording.rows.force_N[place]),
+        float(recording.predicted_N[place]),
     )
 
 
-def _of_trend(found: Fit, groups: Sequence[Sequence[_Recording]]) -> list[_Finding]:
+def _of_trend(fit: Fit, groups: Sequence[Sequence[_Recording]]) -> list[_Finding]:
     """Residuals that follow a smooth line which no drift of the rows explains."""
     out: list[_Finding] = []
     alone = [group[0] for group in groups if len(group) == 1]
     judged = [(group, *_common_trend(group)) for group in groups if len(group) > 1]
-    for one in alone:
-        judged.append(([one], *_trend_of_one(found, one)))
+    for recording in alone:
+        judged.append(([recording], *_trend_of_one(fit, recording)))
     for group, p, line in judged:
         force = np.concatenate([r.weighted_force for r in group])
         share = math.sqrt(float(np.mean(line**2) / np.mean(force**2))) if line.size else 0.0
@@ -383,22 +386,22 @@ def _of_trend(found: Fit, groups: Sequence[Sequence[_Recording]]) -> list[_Findi
     return out
 
 
-def _trend_of_one(found: Fit, one: _Recording) -> tuple[float, Array]:
+def _trend_of_one(fit: Fit, recording: _Recording) -> tuple[float, Array]:
     """P that one recording holds no trend, and the trend; rows count by their noise."""
-    n, free = one.residual.size, np.isfinite(found.standard_error)
+    n, free = recording.residual.size, np.isfinite(fit.standard_error)
     terms = min(_MOST_TERMS, max(_FEWEST_TERMS, n // _ROWS_A_TERM))
     if n < FEWEST_ROWS or not free.any():
         return 1.0, np.zeros(0)
-    noise = one.noise
+    noise = recording.noise
     # half of the growth: rows of small force would hide a misfit of the larger ones
     grows = noise is not None and noise.power > 0
-    size = one.weight if noise is None or not grows else 1 / np.sqrt(noise.relative)
-    jacobian = size[:, None] * one.slopes[:, free]
+    size = recording.weight if noise is None or not grows else 1 / np.sqrt(noise.relative)
+    jacobian = size[:, None] * recording.slopes[:, free]
     if not np.all(np.linalg.norm(jacobian, axis=0) > 0):
         return 1.0, np.zeros(0)
     columns = size[:, None] * np.polynomial.legendre.legvander(np.linspace(-1, 1, n), terms - 1)
-    p, line = trend([Series(size * one.residual, jacobian, jacobian.T)], [columns])
-    return p, one.weight * line / size
+    p, line = trend([Series(size * recording.residual, jacobian, jacobian.T)], [columns])
+    return p, recording.weight * line / size
 
 
 def _common_trend(group: Sequence[_Recording]) -> tuple[float, Array]:
@@ -524,14 +527,14 @@ def agreement(fits: Sequence[Fit], extra: Sequence[Array] = ()) -> FitAgreement:
 
     _comparable(fits)
     values = np.array([fit.values for fit in fits])
-    total, own = _drawn(fits, extra)
+    total, from_rows = _drawn(fits, extra)
     inverses = _inverse(total)
     statistics = _sum(_distances(values, inverses)[0], inverses)
     df = len(fits[0].names) * (len(fits) - 1)
     freedom = [fit.n - len(fit.names) for fit in fits]
     weights = inverses.mean(axis=1)
     distances, common = _distances(values, weights[:, None])
-    df_error = _denominator(total, own, freedom)
+    df_error = _denominator(total, from_rows, freedom)
     return FitAgreement(
         common=common[0],
         covariance=_inverse(weights.sum(axis=0)),
@@ -554,15 +557,15 @@ def _drawn(fits: Sequence[Fit], extra: Sequence[Array]) -> tuple[Array, Array]:
     lengths = [1 if one is None else one.weight.size for one in mixtures]
     count, random = 1 if max(lengths) == 1 else DRAWS, np.random.default_rng(2011)
     places = (np.arange(count) + 0.5) / count
-    total, own = [], []
+    total, from_rows = [], []
     for i, (fit, mixture) in enumerate(zip(fits, mixtures, strict=True)):
         more = extra[i] if len(extra) else np.zeros_like(fit.covariance)
-        known = mixture or Mixture(np.ones(1), fit.covariance[None], fit.covariance[None])
-        drawn = random.permutation(np.searchsorted(np.cumsum(known.weight), places))
-        drawn = np.minimum(drawn, known.weight.size - 1)
-        total.append(known.covariance[drawn] + more)
-        own.append(known.from_rows[drawn])
-    return np.array(total), np.array(own)
+        spread = mixture or Mixture(np.ones(1), fit.covariance[None], fit.covariance[None])
+        drawn = random.permutation(np.searchsorted(np.cumsum(spread.weight), places))
+        drawn = np.minimum(drawn, spread.weight.size - 1)
+        total.append(spread.covariance[drawn] + more)
+        from_rows.append(spread.from_rows[drawn])
+    return np.array(total), np.array(from_rows)
 
 
 def _comparable(fits: Sequence[Fit]) -> None:
@@ -603,7 +606,7 @@ def _sum(distances: Array, weights: Array) -> Array:
     return np.asarray(np.einsum("kmi,kmij,kmj->m", distances, weights, distances))
 
 
-def _denominator(total: Array, own: Array, df: Sequence[int]) -> Array:
+def _denominator(total: Array, from_rows: Array, df: Sequence[int]) -> Array:
     """Degrees of freedom of F's denominator, of the contrasts to the last fit, shape (m,).
 
     The contrasts are turned so that they are uncorrelated; each has Satterthwaite's degrees of
@@ -622,13 +625,13 @@ def _denominator(total: Array, own: Array, df: Sequence[int]) -> Array:
         return np.asarray(np.einsum("akp,kmpq,bkq->kmab", parts, matrices / outer, parts))
 
     d, turn = np.linalg.eigh(variances(total).sum(axis=0))
-    turned = np.einsum("mac,kmab,mbc->kmc", turn, variances(own), turn)
+    turned = np.einsum("mac,kmab,mbc->kmc", turn, variances(from_rows), turn)
     nu = d**2 / (turned**2 / np.array(df)[:, None, None]).sum(axis=0)
     few = (nu <= 2).any(axis=-1)
     # E - q, without the difference of nearly equal numbers
     safe = np.where(few[:, None], 4.0, nu)
-    found = (safe / (safe - 2)).sum(axis=-1) / (1 / (safe - 2)).sum(axis=-1)
-    return np.asarray(np.where(few, nu.min(axis=-1), np.minimum(found, _MANY)))
+    pooled = (safe / (safe - 2)).sum(axis=-1) / (1 / (safe - 2)).sum(axis=-1)
+    return np.asarray(np.where(few, nu.min(axis=-1), np.minimum(pooled, _MANY)))
 
 
 def _power(noncentrality: float, df: int, df_error: float) -> float:

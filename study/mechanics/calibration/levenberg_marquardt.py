@@ -57,16 +57,16 @@ class Linearization:
         projected = q.T @ residual
         left, singular, right = np.linalg.svd(triangle, full_matrices=False)
         load = left.T @ projected
-        kept = singular > max(jacobian.shape) * np.finfo(float).eps * singular.max()
-        unit = -(right[kept].T @ (load[kept] / singular[kept]))
+        significant = singular > max(jacobian.shape) * np.finfo(float).eps * singular.max()
+        unit = -(right[significant].T @ (load[significant] / singular[significant]))
         length = float(np.linalg.norm(residual))
-        offset = float(np.linalg.norm(load[kept])) / length if length else 0.0
+        offset = float(np.linalg.norm(load[significant])) / length if length else 0.0
         left, singular, right = np.linalg.svd(triangle * (norms / scale), full_matrices=False)
         return cls(
             unit / norms,
             length_of(scale / norms * unit),
             offset,
-            int(kept.sum()),
+            int(significant.sum()),
             scale,
             singular,
             right,
@@ -394,8 +394,8 @@ def step_along(
         return step
     normal = (jump / scale)[free]
     frame = np.linalg.qr(np.column_stack([normal, np.eye(normal.size)]))[0][:, 1:]
-    own = (jacobian / scale)[:, free] @ frame
-    step[free] = frame @ np.linalg.lstsq(own, -residual, rcond=1e-10)[0] / scale[free]
+    reduced = (jacobian / scale)[:, free] @ frame
+    step[free] = frame @ np.linalg.lstsq(reduced, -residual, rcond=1e-10)[0] / scale[free]
     return step
 
 

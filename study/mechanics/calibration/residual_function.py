@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from study.ground.arrays import Array
 from study.ground.curve import Curve
@@ -60,35 +59,6 @@ def checked_bounds(
             ]
         )
     return pairs[:, 0].copy(), pairs[:, 1].copy()
-
-
-def finite_difference(
-    function: Callable[[Array], Array],
-    x: ArrayLike,
-    *,
-    scheme: str = "central",
-    relative_step: float | None = None,
-    base: Array | None = None,
-) -> Array:
-    """Jacobian of a function that has no gradient, by differences, shape (n, p)."""
-    # Shapes: x (p,); base (n,).
-    point = np.asarray(x, dtype=float)
-    eps = float(np.finfo(float).eps)
-    power = 1 / 3 if scheme == "central" else 1 / 2
-    relative = eps**power if relative_step is None else relative_step
-    size = np.maximum(np.abs(point), 1e-8 * (np.abs(point).max(initial=0.0) or 1.0))
-    columns = []
-    forward = scheme == "forward"
-    origin = (function(point) if base is None else base) if forward else np.zeros(0)
-    for i, step in enumerate(relative * size):
-        ahead, behind = point.copy(), point.copy()
-        ahead[i] += step
-        behind[i] -= step
-        if forward:
-            columns.append((function(ahead) - origin) / (ahead[i] - point[i]))
-        else:
-            columns.append((function(ahead) - function(behind)) / (ahead[i] - behind[i]))
-    return np.array(columns).T
 
 
 class EvaluationFailed(Exception):
@@ -172,15 +142,11 @@ def curve_faults(measured: MeasuredCurve) -> list[Fault]:
     if measured.role == "fit" and np.count_nonzero(used) > 1:
         if measured.curve.time_s is None:
             return _force_faults(where, d[used], force[used])
-        return _course_faults(where, d[used], force[used])
-    return []
-
-
-def _course_faults(where: str, d: Array, force: Array) -> list[Fault]:
-    """Say that a course in time does not resist: its force may fall while it is held."""
-    if float(d @ force) <= 0:
-        mend = "a force that resists is positive: see `sign` of the measurements"
-        return [Fault(where, "the force does not resist the displacement", mend)]
+        # the force of a course in time may fall while it is held
+        if float(d[used] @ force[used]) <= 0:
+            mend = "a force that resists is positive: see `sign` of the measurements"
+            return [Fault(where, "the force does not resist the displacement", mend)]
+        return []
     return []
 
 
@@ -217,14 +183,14 @@ class Prior:
 def pseudo_rows(priors: Sequence[Prior], names: Sequence[str], values: Array) -> Array:
     """Residuals of the pseudo-observations, shape (k,). Shapes: values (p,)."""
     place = {name: i for i, name in enumerate(names)}
-    return np.array([one.weight * (values[place[one.name]] - one.mean) for one in priors])
+    return np.array([prior.weight * (values[place[prior.name]] - prior.mean) for prior in priors])
 
 
 def pseudo_jacobian(priors: Sequence[Prior], names: Sequence[str]) -> Array:
     """Return the derivative of :func:`pseudo_rows` by the parameters, shape (k, p)."""
     rows = np.zeros((len(priors), len(names)))
-    for row, one in zip(rows, priors, strict=True):
-        row[list(names).index(one.name)] = one.weight
+    for row, prior in zip(rows, priors, strict=True):
+        row[list(names).index(prior.name)] = prior.weight
     return rows
 
 
@@ -232,8 +198,8 @@ def known_covariance(priors: Sequence[Prior], names: Sequence[str], inverse: Arr
     """Covariance of the estimates by the errors of the priors alone."""
     # Shapes: inverse (p, p); returns (p, p).
     total = np.zeros_like(inverse)
-    for one in priors:
-        moved = inverse[:, list(names).index(one.name)] * one.weight**2 * one.uncertainty
+    for prior in priors:
+        moved = inverse[:, list(names).index(prior.name)] * prior.weight**2 * prior.uncertainty
         total += np.outer(moved, moved)
     return total
 

@@ -158,7 +158,7 @@ class Pseudo:
         """
         if not self.residual.size:
             return 0.0
-        whole = np.concatenate([one.jacobian for one in series] + [self.jacobian])
+        whole = np.concatenate([part.jacobian for part in series] + [self.jacobian])
         norms = np.linalg.norm(whole, axis=0)
         if not np.all(norms > 0):
             return 0.0
@@ -195,9 +195,9 @@ class Mixture:
     #: shape (k, p, p); the part whose size the residuals tell.
     from_rows: Array
 
-    def of(self, kept: Array) -> Mixture:
+    def of(self, parameters: Array) -> Mixture:
         """Return that of some of the estimates."""
-        some = np.ix_(np.arange(len(self.weight)), kept, kept)
+        some = np.ix_(np.arange(len(self.weight)), parameters, parameters)
         return Mixture(self.weight, self.covariance[some], self.from_rows[some])
 
 
@@ -217,20 +217,20 @@ class Intervals:
 
 
 def intervals(
-    series: Sequence[Series], pseudo: Pseudo | None = None, known: Array | None = None
+    series: Sequence[Series], pseudo: Pseudo | None = None, other_covariance: Array | None = None
 ) -> Intervals | None:
     """95 % intervals of least-squares estimates from serially correlated rows.
 
     Given rho, an estimate's error over its standard error has Student's t distribution with
     n - p degrees of freedom; the interval holds 95 % of the mixture over rho.
 
-    Shapes: known Covariance besides that of the rows, whose size the residuals do not tell. Degrees
-    of freedom of the sum are those of Satterthwaite (1946, Biometrics Bull. 2, 110).
+    ``other_covariance``, shape (p, p), is added to that of the rows: the residuals do not tell its
+    size. Degrees of freedom of the sum are those of Satterthwaite (1946, Biometrics Bull. 2, 110).
     """
-    rows = sum(one.residual.size for one in series)
-    beside = pseudo or Pseudo.none(series[0].jacobian.shape[1])
-    freedom = rows - series[0].jacobian.shape[1] + beside.leverage(series)
-    moments = _LagMoments.of(series, beside)
+    rows = sum(part.residual.size for part in series)
+    priors = pseudo or Pseudo.none(series[0].jacobian.shape[1])
+    freedom = rows - series[0].jacobian.shape[1] + priors.leverage(series)
+    moments = _LagMoments.of(series, priors)
     if freedom <= 0 or moments is None:
         return None
     rho, weight = np.zeros(1), np.ones(1)
@@ -238,7 +238,7 @@ def intervals(
         rho, weight = _posterior(moments, freedom)
     squares, determinant = moments.generalized(rho)
     scaled = (squares / freedom)[:, None, None] * _propagated(series, rho)
-    total = scaled if known is None else scaled + known
+    total = scaled if other_covariance is None else scaled + other_covariance
     variances = np.diagonal(total, axis1=1, axis2=2).T
     own = np.diagonal(scaled, axis1=1, axis2=2).T
     with np.errstate(over="ignore"):  # infinitely many are those of a normal error
@@ -272,7 +272,7 @@ def trend(series: Sequence[Series], columns: Sequence[Array]) -> tuple[float, Ar
 
     constants = series[0].jacobian.shape[1]
     jacobian, residual = (
-        np.concatenate([getattr(one, key) for one in series]) for key in ("jacobian", "residual")
+        np.concatenate([getattr(part, key) for part in series]) for key in ("jacobian", "residual")
     )
     added = np.concatenate(columns)
     basis, _ = np.linalg.qr(jacobian / np.linalg.norm(jacobian, axis=0))
@@ -280,10 +280,10 @@ def trend(series: Sequence[Series], columns: Sequence[Array]) -> tuple[float, Ar
     left, size, _ = np.linalg.svd(added - basis @ (basis.T @ added), full_matrices=False)
     left = left[:, size > _EXPLAINED]
     count, nothing = left.shape[1], np.zeros_like(residual)
-    ends = np.cumsum([one.residual.size for one in series])[:-1]
+    ends = np.cumsum([part.residual.size for part in series])[:-1]
     wider = [
-        replace(one, jacobian=np.hstack([one.jacobian, own]))
-        for one, own in zip(series, np.split(left, ends), strict=True)
+        replace(part, jacobian=np.hstack([part.jacobian, column]))
+        for part, column in zip(series, np.split(left, ends), strict=True)
     ]
     null = _LagMoments.of(series, Pseudo.none(constants))
     wide = _LagMoments.of(wider, Pseudo.none(constants + count))
@@ -291,8 +291,8 @@ def trend(series: Sequence[Series], columns: Sequence[Array]) -> tuple[float, Ar
     if null is None or wide is None or freedom < 2 or count == 0:
         return 1.0, nothing
     rho, weight = _posterior(wide, freedom)
-    without, beside = null.generalized(rho)[0], wide.generalized(rho)[0]
-    statistic = np.maximum(without - beside, 0) / count / (beside / freedom)
+    without, extended = null.generalized(rho)[0], wide.generalized(rho)[0]
+    statistic = np.maximum(without - extended, 0) / count / (extended / freedom)
     p = float(weight @ fdtrc(count, freedom, statistic))
     return p, np.asarray(left @ (left.T @ residual))
 
@@ -329,8 +329,8 @@ class _LagMoments:
     @classmethod
     def of(cls, series: Sequence[Series], pseudo: Pseudo) -> _LagMoments | None:
         """Moments of all series; None where the residual or a constant leaves nothing."""
-        jacobian = np.concatenate([one.jacobian for one in series] + [pseudo.jacobian])
-        residual = np.concatenate([one.residual for one in series] + [pseudo.residual])
+        jacobian = np.concatenate([part.jacobian for part in series] + [pseudo.jacobian])
+        residual = np.concatenate([part.residual for part in series] + [pseudo.residual])
         norms = np.linalg.norm(jacobian, axis=0)
         size = float(np.linalg.norm(residual))
         if not (np.all(norms > 0) and size > 0 and len(residual) >= len(norms)):
@@ -340,7 +340,7 @@ class _LagMoments:
         if np.abs(np.diag(triangle)).min() < _ROUNDING:
             return None
         joined = np.column_stack([basis, residual])
-        ends = np.cumsum([one.residual.size for one in series])
+        ends = np.cumsum([part.residual.size for part in series])
         *parts, beside = np.split(joined, ends)
         rows = joined[: ends[-1]]
         cross = sum((z[1:].T @ z[:-1] for z in parts), np.zeros((len(norms) + 1,) * 2))
@@ -384,11 +384,11 @@ def _log_weight(moments: _LagMoments, z: Array, freedom: float) -> Array:
 def _propagated(series: Sequence[Series], rho: Array) -> Array:
     """Covariance of the estimates for unit noise, shape (k, p, p): influence R influence'."""
     # R has the elements rho^|i - j| / (1 - rho^2), so that lagged products are all it takes.
-    p, rows = series[0].influence.shape[0], max(one.residual.size for one in series)
+    p, rows = series[0].influence.shape[0], max(part.residual.size for part in series)
     # the lags of all recordings are added up before rho weighs them; twice the rows, so that
     # the ends of a recording do not meet
     size = 1 << (2 * rows - 1).bit_length()
-    spectra = [np.fft.rfft(one.influence, size, axis=1) for one in series]
+    spectra = [np.fft.rfft(part.influence, size, axis=1) for part in series]
     power_spectrum = sum(s[:, None] * s[None].conj() for s in spectra)
     products = np.fft.irfft(power_spectrum, size, axis=2)[..., :rows]
     out = np.ones((rho.size, rows))

@@ -279,7 +279,9 @@ class PolynomialEnergy(TableEnergy):
 
     def table_rate(self, constants: Constants, name: str) -> Array:
         """1 in the place of the constant: W is linear in them."""
-        return _unit_table(constants, name)
+        table = np.zeros_like(coefficient_table(constants))
+        table[index_pair(name)] = 1.0
+        return table
 
     def initial_shear_modulus(
         self, constants: Constants, compressibility: Compressibility
@@ -446,13 +448,6 @@ def coefficient_table(constants: Constants) -> Array:
     table = np.zeros((1 + max(i for i, _ in pairs.values()), 1 + max(j for _, j in pairs.values())))
     for name, pair in pairs.items():
         table[pair] = constants[name]
-    return table
-
-
-def _unit_table(constants: Constants, name: str) -> Array:
-    """Table of the same shape with a single 1, in the place of a constant."""
-    table = np.zeros_like(coefficient_table(constants))
-    table[index_pair(name)] = 1.0
     return table
 
 

@@ -88,23 +88,23 @@ def _half_space(indenter: Indenter, depth_mm: float) -> float:
     raise TypeError(f"no half-space is known for {type(indenter).__name__}")
 
 
-def checked(found: Measurements, setup: Setup) -> Measurements:
+def checked(measurements: Measurements, setup: Setup) -> Measurements:
     """Copy measurements with a note on every test whose modulus no soft material has."""
     low, high = SOFT_MPA
     odd: list[tuple[float, float, float]] = []
-    for test in found.tests:
-        rows = test.recorded.displacement_mm if found.own_rows and test.recorded else None
-        places = found.displacement_mm if rows is None else rows
+    for test in measurements.tests:
+        rows = test.recorded.displacement_mm if measurements.own_rows and test.recorded else None
+        places = measurements.displacement_mm if rows is None else rows
         place, force = float(places[len(places) // 2]), float(test.force_N[len(places) // 2])
         modulus = apparent_modulus(setup, place, force) if place > 0 and force > 0 else None
         if modulus is not None and not low <= modulus <= high:
             odd.append((place, force, modulus))
     if not odd:
-        return found
-    return replace(found, notes=(*found.notes, _sentence(odd, found)))
+        return measurements
+    return replace(measurements, notes=(*measurements.notes, _sentence(odd, measurements)))
 
 
-def _sentence(odd: list[tuple[float, float, float]], found: Measurements) -> str:
+def _sentence(odd: list[tuple[float, float, float]], measurements: Measurements) -> str:
     """Say which forces are meant, and what would make them plausible."""
     place, force, modulus = odd[0]
     low, high = SOFT_MPA
@@ -113,9 +113,10 @@ def _sentence(odd: list[tuple[float, float, float]], found: Measurements) -> str
     size = "1000 times larger" if factor > 1 else "1000 times smaller"
     hint = f"; a force {size} would be one of a soft material" if likely else ""
     return (
-        f"{', '.join(sorted(found.files)[:2])}: {force:.4g} N at {place:.4g} mm means a Young's "
-        f"modulus of about {_in_words(modulus)}, that of {IMPLAUSIBLE} ({_in_words(low)} to "
-        f"{_in_words(high)}; in {len(odd)} of {len(found.tests)} tests){hint}: check "
+        f"{', '.join(sorted(measurements.files)[:2])}: {force:.4g} N at {place:.4g} mm means a "
+        f"Young's modulus of about {_in_words(modulus)}, that of {IMPLAUSIBLE} ("
+        f"{_in_words(low)} to {_in_words(high)}; in {len(odd)} of {len(measurements.tests)} tests)"
+        f"{hint}: check "
         "measurements.units and the size of the specimen"
     )
 
@@ -468,9 +469,8 @@ def _check_zero(d: Array, f: Array, way: float, rules: Rules, where: str) -> Non
     Shapes: d, f (rows,), mm, N; both positive into the specimen.
     """
     travel, largest = float(np.ptp(d)), float(f.max())
-    count = max(int(np.count_nonzero(d <= d.min() + ZERO_FIT_SHARE * travel)), MIN_ROWS)
-    order = np.argsort(d, kind="stable")[:count]
-    first, x, y = float(d.min()), d[order], f[order]
+    x, y = _first_tenth(d, f)
+    first = float(x[0])
     slope, scatter = _slope(x, y)
     arm = first - float(x.mean())
     # of a straight line through these rows, at the first of them, with two standard errors
@@ -554,15 +554,16 @@ def _zero(d: Array, f: Array, rule: str) -> float:
     if rule == "first":
         return float(f[0])
     if rule == "fit":
-        order = np.argsort(d, kind="stable")
-        d, f = d[order], f[order]
-        count = int(np.count_nonzero(d <= d[0] + ZERO_FIT_SHARE * np.ptp(d)))
-        count = min(max(count, MIN_ROWS), d.size)
-        x = d[:count] - d[:count].mean()
-        y = f[:count]
-        slope = float(x @ y / (x @ x)) if np.any(x) else 0.0
-        return float(y.mean() + slope * x[0])
+        x, y = _first_tenth(d, f)
+        return float(y.mean() + _slope(x, y)[0] * (x[0] - x.mean()))
     return 0.0
+
+
+def _first_tenth(d: Array, f: Array) -> tuple[Array, Array]:
+    """Rows in the first tenth of the travel, at least three, by displacement."""
+    count = int(np.count_nonzero(d <= d.min() + ZERO_FIT_SHARE * np.ptp(d)))
+    order = np.argsort(d, kind="stable")[: max(count, MIN_ROWS)]
+    return d[order], f[order]
 
 
 def _offset(d: Array, f: Array, rules: Rules) -> float | None:

@@ -156,16 +156,16 @@ class Inspection:
             "first_line": self.lines[0],
             "last_line": self.lines[1],
             "rows": self.rows,
-            "columns": [{**vars(one), "labels": list(one.labels)} for one in self.columns],
+            "columns": [{**vars(column), "labels": list(column.labels)} for column in self.columns],
             "phases": [
                 {
-                    "phase": one.phase,
-                    "cycle": one.cycle,
-                    "lines": list(one.lines),
-                    "from": list(one.start),
-                    "to": list(one.end),
+                    "phase": phase.phase,
+                    "cycle": phase.cycle,
+                    "lines": list(phase.lines),
+                    "from": list(phase.start),
+                    "to": list(phase.end),
                 }
-                for one in self.phases
+                for phase in self.phases
             ],
             "cycles": self.cycles,
             "measurements": dict(self.measurements),
@@ -200,7 +200,7 @@ def inspect(path: Path, sheet: str = "") -> Inspection:
         rule = f"has {len(lines)} lines, at most {MAX_ROWS} rows are read"
         raise InputError(Fault(source, rule, "thin the recording out or split it"))
     block = _block_of(lines, source)
-    columns, found, notes = _columns(block)
+    columns, numbers_of, notes = _columns(block)
     table: dict[str, object] = {"file": source}
     if sheet and len(sheets) > 1:
         table["sheet"] = sheet
@@ -208,14 +208,14 @@ def inspect(path: Path, sheet: str = "") -> Inspection:
     chosen = _pair(columns, notes)
     names = {q: columns[k].name for q, k in chosen.items()}
     table["columns"] = names
-    table["units"] = {q: _unit_for(columns[k], q, found[k], notes) for q, k in chosen.items()}
-    groups = _groups(columns, block, found, table)
+    table["units"] = {q: _unit_for(columns[k], q, numbers_of[k], notes) for q, k in chosen.items()}
+    groups = _groups(columns, block, numbers_of, table)
     phases: tuple[Phase, ...] = ()
     kinematic = next((q for q in KINEMATIC if q in chosen), None)
     kinetic = next((q for q in KINETIC if q in chosen), None)
     words: list[InspectedPhase] = []
     if kinematic and kinetic:
-        d, f = found[chosen[kinematic]], found[chosen[kinetic]]
+        d, f = numbers_of[chosen[kinematic]], numbers_of[chosen[kinetic]]
         first = _first_test(columns, block, groups)
         d, f, at = d[first], f[first], [block.at[k] for k in first]
         phases = _place(kinematic, d, f, table, notes)
@@ -351,8 +351,8 @@ def _with_names(
 
 def _are_units(cells: Sequence[str]) -> bool:
     shown = [UNIT_CELL.fullmatch(cell) for cell in cells if cell]
-    known = [one for one in shown if one and _known_unit(one[1])]
-    return bool(known) and all(shown) and len(known) >= len(shown) / 2
+    units = [cell for cell in shown if cell and _known_unit(cell[1])]
+    return bool(units) and all(shown) and len(units) >= len(shown) / 2
 
 
 def _known_unit(word: str) -> tuple[str, str] | None:
@@ -382,14 +382,12 @@ def _columns(block: _Block) -> tuple[list[InspectedColumn], list[Array], list[st
         in_row = UNIT_CELL.fullmatch(block.unit_cells[k]) if k < len(block.unit_cells) else None
         match = _NAMED_UNIT.fullmatch(name)
         word = (in_row[1] if in_row else "") or (match and (match["in"] or match["after"])) or ""
-        known = _known_unit(word) if word else None
-        plain = name if known is None or match is None or in_row else match["name"]
-        quantity = _quantity(plain, known[1] if known else "") if is_number else ""
+        unit = _known_unit(word) if word else None
+        plain = name if unit is None or match is None or in_row else match["name"]
+        quantity = _quantity(plain, unit[1] if unit else "") if is_number else ""
         low, high = (float(values.min()), float(values.max())) if is_number else (None, None)
         labels = () if is_number else tuple(dict.fromkeys(cells))[:6]
-        columns.append(
-            InspectedColumn(name, known[0] if known else "", quantity, low, high, labels)
-        )
+        columns.append(InspectedColumn(name, unit[0] if unit else "", quantity, low, high, labels))
         numbers.append(values if is_number else np.empty(0))
     return columns, numbers, notes
 
@@ -415,8 +413,8 @@ def _pair(columns: Sequence[InspectedColumn], notes: list[str]) -> dict[str, int
     for quantities in (KINEMATIC, KINETIC):
         for quantity in quantities:
             fitting = [
-                k for k, one in enumerate(columns)
-                if one.quantity == quantity and one.name and one.low != one.high
+                k for k, column in enumerate(columns)
+                if column.quantity == quantity and column.name and column.low != column.high
             ]  # fmt: skip
             if fitting:
                 best = min(fitting, key=lambda k: _rank(columns[k].name, quantity))
@@ -455,9 +453,10 @@ def _groups(
 ) -> list[int]:
     """Columns whose labels tell tests apart; ``block`` and ``average`` go into the table."""
     several = [
-        k for k, one in enumerate(columns)
-        if one.name and (one.labels or not one.quantity) and not _WITHIN.search(one.name)
-        and (_BLOCKS.search(one.name) or _REPEATS.search(one.name) or one.labels)
+        k for k, column in enumerate(columns)
+        if column.name and not _WITHIN.search(column.name)
+        and (column.labels or not column.quantity)
+        and (_BLOCKS.search(column.name) or _REPEATS.search(column.name) or column.labels)
         and 1 < len({row[k] if k < len(row) else "" for row in block.rows}) <= len(block.rows) // 3
     ]  # fmt: skip
     blocks = [k for k in several if _BLOCKS.search(columns[k].name)] or several[:1]

@@ -78,36 +78,35 @@ def read_markers(spec: MarkerSpec, path: Path, specimen: Block) -> MarkerStates:
         raise InputError(Fault(where, rule, "mark more points"))
     middle = np.array([0.0, 0.0, specimen.height_mm / 2])
     moved = {state.label: places(state.columns) - rest for state in spec.states}
-    found = MarkerStates(
+    markers = MarkerStates(
         rest - rest.mean(axis=0) + middle, moved, table.text(spec.layer) if spec.layer else ()
     )
-    _check_places(found, specimen, where)
-    _check_layers(found, spec)
-    return found
+    _check_places(markers, specimen, where)
+    _check_layers(markers, spec)
+    return markers
 
 
-def _check_places(found: MarkerStates, specimen: Block, where: str) -> None:
+def _check_places(markers: MarkerStates, specimen: Block, where: str) -> None:
     half = np.array([specimen.width_mm, specimen.depth_mm, specimen.height_mm]) / 2
-    outside = int((np.abs(found.rest - [0, 0, half[2]]) > half).any(axis=1).sum())
+    outside = int((np.abs(markers.rest - [0, 0, half[2]]) > half).any(axis=1).sum())
     if outside:
-        rule = (
-            f"{outside} of {len(found.rest)} markers lie outside the block, if their middle is its"
-        )
+        count = f"{outside} of {len(markers.rest)}"
+        rule = f"{count} markers lie outside the block, if their middle is its"
         raise InputError(Fault(where, rule, "check markers.unit, markers.axis and the specimen"))
-    for label, moved in found.moved.items():
+    for label, moved in markers.moved.items():
         if np.linalg.norm(moved, axis=1).max() > _FARTHEST * specimen.height_mm:
             rule = f"state {label!r}: a marker moved by more than the block is high"
             raise InputError(Fault(where, rule, "check the columns of this state"))
 
 
-def _check_layers(found: MarkerStates, spec: MarkerSpec) -> None:
+def _check_layers(markers: MarkerStates, spec: MarkerSpec) -> None:
     if not spec.fit:
         return
-    known = tuple(dict.fromkeys(found.layers))
-    unknown = [one for one in spec.fit if one not in known]
+    layers = tuple(dict.fromkeys(markers.layers))
+    unknown = [layer for layer in spec.fit if layer not in layers]
     if unknown:
         rule = f"no marker is of layer {', '.join(unknown)}"
-        raise InputError(Fault("markers.fit", rule, f"layers are {', '.join(known[:30])}"))
-    if set(known) == set(spec.fit):
+        raise InputError(Fault("markers.fit", rule, f"layers are {', '.join(layers[:30])}"))
+    if set(layers) == set(spec.fit):
         rule = "names every layer, so that no marker is left to be predicted"
         raise InputError(Fault("markers.fit", rule, "name fewer layers"))

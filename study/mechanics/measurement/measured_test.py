@@ -6,7 +6,6 @@ Repeats on one specimen are nested in it: they are averaged, never counted as in
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -105,11 +104,6 @@ class Measurements:
             for name in self.tests[0].groups
         }
 
-    @property
-    def data_hash(self) -> str:
-        """One sha256 over the contents of all files, whatever their names."""
-        return hashlib.sha256("\n".join(sorted(self.files.values())).encode()).hexdigest()
-
     def curve(self, block: str | None = None, **where: Label) -> MeasuredTest:
         """Average of the tests of one block that match ``where``."""
         chosen = self._matching(block, where)
@@ -149,20 +143,20 @@ class Measurements:
             return self.displacement_mm.copy(), forces, self.time_s
         first = rows[0]
         same = all(
-            one.places.shape == first.places.shape
-            and np.allclose(one.places, first.places, rtol=1e-9, atol=0)
-            for one in rows
+            row.places.shape == first.places.shape
+            and np.allclose(row.places, first.places, rtol=1e-9, atol=0)
+            for row in rows
         )
         if same:
-            return first.displacement_mm, np.array([one.force_N for one in rows]), first.time_s
-        low = max(float(one.displacement_mm[0]) for one in rows)
-        high = min(float(one.displacement_mm[-1]) for one in rows)
+            return first.displacement_mm, np.array([row.force_N for row in rows]), first.time_s
+        low = max(float(row.displacement_mm[0]) for row in rows)
+        high = min(float(row.displacement_mm[-1]) for row in rows)
         if first.time_s is not None or not low < high:
             rule = "repeats on one specimen lie at other times, or have no range in common"
             mend = "write a [[tests]] table for each of them"
             raise InputError(Fault("measurements.average", rule, mend))
         grid = np.linspace(low, high, AVERAGED_POINTS)
-        shared = [np.interp(grid, one.displacement_mm, one.force_N) for one in rows]
+        shared = [np.interp(grid, row.displacement_mm, row.force_N) for row in rows]
         return grid, np.array(shared), None
 
     def _row_count(self, block: str | None, chosen: Sequence[SingleTest]) -> RowCount:
@@ -187,8 +181,10 @@ class Measurements:
         for key in keep:
             groups = dict(key)
             rest = {k: v for k, v in groups.items() if k != self.block}
-            found = self.curve(groups.get(self.block) if self.block else None, **{**where, **rest})
-            out.append((groups, found.curve))
+            averaged = self.curve(
+                groups.get(self.block) if self.block else None, **{**where, **rest}
+            )
+            out.append((groups, averaged.curve))
         return out
 
     def pairs(self, block: str | None = None) -> list[tuple[MeasuredTest, MeasuredTest]]:
@@ -214,10 +210,10 @@ class Measurements:
         return [*sides, (sides[0][1], sides[0][0])] if self.swap else sides
 
     def _matching(self, block: str | None, where: Selection) -> list[SingleTest]:
-        wanted = {name: _labels(value) for name, value in where.items()}
+        chosen_labels = {name: _labels(value) for name, value in where.items()}
         if self.block is not None and block is not None:
-            wanted[self.block] = (block,)
-        for name in wanted:
+            chosen_labels[self.block] = (block,)
+        for name in chosen_labels:
             if name not in self.tests[0].groups:
                 raise InputError(
                     Fault(
@@ -226,20 +222,20 @@ class Measurements:
                         nearest(name, self.tests[0].groups),
                     )
                 )
-        chosen = [t for t in self.tests if all(t.groups[n] in v for n, v in wanted.items())]
+        chosen = [t for t in self.tests if all(t.groups[n] in v for n, v in chosen_labels.items())]
         if not chosen:
-            raise InputError(self._nothing(block, wanted))
+            raise InputError(self._nothing(block, chosen_labels))
         return chosen
 
-    def _nothing(self, block: str | None, wanted: Mapping[str, Sequence[str]]) -> Fault:
+    def _nothing(self, block: str | None, chosen_labels: Mapping[str, Sequence[str]]) -> Fault:
         mend = "this combination is missing from the data"
-        for name, values in wanted.items():
-            known = self.groups[name]
-            unknown = [value for value in values if value not in known]
+        for name, values in chosen_labels.items():
+            labels = self.groups[name]
+            unknown = [value for value in values if value not in labels]
             if unknown:
-                mend = f"{name}: " + nearest(unknown[0], known[:50])
+                mend = f"{name}: " + nearest(unknown[0], labels[:50])
                 break
-        return Fault("measurements", f"no test matches {_words(block, wanted)}", mend)
+        return Fault("measurements", f"no test matches {_words(block, chosen_labels)}", mend)
 
 
 def _shared(tests: Sequence[SingleTest]) -> dict[str, str]:

@@ -76,11 +76,11 @@ class ColumnLayout:
         ]
         lines = [lines[k - 1] for k in at]
         first = next((line for line in lines if line.strip()), "")
-        own = self.delimiter
+        delimiter = self.delimiter
         if not self.header:
-            own = own or _shown_by(first, ";" if decimal == "," else ",")
-        mark = "\t" if own == "space" else DELIMITERS[own] or "" if own else ""
-        if own == "space":
+            delimiter = delimiter or _shown_by(first, ";" if decimal == "," else ",")
+        mark = "\t" if delimiter == "space" else DELIMITERS[delimiter] or "" if delimiter else ""
+        if delimiter == "space":
             lines = ["\t".join(line.split()) for line in lines]
         if not self.header:
             widest = max((line.count(mark) + 1 for line in lines), default=0)
@@ -210,7 +210,7 @@ def rows(value: object) -> dict[str, Labels]:
     """Read a choice of rows: column -> label, or labels."""
     if not isinstance(value, Mapping) or not value:
         raise Bad(f"must be a table, got {shown(value)}", 'for example { specimen = "A" }')
-    return {name(column): _labels(wanted) for column, wanted in value.items()}
+    return {name(column): _labels(labels) for column, labels in value.items()}
 
 
 def _labels(value: object) -> Labels:
@@ -271,7 +271,7 @@ class Columns:
 
     def named(self, quantities: Iterable[str]) -> list[str]:
         """Those of some quantities that have a column."""
-        return [one for one in quantities if getattr(self, one) is not None]
+        return [quantity for quantity in quantities if getattr(self, quantity) is not None]
 
     @property
     def kinematic(self) -> str:
@@ -444,13 +444,13 @@ class MeasurementSpec:
 
     def as_dict(self) -> dict[str, object]:
         """Plain values, for JSON; what a file of displacement and force does not say stays out."""
-        found = asdict(self)
+        values = asdict(self)
         for key in ("columns", "units"):
-            found[key] = {k: v for k, v in found[key].items() if v is not None}
+            values[key] = {k: v for k, v in values[key].items() if v is not None}
         for key, usual in _USUAL.items():
-            if found[key] == usual:
-                del found[key]
-        return {k: v for k, v in found.items() if k not in _LAYOUT or v}
+            if values[key] == usual:
+                del values[key]
+        return {k: v for k, v in values.items() if k not in _LAYOUT or v}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> MeasurementSpec:
@@ -490,11 +490,11 @@ class MarkedState:
 
 
 def _axes(value: object) -> Axes:
-    found = names(value)
-    if not isinstance(value, list) or len(found) != 3:
+    values = names(value)
+    if not isinstance(value, list) or len(values) != 3:
         mend = 'for example ["x0", "y0", "z0"]'
         raise Bad(f"must be the columns of x, y and z, got {shown(value)}", mend)
-    return (found[0], found[1], found[2])
+    return (values[0], values[1], values[2])
 
 
 def _states(value: object) -> tuple[MarkedState, ...]:
@@ -519,9 +519,12 @@ def _state(label: str, table: object) -> MarkedState:
 def _layers(value: object) -> tuple[str, ...]:
     """Read labels of layers, which may be numbers."""
     items = value if isinstance(value, list) else [value]
-    if any(isinstance(one, bool) or not isinstance(one, str | int) for one in items) or not items:
+    if (
+        any(isinstance(label, bool) or not isinstance(label, str | int) for label in items)
+        or not items
+    ):
         raise Bad(f"must be labels of layers, got {shown(value)}", "for example fit = [1, 7]")
-    return tuple(dict.fromkeys(str(one).strip() for one in items))
+    return tuple(dict.fromkeys(str(label).strip() for label in items))
 
 
 @section
@@ -572,8 +575,8 @@ class MarkerSpec:
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> MarkerSpec:
         """Inverse of :meth:`as_dict`, also after a way through JSON; it may hold more."""
-        known = {key.name for key in keys_of(cls)}
-        values = {k: v for k, v in data.items() if k in known}
+        fields = {key.name for key in keys_of(cls)}
+        values = {k: v for k, v in data.items() if k in fields}
         values["rest"], values["fit"] = tuple(values["rest"]), tuple(values.get("fit") or ())
         values["states"] = tuple(
             MarkedState(s["label"], tuple(s["columns"]), s["displacement_mm"])

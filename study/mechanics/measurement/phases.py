@@ -85,13 +85,13 @@ _MANY = 10.0
 
 def _held(phase: Phase, d: Array) -> tuple[Phase, ...]:
     """Part a last loading from the rows on which its end is held; a stress relaxes there."""
-    own = d[phase.rows]
-    first = int(np.argmax(own >= own.max() - _STANDS * float(np.ptp(own))))
-    rows = own.size - 1 - first
-    stands = phase.kind == "loading" and bool((own[first:] >= own[first]).all())
-    if not stands or first < BRANCH_ROWS or rows < max(BRANCH_ROWS, _MANY * _STANDS * own.size):
+    travel = d[phase.rows]
+    first = int(np.argmax(travel >= travel.max() - _STANDS * float(np.ptp(travel))))
+    rows = travel.size - 1 - first
+    stands = phase.kind == "loading" and bool((travel[first:] >= travel[first]).all())
+    if not stands or first < BRANCH_ROWS or rows < max(BRANCH_ROWS, _MANY * _STANDS * travel.size):
         return (phase,)
-    repeats = np.unique(own[:first], return_counts=True)[1].max()
+    repeats = np.unique(travel[:first], return_counts=True)[1].max()
     if 3 * repeats > rows:
         return (phase,)
     at = phase.first + first
@@ -181,9 +181,9 @@ class RowCount:
         """Add up the rows of several tests."""
         read = used = 0
         aside: Counter[str] = Counter()
-        for one in counts:
-            read, used = read + one.read, used + one.used
-            aside.update(one.aside)
+        for count in counts:
+            read, used = read + count.read, used + count.used
+            aside.update(count.aside)
         return cls(read, used, dict(aside))
 
     def as_dict(self) -> dict[str, object]:
@@ -194,9 +194,9 @@ class RowCount:
     @property
     def sentence(self) -> str:
         """What a report says of it."""
-        said = f"{self.read} rows read, {self.used} used"
+        counted = f"{self.read} rows read, {self.used} used"
         reasons = ", ".join(f"{n} {reason}" for reason, n in self.aside.items())
-        return said + (f", {self.read - self.used} set aside: {reasons}" if reasons else "")
+        return counted + (f", {self.read - self.used} set aside: {reasons}" if reasons else "")
 
 
 @dataclass(frozen=True)

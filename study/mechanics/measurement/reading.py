@@ -62,7 +62,7 @@ def read_measurements(
     """
     rules = usual = rules_of(spec, height_mm, displacement_mm)
     recorded = recordings or read_recordings(spec, Path(root))
-    told: list[str] = []
+    test_notes: list[str] = []
     if gauge is not None and gauge.is_homogeneous and spec.range is None:
         rules = usual = replace(rules, is_signed=True)
     if spec.range is None and not rules.is_raw:
@@ -70,22 +70,28 @@ def read_measurements(
     tests: list[SingleTest] = []
     faults: list[Fault] = []
     done: list[Conditioned] = []
-    for one in recorded.tests:
+    for recording in recorded.tests:
         try:
-            result, did = specimens(one, spec, rules, gauge)
+            result, did = specimens(recording, spec, rules, gauge)
         except InputError as error:
             faults.extend(error.faults)
             continue
         done.append(result)
-        told += did
-        own = tuple(f"{one.where}: {n} {what}" for what, n in result.counts.items())
+        test_notes += did
+        notes_of_test = tuple(f"{recording.where}: {n} {what}" for what, n in result.counts.items())
         tests.append(
-            SingleTest(dict(one.groups), result.force_N, own, result.recorded, result.specimen)
+            SingleTest(
+                dict(recording.groups),
+                result.force_N,
+                notes_of_test,
+                result.recorded,
+                result.specimen,
+            )
         )
     _check_distinct(tests, faults)
     if faults:
         raise InputError(capped(faults))
-    notes = [*recorded.notes, *first_notes(told), *_summary(done, rules)]
+    notes = [*recorded.notes, *first_notes(test_notes), *_summary(done, rules)]
     if rules != usual:
         notes.append(f"the range begins at {rules.low_mm:.4g} mm, where the last test begins")
     own_rows = own_rows and rules.is_raw
@@ -94,7 +100,7 @@ def read_measurements(
         if own_rows
         else _common_grid(done, rules)
     )
-    found = Measurements(
+    measurements = Measurements(
         tuple(tests),
         displacement,
         getattr(spec, "block", None),
@@ -107,8 +113,8 @@ def read_measurements(
         time,
         own_rows,
     )
-    _check_selections(found)
-    return found
+    _check_selections(measurements)
+    return measurements
 
 
 def first_notes(notes: Sequence[str]) -> list[str]:
@@ -118,34 +124,39 @@ def first_notes(notes: Sequence[str]) -> list[str]:
 
 
 def specimens(
-    one: Recording, spec: MeasurementSpec, rules: Rules, gauge: Gauge | None = None
+    recording: Recording, spec: MeasurementSpec, rules: Rules, gauge: Gauge | None = None
 ) -> tuple[Conditioned, list[str]]:
     """Make the test of a specimen from a recording; say where its zero and branch were taken."""
-    if gauge is not None and gauge.mode == "simple-shear" and one.time_s is None:
-        one = _folded(one)
-    moved, notes = _in_place(one, spec, rules)
+    if gauge is not None and gauge.mode == "simple-shear" and recording.time_s is None:
+        recording = _folded(recording)
+    moved, notes = _in_place(recording, spec, rules)
     d, f = _rows(moved, spec, gauge)
-    if one.time_s is not None:
-        made = condition_course(d, f, one.time_s, rules, one.where)
+    if recording.time_s is not None:
+        made = condition_course(d, f, recording.time_s, rules, recording.where)
     else:
-        made = condition(d, f, rules, one.where)
+        made = condition(d, f, rules, recording.where)
     longest = _longest(d, gauge)
     if "strain" in spec.columns.kinematic and longest > _UNUSUAL:
         notes.append(
-            f"{one.where}: a stretch of {longest:.4g} is unusual: {spec.columns.kinematic}, "
+            f"{recording.where}: a stretch of {longest:.4g} is unusual: {spec.columns.kinematic}, "
             f'{PERCENT} Then write units = {{ {spec.columns.kinematic} = "%" }}'
         )
-    rows = made.rows // one.directions
-    made = replace(made, rows=rows, specimen=replace(made.specimen, recording=one))
+    rows = made.rows // recording.directions
+    made = replace(made, rows=rows, specimen=replace(made.specimen, recording=recording))
     chosen = [p for p in made.specimen.phases if made.specimen.fate[p.rows].min() == 0]
-    if one.time_s is None and (rules.branch.which != "auto" or len(made.specimen.phases) > 1):
+    if recording.time_s is None and (rules.branch.which != "auto" or len(made.specimen.phases) > 1):
         words = " and ".join(
-            p.words + (f" (lines {one.lines[p.first]} to {one.lines[p.last]})" if one.lines else "")
+            p.words
+            + (
+                f" (lines {recording.lines[p.first]} to {recording.lines[p.last]})"
+                if recording.lines
+                else ""
+            )
             for p in chosen[:3]
         )
         which = rules.branch.which
         how = "" if which == "auto" else f", branch = {which}"
-        notes.append(f"{one.where}: {words}{how}")
+        notes.append(f"{recording.where}: {words}{how}")
     return made, notes
 
 
@@ -156,31 +167,38 @@ def _longest(d: Array, gauge: Gauge | None) -> float:
     return 1 + float((gauge.sense * d).max()) / gauge.length_mm
 
 
-def _folded(one: Recording) -> Recording:
+def _folded(recording: Recording) -> Recording:
     """Rows of a shear to both sides in the order of its amount, in which they are one test."""
-    if (one.kinematic >= 0).all():
-        return one
-    order = np.argsort(np.abs(one.kinematic), kind="stable")
-    lines = tuple(one.lines[k] for k in order) if one.lines else ()
-    return replace(one, kinematic=one.kinematic[order], kinetic=one.kinetic[order], lines=lines)
+    if (recording.kinematic >= 0).all():
+        return recording
+    order = np.argsort(np.abs(recording.kinematic), kind="stable")
+    lines = tuple(recording.lines[k] for k in order) if recording.lines else ()
+    return replace(
+        recording,
+        kinematic=recording.kinematic[order],
+        kinetic=recording.kinetic[order],
+        lines=lines,
+    )
 
 
-def _in_place(one: Recording, spec: MeasurementSpec, rules: Rules) -> tuple[Recording, list[str]]:
+def _in_place(
+    recording: Recording, spec: MeasurementSpec, rules: Rules
+) -> tuple[Recording, list[str]]:
     """Put a recording into the coordinate of the specimen; say what was done."""
     if spec.columns.kinematic != "displacement":
         if spec.displacement_zero is not None or spec.direction != "auto":
             rule = f"belongs to a column of displacement, not of {spec.columns.kinematic}"
             raise InputError(Fault("measurements.displacement_zero", rule, "leave it out"))
-        return one, []
-    moved, did = placed(one.kinematic, one.kinetic, rules, one.where)
-    return replace(one, kinematic=moved), [did] if did else []
+        return recording, []
+    moved, did = placed(recording.kinematic, recording.kinetic, rules, recording.where)
+    return replace(recording, kinematic=moved), [did] if did else []
 
 
-def _rows(one: Recording, spec: MeasurementSpec, gauge: Gauge | None) -> tuple[Array, Array]:
+def _rows(recording: Recording, spec: MeasurementSpec, gauge: Gauge | None) -> tuple[Array, Array]:
     """Displacements and forces of a recording."""
     return displacement_and_force(
-        spec.columns.kinematic, one.kinematic, spec.columns.kinetic, one.kinetic,
-        gauge, one.where, in_order=one.time_s is not None,
+        spec.columns.kinematic, recording.kinematic, spec.columns.kinetic, recording.kinetic,
+        gauge, recording.where, in_order=recording.time_s is not None,
     )  # fmt: skip
 
 
@@ -190,9 +208,9 @@ def _begun(rules: Rules, spec: MeasurementSpec, recorded: Recordings, gauge: Gau
     The unloaded origin bridges one step of the grid, no more.
     """
     begins = [rules.low_mm]
-    for one in recorded.tests:
+    for recording in recorded.tests:
         with suppress(InputError):  # said where its rows become a curve
-            moved = _rows(_in_place(one, spec, rules)[0], spec, gauge)[0]
+            moved = _rows(_in_place(recording, spec, rules)[0], spec, gauge)[0]
             begins.append(float(np.abs(moved).min()))
     spacing = (rules.high_mm - rules.low_mm) / max(rules.points - 1, 1)
     late = max(begins) > rules.low_mm + spacing and rules.toe_N is None
@@ -204,15 +222,15 @@ def _common_grid(done: Sequence[Conditioned], rules: Rules) -> tuple[Array, Arra
     if not rules.is_raw:
         return rules.grid(), None
     first = done[0].recorded
-    for one in done[1:]:
-        own = one.recorded
-        same = own.displacement_mm.shape == first.displacement_mm.shape
-        if not same or not np.allclose(own.places, first.places):
+    for test in done[1:]:
+        rows = test.recorded
+        same = rows.displacement_mm.shape == first.displacement_mm.shape
+        if not same or not np.allclose(rows.places, first.places):
             what = "displacements" if first.time_s is None else "times"
             rule = f"raw rows lie at other {what} in every test of these measurements"
             mend = "write a number of points, or a [[tests]] table for each test"
             raise InputError(Fault("measurements.points", rule, mend))
-        if not np.allclose(own.displacement_mm, first.displacement_mm, atol=_same_mm(first)):
+        if not np.allclose(rows.displacement_mm, first.displacement_mm, atol=_same_mm(first)):
             rule = "the displacements at these times are others in every test of a block"
             mend = "write a [[tests]] table for each test: every course has an answer of its own"
             raise InputError(Fault("measurements.average", rule, mend))
@@ -294,15 +312,15 @@ def _check_distinct(tests: Sequence[SingleTest], faults: list[Fault]) -> None:
     )
 
 
-def _check_selections(found: Measurements) -> None:
+def _check_selections(measurements: Measurements) -> None:
     """Find a block without its fit or score tests now, not in the middle of a run."""
     faults: list[Fault] = []
-    for block in found.blocks or (None,):
-        for where in (found.fit, found.score):
+    for block in measurements.blocks or (None,):
+        for where in (measurements.fit, measurements.score):
             if where is None:
                 continue
             try:
-                found.curve(block, **where)
+                measurements.curve(block, **where)
             except InputError as error:
                 faults.extend(error.faults)
     if faults:

@@ -111,16 +111,16 @@ def displacement_and_force(
         raise InputError(Fault(where, rule, mend))
     if kinematic == "displacement" and kinetic == "force":
         return deformed, resisted
-    known = _checked(kinematic, kinetic, gauge, where)
-    if known.mode == "simple-shear":
-        shear = deformed / known.length_mm if kinematic == "displacement" else deformed
-        force = resisted if kinetic == "force" else known.area_mm2 * resisted
+    section = _checked(kinematic, kinetic, gauge, where)
+    if section.mode == "simple-shear":
+        shear = deformed / section.length_mm if kinematic == "displacement" else deformed
+        force = resisted if kinetic == "force" else section.area_mm2 * resisted
         turned = np.where(shear < 0, -1.0, 1.0)
         if in_order or (turned > 0).all():
-            return shear * known.length_mm, force
+            return shear * section.length_mm, force
         order = np.argsort(np.abs(shear), kind="stable")
-        return np.abs(shear)[order] * known.length_mm, (turned * force)[order]
-    stretch = _stretch(kinematic, deformed, known)
+        return np.abs(shear)[order] * section.length_mm, (turned * force)[order]
+    stretch = _stretch(kinematic, deformed, section)
     percent = f'if {kinematic} is in per cent, write units = {{ {kinematic} = "%" }}'
     if not (stretch > 0).all():
         rule = f"{kinematic} of {deformed[np.argmin(stretch)]:g} leaves nothing of the specimen"
@@ -132,9 +132,9 @@ def displacement_and_force(
             f"{stretch.max():.4g}, which no soft material bears ({LARGEST_STRETCH:g} at most)"
         )
         raise InputError(Fault(where, rule, percent))
-    elongation = known.sense * (stretch - 1) * known.length_mm
+    elongation = section.sense * (stretch - 1) * section.length_mm
     displacement = deformed if kinematic == "displacement" else elongation
-    return displacement, _force(kinetic, resisted, stretch, known)
+    return displacement, _force(kinetic, resisted, stretch, section)
 
 
 def _checked(kinematic: str, kinetic: str, gauge: Gauge | None, where: str) -> Gauge:
@@ -198,7 +198,7 @@ def locate(name: str, root: Path, *, citation: str = "", where: str = "measureme
     try:
         resolved = path.resolve()
         inside = resolved.is_relative_to(root.resolve())
-        found = inside and resolved.is_file()
+        is_there = inside and resolved.is_file()
     except (OSError, RuntimeError, ValueError) as error:
         raise InputError(Fault(where, f"{name!r} cannot be used: {error}")) from error
     if not inside:
@@ -209,7 +209,7 @@ def locate(name: str, root: Path, *, citation: str = "", where: str = "measureme
                 "copy the file there, or name its folder with --data DIR",
             )
         )
-    if not found:
+    if not is_there:
         raise MissingDataError(_missing(f"no file {name!r}", root, citation, where))
     return resolved
 
@@ -241,7 +241,9 @@ def locate_pattern(
 def _walk(
     folder: Path, prefix: str, parts: list[str], groups: dict[str, str]
 ) -> Iterator[tuple[str, tuple[tuple[str, str], ...]]]:
-    regex, last = _part_regex(parts[0]), len(parts) == 1
+    pieces = enumerate(_FIELD.split(parts[0]))  # each name takes as little as it can
+    pattern = "".join(f"(?P<{p}>.+?)" if k % 2 else re.escape(p) for k, p in pieces)
+    regex, last = re.compile(pattern, re.DOTALL), len(parts) == 1
     try:
         entries = sorted(os.scandir(folder), key=lambda e: e.name)
     except OSError:
@@ -250,18 +252,11 @@ def _walk(
         match = regex.fullmatch(entry.name)
         if match is None or (entry.is_dir() == last):
             continue
-        found = {**groups, **match.groupdict()}
+        labels = {**groups, **match.groupdict()}
         if last:
-            yield prefix + entry.name, tuple(found.items())
+            yield prefix + entry.name, tuple(labels.items())
         else:
-            yield from _walk(folder / entry.name, f"{prefix}{entry.name}/", parts[1:], found)
-
-
-def _part_regex(part: str) -> re.Pattern[str]:
-    """One path component as a regular expression; each name takes as little as it can."""
-    pieces = _FIELD.split(part)
-    out = [f"(?P<{p}>.+?)" if k % 2 else re.escape(p) for k, p in enumerate(pieces)]
-    return re.compile("".join(out), re.DOTALL)
+            yield from _walk(folder / entry.name, f"{prefix}{entry.name}/", parts[1:], labels)
 
 
 def _missing(what: str, root: Path, citation: str, where: str) -> Fault:
@@ -316,9 +311,13 @@ class Recordings:
 def read_recordings(spec: MeasurementSpec, root: Path) -> Recordings:
     """Read the files of a specification; range, points, zero and sign are not applied."""
     tables = _tables(spec, root)
-    groups = _group_names(spec, tuple(tables[0][1]))
+    groups = list(dict.fromkeys([*_declared(spec), *tables[0][1]]))
     return Recordings(
-        tuple(one for table, labels in tables for one in _split(table, labels, groups, spec)),
+        tuple(
+            recording
+            for table, labels in tables
+            for recording in _split(table, labels, groups, spec)
+        ),
         tuple(note for table, _ in tables for note in table.notes),
         {table.source: table.sha256 for table, _ in tables},
     )
@@ -328,17 +327,17 @@ def _tables(spec: MeasurementSpec, root: Path) -> list[tuple[CsvTable, dict[str,
     """Parse the files; each comes with the group labels that its name carries."""
     citation = spec.citation or ""
     if spec.file:
-        found: list[tuple[str, dict[str, str]]] = [(spec.file, {})]
+        located: list[tuple[str, dict[str, str]]] = [(spec.file, {})]
     else:
-        found = locate_pattern(spec.files or "", root, citation=citation)
+        located = locate_pattern(spec.files or "", root, citation=citation)
     columns, layout = spec.columns, spec.layout
-    required = [columns.column(one) for one in _recorded(columns)]
+    required = [columns.column(quantity) for quantity in _recorded(columns)]
     if spec.file:
         required += [n for n in _declared(spec) if n not in required]
     tables: list[tuple[CsvTable, dict[str, str]]] = []
     faults: list[Fault] = []
     rows = 0
-    for name, labels in found:
+    for name, labels in located:
         try:
             path = locate(name, root, citation=citation)
             table = read_table(path, layout, required, spec.decimal or ".", name)
@@ -369,10 +368,6 @@ def _declared(spec: MeasurementSpec) -> list[str]:
     return list(dict.fromkeys(names))
 
 
-def _group_names(spec: MeasurementSpec, named: Sequence[str]) -> list[str]:
-    return list(dict.fromkeys([*_declared(spec), *named]))
-
-
 def _split(
     table: CsvTable, labels: Mapping[str, str], groups: Sequence[str], spec: MeasurementSpec
 ) -> Iterable[Recording]:
@@ -401,15 +396,16 @@ def _split(
     for k, key in enumerate(keys):
         rows.setdefault(key, []).append(k)
     for key, members in rows.items():
-        found = {**dict(zip(inside, key, strict=True)), **labels}
-        ordered = {name: found[name] for name in groups}
+        labels_of_test = {**dict(zip(inside, key, strict=True)), **labels}
+        ordered = {name: labels_of_test[name] for name in groups}
         words = ", ".join(f"{n} = {v}" for n, v in ordered.items())
         where = f"{table.source}: {words}" if words else table.source
         held = (spec.columns.kinematic, spec.columns.kinetic)
         lines = tuple(table.lines[k] for k in members)
         if spec.columns.is_biaxial:
             far, hard = (
-                np.concatenate([read[one][members], read[SECOND[one]][members]]) for one in held
+                np.concatenate([read[quantity][members], read[SECOND[quantity]][members]])
+                for quantity in held
             )
             row = np.arange(far.size, dtype=float)
             yield Recording(where, ordered, far, hard, row, lines * 2, held, 2)
@@ -473,13 +469,13 @@ def _check_one_test(
     columns: Columns,
 ) -> None:
     """Refuse rows in which the travel starts again: they are several tests, not one."""
-    own = d[list(members)]
-    jumps = np.flatnonzero(np.abs(np.diff(own)) > 0.5 * np.ptp(own))
-    back = [int(j) for j in jumps if abs(own[j + 1]) < abs(own[j])]
-    if not back or own.size < 5:
+    travel = d[list(members)]
+    jumps = np.flatnonzero(np.abs(np.diff(travel)) > 0.5 * np.ptp(travel))
+    back = [int(j) for j in jumps if abs(travel[j + 1]) < abs(travel[j])]
+    if not back or travel.size < 5:
         return
     k, after = members[back[0]], members[back[0] + 1]
-    used = {*groups, *(columns.column(one) for one in _recorded(columns))}
+    used = {*groups, *(columns.column(quantity) for quantity in _recorded(columns))}
     changing = [n for n, c in table.columns.items() if n not in used and c[k] != c[after]]
     steady = [n for n in changing if len({table.columns[n][m] for m in members}) <= len(back) + 1]
     hint = f"; column {steady[0]!r} changes there" if steady else ""
@@ -514,7 +510,7 @@ def _factor(table: CsvTable, spec: MeasurementSpec, what: str) -> float:
     """Factor from the declared unit of a column to mm, N or MPa."""
     column = spec.columns.column(what)
     row = table.units.get(column)
-    first = next((one for one, second in SECOND.items() if second == what), what)
+    first = next((quantity for quantity, second in SECOND.items() if second == what), what)
     unit = getattr(spec.units, what) or row or getattr(spec.units, first)
     if unit is None:
         mend = f'write units = {{ {what} = "..." }}'

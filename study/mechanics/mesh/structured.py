@@ -24,6 +24,23 @@ CORNER_FRACTION = 0.2
 GROWTH = 0.35
 
 
+#: corners whose middle each further node of a VTK cell is, in VTK's order
+_TRIANGLE = [(0, 1), (1, 2), (2, 0)]
+_QUAD = [(0, 1), (1, 2), (2, 3), (3, 0)]
+_HEX_EDGES = [
+    *_QUAD, (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7),
+]  # fmt: skip
+_HEX_FACES = [
+    (0, 3, 4, 7), (1, 2, 5, 6), (0, 1, 4, 5), (2, 3, 6, 7), (0, 1, 2, 3), (4, 5, 6, 7),
+]  # fmt: skip
+MIDDLES: dict[str, list[tuple[int, ...]]] = {
+    "triangle6": [*_TRIANGLE],
+    "quad9": [*_QUAD, (0, 1, 2, 3)],
+    "tetra10": [*_TRIANGLE, (0, 3), (1, 3), (2, 3)],
+    "hexahedron27": [*_HEX_EDGES, *_HEX_FACES, tuple(range(8))],
+}
+
+
 def graded_line(length: float, h: float, *, towards_end: bool) -> Array:
     """Points from 0 to ``length``, ``h`` apart, closer towards the end where asked."""
     # Units: length, h mm.

@@ -20,7 +20,7 @@ from study.mechanics.material.stability import stability, stable_in
 from study.mechanics.mesh.graded import turned
 from study.mechanics.mesh.mesher import build_mesh, mesh_size
 from study.mechanics.mesh.solid import surface_faults
-from study.mechanics.mesh.structured import Mesh
+from study.mechanics.mesh.structured import MIDDLES, Mesh
 from study.mechanics.setup.geometry import Enclosed, Surface
 from study.mechanics.setup.setup import Problem, Setup
 from study.mechanics.solver.equilibrium import (
@@ -210,22 +210,6 @@ _TYPES = {
     (3, 4, 4): "tetra", (3, 4, 10): "tetra10", (3, 8, 8): "hexahedron", (3, 8, 27): "hexahedron27",
 }  # fmt: skip
 
-#: corners whose middle each further node of a VTK cell is, in VTK's order
-_TRIANGLE = [(0, 1), (1, 2), (2, 0)]
-_QUAD = [(0, 1), (1, 2), (2, 3), (3, 0)]
-_HEX_EDGES = [
-    *_QUAD, (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7),
-]  # fmt: skip
-_HEX_FACES = [
-    (0, 3, 4, 7), (1, 2, 5, 6), (0, 1, 4, 5), (2, 3, 6, 7), (0, 1, 2, 3), (4, 5, 6, 7),
-]  # fmt: skip
-_MIDDLES: dict[str, list[tuple[int, ...]]] = {
-    "triangle6": [*_TRIANGLE],
-    "quad9": [*_QUAD, (0, 1, 2, 3)],
-    "tetra10": [*_TRIANGLE, (0, 3), (1, 3), (2, 3)],
-    "hexahedron27": [*_HEX_EDGES, *_HEX_FACES, tuple(range(8))],
-}
-
 
 @dataclass(frozen=True)
 class Fields:
@@ -276,7 +260,12 @@ class Fields:
         def both(data: dict[str, Array]) -> dict[str, Array]:
             return {name: np.concatenate([v, of(name, v)]) for name, v in data.items()}
 
-        turned = self.cells[:, _mirror_order(self.kind)] + len(self.points)
+        # Nodes of a cell in the order that its mirror image needs
+        corners = _MIRRORED[self.kind.rstrip("0123456789")]
+        middles = [frozenset(m) for m in MIDDLES.get(self.kind, [])]
+        moved = [frozenset(corners[c] for c in middle) for middle in middles]
+        order = [*corners, *(len(corners) + middles.index(m) for m in moved)]
+        turned = self.cells[:, order] + len(self.points)
         return replace(
             self,
             points=np.vstack([self.points, image]),
@@ -295,14 +284,6 @@ _MIRRORED = {
     "triangle": [1, 0, 2], "quad": [1, 0, 3, 2], "tetra": [1, 0, 2, 3],
     "hexahedron": [4, 5, 6, 7, 0, 1, 2, 3],
 }  # fmt: skip
-
-
-def _mirror_order(kind: str) -> list[int]:
-    """Nodes of a cell in the order that its mirror image needs."""
-    corners = _MIRRORED[kind.rstrip("0123456789")]
-    middles = [frozenset(m) for m in _MIDDLES.get(kind, [])]
-    moved = [frozenset(corners[c] for c in middle) for middle in middles]
-    return [*corners, *(len(corners) + middles.index(m) for m in moved)]
 
 
 def fields(solution: Solution, step: int = -1) -> Fields:
@@ -483,13 +464,13 @@ def _cells(space: Discretization, corners: Ints) -> tuple[str, Ints]:
     dim, n = space.dim, corners.shape[1]
     local = int(space.element_nodes.shape[1])
     kind = _TYPES.get((dim, n, local), _TYPES[(dim, n, n)])  # bubbles are not drawn
-    if kind not in _MIDDLES:
+    if kind not in MIDDLES:
         return kind, corners
     own = space.element_nodes
     rest = own[~(own[:, :, None] == corners[:, None, :]).any(axis=2)].reshape(len(own), -1)
     places = space.nodes[rest]
     found = [corners]
-    for middle in _MIDDLES[kind]:
+    for middle in MIDDLES[kind]:
         target = space.nodes[corners[:, list(middle)]].mean(axis=1)
         nearest = np.linalg.norm(places - target[:, None], axis=2).argmin(axis=1)
         found.append(np.take_along_axis(rest, nearest[:, None], axis=1))

@@ -58,9 +58,7 @@ _LESS = 0.25
 _MORE = 1.5
 _MUCH_MORE = 5.0
 
-#: tolerances of a step that leads to the next, and its iterations, also while contact changes
-_LIMIT_POINT_TOLERANCE = 1e-3
-_GAP = 2e-5
+#: iterations of a step that leads to the next, also while contact changes
 _ITERATIONS = 15
 _SWITCHING = 25
 
@@ -76,10 +74,7 @@ def solve_through(
 ) -> NewtonResult:
     """Equilibrium at ``guess.displacement_mm``, however far from the last one."""
     weights = _weights(system, lifted_from or guess)
-    rough = replace(
-        settings, tolerance=_LIMIT_POINT_TOLERANCE, gap=_GAP, max_iterations=_ITERATIONS,
-        max_switching=_SWITCHING,
-    )  # fmt: skip
+    rough = replace(settings.passing(), max_iterations=_ITERATIONS, max_switching=_SWITCHING)
     (place, lift), spent = _lifted(system, guess, rough, lifted_from)
     drag, trials = _FIRST, 0
     for _ in range(_STEPS):
@@ -219,7 +214,7 @@ _BEYOND = 8.0
 _LOAD_PATH_HALVINGS = 3
 
 #: Times that steps are added to a curve whose interpolation is not as near as asked.
-_ROUNDS = 6
+_ROUNDS = 8
 
 
 @dataclass(frozen=True)
@@ -260,8 +255,7 @@ class LoadPath:
         self.J = system.volume_ratios(self.state.x)
         self.rule = problem.setup.step_rule(options.steps, system.height_mm)
         self.step_mm = self.rule.first_mm
-        every = options.curve_error is not None
-        self.logbook = Logbook(system, problem, self.wanted, every_step=every)
+        self.logbook = Logbook(system, problem, self.wanted, options.curve_error)
         self.min_j, self.reason = 1.0, ""
         self.instability: Instability | None = None
         self._known_to_stand, self._local_surplus = 0.0, 0
@@ -290,7 +284,9 @@ class LoadPath:
         """
         test = self.problem.test
         asked = [test.depth_mm * k / test.steps for k in range(1, test.steps + 1)]
-        followed = self._warm_steps if self._follows and self.logbook.every_step else ()
+        followed = (
+            self._warm_steps if self._follows and self.options.curve_error is not None else ()
+        )
         added = [d for d in followed if d < asked[-1]]
         near = 1e-9 * self.system.height_mm
         others = [d for d in added if min(abs(d - own) for own in asked) > near]
@@ -391,27 +387,31 @@ class LoadPath:
         self.logbook.forget_jumps()
 
     def _fill_in(self, error: float) -> None:
-        """Add steps in the middle of intervals in which the curve bends."""
+        """Add steps in the middle of intervals in which the curve bends.
+
+        What is missed where no more can be added, or after the last round, is said in the message.
+        """
         for _ in range(_ROUNDS):
-            places = self.logbook.coarse_intervals(error)
-            for displacement in places:
-                self._insert(displacement)
-            if not places:
+            added = [self._insert(place_mm) for place_mm in self.logbook.coarse_intervals(error)]
+            if not any(added):
                 return
 
-    def _insert(self, displacement: float) -> None:
+    def _insert(self, displacement: float) -> bool:
         """Write down an equilibrium between two steps, where it lies on the way between them."""
         before, after = self.logbook.around(displacement)
         left = (self.rest or self.system.start()) if before is None else before
         end = self._place()
         result = self._halfway(left, after, displacement) or self._onwards(left, displacement)
+        is_added = False
         if result is not None:
             row = self._row(result)
             loaded = self.logbook.loaded(result.state, row)
-            if self.logbook.lies_between(loaded):
+            is_added = self.logbook.lies_between(loaded)
+            if is_added:
                 spent = result.iterations
                 self.logbook.add(result.state, result.equilibrium(), row, loaded, spent)
         self._return_to(end)
+        return is_added
 
     def _halfway(self, left: State, right: State, displacement: float) -> NewtonResult | None:
         """Equilibrium near the mean of two states; None where there is none nearby."""
@@ -754,7 +754,10 @@ class PrescribedMotion:
             target[:, 0] = -touch.normal()[:, -1] * points.surface.speed
             targets.append(target)
         loads = Loads(np.zeros_like(start), start, tuple(targets))
-        return linear_rates(system, assembly, loads, _PRESCRIBED_MOTION_TOLERANCE).x
+        rates = linear_rates(system, assembly, loads, _PRESCRIBED_MOTION_TOLERANCE)
+        if rates.excess > 1:
+            raise NoEquilibrium("the derivatives by the plate motion did not converge")
+        return rates.x
 
 
 def _modes(system: System) -> Array:

@@ -31,6 +31,11 @@ _LOOSEST = 0.01
 _ROUGH = 1e-3
 
 
+#: tolerance and gap of a state that only leads to the next
+_PASSING_TOLERANCE = 1e-3
+_PASSING_GAP = 2e-5
+
+
 @dataclass(frozen=True)
 class NewtonSettings:
     """When Newton stops."""
@@ -46,16 +51,13 @@ class NewtonSettings:
     max_switching: int = 40
     #: A step is halved until no J falls below this fraction of its last value.
     j_filter: float = 0.5
-    #: Instead of ``tolerance`` and ``gap`` between the displacements that are asked for.
-    passing_tolerance: float = 1e-3
-    passing_gap: float = 2e-5
 
     def passing(self) -> NewtonSettings:
         """For a state that nobody asked for: it only leads to the next."""
         return replace(
             self,
-            tolerance=max(self.tolerance, self.passing_tolerance),
-            gap=max(self.gap, self.passing_gap),
+            tolerance=max(self.tolerance, _PASSING_TOLERANCE),
+            gap=max(self.gap, _PASSING_GAP),
         )
 
 
@@ -117,7 +119,13 @@ def solve_step(
         fraction, J = _filtered(system, state.x, J, increment, settings)
         if fraction == 0 or (lift.size and fraction < 1):  # the plate would stay on its way
             return NewtonResult(state, False, iteration, "an element would be inverted", ())
-        multipliers = _multipliers(system, state, assembly, increment, fraction)
+        updated = []
+        for points, old, touch in zip(
+            system.contact, state.multipliers, assembly.contact, strict=True
+        ):
+            new = touch.new_multiplier(points, increment[points.dofs(system.space.dim)])
+            updated.append(old + fraction * (new - old))
+        multipliers = tuple(updated)
         state = replace(state, x=state.x + fraction * increment, multipliers=multipliers)
         lift = np.zeros(0)
     reason = f"no equilibrium after {iteration} iterations"
@@ -181,16 +189,6 @@ def _filtered(
             return fraction, J
         fraction /= 2
     return 0.0, before
-
-
-def _multipliers(
-    system: System, state: State, assembly: Assembly, increment: Array, fraction: float
-) -> tuple[Array, ...]:
-    updated = []
-    for points, old, touch in zip(system.contact, state.multipliers, assembly.contact, strict=True):
-        new = touch.new_multiplier(points, increment[points.dofs(system.space.dim)])
-        updated.append(old + fraction * (new - old))
-    return tuple(updated)
 
 
 def _relative(system: System, state: State, assembly: Assembly) -> float:

@@ -7,6 +7,7 @@ the springs by which Newton's method regularizes contact.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +17,8 @@ from study.ground.arrays import Array
 from study.mechanics.contact.contact import TiedPoints
 from study.mechanics.solver.system import Assembly, State, System
 
-#: how many corrections are tried
+#: corrections by one factorization; after as many the tangent itself is factorized in double
+#: precision, and has as many
 _CORRECTIONS = 12
 
 #: and how many before single precision is held to be too dull
@@ -84,6 +86,8 @@ class Rates:
     left: Array
     #: With the rates ``c`` of their pressures.
     contact: tuple[ClosedPoints, ...]
+    #: Largest residual over the one that the tolerance allows: at most 1 where all converged.
+    excess: float
 
 
 def linear_rates(system: System, assembly: Assembly, loads: Loads, tolerance: float) -> Rates:
@@ -99,24 +103,27 @@ def linear_rates(system: System, assembly: Assembly, loads: Loads, tolerance: fl
     older, springs = system.factors_serve(), any(each.among.size for each in closed)
     if not older:
         system.factorize()
-    loaded, sizes = np.zeros(x.shape[1]), list[Array]()
-    for corrections in range(_CORRECTIONS + 1):
+    loaded, sizes, most = np.zeros(x.shape[1]), list[Array](), _CORRECTIONS
+    for corrections in itertools.count():
         left = loads.right - np.column_stack([system.tangent_product(column) for column in x.T])
         if corrections == 0:
             loaded = np.linalg.norm(left[free], axis=0)
         for each in closed:
             each.push(left, each.eps * each.target + each.pressure)
         size = np.linalg.norm(left[free], axis=0)
-        wanted = tolerance * _scale(loaded, closed, x)
-        if corrections == _CORRECTIONS or (size <= wanted).all():
+        allowed = tolerance * _scale(loaded, closed, x)
+        if (size <= allowed).all() or corrections == 2 * _CORRECTIONS:
             break
         sizes.append(size)
-        if older and _cost_ahead(sizes, wanted, springs) > system.solver.worth():
+        if corrections == _CORRECTIONS:
+            system.factorize(exact=True)
+            older, most = False, 2 * _CORRECTIONS
+        elif older and _cost_ahead(sizes, allowed, springs) > system.solver.worth():
             system.factorize()
             older = False
         elif corrections >= _DULL and not system.solver.exact:
-            left_to_try = (_CORRECTIONS - corrections) * x.shape[1]
-            if _cost_ahead(sizes, wanted, springs) > left_to_try:
+            left_to_try = (most - corrections) * x.shape[1]
+            if _cost_ahead(sizes, allowed, springs) > left_to_try:
                 system.factorize(exact=True)
                 older = False
         x[free] += system.back_substitute(left[free])
@@ -125,7 +132,7 @@ def linear_rates(system: System, assembly: Assembly, loads: Loads, tolerance: fl
     for each in closed:
         each.push(left, -each.eps * each.missed(x))  # the springs hold nothing any more
     left[system.constraints.dofs] = 0.0
-    return Rates(x, left, closed)
+    return Rates(x, left, closed, float(np.max(size / np.maximum(allowed, 1e-300))))
 
 
 def _closed_points(
@@ -150,10 +157,10 @@ def _scale(loaded: Array, closed: tuple[ClosedPoints, ...], x: Array) -> Array:
     return np.asarray(np.max([loaded, *contact], axis=0))
 
 
-def _cost_ahead(sizes: list[Array], wanted: Array, springs: bool) -> float:
+def _cost_ahead(sizes: list[Array], allowed: Array, springs: bool) -> float:
     """Back-substitutions that the corrections still cost at their speed so far.
 
-    ``sizes`` are residuals, ``wanted`` what they are to fall to, one a column.
+    ``sizes`` are residuals, ``allowed`` what they are to fall to, one a column.
 
     With springs two corrections make one: the first loads them, the second hands their load
     over to the pressures. Of the very first one only the loading's column tells anything, as
@@ -162,9 +169,9 @@ def _cost_ahead(sizes: list[Array], wanted: Array, springs: bool) -> float:
     if len(sizes) < 2:
         return 0.0
     each, columns = (2, slice(0, 1)) if springs else (1, slice(None))
-    before, left, to = sizes[0][columns], sizes[1][columns], wanted[columns]
+    before, left, to = sizes[0][columns], sizes[1][columns], allowed[columns]
     if len(sizes) > 2:
-        each, before, left, to = 2, sizes[-3], sizes[-1], wanted
+        each, before, left, to = 2, sizes[-3], sizes[-1], allowed
     left = np.maximum(left, 1e-300)
     rate = np.minimum(left / np.maximum(before, 1e-300), 1.0 - 1e-9)
     share = np.clip(to / left, 1e-300, 1.0)
@@ -200,6 +207,8 @@ class StepGradients:
     #: but of a plate that also moves sideways.
     work_N: float
     work_slope_N_per_mm: float
+    #: Residual of the derivatives over what is allowed: at most 1 where they converged.
+    excess: float
 
 
 def step_gradients(
@@ -223,6 +232,7 @@ def step_gradients(
         {n: scale * _slope(rates, loads, j, axial) for j, n in enumerate(wanted, start=1)},
         {n: _rate(system, rates, j) for j, n in enumerate(wanted, start=1)},
         *work,
+        rates.excess,
     )
 
 
@@ -237,7 +247,10 @@ def _loads(system: System, state: State, assembly: Assembly, wanted: tuple[str, 
     # dR/dtheta reuses the element arrays for residuals only: the tangent stays valid
     for column, name in enumerate(wanted, start=1):
         right[:, column] = -system.constant_derivative(state, name)
-    right[:, 0] = _rotations(system, assembly)
+    # -dR/dd at fixed unknowns: contact normals turn while a curved surface moves past
+    for points, touch in zip(system.contact, assembly.contact, strict=True):
+        dofs = points.dofs(system.space.dim)
+        np.add.at(right[:, 0], dofs.ravel(), -points.rotation_forces(touch).ravel())
     return Loads(right, start, _targets(system, state, assembly, wanted))
 
 
@@ -285,15 +298,6 @@ def _rate(system: System, rates: Rates, j: int) -> Rate:
         everywhere[each.among] = each.pressure[:, j]
         pressures.append(everywhere)
     return Rate(rates.x[:, j].copy(), tuple(pressures))
-
-
-def _rotations(system: System, assembly: Assembly) -> Array:
-    """-dR/dd at fixed unknowns: contact normals turn while a curved surface moves past."""
-    out = np.zeros(system.space.n)
-    for points, touch in zip(system.contact, assembly.contact, strict=True):
-        dofs = points.dofs(system.space.dim)
-        np.add.at(out, dofs.ravel(), -points.rotation_forces(touch).ravel())
-    return out
 
 
 def _targets(

@@ -257,8 +257,9 @@ class Logbook:
     problem: Problem
     #: Constants by which the force is differentiated.
     wanted: tuple[str, ...]
-    #: Whether the solution holds the steps that were added, too.
-    every_step: bool = False
+    #: Largest interpolation error (:class:`Options`); with one the solution holds the steps that
+    #: were added, too.
+    curve_error: float | None = None
     #: How many of the steps so far were asked for; others were added where energy was missing or
     #: the curve bends.
     requested: int = 0
@@ -404,15 +405,15 @@ class Logbook:
         system, kept = self.system, self._kept()
         vertices = system.mesh.points.shape[0]
         balance, work = balanced(self.states, tuple(self.snaps), self._whole_mm, self._share)
-        gave_way = bool(lost) or instability is not None
+        curve, gave_way = self.curve(work), bool(lost) or instability is not None
         status = "converged" if self.complete else "unstable" if gave_way else "not-converged"
         apart = self._apart()
         if self.complete and apart:
             status = "lost-contact"
         return Solution(
             status=status,
-            message=self._message(state, lost, reason),
-            curve=self.curve(work).at_points(kept),
+            message=self._message(state, lost, reason, curve),
+            curve=curve.at_points(kept),
             energy=balance.at_points(kept),
             reached_mm=state.displacement_mm,
             min_j=min_j,
@@ -439,7 +440,7 @@ class Logbook:
         reached = np.array(self.reached)
         steps = reached * self.problem.test.steps / self._whole_mm
         asked = np.abs(steps - np.round(steps)) < 1e-6
-        return np.flatnonzero(asked | self.every_step)
+        return np.flatnonzero(asked | (self.curve_error is not None))
 
     def _iterations(self, kept: NDArray[np.int64]) -> tuple[int, ...]:
         """Add to the iterations of kept steps those of steps before them that are not kept."""
@@ -462,7 +463,7 @@ class Logbook:
         lost = np.flatnonzero(off & (np.arange(off.size) > (met[0] if met.size else 0)))
         return f"contact is lost at {self.reached[lost[0]]:.4g} mm" if lost.size else ""
 
-    def _message(self, state: State, lost: str, reason: str) -> str:
+    def _message(self, state: State, lost: str, reason: str, curve: Curve) -> str:
         """Say how the run ended, and what was mended or is not as it should be."""
         said = ["every step converged"]
         if self.snaps:
@@ -482,9 +483,29 @@ class Logbook:
             said = [apart]
         elif lost:
             said.append(f"{lost}: there the answer depends on the mesh")
+        said += self._not_converged(curve)
         if isinstance(self.problem.specimen, Enclosed):
             said += body(self.problem.specimen).notes
         return "; ".join(said)
+
+    def _not_converged(self, curve: Curve) -> list[str]:
+        """Say which iterations beside Newton's ended before their tolerance."""
+        notes, missed = [], [k for k, row in enumerate(self.rows) if row.excess > 1]
+        if missed:
+            worst = max(missed, key=lambda k: self.rows[k].excess)
+            notes.append(
+                f"the derivatives of {len(missed)} steps did not converge: at "
+                f"{self.reached[worst]:.4g} mm {self.rows[worst].excess:.2g} times the residual "
+                "that is allowed is left"
+            )
+        if self.complete and self.curve_error is not None:
+            error = curve.relative_interpolation_error()
+            if error > self.curve_error:
+                notes.append(
+                    f"between its points the curve may be off by {100 * error:.2g} % of the force, "
+                    f"more than the {100 * self.curve_error:.2g} % asked for: use more steps"
+                )
+        return notes
 
 
 def _pinned(system: System, assembly: Assembly, force: float) -> float:

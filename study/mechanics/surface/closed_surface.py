@@ -131,23 +131,20 @@ def _place(point: Array, unit: str) -> str:
 
 def _merged(points: Array, triangles: Ints) -> tuple[Array, Ints]:
     """Make one point of those at one place: an STL file repeats the corners of every triangle."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import cKDTree
-
     used, corner = np.unique(triangles, return_inverse=True)
     distinct, place = np.unique(points[used], axis=0, return_inverse=True)
     cells = place.ravel()[corner].reshape(-1, 3)
-    near = cKDTree(distinct).query_pairs(
-        _MERGE * float(np.ptp(distinct, axis=0).max()), output_type="ndarray"
-    )
-    if not len(near):
-        return distinct, cells
-    n = len(distinct)
-    graph = coo_matrix((np.ones(len(near)), near.T), shape=(n, n))
-    _, group = connected_components(graph, directed=False)
-    _, first = np.unique(group, return_index=True)
-    return distinct[first], group[cells].astype(np.int64)
+    group, first = joined(distinct, _MERGE * float(np.ptp(distinct, axis=0).max()))
+    return distinct[first], group[cells]
+
+
+def joined(points: Array, tolerance: float) -> tuple[Ints, Ints]:
+    """Join points at one place: the group of every point, and a point of every group."""
+    from scipy.spatial import cKDTree
+
+    near = cKDTree(points).query_pairs(tolerance, output_type="ndarray")
+    _, group = _components(near, len(points))
+    return group, np.unique(group, return_index=True)[1]
 
 
 def _components(links: Ints, n: int) -> tuple[int, Ints]:

@@ -89,6 +89,7 @@ def deviation_points(law: ForceLaw) -> pd.DataFrame:
             "displacement_mm": held.displacement_mm,
             "simulated_N": held.force_N,
             "deviation_N": held.deviation_N,
+            "error_bound_N": held.bound_N,
         }
     )
 
@@ -98,7 +99,7 @@ def draw_deviation(frame: pd.DataFrame) -> Canvas:
     figure = canvas(WIDTH_IN, 2.2)
     ax = figure.subplots()
     d, off = frame["displacement_mm"].to_numpy(float), frame["deviation_N"].to_numpy(float)
-    bound = float(np.abs(off).max())
+    bound = float(frame["error_bound_N"].max())
     ax.axhspan(-bound, bound, color=BAND)
     ax.axhline(0, color=RULE, linewidth=0.6)
     ax.vlines(d, 0, off, color=color_of(0), linewidth=1.0)

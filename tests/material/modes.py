@@ -1,0 +1,59 @@
+"""Stresses of homogeneous tests by their names, as the literature gives them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from study.ground.arrays import Array
+from study.mechanics.material.homogeneous import (
+    CONFINED,
+    EQUIBIAXIAL,
+    PLANAR,
+    UNIAXIAL,
+    first_piola,
+    response,
+)
+from study.mechanics.material.material import Material
+
+
+def uniaxial(material: Material, stretch: ArrayLike) -> Array:
+    """Nominal stress in MPa under uniaxial load, sides free (V01, V04)."""
+    return _shaped(response(material, UNIAXIAL, stretch).stress, stretch)
+
+
+def equibiaxial(material: Material, stretch: ArrayLike) -> Array:
+    """Nominal stress in MPa under two equal stretches (V02)."""
+    return _shaped(response(material, EQUIBIAXIAL, stretch).stress, stretch)
+
+
+def planar(material: Material, stretch: ArrayLike) -> Array:
+    """Nominal stress in MPa in planar tension (pure shear): l, 1, free (V03)."""
+    return _shaped(response(material, PLANAR, stretch).stress, stretch)
+
+
+def confined(material: Material, stretch: ArrayLike) -> Array:
+    """Nominal stress in MPa in confined compression: l, 1, 1 (V06)."""
+    return _shaped(response(material, CONFINED, stretch).stress, stretch)
+
+
+def uniaxial_gradient(material: Material, stretch: ArrayLike) -> dict[str, Array]:
+    """Total derivative of :func:`uniaxial` with respect to every constant, K(nu) included."""
+    # Units: returns MPa.
+    gradient = response(material, UNIAXIAL, stretch).gradient
+    return {name: _shaped(value, stretch) for name, value in gradient.items()}
+
+
+def simple_shear(material: Material, shear: ArrayLike) -> tuple[Array, Array, Array]:
+    """Cauchy stresses (s12, s11, s22) in MPa in simple shear with s33 = 0 (V05); shear (n,)."""
+    g = np.atleast_1d(np.asarray(shear, dtype=float))
+    F = np.zeros((3, 3, g.size))
+    F[[0, 1, 2], [0, 1, 2]], F[0, 1] = 1.0, g
+    sigma = np.einsum("iA...,jA...->ij...", first_piola(material, F), F)
+    parts = sigma[0, 1], sigma[0, 0] - sigma[2, 2], sigma[1, 1] - sigma[2, 2]
+    s12, s11, s22 = (_shaped(part, shear) for part in parts)
+    return s12, s11, s22
+
+
+def _shaped(values: Array, like: ArrayLike) -> Array:
+    return np.asarray(values).reshape(np.shape(like))
