@@ -178,6 +178,17 @@ def test_box_cox_finds_the_log(table: pd.DataFrame) -> None:
         box_cox(-data.y, fit.matrix.columns)
 
 
+def test_an_interval_of_the_exponent_without_an_end_is_open() -> None:
+    """Readings that vary by .1 % of their mean are as straight at any power of them."""
+    noise = np.random.default_rng(4).normal(0, 0.001, 12)
+    table = pd.DataFrame({"a": np.repeat(["p", "q", "r"], 4), "y": 1 + noise})
+    found = anova(table, "y", ["a"], exact=False)
+    power = found.assumptions.box_cox
+    assert power is not None
+    assert power.ci95 == (-np.inf, np.inf)
+    assert any("Box-Cox: the interval of the exponent is open" in note for note in found.notes)
+
+
 def test_sensitivity_table(table: pd.DataFrame) -> None:
     result = sensitivity(table, "y", ["a", "b"])
     assert set(result.p["a"]) == {"ordinary F", "HC3 Wald", "Welch-James", "F of the log"}

@@ -264,6 +264,9 @@ class AnalysisRequest:
         if self.error == "welch" and (self.layout.block or self.layout.unit):
             rule = "'welch' gives each cell a variance of its own, which needs rows without blocks"
             faults.append(Fault("error", rule, "leave it out: effects over blocks need none"))
+        if self.error == "welch" and not self.any_type and self.sums != "III":
+            rule = f"'welch' tests each term given all others, which is III, not {self.sums}"
+            faults.append(Fault("type", rule, "leave it out"))
         if self.error == "own" and not self.layout.block:
             mend = "name the replicated unit with --block"
             rule = "'own' tests against interactions with the blocks, but no block is named"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -381,11 +382,11 @@ def box_cox(y: Array, matrix: Array) -> BoxCoxResult:
     center, limit = float(best.x), float(best.fun) + 3.841458820694124
 
     def bound(step: float) -> float:
-        edge = min(max(center + step, -widest), widest)
-        while deviance(edge) < limit and abs(edge + step) < widest:
-            edge += step
-        if deviance(edge) < limit:
-            return edge
+        edge = center
+        while deviance(edge) < limit:
+            if edge * step > 0 and abs(edge) >= widest:
+                return math.copysign(math.inf, step)
+            edge = min(max(edge + step, -widest), widest)
         root: float = brentq(lambda e: deviance(e) - limit, center, edge)
         return root
 
@@ -471,7 +472,13 @@ def add_robustness(out: AnalysisOutcome) -> AnalysisOutcome:
     table = sensitivity_of(out.data, out.terms, fit, out.request.alpha)
     if out.data.y.min() <= 0:
         return replace(out, robustness=table)
-    return replace(out, robustness=table, box_cox=box_cox(out.data.y, out.fit.matrix.columns))
+    power = box_cox(out.data.y, out.fit.matrix.columns)
+    if not np.isfinite(power.ci95).all():
+        out = out.warn(
+            "Box-Cox: the interval of the exponent is open: the response varies too little beside "
+            "its mean to exclude even the largest exponents that a double can hold"
+        )
+    return replace(out, robustness=table, box_cox=power)
 
 
 def _blocked(out: AnalysisOutcome, table: Crossed) -> AnalysisSensitivity:
