@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 import pytest
 from scipy.stats import f as fisher
-from scipy.stats import ttest_1samp, ttest_ind
+from scipy.stats import ttest_ind
 
 from study.ground.arrays import Array
 from study.ground.errors import InputError
@@ -15,7 +15,7 @@ from study.statistics.analysis.comparisons import holm, response_family
 from study.statistics.analysis.linear_model import CellLayout as Layout
 from study.statistics.analysis.linear_model import grid, terms_of
 from study.statistics.analysis.normality import helmert, helmert_contrasts
-from study.statistics.analysis.split_plot import welch_box, welch_interval
+from study.statistics.analysis.split_plot import welch_box
 from study.statistics.analysis.strata import SeedRole, seed_design
 from study.statistics.analysis.sums_of_squares import epsilon_gg
 
@@ -46,16 +46,6 @@ def test_one_contrast_of_two_groups_is_welchs_t() -> None:
     assert (found.f, found.df2, found.p) == pytest.approx(
         (welch.statistic**2, welch.df, welch.pvalue)
     )
-    interval = welch_interval([a[0], b[0]], DIFFERENCE)
-    limits = welch.confidence_interval()
-    assert (interval.low, interval.high) == pytest.approx((limits.low, limits.high))
-
-
-def test_the_interval_of_one_group_is_students() -> None:
-    values = np.array([1.0, 2.0, 4.0, 3.0])
-    limits = ttest_1samp(values, 0).confidence_interval()
-    found = welch_interval([values])
-    assert (found.low, found.high) == pytest.approx((limits.low, limits.high))
 
 
 def test_several_weight_vectors_by_their_definition() -> None:
@@ -90,8 +80,6 @@ def test_groups_of_two_are_pooled_and_say_so() -> None:
 
 def test_nothing_varies() -> None:
     assert welch_box([np.ones((2, 4))]).p is None
-    found = welch_interval([np.ones(4)])
-    assert (found.low, found.high) == (1.0, 1.0)
 
 
 @pytest.mark.parametrize(
@@ -131,12 +119,12 @@ def test_seeds_within_real_blocks_are_averaged() -> None:
         seed_design("ab", "1")
 
 
-def group_rates(sizes: tuple[int, int], ratio: float, n: int, seed: int) -> tuple[float, float]:
-    """Worst size of average and difference, and worst coverage of two differences of cells."""
+def group_rates(sizes: tuple[int, int], ratio: float, n: int, seed: int) -> float:
+    """Worst size of average and difference."""
     rng = np.random.default_rng(seed)
     sd = np.array([3.0, 1.0, 0.3, 0.1])[:, None]
     basis = helmert(4).T
-    rejected, covered = np.zeros(2), np.zeros(4)
+    rejected = np.zeros(2)
     for _ in range(n):
         cells = [
             s * sd * rng.standard_normal((4, m)) for s, m in zip((1.0, ratio), sizes, strict=True)
@@ -145,17 +133,13 @@ def group_rates(sizes: tuple[int, int], ratio: float, n: int, seed: int) -> tupl
         for i, weights in enumerate((None, DIFFERENCE)):
             p = welch_box(rows, weights).p
             rejected[i] += p is not None and p < 0.05
-            for j, (one, other) in enumerate(((0, 1), (2, 3))):
-                found = welch_interval([y[one] - y[other] for y in cells], weights)
-                covered[2 * i + j] += found.low <= 0 <= found.high
-    return float(rejected.max() / n), float(covered.min() / n)
+    return float(rejected.max() / n)
 
 
 @pytest.mark.parametrize(("sizes", "ratio"), [((3, 3), 3.0), ((4, 5), 1.0), ((6, 12), 3.0)])
 def test_groups_with_their_own_covariance_hold_the_size(sizes, ratio) -> None:
-    size, coverage = group_rates(sizes, ratio, 800, 41)
-    assert size <= 0.07 + 0.025  # 3 standard errors at 800 data sets
-    assert coverage >= 0.92 - 0.025
+    # 3 standard errors at 800 data sets
+    assert group_rates(sizes, ratio, 800, 41) <= 0.07 + 0.025
 
 
 @pytest.mark.slow
@@ -164,10 +148,9 @@ def test_groups_with_their_own_covariance_hold_the_size(sizes, ratio) -> None:
 @pytest.mark.parametrize("ratio", [1.0, 3.0, 1 / 3])
 def test_groups_hold_the_size_everywhere(sizes, ratio) -> None:
     """Bar 9 at 10,000 data sets."""
-    size, coverage = group_rates(sizes, ratio, 10_000, 43)
-    print(f"groups {sizes}, sd ratio {ratio:.2g}: size {size:.4f}, coverage {coverage:.4f}")
+    size = group_rates(sizes, ratio, 10_000, 43)
+    print(f"groups {sizes}, sd ratio {ratio:.2g}: size {size:.4f}")
     assert size <= 0.07
-    assert coverage >= (0.935 if min(sizes) >= 4 else 0.92)
 
 
 def seed_rates(rho: float, effect: float, n: int, seed: int, seeds: int = 5) -> float:

@@ -16,7 +16,7 @@ from study.ground.errors import Fault, InputError, settled
 from study.statistics.analysis import error_ledger
 from study.statistics.analysis.analysis_request import AnalysisOutcome
 from study.statistics.analysis.anova_table import AnalysisSensitivity, BoxCoxResult, WaldTest
-from study.statistics.analysis.data import Crossed, Data, prepare
+from study.statistics.analysis.data import Crossed, Data
 from study.statistics.analysis.equal_variance import (
     BartlettResult,
     LeveneResult,
@@ -28,13 +28,11 @@ from study.statistics.analysis.equal_variance import (
 )
 from study.statistics.analysis.linear_model import (
     Factorization,
-    Model,
     Term,
     factorize,
     model_matrix,
     span,
     term_name,
-    terms_of,
 )
 from study.statistics.analysis.normality import (
     RowTest,
@@ -51,7 +49,6 @@ from study.statistics.analysis.sums_of_squares import (
     Factored,
     TermSum,
     TwoWayFit,
-    factor,
     fitted,
     influential,
     least_squares,
@@ -60,7 +57,6 @@ from study.statistics.analysis.sums_of_squares import (
 from study.statistics.analysis.unreplicated import non_additivity, ulp_floor
 
 if TYPE_CHECKING:
-    import pandas as pd
     from statsmodels.regression.linear_model import OLSResults
 
     from study.statistics.analysis.anova_table import Influential
@@ -393,28 +389,14 @@ def box_cox(y: Array, matrix: Array) -> BoxCoxResult:
     return BoxCoxResult(center, (bound(-0.5), bound(0.5)))
 
 
-def sensitivity(
-    table: pd.DataFrame,
-    response: str,
-    factors: Sequence[str],
-    *,
-    model: Model = "full",
-    alpha: float = 0.05,
+def sensitivity_of(
+    data: Data, terms: Sequence[Term], fit: Factored, alpha: float
 ) -> AnalysisSensitivity:
-    """P of every term in the defensible analyses of a replicated factorial.
+    """P of every term in the defensible analyses of rows without blocks.
 
     Ordinary F (Type III), HC3 Wald, Welch-James, and the F of the log response where it is
     positive.
     """
-    data = prepare(table, response, factors)
-    terms = terms_of(data.factors, model)
-    return sensitivity_of(data, terms, factor(model_matrix(data.layout, terms), data.y), alpha)
-
-
-def sensitivity_of(
-    data: Data, terms: Sequence[Term], fit: Factored, alpha: float
-) -> AnalysisSensitivity:
-    """As :func:`sensitivity`, of checked data without blocks and the fit of their response."""
     found: dict[str, Mapping[str, float | None]] = {
         "ordinary F": _ordinary(fit),
         "HC3 Wald": {k: w.p for k, w in hc3(fit).items()},

@@ -149,22 +149,6 @@ class GroupMoments:
         return _family(method, alpha, self.names, found, self.mean)
 
 
-def tukey_kramer(groups: Mapping[str, ArrayLike], *, alpha: float = 0.05) -> Comparisons:
-    """All pairs, equal variances (Tukey 1953, Kramer 1956).
-
-    Shapes: groups (n_i,).
-    """
-    return GroupMoments.of(groups).pairs(alpha, equal=True)
-
-
-def games_howell(groups: Mapping[str, ArrayLike], *, alpha: float = 0.05) -> Comparisons:
-    """All pairs, unequal variances (Games and Howell 1976, J. Educ. Stat. 1, 113-125).
-
-    Shapes: groups (n_i,).
-    """
-    return GroupMoments.of(groups).pairs(alpha, equal=False)
-
-
 def dunnett(
     groups: Mapping[str, ArrayLike], control: str, *, alpha: float = 0.05, seed: int = 2011
 ) -> Comparisons:

@@ -54,10 +54,9 @@ class TermEstimate:
     component: Array
     #: shape (k,); marginal means, NaN where not estimable.
     mean: Array
-    #: shape (k, k); covariance of ``component``; None where there is no error.
-    covariance: Array | None
-    #: shape (k, k); simultaneous multiplier of the standard error of a difference.
-    critical: float | Array | None
+    #: shape (k, k); half-widths of the simultaneous intervals of all differences; None where there
+    #: is no error.
+    half: Array | None
     #: shape (k,); half-width of the interval of each mean.
     mean_half: Array | None
     p: float | None
@@ -133,17 +132,19 @@ def pooled_estimate(
     if not fit.estimable(component_rows).all():
         component = np.full_like(component, np.nan)
     if df <= 0 or rss <= 0:
-        return TermEstimate(term, levels, component, mean, None, None, None, p, settings)
+        return TermEstimate(term, levels, component, mean, None, None, p, settings)
     covariance = fit.unscaled_covariance() * rss / df
     spread = np.einsum("ij,ij->i", mean_rows @ covariance, mean_rows)
     df_term = int(np.prod([len(layout.levels[name]) - 1 for name in term]))
+    critical = pooled_critical(len(levels), df_term, df, len(term) == 1, alpha)
+    of_levels = component_rows @ covariance @ component_rows.T
+    square = np.diag(of_levels)[:, None] + np.diag(of_levels) - 2 * of_levels
     return TermEstimate(
         term,
         levels,
         component,
         mean,
-        component_rows @ covariance @ component_rows.T,
-        pooled_critical(len(levels), df_term, df, len(term) == 1, alpha),
+        critical * np.sqrt(np.maximum(square, 0.0)),
         t_quantile(alpha / 2, df) * np.sqrt(np.maximum(spread, 0)),
         p,
         settings,
@@ -151,27 +152,38 @@ def pooled_estimate(
 
 
 def sampled_estimate(
-    layout: CellLayout, fit: Factored, term: Term, p: float | None, sample: Sample
+    layout: CellLayout,
+    fit: Factored,
+    term: Term,
+    p: float | None,
+    sample: Sample,
+    critical: float | None = None,
 ) -> TermEstimate:
-    """Estimate of a term whose differences and means have standard errors of their own each."""
-    estimate = pooled_estimate(layout, fit, term, 0, p, 0.05, 0.0)
-    _, component_rows, mean_rows = term_rows(layout, fit, term)
+    """Estimate of a term whose differences and means have standard errors of their own each.
+
+    ``critical`` is the multiplier of the differences; None for that of the sample.
+    """
+    levels, component_rows, mean_rows = term_rows(layout, fit, term)
     component_rows = over_complete_settings(layout, fit, term, component_rows)
-    k = len(mean_rows)
+    k = len(levels)
     first, second = np.triu_indices(k, 1)
     pairs = sample(Differences(component_rows, first, second))
-    none = np.zeros((1, mean_rows.shape[1]))
-    means = sample(
-        Differences(np.vstack([none, mean_rows]), np.arange(1, k + 1), np.zeros(k, dtype=np.int64))
+    zero = np.zeros((1, mean_rows.shape[1]))
+    each = np.arange(1, 2 * k + 1)
+    alone = sample(
+        Differences(np.vstack([zero, component_rows, mean_rows]), each, np.zeros_like(each))
     )
-    if pairs.error is None or means.error is None:
-        return estimate
-    half = np.zeros((k, k))
-    half[first, second] = pairs.error * pairs.simultaneous
-    # of which a difference of two levels has the variance 1
-    unit = np.eye(k) / 2
-    return replace(
-        estimate, covariance=unit, critical=half + half.T, mean_half=means.error * means.single
+    component, mean = alone.value[:k], fit.shift + alone.value[k:]
+    if np.isnan(component).any():
+        component = np.full(k, np.nan)
+    half = mean_half = None
+    if pairs.error is not None and alone.error is not None:
+        wide = pairs.error * (pairs.simultaneous if critical is None else critical)
+        half = np.zeros((k, k))
+        half[first, second] = half[second, first] = wide
+        mean_half = (alone.error * alone.single)[k:]
+    return TermEstimate(
+        term, levels, component, mean, half, mean_half, p, settings_of(layout, term)
     )
 
 
@@ -555,7 +567,7 @@ def size(
         return replace(effect, why="not estimable")
     top, bottom = int(np.argmax(estimate.component)), int(np.argmin(estimate.component))
     largest = float(estimate.component[top] - estimate.component[bottom])
-    half = _half_widths(estimate)
+    half = estimate.half
     interval = None
     if half is not None:
         interval = (largest - half[top, bottom], largest + half[top, bottom])
@@ -676,14 +688,6 @@ def _mean_intervals(
         return None
     pairs = zip(estimate.mean, estimate.mean_half, strict=True)
     return tuple((back(float(m - h)), back(float(m + h))) for m, h in pairs)
-
-
-def _half_widths(estimate: TermEstimate) -> Array | None:
-    if estimate.covariance is None or estimate.critical is None:
-        return None
-    v = estimate.covariance
-    d = np.diag(v)
-    return np.asarray(estimate.critical * np.sqrt(np.maximum(d[:, None] + d - 2 * v, 0.0)))
 
 
 def _resolved(ratio: float) -> str:

@@ -404,8 +404,8 @@ def _with_margin(estimate: TermEstimate, lenth: LenthResult) -> TermEstimate:
     one = term_name(estimate.term) in lenth.names and size.min() > 0
     if not one or float(np.ptp(size)) > 1e-9 * float(size.max()):
         return estimate
-    half = np.sign(estimate.component) / 2
-    return replace(estimate, covariance=np.outer(half, half), critical=lenth.sme)
+    side = np.sign(estimate.component) / 2
+    return replace(estimate, half=lenth.sme * np.abs(np.subtract.outer(side, side)))
 
 
 def _lenth_row(row: Row, lenth: LenthResult) -> Row:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import fdtrc
 
 from study.ground.arrays import Array, Ints
 from study.ground.errors import Fault, InputError, nearest
@@ -330,18 +331,6 @@ class WelchBox:
     pooled: bool = False
 
 
-@dataclass(frozen=True)
-class WelchInterval:
-    """Interval of one contrast over groups of blocks."""
-
-    estimate: float
-    standard_error: float
-    df: float
-    low: float
-    high: float
-    pooled: bool = False
-
-
 def welch_box(groups: Sequence[Array], weights: Array | None = None) -> WelchBox:
     """Test weighted sums over groups of a term's mean contrasts.
 
@@ -381,31 +370,7 @@ def welch_box(groups: Sequence[Array], weights: Array | None = None) -> WelchBox
         below = float(np.sum(share**2 / (n - 1)))
     df2 = df1 * trace**2 / below
     f = float(np.sum(theta**2)) / trace
-    return WelchBox(f, df1, df2, _tail(df1, df2, f), pooled)
-
-
-def welch_interval(
-    groups: Sequence[Array], weights: Array | None = None, *, alpha: float = 0.05
-) -> WelchInterval:
-    """Interval of one contrast with its own variance in each group.
-
-    Shapes: groups (n_g,); weights (G,).
-    """
-    from scipy.special import stdtrit
-
-    rows = [np.atleast_2d(np.asarray(g, float)) for g in groups]
-    found = welch_box(rows, weights)
-    w = np.full(len(rows), 1 / len(rows)) if weights is None else np.asarray(weights, float)
-    centre = float(sum(wg * g.mean() for wg, g in zip(w, rows, strict=True)))
-    if found.df2 is None:
-        return WelchInterval(centre, 0.0, float("inf"), centre, centre, found.pooled)
-    covariance, pooled = _covariances(rows)
-    variance = sum(
-        wg**2 * float(s[0, 0]) / g.shape[1] for wg, s, g in zip(w, covariance, rows, strict=True)
-    )
-    error = float(np.sqrt(variance))
-    half = float(stdtrit(found.df2, 1 - alpha / 2)) * error
-    return WelchInterval(centre, error, found.df2, centre - half, centre + half, pooled)
+    return WelchBox(f, df1, df2, float(fdtrc(df1, df2, f)), pooled)
 
 
 def _covariances(groups: Sequence[Array]) -> tuple[list[Array], bool]:
@@ -416,12 +381,6 @@ def _covariances(groups: Sequence[Array]) -> tuple[list[Array], bool]:
     df = np.array([g.shape[1] - 1.0 for g in groups])
     pooled = np.tensordot(df, np.array(own), axes=1) / df.sum()
     return [pooled] * len(groups), True
-
-
-def _tail(df1: float, df2: float, f: float) -> float:
-    from scipy.special import fdtrc
-
-    return float(fdtrc(df1, df2, f))
 
 
 def _check(groups: Sequence[Array]) -> None:

@@ -32,16 +32,13 @@ from study.statistics.analysis.anova_table import (
 from study.statistics.analysis.data import Crossed, crossed, prepare
 from study.statistics.analysis.effects import (
     TermEstimate,
-    group_errors,
     over_blocks,
-    over_complete_settings,
     over_groups,
     own_critical,
     pooled_estimate,
-    settings_of,
+    sampled_estimate,
     size,
     t_quantile,
-    term_rows,
     with_pooled_error,
 )
 from study.statistics.analysis.gate import (
@@ -289,51 +286,12 @@ def _effects(
             rivals += more
     simple = judge_factors(out, layout, fit, sample, rivals)
     if fewest >= LEAST_OWN:
-        estimates = [_welch_estimate(out, fit, t, rows, added, groups) for t in out.terms]
+        own_errors = over_groups(fit, added, groups, asked.alpha, None)
+        p = {term: row.p_deciding for term, row in rows.items()}
+        estimates = [sampled_estimate(data.layout, fit, t, p.get(t), own_errors) for t in out.terms]
     else:
         estimates = _pooled_estimates(out, rows, errors)
     return tuple(size(one, out.scale, simple) for one in estimates), notes
-
-
-def _welch_estimate(
-    out: AnalysisOutcome,
-    fit: Factored,
-    term: Term,
-    rows: dict[Term, Row],
-    added: Array,
-    groups: Sequence[Ints],
-) -> TermEstimate:
-    """Estimate of a term; each difference has Welch's degrees of freedom."""
-    levels, component_rows, mean_rows = term_rows(out.data.layout, fit, term)
-    alpha, k = out.request.alpha, len(levels)
-    component, mean = component_rows @ added, mean_rows @ added
-    if not fit.estimable(component_rows).all():
-        component = np.full_like(component, np.nan)
-    first, second = (index.ravel() for index in np.indices((k, k)))
-    df = group_errors(component[first] - component[second], groups)[1].reshape(k, k)
-    error, df_mean = group_errors(mean, groups)
-    centre = fit.shift + mean.sum(axis=1)
-    centre[np.logical_not(fit.estimable(mean_rows))] = np.nan
-    return TermEstimate(
-        term,
-        levels,
-        component.sum(axis=1),
-        centre,
-        sum_of_covariances(component, groups),
-        t_quantile(alpha / max(2, k * (k - 1)), df),
-        t_quantile(alpha / 2, df_mean) * error,
-        rows[term].p_deciding if term in rows else None,
-        settings_of(out.data.layout, term),
-    )
-
-
-def sum_of_covariances(value: Array, groups: Sequence[Ints]) -> Array:
-    """Covariance of sums over blocks, from the scatter in each group, shape (m, m).
-
-    Shapes: value (m, b).
-    """
-    parts = [len(group) * np.atleast_2d(np.cov(value[:, group])) for group in groups]
-    return np.asarray(np.sum(parts, axis=0))
 
 
 def _pooled_estimates(
@@ -501,38 +459,6 @@ def _no_test(q: Array, basis: Array, contrasts: Array, floor: float, name: str, 
     return ""
 
 
-def own_estimate(
-    table: Crossed, fit: Factored, term: Term, df: int, p: float | None, alpha: float
-) -> TermEstimate:
-    """Estimate of a term; each difference carries its own variance over the blocks."""
-    levels, component_rows, mean_rows = term_rows(table.layout, fit, term)
-    component_rows = over_complete_settings(table.layout, fit, term, component_rows)
-    blocks = table.y.shape[1]
-    shift, beta = block_coefficients(table, fit)
-    component, mean = component_rows @ beta, shift + mean_rows @ beta
-    estimable = bool(fit.estimable(component_rows).all())
-    mean_half = t_quantile(alpha / 2, blocks - 1) * mean.std(axis=1, ddof=1) / np.sqrt(blocks)
-    centers = mean.mean(axis=1)
-    centers[np.logical_not(fit.estimable(mean_rows))] = np.nan
-    return TermEstimate(
-        term,
-        levels,
-        component.mean(axis=1) if estimable else np.full(len(levels), np.nan),
-        centers,
-        np.atleast_2d(np.cov(component)) / blocks,
-        own_critical(len(levels), max(df, 1), blocks, alpha),
-        mean_half,
-        p,
-        settings_of(table.layout, term),
-    )
-
-
-def block_coefficients(table: Crossed, fit: Factored) -> tuple[float, Array]:
-    """Shift of the response, and coefficients of every block, shape (p, b)."""
-    shift = float(table.y[0, 0])
-    return shift, fit.model.inverse @ (fit.q.T @ (table.y - shift))
-
-
 def own(out: AnalysisOutcome) -> AnalysisOutcome | None:
     """E1: every effect against its own interaction with the blocks.
 
@@ -572,13 +498,18 @@ def own(out: AnalysisOutcome) -> AnalysisOutcome | None:
         out = out.warn(*choice.cautions)
     df = {t.row.term: float(t.error.df) for t in tests}
     judged = cell_fit(table, out.structure.asked) if out.structure.asked else fit
-    estimates = [
-        own_estimate(table, judged, t.sums.term, t.sums.df, t.row.p_deciding, out.request.alpha)
-        for t in tests
-    ]
-    sample = over_blocks(
-        judged, block_coefficients(table, judged)[1], out.request.alpha, out.request.interval_seed
-    )
+    alpha = out.request.alpha
+    coefficients = judged.model.inverse @ (judged.q.T @ (table.y - judged.shift))
+    own_errors = over_blocks(judged, coefficients, alpha, None)
+    estimates = []
+    for t in tests:
+        levels = int(np.prod([len(table.layout.levels[name]) for name in t.sums.term]))
+        critical = own_critical(levels, max(t.sums.df, 1), b, alpha)
+        p = t.row.p_deciding
+        estimates.append(
+            sampled_estimate(table.layout, judged, t.sums.term, p, own_errors, critical)
+        )
+    sample = over_blocks(judged, coefficients, alpha, out.request.interval_seed)
     rivals, notes = rivals_over_blocks(out, table.layout, table.y, judged, sample)
     out = out.warn(*notes)
     simple = judge_factors(out, table.layout, judged, sample, rivals)
