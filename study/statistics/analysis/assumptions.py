@@ -52,6 +52,7 @@ from study.statistics.analysis.sums_of_squares import (
     fitted,
     influential,
     least_squares,
+    term_row,
     term_sums,
 )
 from study.statistics.analysis.unreplicated import non_additivity, ulp_floor
@@ -418,15 +419,8 @@ def side_by_side(
 
 
 def _ordinary(fit: Factored) -> dict[str, float | None]:
-    from scipy.special import fdtrc
-
-    df = fit.df_residual
-    out: dict[str, float | None] = {}
-    for s in term_sums(fit, "III"):
-        usable = df > 0 and s.df == s.nominal_df and fit.rss > 0
-        f = s.ss / s.df / (fit.rss / df) if usable else 0.0
-        out[term_name(s.term)] = float(fdtrc(s.df, df, f)) if usable else None
-    return out
+    rows = [term_row(s, fit.df_residual, fit.rss, fit.tss) for s in term_sums(fit, "III")]
+    return {row.term: row.p for row in rows}
 
 
 def _agreement(found: Mapping[str, float | None], alpha: float) -> str:
@@ -502,17 +496,12 @@ def _p(tests: Sequence[OwnTerm], how: str) -> dict[str, float | None]:
 
 def _additive(model: Factorization, y: Array, kind: str) -> dict[str, float | None]:
     """P of every term against all interactions with the blocks pooled."""
-    from scipy.special import fdtrc
-
     cells, blocks = y.shape
     y = y - y[0, 0]
     fit = fitted(model, y.mean(axis=1))
     centered = y - y.mean(axis=1, keepdims=True) - y.mean(axis=0) + y.mean()
     df = (cells - 1) * (blocks - 1)
-    mse = float(np.sum(centered**2)) / df
-    found: dict[str, float | None] = {}
-    for s in term_sums(fit, kind):
-        usable = s.df > 0 and mse > 0
-        f = blocks * s.ss / s.df / mse if usable else 0.0
-        found[term_name(s.term)] = float(fdtrc(s.df, df, f)) if usable else None
-    return found
+    sums = [replace(s, ss=blocks * s.ss) for s in term_sums(fit, kind)]
+    rss = float(np.sum(centered**2))
+    rows = [term_row(s, df, rss, blocks * fit.tss, partial=True) for s in sums]
+    return {row.term: row.p for row in rows}

@@ -20,11 +20,13 @@ from study.statistics.analysis.comparisons import Comparisons, LevelPair, studen
 from study.statistics.analysis.effects import own_critical, pooled_critical, t_quantile
 from study.statistics.analysis.linear_model import (
     CellLayout,
+    ModelMatrix,
     Term,
     model_matrix,
     nested_in,
     terms_of,
 )
+from study.statistics.analysis.sums_of_squares import factor
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -34,8 +36,6 @@ if TYPE_CHECKING:
 
 #: Columns beyond which a table of coefficients is not read; the QR of 200 columns takes 0.1 s.
 MOST_COEFFICIENTS = 200
-#: A direction of the columns shorter than this, of 1, is no estimate: its terms are aliased.
-ALIASED = 1e-9
 
 
 @dataclass(frozen=True)
@@ -121,14 +121,12 @@ def _pooled(found: AnalysisResult, names: tuple[str, ...]) -> CoefficientTable:
     if matrix is None or not residual.ms:
         return CoefficientTable(reason="nothing is left over to estimate an error from")
     y = _working(found, found.data.residuals["response"].to_numpy(float))
-    length = np.linalg.norm(matrix, axis=0)
-    q, r = np.linalg.qr(matrix / length)
-    if np.abs(np.linalg.svd(r, compute_uv=False)).min() < ALIASED:
+    fit = factor(ModelMatrix(matrix, ((),), (slice(0, matrix.shape[1]),)), y)
+    if not fit.model.is_full:
         return CoefficientTable(reason="some terms are aliased with others")
-    inverse = np.linalg.inv(r)
-    beta = inverse @ (q.T @ (y - y[0])) / length
-    beta[0] += y[0]
-    spread = np.einsum("ij,ij->i", inverse, inverse) / length**2
+    beta = fit.coefficients()
+    beta[0] += fit.shift
+    spread = np.diag(fit.unscaled_covariance())
     # blocks stand between the constant and the factors, and are no coefficients of interest
     kept = np.r_[0, matrix.shape[1] - len(names) + 1 : matrix.shape[1]]
     error = np.sqrt(spread * residual.ms)

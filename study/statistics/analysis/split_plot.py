@@ -20,7 +20,7 @@ from study.statistics.analysis.analysis_request import AnalysisOutcome, kind_of
 from study.statistics.analysis.anova_table import Anova, ErrorTerm, Row
 from study.statistics.analysis.comparisons import bonferroni
 from study.statistics.analysis.data import Data
-from study.statistics.analysis.effects import pooled_estimate, size, t_quantile, term_rows
+from study.statistics.analysis.effects import pooled_estimate, sampled_estimate, size, t_quantile
 from study.statistics.analysis.gate import (
     COARSE,
     Rival,
@@ -130,13 +130,8 @@ def split_plot(out: AnalysisOutcome, plots: Plots) -> AnalysisOutcome:
         estimate = pooled_estimate(
             data.layout, fit, term, rest, by_name[term_name(term)].p, out.request.alpha, fit.rss
         )
-        means = pooled_estimate(data.layout, whole, term, 0, None, out.request.alpha, 0.0).mean
-        mean_rows = term_rows(data.layout, whole, term)[2]
-        none = np.zeros(len(mean_rows), dtype=np.int64)
-        found = sample(Differences(np.vstack([np.zeros(mean_rows.shape[1]), mean_rows]),
-                                   np.arange(1, len(mean_rows) + 1), none))  # fmt: skip
-        half = None if found.error is None else found.error * found.single
-        estimate = replace(estimate, mean=means, mean_half=half)
+        of_means = sampled_estimate(data.layout, whole, term, None, sample)
+        estimate = replace(estimate, mean=of_means.mean, mean_half=of_means.mean_half)
         effects.append(size(estimate, out.scale, simple))
     choice = error_ledger.strata_choice(
         str(data.block), plots.name, plots.between, error_ledger.POOLED

@@ -15,7 +15,6 @@ from enum import StrEnum
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.special import fdtrc
 
 from study.ground.arrays import Array, Ints
 from study.ground.errors import Fault, InputError, nearest
@@ -65,6 +64,7 @@ from study.statistics.analysis.sums_of_squares import (
     alias_warnings,
     epsilon_gg,
     factor,
+    row_of_test,
     sphericity,
     term_sums,
     with_shares,
@@ -199,35 +199,14 @@ def _row(
         return Row(name, 0, 0.0)
     if float(np.abs(part.residual).max(initial=0.0)) <= floor:
         return Row(name, df, ss, ss / df)
-    ms_error = ss_error / part.df
-    f, epsilon, df_error = _f(part, direction, groups, ss / df / ms_error)
-    return Row(
-        name,
-        df,
-        ss,
-        ss / df,
-        f,
-        float(fdtrc(df, df_error, f)),
-        part.name,
-        df_error,
-        epsilon,
-        float(fdtrc(df * epsilon, df_error * epsilon, f)),
-        max(0.0, (ss - df * ms_error) / (total + ms_error)),
-        ss / (ss + ss_error),
-    )
-
-
-def _f(
-    part: _Part, direction: Array, groups: Sequence[Ints], pooled: float
-) -> tuple[float, float, float]:
-    """F, epsilon and the degrees of freedom of the error before their correction by epsilon."""
+    sums = (df, ss), (part.name, part.df, ss_error)
     if groups:
         weights = np.array([direction[group].sum(axis=0) for group in groups]).T
         found = welch_box([part.values[:, group] for group in groups], weights)
         if found.f is not None and found.df1 is not None and found.df2 is not None:
-            epsilon = found.df1 / (part.values.shape[0] * direction.shape[1])
-            return found.f, epsilon, found.df2 / epsilon
-    return pooled, epsilon_gg(part.residual @ part.residual.T), part.df
+            epsilon = found.df1 / df
+            return row_of_test(name, *sums, total, epsilon, (found.f, found.df2 / epsilon))
+    return row_of_test(name, *sums, total, epsilon_gg(part.residual @ part.residual.T))
 
 
 def _sphere(part: _Part, fit: Factored) -> SphericityResult:
@@ -410,7 +389,6 @@ def _own_term(
     *,
     partial: bool,
 ) -> OwnTerm:
-    from scipy.special import fdtrc
 
     name, blocks, df = term_name(sums.term), table.y.shape[1], sums.df
     contrasts = sums.basis.T @ (fit.q.T @ (table.y - table.y[0, 0]))
@@ -429,23 +407,8 @@ def _own_term(
     why = _no_test(fit.q, sums.basis, contrasts, floor, name, block)
     if why:
         return OwnTerm(sums, Row(name, df, ss, ss / df), error, spread, why)
-    f = (ss / df) / (ss_error / df_error)
     epsilon = epsilon_gg(np.atleast_2d(np.cov(contrasts)))
-    ms_error = ss_error / df_error
-    row = Row(
-        name,
-        df,
-        ss,
-        ss / df,
-        f,
-        float(fdtrc(df, df_error, f)),
-        f"{block}:{name}",
-        df_error,
-        epsilon,
-        float(fdtrc(df * epsilon, df_error * epsilon, f)),
-        max(0.0, (ss - df * ms_error) / (total + ms_error)),
-        ss / (ss + ss_error),
-    )
+    row = row_of_test(name, (df, ss), (error.term, df_error, ss_error), total, epsilon)
     return OwnTerm(sums, row, error, spread)
 
 

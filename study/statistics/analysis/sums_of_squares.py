@@ -170,8 +170,6 @@ def term_row(
     s: TermSum, df: int, rss: float, total: float, error: str = "residual", *, partial: bool = False
 ) -> Row:
     """One line: a term against an error of ``df`` degrees of freedom and sum ``rss``."""
-    from scipy.special import fdtrc
-
     name = term_name(s.term)
     if s.df == 0:
         return Row(name, 0, 0.0)
@@ -180,21 +178,41 @@ def term_row(
         return Row(name, s.df, s.ss, ms)
     if s.df < s.nominal_df and not partial:
         return Row(name, s.df, s.ss, ms, error=error, df_error=df)
-    mse = rss / df
-    f = ms / mse
+    return row_of_test(name, (s.df, s.ss), (error, df, rss), total)
+
+
+def row_of_test(
+    name: str,
+    term: tuple[int, float],
+    error: tuple[str, float, float],
+    total: float,
+    epsilon: float | None = None,
+    approximate: tuple[float, float] | None = None,
+) -> Row:
+    """Line of an F test: degrees of freedom and sum of squares of a term and of its error.
+
+    ``approximate`` holds F and the degrees of freedom of its error where they are not those of the
+    mean squares; ``epsilon`` corrects the degrees of freedom.
+    """
+    from scipy.special import fdtrc
+
+    (df, ss), (against, df_sum, ss_error) = term, error
+    ms_error = ss_error / df_sum
+    f, df_error = approximate or (ss / df / ms_error, df_sum)
+    corrected = None if epsilon is None else float(fdtrc(df * epsilon, df_error * epsilon, f))
     return Row(
         name,
-        s.df,
-        s.ss,
-        ms,
-        f,
-        float(fdtrc(s.df, df, f)),
-        error,
         df,
-        None,
-        None,
-        max(0.0, (s.ss - s.df * mse) / (total + mse)),
-        s.ss / (s.ss + rss),
+        ss,
+        ss / df,
+        f,
+        float(fdtrc(df, df_error, f)),
+        against,
+        df_error,
+        epsilon,
+        corrected,
+        max(0.0, (ss - df * ms_error) / (total + ms_error)),
+        ss / (ss + ss_error),
     )
 
 
