@@ -16,7 +16,8 @@ from study.ground.errors import RefusedError
 from study.statistics.analysis.anova import anova
 from study.statistics.analysis.comparisons import GroupMoments
 from study.statistics.analysis.data import resolution
-from study.statistics.analysis.effects import cell_welch, own_variances
+from study.statistics.analysis.effects import cell_welch
+from study.statistics.analysis.equal_variance import own_variances
 from study.statistics.analysis.linear_model import CellLayout as Layout
 from study.statistics.analysis.linear_model import model_matrix
 from study.statistics.analysis.simple_effects import (

@@ -11,12 +11,12 @@ from scipy.stats import ttest_ind
 
 from study.ground.arrays import Array
 from study.ground.errors import InputError
-from study.statistics.analysis.comparisons import holm, response_family
+from study.statistics.analysis.comparisons import holm, holm_family
 from study.statistics.analysis.linear_model import CellLayout as Layout
 from study.statistics.analysis.linear_model import grid, terms_of
 from study.statistics.analysis.normality import helmert, helmert_contrasts
 from study.statistics.analysis.split_plot import welch_box
-from study.statistics.analysis.strata import SeedRole, seed_design
+from study.statistics.analysis.strata import common_seeds
 from study.statistics.analysis.sums_of_squares import epsilon_gg
 
 DIFFERENCE = np.array([1.0, -1.0])
@@ -97,26 +97,26 @@ def test_bad_groups(groups: list[Array], match: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("cells", "seeds", "role", "left"),
+    ("cells", "seeds", "common", "left"),
     [
-        ("aaabbb", "123123", SeedRole.BLOCKS, ()),
-        ("aaabb", "12312", SeedRole.BLOCKS, ("3",)),
-        ("aaabbb", "123456", SeedRole.WITHIN_CELLS, ()),
-        ("aaabbb", "123345", SeedRole.WITHIN_CELLS, ()),
-        ("ab", "11", SeedRole.NONE, ()),
+        ("aaabbb", "123123", "123", ""),
+        ("aaabb", "12312", "12", "3"),
+        ("aaabbb", "123456", "", ""),
+        ("aaabbb", "123345", "", ""),
+        ("ab", "11", "", ""),
     ],
 )
-def test_seeds_that_all_cells_share_are_blocks(cells, seeds, role, left) -> None:
-    found = seed_design(cells, seeds)
-    assert (found.role, found.left_out) == (role, left)
-    for seed in left:
-        assert seed in found.reason
+def test_seeds_that_all_cells_share_are_blocks(
+    cells: str, seeds: str, common: str, left: str
+) -> None:
+    found, reason = common_seeds(cells, seeds)
+    assert "".join(found) == common
+    assert left in reason
 
 
-def test_seeds_within_real_blocks_are_averaged() -> None:
-    assert seed_design("aabb", "1212", blocks=True).role is SeedRole.AVERAGED
+def test_every_row_has_a_seed() -> None:
     with pytest.raises(InputError, match="one seed for each"):
-        seed_design("ab", "1")
+        common_seeds("ab", "1")
 
 
 def group_rates(sizes: tuple[int, int], ratio: float, n: int, seed: int) -> float:
@@ -192,7 +192,7 @@ def table_rates(spherical: bool, n: int, seed: int) -> tuple[float, float]:
         contrasts = helmert_contrasts(layout, terms, sd * rng.standard_normal((16, 6)))
         p = {term: welch_box([rows]).p for term, rows in contrasts.items()}
         raw += np.array([value is not None and value < 0.05 for value in p.values()])
-        family = response_family("y", p)
+        family = holm_family({"y": p})
         familywise += any(t.p_holm is not None and t.p_holm < 0.05 for t in family)
     return float(raw.max() / n), familywise / n
 

@@ -538,53 +538,22 @@ class FamilyTest:
     family: int
 
 
-def response_family(
-    response: str, p: Mapping[str, float | None], primary: Sequence[str] = ()
+def holm_family(
+    p: Mapping[str, Mapping[str, float | None]], primary: Sequence[str] = ()
 ) -> tuple[FamilyTest, ...]:
-    """Adjust the p of all terms in the table of one response.
+    """Adjust the p of all terms of one or several responses together, or of the primary ones.
 
     Examples
     --------
-    >>> [t.p_holm for t in response_family("f", {"A": 0.01, "B": 0.04, "A:B": None})]
+    >>> [t.p_holm for t in holm_family({"f": {"A": 0.01, "B": 0.04, "A:B": None}})]
     [0.02, 0.04, None]
     """
-    return _adjusted([(response, term, value) for term, value in p.items()], primary)
-
-
-def study_family(
-    p: Mapping[str, Mapping[str, float | None]], primary: Sequence[str] = ()
-) -> tuple[FamilyTest, ...]:
-    """Adjust the p of all terms of all responses together."""
-    return _adjusted(
-        [(name, term, value) for name, terms in p.items() for term, value in terms.items()],
-        primary,
-    )
-
-
-def _adjusted(
-    tests: Sequence[tuple[str, str, float | None]], primary: Sequence[str]
-) -> tuple[FamilyTest, ...]:
-    _multiplicity_check(tests, primary)
-    inside = [
-        i
-        for i, (_, term, value) in enumerate(tests)
-        if value is not None and (not primary or term in primary)
+    tests = [(name, term, value) for name, terms in p.items() for term, value in terms.items()]
+    faults = [
+        Fault(f"{name}: {term}", f"p must lie in [0, 1], got {value!r}")
+        for name, term, value in tests
+        if value is not None and not (math.isfinite(value) and 0 <= value <= 1)
     ]
-    raw = [value for i in inside if (value := tests[i][2]) is not None]
-    adjusted = dict(zip(inside, holm(raw).tolist() if raw else [], strict=True))
-    return tuple(
-        FamilyTest(name, term, value, adjusted.get(i), len(inside))
-        for i, (name, term, value) in enumerate(tests)
-    )
-
-
-def _multiplicity_check(
-    tests: Sequence[tuple[str, str, float | None]], primary: Sequence[str]
-) -> None:
-    faults = []
-    for name, term, p in tests:
-        if p is not None and not (math.isfinite(p) and 0 <= p <= 1):
-            faults.append(Fault(f"{name}: {term}", f"p must lie in [0, 1], got {p!r}"))
     terms = [term for _, term, _ in tests]
     if len(primary) > MOST_PRIMARY:
         rule = f"at most {MOST_PRIMARY} may be declared, got {len(primary)}"
@@ -595,6 +564,16 @@ def _multiplicity_check(
             faults.append(Fault("primary terms", rule, nearest(term, terms)))
     if faults:
         raise InputError(faults)
+    inside = {
+        i: value
+        for i, (_, term, value) in enumerate(tests)
+        if value is not None and (not primary or term in primary)
+    }
+    adjusted = dict(zip(inside, holm(list(inside.values())).tolist(), strict=True))
+    return tuple(
+        FamilyTest(name, term, value, adjusted.get(i), len(inside))
+        for i, (name, term, value) in enumerate(tests)
+    )
 
 
 # -------------------------------------------------------------------------------------------------

@@ -333,38 +333,6 @@ def with_pooled_error(
     return estimate
 
 
-def own_variances(y: Array, cell: Ints, shrinkage: float = 0.0) -> tuple[Array, Array]:
-    """Find the variance of each cell and its degrees of freedom; that of one row is infinite.
-
-    With ``shrinkage`` every variance is drawn towards the pooled one, which counts as that many
-    times the cell's own degrees of freedom (Smyth 2004, Stat. Appl. Genet. Mol. Biol. 3, 3); a
-    cell with one row has the pooled one.
-
-    Shapes: y (n,); cell (n,); returns (cells,).
-    """
-    count = np.bincount(cell)
-    mean = np.bincount(cell, y - y[0]) / count
-    ss = np.bincount(cell, (y - y[0] - mean[cell]) ** 2)
-    df = np.maximum(count - 1.0, 1.0)
-    if not shrinkage:
-        return np.where(count > 1, ss / df, np.inf), df
-    total = float((count - 1).sum())
-    pooled = ss.sum() / total
-    variance = np.where(count > 1, (ss / df + shrinkage * pooled) / (1 + shrinkage), pooled)
-    return variance, np.where(count > 1, (1 + shrinkage) * df, total)
-
-
-def doubted_variances(y: Array, cell: Ints) -> tuple[Array, Array] | None:
-    """Variances of cells by which a claim from a pooled one must be made as well, if any.
-
-    Shapes: y (n,); cell (n,).
-    """
-    counts = np.bincount(cell)
-    if counts.max() >= ENOUGH_ROWS or _bartlett_p(y, cell, counts) < UNEVEN:
-        return own_variances(y, cell)
-    return own_variances(y, cell, SHRUNK) if counts.max() > 2 else None
-
-
 def cell_welch(
     fit: Factored, cell: Ints, variances: tuple[Array, Array], alpha: float, reading: float
 ) -> Sample:
@@ -449,15 +417,6 @@ def with_pseudo_error(
     return estimate
 
 
-#: rows of a cell from which its own variance is known well enough to be asked always
-ENOUGH_ROWS = 5
-#: p of Bartlett's test below which cells of fewer rows are judged by their own variances alone
-UNEVEN = 0.10
-#: weight of the pooled variance beside the own one of a cell of three or four rows: the test has
-#: too little power there. Simulated, 3 rows of 4 cells, one of which scatters 3.3 times as much:
-#: false claims .05 (with 1: .06; by the test alone, at .25: .07), of right ones .95 stand (by
-#: their own variances alone: .81)
-SHRUNK = 0.7
 UNEQUAL = (
     "cells scatter unequally or too few rows tell their scatter: with variances of their own "
     "(Welch) the interval does not allow the claim"
@@ -465,25 +424,6 @@ UNEQUAL = (
 #: p of a preliminary test below which the assumption that it tests is not relied on. The usual
 #: .05 leaves errors that it has little power to see (Bancroft 1964, Biometrics 20, 427-442).
 DOUBT = 0.25
-
-
-def _bartlett_p(y: Array, index: Ints, counts: Ints) -> float:
-    """P of Bartlett's test of the cells that hold several rows; 1 where fewer than two do."""
-    from scipy.special import chdtrc
-
-    mean = np.bincount(index, y - y[0]) / counts
-    ss = np.bincount(index, (y - y[0] - mean[index]) ** 2)
-    many = counts > 1
-    df, s2 = counts[many] - 1.0, ss[many] / np.maximum(counts[many] - 1, 1)
-    if df.size < 2:
-        return 1.0
-    if s2.min() <= 0:
-        return 0.0
-    total = df.sum()
-    pooled = float(df @ s2) / total
-    ratio = total * math.log(pooled) - float(df @ np.log(s2))
-    ratio /= 1 + (float((1 / df).sum()) - 1 / total) / (3 * (df.size - 1))
-    return float(chdtrc(df.size - 1, max(ratio, 0.0)))
 
 
 # -------------------------------------------------------------------------------------------------

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -641,63 +640,27 @@ def sentences(found: NestedUnits, alpha: float) -> list[str]:
 # differ between cells are replicates within cells.
 
 
-class SeedRole(StrEnum):
-    """What the seeds of a study are."""
-
-    BLOCKS = "blocks"
-    AVERAGED = "averaged within blocks"
-    WITHIN_CELLS = "replicates within cells"
-    NONE = "none"
-
-
-@dataclass(frozen=True)
-class SeedDesign:
-    """What the seeds are, which are used, and why."""
-
-    #: How the analysis uses the seeds.
-    role: SeedRole
-    #: Seeds that every cell has, in the order found.
-    common: tuple[str, ...]
-    #: Seeds that some cell lacks and that are therefore left out everywhere.
-    left_out: tuple[str, ...]
-    reason: str
-
-
-def seed_design(
-    cells: Sequence[Hashable], seeds: Sequence[object], *, blocks: bool = False
-) -> SeedDesign:
-    """Decide from the labels whether seeds are common to all cells.
+def common_seeds(cells: Sequence[Hashable], seeds: Sequence[object]) -> tuple[tuple[str, ...], str]:
+    """Seeds that every cell has and that are therefore blocks, and why; none where few are common.
 
     Examples
     --------
-    >>> seed_design(["a", "a", "b", "b"], [1, 2, 1, 2]).role.value
-    'blocks'
-    >>> seed_design(["a", "a", "b", "b"], [1, 2, 3, 4]).role.value
-    'replicates within cells'
+    >>> common_seeds(["a", "a", "b", "b"], [1, 2, 1, 2])[0]
+    ('1', '2')
+    >>> common_seeds(["a", "a", "b", "b"], [1, 2, 3, 4])[0]
+    ()
     """
     if not cells or len(cells) != len(seeds):
         rule = f"one seed for each of {len(cells)} rows is needed, got {len(seeds)}"
         raise InputError(Fault("seeds", rule))
-    held: dict[Hashable, set[str]] = {}
+    of_cell: dict[Hashable, set[str]] = {}
     for cell, seed in zip(cells, seeds, strict=True):
-        held.setdefault(cell, set()).add(str(seed))
+        of_cell.setdefault(cell, set()).add(str(seed))
     labels = tuple(dict.fromkeys(str(seed) for seed in seeds))
-    common = tuple(s for s in labels if all(s in own for own in held.values()))
-    left = tuple(s for s in labels if s not in common)
-    if len(labels) == 1:
-        return SeedDesign(SeedRole.NONE, common, left, "one mesh seed: its effect is not seen")
-    shared = len(common) >= 2 and 2 * len(common) >= len(labels)
-    if shared and blocks:
-        why = f"the {len(common)} mesh seeds are averaged within each block first"
-        return SeedDesign(SeedRole.AVERAGED, common, left, why + _left_out(left))
-    if shared:
-        why = f"the {len(common)} mesh seeds are common to all cells, so they are blocks"
-        return SeedDesign(SeedRole.BLOCKS, common, left, why + _left_out(left))
-    why = "mesh seeds differ between cells: replicates, pooled within cells"
-    return SeedDesign(SeedRole.WITHIN_CELLS, common, (), why)
-
-
-def _left_out(seeds: tuple[str, ...]) -> str:
-    if not seeds:
-        return ""
-    return f"; missing in some cell and left out everywhere: {', '.join(seeds)}"
+    common = tuple(s for s in labels if all(s in present for present in of_cell.values()))
+    if len(common) < 2 or 2 * len(common) < len(labels):
+        return (), "mesh seeds differ between cells: replicates, pooled within cells"
+    why = f"the {len(common)} mesh seeds are common to all cells, so they are blocks"
+    left = [s for s in labels if s not in common]
+    missing = f"; missing in some cell and left out everywhere: {', '.join(left)}" if left else ""
+    return common, why + missing
