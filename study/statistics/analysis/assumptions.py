@@ -415,17 +415,17 @@ def side_by_side(
 ) -> AnalysisSensitivity:
     """Table of p, terms against analyses, and in how many each is below alpha."""
     p = {term: {method: ps.get(term) for method, ps in found.items()} for term in terms}
-    return AnalysisSensitivity(p, {term: _agreement(row, alpha) for term, row in p.items()})
+    agreement = {}
+    for term, row in p.items():
+        known = [value for value in row.values() if value is not None]
+        below = sum(value < alpha for value in known)
+        agreement[term] = f"p < {alpha:g} in {below} of {len(known)} analyses"
+    return AnalysisSensitivity(p, agreement)
 
 
 def _ordinary(fit: Factored) -> dict[str, float | None]:
     rows = [term_row(s, fit.df_residual, fit.rss, fit.tss) for s in term_sums(fit, "III")]
     return {row.term: row.p for row in rows}
-
-
-def _agreement(found: Mapping[str, float | None], alpha: float) -> str:
-    known = [p for p in found.values() if p is not None]
-    return f"p < {alpha:g} in {sum(p < alpha for p in known)} of {len(known)} analyses"
 
 
 # Welch-James inverts matrices of the number of cells; beyond this it is no small table

@@ -512,6 +512,10 @@ def size(
     if half is not None:
         interval = (largest - half[top, bottom], largest + half[top, bottom])
     u = scale.between(estimate, top, bottom)
+    mean_ci95 = None
+    if estimate.mean_half is not None and not np.isnan(estimate.mean).any():
+        around = zip(estimate.mean, estimate.mean_half, strict=True)
+        mean_ci95 = tuple((back(float(m - h)), back(float(m + h))) for m, h in around)
     found = _judged(estimate, half, scale, own)
     main = len(estimate.term) == 1
     pairs, tags = _pairs(estimate, half, back)
@@ -522,7 +526,7 @@ def size(
         verdict=found.verdict if main else SEE_SIMPLE,
         of_components="" if main else found.verdict,
         largest=(estimate.levels[top], estimate.levels[bottom]),
-        mean_ci95=_mean_intervals(estimate, back),
+        mean_ci95=mean_ci95,
         u_num=None if u is None else u / scale.unit,
         effect_over_u_num=largest / u if u else None,
         resolved=_resolved(largest / u) if u else None,
@@ -619,15 +623,6 @@ def holm(effects: Sequence[Effect]) -> tuple[Effect, ...]:
     return tuple(
         effect if effect.p is None else replace(effect, p_holm=next(adjusted)) for effect in effects
     )
-
-
-def _mean_intervals(
-    estimate: TermEstimate, back: Callable[[float], float]
-) -> tuple[tuple[float, float], ...] | None:
-    if estimate.mean_half is None or np.isnan(estimate.mean).any():
-        return None
-    pairs = zip(estimate.mean, estimate.mean_half, strict=True)
-    return tuple((back(float(m - h)), back(float(m + h))) for m, h in pairs)
 
 
 def _resolved(ratio: float) -> str:

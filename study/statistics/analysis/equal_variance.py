@@ -272,21 +272,15 @@ def fligner(groups: Groups) -> tuple[float, float] | None:
 
     None where a group has fewer than two values, or all deviations are alike.
     """
-    from scipy.special import chdtrc, ndtri
+    from scipy.stats import fligner as fligner_killeen
 
     values = list(_named(groups).values())
     if len(values) < 2 or min(v.size for v in values) < 2:
         return None
-    deviation = np.concatenate([np.abs(v - np.median(v)) for v in values])
-    _, index, count = np.unique(deviation, return_inverse=True, return_counts=True)
-    rank = (np.cumsum(count) - (count - 1) / 2)[index]
-    score = ndtri(0.5 + rank / (2 * (deviation.size + 1)))
-    parts = np.split(score, np.cumsum([v.size for v in values])[:-1])
-    spread = float(score.var(ddof=1))
-    if spread <= 0:
+    if not np.ptp(np.concatenate([np.abs(v - np.median(v)) for v in values])):
         return None
-    x = sum(part.size * (part.mean() - score.mean()) ** 2 for part in parts) / spread
-    return float(x), float(chdtrc(len(values) - 1, x))
+    test = fligner_killeen(*values)
+    return float(test.statistic), float(test.pvalue)
 
 
 # -------------------------------------------------------------------------------------------------
