@@ -6,7 +6,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from scipy.stats import f as fisher
+from scipy.special import fdtrc
 from scipy.stats import ttest_ind
 
 from study.ground.arrays import Array
@@ -28,22 +28,27 @@ def _no_collection(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("gc.collect", lambda *_: 0)
 
 
+def p_of_one_group(rows: Array) -> float:
+    """P of one group of blocks."""
+    f, df1, df2 = welch_box([rows], np.ones(1))
+    return float(fdtrc(df1, df2, f))
+
+
 def test_one_group_is_greenhouse_geisser() -> None:
     z = np.random.default_rng(1).standard_normal((3, 7)) * [[1], [2], [3]] + 0.5
-    found = welch_box([z])
+    f_found, df1, df2 = welch_box([z], np.ones(1))
     s = np.cov(z)
     epsilon = epsilon_gg(s)
     f = 7 * np.sum(z.mean(axis=1) ** 2) / np.trace(s)
-    expected = (f, 3 * epsilon, 18 * epsilon, fisher.sf(f, 3 * epsilon, 18 * epsilon))
-    assert (found.f, found.df1, found.df2, found.p) == pytest.approx(expected)
+    assert (f_found, df1, df2) == pytest.approx((f, 3 * epsilon, 18 * epsilon))
 
 
 def test_one_contrast_of_two_groups_is_welchs_t() -> None:
     rng = np.random.default_rng(2)
     a, b = rng.standard_normal((1, 5)), 3 * rng.standard_normal((1, 9)) + 1
-    found = welch_box([a, b], DIFFERENCE)
+    f, df1, df2 = welch_box([a, b], DIFFERENCE)
     welch = ttest_ind(a[0], b[0], equal_var=False)
-    assert (found.f, found.df2, found.p) == pytest.approx(
+    assert (f, df2, fdtrc(df1, df2, f)) == pytest.approx(
         (welch.statistic**2, welch.df, welch.pvalue)
     )
 
@@ -63,37 +68,13 @@ def test_several_weight_vectors_by_their_definition() -> None:
     )
     df1 = np.trace(m) ** 2 / np.trace(m @ m)
     found = welch_box(groups, w)
-    assert found.df1 == pytest.approx(df1)
-    assert found.df2 == pytest.approx(df1 * np.trace(m) ** 2 / below)
+    assert found[1:] == pytest.approx((df1, df1 * np.trace(m) ** 2 / below))
     theta = w @ np.array([z.mean(axis=1) for z in groups])
-    assert found.f == pytest.approx(np.sum(theta**2) / np.trace(m))
-
-
-def test_groups_of_two_are_pooled_and_say_so() -> None:
-    rng = np.random.default_rng(4)
-    a, b = rng.standard_normal((1, 2)), rng.standard_normal((1, 6))
-    found = welch_box([a, b], DIFFERENCE)
-    pooled = ttest_ind(a[0], b[0])
-    assert found.pooled
-    assert (found.f, found.df2, found.p) == pytest.approx((pooled.statistic**2, 6, pooled.pvalue))
+    assert found[0] == pytest.approx(np.sum(theta**2) / np.trace(m))
 
 
 def test_nothing_varies() -> None:
-    assert welch_box([np.ones((2, 4))]).p is None
-
-
-@pytest.mark.parametrize(
-    ("groups", "match"),
-    [
-        ([], "no group"),
-        ([np.ones((2, 1))], "at least two blocks"),
-        ([np.ones((2, 3)), np.ones((1, 3))], "same contrasts"),
-        ([np.array([[1.0, np.nan]])], "missing"),
-    ],
-)
-def test_bad_groups(groups: list[Array], match: str) -> None:
-    with pytest.raises(InputError, match=match):
-        welch_box(groups)
+    assert welch_box([np.ones((2, 4))], np.ones(1)) is None
 
 
 @pytest.mark.parametrize(
@@ -130,9 +111,9 @@ def group_rates(sizes: tuple[int, int], ratio: float, n: int, seed: int) -> floa
             s * sd * rng.standard_normal((4, m)) for s, m in zip((1.0, ratio), sizes, strict=True)
         ]
         rows = [basis @ y for y in cells]
-        for i, weights in enumerate((None, DIFFERENCE)):
-            p = welch_box(rows, weights).p
-            rejected[i] += p is not None and p < 0.05
+        for i, weights in enumerate((abs(DIFFERENCE) / 2, DIFFERENCE)):
+            f, df1, df2 = welch_box(rows, weights)
+            rejected[i] += fdtrc(df1, df2, f) < 0.05
     return float(rejected.max() / n)
 
 
@@ -162,8 +143,7 @@ def seed_rates(rho: float, effect: float, n: int, seed: int, seeds: int = 5) -> 
     for _ in range(n):
         shared, own = rng.standard_normal((1, seeds)), rng.standard_normal((6, seeds))
         y = mean + np.sqrt(rho) * shared + np.sqrt(1 - rho) * own
-        p = welch_box([factor @ y]).p
-        count += p is not None and p < 0.05
+        count += p_of_one_group(factor @ y) < 0.05
     return count / n
 
 
@@ -190,8 +170,8 @@ def table_rates(spherical: bool, n: int, seed: int) -> tuple[float, float]:
     raw, familywise = np.zeros(len(terms)), 0
     for _ in range(n):
         contrasts = helmert_contrasts(layout, terms, sd * rng.standard_normal((16, 6)))
-        p = {term: welch_box([rows]).p for term, rows in contrasts.items()}
-        raw += np.array([value is not None and value < 0.05 for value in p.values()])
+        p = {term: p_of_one_group(rows) for term, rows in contrasts.items()}
+        raw += np.array([value < 0.05 for value in p.values()])
         family = holm_family({"y": p})
         familywise += any(t.p_holm is not None and t.p_holm < 0.05 for t in family)
     return float(raw.max() / n), familywise / n

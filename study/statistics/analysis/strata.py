@@ -202,9 +202,10 @@ def _row(
     if groups:
         weights = np.array([direction[group].sum(axis=0) for group in groups]).T
         found = welch_box([part.values[:, group] for group in groups], weights)
-        if found.f is not None and found.df1 is not None and found.df2 is not None:
-            epsilon = found.df1 / df
-            return row_of_test(name, *sums, total, epsilon, (found.f, found.df2 / epsilon))
+        if found is not None:
+            f, df1, df2 = found
+            epsilon = df1 / df
+            return row_of_test(name, *sums, total, epsilon, (f, df2 / epsilon))
     return row_of_test(name, *sums, total, epsilon_gg(part.residual @ part.residual.T))
 
 
