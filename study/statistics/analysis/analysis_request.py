@@ -301,8 +301,7 @@ _NO_ERROR = ErrorTerm("E7", "no p: nothing varies", 0.0, "constant response")
 class AnalysisOutcome:
     """Inputs and findings of one analysis; grows by ``replace``.
 
-    ``u_raw`` is the largest numerical uncertainty of an effect, ``u_cells`` that within which
-    two cells are one computation, both in the unit of the response.
+    ``u_raw`` is the largest numerical uncertainty of an effect, in the unit of the response.
     """
 
     request: AnalysisRequest
@@ -310,7 +309,6 @@ class AnalysisOutcome:
     terms: tuple[Term, ...]
     tolerance: float
     u_raw: float | None = None
-    u_cells: float | None = None
     y: Array = field(default_factory=lambda: np.zeros(0))
     scale: Scale = field(default_factory=lambda: Scale("none", None, None, False))
     warnings: tuple[str, ...] = ()

@@ -532,7 +532,7 @@ def _found(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisOutcome:
     y = np.asarray(np.log(data.y)) if request.scale.is_log else data.y
     scale = scale_of(out, y)
     low, high = range_of_bounds(out, scale)
-    out = replace(out, y=y, scale=scale, u_cells=low, u_raw=high)
+    out = replace(out, y=y, scale=scale, u_raw=high)
     out = replace(out, warnings=(*data.warnings, *notes))
     within = max(10 * out.tolerance, low or 0.0)
     computed = request.records or out.tolerance > 0

@@ -143,10 +143,9 @@ def fitted(model: Factorization, y: Array) -> Factored:
     )
 
 
-def term_sums(fit: Factored, kind: str, skip: Sequence[Term] = ()) -> list[TermSum]:
-    """Sum of squares of every term but the intercept and ``skip``."""
-    terms = fit.matrix.terms
-    return [_term_sum(fit, i, kind) for i in range(1, len(terms)) if terms[i] not in skip]
+def term_sums(fit: Factored, kind: str) -> list[TermSum]:
+    """Sum of squares of every term but the intercept."""
+    return [_term_sum(fit, i, kind) for i in range(1, len(fit.matrix.terms))]
 
 
 def _term_sum(fit: Factored, i: int, kind: str) -> TermSum:
@@ -265,17 +264,17 @@ def one_thread(function: Callable[P, R]) -> Callable[P, R]:
     return limited
 
 
-def eta_interval(row: Row, level: float = 0.95) -> tuple[float, float] | None:
-    """Interval of partial eta squared from the noncentral F (Smithson 2001).
+def eta_interval(row: Row) -> tuple[float, float] | None:
+    """95 % interval of partial eta squared from the noncentral F (Smithson 2001).
 
-    At the level 0.95 the noncentrality bounds lambda solve F(f; df1, df2, lambda) = 0.975 and
+    The noncentrality bounds lambda solve F(f; df1, df2, lambda) = 0.975 and
     0.025; eta = lambda / (lambda + df1 + df2 + 1).
     """
     if row.f is None or row.df_error is None or not 0 < row.f < 1e5:
         return None
     total = row.df + row.df_error + 1
     bounds = []
-    for q in ((1 + level) / 2, (1 - level) / 2):
+    for q in (0.975, 0.025):
         value = _noncentrality(row.f, row.df, row.df_error, q)
         if value is None:
             return None

@@ -332,12 +332,12 @@ def _kind(eigenvalues: Array) -> Kind:
 Member = Callable[[Array], Flags]
 
 
-def level_by_blocks(surfaces: Sequence[QuadraticPolynomial], level: float = 0.95) -> Member:
-    """Points at which the blocks' gradients may have the mean zero (Hotelling's T^2)."""
+def level_by_blocks(surfaces: Sequence[QuadraticPolynomial]) -> Member:
+    """95 % region in which the blocks' gradients may have the mean zero (Hotelling's T^2)."""
     from scipy import stats
 
     b, k = len(surfaces), surfaces[0].k
-    limit = k * (b - 1) / (b - k) * stats.f.ppf(level, k, b - k)
+    limit = k * (b - 1) / (b - k) * stats.f.ppf(0.95, k, b - k)
 
     def member(coded: Array) -> Flags:
         gradients = np.stack([surface.gradient(coded) for surface in surfaces])  # (b, n, k)
@@ -350,17 +350,15 @@ def level_by_blocks(surfaces: Sequence[QuadraticPolynomial], level: float = 0.95
     return member
 
 
-def level_by_residual(
-    surface: QuadraticPolynomial, covariance: Array, df: int, level: float = 0.95
-) -> Member:
-    """Points at which the gradient may be zero (Box and Hunter 1954, Biometrika 41, 190-199).
+def level_by_residual(surface: QuadraticPolynomial, covariance: Array, df: int) -> Member:
+    """95 % region in which the gradient may be zero (Box and Hunter 1954, Biometrika 41, 190-199).
 
     Shapes: covariance (p, p) of the coefficients of the terms.
     """
     from scipy import stats
 
     k = surface.k
-    limit = k * float(stats.f.ppf(level, k, df))
+    limit = k * float(stats.f.ppf(0.95, k, df))
     units = [replace(surface, coefficients=one) for one in np.eye(len(surface.terms))]
 
     def member(coded: Array) -> Flags:
