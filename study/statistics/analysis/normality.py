@@ -526,7 +526,7 @@ def _once(units: Array) -> list[int]:
 
 def _mean_basis(blocks: int) -> Array:
     """Direction of the mean over blocks, shape (b, 1)."""
-    return np.ones((blocks, 1)) / np.sqrt(float(blocks))
+    return np.full((blocks, 1), 1 / math.sqrt(blocks))
 
 
 @lru_cache(maxsize=16)
