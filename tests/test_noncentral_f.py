@@ -53,8 +53,8 @@ def test_a_huge_noncentrality_leaves_the_denominator_alone(noncentrality: float)
 
 @pytest.mark.parametrize("n", [10, 2500, 1_000_000])
 def test_every_difference_has_a_power(n: int) -> None:
-    powers = [power_of(d, 1.0, n) for d in np.geomspace(1e-6, 1e3, 400)]
+    powers = [power_of(n * d**2 / 2, (1, n - 1), 0.05) for d in np.geomspace(1e-6, 1e3, 400)]
     assert np.isfinite(powers).all()
     assert (np.diff(powers) > -1e-9).all()
-    (row,) = detectable(1.0, [n])
-    assert power_of(row.detectable, 1.0, n) == pytest.approx(0.8, abs=1e-9)
+    size = detectable(1.0, n, (1, n - 1), 0.05, 0.8)
+    assert power_of(n * size**2 / 2, (1, n - 1), 0.05) == pytest.approx(0.8, abs=1e-9)

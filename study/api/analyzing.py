@@ -45,8 +45,7 @@ from study.statistics.analysis.comparisons import (
     GroupMoments,
     blocked_dunnett,
     dunnett,
-    response_family,
-    study_family,
+    holm_family,
 )
 from study.statistics.analysis.linear_model import Formula, read_formula
 from study.statistics.analysis.mixed_model import MixedModel, mixed_model, random_terms
@@ -654,9 +653,9 @@ def adjusted(
         if a.result is not None
     }
     if spec.family == "study":
-        tests = list(study_family(raw, spec.primary))
+        tests = list(holm_family(raw, spec.primary))
     else:
-        tests = [t for name, p in raw.items() for t in response_family(name, p, spec.primary)]
+        tests = [t for name, p in raw.items() for t in holm_family({name: p}, spec.primary)]
     return tuple(_with(a, [t for t in tests if t.response == a.name], spec) for a in analyses)
 
 

@@ -19,7 +19,7 @@ from study.statistics.analysis.analysis_request import (
 )
 from study.statistics.analysis.anova import analyze, effects
 from study.statistics.analysis.linear_model import Model, terms_of
-from study.statistics.analysis.strata import SeedRole, seed_design
+from study.statistics.analysis.strata import common_seeds
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -147,11 +147,11 @@ def rows_for(
     if block:
         return RecordRows(table, block, how)
     labels = table[list(factors)].astype(str).itertuples(index=False, name=None)
-    design = seed_design(list(labels), table[_MESH].tolist())
-    if design.role is not SeedRole.BLOCKS or how == "pooled":
+    common, reason = common_seeds(list(labels), table[_MESH].tolist())
+    if not common or how == "pooled":
         return RecordRows(table, None, how)
-    rows = table[table[_MESH].astype(str).isin(design.common)]
-    return RecordRows(rows, _MESH, how, "mesh-seeds", (design.reason,))
+    rows = table[table[_MESH].astype(str).isin(common)]
+    return RecordRows(rows, _MESH, how, "mesh-seeds", (reason,))
 
 
 def _noise_rows(

@@ -13,7 +13,8 @@ from study.statistics.analysis.simple_effects import (
     MATTERS,
     NO_DIFFERENCE,
     NOT_RESOLVED,
-    judge,
+    Judgement,
+    judge_all,
 )
 from study.statistics.convergence.contrast_bound import (
     CellSeries,
@@ -101,6 +102,11 @@ def test_the_simulated_bounds_are_the_products(coarsest: bool) -> None:
     assert compared > 300
 
 
+def judge(low: float, high: float, u: float = 0.0) -> Judgement:
+    """Judge one difference against a practical one of 1."""
+    return judge_all(np.array([low]), np.array([high]), 1.0, np.array([u]))
+
+
 @pytest.mark.parametrize(
     ("low", "high", "u", "verdict"),
     [
@@ -116,15 +122,15 @@ def test_the_simulated_bounds_are_the_products(coarsest: bool) -> None:
 )
 def test_verdicts(low: float, high: float, u: float, verdict: str) -> None:
     """Bar 2."""
-    assert judge(low, high, 1.0, u).verdict == verdict
+    assert judge(low, high, u).verdict == verdict
 
 
 @pytest.mark.parametrize(("low", "high"), [(1.2, 1.4), (-1.4, -1.2), (-0.2, 0.5), (-0.5, 0.2)])
 def test_the_uncertainty_needed_is_where_the_claim_begins(low: float, high: float) -> None:
-    needed = judge(low, high, 1.0, 2.0).u_needed
+    needed = judge(low, high, 2.0).u_needed
     assert needed is not None
-    assert judge(low, high, 1.0, needed * (1 + 1e-5)).verdict == NOT_RESOLVED
-    assert judge(low, high, 1.0, needed * (1 - 1e-5)).verdict == judge(low, high, 1.0).verdict
+    assert judge(low, high, needed * (1 + 1e-5)).verdict == NOT_RESOLVED
+    assert judge(low, high, needed * (1 - 1e-5)).verdict == judge(low, high).verdict
 
 
 HARD = [

@@ -14,9 +14,10 @@ from scipy.stats import t as student
 from study.api import contrasts
 from study.ground.errors import RefusedError
 from study.statistics.analysis.anova import anova
-from study.statistics.analysis.comparisons import games_howell
+from study.statistics.analysis.comparisons import GroupMoments
 from study.statistics.analysis.data import resolution
-from study.statistics.analysis.effects import cell_welch, own_variances
+from study.statistics.analysis.effects import cell_welch
+from study.statistics.analysis.equal_variance import own_variances
 from study.statistics.analysis.linear_model import CellLayout as Layout
 from study.statistics.analysis.linear_model import model_matrix
 from study.statistics.analysis.simple_effects import (
@@ -117,7 +118,8 @@ def test_welch_intervals_of_one_factor_are_those_of_games_and_howell() -> None:
     pairs = np.array(list(itertools.combinations(range(3), 2)))
     asked = Differences(levels, pairs[:, 0], pairs[:, 1])
     ours = cell_welch(fit, codes, own_variances(y, codes), 0.05, 0.0)(asked)
-    theirs = games_howell({str(k): y[codes == k] for k in range(3)}).pairs
+    theirs = GroupMoments.of({str(k): y[codes == k] for k in range(3)})
+    theirs = theirs.pairs(0.05, equal=False).pairs
     half = ours.error * ours.simultaneous
     assert ours.value == pytest.approx([p.difference for p in theirs])
     assert half == pytest.approx([(p.upper - p.lower) / 2 for p in theirs], rel=1e-6)

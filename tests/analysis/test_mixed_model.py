@@ -346,6 +346,42 @@ def test_no_scatter_between_blocks_is_the_boundary() -> None:
     assert within.share == 1.0
 
 
+def shifted_blocks(seed: int, offset: float) -> pd.DataFrame:
+    """Blocks that lack rows, far from each other beside the scatter within them."""
+    random = np.random.default_rng(seed)
+    table = pd.DataFrame(list(product(range(7), range(3), range(2))), columns=["s", "a", "r"])
+    table["y"] = offset * random.normal(size=7)[table["s"]] + 0.05 * random.normal(size=42)
+    return table[random.random(42) > 0.3]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_blocks_far_apart_leave_the_scatter_within_as_it_is(seed: int) -> None:
+    """As blocks move apart, what is left is the residual of the same model with fixed blocks."""
+    table = shifted_blocks(seed, 3000.0)
+    within = study.mixed_model(table, "y", ["a"], block="s").components[-1]
+    means = table.groupby("s")["y"].transform("mean")
+    fixed = smf.ols("y ~ C(a) + C(s)", table.assign(y=table["y"] - means)).fit()
+    assert within.sd == pytest.approx(np.sqrt(fixed.mse_resid), rel=1e-4)
+
+    def rise(sd: float) -> float:
+        ratio = fixed.mse_resid / sd**2
+        return float(fixed.df_resid * (ratio - 1 - np.log(ratio)) - chi2.ppf(0.95, 1))
+
+    low, high = (brentq(rise, within.sd * a, within.sd * b) for a, b in ((0.1, 1), (1, 10)))
+    assert (within.low, within.high) == pytest.approx((low, high), rel=1e-3)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_halved_step_is_not_taken_for_the_end(seed: int) -> None:
+    """The score of a maximum promises no step of any variance."""
+    table = shifted_blocks(seed, 100.0)
+    x = np.linalg.qr(np.eye(3)[table["a"].to_numpy()])[0]
+    codes = [np.unique(code, return_inverse=True)[1] for code in (table.s, 3 * table.s + table.a)]
+    fit = fit_restricted(x, table["y"].to_numpy() - table["y"].mean(), codes)
+    step = np.linalg.solve(fit.moments.information, fit.moments.score) * fit.v[-1]
+    assert np.abs(step / fit.v).max() < 1e-4
+
+
 def test_an_interaction_with_the_blocks_is_a_component() -> None:
     """The mean square of the interaction exceeds that within by 4 times its variance."""
     random = np.random.default_rng(6)

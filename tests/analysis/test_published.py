@@ -24,7 +24,7 @@ from study.statistics.analysis.normality import (
     statistic,
 )
 from study.statistics.analysis.sums_of_squares import factor, influence
-from study.statistics.analysis.unreplicated import two_level_effects
+from study.statistics.analysis.unreplicated import lenth_of
 from study.statistics.convergence.grid_convergence import grid_convergence
 
 pytestmark = pytest.mark.verify
@@ -149,7 +149,8 @@ def test_ceramic_effects_and_lenth(data_dir: Path) -> None:
     table = pd.read_csv(data_dir / "nist_handbook" / "ceramic_2p5.csv")
     factors = ["X1", "X2", "X3", "X4", "X5"]
     data = prepare(table, "Y", factors)
-    effects = two_level_effects(data.layout, data.y, terms_of(factors))
+    found = lenth_of(data, data.y, terms_of(factors), seed=0)
+    effects = dict(zip(found.names, found.values, strict=True))
     for name, value in {
         "X4": -198.473,
         "X5": -64.859,

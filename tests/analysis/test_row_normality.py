@@ -91,18 +91,6 @@ def test_a_row_has_the_statistic_and_p_of_its_values() -> None:
     assert found.warning == ""
 
 
-def test_groups_are_taken_about_their_own_means() -> None:
-    rng = np.random.default_rng(3)
-    rows = rng.standard_normal((1, 12))
-    groups = np.repeat([0, 1], 6)
-    moved = rows + 50.0 * groups
-    assert row_normality({"A": moved}).rejected
-    same, plain = (row_normality({"A": r}, groups=groups) for r in (moved, rows))
-    assert same.rows[0].rj == pytest.approx(plain.rows[0].rj)
-    assert same.rows[0].p == plain.rows[0].p
-    assert not same.rejected
-
-
 def test_rows_that_say_nothing_are_left_out() -> None:
     row = np.random.default_rng(4).standard_normal(9)
     found = row_normality(

@@ -20,8 +20,7 @@ from study.statistics.analysis.comparisons import (
     block_multiplier,
     blocked_dunnett,
     bonferroni,
-    response_family,
-    study_family,
+    holm_family,
 )
 from study.statistics.analysis.effects import over_blocks
 from study.statistics.analysis.linear_model import CellLayout as Layout
@@ -136,24 +135,24 @@ def test_levels_against_a_reference_in_blocks() -> None:
 
 def test_holm_by_hand() -> None:
     p = {"A": 0.01, "B": 0.04, "C": 0.03, "A:B": 0.005, "D": None}
-    found = {t.term: t.p_holm for t in response_family("force", p)}
+    found = {t.term: t.p_holm for t in holm_family({"force": p})}
     assert found == pytest.approx({"A": 0.03, "B": 0.06, "C": 0.06, "A:B": 0.02, "D": None})
 
 
 def test_primary_terms_form_the_family() -> None:
     p = {"A": 0.01, "B": 0.04, "C": 0.03}
-    found = {t.term: (t.p_holm, t.family) for t in response_family("force", p, ["A"])}
+    found = {t.term: (t.p_holm, t.family) for t in holm_family({"force": p}, ["A"])}
     assert found == {"A": (0.01, 1), "B": (None, 1), "C": (None, 1)}
     with pytest.raises(InputError, match="at most 3"):
-        response_family("force", p, ["A", "B", "C", "A"])
+        holm_family({"force": p}, ["A", "B", "C", "A"])
     with pytest.raises(InputError, match="no term"):
-        response_family("force", p, ["X"])
+        holm_family({"force": p}, ["X"])
     with pytest.raises(InputError, match=r"\[0, 1\]"):
-        response_family("force", {"A": 1.2})
+        holm_family({"force": {"A": 1.2}})
 
 
 def test_a_study_is_one_family() -> None:
-    found = study_family({"force": {"A": 0.01}, "work": {"A": 0.02}})
+    found = holm_family({"force": {"A": 0.01}, "work": {"A": 0.02}})
     assert [(t.response, t.p_holm, t.family) for t in found] == [
         ("force", 0.02, 2),
         ("work", 0.02, 2),

@@ -18,7 +18,7 @@ from study.statistics.analysis.power import (
     planned_verdicts,
     verdict_probabilities,
 )
-from study.statistics.analysis.simple_effects import CANNOT_TELL, judge
+from study.statistics.analysis.simple_effects import CANNOT_TELL, judge_all
 
 
 def claims(low: np.ndarray, high: np.ndarray) -> np.ndarray:
@@ -83,7 +83,8 @@ def test_two_specimens_may_claim_and_are_rarely_wrong() -> None:
 @pytest.mark.parametrize("value", [0.0, 0.3, 5.0])
 def test_one_specimen_never_claims(value: float) -> None:
     """Bar 12: there is no interval, whatever the number."""
-    assert judge(math.nan, math.nan, 1.0, 0.05).verdict == CANNOT_TELL
+    none = np.array([math.nan])
+    assert judge_all(none, none, 1.0, np.array([0.05])).verdict == CANNOT_TELL
     assert verdict_probabilities(1, 0.3, 1.0, value).cannot_tell == 1
 
 

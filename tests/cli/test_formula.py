@@ -53,6 +53,19 @@ def test_a_formula_says_what_the_flags_say(
     assert one["effects"] == other["effects"]
 
 
+@pytest.mark.parametrize("formula", ["y ~ a - 1", "y ~ a + 0", "y ~ a*b - 1 + Error(s)"])
+def test_a_formula_without_a_mean_is_refused(formula: str) -> None:
+    with pytest.raises(InputError, match="leaves out the mean"):
+        read_formula(formula)
+
+
+@pytest.mark.parametrize("type_", ["I", "II"])
+def test_welch_is_no_other_type(table: Path, type_: str) -> None:
+    with pytest.raises(InputError, match="which is III"):
+        study.analyze(table, "y", ["a", "b"], error="welch", type=type_)
+    assert study.analyze(table, "y", ["a"], error="welch", type="III").anova.type == "III"
+
+
 def test_a_formula_in_python(table: Path) -> None:
     one = study.analyze(table, "y ~ a*b + Error(s)", practical=0.5)
     other = study.analyze(table, "y", ["a", "b"], block="s", practical=0.5)

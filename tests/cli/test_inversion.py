@@ -140,10 +140,15 @@ def test_every_branch_of_a_set_is_traced() -> None:
     assert factors[0].setting(float(found.low[0])) == pytest.approx(7, abs=0.5)
     assert factors[0].setting(float(found.high[0])) == pytest.approx(13, abs=0.5)
     # no member lies outside what is told, and none breaks a rule
+    grid = 2 * np.random.default_rng(1).random((4000, 2)) - 1
+    grid = grid[np.abs(model.value(grid) - measured).max(axis=1) < 0.02]
+    assert len(grid) > 0
+    inside = np.abs(grid) < np.abs(2 * cube - 1).max(axis=0)
+    members = np.vstack([found.points, grid[inside.all(axis=1)]])
     assert (found.points >= found.low - 1e-12).all()
     assert (found.points <= found.high + 1e-12).all()
     for rule in found.combinations:
         logs = np.log([[f.setting(float(x)) for f, x in zip(factors, one, strict=True)]
-                       for one in found.points])  # fmt: skip
+                       for one in members])  # fmt: skip
         off = np.abs(logs @ rule.exponents - np.log(rule.value))
         assert off.max() <= np.log(rule.ratio) * (1 + 1e-9)

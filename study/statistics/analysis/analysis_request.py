@@ -264,6 +264,9 @@ class AnalysisRequest:
         if self.error == "welch" and (self.layout.block or self.layout.unit):
             rule = "'welch' gives each cell a variance of its own, which needs rows without blocks"
             faults.append(Fault("error", rule, "leave it out: effects over blocks need none"))
+        if self.error == "welch" and not self.any_type and self.sums != "III":
+            rule = f"'welch' tests each term given all others, which is III, not {self.sums}"
+            faults.append(Fault("type", rule, "leave it out"))
         if self.error == "own" and not self.layout.block:
             mend = "name the replicated unit with --block"
             rule = "'own' tests against interactions with the blocks, but no block is named"
@@ -298,8 +301,7 @@ _NO_ERROR = ErrorTerm("E7", "no p: nothing varies", 0.0, "constant response")
 class AnalysisOutcome:
     """Inputs and findings of one analysis; grows by ``replace``.
 
-    ``u_raw`` is the largest numerical uncertainty of an effect, ``u_cells`` that within which
-    two cells are one computation, both in the unit of the response.
+    ``u_raw`` is the largest numerical uncertainty of an effect, in the unit of the response.
     """
 
     request: AnalysisRequest
@@ -307,7 +309,6 @@ class AnalysisOutcome:
     terms: tuple[Term, ...]
     tolerance: float
     u_raw: float | None = None
-    u_cells: float | None = None
     y: Array = field(default_factory=lambda: np.zeros(0))
     scale: Scale = field(default_factory=lambda: Scale("none", None, None, False))
     warnings: tuple[str, ...] = ()

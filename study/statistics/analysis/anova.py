@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -85,7 +85,11 @@ def assemble(out: AnalysisOutcome) -> AnalysisResult:
     fit = out.fit if out.fit is not None and out.fit.df_residual > 0 else None
     groups_of = out.copies.groups
     if len(groups_of) < sum(len(g) for g in groups_of) and out.error is not _NO_ERROR:
-        out = out.warn(_copies_sentence(out))
+        out = out.warn(
+            f"{sum(map(len, groups_of))} cells hold {len(groups_of)} distinct computations (the "
+            "others agree in every block); checks of the residuals use one of each"
+        )
+    practical = out.scale.practical
     return AnalysisResult(
         out.request,
         out.error,
@@ -93,7 +97,7 @@ def assemble(out: AnalysisOutcome) -> AnalysisResult:
         Variation(_shares(out), out.lenth, out.summary),
         holm(out.effects),
         Detection(
-            _back(out, out.scale.practical),
+            None if practical is None else out.scale.back(practical),
             out.u_raw,
             out.scale.bound is not None and not isinstance(out.scale.bound, OneBound),
             _power(out),
@@ -109,7 +113,7 @@ def _summary_of_data(out: AnalysisOutcome, model_matrix: Array | None) -> DataSu
     return DataSummary(
         int(out.data.y.size),
         out.data.block,
-        _grand_mean(out),
+        out.scale.back(out.y[0] + float(np.mean(out.y - out.y[0]))),
         _cell_means(out),
         _residual_frame(out),
         tuple(names[c] for c in out.copies.representatives),
@@ -149,25 +153,6 @@ def _power(out: AnalysisOutcome) -> dict[str, tuple[PowerRow, ...]]:
     asked, blocked = out.request, blocks is not None
     ratio = asked.scale.is_log
     return planned(terms, n, cells.size, blocked=blocked, alpha=asked.alpha, ratio=ratio)
-
-
-def _copies_sentence(out: AnalysisOutcome) -> str:
-    total = sum(len(group) for group in out.copies.groups)
-    return (
-        f"{total} cells hold {len(out.copies.groups)} distinct computations (the others agree "
-        "in every block); checks of the residuals use one of each"
-    )
-
-
-def _back(out: AnalysisOutcome, value: float | None) -> float | None:
-    if value is None or not out.request.scale.is_log:
-        return value
-    return float(np.exp(value))
-
-
-def _grand_mean(out: AnalysisOutcome) -> float:
-    mean = out.y[0] + float(np.mean(out.y - out.y[0]))
-    return float(np.exp(mean)) if out.request.scale.is_log else float(mean)
 
 
 def _shares(out: AnalysisOutcome) -> dict[str, float]:
@@ -527,7 +512,9 @@ def _with_units(table: pd.DataFrame, request: AnalysisRequest, unit: str) -> Ana
 def _found(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisOutcome:
     """Table and effects of one analysis, before the checks of its assumptions."""
     out = _start(table, request)
-    _require_positive(out.data, request)
+    if request.scale.is_log and out.data.y.min() <= 0:
+        rule = f"the log needs positive values, got {out.data.y.min():g}"
+        raise InputError(Fault(f"response {request.response!r}", rule))
     if float(np.ptp(out.data.y)) <= max(10 * out.tolerance, 4 * ulp_floor(out.data.y)):
         return out.constant()
     notes = refuse_fake_replicates(
@@ -536,7 +523,8 @@ def _found(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisOutcome:
     if not request.records and request.layout.copies == "refuse":
         refuse_copied_rows(out.data)
     _refuse_undeclared(out)
-    if _repeats_in_blocks(out.data):
+    unit = out.data.layout.cell([*out.data.factors, *out.data.blocks])
+    if out.data.block is not None and int(np.unique(unit, return_counts=True)[1].max()) > 1:
         out = _averaged(out, table)
         notes.append("repeats of a cell within a block are averaged: they are nested in it")
     plots = whole_plots(out.data, request.layout.whole_plot)
@@ -544,7 +532,7 @@ def _found(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisOutcome:
     y = np.asarray(np.log(data.y)) if request.scale.is_log else data.y
     scale = scale_of(out, y)
     low, high = range_of_bounds(out, scale)
-    out = replace(out, y=y, scale=scale, u_cells=low, u_raw=high)
+    out = replace(out, y=y, scale=scale, u_raw=high)
     out = replace(out, warnings=(*data.warnings, *notes))
     within = max(10 * out.tolerance, low or 0.0)
     computed = request.records or out.tolerance > 0
@@ -575,7 +563,15 @@ def _start(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisOutcome:
         data = replace(
             data,
             layout=number_within(data.layout, nested_factors),
-            warnings=(*data.warnings, *_nested_notes(nested_factors)),
+            warnings=(
+                *data.warnings,
+                *(
+                    f"{name} is nested in {' and '.join(parents)}, which is tested against the "
+                    f"rows within: to ask whether other levels of {name} would show it, use "
+                    f"--unit {name}"
+                    for name, parents in nested_factors.items()
+                ),
+            ),
         )
     structure = structure_of(data)
     if structure.empty_cells:
@@ -625,14 +621,6 @@ def _with_empty_cells(
     return replace(structure, undecided=said, asked=terms), kept
 
 
-def _nested_notes(found: Mapping[str, tuple[str, ...]]) -> list[str]:
-    return [
-        f"{name} is nested in {' and '.join(parents)}, which is tested against the rows within: "
-        f"to ask whether other levels of {name} would show it, use --unit {name}"
-        for name, parents in found.items()
-    ]
-
-
 def _replicates(table: pd.DataFrame, data: Data, request: AnalysisRequest) -> str:
     """Tell what the rows of one cell are, from what was said or from the columns."""
     if request.layout.replicates != "auto":
@@ -661,14 +649,6 @@ def _lacking(data: Data, plots: Plots | None) -> str:
     )
 
 
-def _repeats_in_blocks(data: Data) -> bool:
-    """Whether a cell has several rows in one block, which are no independent trials."""
-    if data.block is None:
-        return False
-    _, counts = np.unique(data.layout.cell([*data.factors, *data.blocks]), return_counts=True)
-    return bool(counts.max() > 1)
-
-
 def _averaged(out: AnalysisOutcome, table: pd.DataFrame) -> AnalysisOutcome:
     """Outcome of the means of the cells in each block; missing rows stay counted."""
     first, *others = out.data.blocks
@@ -691,9 +671,3 @@ def _refuse_undeclared(out: AnalysisOutcome) -> None:
         "something not named: a deterministic study has no replicates. Name all factors, or "
         "--block, or say what the repeats are (--replicates mesh-seeds or noise)"
     )
-
-
-def _require_positive(data: Data, request: AnalysisRequest) -> None:
-    if request.scale.is_log and data.y.min() <= 0:
-        rule = f"the log needs positive values, got {data.y.min():g}"
-        raise InputError(Fault(f"response {request.response!r}", rule))

@@ -277,6 +277,7 @@ class BoxCoxResult:
     """Power transformation of the response with its 95 % likelihood interval."""
 
     exponent: float
+    #: Infinite where no exponent that was looked at is excluded.
     ci95: tuple[float, float]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -15,7 +16,7 @@ from study.ground.errors import Fault, InputError, settled
 from study.statistics.analysis import error_ledger
 from study.statistics.analysis.analysis_request import AnalysisOutcome
 from study.statistics.analysis.anova_table import AnalysisSensitivity, BoxCoxResult, WaldTest
-from study.statistics.analysis.data import Crossed, Data, prepare
+from study.statistics.analysis.data import Crossed, Data
 from study.statistics.analysis.equal_variance import (
     BartlettResult,
     LeveneResult,
@@ -27,13 +28,11 @@ from study.statistics.analysis.equal_variance import (
 )
 from study.statistics.analysis.linear_model import (
     Factorization,
-    Model,
     Term,
     factorize,
     model_matrix,
     span,
     term_name,
-    terms_of,
 )
 from study.statistics.analysis.normality import (
     RowTest,
@@ -50,16 +49,15 @@ from study.statistics.analysis.sums_of_squares import (
     Factored,
     TermSum,
     TwoWayFit,
-    factor,
     fitted,
     influential,
     least_squares,
+    term_row,
     term_sums,
 )
 from study.statistics.analysis.unreplicated import non_additivity, ulp_floor
 
 if TYPE_CHECKING:
-    import pandas as pd
     from statsmodels.regression.linear_model import OLSResults
 
     from study.statistics.analysis.anova_table import Influential
@@ -381,39 +379,25 @@ def box_cox(y: Array, matrix: Array) -> BoxCoxResult:
     center, limit = float(best.x), float(best.fun) + 3.841458820694124
 
     def bound(step: float) -> float:
-        edge = min(max(center + step, -widest), widest)
-        while deviance(edge) < limit and abs(edge + step) < widest:
-            edge += step
-        if deviance(edge) < limit:
-            return edge
+        edge = center
+        while deviance(edge) < limit:
+            if edge * step > 0 and abs(edge) >= widest:
+                return math.copysign(math.inf, step)
+            edge = min(max(edge + step, -widest), widest)
         root: float = brentq(lambda e: deviance(e) - limit, center, edge)
         return root
 
     return BoxCoxResult(center, (bound(-0.5), bound(0.5)))
 
 
-def sensitivity(
-    table: pd.DataFrame,
-    response: str,
-    factors: Sequence[str],
-    *,
-    model: Model = "full",
-    alpha: float = 0.05,
+def sensitivity_of(
+    data: Data, terms: Sequence[Term], fit: Factored, alpha: float
 ) -> AnalysisSensitivity:
-    """P of every term in the defensible analyses of a replicated factorial.
+    """P of every term in the defensible analyses of rows without blocks.
 
     Ordinary F (Type III), HC3 Wald, Welch-James, and the F of the log response where it is
     positive.
     """
-    data = prepare(table, response, factors)
-    terms = terms_of(data.factors, model)
-    return sensitivity_of(data, terms, factor(model_matrix(data.layout, terms), data.y), alpha)
-
-
-def sensitivity_of(
-    data: Data, terms: Sequence[Term], fit: Factored, alpha: float
-) -> AnalysisSensitivity:
-    """As :func:`sensitivity`, of checked data without blocks and the fit of their response."""
     found: dict[str, Mapping[str, float | None]] = {
         "ordinary F": _ordinary(fit),
         "HC3 Wald": {k: w.p for k, w in hc3(fit).items()},
@@ -431,24 +415,17 @@ def side_by_side(
 ) -> AnalysisSensitivity:
     """Table of p, terms against analyses, and in how many each is below alpha."""
     p = {term: {method: ps.get(term) for method, ps in found.items()} for term in terms}
-    return AnalysisSensitivity(p, {term: _agreement(row, alpha) for term, row in p.items()})
+    agreement = {}
+    for term, row in p.items():
+        known = [value for value in row.values() if value is not None]
+        below = sum(value < alpha for value in known)
+        agreement[term] = f"p < {alpha:g} in {below} of {len(known)} analyses"
+    return AnalysisSensitivity(p, agreement)
 
 
 def _ordinary(fit: Factored) -> dict[str, float | None]:
-    from scipy.special import fdtrc
-
-    df = fit.df_residual
-    out: dict[str, float | None] = {}
-    for s in term_sums(fit, "III"):
-        usable = df > 0 and s.df == s.nominal_df and fit.rss > 0
-        f = s.ss / s.df / (fit.rss / df) if usable else 0.0
-        out[term_name(s.term)] = float(fdtrc(s.df, df, f)) if usable else None
-    return out
-
-
-def _agreement(found: Mapping[str, float | None], alpha: float) -> str:
-    known = [p for p in found.values() if p is not None]
-    return f"p < {alpha:g} in {sum(p < alpha for p in known)} of {len(known)} analyses"
+    rows = [term_row(s, fit.df_residual, fit.rss, fit.tss) for s in term_sums(fit, "III")]
+    return {row.term: row.p for row in rows}
 
 
 # Welch-James inverts matrices of the number of cells; beyond this it is no small table
@@ -471,7 +448,13 @@ def add_robustness(out: AnalysisOutcome) -> AnalysisOutcome:
     table = sensitivity_of(out.data, out.terms, fit, out.request.alpha)
     if out.data.y.min() <= 0:
         return replace(out, robustness=table)
-    return replace(out, robustness=table, box_cox=box_cox(out.data.y, out.fit.matrix.columns))
+    power = box_cox(out.data.y, out.fit.matrix.columns)
+    if not np.isfinite(power.ci95).all():
+        out = out.warn(
+            "Box-Cox: the interval of the exponent is open: the response varies too little beside "
+            "its mean to exclude even the largest exponents that a double can hold"
+        )
+    return replace(out, robustness=table, box_cox=power)
 
 
 def _blocked(out: AnalysisOutcome, table: Crossed) -> AnalysisSensitivity:
@@ -513,17 +496,12 @@ def _p(tests: Sequence[OwnTerm], how: str) -> dict[str, float | None]:
 
 def _additive(model: Factorization, y: Array, kind: str) -> dict[str, float | None]:
     """P of every term against all interactions with the blocks pooled."""
-    from scipy.special import fdtrc
-
     cells, blocks = y.shape
     y = y - y[0, 0]
     fit = fitted(model, y.mean(axis=1))
     centered = y - y.mean(axis=1, keepdims=True) - y.mean(axis=0) + y.mean()
     df = (cells - 1) * (blocks - 1)
-    mse = float(np.sum(centered**2)) / df
-    found: dict[str, float | None] = {}
-    for s in term_sums(fit, kind):
-        usable = s.df > 0 and mse > 0
-        f = blocks * s.ss / s.df / mse if usable else 0.0
-        found[term_name(s.term)] = float(fdtrc(s.df, df, f)) if usable else None
-    return found
+    sums = [replace(s, ss=blocks * s.ss) for s in term_sums(fit, kind)]
+    rss = float(np.sum(centered**2))
+    rows = [term_row(s, df, rss, blocks * fit.tss, partial=True) for s in sums]
+    return {row.term: row.p for row in rows}

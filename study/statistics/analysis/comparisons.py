@@ -146,23 +146,9 @@ class GroupMoments:
             p = 1 - studentized_range_cdf(abs(d) / error, k, df)
             found.append(LevelPair(self.names[i], self.names[j], d, d - half, d + half, p))
         method = "Tukey-Kramer" if equal else "Games-Howell"
-        return _family(method, alpha, self.names, found, self.mean)
-
-
-def tukey_kramer(groups: Mapping[str, ArrayLike], *, alpha: float = 0.05) -> Comparisons:
-    """All pairs, equal variances (Tukey 1953, Kramer 1956).
-
-    Shapes: groups (n_i,).
-    """
-    return GroupMoments.of(groups).pairs(alpha, equal=True)
-
-
-def games_howell(groups: Mapping[str, ArrayLike], *, alpha: float = 0.05) -> Comparisons:
-    """All pairs, unequal variances (Games and Howell 1976, J. Educ. Stat. 1, 113-125).
-
-    Shapes: groups (n_i,).
-    """
-    return GroupMoments.of(groups).pairs(alpha, equal=False)
+        different = {frozenset((x.first, x.second)) for x in found if x.p < alpha}
+        ordered = [self.names[i] for i in np.argsort(-self.mean, kind="stable")]
+        return Comparisons(method, alpha, tuple(found), letters(ordered, different))
 
 
 def dunnett(
@@ -240,14 +226,6 @@ def holm(p: ArrayLike) -> Array:
     adjusted = np.empty_like(values)
     adjusted[order] = np.minimum(steps, 1.0)
     return adjusted
-
-
-def _family(
-    method: str, alpha: float, names: Sequence[str], pairs: Sequence[LevelPair], mean: Array
-) -> Comparisons:
-    different = {frozenset((x.first, x.second)) for x in pairs if x.p < alpha}
-    ordered = [names[i] for i in np.argsort(-mean, kind="stable")]
-    return Comparisons(method, alpha, tuple(pairs), letters(ordered, different))
 
 
 def letters(names: Sequence[str], different: set[frozenset[str]]) -> dict[str, str]:
@@ -443,30 +421,26 @@ def _largest_t(roots: Sequence[Array], blocks: Sequence[int], seed: int) -> Arra
     random = np.random.default_rng(seed)
     found = np.empty(DRAWS)
     short = [_short(z) for z in roots]
-    squares = [_squares(z) for z in short]
+    # products of all pairs of columns, each once: z'Sz of a symmetric S is linear in them
+    upper = [np.triu_indices(z.shape[1]) for z in short]
+    squares = [z[:, i] * z[:, j] * np.where(i == j, 1.0, 2.0)
+               for z, (i, j) in zip(short, upper, strict=True)]  # fmt: skip
     # what is drawn at once is part of the stream of numbers where there are several groups
     most = max(len(z) * (b if len(short) > 1 else 1) for z, b in zip(short, blocks, strict=True))
     step = max(1, min(DRAWS, _AT_ONCE // most))
     for start in range(0, DRAWS, step):
         n = min(step, DRAWS - start)
         total, variance = np.zeros((len(roots[0]), n)), np.zeros((len(roots[0]), n))
-        for z, pairs, b in zip(short, squares, blocks, strict=True):
+        for z, at, pairs, b in zip(short, upper, squares, blocks, strict=True):
             normal = random.standard_normal((n, z.shape[1], b))
             total += z @ normal.sum(axis=2).T
             normal -= normal.mean(axis=2, keepdims=True)
-            upper = np.triu_indices(z.shape[1])
-            scatter = (normal @ normal.transpose(0, 2, 1))[:, upper[0], upper[1]]
+            scatter = (normal @ normal.transpose(0, 2, 1))[:, at[0], at[1]]
             variance += pairs @ scatter.T * (b / (b - 1))
         np.multiply(total, total, out=total)
         total /= np.maximum(variance, 1e-300, out=variance)
         found[start : start + n] = np.sqrt(total.max(axis=0))
     return found
-
-
-def _squares(z: Array) -> Array:
-    """Products of all pairs of columns, each once: z'Sz of a symmetric S is linear in them."""
-    i, j = np.triu_indices(z.shape[1])
-    return np.asarray(z[:, i] * z[:, j] * np.where(i == j, 1.0, 2.0))
 
 
 def _largest_of_many(z: Array, blocks: int, seed: int) -> Array:
@@ -554,53 +528,22 @@ class FamilyTest:
     family: int
 
 
-def response_family(
-    response: str, p: Mapping[str, float | None], primary: Sequence[str] = ()
+def holm_family(
+    p: Mapping[str, Mapping[str, float | None]], primary: Sequence[str] = ()
 ) -> tuple[FamilyTest, ...]:
-    """Adjust the p of all terms in the table of one response.
+    """Adjust the p of all terms of one or several responses together, or of the primary ones.
 
     Examples
     --------
-    >>> [t.p_holm for t in response_family("f", {"A": 0.01, "B": 0.04, "A:B": None})]
+    >>> [t.p_holm for t in holm_family({"f": {"A": 0.01, "B": 0.04, "A:B": None}})]
     [0.02, 0.04, None]
     """
-    return _adjusted([(response, term, value) for term, value in p.items()], primary)
-
-
-def study_family(
-    p: Mapping[str, Mapping[str, float | None]], primary: Sequence[str] = ()
-) -> tuple[FamilyTest, ...]:
-    """Adjust the p of all terms of all responses together."""
-    return _adjusted(
-        [(name, term, value) for name, terms in p.items() for term, value in terms.items()],
-        primary,
-    )
-
-
-def _adjusted(
-    tests: Sequence[tuple[str, str, float | None]], primary: Sequence[str]
-) -> tuple[FamilyTest, ...]:
-    _multiplicity_check(tests, primary)
-    inside = [
-        i
-        for i, (_, term, value) in enumerate(tests)
-        if value is not None and (not primary or term in primary)
+    tests = [(name, term, value) for name, terms in p.items() for term, value in terms.items()]
+    faults = [
+        Fault(f"{name}: {term}", f"p must lie in [0, 1], got {value!r}")
+        for name, term, value in tests
+        if value is not None and not (math.isfinite(value) and 0 <= value <= 1)
     ]
-    raw = [value for i in inside if (value := tests[i][2]) is not None]
-    adjusted = dict(zip(inside, holm(raw).tolist() if raw else [], strict=True))
-    return tuple(
-        FamilyTest(name, term, value, adjusted.get(i), len(inside))
-        for i, (name, term, value) in enumerate(tests)
-    )
-
-
-def _multiplicity_check(
-    tests: Sequence[tuple[str, str, float | None]], primary: Sequence[str]
-) -> None:
-    faults = []
-    for name, term, p in tests:
-        if p is not None and not (math.isfinite(p) and 0 <= p <= 1):
-            faults.append(Fault(f"{name}: {term}", f"p must lie in [0, 1], got {p!r}"))
     terms = [term for _, term, _ in tests]
     if len(primary) > MOST_PRIMARY:
         rule = f"at most {MOST_PRIMARY} may be declared, got {len(primary)}"
@@ -611,6 +554,16 @@ def _multiplicity_check(
             faults.append(Fault("primary terms", rule, nearest(term, terms)))
     if faults:
         raise InputError(faults)
+    inside = {
+        i: value
+        for i, (_, term, value) in enumerate(tests)
+        if value is not None and (not primary or term in primary)
+    }
+    adjusted = dict(zip(inside, holm(list(inside.values())).tolist(), strict=True))
+    return tuple(
+        FamilyTest(name, term, value, adjusted.get(i), len(inside))
+        for i, (name, term, value) in enumerate(tests)
+    )
 
 
 # -------------------------------------------------------------------------------------------------

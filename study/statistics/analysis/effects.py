@@ -54,10 +54,9 @@ class TermEstimate:
     component: Array
     #: shape (k,); marginal means, NaN where not estimable.
     mean: Array
-    #: shape (k, k); covariance of ``component``; None where there is no error.
-    covariance: Array | None
-    #: shape (k, k); simultaneous multiplier of the standard error of a difference.
-    critical: float | Array | None
+    #: shape (k, k); half-widths of the simultaneous intervals of all differences; None where there
+    #: is no error.
+    half: Array | None
     #: shape (k,); half-width of the interval of each mean.
     mean_half: Array | None
     p: float | None
@@ -133,17 +132,19 @@ def pooled_estimate(
     if not fit.estimable(component_rows).all():
         component = np.full_like(component, np.nan)
     if df <= 0 or rss <= 0:
-        return TermEstimate(term, levels, component, mean, None, None, None, p, settings)
+        return TermEstimate(term, levels, component, mean, None, None, p, settings)
     covariance = fit.unscaled_covariance() * rss / df
     spread = np.einsum("ij,ij->i", mean_rows @ covariance, mean_rows)
     df_term = int(np.prod([len(layout.levels[name]) - 1 for name in term]))
+    critical = pooled_critical(len(levels), df_term, df, len(term) == 1, alpha)
+    of_levels = component_rows @ covariance @ component_rows.T
+    square = np.diag(of_levels)[:, None] + np.diag(of_levels) - 2 * of_levels
     return TermEstimate(
         term,
         levels,
         component,
         mean,
-        component_rows @ covariance @ component_rows.T,
-        pooled_critical(len(levels), df_term, df, len(term) == 1, alpha),
+        critical * np.sqrt(np.maximum(square, 0.0)),
         t_quantile(alpha / 2, df) * np.sqrt(np.maximum(spread, 0)),
         p,
         settings,
@@ -151,27 +152,38 @@ def pooled_estimate(
 
 
 def sampled_estimate(
-    layout: CellLayout, fit: Factored, term: Term, p: float | None, sample: Sample
+    layout: CellLayout,
+    fit: Factored,
+    term: Term,
+    p: float | None,
+    sample: Sample,
+    critical: float | None = None,
 ) -> TermEstimate:
-    """Estimate of a term whose differences and means have standard errors of their own each."""
-    estimate = pooled_estimate(layout, fit, term, 0, p, 0.05, 0.0)
-    _, component_rows, mean_rows = term_rows(layout, fit, term)
+    """Estimate of a term whose differences and means have standard errors of their own each.
+
+    ``critical`` is the multiplier of the differences; None for that of the sample.
+    """
+    levels, component_rows, mean_rows = term_rows(layout, fit, term)
     component_rows = over_complete_settings(layout, fit, term, component_rows)
-    k = len(mean_rows)
+    k = len(levels)
     first, second = np.triu_indices(k, 1)
     pairs = sample(Differences(component_rows, first, second))
-    none = np.zeros((1, mean_rows.shape[1]))
-    means = sample(
-        Differences(np.vstack([none, mean_rows]), np.arange(1, k + 1), np.zeros(k, dtype=np.int64))
+    zero = np.zeros((1, mean_rows.shape[1]))
+    each = np.arange(1, 2 * k + 1)
+    alone = sample(
+        Differences(np.vstack([zero, component_rows, mean_rows]), each, np.zeros_like(each))
     )
-    if pairs.error is None or means.error is None:
-        return estimate
-    half = np.zeros((k, k))
-    half[first, second] = pairs.error * pairs.simultaneous
-    # of which a difference of two levels has the variance 1
-    unit = np.eye(k) / 2
-    return replace(
-        estimate, covariance=unit, critical=half + half.T, mean_half=means.error * means.single
+    component, mean = alone.value[:k], fit.shift + alone.value[k:]
+    if np.isnan(component).any():
+        component = np.full(k, np.nan)
+    half = mean_half = None
+    if pairs.error is not None and alone.error is not None:
+        wide = pairs.error * (pairs.simultaneous if critical is None else critical)
+        half = np.zeros((k, k))
+        half[first, second] = half[second, first] = wide
+        mean_half = (alone.error * alone.single)[k:]
+    return TermEstimate(
+        term, levels, component, mean, half, mean_half, p, settings_of(layout, term)
     )
 
 
@@ -321,38 +333,6 @@ def with_pooled_error(
     return estimate
 
 
-def own_variances(y: Array, cell: Ints, shrinkage: float = 0.0) -> tuple[Array, Array]:
-    """Find the variance of each cell and its degrees of freedom; that of one row is infinite.
-
-    With ``shrinkage`` every variance is drawn towards the pooled one, which counts as that many
-    times the cell's own degrees of freedom (Smyth 2004, Stat. Appl. Genet. Mol. Biol. 3, 3); a
-    cell with one row has the pooled one.
-
-    Shapes: y (n,); cell (n,); returns (cells,).
-    """
-    count = np.bincount(cell)
-    mean = np.bincount(cell, y - y[0]) / count
-    ss = np.bincount(cell, (y - y[0] - mean[cell]) ** 2)
-    df = np.maximum(count - 1.0, 1.0)
-    if not shrinkage:
-        return np.where(count > 1, ss / df, np.inf), df
-    total = float((count - 1).sum())
-    pooled = ss.sum() / total
-    variance = np.where(count > 1, (ss / df + shrinkage * pooled) / (1 + shrinkage), pooled)
-    return variance, np.where(count > 1, (1 + shrinkage) * df, total)
-
-
-def doubted_variances(y: Array, cell: Ints) -> tuple[Array, Array] | None:
-    """Variances of cells by which a claim from a pooled one must be made as well, if any.
-
-    Shapes: y (n,); cell (n,).
-    """
-    counts = np.bincount(cell)
-    if counts.max() >= ENOUGH_ROWS or _bartlett_p(y, cell, counts) < UNEVEN:
-        return own_variances(y, cell)
-    return own_variances(y, cell, SHRUNK) if counts.max() > 2 else None
-
-
 def cell_welch(
     fit: Factored, cell: Ints, variances: tuple[Array, Array], alpha: float, reading: float
 ) -> Sample:
@@ -437,15 +417,6 @@ def with_pseudo_error(
     return estimate
 
 
-#: rows of a cell from which its own variance is known well enough to be asked always
-ENOUGH_ROWS = 5
-#: p of Bartlett's test below which cells of fewer rows are judged by their own variances alone
-UNEVEN = 0.10
-#: weight of the pooled variance beside the own one of a cell of three or four rows: the test has
-#: too little power there. Simulated, 3 rows of 4 cells, one of which scatters 3.3 times as much:
-#: false claims .05 (with 1: .06; by the test alone, at .25: .07), of right ones .95 stand (by
-#: their own variances alone: .81)
-SHRUNK = 0.7
 UNEQUAL = (
     "cells scatter unequally or too few rows tell their scatter: with variances of their own "
     "(Welch) the interval does not allow the claim"
@@ -453,25 +424,6 @@ UNEQUAL = (
 #: p of a preliminary test below which the assumption that it tests is not relied on. The usual
 #: .05 leaves errors that it has little power to see (Bancroft 1964, Biometrics 20, 427-442).
 DOUBT = 0.25
-
-
-def _bartlett_p(y: Array, index: Ints, counts: Ints) -> float:
-    """P of Bartlett's test of the cells that hold several rows; 1 where fewer than two do."""
-    from scipy.special import chdtrc
-
-    mean = np.bincount(index, y - y[0]) / counts
-    ss = np.bincount(index, (y - y[0] - mean[index]) ** 2)
-    many = counts > 1
-    df, s2 = counts[many] - 1.0, ss[many] / np.maximum(counts[many] - 1, 1)
-    if df.size < 2:
-        return 1.0
-    if s2.min() <= 0:
-        return 0.0
-    total = df.sum()
-    pooled = float(df @ s2) / total
-    ratio = total * math.log(pooled) - float(df @ np.log(s2))
-    ratio /= 1 + (float((1 / df).sum()) - 1 / total) / (3 * (df.size - 1))
-    return float(chdtrc(df.size - 1, max(ratio, 0.0)))
 
 
 # -------------------------------------------------------------------------------------------------
@@ -555,11 +507,15 @@ def size(
         return replace(effect, why="not estimable")
     top, bottom = int(np.argmax(estimate.component)), int(np.argmin(estimate.component))
     largest = float(estimate.component[top] - estimate.component[bottom])
-    half = _half_widths(estimate)
+    half = estimate.half
     interval = None
     if half is not None:
         interval = (largest - half[top, bottom], largest + half[top, bottom])
     u = scale.between(estimate, top, bottom)
+    mean_ci95 = None
+    if estimate.mean_half is not None and not np.isnan(estimate.mean).any():
+        around = zip(estimate.mean, estimate.mean_half, strict=True)
+        mean_ci95 = tuple((back(float(m - h)), back(float(m + h))) for m, h in around)
     found = _judged(estimate, half, scale, own)
     main = len(estimate.term) == 1
     pairs, tags = _pairs(estimate, half, back)
@@ -570,7 +526,7 @@ def size(
         verdict=found.verdict if main else SEE_SIMPLE,
         of_components="" if main else found.verdict,
         largest=(estimate.levels[top], estimate.levels[bottom]),
-        mean_ci95=_mean_intervals(estimate, back),
+        mean_ci95=mean_ci95,
         u_num=None if u is None else u / scale.unit,
         effect_over_u_num=largest / u if u else None,
         resolved=_resolved(largest / u) if u else None,
@@ -667,23 +623,6 @@ def holm(effects: Sequence[Effect]) -> tuple[Effect, ...]:
     return tuple(
         effect if effect.p is None else replace(effect, p_holm=next(adjusted)) for effect in effects
     )
-
-
-def _mean_intervals(
-    estimate: TermEstimate, back: Callable[[float], float]
-) -> tuple[tuple[float, float], ...] | None:
-    if estimate.mean_half is None or np.isnan(estimate.mean).any():
-        return None
-    pairs = zip(estimate.mean, estimate.mean_half, strict=True)
-    return tuple((back(float(m - h)), back(float(m + h))) for m, h in pairs)
-
-
-def _half_widths(estimate: TermEstimate) -> Array | None:
-    if estimate.covariance is None or estimate.critical is None:
-        return None
-    v = estimate.covariance
-    d = np.diag(v)
-    return np.asarray(estimate.critical * np.sqrt(np.maximum(d[:, None] + d - 2 * v, 0.0)))
 
 
 def _resolved(ratio: float) -> str:

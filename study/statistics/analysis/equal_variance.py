@@ -272,21 +272,15 @@ def fligner(groups: Groups) -> tuple[float, float] | None:
 
     None where a group has fewer than two values, or all deviations are alike.
     """
-    from scipy.special import chdtrc, ndtri
+    from scipy.stats import fligner as fligner_killeen
 
     values = list(_named(groups).values())
     if len(values) < 2 or min(v.size for v in values) < 2:
         return None
-    deviation = np.concatenate([np.abs(v - np.median(v)) for v in values])
-    _, index, count = np.unique(deviation, return_inverse=True, return_counts=True)
-    rank = (np.cumsum(count) - (count - 1) / 2)[index]
-    score = ndtri(0.5 + rank / (2 * (deviation.size + 1)))
-    parts = np.split(score, np.cumsum([v.size for v in values])[:-1])
-    spread = float(score.var(ddof=1))
-    if spread <= 0:
+    if not np.ptp(np.concatenate([np.abs(v - np.median(v)) for v in values])):
         return None
-    x = sum(part.size * (part.mean() - score.mean()) ** 2 for part in parts) / spread
-    return float(x), float(chdtrc(len(values) - 1, x))
+    test = fligner_killeen(*values)
+    return float(test.statistic), float(test.pvalue)
 
 
 # -------------------------------------------------------------------------------------------------
@@ -296,40 +290,72 @@ def fligner(groups: Groups) -> tuple[float, float] | None:
 _WORST_CONDITION = 1e14
 
 
-@dataclass(frozen=True)
-class _Moments:
-    """Size, mean (shifted) and variance of every cell."""
-
-    n: Array
-    mean: Array
-    variance: Array
-
-    @staticmethod
-    def of(cells: Sequence[Array]) -> _Moments:
-        shift = cells[0][0]
-        return _Moments(
-            np.array([c.size for c in cells], dtype=float),
-            np.array([np.mean(c - shift) for c in cells]),
-            np.array([np.var(c - c[0], ddof=1) if c.size > 1 else 0.0 for c in cells]),
-        )
+#: rows of a cell from which its own variance is known well enough to be asked always
+ENOUGH_ROWS = 5
+#: p of Bartlett's test below which cells of fewer rows are judged by their own variances alone
+UNEVEN = 0.10
+#: weight of the pooled variance beside the own one of a cell of three or four rows: the test has
+#: too little power there. Simulated, 3 rows of 4 cells, one of which scatters 3.3 times as much:
+#: false claims .057 in 1,000 data sets (with 1: .070; by the test alone, at .25: .07), of right
+#: ones .95 stand (by their own variances alone: .81)
+SHRUNK = 0.7
 
 
-def _johansen(cells: _Moments, contrast: Array, name: str) -> WaldTest:
+def own_variances(y: Array, cell: Ints, shrinkage: float = 0.0) -> tuple[Array, Array]:
+    """Find the variance of each cell and its degrees of freedom; that of one row is infinite.
+
+    With ``shrinkage`` every variance is drawn towards the pooled one, which counts as that many
+    times the cell's own degrees of freedom (Smyth 2004, Stat. Appl. Genet. Mol. Biol. 3, 3); a
+    cell with one row has the pooled one.
+
+    Shapes: y (n,); cell (n,); returns (cells,).
+    """
+    count = np.bincount(cell)
+    mean = np.bincount(cell, y - y[0]) / count
+    ss = np.bincount(cell, (y - y[0] - mean[cell]) ** 2)
+    df = np.maximum(count - 1.0, 1.0)
+    if not shrinkage:
+        return np.where(count > 1, ss / df, np.inf), df
+    total = float((count - 1).sum())
+    pooled = ss.sum() / total
+    variance = np.where(count > 1, (ss / df + shrinkage * pooled) / (1 + shrinkage), pooled)
+    return variance, np.where(count > 1, (1 + shrinkage) * df, total)
+
+
+def doubted_variances(y: Array, cell: Ints) -> tuple[Array, Array] | None:
+    """Variances of cells by which a claim from a pooled one must be made as well, if any.
+
+    Shapes: y (n,); cell (n,).
+    """
+    from scipy.special import chdtrc
+
+    counts = np.bincount(cell)
+    variance, df = own_variances(y, cell)
+    if counts.max() >= ENOUGH_ROWS:
+        return variance, df
+    several = counts > 1
+    if several.sum() >= 2:
+        known, free = variance[several], df[several]
+        if known.min() <= 0 or chdtrc(free.size - 1, _bartlett_statistic(known, free)) < UNEVEN:
+            return variance, df
+    return own_variances(y, cell, SHRUNK) if counts.max() > 2 else None
+
+
+def _johansen(n: Array, mean: Array, variance: Array, contrast: Array, name: str) -> WaldTest:
     """Test one contrast of cell means (Johansen 1980, Biometrika 67, 85-92).
 
-    Shapes: contrast (d, cells).
+    Shapes: n, mean, variance (cells,); contrast (d, cells).
     """
     from scipy.special import fdtrc
 
-    n = cells.n
-    if n.min() < 2 or cells.variance.min() <= 0:
+    if n.min() < 2 or variance.min() <= 0:
         return WaldTest(name, None, None, None, "a cell has one value or zero variance")
-    s = cells.variance / n
+    s = variance / n
     covariance = (contrast * s) @ contrast.T
     if np.linalg.cond(covariance) > _WORST_CONDITION:
         return WaldTest(name, None, None, None, "the variances of the cells differ too much")
     inner = np.linalg.inv(covariance)
-    effect = contrast @ cells.mean
+    effect = contrast @ mean
     t = float(effect @ inner @ effect)
     weight = np.einsum("jk,jk->k", contrast, inner @ contrast) * s
     # tr(Q_j^2) = tr(Q_j)^2 because each cell enters with one variance
@@ -346,7 +372,9 @@ def welch_tests(
 ) -> dict[str, WaldTest]:
     """Welch and James's test of every term, with a variance of its own in each cell."""
     present, first, index = np.unique(cell, return_index=True, return_inverse=True)
-    moments = _Moments.of([y[index == i] for i in range(present.size)])
+    n = np.bincount(index).astype(float)
+    mean = np.bincount(index, y - y[0]) / n
+    variance, _ = own_variances(y, index)
     fit = factor(model_matrix(layout.take(first), terms), np.arange(float(present.size)))
     out = {}
     for s in term_sums(fit, "III"):
@@ -354,5 +382,5 @@ def welch_tests(
         if s.df < s.nominal_df:
             out[name] = WaldTest(name, None, None, None, "not estimable")
         else:
-            out[name] = _johansen(moments, (fit.q @ s.basis).T, name)
+            out[name] = _johansen(n, mean, variance, (fit.q @ s.basis).T, name)
     return out

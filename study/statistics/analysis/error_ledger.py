@@ -16,14 +16,13 @@ from study.statistics.analysis.data import Data
 from study.statistics.analysis.effects import (
     TermEstimate,
     cell_welch,
-    own_variances,
     pooled_estimate,
     sampled_estimate,
     size,
     with_pooled_error,
     with_pseudo_error,
 )
-from study.statistics.analysis.equal_variance import welch_tests
+from study.statistics.analysis.equal_variance import own_variances, welch_tests
 from study.statistics.analysis.gate import (
     LEAST_CONTRASTS,
     judge_factors,
@@ -73,28 +72,6 @@ BIAS = "the bias of this mesh size is common to all seeds: read the effect over 
 
 
 @dataclass(frozen=True)
-class Situation:
-    """What decides the source of error."""
-
-    #: Whether the rows are runs of a deterministic study; whether a cell holds several rows.
-    records: bool
-    #: Name of the block, of several crossing ones joined by "and".
-    block: str | None
-    replicated: bool
-    #: Degrees of freedom of the residual and of the terms; rows of the largest cell.
-    df_residual: int
-    #: Nothing was declared negligible; Lenth's method applies; the numerical uncertainty is known.
-    full: bool
-    contrasts: int
-    sparse_ready: bool
-    #: {"auto", "runs", "mesh-seeds", "noise"}: what the rows of one cell are; "auto" where a study
-    #: did not say.
-    replicates: str = "runs"
-    largest_cell: int = 1
-    u_num: bool = False
-
-
-@dataclass(frozen=True)
 class Choice:
     """Source in the ledger, how it is computed, what its p answers, and what to beware of."""
 
@@ -135,13 +112,24 @@ def strata_choice(
     )
 
 
-def choose(s: Situation, error: str) -> Choice:
+def choose(out: AnalysisOutcome, fit: Factored, sums: Sequence[TermSum]) -> Choice:
     """Best available source where effects are not tested against own interactions."""
-    if s.df_residual > 0 and s.block is not None:
-        return _pooled_blocks(s, error)
-    if s.df_residual > 0 and s.replicated:
-        return _replicates(s)
-    if s.records and s.u_num and s.full:
+    records, full = out.request.records, out.request.model == "full"
+    if fit.df_residual > 0 and out.data.block is not None:
+        why = "asked for" if out.request.error == "pooled" else "independently run trials"
+        blocks = " and ".join(out.data.blocks)
+        cautions: tuple[str, ...] = ()
+        if records:
+            why = "asked for instead of own interactions"
+            cautions = (
+                "pooled error on a study's cells: those that differ only in discretization add "
+                "degrees of freedom and no variance, so p is far too small (use --error own)",
+            )
+        question = f"would the ranking change with another {blocks}? (interactions with {blocks} "
+        return Choice("E1", POOLED, f"{question}pooled)", why, cautions)
+    if fit.df_residual > 0 and int(np.bincount(out.data.cell).max()) > 1:
+        return _replicates(out)
+    if records and out.u_raw is not None and full:
         return Choice(
             "E4",
             NONE,
@@ -149,19 +137,20 @@ def choose(s: Situation, error: str) -> Choice:
             "uncertainty: resolved from 3, marginal from 1)",
             "no replicates and no blocks; the numerical uncertainty is known",
         )
-    if s.df_residual > 0:
+    if fit.df_residual > 0:
         return Choice(
             "E5",
             POOLED,
             "is the effect larger than the interactions declared negligible?",
             "assumption: the interactions left out of the model are zero",
         )
-    if s.sparse_ready and s.contrasts >= LEAST_CONTRASTS:
+    contrasts = sum(s.df for s in sums)
+    if _sparse_ready(out, fit) and contrasts >= LEAST_CONTRASTS:
         return Choice(
             "E6",
             NONE,
             "is the effect an outlier among the effects (effect sparsity)?",
-            f"no replicates and no blocks; Lenth's method on {s.contrasts} contrasts",
+            f"no replicates and no blocks; Lenth's method on {contrasts} contrasts",
         )
     return Choice(
         "E7",
@@ -171,33 +160,14 @@ def choose(s: Situation, error: str) -> Choice:
     )
 
 
-def _pooled_blocks(s: Situation, error: str) -> Choice:
-    asked = error == "pooled"
-    why = "asked for" if asked and not s.records else "independently run trials"
-    if s.records:
-        why = "asked for instead of own interactions"
-    cautions: tuple[str, ...] = ()
-    if s.records:
-        cautions = (
-            "pooled error on a study's cells: those that differ only in discretization add "
-            "degrees of freedom and no variance, so p is far too small (use --error own)",
-        )
-    return Choice(
-        "E1",
-        POOLED,
-        f"would the ranking change with another {s.block}? (interactions with {s.block} pooled)",
-        why,
-        cautions,
-    )
-
-
-def _replicates(s: Situation) -> Choice:
-    extra = "" if s.full else "; interactions left out of the model are pooled with it"
-    if s.replicates == "mesh-seeds":
-        cautions = [BIAS]
-        if s.largest_cell < _SEEDS:
+def _replicates(out: AnalysisOutcome) -> Choice:
+    full = out.request.model == "full"
+    extra = "" if full else "; interactions left out of the model are pooled with it"
+    if out.replicates == "mesh-seeds":
+        cautions, largest = [BIAS], int(np.bincount(out.data.cell).max())
+        if largest < _SEEDS:
             cautions.append(
-                f"{s.largest_cell} mesh seeds a cell: the scatter of the mesh needs {_SEEDS} or "
+                f"{largest} mesh seeds a cell: the scatter of the mesh needs {_SEEDS} or "
                 "more to be known"
             )
         return Choice(
@@ -207,7 +177,7 @@ def _replicates(s: Situation) -> Choice:
             f"cells hold repeats with other mesh seeds{extra}",
             tuple(cautions),
         )
-    if s.replicates == "noise":
+    if out.replicates == "noise":
         return Choice(
             "E2",
             POOLED,
@@ -240,7 +210,7 @@ def pooled(out: AnalysisOutcome, untested: str = "") -> AnalysisOutcome:
     out = out.warn(*alias_warnings(sums, partial=partial))
     if sums and all(s.df == 0 for s in sums):
         out = out.warn("every term is aliased with others: name those wanted, model = 1 say")
-    choice = choose(_situation(out, fit, sums), out.request.error)
+    choice = choose(out, fit, sums)
     if untested and len(data.factors) > 1:
         # with one factor the residual is its own interaction with the blocks
         choice = replace(choice, how=NONE, question="no p: sizes of effects alone", cautions=())
@@ -312,7 +282,7 @@ def welch(out: AnalysisOutcome) -> AnalysisOutcome:
         raise InputError(Fault("--welch", rule, "leave it out"))
     fit = factor(model_matrix(data.layout, out.terms), out.y)
     sums = term_sums(fit, "III")
-    choice = _replicates(_situation(out, fit, sums))
+    choice = _replicates(out)
     out = out.warn(*alias_warnings(sums), *choice.cautions)
     tests = welch_tests(data.layout, data.cell, out.y, out.terms)
     rows = []
@@ -379,21 +349,6 @@ def _sparse_ready(out: AnalysisOutcome, fit: Factored) -> bool:
     )
 
 
-def _situation(out: AnalysisOutcome, fit: Factored, sums: list[TermSum]) -> Situation:
-    return Situation(
-        out.request.records,
-        " and ".join(out.data.blocks) or None,
-        bool(np.bincount(out.data.cell).max() > 1),
-        fit.df_residual,
-        out.request.model == "full",
-        int(np.sum([s.df for s in sums])),
-        _sparse_ready(out, fit),
-        out.replicates,
-        int(np.bincount(out.data.cell).max()),
-        out.u_raw is not None,
-    )
-
-
 def _with_margin(estimate: TermEstimate, lenth: LenthResult) -> TermEstimate:
     """Estimate whose difference carries Lenth's simultaneous margin, where it is one contrast.
 
@@ -404,8 +359,8 @@ def _with_margin(estimate: TermEstimate, lenth: LenthResult) -> TermEstimate:
     one = term_name(estimate.term) in lenth.names and size.min() > 0
     if not one or float(np.ptp(size)) > 1e-9 * float(size.max()):
         return estimate
-    half = np.sign(estimate.component) / 2
-    return replace(estimate, covariance=np.outer(half, half), critical=lenth.sme)
+    side = np.sign(estimate.component) / 2
+    return replace(estimate, half=lenth.sme * np.abs(np.subtract.outer(side, side)))
 
 
 def _lenth_row(row: Row, lenth: LenthResult) -> Row:

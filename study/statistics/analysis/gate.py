@@ -20,13 +20,13 @@ from study.statistics.analysis.effects import (
     DOUBT,
     UNEQUAL,
     cell_welch,
-    doubted_variances,
     over_blocks,
     over_groups,
     t_quantile,
     with_pooled_error,
     with_pseudo_error,
 )
+from study.statistics.analysis.equal_variance import doubted_variances
 from study.statistics.analysis.linear_model import (
     CellLayout,
     ModelMatrix,

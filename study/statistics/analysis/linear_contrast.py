@@ -18,7 +18,8 @@ from study.ground.arrays import Array
 from study.ground.contrast import Setting, sides_of
 from study.ground.errors import Fault, InputError
 from study.statistics.analysis.comparisons import block_multiplier, bonferroni, holm
-from study.statistics.analysis.effects import UNEQUAL, Scale, doubted_variances, t_quantile
+from study.statistics.analysis.effects import UNEQUAL, Scale, t_quantile
+from study.statistics.analysis.equal_variance import doubted_variances
 from study.statistics.analysis.simple_effects import (
     CANNOT_TELL,
     CLAIMS,

@@ -188,6 +188,10 @@ class _Terms:
     def _sum(self) -> list[Term]:
         terms = self._product()
         while sign := self._take("+", "-"):
+            if (sign, *self.tokens[:1]) in (("-", "1"), ("+", "0")):
+                rule = f"'{sign} {self.tokens[0]}' leaves out the mean, which every model here has"
+                mend = "leave it out: means and differences of the levels are the same with it"
+                raise InputError(Fault("formula", rule, mend))
             more = self._product()
             gone = {frozenset(term) for term in more}
             kept = [term for term in terms if frozenset(term) not in gone]

@@ -25,12 +25,10 @@ from study.statistics.analysis.comparisons import pooled_multiplier
 from study.statistics.analysis.data import Data, prepare
 from study.statistics.analysis.effects import (
     Scale,
-    TermEstimate,
     holm,
-    settings_of,
+    sampled_estimate,
     size,
     t_quantile,
-    term_rows,
 )
 from study.statistics.analysis.linear_contrast import Cells, Contrast
 from study.statistics.analysis.linear_contrast import contrasts as contrasts_of
@@ -341,37 +339,6 @@ class MixedCells:
             every = np.maximum(every, ratio * t_quantile(float(stdtr(df, -wide)), df_own))
         return Estimates(value, found.error, single, every)
 
-    def estimate(self, term: Term, p: float | None) -> TermEstimate:
-        """Means and components of a term."""
-        levels, component_rows, mean_rows = term_rows(self.layout, self.of_factors, term)
-        means = self.fit.estimate(self.along(mean_rows))
-        mean = self.shift + means.value
-        mean[~self.fixed.estimable(self._padded(mean_rows))] = np.nan
-        half = t_quantile(self.alpha / 2, means.df) * means.error
-        if self.robust is not None:
-            error, df = self.robust(self.along(mean_rows))
-            half = np.maximum(half, t_quantile(self.alpha / 2, df) * error)
-        component = self.along(component_rows)
-        value = component @ self.fit.moments.beta
-        if not self.fixed.estimable(self._padded(component_rows)).all():
-            value = np.full(len(levels), np.nan)
-        first, second = np.triu_indices(len(levels), 1)
-        critical = np.zeros((len(levels), len(levels)))
-        critical[first, second] = self.sample(
-            Differences(component_rows, first, second)
-        ).simultaneous
-        return TermEstimate(
-            term,
-            levels,
-            value,
-            mean,
-            component @ self.fit.adjusted @ component.T,
-            critical + critical.T,
-            half,
-            p,
-            settings_of(self.layout, term),
-        )
-
     def judged(self, terms: Sequence[Term], scale: Scale) -> dict[str, SimpleEffects]:
         """Verdicts of the factors by their simple effects."""
         found = {
@@ -392,7 +359,11 @@ class MixedCells:
         simple: Mapping[str, SimpleEffects],
     ) -> tuple[Effect, ...]:
         """Effects of the terms with the verdicts of their simple effects."""
-        return tuple(size(self.estimate(term, p.get(term)), scale, simple) for term in terms)
+        fit = replace(self.of_factors, shift=self.shift)
+        return tuple(
+            size(sampled_estimate(self.layout, fit, term, p.get(term), self.sample), scale, simple)
+            for term in terms
+        )
 
     def slope(self, covariate: str) -> Slope:
         """Slope of a covariate with its interval."""

@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from study.ground.arrays import Array, Ints
+from study.ground.arrays import Array
 from study.ground.errors import Fault, InputError
 from study.statistics.analysis.comparisons import holm
 from study.statistics.analysis.linear_model import CellLayout, Term, balanced, span, term_name
@@ -420,14 +420,13 @@ def helmert_contrasts(layout: CellLayout, terms: Sequence[Term], y: Array) -> di
 def row_normality(
     contrasts: Mapping[str, Array],
     *,
-    groups: Ints | None = None,
     tolerance: float = 0.0,
     alpha: float = 0.05,
     seed: int = 2011,
 ) -> RowNormality:
     """Test the normality of every contrast over the blocks.
 
-    Shapes: contrasts (df, b); groups (b,).
+    Shapes: contrasts (df, b).
 
     Examples
     --------
@@ -435,16 +434,15 @@ def row_normality(
     >>> row_normality({"A": rows[:1], "A:B": rows[1:]}).rejected
     False
     """
-    names, rows = _rows(contrasts, groups, tolerance)
+    names, rows = _rows(contrasts, tolerance)
     blocks = next(iter(contrasts.values())).shape[1] if contrasts else 0
-    code = _codes(groups, blocks)
-    if blocks - len(set(code)) < _LEAST_DF:
+    if blocks - 1 < _LEAST_DF:
         why = f"the Ryan-Joiner test needs more blocks, got {blocks}"
         return RowNormality((), blocks, None, False, why)
     if not names:
         return RowNormality((), blocks, None, False, "no contrast varies over the blocks")
-    rj = simulated_rj(rows, _group_basis(code))
-    null = _null(code, seed)
+    rj = simulated_rj(rows, _mean_basis(blocks))
+    null = _null(blocks, seed)
     p = (1 + np.searchsorted(null, rj, side="right")) / (null.size + 1)
     adjusted = holm(p)
     together = min(1.0, float(p.min()) * p.size)
@@ -460,17 +458,16 @@ def row_normality(
 def block_share(
     contrasts: Mapping[str, Array],
     *,
-    groups: Ints | None = None,
     tolerance: float = 0.0,
     draws: int = 2000,
     seed: int = 2011,
 ) -> BlockShare | None:
     """Find the block that carries the most of the interaction with the blocks."""
-    _, rows = _rows(contrasts, groups, tolerance)
+    _, rows = _rows(contrasts, tolerance)
     if rows.shape[0] == 0:
         return None
     blocks = rows.shape[1]
-    basis = _group_basis(_codes(groups, blocks))
+    basis = _mean_basis(blocks)
     share = _shares(rows)
     root = rows / np.linalg.norm(rows, axis=1, keepdims=True)
     fewer = max(_MOST_NUMBERS // rows.size, _FEWEST_DRAWS)
@@ -495,14 +492,12 @@ def _shares(rows: Array) -> Array:
     return np.asarray((squares / squares.sum(axis=-1, keepdims=True)).mean(axis=-2))
 
 
-def _rows(
-    contrasts: Mapping[str, Array], groups: Ints | None, tolerance: float
-) -> tuple[list[tuple[str, int]], Array]:
+def _rows(contrasts: Mapping[str, Array], tolerance: float) -> tuple[list[tuple[str, int]], Array]:
     """Rows about their means that vary, each once, with their term and number."""
     names: list[tuple[str, int]] = []
     kept: list[Array] = []
     for term, values in contrasts.items():
-        basis = _group_basis(_codes(groups, values.shape[1]))
+        basis = _mean_basis(values.shape[1])
         floor = max(10 * tolerance, 1e-12 * float(np.abs(values).max(initial=0.0)))
         rows = values - (values @ basis) @ basis.T
         for index in np.flatnonzero(np.linalg.norm(rows, axis=1) > floor):
@@ -529,20 +524,13 @@ def _once(units: Array) -> list[int]:
     return [i for i in range(len(units)) if i not in dropped]
 
 
-def _codes(groups: Ints | None, blocks: int) -> tuple[int, ...]:
-    if groups is None:
-        return (0,) * blocks
-    return tuple(np.unique(groups, return_inverse=True)[1].tolist())
-
-
-def _group_basis(code: tuple[int, ...]) -> Array:
-    """Orthonormal indicators of the groups, shape (b, G)."""
-    member = np.eye(max(code) + 1)[list(code)]
-    return np.asarray(member / np.sqrt(member.sum(axis=0)))
+def _mean_basis(blocks: int) -> Array:
+    """Direction of the mean over blocks, shape (b, 1)."""
+    return np.full((blocks, 1), 1 / math.sqrt(blocks))
 
 
 @lru_cache(maxsize=16)
-def _null(code: tuple[int, ...], seed: int) -> Array:
-    """RJ of residuals of normal samples about the means of their groups, sorted."""
-    count = min(SIMULATIONS, default_simulations(len(code)))
-    return np.sort(np.concatenate(list(null_rj(_group_basis(code), count, seed))))
+def _null(blocks: int, seed: int) -> Array:
+    """RJ of residuals of normal samples about their means, sorted."""
+    count = min(SIMULATIONS, default_simulations(blocks))
+    return np.sort(np.concatenate(list(null_rj(_mean_basis(blocks), count, seed))))

@@ -20,11 +20,13 @@ from study.statistics.analysis.comparisons import Comparisons, LevelPair, studen
 from study.statistics.analysis.effects import own_critical, pooled_critical, t_quantile
 from study.statistics.analysis.linear_model import (
     CellLayout,
+    ModelMatrix,
     Term,
     model_matrix,
     nested_in,
     terms_of,
 )
+from study.statistics.analysis.sums_of_squares import factor
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -34,8 +36,6 @@ if TYPE_CHECKING:
 
 #: Columns beyond which a table of coefficients is not read; the QR of 200 columns takes 0.1 s.
 MOST_COEFFICIENTS = 200
-#: A direction of the columns shorter than this, of 1, is no estimate: its terms are aliased.
-ALIASED = 1e-9
 
 
 @dataclass(frozen=True)
@@ -121,24 +121,18 @@ def _pooled(found: AnalysisResult, names: tuple[str, ...]) -> CoefficientTable:
     if matrix is None or not residual.ms:
         return CoefficientTable(reason="nothing is left over to estimate an error from")
     y = _working(found, found.data.residuals["response"].to_numpy(float))
-    length = np.linalg.norm(matrix, axis=0)
-    q, r = np.linalg.qr(matrix / length)
-    if np.abs(np.linalg.svd(r, compute_uv=False)).min() < ALIASED:
+    fit = factor(ModelMatrix(matrix, ((),), (slice(0, matrix.shape[1]),)), y)
+    if not fit.model.is_full:
         return CoefficientTable(reason="some terms are aliased with others")
-    inverse = np.linalg.inv(r)
-    beta = inverse @ (q.T @ (y - y[0])) / length
-    beta[0] += y[0]
-    spread = np.einsum("ij,ij->i", inverse, inverse) / length**2
+    beta = fit.coefficients()
+    beta[0] += fit.shift
+    spread = np.diag(fit.unscaled_covariance())
     # blocks stand between the constant and the factors, and are no coefficients of interest
     kept = np.r_[0, matrix.shape[1] - len(names) + 1 : matrix.shape[1]]
     error = np.sqrt(spread * residual.ms)
-    return _table(names, beta[kept], error[kept], residual.df, _inflation(matrix, spread)[kept])
-
-
-def _inflation(matrix: Array, spread: Array) -> Array:
-    """Variance inflation factors (Marquardt 1970): variance over that without the other columns."""
-    centered = matrix - matrix.mean(axis=0)
-    return np.asarray(spread * np.einsum("ij,ij->j", centered, centered))
+    # variance over that without the other columns (Marquardt 1970)
+    inflation = spread * np.sum((matrix - matrix.mean(axis=0)) ** 2, axis=0)
+    return _table(names, beta[kept], error[kept], residual.df, inflation[kept])
 
 
 def _own(
@@ -218,8 +212,11 @@ def dunnett_of_model(
     others = [level for level in effect.levels if level != reference]
     known = {frozenset((p.first, p.second)): p for p in effect.pairs}
     critical = pooled_critical(len(effect.levels), len(effect.levels) - 1, df, True, alpha)
-    error = {key: _half(pair, effect.is_ratio) / critical for key, pair in known.items()}
-    means = np.array([_difference(known, name, reference, effect.is_ratio) for name in others])
+    sizes = {key: _distances(pair, effect.is_ratio) for key, pair in known.items()}
+    error = {key: half / critical for key, (_, half) in sizes.items()}
+    of_reference = [(name, known[frozenset((name, reference))]) for name in others]
+    means = np.array([sizes[frozenset((name, reference))][0] * (1 if pair.first == name else -1)
+                      for name, pair in of_reference])  # fmt: skip
     own = np.array([error[frozenset((name, reference))] for name in others])
     largest = _largest_t(_correlation(others, own, error), df, seed)
     half = float(np.quantile(largest, 1 - alpha)) * own
@@ -231,20 +228,6 @@ def dunnett_of_model(
     )
     compared = Comparisons("Dunnett", alpha, pairs, {})
     return compared.as_ratios() if effect.is_ratio else compared
-
-
-def _half(pair: PairDifference, is_ratio: bool) -> float:
-    if is_ratio:
-        return math.log(pair.upper / pair.lower) / 2
-    return (pair.upper - pair.lower) / 2
-
-
-def _difference(
-    known: dict[frozenset[str], PairDifference], name: str, reference: str, is_ratio: bool
-) -> float:
-    pair = known[frozenset((name, reference))]
-    size = math.log(pair.difference) if is_ratio else pair.difference
-    return size if pair.first == name else -size
 
 
 def _correlation(others: Sequence[str], own: Array, error: dict[frozenset[str], float]) -> Array:
@@ -340,10 +323,10 @@ def _adjusted(
 
 
 def _distances(pair: PairDifference, is_ratio: bool) -> tuple[float, float]:
-    """Size of a difference and half-width of its interval on the scale of the analysis."""
+    """Return a difference and the half-width of its interval on the scale of the analysis."""
     if is_ratio:
-        return abs(math.log(pair.difference)), math.log(pair.upper / pair.lower) / 2
-    return abs(pair.difference), (pair.upper - pair.lower) / 2
+        return math.log(pair.difference), math.log(pair.upper / pair.lower) / 2
+    return pair.difference, (pair.upper - pair.lower) / 2
 
 
 def _of_range(
@@ -353,7 +336,7 @@ def _of_range(
     method = TWO_LEVELS if k == 2 else TUKEY
     if not (math.isfinite(half) and half > 0):
         return method, None
-    t = size / half * critical
+    t = abs(size) / half * critical
     if k == 2:
         return method, _two_sided(t, df)
     return method, max(0.0, 1 - studentized_range_cdf(t * math.sqrt(2), k, df))
@@ -370,7 +353,7 @@ def _of_blocks(
     method = TWO_LEVELS if k == 2 else BONFERRONI if critical >= each else HOTELLING
     if not (math.isfinite(half) and half > 0):
         return method, None
-    t = size / half * critical
+    t = abs(size) / half * critical
     if method != HOTELLING:
         return method, min(1.0, pairs * _two_sided(t, blocks - 1))
     df, rest = k - 1, blocks - k + 1

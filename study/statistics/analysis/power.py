@@ -24,26 +24,6 @@ class PowerRow:
     cost: float | None = None
 
 
-def power_of(
-    difference: float,
-    sd: float,
-    n: int,
-    *,
-    levels: int = 2,
-    blocked: bool = True,
-    alpha: float = 0.05,
-) -> float:
-    """Power of the F test for the least favorable pattern with a given largest difference.
-
-    Notes
-    -----
-    Two extreme means and the rest in the middle give the smallest noncentrality,
-    lambda = n d^2 / (2 sd^2).
-    """
-    _detection_check(sd, n, levels)
-    return _power(n * difference**2 / (2 * sd**2), _df(n, levels, blocked), alpha)
-
-
 def planned(
     terms: Mapping[str, tuple[Row, int]],
     n: int,
@@ -70,7 +50,7 @@ def planned(
         rows = []
         for count in counts:
             df2 = (levels - 1) * (count - 1) if blocked else cells * (count - 1)
-            size = _detectable(sd, count, (levels - 1, df2), alpha, 0.8)
+            size = detectable(sd, count, (levels - 1, df2), alpha, 0.8)
             value = math.exp(size) if ratio else size
             rows.append(PowerRow(count, value, (levels - 1, df2)))
         found[name] = tuple(rows)
@@ -81,12 +61,12 @@ def planned(
 _LARGEST = 1e100
 
 
-def _detectable(sd: float, n: int, df: tuple[int, int], alpha: float, power: float) -> float:
-    """Smallest largest difference that is found with the wanted power."""
+def detectable(sd: float, n: int, df: tuple[int, int], alpha: float, power: float) -> float:
+    """Smallest largest difference of ``n`` blocks or replicates that is found with this power."""
     from scipy.optimize import brentq
 
     def gap(d: float) -> float:
-        return _power(n * d**2 / 2, df, alpha) - power
+        return power_of(n * d**2 / 2, df, alpha) - power
 
     # statsmodels 0.15 would end here, without a warning, at a power of 0.05 for 3 or 5 blocks:
     # its solve_power takes a root of f^2 between -1 and 1
@@ -99,49 +79,13 @@ def _detectable(sd: float, n: int, df: tuple[int, int], alpha: float, power: flo
     return found * sd
 
 
-def _power(noncentrality: float, df: tuple[int, int], alpha: float) -> float:
+def power_of(noncentrality: float, df: tuple[int, int], alpha: float) -> float:
+    """Power of the F test of two extreme means: lambda = n d^2 / (2 sd^2), the least it can be."""
     from scipy.special import fdtri
 
     if noncentrality == 0:
         return alpha
     return 1 - noncentral_f_cdf(*df, noncentrality, float(fdtri(*df, 1 - alpha)))
-
-
-def _df(n: int, levels: int, blocked: bool) -> tuple[int, int]:
-    return levels - 1, (levels - 1) * (n - 1) if blocked else levels * (n - 1)
-
-
-def _detection_check(sd: float, n: int, levels: int) -> None:
-    if not sd > 0 or n < 2 or levels < 2:
-        raise InputError(
-            Fault("power", f"needs sd > 0, n >= 2 and levels >= 2, got {sd}, {n}, {levels}")
-        )
-
-
-def detectable(
-    sd: float,
-    counts: Sequence[int],
-    *,
-    levels: int = 2,
-    blocked: bool = True,
-    alpha: float = 0.05,
-    power: float = 0.8,
-    cost: float | None = None,
-) -> tuple[PowerRow, ...]:
-    """Smallest difference found with the wanted power, for each number of blocks.
-
-    Examples
-    --------
-    >>> [round(r.detectable, 3) for r in detectable(1.0, [3, 9])]
-    [4.616, 1.509]
-    """
-    rows = []
-    for n in counts:
-        _detection_check(sd, n, levels)
-        df = _df(n, levels, blocked)
-        total = None if cost is None else n * cost
-        rows.append(PowerRow(n, _detectable(sd, n, df, alpha, power), df, total))
-    return tuple(rows)
 
 
 # -------------------------------------------------------------------------------------------------

@@ -34,10 +34,17 @@ _CONVERGED = 1e-11
 #: The same in a profile, where its square counts.
 _CONVERGED_IN_PROFILE = 1e-6
 _MOST_STEPS = 200
+#: Share of a step below which no shorter one is tried.
+_LEAST_SHARE = 1e-6
+#: Gain in deviance that a step promises below which it is not looked for.
+_LEAST_GAIN = 1e-5
+#: Rounding of a step over the residual variance, for each unit of the largest ratio to that one.
+_EPSILON = 1e-12
 #: Levels of random factors that cross each other, directly or through others: a dense matrix of
 #: so many takes 0.1 GB and seconds for each step.
 MOST_CROSSED = 3000
-#: Standard deviations over that of all rows beyond which no end of an interval is looked for.
+#: Standard deviations beyond which no end of an interval is looked for: over the estimate, and
+#: over that of all rows.
 _SMALLEST = 1e-4
 _LARGEST = 1e3
 #: Part of the total variance below which a residual is rounding, so that no ratio to it exists.
@@ -388,20 +395,29 @@ class Likelihood:
         now = self.moments(v)
         for _ in range(_MOST_STEPS):
             step = self._step(v, now, free)
-            size = 1.0
+            rounding = _EPSILON * float(v.max()) / float(v[-1])
+            # so near the maximum the deviance is rounding, and the score decides
+            near = 2 * float(now.score @ step) < (_LEAST_GAIN + 10 * rounding) * v[-1]
+            share = 1.0
             while True:
-                trial = np.maximum(v + size * step, 0.0)
+                trial = np.maximum(v + share * step, 0.0)
                 if free[-1]:
                     trial[-1] = max(trial[-1], 0.1 * v[-1])
                 then = self.moments(trial)
-                if then.deviance <= now.deviance + 1e-9 or size < 1e-6:
+                if near or then.deviance <= now.deviance + 1e-9:
                     break
-                size /= 2
+                share /= 2
+                if share < _LEAST_SHARE:
+                    raise RefusedError(
+                        "no step of the variances of the mixed model lowers its deviance, although "
+                        "its slope is not zero: name fewer random factors"
+                    )
             if trial[-1] < _ROUNDING * self.scale**2:
                 raise SingularError(m - 1)
-            moved = np.abs(trial - v)
+            # a step that was halved is short wherever it is taken
+            moved = np.abs(trial - v) / share
             v, now = trial, then
-            if moved.max() <= end * v.max() and moved[-1] <= end**0.5 * v[-1]:
+            if (moved <= max(end, rounding) * np.maximum(v, v[-1])).all():
                 return v, now
         raise RefusedError(
             f"the variances of the mixed model have not settled in {_MOST_STEPS} steps"
@@ -531,23 +547,19 @@ class RestrictedFit:
             latest[0], at = self.likelihood.fit((which, sd**2), latest[0])
             return math.sqrt(max(at.deviance - self.deviance, 0.0)) - limit
 
-        def crossing(inside: float, step: float) -> float:
-            latest[0] = self.v
-            outside = step * inside
+        def crossing(outside: float, step: float, end: float) -> float:
+            latest[0], inside = self.v, best
             while excess(outside) <= 0:
-                if not _SMALLEST * scale < outside < _LARGEST * scale:
+                if (outside - end) * (step - 1) >= 0:
                     return 0.0 if step < 1 else math.inf
                 inside, outside = outside, step * outside
             return float(brentq(excess, min(inside, outside), max(inside, outside), rtol=1e-8))
 
-        least = _SMALLEST * scale
-        high = crossing(max(best, least), 1.5)
-        if best <= least:
-            return 0.0, high
+        high = crossing(1.5 * max(best, _SMALLEST * scale), 1.5, _LARGEST * scale)
         latest[0] = self.v
-        if which < self.v.size - 1 and excess(0.0) <= 0:
+        if best == 0 or (which < self.v.size - 1 and excess(0.0) <= 0):
             return 0.0, high
-        return crossing(best, 1 / 1.5), high
+        return crossing(best / 1.5, 1 / 1.5, _SMALLEST * best), high
 
 
 def _scaling(a1: float, a2: float, count: int) -> tuple[float, float]:

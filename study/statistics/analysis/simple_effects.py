@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from study.ground.arrays import Array, Ints
-from study.ground.errors import Fault, InputError, StudyError
+from study.ground.errors import StudyError
 from study.statistics.analysis.anova_table import Effect, SimpleEffect
 from study.statistics.analysis.linear_model import CellLayout, ModelMatrix, Term, model_matrix
 from study.statistics.convergence.contrast_bound import NumericalBound
@@ -73,31 +73,6 @@ def claim(low: float, high: float, practical: float) -> str:
     return NO_DIFFERENCE if -practical < low and high < practical else ""
 
 
-def judge(low: float, high: float, practical: float, u: float = 0.0) -> Judgement:
-    """Judge one difference.
-
-    Examples
-    --------
-    >>> judge(0.2, 0.4, 1.0, u=100.0).verdict
-    'not resolved by the mesh'
-    >>> judge(1.15, 1.25, 1.0, u=0.5).u_needed
-    0.15
-    """
-    if not (math.isfinite(u) and u >= 0):
-        mend = "leave it out where it is not known; 0 means that there is none"
-        raise InputError(Fault("u_num", f"must be zero or a positive number, got {u!r}", mend))
-    found = claim(low - u, high + u, practical)
-    if found == MATTERS:
-        return Judgement(MATTERS, "the interval lies beyond the practical band")
-    if found == NO_DIFFERENCE:
-        return Judgement(NO_DIFFERENCE, "the interval lies inside the practical band")
-    without = claim(low, high, practical)
-    if not without:
-        return Judgement(CANNOT_TELL, "the interval crosses the practical threshold")
-    needed = max(low, -high) - practical if without == MATTERS else practical - max(-low, high)
-    return Judgement(NOT_RESOLVED, resolution(needed), float(f"{needed:.6g}"))
-
-
 def judge_all(low: Array, high: Array, practical: float, u: Array) -> Judgement:
     """Judge several differences together.
 
@@ -127,21 +102,6 @@ def resolution(needed: float) -> str:
     'the numerical uncertainty would have to be below 0.051'
     """
     return f"the numerical uncertainty would have to be below {needed:.2g}"
-
-
-def size_needed(mesh_size: float, u: float, u_needed: float, order: float) -> float:
-    """Mesh size that a claim needs.
-
-    Units: mesh_size mm; returns mm.
-
-    Examples
-    --------
-    >>> size_needed(1.0, 0.4, 0.1, 2.0)
-    0.5
-    """
-    if u_needed <= 0 or not math.isfinite(u):
-        return 0.0
-    return mesh_size * (u_needed / u) ** (1 / order) if u > u_needed else mesh_size
 
 
 #: Simple effects beyond this number are not listed: nobody reads them and none could be tested.

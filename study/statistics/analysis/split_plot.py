@@ -19,7 +19,7 @@ from study.statistics.analysis.analysis_request import AnalysisOutcome, kind_of
 from study.statistics.analysis.anova_table import Anova, ErrorTerm, Row
 from study.statistics.analysis.comparisons import bonferroni
 from study.statistics.analysis.data import Data
-from study.statistics.analysis.effects import pooled_estimate, size, t_quantile, term_rows
+from study.statistics.analysis.effects import pooled_estimate, sampled_estimate, size, t_quantile
 from study.statistics.analysis.gate import (
     COARSE,
     Rival,
@@ -129,13 +129,8 @@ def split_plot(out: AnalysisOutcome, plots: Plots) -> AnalysisOutcome:
         estimate = pooled_estimate(
             data.layout, fit, term, rest, by_name[term_name(term)].p, out.request.alpha, fit.rss
         )
-        means = pooled_estimate(data.layout, whole, term, 0, None, out.request.alpha, 0.0).mean
-        mean_rows = term_rows(data.layout, whole, term)[2]
-        none = np.zeros(len(mean_rows), dtype=np.int64)
-        found = sample(Differences(np.vstack([np.zeros(mean_rows.shape[1]), mean_rows]),
-                                   np.arange(1, len(mean_rows) + 1), none))  # fmt: skip
-        half = None if found.error is None else found.error * found.single
-        estimate = replace(estimate, mean=means, mean_half=half)
+        of_means = sampled_estimate(data.layout, whole, term, None, sample)
+        estimate = replace(estimate, mean=of_means.mean, mean_half=of_means.mean_half)
         effects.append(size(estimate, out.scale, simple))
     choice = error_ledger.strata_choice(
         str(data.block), plots.name, plots.between, error_ledger.POOLED
@@ -316,36 +311,12 @@ def _rows(
 LEAST_OWN = 3
 
 
-@dataclass(frozen=True)
-class WelchBox:
-    """Test that a vector of contrasts is zero."""
+def welch_box(groups: Sequence[Array], weights: Array) -> tuple[float, float, float] | None:
+    """F of weighted sums over groups of a term's mean contrasts, and its degrees of freedom.
 
-    #: theta' theta / tr V; None where nothing varies.
-    f: float | None
-    #: Degrees of freedom of the approximation.
-    df1: float | None
-    df2: float | None
-    p: float | None
-    #: Whether a group has two blocks only, so that one covariance is used for all groups.
-    pooled: bool = False
+    None where nothing varies. Every group needs as many blocks as ``LEAST_OWN``.
 
-
-@dataclass(frozen=True)
-class WelchInterval:
-    """Interval of one contrast over groups of blocks."""
-
-    estimate: float
-    standard_error: float
-    df: float
-    low: float
-    high: float
-    pooled: bool = False
-
-
-def welch_box(groups: Sequence[Array], weights: Array | None = None) -> WelchBox:
-    """Test weighted sums over groups of a term's mean contrasts.
-
-    Shapes: groups (d, n_g); weights (G,).
+    Shapes: groups (d, n_g); weights (G,) or (k, G).
 
     Notes
     -----
@@ -355,86 +326,21 @@ def welch_box(groups: Sequence[Array], weights: Array | None = None) -> WelchBox
 
     Examples
     --------
-    >>> one = np.array([[1.0, 2.0, 4.0, 3.0]])
-    >>> found = welch_box([one])
-    >>> round(found.f, 4), round(found.df1, 4), round(found.df2, 4)
+    >>> f, df1, df2 = welch_box([np.array([[1.0, 2.0, 4.0, 3.0]])], np.ones(1))
+    >>> round(f, 4), round(df1, 4), round(df2, 4)
     (15.0, 1.0, 3.0)
     """
-    _check(groups)
-    w = np.full(len(groups), 1 / len(groups)) if weights is None else np.asarray(weights, float)
-    w = np.atleast_2d(w)
+    w = np.atleast_2d(weights)
     n = np.array([float(g.shape[1]) for g in groups])
-    covariance, pooled = _covariances(groups)
-    means = np.array([g.mean(axis=1) for g in groups])
-    theta = w @ means
+    covariance = [np.atleast_2d(np.cov(g)) for g in groups]
+    theta = w @ np.array([g.mean(axis=1) for g in groups])
     # blocks of M are sum_g w_ig w_jg S_g / n_g; a Kronecker product for each group
     m = sum(np.kron(np.outer(w[:, g], w[:, g]), covariance[g] / n[g]) for g in range(len(groups)))
     trace = float(np.trace(m))
     if not trace > 0:
-        return WelchBox(None, None, None, None, pooled)
+        return None
     traces = np.array([float(np.trace(s)) for s in covariance])
     df1 = trace**2 / float(np.sum(m * m))
     share = (w**2).sum(axis=0) * traces / n
-    if pooled:  # one covariance with the degrees of freedom of all groups
-        below = float(share.sum()) ** 2 / float((n - 1).sum())
-    else:
-        below = float(np.sum(share**2 / (n - 1)))
-    df2 = df1 * trace**2 / below
-    f = float(np.sum(theta**2)) / trace
-    return WelchBox(f, df1, df2, _tail(df1, df2, f), pooled)
-
-
-def welch_interval(
-    groups: Sequence[Array], weights: Array | None = None, *, alpha: float = 0.05
-) -> WelchInterval:
-    """Interval of one contrast with its own variance in each group.
-
-    Shapes: groups (n_g,); weights (G,).
-    """
-    from scipy.special import stdtrit
-
-    rows = [np.atleast_2d(np.asarray(g, float)) for g in groups]
-    found = welch_box(rows, weights)
-    w = np.full(len(rows), 1 / len(rows)) if weights is None else np.asarray(weights, float)
-    centre = float(sum(wg * g.mean() for wg, g in zip(w, rows, strict=True)))
-    if found.df2 is None:
-        return WelchInterval(centre, 0.0, float("inf"), centre, centre, found.pooled)
-    covariance, pooled = _covariances(rows)
-    variance = sum(
-        wg**2 * float(s[0, 0]) / g.shape[1] for wg, s, g in zip(w, covariance, rows, strict=True)
-    )
-    error = float(np.sqrt(variance))
-    half = float(stdtrit(found.df2, 1 - alpha / 2)) * error
-    return WelchInterval(centre, error, found.df2, centre - half, centre + half, pooled)
-
-
-def _covariances(groups: Sequence[Array]) -> tuple[list[Array], bool]:
-    """Covariance of every group; one pooled covariance where a group has two blocks only."""
-    own = [np.atleast_2d(np.cov(g)) for g in groups]
-    if len(groups) == 1 or min(g.shape[1] for g in groups) >= LEAST_OWN:
-        return own, False
-    df = np.array([g.shape[1] - 1.0 for g in groups])
-    pooled = np.tensordot(df, np.array(own), axes=1) / df.sum()
-    return [pooled] * len(groups), True
-
-
-def _tail(df1: float, df2: float, f: float) -> float:
-    from scipy.special import fdtrc
-
-    return float(fdtrc(df1, df2, f))
-
-
-def _check(groups: Sequence[Array]) -> None:
-    faults = []
-    if not groups:
-        faults.append(Fault("groups", "no group of blocks given"))
-    for i, g in enumerate(groups):
-        if g.ndim != 2 or g.shape[1] < 2:
-            rule = f"needs at least two blocks, got shape {g.shape}"
-            faults.append(Fault(f"group {i + 1}", rule, "run more blocks or merge groups"))
-        elif not np.isfinite(g).all():
-            faults.append(Fault(f"group {i + 1}", "a value is missing", "leave its block out"))
-    if not faults and len({g.shape[0] for g in groups}) > 1:
-        faults.append(Fault("groups", "all groups need the same contrasts"))
-    if faults:
-        raise InputError(faults)
+    below = float(np.sum(share**2 / (n - 1)))
+    return float(np.sum(theta**2)) / trace, df1, df1 * trace**2 / below

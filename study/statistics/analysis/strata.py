@@ -11,11 +11,9 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.special import fdtrc
 
 from study.ground.arrays import Array, Ints
 from study.ground.errors import Fault, InputError, nearest
@@ -32,16 +30,13 @@ from study.statistics.analysis.anova_table import (
 from study.statistics.analysis.data import Crossed, crossed, prepare
 from study.statistics.analysis.effects import (
     TermEstimate,
-    group_errors,
     over_blocks,
-    over_complete_settings,
     over_groups,
     own_critical,
     pooled_estimate,
-    settings_of,
+    sampled_estimate,
     size,
     t_quantile,
-    term_rows,
     with_pooled_error,
 )
 from study.statistics.analysis.gate import (
@@ -68,6 +63,7 @@ from study.statistics.analysis.sums_of_squares import (
     alias_warnings,
     epsilon_gg,
     factor,
+    row_of_test,
     sphericity,
     term_sums,
     with_shares,
@@ -202,35 +198,15 @@ def _row(
         return Row(name, 0, 0.0)
     if float(np.abs(part.residual).max(initial=0.0)) <= floor:
         return Row(name, df, ss, ss / df)
-    ms_error = ss_error / part.df
-    f, epsilon, df_error = _f(part, direction, groups, ss / df / ms_error)
-    return Row(
-        name,
-        df,
-        ss,
-        ss / df,
-        f,
-        float(fdtrc(df, df_error, f)),
-        part.name,
-        df_error,
-        epsilon,
-        float(fdtrc(df * epsilon, df_error * epsilon, f)),
-        max(0.0, (ss - df * ms_error) / (total + ms_error)),
-        ss / (ss + ss_error),
-    )
-
-
-def _f(
-    part: _Part, direction: Array, groups: Sequence[Ints], pooled: float
-) -> tuple[float, float, float]:
-    """F, epsilon and the degrees of freedom of the error before their correction by epsilon."""
+    sums = (df, ss), (part.name, part.df, ss_error)
     if groups:
         weights = np.array([direction[group].sum(axis=0) for group in groups]).T
         found = welch_box([part.values[:, group] for group in groups], weights)
-        if found.f is not None and found.df1 is not None and found.df2 is not None:
-            epsilon = found.df1 / (part.values.shape[0] * direction.shape[1])
-            return found.f, epsilon, found.df2 / epsilon
-    return pooled, epsilon_gg(part.residual @ part.residual.T), part.df
+        if found is not None:
+            f, df1, df2 = found
+            epsilon = df1 / df
+            return row_of_test(name, *sums, total, epsilon, (f, df2 / epsilon))
+    return row_of_test(name, *sums, total, epsilon_gg(part.residual @ part.residual.T))
 
 
 def _sphere(part: _Part, fit: Factored) -> SphericityResult:
@@ -289,51 +265,12 @@ def _effects(
             rivals += more
     simple = judge_factors(out, layout, fit, sample, rivals)
     if fewest >= LEAST_OWN:
-        estimates = [_welch_estimate(out, fit, t, rows, added, groups) for t in out.terms]
+        own_errors = over_groups(fit, added, groups, asked.alpha, None)
+        p = {term: row.p_deciding for term, row in rows.items()}
+        estimates = [sampled_estimate(data.layout, fit, t, p.get(t), own_errors) for t in out.terms]
     else:
         estimates = _pooled_estimates(out, rows, errors)
     return tuple(size(one, out.scale, simple) for one in estimates), notes
-
-
-def _welch_estimate(
-    out: AnalysisOutcome,
-    fit: Factored,
-    term: Term,
-    rows: dict[Term, Row],
-    added: Array,
-    groups: Sequence[Ints],
-) -> TermEstimate:
-    """Estimate of a term; each difference has Welch's degrees of freedom."""
-    levels, component_rows, mean_rows = term_rows(out.data.layout, fit, term)
-    alpha, k = out.request.alpha, len(levels)
-    component, mean = component_rows @ added, mean_rows @ added
-    if not fit.estimable(component_rows).all():
-        component = np.full_like(component, np.nan)
-    first, second = (index.ravel() for index in np.indices((k, k)))
-    df = group_errors(component[first] - component[second], groups)[1].reshape(k, k)
-    error, df_mean = group_errors(mean, groups)
-    centre = fit.shift + mean.sum(axis=1)
-    centre[np.logical_not(fit.estimable(mean_rows))] = np.nan
-    return TermEstimate(
-        term,
-        levels,
-        component.sum(axis=1),
-        centre,
-        sum_of_covariances(component, groups),
-        t_quantile(alpha / max(2, k * (k - 1)), df),
-        t_quantile(alpha / 2, df_mean) * error,
-        rows[term].p_deciding if term in rows else None,
-        settings_of(out.data.layout, term),
-    )
-
-
-def sum_of_covariances(value: Array, groups: Sequence[Ints]) -> Array:
-    """Covariance of sums over blocks, from the scatter in each group, shape (m, m).
-
-    Shapes: value (m, b).
-    """
-    parts = [len(group) * np.atleast_2d(np.cov(value[:, group])) for group in groups]
-    return np.asarray(np.sum(parts, axis=0))
 
 
 def _pooled_estimates(
@@ -452,7 +389,6 @@ def _own_term(
     *,
     partial: bool,
 ) -> OwnTerm:
-    from scipy.special import fdtrc
 
     name, blocks, df = term_name(sums.term), table.y.shape[1], sums.df
     contrasts = sums.basis.T @ (fit.q.T @ (table.y - table.y[0, 0]))
@@ -471,23 +407,8 @@ def _own_term(
     why = _no_test(fit.q, sums.basis, contrasts, floor, name, block)
     if why:
         return OwnTerm(sums, Row(name, df, ss, ss / df), error, spread, why)
-    f = (ss / df) / (ss_error / df_error)
     epsilon = epsilon_gg(np.atleast_2d(np.cov(contrasts)))
-    ms_error = ss_error / df_error
-    row = Row(
-        name,
-        df,
-        ss,
-        ss / df,
-        f,
-        float(fdtrc(df, df_error, f)),
-        f"{block}:{name}",
-        df_error,
-        epsilon,
-        float(fdtrc(df * epsilon, df_error * epsilon, f)),
-        max(0.0, (ss - df * ms_error) / (total + ms_error)),
-        ss / (ss + ss_error),
-    )
+    row = row_of_test(name, (df, ss), (error.term, df_error, ss_error), total, epsilon)
     return OwnTerm(sums, row, error, spread)
 
 
@@ -499,38 +420,6 @@ def _no_test(q: Array, basis: Array, contrasts: Array, floor: float, name: str, 
     if float(np.abs(q @ (basis @ scatter)).max()) <= floor:
         return f"{name}: its effect is the same in every {block} to the solver tolerance, no test"
     return ""
-
-
-def own_estimate(
-    table: Crossed, fit: Factored, term: Term, df: int, p: float | None, alpha: float
-) -> TermEstimate:
-    """Estimate of a term; each difference carries its own variance over the blocks."""
-    levels, component_rows, mean_rows = term_rows(table.layout, fit, term)
-    component_rows = over_complete_settings(table.layout, fit, term, component_rows)
-    blocks = table.y.shape[1]
-    shift, beta = block_coefficients(table, fit)
-    component, mean = component_rows @ beta, shift + mean_rows @ beta
-    estimable = bool(fit.estimable(component_rows).all())
-    mean_half = t_quantile(alpha / 2, blocks - 1) * mean.std(axis=1, ddof=1) / np.sqrt(blocks)
-    centers = mean.mean(axis=1)
-    centers[np.logical_not(fit.estimable(mean_rows))] = np.nan
-    return TermEstimate(
-        term,
-        levels,
-        component.mean(axis=1) if estimable else np.full(len(levels), np.nan),
-        centers,
-        np.atleast_2d(np.cov(component)) / blocks,
-        own_critical(len(levels), max(df, 1), blocks, alpha),
-        mean_half,
-        p,
-        settings_of(table.layout, term),
-    )
-
-
-def block_coefficients(table: Crossed, fit: Factored) -> tuple[float, Array]:
-    """Shift of the response, and coefficients of every block, shape (p, b)."""
-    shift = float(table.y[0, 0])
-    return shift, fit.model.inverse @ (fit.q.T @ (table.y - shift))
 
 
 def own(out: AnalysisOutcome) -> AnalysisOutcome | None:
@@ -572,13 +461,18 @@ def own(out: AnalysisOutcome) -> AnalysisOutcome | None:
         out = out.warn(*choice.cautions)
     df = {t.row.term: float(t.error.df) for t in tests}
     judged = cell_fit(table, out.structure.asked) if out.structure.asked else fit
-    estimates = [
-        own_estimate(table, judged, t.sums.term, t.sums.df, t.row.p_deciding, out.request.alpha)
-        for t in tests
-    ]
-    sample = over_blocks(
-        judged, block_coefficients(table, judged)[1], out.request.alpha, out.request.interval_seed
-    )
+    alpha = out.request.alpha
+    coefficients = judged.model.inverse @ (judged.q.T @ (table.y - judged.shift))
+    own_errors = over_blocks(judged, coefficients, alpha, None)
+    estimates = []
+    for t in tests:
+        levels = int(np.prod([len(table.layout.levels[name]) for name in t.sums.term]))
+        critical = own_critical(levels, max(t.sums.df, 1), b, alpha)
+        p = t.row.p_deciding
+        estimates.append(
+            sampled_estimate(table.layout, judged, t.sums.term, p, own_errors, critical)
+        )
+    sample = over_blocks(judged, coefficients, alpha, out.request.interval_seed)
     rivals, notes = rivals_over_blocks(out, table.layout, table.y, judged, sample)
     out = out.warn(*notes)
     simple = judge_factors(out, table.layout, judged, sample, rivals)
@@ -747,63 +641,27 @@ def sentences(found: NestedUnits, alpha: float) -> list[str]:
 # differ between cells are replicates within cells.
 
 
-class SeedRole(StrEnum):
-    """What the seeds of a study are."""
-
-    BLOCKS = "blocks"
-    AVERAGED = "averaged within blocks"
-    WITHIN_CELLS = "replicates within cells"
-    NONE = "none"
-
-
-@dataclass(frozen=True)
-class SeedDesign:
-    """What the seeds are, which are used, and why."""
-
-    #: How the analysis uses the seeds.
-    role: SeedRole
-    #: Seeds that every cell has, in the order found.
-    common: tuple[str, ...]
-    #: Seeds that some cell lacks and that are therefore left out everywhere.
-    left_out: tuple[str, ...]
-    reason: str
-
-
-def seed_design(
-    cells: Sequence[Hashable], seeds: Sequence[object], *, blocks: bool = False
-) -> SeedDesign:
-    """Decide from the labels whether seeds are common to all cells.
+def common_seeds(cells: Sequence[Hashable], seeds: Sequence[object]) -> tuple[tuple[str, ...], str]:
+    """Seeds that every cell has and that are therefore blocks, and why; none where few are common.
 
     Examples
     --------
-    >>> seed_design(["a", "a", "b", "b"], [1, 2, 1, 2]).role.value
-    'blocks'
-    >>> seed_design(["a", "a", "b", "b"], [1, 2, 3, 4]).role.value
-    'replicates within cells'
+    >>> common_seeds(["a", "a", "b", "b"], [1, 2, 1, 2])[0]
+    ('1', '2')
+    >>> common_seeds(["a", "a", "b", "b"], [1, 2, 3, 4])[0]
+    ()
     """
     if not cells or len(cells) != len(seeds):
         rule = f"one seed for each of {len(cells)} rows is needed, got {len(seeds)}"
         raise InputError(Fault("seeds", rule))
-    held: dict[Hashable, set[str]] = {}
+    of_cell: dict[Hashable, set[str]] = {}
     for cell, seed in zip(cells, seeds, strict=True):
-        held.setdefault(cell, set()).add(str(seed))
+        of_cell.setdefault(cell, set()).add(str(seed))
     labels = tuple(dict.fromkeys(str(seed) for seed in seeds))
-    common = tuple(s for s in labels if all(s in own for own in held.values()))
-    left = tuple(s for s in labels if s not in common)
-    if len(labels) == 1:
-        return SeedDesign(SeedRole.NONE, common, left, "one mesh seed: its effect is not seen")
-    shared = len(common) >= 2 and 2 * len(common) >= len(labels)
-    if shared and blocks:
-        why = f"the {len(common)} mesh seeds are averaged within each block first"
-        return SeedDesign(SeedRole.AVERAGED, common, left, why + _left_out(left))
-    if shared:
-        why = f"the {len(common)} mesh seeds are common to all cells, so they are blocks"
-        return SeedDesign(SeedRole.BLOCKS, common, left, why + _left_out(left))
-    why = "mesh seeds differ between cells: replicates, pooled within cells"
-    return SeedDesign(SeedRole.WITHIN_CELLS, common, (), why)
-
-
-def _left_out(seeds: tuple[str, ...]) -> str:
-    if not seeds:
-        return ""
-    return f"; missing in some cell and left out everywhere: {', '.join(seeds)}"
+    common = tuple(s for s in labels if all(s in present for present in of_cell.values()))
+    if len(common) < 2 or 2 * len(common) < len(labels):
+        return (), "mesh seeds differ between cells: replicates, pooled within cells"
+    why = f"the {len(common)} mesh seeds are common to all cells, so they are blocks"
+    left = [s for s in labels if s not in common]
+    missing = f"; missing in some cell and left out everywhere: {', '.join(left)}" if left else ""
+    return common, why + missing

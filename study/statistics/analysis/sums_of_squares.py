@@ -143,10 +143,9 @@ def fitted(model: Factorization, y: Array) -> Factored:
     )
 
 
-def term_sums(fit: Factored, kind: str, skip: Sequence[Term] = ()) -> list[TermSum]:
-    """Sum of squares of every term but the intercept and ``skip``."""
-    terms = fit.matrix.terms
-    return [_term_sum(fit, i, kind) for i in range(1, len(terms)) if terms[i] not in skip]
+def term_sums(fit: Factored, kind: str) -> list[TermSum]:
+    """Sum of squares of every term but the intercept."""
+    return [_term_sum(fit, i, kind) for i in range(1, len(fit.matrix.terms))]
 
 
 def _term_sum(fit: Factored, i: int, kind: str) -> TermSum:
@@ -170,8 +169,6 @@ def term_row(
     s: TermSum, df: int, rss: float, total: float, error: str = "residual", *, partial: bool = False
 ) -> Row:
     """One line: a term against an error of ``df`` degrees of freedom and sum ``rss``."""
-    from scipy.special import fdtrc
-
     name = term_name(s.term)
     if s.df == 0:
         return Row(name, 0, 0.0)
@@ -180,21 +177,41 @@ def term_row(
         return Row(name, s.df, s.ss, ms)
     if s.df < s.nominal_df and not partial:
         return Row(name, s.df, s.ss, ms, error=error, df_error=df)
-    mse = rss / df
-    f = ms / mse
+    return row_of_test(name, (s.df, s.ss), (error, df, rss), total)
+
+
+def row_of_test(
+    name: str,
+    term: tuple[int, float],
+    error: tuple[str, float, float],
+    total: float,
+    epsilon: float | None = None,
+    approximate: tuple[float, float] | None = None,
+) -> Row:
+    """Line of an F test: degrees of freedom and sum of squares of a term and of its error.
+
+    ``approximate`` holds F and the degrees of freedom of its error where they are not those of the
+    mean squares; ``epsilon`` corrects the degrees of freedom.
+    """
+    from scipy.special import fdtrc
+
+    (df, ss), (against, df_sum, ss_error) = term, error
+    ms_error = ss_error / df_sum
+    f, df_error = approximate or (ss / df / ms_error, df_sum)
+    corrected = None if epsilon is None else float(fdtrc(df * epsilon, df_error * epsilon, f))
     return Row(
         name,
-        s.df,
-        s.ss,
-        ms,
-        f,
-        float(fdtrc(s.df, df, f)),
-        error,
         df,
-        None,
-        None,
-        max(0.0, (s.ss - s.df * mse) / (total + mse)),
-        s.ss / (s.ss + rss),
+        ss,
+        ss / df,
+        f,
+        float(fdtrc(df, df_error, f)),
+        against,
+        df_error,
+        epsilon,
+        corrected,
+        max(0.0, (ss - df * ms_error) / (total + ms_error)),
+        ss / (ss + ss_error),
     )
 
 
@@ -247,17 +264,17 @@ def one_thread(function: Callable[P, R]) -> Callable[P, R]:
     return limited
 
 
-def eta_interval(row: Row, level: float = 0.95) -> tuple[float, float] | None:
-    """Interval of partial eta squared from the noncentral F (Smithson 2001).
+def eta_interval(row: Row) -> tuple[float, float] | None:
+    """95 % interval of partial eta squared from the noncentral F (Smithson 2001).
 
-    At the level 0.95 the noncentrality bounds lambda solve F(f; df1, df2, lambda) = 0.975 and
+    The noncentrality bounds lambda solve F(f; df1, df2, lambda) = 0.975 and
     0.025; eta = lambda / (lambda + df1 + df2 + 1).
     """
     if row.f is None or row.df_error is None or not 0 < row.f < 1e5:
         return None
     total = row.df + row.df_error + 1
     bounds = []
-    for q in ((1 + level) / 2, (1 - level) / 2):
+    for q in (0.975, 0.025):
         value = _noncentrality(row.f, row.df, row.df_error, q)
         if value is None:
             return None

@@ -189,16 +189,6 @@ def _one_df_contrasts(levels: Sequence[str]) -> Array:
     return np.asarray((q * np.sign(np.diag(r)))[:, 1:])
 
 
-def two_level_effects(layout: CellLayout, y: Array, terms: Sequence[Term]) -> dict[str, float]:
-    """Classical effects (mean at high minus mean at low) of a two-level factorial.
-
-    Shapes: y (n,).
-    """
-    names, contrasts = orthonormal_contrasts(layout, terms)
-    scaled = 2 * (contrasts.T @ (y - y[0])) / np.sqrt(y.size)
-    return dict(zip(names, scaled.tolist(), strict=True))
-
-
 def non_additivity(fit: Factored | TwoWayFit) -> NonAdditivityResult:
     """Tukey's one-degree test (Tukey 1949, Biometrics 5, 232-242) of any additive fit."""
     if fit.df_residual < 2:

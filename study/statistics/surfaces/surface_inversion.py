@@ -118,7 +118,10 @@ def agreeing(
     alone = ~(is_open[0] | is_open[1])
     loose_ones = np.array([j for j in search.free if not alone[j]], dtype=np.int64)
     told = search.combinations(at, rms, largest, loose_ones)
-    rules = tuple(rule for one in told if (rule := search.holding(one, points)) is not None)
+    # a profile follows the best settings; others agree as well, and a rule is for all of them
+    around = search.around()
+    agree = np.vstack([points, around[search.each_rms(around) <= largest]])
+    rules = tuple(rule for one in told if (rule := search.holding(one, agree)) is not None)
     return InversionAgreement(
         at, rms, largest, low, high, is_open[0], is_open[1], points, whole, rules
     )
@@ -148,12 +151,16 @@ class _Search:
         """Give the same, shape (n,), for points of shape (n, k)."""
         return np.asarray(np.sqrt(((self.model.value(points) - self.measured) ** 2).mean(axis=1)))
 
-    def minima(self) -> list[Array]:
-        """Points (k,) at which the sum of squares is least about them, the best one first."""
-        own = box_points(self.free.size, SAMPLE)
+    def around(self) -> Array:
+        """Points all over what was run, shape (SAMPLE, k)."""
         points = np.repeat(np.nan_to_num(self.held)[None, :], SAMPLE, axis=0)
         low, high = self.low[self.free], self.high[self.free]
-        points[:, self.free] = low + 0.5 * (own + 1.0) * (high - low)
+        points[:, self.free] = low + 0.5 * (box_points(self.free.size, SAMPLE) + 1) * (high - low)
+        return points
+
+    def minima(self) -> list[Array]:
+        """Points (k,) at which the sum of squares is least about them, the best one first."""
+        points = self.around()
         rest = points[np.argsort(self.each_rms(points))]
         found: list[Array] = []
         for _ in range(STARTS):
