@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from study.ground.curve import Curve
+from study.reporting.output.page import pages, prepare, printed
 from study.reporting.results.study_result import (
     Check,
     CurvePair,
@@ -303,3 +304,8 @@ def with_failures() -> ReportData:
         for row in table.loc[failed].itertuples()
     )
     return replace(data, table=table, failures=failures)
+
+
+def build(data: ReportData) -> str:
+    """Both pages of a report in one document."""
+    return printed(*pages(prepare(data)))

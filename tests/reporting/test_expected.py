@@ -9,8 +9,8 @@ import pytest
 from study.harness.design.spec import Expected
 from study.reporting.content import verdicts
 from study.reporting.content.report_facts import facts
-from study.reporting.output.page import build
 from study.reporting.results.study_result import ReportData
+from tests.reporting.example import build
 
 SCORE, MODULUS = "relative_rms_force_error", "mu0"
 BEST = {"material": "reduced-polynomial-3", "plates": "bonded"}

@@ -14,10 +14,11 @@ from study.reporting.content import analysis_content, sentences, tables
 from study.reporting.content.report_facts import cells, comparable, facts
 from study.reporting.content.text import folded
 from study.reporting.figures import effect_figures
-from study.reporting.output.page import Contents, build, policy_hash, prepare, render, table_script
+from study.reporting.output.page import Contents, pages, policy_hash, prepare, table_script
 from study.reporting.results.study_result import Check, Failure, ReportData, ResponseAnalysis
-from tests.reporting.example import FACTORS, with_failures
+from tests.reporting.example import FACTORS, build, with_failures
 
+FIRST = ["answer", "effects", "card", "curves", "recommendation"]
 SECTIONS = [
     "answer",
     "study",
@@ -30,7 +31,7 @@ SECTIONS = [
     "curves",
     "constants",
     "failures",
-    "recommendation",
+    "cost",
     "methods",
     "provenance",
     "glossary",
@@ -94,8 +95,8 @@ def only_our_script(html: str) -> bool:
 
 
 def is_local(link: str) -> bool:
-    """Whether a link leads to this page, or to a file in the folder of its data."""
-    return bool(re.fullmatch(r"#[\w-]+|[a-z0-9-]+-data/[a-z0-9.-]+", link))
+    """Whether a link leads to one of the two pages, or to a file in the folder of their data."""
+    return bool(re.fullmatch(r"#[\w-]+|[a-z0-9-]+-data/[a-z0-9.-]+|[a-z0-9-]+\.html", link))
 
 
 def test_a_second_script_would_be_found(html: str):
@@ -114,11 +115,14 @@ def test_an_unfinished_study_says_so_at_the_top(data: ReportData):
     assert page.index("Unfinished study") < page.index('id="answer"')
 
 
-def test_sections_stand_in_the_order_of_the_design(html: str):
-    assert re.findall(r'<section id="([^"]+)"', html) == SECTIONS
+def test_sections_stand_in_the_order_of_the_design(first: str, second: str):
+    assert re.findall(r'<section id="([^"]+)"', first) == FIRST
+    assert re.findall(r'<section id="([^"]+)"', second) == SECTIONS
 
 
-def test_page_is_self_contained_and_small(html: str):
+@pytest.mark.parametrize("which", ["first", "second"])
+def test_page_is_self_contained_and_small(which: str, request: pytest.FixtureRequest):
+    html = request.getfixturevalue(which)
     page = parsed(html)
     assert not page.tags & {"link", "img", "iframe", "object", "embed", "image"}
     assert only_our_script(html)
@@ -132,7 +136,9 @@ def test_page_is_self_contained_and_small(html: str):
     assert len(html.encode()) < 3_000_000
 
 
-def test_ids_are_unique_and_links_lead_somewhere(html: str):
+@pytest.mark.parametrize("which", ["first", "second"])
+def test_ids_are_unique_and_links_lead_somewhere(which: str, request: pytest.FixtureRequest):
+    html = request.getfixturevalue(which)
     page = parsed(html)
     assert len(page.ids) == len(set(page.ids))
     assert {link[1:] for link in page.links if link.startswith("#")} <= set(page.ids)
@@ -148,8 +154,8 @@ def test_no_number_is_longer_than_a_reader_can_use(html: str):
     assert not re.search(r"\bnan\b|\binf\b|\bNone\b(?!: all)", text)
 
 
-def test_same_data_give_the_same_bytes(contents: Contents, data: ReportData, html: str):
-    assert render(contents) == html
+def test_same_data_give_the_same_bytes(contents: Contents, data: ReportData, both: tuple[str, str]):
+    assert pages(contents) == both
     again = prepare(replace(data, responses=data.responses[:1], curves=()))
     first = [f.svg for f in contents.sections[0].figures.values()]
     assert [f.svg for f in again.sections[0].figures.values()] == first

@@ -11,7 +11,7 @@ from study.reporting.content import content_table, report_facts, sentences, verd
 from study.reporting.content.recommendation import best_cell, cheaper, recommendation, would_change
 from study.reporting.content.report_facts import Facts, Group, describe, facts, groups
 from study.reporting.figures import registry, residual_figures
-from study.reporting.output.page import prepare, render
+from study.reporting.output.page import pages, prepare, printed
 from study.reporting.results.study_result import Failure, ReportData, ResponseAnalysis
 from study.statistics.analysis.analysis_request import AnalysisRequest
 from study.statistics.analysis.analysis_result import (
@@ -186,7 +186,7 @@ def test_the_answer_names_levels_that_no_effect_covers(data: ReportData):
 
 def test_virtual_specimens_are_said_to_be_virtual(data: ReportData):
     virtual = replace(data, virtual=True)
-    assert "scatter of their generator" in render(prepare(replace(virtual, curves=())))
+    assert "scatter of their generator" in printed(*pages(prepare(replace(virtual, curves=()))))
     assert "real measurements" in would_change(virtual, facts(virtual))
 
 

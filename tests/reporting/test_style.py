@@ -11,9 +11,8 @@ import pytest
 
 from study.reporting.content import methods, sentences
 from study.reporting.content.report_facts import facts
-from study.reporting.output.page import build
 from study.reporting.results.study_result import Failure, ReportData
-from tests.reporting.example import unreplicated
+from tests.reporting.example import build, unreplicated
 
 #: what no sentence of a report says, and what it says instead
 NOT_USED = {

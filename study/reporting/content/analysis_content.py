@@ -388,7 +388,7 @@ def all_checks(data: ReportData, all_facts: Sequence[Facts]) -> tuple[Check, ...
                 _spread(facts, data.alpha),
                 *_sphericity(facts, data),
                 *_additivity(facts, data),
-                _resolution(facts, data),
+                *_resolution(facts, data),
                 *_fragile(facts, data),
             ]
         elif not data.surfaces:
@@ -419,7 +419,8 @@ def _surface(fitted: FittedSurface, data: ReportData) -> Check:
         return Check(name, "fail", clean(fitted.refused), "No verdict for this response.", of)
     q2 = fitted.found.model.q2
     if q2 >= GIVEN:
-        return Check(name, "pass", surface_content.accuracy(fitted), of=of)
+        use = "Between the runs its values may be used."
+        return Check(name, "pass", surface_content.accuracy(fitted), use, of)
     outcome = "caution" if q2 >= RANKED else "fail"
     return Check(name, outcome, surface_content.accuracy(fitted), "Add runs.", of)
 
@@ -434,7 +435,7 @@ def _normality(facts: Facts, alpha: float) -> Check:
     if normality.p_exact is not None:
         finding += f" ({p_phrase(normality.p_exact)})"
     if not rejected:
-        return Check(name, "pass", finding, of=facts.title)
+        return Check(name, "pass", finding, "The p-values may be read as they are.", facts.title)
     return Check(
         name,
         "caution",
@@ -465,7 +466,8 @@ def _spread(facts: Facts, alpha: float) -> Check:
         [f"{k.capitalize()} {p_phrase(verdicts.p_of(t))}" for k, t in applicable.items()]
     )
     if not against:
-        return Check(name, "pass", f"not rejected ({p_values})", of=facts.title)
+        finding = f"not rejected ({p_values})"
+        return Check(name, "pass", finding, "One error serves for all cells.", facts.title)
     return Check(
         name,
         "caution",
@@ -497,7 +499,7 @@ def _sphericity(facts: Facts, data: ReportData) -> list[Check]:
                 facts.title,
             )
         ]
-    return [Check(name, "pass", f"{finding}; the correction changes no decision", of=facts.title)]
+    return [Check(name, "pass", finding, "The correction changes no decision.", facts.title)]
 
 
 def _additivity(facts: Facts, data: ReportData) -> list[Check]:
@@ -508,7 +510,8 @@ def _additivity(facts: Facts, data: ReportData) -> list[Check]:
     name = f"No interaction between cell and {clean(data.block) or 'block'}"
     if p >= data.alpha:
         finding = f"not rejected by Tukey's one-degree test ({p_phrase(p)})"
-        return [Check(name, "pass", finding, of=facts.title)]
+        units = plural_of(clean(data.block) or "block")
+        return [Check(name, "pass", finding, f"Effects hold in all {units} alike.", facts.title)]
     return [
         Check(
             name,
@@ -521,17 +524,15 @@ def _additivity(facts: Facts, data: ReportData) -> list[Check]:
     ]
 
 
-def _resolution(facts: Facts, data: ReportData) -> Check:
+def _resolution(facts: Facts, data: ReportData) -> list[Check]:
+    """Whether mesh error leaves a verdict open; nothing for a table, which has no mesh."""
     name = "Effects resolved by the mesh"
     bounded = [effect for effect in facts.effects if effect.u_num is not None]
     if not bounded:
-        return Check(
-            name,
-            "not applicable",
-            "No numerical uncertainty is known.",
-            "Every claim holds at this mesh: the discretization was not examined.",
-            facts.title,
-        )
+        finding = "No numerical uncertainty is known."
+        mend = "Every claim holds at this mesh: the discretization was not examined."
+        none = Check(name, "not applicable", finding, mend, facts.title)
+        return [] if data.is_table else [none]
     open_ones = [effect for effect in facts.effects if effect.verdict == NOT_RESOLVED]
     if not open_ones:
         finding = f"mesh error, added to the interval, changes no verdict (of {len(bounded)})"
@@ -540,8 +541,9 @@ def _resolution(facts: Facts, data: ReportData) -> Check:
             finding += f"; no bound is known for {listing(unbounded)}"
             holds = "These verdicts hold" if len(unbounded) > 1 else "That verdict holds"
             mend = f"{holds} at this mesh; refine further."
-            return Check(name, "caution", finding, mend, facts.title)
-        return Check(name, "pass", finding, of=facts.title)
+            return [Check(name, "caution", finding, mend, facts.title)]
+        sure = "Finer meshes would change no verdict."
+        return [Check(name, "pass", finding, sure, facts.title)]
     needed = [
         f"below {bound(effect.u_needed, effect, facts)} for {term_name(effect.term, data.labels)}"
         for effect in open_ones
@@ -550,7 +552,7 @@ def _resolution(facts: Facts, data: ReportData) -> Check:
     named = listing([term_name(effect.term, data.labels) for effect in open_ones])
     finding = f"mesh error is too large to judge {named}; the measurements alone would suffice"
     mend = f"Refine: U would have to be {listing(needed)}." if needed else "Refine the mesh."
-    return Check(name, "caution", finding, mend, facts.title)
+    return [Check(name, "caution", finding, mend, facts.title)]
 
 
 def _fragile(facts: Facts, data: ReportData) -> list[Check]:
@@ -568,7 +570,8 @@ def _fragile(facts: Facts, data: ReportData) -> list[Check]:
     if not lost:
         many = {1: "the claim does", 2: "both claims do"}
         finding = many.get(len(judged), f"all {len(judged)} claims do")
-        return [Check(name, "pass", finding, of=facts.title)]
+        sure = f"No claim hangs on a single {facts.block}."
+        return [Check(name, "pass", finding, sure, facts.title)]
     claims = "it" if len(lost) == 1 else "them"
     more = f"Measure more {plural_of(facts.block)} before relying on {claims}."
     return [Check(name, "caution", listing(lost), more, facts.title)]

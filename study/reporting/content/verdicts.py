@@ -158,7 +158,7 @@ def robust(effect: Effect, facts: Facts) -> str:
         return ""
     if not effect.lost_without:
         return f"; so with any one {facts.block} left out"
-    return f"; fragile: the claim fails if {blocks_needed(effect, facts)} is left out"
+    return f"; the claim fails if {blocks_needed(effect, facts)} is left out"
 
 
 def blocks_needed(effect: Effect, facts: Facts) -> str:

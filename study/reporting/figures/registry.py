@@ -6,16 +6,15 @@ A figure that cannot be drawn never stops the report: the page says which one is
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from study.reporting.content import sentences
-from study.reporting.content.content_table import practical, size, size_interval
+from study.reporting.content.content_table import size
 from study.reporting.content.numbers import THIN, duration, p_phrase, quantity, share, significant
-from study.reporting.content.numbers import level as numbers_level
 from study.reporting.content.recommendation import cost_front
 from study.reporting.content.report_facts import Facts, practical_of
 from study.reporting.content.report_facts import cells as report_cells
@@ -38,6 +37,7 @@ from study.reporting.figures import (
     study_figures,
 )
 from study.reporting.results.study_result import ReportData
+from study.statistics.analysis.simple_effects import MATTERS, NO_DIFFERENCE
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -47,23 +47,6 @@ if TYPE_CHECKING:
 
 
 # Captions: each states what its figure shows, with numbers.
-
-
-def effects(facts: Facts, data: ReportData) -> str:
-    """Name the largest effect, and what the band is."""
-    estimated = [effect for effect in facts.effects if effect.range is not None]
-    if not estimated:
-        return ""
-    first = max(estimated, key=lambda e: abs((e.range or 0) - (1 if e.is_ratio else 0)))
-    limit = practical(first, facts)
-    text = f"{term_name(first.term, data.labels)} has the largest effect, {size(first, facts)}"
-    if first.low is not None:
-        text += f" ({numbers_level(facts.alpha)} interval {size_interval(first, facts)})"
-    if first.practical is not None:
-        text += f". Shaded: up to {limit}, which does not matter in practice"
-    if first.practical is not None and first.low is not None:
-        text += "; an interval wholly outside matters, one wholly inside does not"
-    return sentence(text)
 
 
 def means(facts: Facts, data: ReportData) -> str:
@@ -236,17 +219,7 @@ Drawn = tuple["pd.DataFrame", "Callable[[], Canvas]", str]
 
 
 def make(name: str, title: str, compute: Callable[[], Drawn]) -> Figure:
-    """Compute and draw one figure; any failure becomes its ``missing``.
-
-    Parameters
-    ----------
-    name : str
-        Prefix of the ids in the drawing, and part of the names of its files.
-    title : str
-        Heading, and accessible name of the drawing.
-    compute : callable
-        Returns the data, a function that draws them, and the caption.
-    """
+    """Compute and draw one figure; any failure becomes its ``missing``."""
     frame: pd.DataFrame | None = None
     try:
         frame, draw, caption = compute()
@@ -258,29 +231,12 @@ def make(name: str, title: str, compute: Callable[[], Drawn]) -> Figure:
 
 
 def of_response(data: ReportData, facts: Facts, without: Collection[str] = ()) -> dict[str, Figure]:
-    """Figures of one response by kind, but those ``without``; none where it was not analyzed.
-
-    Parameters
-    ----------
-    data : ReportData
-        Its factors, rows and depths.
-    facts : Facts
-        The response; its title and unit are shortened in the figures.
-    without : collection of str
-        Kinds that are not drawn, for example ``"cells"``.
-
-    Returns
-    -------
-    dict of str to Figure
-        ``effects``, ``means``, ``interactions``, ``cells``, ``residuals``, ``spread``,
-        ``contrasts``, ``depth``, ``front``: those that the response has data for.
-    """
+    """Figures of one response by kind, but those ``without``; none where it was not analyzed."""
     if not facts.terms:
         return {}
     facts = replace(facts, title=clean(facts.title, 60), unit=clean(facts.unit, 16))
     stem = slug(facts.name)
     makers: dict[str, tuple[str, Callable[[], Drawn]]] = {
-        "effects": ("Effects against what matters", lambda: _effects(data, facts)),
         "means": ("Main effects", lambda: _means(data, facts)),
         "interactions": ("Interactions", lambda: _interactions(data, facts)),
         "cells": ("Cells", lambda: _cells(data, facts)),
@@ -289,7 +245,7 @@ def of_response(data: ReportData, facts: Facts, without: Collection[str] = ()) -
     }
     if not any(effect.range is not None for effect in facts.terms):
         # the sentences say that nothing could be estimated
-        del makers["effects"], makers["means"]
+        del makers["means"]
     if facts.residuals is None or "residual" not in facts.residuals:
         # nothing is left over by a saturated model
         del makers["residuals"], makers["spread"]
@@ -309,23 +265,64 @@ def of_response(data: ReportData, facts: Facts, without: Collection[str] = ()) -
     }
 
 
+def overview(data: ReportData, all_facts: Sequence[Facts]) -> dict[str, Figure]:
+    """Figure of the first page: every effect against what matters; none without an effect."""
+    analyzed = [facts for facts in all_facts if facts.terms]
+    limited = [facts for facts in analyzed if any(e.practical is not None for e in facts.effects)]
+    # without a limit there is no common scale: the first response stands for itself
+    shown = limited or analyzed[:1]
+    if not any(effect.range is not None for facts in shown for effect in facts.terms):
+        return {}
+
+    def compute() -> Drawn:
+        frame = effect_figures.against_limits(shown, data.labels)
+        caption = _against_limits(frame, analyzed, shown)
+        return frame, lambda: effect_figures.draw_against_limits(frame, shown), caption
+
+    title = "Every effect against what matters" if limited else "Every effect"
+    return {"overview": make("overview", title, compute)}
+
+
+def _against_limits(frame: pd.DataFrame, analyzed: Sequence[Facts], shown: Sequence[Facts]) -> str:
+    """Count the effects on either side of what matters, and say what the marks are."""
+    if frame["limited"].all():
+        verdicts = frame.loc[frame["verdict"] != "", "verdict"].tolist()
+        large, small = verdicts.count(MATTERS), verdicts.count(NO_DIFFERENCE)
+        rest = len(verdicts) - large - small
+        parts = [
+            f"{number} of {count(len(verdicts), 'effect')} {words}"
+            for number, words in (
+                (large, f"matter{'s' * (large == 1)} (orange circle)"),
+                (small, f"{'is' if small == 1 else 'are'} too small to matter (green square)"),
+                (rest, "cannot be judged with these data (hollow)"),
+            )
+            if number
+        ]
+    else:
+        parts = ["no smallest difference that matters was given, so no effect has a verdict"]
+    if (frame["bound"] > 0).any():
+        parts.append("thin ends: mesh error")
+    left = [facts.title for facts in analyzed if facts not in shown]
+    if left:
+        parts.append(f"not drawn, on the second page: {listing(left)}")
+    return sentence("; ".join(parts))
+
+
+def renamed(figure: Figure, name: str) -> Figure:
+    """Copy of a figure under another name, which begins all ids of its drawing."""
+    svg = re.sub(rf'(id="|href="#|url\(#){re.escape(figure.name)}-', rf"\g<1>{name}-", figure.svg)
+    return replace(figure, name=name, svg=svg)
+
+
 def of_study(data: ReportData) -> dict[str, Figure]:
-    """Figures that belong to no single response.
-
-    Parameters
-    ----------
-    data : ReportData
-        Its curves, fits, markers, series of meshes, comparisons and failures are drawn.
-
-    Returns
-    -------
-    dict of str to Figure
-        ``curves``, ``constants``, ``markers``, ``convergence``, ``validation``, ``failures``: those
-        that the study has data for.
-    """
+    """Figures that belong to no single response."""
     figures: dict[str, Figure] = {}
     if data.curves:
         figures["curves"] = make("curves", "Measured and predicted force", lambda: _curves(data))
+        few = curve_figures.few_panels(data)
+        if few is not None:
+            title = "Measured and predicted force, a part"
+            figures["few-curves"] = make("few-curves", title, lambda: _drawn_curves(few, data))
     if any(fit.value is not None for fit in data.fits):
         figures["constants"] = make("constants", "Fitted constants", lambda: _constants(data))
     if any(fit["error_by_layer_mm"] for marker in data.markers for fit in marker.fits):
@@ -344,19 +341,7 @@ def of_study(data: ReportData) -> dict[str, Figure]:
 
 
 def of_recordings(frame: pd.DataFrame) -> Figure:
-    """Figure of the rows of a calibration as they were recorded, with their branches.
-
-    Parameters
-    ----------
-    frame : DataFrame
-        One row a recorded row; columns as in
-        :func:`study.reporting.figures.curve_figures.draw_recordings`.
-
-    Returns
-    -------
-    Figure
-        Drawing, data and caption.
-    """
+    """Figure of the rows of a calibration as they were recorded, with their branches."""
 
     def compute() -> Drawn:
         aside = frame[frame["set_aside"] != ""]
@@ -392,26 +377,8 @@ def _validation(data: ReportData) -> Drawn:
 
 
 def slug(text: str) -> str:
-    """File and id name made of letters, digits and hyphens alone.
-
-    Parameters
-    ----------
-    text : str
-        Name as a user wrote it.
-
-    Returns
-    -------
-    str
-        Of 48 characters at most; ``response`` where none is left.
-    """
+    """File and id name made of letters, digits and hyphens alone."""
     return re.sub(r"[^a-z0-9]+", "-", text.lower())[:48].strip("-") or "response"
-
-
-def _effects(data: ReportData, facts: Facts) -> Drawn:
-    frame = effect_figures.effect_sizes(facts, data.labels)
-    if frame.empty:
-        raise ValueError("no effect could be estimated")
-    return frame, lambda: effect_figures.draw_effect_sizes(frame, facts), effects(facts, data)
 
 
 def _depth(data: ReportData, facts: Facts) -> Drawn:
@@ -489,7 +456,10 @@ def _front(data: ReportData, facts: Facts) -> Drawn:
 
 
 def _curves(data: ReportData) -> Drawn:
-    panels = curve_figures.curve_panels(data)
+    return _drawn_curves(curve_figures.curve_panels(data), data)
+
+
+def _drawn_curves(panels: CurvePanels, data: ReportData) -> Drawn:
     return panels.frame, lambda: curve_figures.draw_curves(panels, data), curves(panels, data)
 
 

@@ -32,10 +32,12 @@ from study.reporting.content.numbers import MINUS, MISSING, THIN, TIMES
 from study.reporting.content.text import clean
 from study.reporting.figures.registry import Figure, slug
 from study.reporting.output.page import (
+    DETAILS,
     Contents,
     data_folder,
+    pages,
     prepare,
-    render,
+    printed,
     replace_bytes,
     replace_file,
     replace_packed,
@@ -133,10 +135,10 @@ def write(
 ) -> Path:
     """Write a report into a folder and return its main file.
 
-    The page is ``<name>.html``; beside it ``<name>-data/`` holds the CSV of every figure and
-    table, ``cases.csv`` (one row a case), ``curves.csv.gz`` (every measured and predicted
-    point) and ``numbers.json``, the statistics as the interface defines them: enough to compute
-    every figure again. Files are replaced whole, never left half written.
+    The pages are ``<name>.html`` and ``<name>-details.html``; beside them ``<name>-data/`` holds
+    the CSV of every figure and table, ``cases.csv`` (one row a case), ``curves.csv.gz`` (every
+    measured and predicted point) and ``numbers.json``, the statistics as the interface defines
+    them: enough to compute every figure again. Files are replaced whole, never left half written.
     """
     chosen = checked_formats(formats)
     folder = Path(out_dir)
@@ -154,14 +156,27 @@ def _written(contents: Contents, folder: Path, chosen: Sequence[str]) -> Path:
     if report_data.curves:
         replace_packed(files / "curves.csv.gz", _points(report_data.curves))
     write_figures(files, contents.all_figures)
-    html, latex, portable = (folder / f"{stem}.{suffix}" for suffix in ("html", "tex", "pdf"))
-    if "html" in chosen or "pdf" in chosen:
-        replace_file(html, render(contents))
+    write_pages(folder, stem, pages(contents), chosen)
     if "tex" in chosen:
-        replace_file(latex, _latex(contents))
-    if "pdf" in chosen:
-        print_page(html, portable)
+        replace_file(folder / f"{stem}.tex", _latex(contents))
     return main_file(folder, report_data.name, chosen)
+
+
+def write_pages(folder: Path, stem: str, html: tuple[str, str], chosen: Sequence[str]) -> None:
+    """Write the first page and the second, and both on paper where a PDF was chosen."""
+    if "html" in chosen or "pdf" in chosen:
+        for name, text in zip(page_names(stem), html, strict=True):
+            replace_file(folder / name, text)
+    if "pdf" in chosen:
+        with tempfile.TemporaryDirectory() as place:
+            both = Path(place, f"{stem}.html")
+            both.write_text(printed(*html), encoding="utf-8")
+            print_page(both, folder / f"{stem}.pdf")
+
+
+def page_names(stem: str) -> tuple[str, str]:
+    """Names of the first page of a report and of the second."""
+    return f"{stem}.html", f"{stem}{DETAILS}.html"
 
 
 def main_file(folder: Path, name: str, formats: Sequence[str]) -> Path:
@@ -421,9 +436,9 @@ def arithmetic_of(folder: Path, name: str) -> str:
 
 def _told(folder: Path, name: str, made_from: str) -> dict[str, str]:
     stem = slug(name)
-    pages = [folder / f"{stem}.{suffix}" for suffix in ("html", "tex", "pdf")]
+    names = (*page_names(stem), f"{stem}.tex", f"{stem}.pdf")
     data = [path for path in (folder / f"{stem}-data").rglob("*") if path.name != NAME]
-    files = _content(folder, [*pages, *data])
+    files = _content(folder, [*(folder / name for name in names), *data])
     return {"made_from": made_from, "files": files, "arithmetic": arithmetic()}
 
 

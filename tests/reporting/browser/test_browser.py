@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 from study.reporting.output import write
-from study.reporting.output.page import build
 from study.reporting.results.study_result import ReportData
 from tests.reporting.browser.devtools import Browser, running
+from tests.reporting.example import build
 from tests.reporting.test_page import hostile
 
 pytestmark = [
