@@ -334,8 +334,8 @@ def _identifiability(fits: Mapping[str, Mapping[str, Any]]) -> Check:
     if not vague:
         return Check("constants are identifiable", "pass", finding, "each has a meaning of its own")
     consequence = (
-        "in the others single constants have no meaning of their own; the force curves that they "
-        "draw together, and the initial shear modulus, have"
+        "a constant that the data do not determine has no meaning of its own; the force curve and "
+        "the initial shear modulus have"
     )
     return Check("constants are identifiable", "caution", finding, consequence)
 
@@ -385,7 +385,7 @@ def _controls(design: Design, records: tuple[Record, ...]) -> Iterator[Check]:
             if worst < 1e-10
             else f"differ by at most {worst:.1g} of their error"
         ),
-        f"{'nothing' if good else 'something'} but the factors differs between them",
+        f"{'nothing' if good else 'something'} other than the factors differs between them",
     )
 
 

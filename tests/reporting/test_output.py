@@ -138,6 +138,10 @@ def test_tex_has_no_command_of_a_user():
     made = write.table(Table("t", ("a_b", "n"), (("x&y", "1"),)), "50 %")
     assert r"a\_b & n \\" in made
     assert r"\begin{tabular}{lr}" in made
+    assert r"\label{tab:t}" in made
+    assert [rule for rule in ("toprule", "midrule", "bottomrule") if f"\\{rule}" in made] == [
+        "toprule", "midrule", "bottomrule",
+    ]  # fmt: skip
 
 
 def test_terminal_rows_have_one_width(data: ReportData):

@@ -10,12 +10,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from study.reporting.content import analysis_content, sentences, tables
+from study.reporting.content import analysis_content, front_page, sentences, tables
 from study.reporting.content.report_facts import cells, comparable, facts
 from study.reporting.content.text import folded
 from study.reporting.figures import effect_figures
 from study.reporting.output.page import Contents, pages, policy_hash, prepare, table_script
 from study.reporting.results.study_result import Check, Failure, ReportData, ResponseAnalysis
+from study.statistics.analysis.simple_effects import MATTERS
 from tests.reporting.example import FACTORS, build, with_failures
 
 FIRST = ["answer", "effects", "card", "curves", "recommendation"]
@@ -166,6 +167,44 @@ def test_every_figure_is_drawn_and_says_its_finding(contents: Contents):
     assert all(figure.caption and figure.data is not None for figure in contents.all_figures)
     names = [figure.name for figure in contents.all_figures]
     assert len(names) == len(set(names)) == 15
+
+
+def test_the_first_page_is_short_and_leads_to_the_second(first: str, second: str):
+    text = re.sub(r"<style>.*?</style>|<script>.*?</script>", "", first, flags=re.S)
+    assert len(" ".join(parsed(text).text).split()) <= 700
+    answer = first.partition('<section id="answer"')[2].partition("</section>")[0]
+    said = " ".join(parsed(answer).text)
+    assert 1 <= len(re.findall(r"[.?!](?=\s|$)", said)) <= 5
+    assert first.count("<figure") == 2  # effects, and curves against data
+    assert 'href="ecoflex-compression-details.html"' in first
+    assert 'href="ecoflex-compression.html"' in second
+
+
+def test_a_claim_that_hangs_on_one_block_says_so_in_the_answer(data: ReportData):
+    analyzed = facts(data)[0]
+    fragile = tuple(
+        replace(e, lost_without=("EF10_1",)) if e.verdict == MATTERS else e for e in analyzed.terms
+    )
+    (line, *_) = front_page.short_answer(data, [replace(analyzed, terms=fragile)])
+    assert "between extremes; not so if phantom EF10_1 is left out" in line
+
+
+def test_the_answer_has_five_sentences_at_most():
+    assert front_page.in_few(["A. B.", "", "C. D. E. F.", "G.", "H. I."]) == (
+        "A. B.",
+        "G.",
+        "H. I.",
+    )
+    assert front_page.in_few(["A. B. C. D. E. F."]) == ("A. B. C. D. E.",)
+
+
+def test_the_card_says_what_each_check_means(data: ReportData):
+    groups = analysis_content.grouped(analysis_content.all_checks(data, facts(data)))
+    card = front_page.report_card(groups, replace(data, warnings=("one",), data_notes=()))
+    assert [line.outcome for line in card] == [*(group.outcome for group in groups), "note"]
+    assert all(line.meaning.endswith(".") and line.name for line in card)
+    passed = next(line for line in card if line.name == "Residuals as from a normal distribution")
+    assert passed.meaning == "The p-values may be read as they are."
 
 
 def test_a_broken_figure_is_named_and_the_rest_survives(monkeypatch, data: ReportData):

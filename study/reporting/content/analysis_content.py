@@ -263,35 +263,39 @@ def against_reference(factor: str, comparisons: Comparisons, data: ReportData) -
     return Table(name, columns, rows, 1, 0, f"{comparisons.method}.", raw)
 
 
-def checks(analysis: AnalysisResult) -> Table | None:
-    """Statistic and p of every test of an assumption that applies."""
-    tests, rows = analysis.assumptions, []
+def checks(analysis: AnalysisResult, name: str = "tests of assumptions") -> Table | None:
+    """Statistic and p of every test of an assumption that ran."""
+    tests = analysis.assumptions
+    rows: list[tuple[str, str, float | None, str, str]] = []
     rj = tests.normality
     if rj is not None and rj.applicable:
-        tabled = str(rj.p_minitab).replace("0.", ".")
-        rows.append(
-            ("normality", "Ryan-Joiner", significant(rj.rj, 4), tabled, p_value(rj.p_exact))
-        )
+        several = len(tests.normality_rows)
+        together = several > 1 and rj.p_exact is not None
+        of = f"smallest of {several} contrasts, n = {rj.n}" if together else f"n = {rj.n}"
+        # the tabled p of one contrast would contradict the p of all of them
+        tabled = "" if together else str(rj.p_minitab).replace("0.", ".")
+        rows.append(("normality", f"Ryan-Joiner ({of})", rj.rj, tabled, p_value(rj.p_exact)))
     for test in (tests.anderson_darling, tests.shapiro_wilk):
         if test is not None and test.p is not None:
-            rows.append(("", test.name, significant(test.statistic, 4), p_value(test.p), ""))
-    for name, spread in tests.spread.items():
+            rows.append(("normality", test.name, test.statistic, p_value(test.p), ""))
+    for key, spread in tests.spread.items():
         if spread.applicable:
-            title = f"{name.capitalize()} (median)" if name == "levene" else name.capitalize()
-            numbers = significant(spread.statistic, 4), p_value(spread.p)
-            rows.append(("equal spread", title, *numbers, p_value(spread.p_monte_carlo)))
+            of = " (median)" if key == "levene" else ""
+            of += ", approximate" if spread.approximate else ""
+            p = p_value(spread.p), p_value(spread.p_monte_carlo)
+            rows.append(("equal spread", f"{key.capitalize()}{of}", spread.statistic, *p))
     tukey = tests.non_additivity
     if tukey is not None and tukey.p is not None:
-        rows.append(("additivity", "Tukey, one df", significant(tukey.f, 4), p_value(tukey.p), ""))
+        rows.append(("additivity", "Tukey, one df", tukey.f, p_value(tukey.p), ""))
     for term, sphere in tests.sphericity.items():
         if sphere.p is not None:
-            rows.append(("sphericity", f"Mauchly, {clean(term)}", significant(sphere.w, 4),
-                         p_value(sphere.p), ""))  # fmt: skip
+            rows.append(("sphericity", f"Mauchly, {clean(term)}", sphere.w, p_value(sphere.p), ""))
     if not rows:
         return None
     columns = ("assumption", "test", "statistic", "p", "p simulated")
+    shown = tuple((*row[:2], significant(row[2], 4), *row[3:]) for row in rows)
     raw = tuple(dict(zip(columns, row, strict=True)) for row in rows)
-    return Table("tests of assumptions", columns, tuple(rows), 2, 0, "", raw)
+    return Table(name, columns, shown, 2, 0, "", raw)
 
 
 def unusual(unusual_rows: UnusualObservations | None) -> Table | None:
@@ -428,8 +432,8 @@ def _surface(fitted: FittedSurface, data: ReportData) -> Check:
 def _normality(facts: Facts, alpha: float) -> Check:
     normality, name = facts.assumptions.normality, "Residuals as from a normal distribution"
     if normality is None or normality.rj is None:
-        finding = verdicts.normality(facts, alpha)
-        return Check(name, "not applicable", finding, of=facts.title)
+        reason = (normality and normality.reason) or "there are no residuals to test"
+        return Check(name, "not applicable", f"Ryan-Joiner: {reason}", of=facts.title)
     rejected = verdicts.rejects_normality(facts, alpha)
     finding = f"{'rejected' if rejected else 'not rejected'} by Ryan-Joiner"
     if normality.p_exact is not None:
@@ -447,12 +451,11 @@ def _normality(facts: Facts, alpha: float) -> Check:
     )
 
 
-def _untested(tests: Mapping[str, verdicts.SpreadTest], alpha: float) -> str:
-    """Why neither test of the spread applies, said once where both have one reason."""
-    reasons = {test.reason for test in tests.values()}
-    if len(tests) == 2 and len(reasons) == 1:
-        return f"neither Bartlett's nor Levene's test applies: {reasons.pop()}"
-    return " ".join(verdicts.spread(k, tests.get(k), alpha) for k in ("bartlett", "levene"))
+def _untested(tests: Mapping[str, verdicts.SpreadTest]) -> str:
+    """Why neither test of the spread applies."""
+    reasons = [reason for reason in dict.fromkeys(test.reason for test in tests.values()) if reason]
+    why = listing(reasons) if reasons else "they were not run"
+    return f"neither Bartlett's nor Levene's test applies: {why}"
 
 
 def _spread(facts: Facts, alpha: float) -> Check:
@@ -460,7 +463,7 @@ def _spread(facts: Facts, alpha: float) -> Check:
     tests = facts.assumptions.spread
     applicable = {k: t for k, t in tests.items() if t.statistic is not None}
     if not applicable:
-        return Check(name, "not applicable", _untested(tests, alpha), of=facts.title)
+        return Check(name, "not applicable", _untested(tests), of=facts.title)
     against = [k.capitalize() for k, t in applicable.items() if verdicts.rejects(t, alpha)]
     p_values = listing(
         [f"{k.capitalize()} {p_phrase(verdicts.p_of(t))}" for k, t in applicable.items()]
@@ -551,7 +554,9 @@ def _resolution(facts: Facts, data: ReportData) -> list[Check]:
     ]
     named = listing([term_name(effect.term, data.labels) for effect in open_ones])
     finding = f"mesh error is too large to judge {named}; the measurements alone would suffice"
-    mend = f"Refine: U would have to be {listing(needed)}." if needed else "Refine the mesh."
+    mend = (
+        f"Refine: mesh error would have to be {listing(needed)}." if needed else "Refine the mesh."
+    )
     return [Check(name, "caution", finding, mend, facts.title)]
 
 

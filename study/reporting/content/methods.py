@@ -180,7 +180,7 @@ def residual_tests(all_facts: Sequence[Facts], data: ReportData) -> str:
         for name, titles in ran.items()
     ]
     copies = ""
-    if any(f.distinct is not None and f.distinct < data.planned for f in analyzed):
+    if any(f.distinct and f.distinct < data.planned for f in analyzed):
         copies = ", with one of each group of cells that agree everywhere"
     return sentence(f"residuals were examined by {listing(parts)}{copies}")
 

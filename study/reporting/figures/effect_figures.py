@@ -421,7 +421,7 @@ _WORD_COLOR = {MATTERS: WORDS[1], NO_DIFFERENCE: WORDS[2]}
 #: interactions of a response that are drawn
 _MOST_INTERACTIONS = 3
 #: multiples of what matters up to which an axis is drawn to one scale
-_ONE_SCALE = 6.0
+_ONE_SCALE = 12.0
 
 
 def shown_effect_sizes(facts: Facts, labels: Mapping[str, str]) -> Canvas:
@@ -590,7 +590,7 @@ def _scale_of_multiples(
     low = float(min((frame["low"] - frame["bound"]).min(), frame["difference"].min(), -1.25))
     high = float(max((frame["high"] + frame["bound"]).max(), frame["difference"].max(), 1.6))
     if max(-low, high) > _ONE_SCALE:
-        ax.set_xscale("symlog", linthresh=1.0, linscale=0.8)
+        ax.set_xscale("symlog", linthresh=1.0, linscale=0.4)
         every = [0, *(sign * n * 10**k for sign in (-1, 1) for k in range(6) for n in (1, 2, 5))]
         ticks = [tick for tick in every if low * 1.05 <= tick <= high * 1.05]
         ticks = ticks if len(ticks) < 13 else [t for t in ticks if str(abs(t))[0] in "01"]

@@ -76,7 +76,7 @@ def prepare(report: AnalysisReport) -> page.Contents:
         anova=tables.anova(item, report.data) if item.rows else None,
         strata=None,
         figures=figures,
-        assumptions=page._assumptions(report.data, item),
+        assumptions=None,  # among the tables of the page
         cheaper="",
     )
     overview = registry.overview(report.data, (item,))
@@ -295,6 +295,8 @@ class AnswerPage:
     figures: Sequence[Figure]
     tables: Sequence[Table]
     warnings: Sequence[str] = ()
+    #: What ``--json`` prints, where it is written beside the page.
+    document: Mapping[str, object] | None = None
 
 
 def write_answer(page: AnswerPage, out_dir: str | Path) -> Path:
@@ -304,9 +306,12 @@ def write_answer(page: AnswerPage, out_dir: str | Path) -> Path:
     files = data_folder(folder, stem)
     write.write_figures(files, page.figures, drawn=False)
     write.write_tables(files, page.tables)
+    if page.document is not None:
+        numbers = json.dumps(page.document, indent=1, allow_nan=False)
+        replace_file(files / "numbers.json", numbers + "\n")
     text = _environment().get_template("answer.html.j2").render(
         kind=page.kind, name=clean(page.name), question=clean(page.question), answer=page.answer,
-        figures=page.figures, tables=page.tables, warnings=page.warnings,
+        figures=page.figures, tables=page.tables, warnings=[clean(line) for line in page.warnings],
     )  # fmt: skip
     replace_file(folder / f"{stem}.html", clean(text))
     return folder / f"{stem}.html"

@@ -63,7 +63,7 @@ class Section:
     anova: Table | None
     strata: Table | None
     figures: Mapping[str, Figure]
-    assumptions: tuple[str, ...]
+    assumptions: Table | None
     cheaper: str
 
 
@@ -188,24 +188,11 @@ def _section(data: ReportData, item: Facts) -> Section:
         anova=tables.anova(item, data) if item.rows else None,
         strata=strata if strata is not None and strata.rows else None,
         figures=registry.of_response(data, item),
-        assumptions=_assumptions(data, item),
+        assumptions=analysis_content.checks(item.result, f"tests of assumptions {item.name}")
+        if item.result
+        else None,
         cheaper=recommendation.cheaper(data, item),
     )
-
-
-def _assumptions(data: ReportData, item: Facts) -> tuple[str, ...]:
-    if not item.terms:
-        return ()
-    lines = [verdicts.normality(item, data.alpha)]
-    lines += [
-        verdicts.spread(test, item.assumptions.spread.get(test), data.alpha)
-        for test in ("bartlett", "levene")
-    ]
-    lines.append(verdicts.sphericity(item, data.labels))
-    additive = item.assumptions.non_additivity
-    if additive is not None and additive.p is not None:
-        lines.append(verdicts.additivity(additive, data))
-    return tuple(line for line in lines if line)
 
 
 def pages(contents: Contents) -> tuple[str, str]:
