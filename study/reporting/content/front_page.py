@@ -11,6 +11,7 @@ from study.reporting.content import (
     content_table,
     recommendation,
     sentences,
+    surface_content,
 )
 from study.reporting.content.analysis_content import CheckGroup
 from study.reporting.content.report_facts import Facts
@@ -89,7 +90,14 @@ def _card_line(group: CheckGroup) -> CardLine:
 
 def what_to_do(data: ReportData, all_facts: Sequence[Facts]) -> tuple[str, ...]:
     """Recommendation of every response that has a better end; why there is none otherwise."""
-    if data.is_table or (data.surfaces and not any(facts.terms for facts in all_facts)):
+    if data.surfaces and not any(facts.terms for facts in all_facts):
+        where = {surface_content.title(one, data): one for one in data.surfaces[:MOST_RESPONSES]}
+        return tuple(
+            sentence(f"{name}: {' '.join(ends)}")
+            for name, one in where.items()
+            if (ends := surface_content.extremes(one, data))
+        )
+    if data.is_table:
         return ()
     lines = tuple(
         recommendation.recommendation(data, facts)
