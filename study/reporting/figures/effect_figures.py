@@ -453,7 +453,7 @@ def against_limits(all_facts: Sequence[Facts], labels: Mapping[str, str]) -> pd.
                 "difference": _multiple(effect.range, effect),
                 "low": _multiple(effect.low, effect),
                 "high": _multiple(effect.high, effect),
-                "bound": _multiple_of_bound(effect),
+                "bound": (effect.u_num or 0.0) * effect.u_unit / _unit(effect),
                 "limited": effect.practical is not None,
                 "shown": _shown(effect, facts),
             }
@@ -488,9 +488,10 @@ def _deciding_setting(effect: Effect) -> SimpleEffect | None:
 
 
 def _unit(effect: Effect) -> float:
-    if effect.practical is None:
+    """Smallest difference that matters on the scale of the analysis; 1 without any."""
+    if not effect.practical:
         return 1.0
-    return math.log(effect.practical) if effect.is_ratio else effect.practical
+    return (math.log(effect.practical) if effect.is_ratio else effect.practical) or 1.0
 
 
 def _multiple(value: float | None, effect: Effect) -> float:
@@ -499,10 +500,6 @@ def _multiple(value: float | None, effect: Effect) -> float:
     if not effect.is_ratio:
         return value / _unit(effect)
     return math.log(value) / _unit(effect) if value > 0 else math.nan
-
-
-def _multiple_of_bound(effect: Effect) -> float:
-    return 0.0 if effect.u_num is None else effect.u_num * effect.u_unit / _unit(effect)
 
 
 def _shown(effect: Effect, facts: Facts) -> str:
@@ -559,15 +556,18 @@ def _rows_of(frame: pd.DataFrame, several: bool) -> tuple[list[int], list[tuple[
 
 
 def _mark_multiples(ax: Axes, frame: pd.DataFrame, places: Sequence[int]) -> None:
-    for row, place in zip(frame.itertuples(), places, strict=True):
-        verdict = str(row.verdict)
-        color = _VERDICT_COLOR.get(verdict, MUTED)
-        if row.bound > 0:
-            ax.hlines(place, row.low - row.bound, row.high + row.bound, colors=color, linewidth=0.8)
-        ax.hlines(place, row.low, row.high, colors=color, linewidth=2.6)
+    """Draw every interval, thinner where mesh error widens it, and the difference on it."""
+    at, verdicts = np.asarray(places), [str(verdict) for verdict in frame["verdict"]]
+    colors = [_VERDICT_COLOR.get(verdict, MUTED) for verdict in verdicts]
+    low, high, bound, size_of = (
+        frame[name].to_numpy(float) for name in ("low", "high", "bound", "difference")
+    )
+    ax.hlines(at, low - bound, high + bound, colors=colors, linewidth=0.8)
+    ax.hlines(at, low, high, colors=colors, linewidth=2.6)
+    for place, verdict, color, x in zip(places, verdicts, colors, size_of.tolist(), strict=True):
         ax.plot(
-            row.difference,
-            place,
+            [x],
+            [place],
             _VERDICT_MARKER.get(verdict, "o"),
             color=color,
             markerfacecolor=color if verdict in _VERDICT_MARKER else "white",
