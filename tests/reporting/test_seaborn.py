@@ -89,6 +89,15 @@ def test_effects_stand_at_their_multiples_of_what_matters(data: ReportData):
     assert row.difference == pytest.approx(math.log(last.range) / math.log(last.practical))
 
 
+def test_effects_without_an_interval_are_drawn_with_their_mesh_error(data: ReportData):
+    both = facts(data)
+    frame = effect_figures.against_limits(both, data.labels).assign(low=np.nan, high=np.nan)
+    (ax,) = effect_figures.draw_against_limits(frame, both).axes
+    assert np.isfinite(ax.get_xlim()).all()
+    (left, _), (right, _) = ax.collections[0].get_segments()[0]
+    assert right - left == pytest.approx(2 * frame["bound"][0])
+
+
 def test_cells(data: ReportData, error: Facts, used: list[str]):
     frame = effect_figures.cell_points(data, error)
     (ax,) = effect_figures.draw_cells(frame, error, 0.5).axes

@@ -562,6 +562,8 @@ def _mark_multiples(ax: Axes, frame: pd.DataFrame, places: Sequence[int]) -> Non
     low, high, bound, size_of = (
         frame[name].to_numpy(float) for name in ("low", "high", "bound", "difference")
     )
+    # without an interval there is still the mesh error about the difference itself
+    low, high = np.where(np.isnan(low), size_of, low), np.where(np.isnan(high), size_of, high)
     ax.hlines(at, low - bound, high + bound, colors=colors, linewidth=0.8)
     ax.hlines(at, low, high, colors=colors, linewidth=2.6)
     for place, verdict, color, x in zip(places, verdicts, colors, size_of.tolist(), strict=True):
@@ -587,8 +589,9 @@ def _scale_of_multiples(
         what = "log of the largest ratio" if facts.ratio else f"largest difference{unit}"
         ax.set_xlabel(f"{what} between levels, with {level(facts.alpha)} interval")
         return
-    low = float(min((frame["low"] - frame["bound"]).min(), frame["difference"].min(), -1.25))
-    high = float(max((frame["high"] + frame["bound"]).max(), frame["difference"].max(), 1.6))
+    ends = [frame[name].fillna(frame["difference"]) for name in ("low", "high")]
+    low = float(np.nanmin([*(ends[0] - frame["bound"]), *frame["difference"], -1.25]))
+    high = float(np.nanmax([*(ends[1] + frame["bound"]), *frame["difference"], 1.6]))
     if max(-low, high) > _ONE_SCALE:
         ax.set_xscale("symlog", linthresh=1.0, linscale=0.4)
         every = [0, *(sign * n * 10**k for sign in (-1, 1) for k in range(6) for n in (1, 2, 5))]
