@@ -589,9 +589,9 @@ def _scale_of_multiples(
         what = "log of the largest ratio" if facts.ratio else f"largest difference{unit}"
         ax.set_xlabel(f"{what} between levels, with {level(facts.alpha)} interval")
         return
-    ends = [frame[name].fillna(frame["difference"]) for name in ("low", "high")]
-    low = float(np.nanmin([*(ends[0] - frame["bound"]), *frame["difference"], -1.25]))
-    high = float(np.nanmax([*(ends[1] + frame["bound"]), *frame["difference"], 1.6]))
+    edges = [frame[name].fillna(frame["difference"]) for name in ("low", "high")]
+    low = float(np.nanmin([*(edges[0] - frame["bound"]), *frame["difference"], -1.25]))
+    high = float(np.nanmax([*(edges[1] + frame["bound"]), *frame["difference"], 1.6]))
     if max(-low, high) > _ONE_SCALE:
         ax.set_xscale("symlog", linthresh=1.0, linscale=0.4)
         every = [0, *(sign * n * 10**k for sign in (-1, 1) for k in range(6) for n in (1, 2, 5))]
