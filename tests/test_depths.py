@@ -12,11 +12,11 @@ import study
 from study.api.analyzing import effects_by_depth
 from study.api.records import effects_of_records
 from study.ground.curve import Curve
-from study.reporting.output.page import build
 from study.reporting.results.study_result import StudyResult
 from study.statistics.analysis.anova_table import Effect
 from study.statistics.convergence.grid_convergence import NumericalUncertainty
 from tests.cli.small import DESIGN, write_files
+from tests.reporting.example import build
 
 
 @pytest.fixture(scope="module")

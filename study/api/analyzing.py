@@ -218,6 +218,7 @@ def report_data(analysis: AnalysisResult, source: AnalysisSource) -> ReportData:
         scheme=f"a table of {len(rows):,} rows was analyzed",
         cells=len(analysis.data.cell_means),
         labels=labels,
+        is_table=True,
     )
 
 

@@ -281,7 +281,9 @@ def _checks(study: StudyResult) -> Iterator[Check]:
     """Make the checks that need the records."""
     done, missing = len(study.records) - study.failed, study.total - len(study.records)
     outcome = "pass" if not study.failed and not missing else "caution"
-    consequence = "" if outcome == "pass" else "cells that failed are not missing at random"
+    consequence = "no effect rests on a part of the cases"
+    if outcome != "pass":
+        consequence = "cells that failed are not missing at random"
     yield Check(
         "every case has an answer",
         outcome,
@@ -309,10 +311,10 @@ def _identifiability(fits: Mapping[str, Mapping[str, Any]]) -> Check:
     vague = [fit for fit in fits.values() if not fit["identifiable"]]
     finding = f"{len(fits) - len(vague)} of {len(fits)} calibrations determine every constant"
     if not vague:
-        return Check("constants are identifiable", "pass", finding)
+        return Check("constants are identifiable", "pass", finding, "each has a meaning of its own")
     consequence = (
-        "in the others single constants have no meaning of their own; the force curves that they "
-        "draw together, and the initial shear modulus, have"
+        "a constant that the data do not determine has no meaning of its own; the force curve and "
+        "the initial shear modulus have"
     )
     return Check("constants are identifiable", "caution", finding, consequence)
 
@@ -321,7 +323,8 @@ def _stability(fits: Mapping[str, Mapping[str, Any]]) -> Check:
     bad = [fit for fit in fits.values() if not fit.get("stable", True)]
     finding = f"{len(fits) - len(bad)} of {len(fits)} calibrations are stable over the range"
     if not bad:
-        return Check("constants are stable", "pass", finding)
+        use = "they may be used over the range of their test"
+        return Check("constants are stable", "pass", finding, use)
     return Check(
         "constants are stable",
         "caution",
@@ -363,7 +366,7 @@ def _controls(design: Design, records: tuple[Record, ...]) -> Iterator[Check]:
             if worst < 1e-10
             else f"differ by at most {worst:.1g} of their error"
         ),
-        "" if good else "something else than the factors differs between them",
+        f"{'nothing' if good else 'something'} other than the factors differs between them",
     )
 
 

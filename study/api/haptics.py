@@ -54,7 +54,8 @@ from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import Problem, Tables, problem_of
 from study.reporting.content.numbers import THIN, duration
 from study.reporting.figures.registry import slug
-from study.reporting.output.accuracy_page import shape_page, tracker_page, write_accuracy
+from study.reporting.output.accuracy_page import shape_page, tracker_page
+from study.reporting.output.analysis_page import write_answer
 from study.reporting.output.haptic_pages import warnings, write_force_law, write_requirement
 
 if TYPE_CHECKING:
@@ -541,7 +542,7 @@ def shape(
     if reports is None:
         return deviation
     return replace(
-        deviation, report=str(write_accuracy(shape_page(deviation), Path(reports) / slug(name)))
+        deviation, report=str(write_answer(shape_page(deviation), Path(reports) / slug(name)))
     )
 
 
@@ -593,5 +594,5 @@ def tracking(
     accuracy = judge_tracker(declared, data_root(source, data), default_name(str(source)))
     if reports is None:
         return accuracy
-    page = write_accuracy(tracker_page(accuracy), Path(reports) / slug(accuracy.name))
+    page = write_answer(tracker_page(accuracy), Path(reports) / slug(accuracy.name))
     return replace(accuracy, report=str(page))

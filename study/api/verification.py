@@ -30,6 +30,7 @@ from study.harness.runner.batch import run_batch
 from study.harness.runner.expansion import expand
 from study.harness.runner.fit_problem import Allowed
 from study.reporting.output import write
+from study.reporting.output.page import DETAILS
 
 #: relative difference of numbers that another processor or other libraries have added up
 OTHER_ARITHMETIC = 1e-9
@@ -126,9 +127,10 @@ def verify(
 def _page(path: Path, reports: Path) -> Path:
     """Page of a report, named by itself, by its folder, or by the study."""
     if os.path.isfile(path):  # of what may not be read nothing is known
-        return path.resolve()
+        return path.with_stem(path.stem.removesuffix(DETAILS)).resolve()
     for folder in (path, reports / path.name):
-        pages = sorted(folder.glob("*.html")) if os.path.isdir(folder) else []
+        written = sorted(folder.glob("*.html")) if os.path.isdir(folder) else []
+        pages = [p for p in written if not p.stem.endswith(DETAILS)]
         if len(pages) == 1:
             return pages[0].resolve()
     mend = "name a folder such as reports/NAME, or write the report: study report NAME"

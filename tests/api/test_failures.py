@@ -7,6 +7,7 @@ from pathlib import Path
 
 from study import api
 from study.reporting.results.study_result import StudyResult
+from tests.pages import both_pages
 from tests.runner.conftest import DESIGN, make_data
 
 CONSTANTS = {
@@ -48,7 +49,7 @@ def test_the_report_says_which_settings_fail_and_blames_no_factor_for_one_cell(
     found = run(tmp_path, stubborn)
     assert found.cases == {"total": 12, "done": 9, "failed": 3, "missing": 0}
     assert found.report is not None
-    page = found.report.read_text(encoding="utf-8")
+    page = both_pages(found.report)
     assert "Where cases fail: " in page
     assert "mooney-rivlin" in page
     assert "3 of 3; elsewhere 0 of 9." in page
@@ -68,7 +69,7 @@ def test_a_study_in_which_every_case_failed_has_a_report_that_says_so(tmp_path: 
     found = run(tmp_path, hopeless)
     assert found.cases["failed"] == 12
     assert found.report is not None, found.warnings
-    page = found.report.read_text(encoding="utf-8")
+    page = both_pages(found.report)
     assert "Every case failed (12 failed: ArithmeticError: no step was found)" in page
     assert "All 12 cases failed, so there is nothing to compare." in page
     assert "ArithmeticError: no step was found" in page

@@ -18,6 +18,7 @@ from study.mechanics.setup.geometry import Cylinder
 from study.mechanics.setup.setup import problem_of
 from study.mechanics.solver.finite_element_solution import solve
 from study.reporting.results.study_result import StudyResult
+from tests.pages import both_pages
 
 SPECIMEN = Cylinder(25.0, 30.0)
 HEAD = """
@@ -162,7 +163,7 @@ def test_pooled_noise_is_still_noise(noisy: StudyResult) -> None:
 
 def test_the_report_shows_each_fit_once_and_resumes(noisy: StudyResult) -> None:
     assert noisy.report is not None, noisy.warnings
-    page = noisy.report.read_text()
+    page = both_pages(noisy.report)
     assert "measurement noise, by bootstrap through the fit" in page
     assert noisy.total == 4 * 21
     assert len(noisy.plain) == 4

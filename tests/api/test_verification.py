@@ -128,7 +128,8 @@ def test_a_changed_digit_anywhere_is_found(finished, tmp_path):
     report = moved / "reports/verified"
     data = report / "verified-data"
     planted = {
-        "verified.html": (report / "verified.html", r"<td[^>]*>\d+\.\d+"),
+        "verified.html": (report / "verified.html", r"</header>(?s:.*?)>[^<]*?\d\.\d"),
+        "verified-details.html": (report / "verified-details.html", r"<td[^>]*>\d+\.\d+"),
         "cases.csv": (data / "cases.csv", r"\d\.\d+"),
         "figure": (next(iter(sorted(data.glob("figure-*cells.csv")))), r"\d\.\d+"),
         "numbers.json": (data / "numbers.json", r"\d\.\d{3}"),

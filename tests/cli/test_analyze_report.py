@@ -40,13 +40,17 @@ def records(folder: Path, name: str) -> list[dict[str, str]]:
 
 
 def test_the_page_answers_first_and_shows_every_part(battery: Path) -> None:
-    page = (battery / "out" / "battery-life-life.html").read_text(encoding="utf-8")
+    first = (battery / "out" / "battery-life-life.html").read_text(encoding="utf-8")
+    assert first.index('<section id="answer"') < first.index('<section id="effects"')
+    assert 'href="battery-life-life-details.html"' in first
+    assert first.count("<svg") == 1
+    page = (battery / "out" / "battery-life-life-details.html").read_text(encoding="utf-8")
     parts = ["answer", "data", "error", "anova", "means", "pairs", "residuals", "assumptions",
              "methods", "provenance"]  # fmt: skip
     places = [page.index(f'<section id="{part}"') for part in parts]
     assert places == sorted(places)
-    assert page.count("<svg") == 8
-    assert "Figure missing" not in page
+    assert page.count("<svg") == 7
+    assert "Figure missing" not in first + page
     assert "http://" not in page.replace("http://www.w3.org/", "")  # nothing is loaded
     for shown in ("10,684", "39,119", "9,613.8", "18,231", "76.52", "58.26",
                   "normal probability plot", "versus order", "RJ = 0.9868"):  # fmt: skip
@@ -108,7 +112,8 @@ def test_rows_have_press_and_cook(battery: Path) -> None:
 
 
 def test_the_line_to_reproduce_works_when_pasted(battery: Path) -> None:
-    page = (battery / "out" / "battery-life-life.html").read_text(encoding="utf-8")
+    written = battery / "out" / "battery-life-life-details.html"
+    page = written.read_text(encoding="utf-8")
     text = page[page.index("<pre>") + 5 : page.index("</pre>")]
     check, again = text.replace("&#39;", "'").replace("&amp;", "&").splitlines()
     done = subprocess.run(
@@ -116,11 +121,10 @@ def test_the_line_to_reproduce_works_when_pasted(battery: Path) -> None:
     )  # noqa: S602
     assert done.returncode == 0, done.stderr
     assert hashlib.sha256((battery / "battery_life.csv").read_bytes()).hexdigest() in check
-    before = (battery / "out" / "battery-life-life.html").read_bytes()
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(battery)
         assert study(*shlex.split(again)[1:]).code == 0
-    assert (battery / "out" / "battery-life-life.html").read_bytes() == before
+    assert written.read_text(encoding="utf-8") == page
 
 
 def test_json_names_the_page_and_other_formats_stand_beside(tmp_path: Path) -> None:
@@ -142,7 +146,7 @@ def test_blocks_have_residual_plots_too(tmp_path: Path) -> None:
     answer = study("analyze", TABLES / "blocked.csv", "--response", "y", "--factors", "a,b",
                    "--block", "s", "--report", tmp_path)  # fmt: skip
     assert answer.code == 0, answer.err
-    page = (tmp_path / "blocked-y.html").read_text(encoding="utf-8")
+    page = (tmp_path / "blocked-y-details.html").read_text(encoding="utf-8")
     assert "versus order" in page
     assert "No p of this page rests on them" in page
     with (tmp_path / "blocked-y-data" / "rows.csv").open(encoding="utf-8") as file:

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from tests.cli.small import incompressible_force, study
+from tests.pages import both_pages
 
 SCALES = {"A": 1.0, "B": 1.2, "C": 0.9, "D": 1.1, "E": 0.95}
 C10_KPA = 5.0
@@ -93,7 +94,7 @@ def test_a_score_is_that_of_the_other_specimens_and_a_constant_its_own(tmp_path:
         assert responses["mu0"]["value"] == pytest.approx(2 * C10_KPA * SCALES[gel], rel=1e-6)
     scored = {one["response"]: one["scored_on"] for one in said["verdicts"]}
     assert scored["relative_rms_force_error"] == "other specimen"
-    page = next((tmp_path / "reports").rglob("*.html")).read_text(encoding="utf-8")
+    page = both_pages(min((tmp_path / "reports").rglob("*.html"), key=lambda path: len(path.name)))
     assert "predicted by constants fitted to the other specimens" in page
 
 

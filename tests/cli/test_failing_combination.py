@@ -10,6 +10,7 @@ import pytest
 import study as public
 from study.reporting.results.study_result import StudyResult
 from tests.cli.test_confirming_runs import DESIGN
+from tests.pages import both_pages
 
 MATRIX = (
     DESIGN[: DESIGN.index("[factors]")].replace('name = "product"', 'name = "matrix"')
@@ -62,7 +63,7 @@ def test_good_cases_are_judged_and_no_sound_level_is_left_out(matrix: StudyResul
 
 def test_the_combination_that_fails_is_named(matrix: StudyResult) -> None:
     assert matrix.report is not None, matrix.warnings
-    page = matrix.report.read_text(encoding="utf-8")
+    page = both_pages(matrix.report)
     assert "What fails is the combination of element order quadratic and space 3d" in page
     assert "6 of 6; elsewhere 0 of 18" in page
     assert "levels differ in how often" not in page

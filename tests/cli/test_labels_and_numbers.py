@@ -12,6 +12,7 @@ from scipy.stats import qmc
 import study as public
 from study.ground.errors import InputError
 from tests.cli.small import study
+from tests.pages import both_pages
 
 #: times depth squared: what the second material adds to the force
 EXTRA = 0.35
@@ -61,7 +62,7 @@ def test_terminal_page_and_json_have_every_combination(
     assert "force at material neo-hookean" in shown.out
     assert "Force with material ogden is 2.4" in shown.out
     assert shown.err.count("1 run without a response left out") == 1
-    page = (tmp_path / "page" / "runs.html").read_text(encoding="utf-8")
+    page = both_pages(tmp_path / "page" / "runs.html")
     assert "How does force depend on material, tip, depth?" in page
     assert "Force with material ogden is 2.4" in page
     found = json.loads(study(*asked, "--json").out)["surfaces"]

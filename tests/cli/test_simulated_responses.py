@@ -173,5 +173,5 @@ def test_more_runs_of_a_simulation_are_not_advised(folder: Path) -> None:
     said = " ".join(found.out.split()).partition("What would change this?")[2][:400]
     assert "a refined mesh, which was not tried, could move every result" in said
     assert "replicate" not in said
-    page = (folder / "reports" / "alone" / "alone.html").read_text()
+    page = (folder / "reports" / "alone" / "alone-details.html").read_text()
     assert "none: every response is one of the simulation alone" in page

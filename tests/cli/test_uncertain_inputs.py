@@ -10,6 +10,7 @@ import pytest
 import study as public
 from study.ground.errors import InputError
 from tests.cli.test_numeric_factors import DESIGN
+from tests.pages import both_pages
 
 UNCERTAIN = """
 [uncertainty]
@@ -52,7 +53,7 @@ def test_the_distribution_is_that_of_the_closed_form(ran) -> None:  # type: igno
 
 
 def test_the_page_says_what_to_measure_better(ran) -> None:  # type: ignore[no-untyped-def]
-    page = ran.report.read_text()
+    page = both_pages(ran.report)
     assert "Uncertain inputs" in page
     assert "normal, mean 7 kPa, sd 0.4 kPa" in page
     assert "uniform, low 0.98 cm, high 1.02 cm" in page  # in the unit of the range

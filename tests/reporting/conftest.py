@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from study.reporting.output.page import Contents, prepare, render
+from study.reporting.output.page import Contents, pages, prepare, printed
 from study.reporting.results.study_result import ReportData
 from tests.reporting.example import example
 
@@ -20,5 +20,22 @@ def contents(data: ReportData) -> Contents:
 
 
 @pytest.fixture(scope="session")
-def html(contents: Contents) -> str:
-    return render(contents)
+def both(contents: Contents) -> tuple[str, str]:
+    """The first page and the second."""
+    return pages(contents)
+
+
+@pytest.fixture(scope="session")
+def first(both: tuple[str, str]) -> str:
+    return both[0]
+
+
+@pytest.fixture(scope="session")
+def second(both: tuple[str, str]) -> str:
+    return both[1]
+
+
+@pytest.fixture(scope="session")
+def html(both: tuple[str, str]) -> str:
+    """Both pages in one document."""
+    return printed(*both)

@@ -10,7 +10,8 @@ import numpy as np
 import pandas as pd
 
 from study.ground.curve import Curve
-from study.reporting.output.page import prepare, render
+from study.reporting.figures import registry
+from study.reporting.output.page import pages, prepare, printed
 from study.reporting.results.study_result import (
     Check,
     CurvePair,
@@ -44,8 +45,9 @@ CURL = {
 
 
 def undrawn(data: ReportData) -> str:
-    """Page without its drawings, which take most of the time."""
-    return render(prepare(data, drawn=False))
+    """Both pages in one document without their drawings, which take most of the time."""
+    with registry.data_alone():
+        return build(data)
 
 
 def example(**changes: Any) -> ReportData:
@@ -309,3 +311,8 @@ def with_failures() -> ReportData:
         for row in table.loc[failed].itertuples()
     )
     return replace(data, table=table, failures=failures)
+
+
+def build(data: ReportData) -> str:
+    """Both pages of a report in one document."""
+    return printed(*pages(prepare(data)))

@@ -9,7 +9,7 @@ from html import unescape
 import pytest
 
 from study.reporting.content import comparison_content
-from study.reporting.output.page import Contents, render
+from study.reporting.output.page import Contents, pages
 from study.reporting.output.page import prepare as prepare_page
 from study.reporting.results.study_answers import (
     DIFFERS,
@@ -58,7 +58,7 @@ def example(name: str = "second") -> Beside:
 @pytest.fixture(scope="module")
 def page(contents: Contents) -> str:
     """Page of the example with another study; its figures are drawn once for all tests."""
-    return render(with_beside(contents, example()))
+    return pages(with_beside(contents, example()))[1]
 
 
 def with_beside(contents: Contents, other: Beside) -> Contents:
@@ -153,7 +153,7 @@ def test_names_of_users_are_escaped(contents: Contents) -> None:
                     found=(found("matters", 1.0, EVIL), found("matters", 1.0, EVIL))),
         ),
     )  # fmt: skip
-    page = render(with_beside(contents, other))
+    page = pages(with_beside(contents, other))[1]
     # the one that sorts tables
     assert page.count("<script") == 1
     assert "<script>alert" not in page

@@ -19,10 +19,9 @@ from study.reporting.figures import (
     residual_figures,
     study_figures,
 )
-from study.reporting.output.page import build
 from study.reporting.results.study_result import CurvePair, ReportData
 from study.statistics.analysis.unreplicated import pseudo_standard_error
-from tests.reporting.example import unreplicated
+from tests.reporting.example import build, unreplicated
 
 
 def test_level_means_are_the_means_of_the_cells(data: ReportData):

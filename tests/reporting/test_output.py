@@ -26,22 +26,23 @@ from study.reporting.results.study_result import Check, ReportData
 
 
 @pytest.fixture
-def quick(monkeypatch, contents: page.Contents, html: str) -> None:
+def quick(monkeypatch, contents: page.Contents, both: tuple[str, str]) -> None:
     """Reuse the report of the session: these tests are about files."""
-    monkeypatch.setattr(write, "prepare", lambda *given, **options: contents)
-    monkeypatch.setattr(write, "render", lambda made: html)
+    monkeypatch.setattr(write, "prepare", lambda data, worker: contents)
+    monkeypatch.setattr(write, "pages", lambda made: both)
 
 
 @pytest.mark.usefixtures("quick")
-def test_writes_page_and_data_beside(tmp_path: Path, data: ReportData, html: str):
+def test_writes_pages_and_data_beside(tmp_path: Path, data: ReportData, both: tuple[str, str]):
     main = write.write(data, tmp_path / "new folder", ("csv", "tex", "html"))
     assert main == tmp_path / "new folder" / "ecoflex-compression.html"
-    assert main.read_text("utf-8") == html
+    written = (main, main.with_stem("ecoflex-compression-details"))
+    assert tuple(path.read_text("utf-8") for path in written) == both
     beside = main.parent / "ecoflex-compression-data"
     names = {path.name for path in beside.iterdir()}
     assert {"numbers.json", "cases.csv", "table-verdicts.csv", "figure-curves.csv"} <= names
     assert not [name for name in names if name.endswith(".part")]
-    linked = set(re.findall(r'href="ecoflex-compression-data/([^"]+)"', html))
+    linked = set(re.findall(r'href="ecoflex-compression-data/([^"]+)"', "".join(both)))
     assert "figure-curves.svg" in linked
     assert linked <= names
     numbers = json.loads((beside / "numbers.json").read_text())
@@ -138,6 +139,10 @@ def test_tex_has_no_command_of_a_user():
     made = write.table(Table("t", ("a_b", "n"), (("x&y", "1"),)), "50 %")
     assert r"a\_b & n \\" in made
     assert r"\begin{tabular}{lr}" in made
+    assert r"\label{tab:t}" in made
+    assert [rule for rule in ("toprule", "midrule", "bottomrule") if f"\\{rule}" in made] == [
+        "toprule", "midrule", "bottomrule",
+    ]  # fmt: skip
 
 
 def test_terminal_rows_have_one_width(data: ReportData):

@@ -10,14 +10,16 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from study.reporting.content import analysis_content, sentences, tables
+from study.reporting.content import analysis_content, front_page, sentences, tables
 from study.reporting.content.report_facts import cells, comparable, facts
 from study.reporting.content.text import folded
 from study.reporting.figures import effect_figures
-from study.reporting.output.page import Contents, build, policy_hash, prepare, render, table_script
+from study.reporting.output.page import Contents, pages, policy_hash, prepare, table_script
 from study.reporting.results.study_result import Check, Failure, ReportData, ResponseAnalysis
-from tests.reporting.example import FACTORS, undrawn, with_failures
+from study.statistics.analysis.simple_effects import MATTERS
+from tests.reporting.example import FACTORS, build, undrawn, with_failures
 
+FIRST = ["answer", "effects", "card", "curves", "recommendation"]
 SECTIONS = [
     "answer",
     "study",
@@ -30,7 +32,7 @@ SECTIONS = [
     "curves",
     "constants",
     "failures",
-    "recommendation",
+    "cost",
     "methods",
     "provenance",
     "glossary",
@@ -94,8 +96,8 @@ def only_our_script(html: str) -> bool:
 
 
 def is_local(link: str) -> bool:
-    """Whether a link leads to this page, or to a file in the folder of its data."""
-    return bool(re.fullmatch(r"#[\w-]+|[a-z0-9-]+-data/[a-z0-9.-]+", link))
+    """Whether a link leads to one of the two pages, or to a file in the folder of their data."""
+    return bool(re.fullmatch(r"#[\w-]+|[a-z0-9-]+-data/[a-z0-9.-]+|[a-z0-9-]+\.html", link))
 
 
 def test_a_second_script_would_be_found(html: str):
@@ -114,11 +116,14 @@ def test_an_unfinished_study_says_so_at_the_top(data: ReportData, html: str):
     assert page.index("Unfinished study") < page.index('id="answer"')
 
 
-def test_sections_stand_in_the_order_of_the_design(html: str):
-    assert re.findall(r'<section id="([^"]+)"', html) == SECTIONS
+def test_sections_stand_in_the_order_of_the_design(first: str, second: str):
+    assert re.findall(r'<section id="([^"]+)"', first) == FIRST
+    assert re.findall(r'<section id="([^"]+)"', second) == SECTIONS
 
 
-def test_page_is_self_contained_and_small(html: str):
+@pytest.mark.parametrize("which", ["first", "second"])
+def test_page_is_self_contained_and_small(which: str, request: pytest.FixtureRequest):
+    html = request.getfixturevalue(which)
     page = parsed(html)
     assert not page.tags & {"link", "img", "iframe", "object", "embed", "image"}
     assert only_our_script(html)
@@ -132,7 +137,9 @@ def test_page_is_self_contained_and_small(html: str):
     assert len(html.encode()) < 3_000_000
 
 
-def test_ids_are_unique_and_links_lead_somewhere(html: str):
+@pytest.mark.parametrize("which", ["first", "second"])
+def test_ids_are_unique_and_links_lead_somewhere(which: str, request: pytest.FixtureRequest):
+    html = request.getfixturevalue(which)
     page = parsed(html)
     assert len(page.ids) == len(set(page.ids))
     assert {link[1:] for link in page.links if link.startswith("#")} <= set(page.ids)
@@ -148,8 +155,8 @@ def test_no_number_is_longer_than_a_reader_can_use(html: str):
     assert not re.search(r"\bnan\b|\binf\b|\bNone\b(?!: all)", text)
 
 
-def test_same_data_give_the_same_bytes(contents: Contents, data: ReportData, html: str):
-    assert render(contents) == html
+def test_same_data_give_the_same_bytes(contents: Contents, data: ReportData, both: tuple[str, str]):
+    assert pages(contents) == both
     again = prepare(replace(data, responses=data.responses[:1], curves=()))
     first = [f.svg for f in contents.sections[0].figures.values()]
     assert [f.svg for f in again.sections[0].figures.values()] == first
@@ -160,6 +167,44 @@ def test_every_figure_is_drawn_and_says_its_finding(contents: Contents):
     assert all(figure.caption and figure.data is not None for figure in contents.all_figures)
     names = [figure.name for figure in contents.all_figures]
     assert len(names) == len(set(names)) == 15
+
+
+def test_the_first_page_is_short_and_leads_to_the_second(first: str, second: str):
+    text = re.sub(r"<style>.*?</style>|<script>.*?</script>", "", first, flags=re.S)
+    assert len(" ".join(parsed(text).text).split()) <= 700
+    answer = first.partition('<section id="answer"')[2].partition("</section>")[0]
+    said = " ".join(parsed(answer).text)
+    assert 1 <= len(re.findall(r"[.?!](?=\s|$)", said)) <= 5
+    assert first.count("<figure") == 2  # effects, and curves against data
+    assert 'href="ecoflex-compression-details.html"' in first
+    assert 'href="ecoflex-compression.html"' in second
+
+
+def test_a_claim_that_hangs_on_one_block_says_so_in_the_answer(data: ReportData):
+    analyzed = facts(data)[0]
+    fragile = tuple(
+        replace(e, lost_without=("EF10_1",)) if e.verdict == MATTERS else e for e in analyzed.terms
+    )
+    (line, *_) = front_page.short_answer(data, [replace(analyzed, terms=fragile)])
+    assert "between extremes; not so if phantom EF10_1 is left out" in line
+
+
+def test_the_answer_has_five_sentences_at_most():
+    assert front_page.in_few(["A. B.", "", "C. D. E. F.", "G.", "H. I."]) == (
+        "A. B.",
+        "G.",
+        "H. I.",
+    )
+    assert front_page.in_few(["A. B. C. D. E. F."]) == ("A. B. C. D. E.",)
+
+
+def test_the_card_says_what_each_check_means(data: ReportData):
+    groups = analysis_content.grouped(analysis_content.all_checks(data, facts(data)))
+    card = front_page.report_card(groups, replace(data, warnings=("one",), data_notes=()))
+    assert [line.outcome for line in card] == [*(group.outcome for group in groups), "note"]
+    assert all(line.meaning.endswith(".") and line.name for line in card)
+    passed = next(line for line in card if line.name == "Residuals as from a normal distribution")
+    assert passed.meaning == "The p-values may be read as they are."
 
 
 def test_a_broken_figure_is_named_and_the_rest_survives(monkeypatch, data: ReportData):
@@ -374,7 +419,7 @@ DRAWN = pytest.param(True, marks=[pytest.mark.slow, pytest.mark.verify])
 @pytest.mark.parametrize("drawn", [False, DRAWN])
 @pytest.mark.parametrize("evil", CORPUS, ids=range(len(CORPUS)))
 def test_hostile_names_are_shown_and_never_run(data: ReportData, evil: str, drawn: bool):
-    page = render(prepare(hostile(data, evil), drawn=drawn))
+    page = (build if drawn else undrawn)(hostile(data, evil))
     seen = parsed(page)
     assert not seen.tags & {"img", "iframe", "link"}
     assert only_our_script(page)

@@ -54,8 +54,9 @@ def test_the_answer_names_the_factors_by_what_they_do(ranged: Path) -> None:
     for told, own in zip(found.groups(), exact, strict=True):
         assert float(told) == pytest.approx(float(np.quantile(own, 0.95)), rel=0.02)
     assert "C10, radius and height matter" in answer
-    assert "Not analyzed" not in words
-    assert "<h2>Error term" not in (ranged / "ranges.html").read_text()
+    details = (ranged / "ranges-details.html").read_text()
+    assert "Not analyzed" not in details
+    assert "<h2>Error term" not in details
 
 
 def test_its_pictures_hold_the_closed_form(ranged: Path) -> None:
@@ -107,7 +108,8 @@ def test_a_table_has_the_same_page(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     )  # fmt: skip
     assert answer.code == 0, answer.err
     page = tmp_path / answer.json["report"]
-    words = _words(page)
+    assert "The largest prediction in these ranges is 80.2" in _words(page)
+    words = _words(page.with_stem(f"{page.stem}-details"))
     # published: 79.94 + .995 x1 + .515 x2 - 1.376 x1^2 - 1.001 x2^2 + .250 x1 x2, a maximum of
     # 80.21 at x1 = .389, x2 = .306 (87 minutes, 176.5 F)
     table = pd.read_csv(next(page.parent.glob("*-data/table-coefficients-yield.csv")))
@@ -132,9 +134,9 @@ def test_a_surface_that_cannot_rank_says_so(
     frame.to_csv("noise.csv", index=False)
     answer = study("analyze", "noise.csv", "--response", "y", "--numeric", "a,b", "--report", "out")
     assert answer.code == 0, answer.err
-    words = _words(tmp_path / "out" / "noise.html")
+    assert "fail Surface predicts runs left out" in _words(tmp_path / "out" / "noise.html")
+    words = _words(tmp_path / "out" / "noise-details.html")
     assert "do not carry an emulator that could rank the factors: add runs" in words
-    assert "fail Surface predicts runs left out" in words
 
 
 def test_a_format_without_a_page_is_refused(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -70,13 +71,31 @@ def test_main_effects(data: ReportData, error: Facts, used: list[str]):
     assert ax.get_xlabel() == ""
 
 
-def test_effect_sizes(data: ReportData, error: Facts, used: list[str]):
-    frame = effect_figures.effect_sizes(error, data.labels)
-    (ax,) = effect_figures.draw_effect_sizes(frame, error).axes
-    assert used == ["scatterplot"]
-    (drawn,) = points(ax)
-    assert drawn[:, 0].tolist() == frame["difference"].tolist()
-    assert drawn[:, 1].tolist() == list(range(len(frame)))
+def test_effects_stand_at_their_multiples_of_what_matters(data: ReportData):
+    both = facts(data)
+    frame = effect_figures.against_limits(both, data.labels)
+    (ax,) = effect_figures.draw_against_limits(frame, both).axes
+    drawn = [float(line.get_xdata()[0]) for line in ax.lines if line.get_marker() in ("o", "s")]
+    assert drawn == frame["difference"].tolist()
+    first = both[0].effects[0]
+    assert first.range is not None
+    assert first.practical is not None
+    assert frame["difference"][0] == pytest.approx(first.range / first.practical)
+    last = both[1].effects[0]  # of a log response: a ratio
+    assert last.range is not None
+    assert last.practical is not None
+    of_last = (frame["response"] == both[1].name) & (frame["term"] == last.term)
+    row = next(frame[of_last].itertuples())  # what follows is its deciding setting
+    assert row.difference == pytest.approx(math.log(last.range) / math.log(last.practical))
+
+
+def test_effects_without_an_interval_are_drawn_with_their_mesh_error(data: ReportData):
+    both = facts(data)
+    frame = effect_figures.against_limits(both, data.labels).assign(low=np.nan, high=np.nan)
+    (ax,) = effect_figures.draw_against_limits(frame, both).axes
+    assert np.isfinite(ax.get_xlim()).all()
+    (left, _), (right, _) = ax.collections[0].get_segments()[0]
+    assert right - left == pytest.approx(2 * frame["bound"][0])
 
 
 def test_cells(data: ReportData, error: Facts, used: list[str]):
@@ -133,10 +152,11 @@ def test_residuals(data: ReportData, error: Facts, used: list[str]):
     frame = residual_figures.diagnostic_residual_points(error)
     figure = residual_figures.draw_residuals(frame, error, data)
     _, fitted, histogram, factors = figure.axes
-    assert used == ["scatterplot", "histplot", "scatterplot"]
-    (drawn,) = points(fitted)
-    assert drawn.tolist() == frame[["fitted", "residual"]].to_numpy(float).tolist()
-    counts, edges = np.histogram(frame["residual"], bins="fd")
+    assert used == ["histplot", "scatterplot"]
+    (line,) = [one for one in fitted.lines if one.get_marker() == "o"]
+    assert line.get_xydata().tolist() == frame[["fitted", "residual"]].to_numpy(float).tolist()
+    sturges = math.ceil(1 + math.log2(len(frame)))
+    counts, edges = np.histogram(frame["residual"], bins=sturges)
     assert [bar.get_height() for bar in histogram.patches] == counts.tolist()
     assert [bar.get_x() for bar in histogram.patches] == pytest.approx(edges[:-1])
     (drawn,) = points(factors)

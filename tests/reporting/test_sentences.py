@@ -7,7 +7,14 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 
-from study.reporting.content import content_table, report_facts, sentences, verdicts
+from study.reporting.content import (
+    analysis_content,
+    content_table,
+    methods,
+    report_facts,
+    sentences,
+    verdicts,
+)
 from study.reporting.content.recommendation import best_cell, cheaper, recommendation, would_change
 from study.reporting.content.report_facts import Facts, Group, describe, facts, groups
 from study.reporting.figures import registry, residual_figures
@@ -31,6 +38,8 @@ from study.statistics.analysis.simple_effects import (
     ONE_SPECIMEN,
 )
 from tests.reporting.example import undrawn
+
+EMPTY = ReportData("none", "", {}, pd.DataFrame())
 
 
 def flat(text: str) -> str:
@@ -132,26 +141,54 @@ def test_not_estimable_keeps_its_reason():
 )
 def test_normality_is_rejected_or_not_rejected(exact, printed, rejected):
     found = RyanJoinerResult(0.9871, 30, printed, exact, 10_000, 1, True, "", "")
-    text = verdicts.normality(with_result(error(), Assumptions(normality=found)))
+    tested = with_result(error(), Assumptions(normality=found))
+    text = verdicts.normality_phrase(tested, 0.05)
     assert ("is rejected" in text) is rejected
     assert ("not rejected" in text) is not rejected
-    assert "RJ = 0.9871" in text
+    assert tested.result is not None
+    table = analysis_content.checks(tested.result)
+    assert table is not None
+    assert table.rows[0][:3] == ("normality", "Ryan-Joiner (n = 30)", "0.9871")
 
 
 def test_tests_that_do_not_apply_say_why():
-    assert verdicts.normality(error()) == (
-        "Ryan-Joiner: not applicable, there are no residuals to test."
-    )
     missing = BartlettResult(None, None, None, False, "group a has zero variance")
-    assert verdicts.spread("bartlett", missing) == (
-        "Bartlett: not applicable, group a has zero variance."
+    tested = replace(with_result(error(), Assumptions(bartlett=missing)), terms=(effect(MATTERS),))
+    found = {check.name: check for check in analysis_content.all_checks(EMPTY, (tested,))}
+    normal, spread = (
+        found[name]
+        for name in ("Residuals as from a normal distribution", "Equal spread of the cells")
     )
+    assert (normal.outcome, spread.outcome) == ("not applicable", "not applicable")
+    assert normal.finding == "Ryan-Joiner: there are no residuals to test"
+    assert spread.finding == (
+        "neither Bartlett's nor Levene's test applies: group a has zero variance"
+    )
+    assert tested.result is not None
+    assert analysis_content.checks(tested.result) is None
 
 
 def test_monte_carlo_p_decides_the_spread():
     found = LeveneResult(9.0, (3, 20), 0.03, True, p_monte_carlo=0.2)
-    assert "not rejected" in verdicts.spread("levene", found)
-    assert "p = .200" in verdicts.spread("levene", found)
+    assert not verdicts.rejects(found)
+    tested = replace(with_result(error(), Assumptions(levene=found)), terms=(effect(MATTERS),))
+    (check,) = [
+        item for item in analysis_content.all_checks(EMPTY, (tested,)) if "spread" in item.name
+    ]
+    assert (check.outcome, check.finding) == ("pass", "not rejected (Levene p = .200)")
+
+
+def test_methods_name_the_tests_that_ran_and_no_other():
+    levene = LeveneResult(9.0, (3, 20), 0.03, True, p_monte_carlo=0.2)
+    missing = BartlettResult(None, None, None, False, "group a has zero variance")
+    tests = Assumptions(bartlett=missing, levene=levene)
+    one = replace(with_result(error(), tests), terms=(effect(MATTERS),))
+    none = replace(with_result(modulus(), Assumptions()), terms=(effect(MATTERS),))
+    assert methods.residual_tests((none,), EMPTY) == ""
+    text = "Residuals were examined by Levene's test of equal spread"
+    assert methods.residual_tests((one,), EMPTY) == f"{text}."
+    both = methods.residual_tests((one, none), EMPTY)
+    assert both == f"{text} (of the relative RMS force error)."
 
 
 def test_failures_are_said_plainly():

@@ -23,6 +23,7 @@ from study.harness.runner.study_refinement import own_series
 from study.harness.runner.virtual_specimens import usual_generator, write_virtual
 from study.statistics.convergence.contrast_bound import response_bounds
 from tests.forward.test_finite_element import DESIGN, finished
+from tests.pages import both_pages
 
 MESHES = 'material = ["neo-hookean", "reduced-polynomial-2"]\nmodel.mesh = ["fine", "coarse"{}]'
 RESPONSE = ("relative_rms_force_error", "%")
@@ -136,7 +137,7 @@ def test_each_effect_of_the_study_is_held_against_its_own_contrast(
     assert material.range == pytest.approx(abs(sum(apart) / 3))
     rows = {v["factor"]: v["u_num"] for v in study.to_json()["verdicts"]}
     assert rows["material"] == material.u_num
-    page = (report(study, reports=tmp_path).report or tmp_path).read_text(encoding="utf-8")
+    page = both_pages(report(study, reports=tmp_path).report or tmp_path)
     assert "U bounds the mesh error of the difference" in page
     again = analyze(results)
     assert [e.u_num for e in again.effects] == [e.u_num for e in response.result.effects]

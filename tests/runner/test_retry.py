@@ -23,6 +23,7 @@ from study.harness.runner.job import CaseTask, Work
 from study.harness.runner.refinement import refine
 from study.harness.runner.study_refinement import study_series
 from study.harness.runner.tasks import adapted, limit_of, processes
+from tests.pages import both_pages
 
 from .conftest import DESIGN, fake, make_data
 
@@ -195,7 +196,7 @@ def test_a_longer_limit_from_the_design_to_the_report(
     )  # fmt: skip
     assert found.cases == {"total": 4, "done": 4, "failed": 0, "missing": 0}
     assert found.report is not None
-    page = found.report.read_text(encoding="utf-8")
+    page = both_pages(found.report)
     assert "2 cases failed as designed and were computed with other settings" in page.replace(
         "\N{NO-BREAK SPACE}", " "
     )

@@ -263,35 +263,39 @@ def against_reference(factor: str, comparisons: Comparisons, data: ReportData) -
     return Table(name, columns, rows, 1, 0, f"{comparisons.method}.", raw)
 
 
-def checks(analysis: AnalysisResult) -> Table | None:
-    """Statistic and p of every test of an assumption that applies."""
-    tests, rows = analysis.assumptions, []
+def checks(analysis: AnalysisResult, name: str = "tests of assumptions") -> Table | None:
+    """Statistic and p of every test of an assumption that ran."""
+    tests = analysis.assumptions
+    rows: list[tuple[str, str, float | None, str, str]] = []
     rj = tests.normality
     if rj is not None and rj.applicable:
-        tabled = str(rj.p_minitab).replace("0.", ".")
-        rows.append(
-            ("normality", "Ryan-Joiner", significant(rj.rj, 4), tabled, p_value(rj.p_exact))
-        )
+        several = len(tests.normality_rows)
+        together = several > 1 and rj.p_exact is not None
+        of = f"smallest of {several} contrasts, n = {rj.n}" if together else f"n = {rj.n}"
+        # the tabled p of one contrast would contradict the p of all of them
+        tabled = "" if together else str(rj.p_minitab).replace("0.", ".")
+        rows.append(("normality", f"Ryan-Joiner ({of})", rj.rj, tabled, p_value(rj.p_exact)))
     for test in (tests.anderson_darling, tests.shapiro_wilk):
         if test is not None and test.p is not None:
-            rows.append(("", test.name, significant(test.statistic, 4), p_value(test.p), ""))
-    for name, spread in tests.spread.items():
+            rows.append(("normality", test.name, test.statistic, p_value(test.p), ""))
+    for key, spread in tests.spread.items():
         if spread.applicable:
-            title = f"{name.capitalize()} (median)" if name == "levene" else name.capitalize()
-            numbers = significant(spread.statistic, 4), p_value(spread.p)
-            rows.append(("equal spread", title, *numbers, p_value(spread.p_monte_carlo)))
+            of = " (median)" if key == "levene" else ""
+            of += ", approximate" if spread.approximate else ""
+            p = p_value(spread.p), p_value(spread.p_monte_carlo)
+            rows.append(("equal spread", f"{key.capitalize()}{of}", spread.statistic, *p))
     tukey = tests.non_additivity
     if tukey is not None and tukey.p is not None:
-        rows.append(("additivity", "Tukey, one df", significant(tukey.f, 4), p_value(tukey.p), ""))
+        rows.append(("additivity", "Tukey, one df", tukey.f, p_value(tukey.p), ""))
     for term, sphere in tests.sphericity.items():
         if sphere.p is not None:
-            rows.append(("sphericity", f"Mauchly, {clean(term)}", significant(sphere.w, 4),
-                         p_value(sphere.p), ""))  # fmt: skip
+            rows.append(("sphericity", f"Mauchly, {clean(term)}", sphere.w, p_value(sphere.p), ""))
     if not rows:
         return None
     columns = ("assumption", "test", "statistic", "p", "p simulated")
+    shown = tuple((*row[:2], significant(row[2], 4), *row[3:]) for row in rows)
     raw = tuple(dict(zip(columns, row, strict=True)) for row in rows)
-    return Table("tests of assumptions", columns, tuple(rows), 2, 0, "", raw)
+    return Table(name, columns, shown, 2, 0, "", raw)
 
 
 def unusual(unusual_rows: UnusualObservations | None) -> Table | None:
@@ -388,7 +392,7 @@ def all_checks(data: ReportData, all_facts: Sequence[Facts]) -> tuple[Check, ...
                 _spread(facts, data.alpha),
                 *_sphericity(facts, data),
                 *_additivity(facts, data),
-                _resolution(facts, data),
+                *_resolution(facts, data),
                 *_fragile(facts, data),
             ]
         elif not data.surfaces:
@@ -419,7 +423,8 @@ def _surface(fitted: FittedSurface, data: ReportData) -> Check:
         return Check(name, "fail", clean(fitted.refused), "No verdict for this response.", of)
     q2 = fitted.found.model.q2
     if q2 >= GIVEN:
-        return Check(name, "pass", surface_content.accuracy(fitted), of=of)
+        use = "Between the runs its values may be used."
+        return Check(name, "pass", surface_content.accuracy(fitted), use, of)
     outcome = "caution" if q2 >= RANKED else "fail"
     return Check(name, outcome, surface_content.accuracy(fitted), "Add runs.", of)
 
@@ -427,14 +432,14 @@ def _surface(fitted: FittedSurface, data: ReportData) -> Check:
 def _normality(facts: Facts, alpha: float) -> Check:
     normality, name = facts.assumptions.normality, "Residuals as from a normal distribution"
     if normality is None or normality.rj is None:
-        finding = verdicts.normality(facts, alpha)
-        return Check(name, "not applicable", finding, of=facts.title)
+        reason = (normality and normality.reason) or "there are no residuals to test"
+        return Check(name, "not applicable", f"Ryan-Joiner: {reason}", of=facts.title)
     rejected = verdicts.rejects_normality(facts, alpha)
     finding = f"{'rejected' if rejected else 'not rejected'} by Ryan-Joiner"
     if normality.p_exact is not None:
         finding += f" ({p_phrase(normality.p_exact)})"
     if not rejected:
-        return Check(name, "pass", finding, of=facts.title)
+        return Check(name, "pass", finding, "The p-values may be read as they are.", facts.title)
     return Check(
         name,
         "caution",
@@ -446,12 +451,11 @@ def _normality(facts: Facts, alpha: float) -> Check:
     )
 
 
-def _untested(tests: Mapping[str, verdicts.SpreadTest], alpha: float) -> str:
-    """Why neither test of the spread applies, said once where both have one reason."""
-    reasons = {test.reason for test in tests.values()}
-    if len(tests) == 2 and len(reasons) == 1:
-        return f"neither Bartlett's nor Levene's test applies: {reasons.pop()}"
-    return " ".join(verdicts.spread(k, tests.get(k), alpha) for k in ("bartlett", "levene"))
+def _untested(tests: Mapping[str, verdicts.SpreadTest]) -> str:
+    """Why neither test of the spread applies."""
+    reasons = [reason for reason in dict.fromkeys(test.reason for test in tests.values()) if reason]
+    why = listing(reasons) if reasons else "they were not run"
+    return f"neither Bartlett's nor Levene's test applies: {why}"
 
 
 def _spread(facts: Facts, alpha: float) -> Check:
@@ -459,13 +463,14 @@ def _spread(facts: Facts, alpha: float) -> Check:
     tests = facts.assumptions.spread
     applicable = {k: t for k, t in tests.items() if t.statistic is not None}
     if not applicable:
-        return Check(name, "not applicable", _untested(tests, alpha), of=facts.title)
+        return Check(name, "not applicable", _untested(tests), of=facts.title)
     against = [k.capitalize() for k, t in applicable.items() if verdicts.rejects(t, alpha)]
     p_values = listing(
         [f"{k.capitalize()} {p_phrase(verdicts.p_of(t))}" for k, t in applicable.items()]
     )
     if not against:
-        return Check(name, "pass", f"not rejected ({p_values})", of=facts.title)
+        finding = f"not rejected ({p_values})"
+        return Check(name, "pass", finding, "One error serves for all cells.", facts.title)
     return Check(
         name,
         "caution",
@@ -497,7 +502,7 @@ def _sphericity(facts: Facts, data: ReportData) -> list[Check]:
                 facts.title,
             )
         ]
-    return [Check(name, "pass", f"{finding}; the correction changes no decision", of=facts.title)]
+    return [Check(name, "pass", finding, "The correction changes no decision.", facts.title)]
 
 
 def _additivity(facts: Facts, data: ReportData) -> list[Check]:
@@ -508,7 +513,8 @@ def _additivity(facts: Facts, data: ReportData) -> list[Check]:
     name = f"No interaction between cell and {clean(data.block) or 'block'}"
     if p >= data.alpha:
         finding = f"not rejected by Tukey's one-degree test ({p_phrase(p)})"
-        return [Check(name, "pass", finding, of=facts.title)]
+        units = plural_of(clean(data.block) or "block")
+        return [Check(name, "pass", finding, f"Effects hold in all {units} alike.", facts.title)]
     return [
         Check(
             name,
@@ -521,17 +527,15 @@ def _additivity(facts: Facts, data: ReportData) -> list[Check]:
     ]
 
 
-def _resolution(facts: Facts, data: ReportData) -> Check:
+def _resolution(facts: Facts, data: ReportData) -> list[Check]:
+    """Whether mesh error leaves a verdict open; nothing for a table, which has no mesh."""
     name = "Effects resolved by the mesh"
     bounded = [effect for effect in facts.effects if effect.u_num is not None]
     if not bounded:
-        return Check(
-            name,
-            "not applicable",
-            "No numerical uncertainty is known.",
-            "Every claim holds at this mesh: the discretization was not examined.",
-            facts.title,
-        )
+        finding = "No numerical uncertainty is known."
+        mend = "Every claim holds at this mesh: the discretization was not examined."
+        none = Check(name, "not applicable", finding, mend, facts.title)
+        return [] if data.is_table else [none]
     open_ones = [effect for effect in facts.effects if effect.verdict == NOT_RESOLVED]
     if not open_ones:
         finding = f"mesh error, added to the interval, changes no verdict (of {len(bounded)})"
@@ -540,8 +544,9 @@ def _resolution(facts: Facts, data: ReportData) -> Check:
             finding += f"; no bound is known for {listing(unbounded)}"
             holds = "These verdicts hold" if len(unbounded) > 1 else "That verdict holds"
             mend = f"{holds} at this mesh; refine further."
-            return Check(name, "caution", finding, mend, facts.title)
-        return Check(name, "pass", finding, of=facts.title)
+            return [Check(name, "caution", finding, mend, facts.title)]
+        sure = "Finer meshes would change no verdict."
+        return [Check(name, "pass", finding, sure, facts.title)]
     needed = [
         f"below {bound(effect.u_needed, effect, facts)} for {term_name(effect.term, data.labels)}"
         for effect in open_ones
@@ -549,8 +554,10 @@ def _resolution(facts: Facts, data: ReportData) -> Check:
     ]
     named = listing([term_name(effect.term, data.labels) for effect in open_ones])
     finding = f"mesh error is too large to judge {named}; the measurements alone would suffice"
-    mend = f"Refine: U would have to be {listing(needed)}." if needed else "Refine the mesh."
-    return Check(name, "caution", finding, mend, facts.title)
+    mend = (
+        f"Refine: mesh error would have to be {listing(needed)}." if needed else "Refine the mesh."
+    )
+    return [Check(name, "caution", finding, mend, facts.title)]
 
 
 def _fragile(facts: Facts, data: ReportData) -> list[Check]:
@@ -568,7 +575,8 @@ def _fragile(facts: Facts, data: ReportData) -> list[Check]:
     if not lost:
         many = {1: "the claim does", 2: "both claims do"}
         finding = many.get(len(judged), f"all {len(judged)} claims do")
-        return [Check(name, "pass", finding, of=facts.title)]
+        sure = f"No claim hangs on a single {facts.block}."
+        return [Check(name, "pass", finding, sure, facts.title)]
     claims = "it" if len(lost) == 1 else "them"
     more = f"Measure more {plural_of(facts.block)} before relying on {claims}."
     return [Check(name, "caution", listing(lost), more, facts.title)]

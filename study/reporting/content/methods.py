@@ -27,7 +27,7 @@ def paragraph(data: ReportData, all_facts: Sequence[Facts]) -> str:
     parts += [surface_content.method(surface, data) for surface in data.surfaces]
     parts += [
         _intervals(data, all_facts),
-        _checks(all_facts),
+        residual_tests(all_facts, data),
         _numerics(data, all_facts),
         _software(data),
     ]
@@ -153,13 +153,36 @@ def _corrected(facts: Facts) -> str:
     return "Welch-Box over groups" if "Welch-Box" in reason else "Greenhouse-Geisser corrected"
 
 
-def _checks(all_facts: Sequence[Facts]) -> str:
-    if not any(facts.result is not None for facts in all_facts):
+def residual_tests(all_facts: Sequence[Facts], data: ReportData) -> str:
+    """Name the tests of the residuals that ran, each with the responses that it ran for."""
+    analyzed = [facts for facts in all_facts if facts.terms]
+    ran: dict[str, list[str]] = {}
+    for facts in analyzed:
+        tests = facts.assumptions
+        additivity = tests.non_additivity
+        names = {
+            "the Ryan-Joiner test of normality": tests.normality is not None
+            and tests.normality.rj is not None,
+            **{
+                f"{name.capitalize()}'s test of equal spread": test.statistic is not None
+                for name, test in tests.spread.items()
+            },
+            "Tukey's test of additivity": additivity is not None and additivity.p is not None,
+            "Mauchly's test of sphericity": any(s.p is not None for s in tests.sphericity.values()),
+        }
+        for name, has_run in names.items():
+            if has_run:
+                ran.setdefault(name, []).append(facts.title)
+    if not ran:
         return ""
-    return (
-        "Residuals were examined by the Ryan-Joiner test (p simulated for the model matrix), by "
-        "Bartlett's and Levene's tests, using one cell of each distinct computation."
-    )
+    parts = [
+        name if len(titles) == len(analyzed) else f"{name} (of the {listing(titles)})"
+        for name, titles in ran.items()
+    ]
+    copies = ""
+    if any(f.distinct and f.distinct < data.planned for f in analyzed):
+        copies = ", with one of each group of cells that agree everywhere"
+    return sentence(f"residuals were examined by {listing(parts)}{copies}")
 
 
 def _numerics(data: ReportData, all_facts: Sequence[Facts]) -> str:

@@ -23,7 +23,7 @@ from study.reporting.content.text import (
     sentence,
     term_name,
 )
-from study.reporting.content.verdicts import setting, sole_setting
+from study.reporting.content.verdicts import blocks_needed, setting, sole_setting
 from study.reporting.results.study_result import FITTED_CURVE, Failure, ReportData
 from study.statistics.analysis.anova_table import Effect, ErrorTerm
 from study.statistics.analysis.simple_effects import (
@@ -54,12 +54,12 @@ def answer(data: ReportData, all_facts: Sequence[Facts]) -> tuple[str, ...]:
             return surface_content.surface_answer(data)
         return ("No response could be analyzed; the reasons stand below.",)
     first = [
-        *(_which(data, facts) for facts in all_facts if facts.terms),
-        *_left_out(data, all_facts),
+        *(verdicts_of(data, facts) for facts in all_facts if facts.terms),
+        *left_out(data, all_facts),
     ]
     parts = (
         " ".join(text for text in first if text),
-        _without_verdict(all_facts),
+        without_verdict(all_facts),
         *content_table.by_condition(data, all_facts),
         _one_not_other(data, all_facts),
         recommendation.best_cell(data, all_facts),
@@ -82,7 +82,7 @@ def _all_failed(items: Sequence[Failure]) -> tuple[str, ...]:
     )
 
 
-def _without_verdict(all_facts: Sequence[Facts]) -> str:
+def without_verdict(all_facts: Sequence[Facts]) -> str:
     """Say which responses could not be analyzed."""
     titles = [facts.title for facts in all_facts if not facts.terms]
     if not titles:
@@ -90,7 +90,7 @@ def _without_verdict(all_facts: Sequence[Facts]) -> str:
     return f"There is no verdict on the {listing(titles)}: the checks say why."
 
 
-def _left_out(data: ReportData, all_facts: Sequence[Facts]) -> list[str]:
+def left_out(data: ReportData, all_facts: Sequence[Facts]) -> list[str]:
     """Say which levels failed in too many of their cells to be compared with the others."""
     gone: dict[str, None] = {}
     for effect in (effect for facts in all_facts for effect in facts.effects):
@@ -101,7 +101,8 @@ def _left_out(data: ReportData, all_facts: Sequence[Facts]) -> list[str]:
     return [f"Left out, because {why}: {listing(list(gone))}."] if gone else []
 
 
-def _which(data: ReportData, facts: Facts) -> str:
+def verdicts_of(data: ReportData, facts: Facts) -> str:
+    """Say in one sentence which choices matter for a response, which do not, which is open."""
     named: dict[str, list[Effect]] = {
         MATTERS: [], NO_DIFFERENCE: [], NOT_RESOLVED: [], CANNOT_TELL: []
     }  # fmt: skip
@@ -116,7 +117,7 @@ def _which(data: ReportData, facts: Facts) -> str:
         several = len(named[MATTERS]) > 1
         parts.append(f"the choice{'s' * several} of {listed} matter{'s' * (not several)}")
     if named[NO_DIFFERENCE]:
-        names = listing([_label(e, data) for e in named[NO_DIFFERENCE]], "or")
+        names = listing([_with_doubt(e, facts, data) for e in named[NO_DIFFERENCE]], "or")
         choice = "that of" if parts else "the choice of"
         parts.append(f"{choice} {names} makes no practical difference")
     if named[NOT_RESOLVED]:
@@ -129,18 +130,33 @@ def _which(data: ReportData, facts: Facts) -> str:
         return ""
     fitted = facts.response.scored_on == FITTED_CURVE
     sample = " (of the curves that were fitted: a fit is no prediction)" if fitted else ""
-    return sentence(f"for the {facts.title}{sample}, " + "; ".join(parts))
+    title = facts.title if data.is_table else f"the {facts.title}"
+    return sentence(f"for {title}{sample}, " + "; ".join(parts))
 
 
 def _label(effect: Effect, data: ReportData) -> str:
     return term_name(effect.term, data.labels)
 
 
+def _with_doubt(effect: Effect, facts: Facts, data: ReportData) -> str:
+    """Name of a factor without practical difference, and what that claim hangs on."""
+    if not effect.lost_without:
+        return _label(effect, data)
+    needed = blocks_needed(effect, facts)
+    return f"{_label(effect, data)} (not shown if {needed} is left out)"
+
+
 def _to_reader(effect: Effect, facts: Facts, data: ReportData) -> str:
+    """Size of an effect that matters, and the blocks without which the claim falls."""
+    fragile = ""
+    if effect.lost_without:
+        fragile = f"; not so if {blocks_needed(effect, facts)} is left out"
     if simple := sole_setting(effect):
         number = shown_difference(content_table.apart(simple.difference, effect), effect, facts)
-        return f"{number} {setting(simple, data.labels)}; {size(effect, facts)} on average"
-    return size(effect, facts) if effect.is_ratio else f"{size(effect, facts)} between extremes"
+        at = setting(simple, data.labels)
+        return f"{number} {at}; {size(effect, facts)} on average{fragile}"
+    extremes = "" if effect.is_ratio else " between extremes"
+    return f"{size(effect, facts)}{extremes}{fragile}"
 
 
 def _magnitude(effect: Effect) -> float:
@@ -168,7 +184,7 @@ def _one_not_other(data: ReportData, all_facts: Sequence[Facts]) -> str:
         if seen[1].verdict == MATTERS and unseen[1].verdict != MATTERS
     ]
     if not contrasts:
-        return _interactions(data, all_facts)
+        return interactions(data, all_facts)
     # two claims say more than a claim and a doubt
     (where, unseen), (name, seen) = min(contrasts, key=lambda c: c[0][1].verdict != NO_DIFFERENCE)
     changed = f"the {titles[name].title} by {change(seen, titles[name])}"
@@ -180,7 +196,8 @@ def _one_not_other(data: ReportData, all_facts: Sequence[Facts]) -> str:
     return sentence(f"{choice} changes {changed}; whether it changes the {other} is not shown")
 
 
-def _interactions(data: ReportData, all_facts: Sequence[Facts]) -> str:
+def interactions(data: ReportData, all_facts: Sequence[Facts]) -> str:
+    """Say which factors do not act alone, or which may be chosen independently."""
     strong = [
         (facts, effect)
         for facts in all_facts
@@ -311,14 +328,10 @@ def distinct(facts: Facts, data: ReportData) -> str:
     total = data.planned
     if facts.distinct is None or facts.distinct >= total:
         return ""
-    only = (
-        "one is a distinct computation"
-        if facts.distinct == 1
-        else (f"{facts.distinct} are distinct computations")
-    )
+    differ = f"only {facts.distinct} differ" if facts.distinct > 1 else "none differs from another"
     return (
-        f"Of {count(total, 'cell')} only {only}: the others agree with one of them in every "
-        f"{clean(data.block) or 'block'}. Tests of the residuals use one cell of each."
+        f"Of {count(total, 'cell')} {differ}: the others give the same numbers in every "
+        f"{clean(data.block) or 'block'}, so tests of the residuals take one cell of each kind."
     )
 
 

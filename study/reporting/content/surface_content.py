@@ -193,16 +193,23 @@ def method(one: FittedSurface, data: ReportData) -> str:
     )
 
 
+def extremes(one: FittedSurface, data: ReportData) -> tuple[str, ...]:
+    """Smallest and largest prediction in the ranges, and where they are."""
+    found = one.found
+    if found is None:
+        return ()
+    return tuple(
+        f"The {word} prediction in these ranges is {_extreme(extreme, one)} at "
+        f"{settings(found.runs.settings(extreme.at), one, data)}."
+        for word, extreme in (("smallest", found.smallest), ("largest", found.largest))
+    )
+
+
 def surface_lines(one: FittedSurface, data: ReportData) -> tuple[str, ...]:
     """Sentences of the section of one surface: accuracy, extremes, what must still be run."""
     found = one.found
     if found is None:
         return (f"No surface: {clean(one.refused)}",)
-    ends = [
-        f"The {word} prediction in these ranges is {_extreme(extreme, one)} at "
-        f"{settings(found.runs.settings(extreme.at), one, data)}."
-        for word, extreme in (("smallest", found.smallest), ("largest", found.largest))
-    ]
     confirm = [
         f"That {name_of(item.factor, data.labels)} matters is claimed once these two were run: "
         + " and ".join(settings(found.runs.settings(at), one, data) for at in item.range.confirm)
@@ -214,7 +221,7 @@ def surface_lines(one: FittedSurface, data: ReportData) -> tuple[str, ...]:
         accuracy(one),
         *_shape(one, data),
         *differences(one, data),
-        *ends,
+        *extremes(one, data),
         *confirm,
         *uncertainty_lines(one, data),
     )

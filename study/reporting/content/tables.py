@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields
 from typing import TYPE_CHECKING
 
 from study.ground.canonical import plain
@@ -60,30 +61,11 @@ def fits(data: ReportData) -> Table:
 
     Units: data N.
     """
-    names = list(dict.fromkeys(name for fit in data.fits for name in fit.levels))
     groups: dict[tuple[str, str], list[FittedConstant]] = {}
     for fit in sorted(data.fits, key=lambda fit: (fit_rank(fit.levels, data), fit.constant)):
         groups.setdefault((fit_name(fit, data), clean(fit.constant)), []).append(fit)
     rows = [(*key, *_summary(items)) for key, items in groups.items()]
-    raw = tuple(
-        {
-            **{name: fit.levels.get(name) for name in names},
-            "block": fit.block,
-            "specimen": fit.specimen,
-            "constant": fit.constant,
-            "value": fit.value,
-            "unit": fit.unit,
-            "standard_error": fit.standard_error,
-            "low": fit.low,
-            "high": fit.high,
-            "identifiable": fit.identifiable,
-            "reason": fit.reason,
-            "residual_N": fit.residual_N,
-            "r_squared": fit.r_squared,
-            **{f"correlation with {k}": v for k, v in fit.correlated.items()},
-        }
-        for fit in data.fits
-    )
+    raw = tuple(_raw_fit(fit) for fit in data.fits)
     columns = (
         "fit",
         "constant",
@@ -95,6 +77,13 @@ def fits(data: ReportData) -> Table:
         "identifiable",
     )
     return Table("fits", columns, tuple(rows), 2, 0, raw=raw, grouped=True)
+
+
+def _raw_fit(fit: FittedConstant) -> dict[str, object]:
+    """Fields of a fitted constant, its levels and correlations in columns of their own."""
+    values = {item.name: getattr(fit, item.name) for item in fields(fit)}
+    correlated = {f"correlation with {k}": v for k, v in values.pop("correlated").items()}
+    return {**values.pop("levels"), **values, **correlated}
 
 
 def _summary(items: Sequence[FittedConstant]) -> tuple[str, ...]:

@@ -35,13 +35,15 @@ def count(number: int, noun: str, plural: str = "") -> str:
 
 
 def plural_of(noun: str) -> str:
-    """Plural of a noun; a name that is no plain word only gets its s.
+    """Plural of a noun; a name that is no plain word only gets its s, one letter has levels.
 
     Examples
     --------
     >>> plural_of("batch"), plural_of("phantom"), plural_of("assembly"), plural_of("day")
     ('batches', 'phantoms', 'assemblies', 'days')
     """
+    if len(noun) == 1:
+        return f"levels of {noun}"
     if noun.endswith(("s", "x", "z", "ch", "sh")):
         return noun + "es"
     if noun.endswith("y") and noun[-2:-1] not in tuple("aeiou"):

@@ -27,7 +27,6 @@ from study.reporting.content.numbers import (
     quantity,
     ratio_digits,
     rounded,
-    significant,
     span,
 )
 from study.reporting.content.report_facts import Facts, cells, practical_of
@@ -43,7 +42,7 @@ from study.statistics.analysis.simple_effects import (
 )
 
 if TYPE_CHECKING:
-    from study.statistics.analysis.unreplicated import NonAdditivityResult
+    pass
 
 
 Labels = Mapping[str, str] | None
@@ -158,7 +157,7 @@ def robust(effect: Effect, facts: Facts) -> str:
         return ""
     if not effect.lost_without:
         return f"; so with any one {facts.block} left out"
-    return f"; fragile: the claim fails if {blocks_needed(effect, facts)} is left out"
+    return f"; the claim fails if {blocks_needed(effect, facts)} is left out"
 
 
 def blocks_needed(effect: Effect, facts: Facts) -> str:
@@ -266,27 +265,6 @@ def normality_phrase(facts: Facts, alpha: float) -> str:
     return f"normality is {rejected} by Ryan-Joiner{p}"
 
 
-def normality(facts: Facts, alpha: float = 0.05) -> str:
-    """Ryan-Joiner in one sentence: rejected, not rejected or not applicable."""
-    test_result = facts.assumptions.normality
-    if test_result is None or test_result.rj is None:
-        reason = (test_result and test_result.reason) or "there are no residuals to test"
-        return sentence(f"Ryan-Joiner: not applicable, {reason}")
-    printed = str(test_result.p_minitab)
-    rows = len(facts.assumptions.normality_rows)
-    together = rows > 1 and test_result.p_exact is not None
-    named = f"smallest RJ of {rows} contrasts" if together else "RJ"
-    parts = [f"{named} = {test_result.rj:.4f}", f"n = {test_result.n}"]
-    if test_result.p_exact is not None:
-        whole = " for all of them together" if together else ""
-        parts.append(f"simulated {p_phrase(test_result.p_exact)}{whole}")
-    if not together:  # that of one contrast would contradict the p of all
-        parts.append("tabled p " + (printed if printed[0] in "<>" else f"= {printed}"))
-    decision = "rejected" if rejects_normality(facts, alpha) else "not rejected"
-    level = f"{100 * alpha:g}{THIN}%"
-    return f"Ryan-Joiner: normality of the residuals is {decision} at {level} ({', '.join(parts)})."
-
-
 def rejects(test: SpreadTest, alpha: float = 0.05) -> bool:
     """Whether a test rejects; a Monte-Carlo p decides where there is one."""
     p = p_of(test)
@@ -296,33 +274,6 @@ def rejects(test: SpreadTest, alpha: float = 0.05) -> bool:
 def p_of(test: SpreadTest) -> float | None:
     """Return the p of a test that decides: the Monte-Carlo one where there is one."""
     return test.p if test.p_monte_carlo is None else test.p_monte_carlo
-
-
-def spread(test: str, test_result: SpreadTest | None, alpha: float = 0.05) -> str:
-    """Bartlett or Levene in one sentence."""
-    title = test.capitalize()
-    if test_result is None or test_result.statistic is None:
-        reason = (test_result and test_result.reason) or "it was not run"
-        return sentence(f"{title}: not applicable, {reason}")
-    decision = "rejected" if rejects(test_result, alpha) else "not rejected"
-    rough = ", approximate" if test_result.approximate else ""
-    df = test_result.df if isinstance(test_result.df, tuple) else (test_result.df,)
-    shown = " and ".join(f"{part:g}" for part in df if part is not None)
-    return (
-        f"{title}: equal spread is {decision} at {100 * alpha:g}{THIN}% "
-        f"(statistic {significant(test_result.statistic)}, df {shown}, "
-        f"{p_phrase(p_of(test_result))}{rough})."
-    )
-
-
-def additivity(tukey: NonAdditivityResult, data: ReportData) -> str:
-    """Tukey's one-degree test in one sentence."""
-    rejected = tukey.p is not None and tukey.p < data.alpha
-    decision = "rejected" if rejected else "not rejected"
-    return (
-        f"Tukey's one-degree test: no interaction between cell and {clean(data.block) or 'block'}: "
-        f"{decision} (F = {significant(tukey.f)}, {p_phrase(tukey.p)})."
-    )
 
 
 def least_sphericity(facts: Facts) -> tuple[str, float] | None:
@@ -336,18 +287,6 @@ def least_sphericity(facts: Facts) -> tuple[str, float] | None:
         return None
     term = min(epsilons, key=lambda t: epsilons[t])
     return term, epsilons[term]
-
-
-def sphericity(facts: Facts, labels: Labels = None) -> str:
-    """Say how far the correlations between cells are from what an uncorrected F assumes."""
-    least = least_sphericity(facts)
-    if least is None:
-        return ""
-    term, epsilon = least
-    return (
-        f"The smallest Greenhouse-Geisser epsilon is {epsilon:.2f} "
-        f"({term_name(term, labels)}; 1 would be sphericity); every p is corrected by its own."
-    )
 
 
 # What was expected before the study ran, beside what it found.

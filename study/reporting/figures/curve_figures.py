@@ -304,7 +304,14 @@ class CurvePanels:
         return bool(end.max() < SAME_LENGTH * end.min())
 
 
-def curve_panels(data: ReportData) -> CurvePanels:
+def few_panels(data: ReportData) -> CurvePanels | None:
+    """One row of panels for the first page; None where all of them are no more than that."""
+    if len(curve_panels(data).panels) <= MOST_COLUMNS:
+        return None
+    return curve_panels(data, MOST_COLUMNS)
+
+
+def curve_panels(data: ReportData, most: int = MOST_PANELS) -> CurvePanels:
     """Choose the panels and sample every curve over the range of its own measurement.
 
     A factor that changes the measurement itself (its range) is drawn in panels, so that every
@@ -320,7 +327,7 @@ def curve_panels(data: ReportData) -> CurvePanels:
     levels = data.factors[panel] if panel else ("",)
     present = dict.fromkeys(pair.block for pair in pairs)
     blocks = [block for block in data.blocks if block in present] or list(present)
-    room = max(MOST_PANELS // len(levels), 1)
+    room = max(most // len(levels), 1)
     shown = [blocks[i] for i in np.unique(np.linspace(0, len(blocks) - 1, room).astype(int))]
     panels = tuple((block, level) for block in shown for level in levels)
     rows = [row for pair in chosen if pair.block in shown for row in _samples(pair, line, panel)]

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from study.reporting.content.content_table import size, size_interval
+from study.reporting.content.content_table import apart, shown_difference, size, size_interval
 from study.reporting.content.numbers import level, quantity, significant
 from study.reporting.content.report_facts import Facts, cells, comparable, describe, groups
 from study.reporting.content.text import clean, name_of, term_name
+from study.reporting.content.verdicts import setting, sole_setting
 from study.reporting.figures.axes import (
     BAND,
     DASHES,
@@ -19,6 +21,7 @@ from study.reporting.figures.axes import (
     MUTED,
     RULE,
     WIDTH_IN,
+    WORDS,
     at_right,
     canvas,
     clean_left,
@@ -30,6 +33,7 @@ from study.reporting.figures.axes import (
     wrap,
 )
 from study.reporting.results.study_result import ReportData
+from study.statistics.analysis.anova_table import Effect, SimpleEffect
 from study.statistics.analysis.simple_effects import MATTERS, NO_DIFFERENCE
 
 if TYPE_CHECKING:
@@ -408,105 +412,195 @@ def _lower_ticks(ax: Axes, levels: Sequence[str], last: bool) -> None:
     ax.tick_params(axis="x", labelsize=7)
 
 
-# Figures of effects: sizes against what matters, level means, interactions, cells.
-#
-# Compute, then draw: each ``draw_*`` takes the frame of its function, which is the figure's CSV.
+# The figure of the first page: every effect of every response against what matters.
 
 _VERDICT_COLOR = {MATTERS: "#D55E00", NO_DIFFERENCE: "#009E73"}
-
-
-def effect_sizes(facts: Facts, labels: Mapping[str, str]) -> pd.DataFrame:
-    """Largest difference of every term with its interval; factors first, then interactions."""
-    import pandas as pd
-
-    strong = [effect for effect in facts.interactions if effect.strength != NO_DIFFERENCE]
-    listed = [e for e in (*facts.effects, *strong[:6]) if e.range is not None]
-    return pd.DataFrame(
-        {
-            "term": [effect.term for effect in listed],
-            "name": [term_name(effect.term, labels) for effect in listed],
-            "difference": [effect.range for effect in listed],
-            "low": [effect.low for effect in listed],
-            "high": [effect.high for effect in listed],
-            "practical": [effect.practical for effect in listed],
-            "verdict": [effect.strength for effect in listed],
-        }
-    ).astype({"difference": float, "low": float, "high": float, "practical": float})
+#: marker of each verdict, so that it is not told by its color alone; hollow where nothing is shown
+_VERDICT_MARKER = {MATTERS: "o", NO_DIFFERENCE: "s"}
+_WORD_COLOR = {MATTERS: WORDS[1], NO_DIFFERENCE: WORDS[2]}
+#: interactions of a response that are drawn
+_MOST_INTERACTIONS = 3
+#: multiples of what matters up to which an axis is drawn to one scale
+_ONE_SCALE = 12.0
 
 
 def shown_effect_sizes(facts: Facts, labels: Mapping[str, str]) -> Canvas:
     """Draw the largest difference of every term as a notebook shows it."""
-    frame = effect_sizes(facts, labels)
-    if frame.empty:
+    frame = against_limits([facts], labels)
+    if frame.empty or frame["difference"].isna().all():
         raise ValueError("there is nothing to draw: no effect could be estimated")
     title = f"largest difference of every term: {facts.title}"
-    return shown(lambda: draw_effect_sizes(frame, facts), "effects", title)
+    return shown(lambda: draw_against_limits(frame, [facts]), "effects", title)
 
 
-def draw_effect_sizes(frame: pd.DataFrame, facts: Facts) -> Canvas:
-    """Draw one row a term: its largest difference and interval against the band."""
-    figure = canvas(WIDTH_IN, 0.85 + 0.34 * len(frame))
+def against_limits(all_facts: Sequence[Facts], labels: Mapping[str, str]) -> pd.DataFrame:
+    """Largest difference of every term in multiples of the smallest difference that matters.
+
+    Ratios are taken on the log. ``bound`` is the numerical error, added to both ends of the
+    interval before it is judged. Without a smallest difference that matters sizes are as they are.
+    """
+    import pandas as pd
+
+    rows = []
+    for facts in all_facts:
+        strong = [e for e in facts.interactions if e.strength == MATTERS or e.practical is None]
+        for effect in (*facts.effects, *strong[:_MOST_INTERACTIONS]):
+            row = {
+                "response": facts.name,
+                "term": effect.term,
+                "name": term_name(effect.term, labels),
+                "verdict": effect.strength if effect.practical is not None else "",
+                "difference": _multiple(effect.range, effect),
+                "low": _multiple(effect.low, effect),
+                "high": _multiple(effect.high, effect),
+                "bound": (effect.u_num or 0.0) * effect.u_unit / _unit(effect),
+                "limited": effect.practical is not None,
+                "shown": _shown(effect, facts),
+            }
+            rows.append(row)
+            if (simple := _deciding_setting(effect)) is not None:
+                ends = simple.ci_simultaneous or simple.ci or (math.nan, math.nan)
+                at = [_multiple(value, effect) for value in (simple.difference, *ends)]
+                if at[0] < 0:  # which level is the higher one does not matter here
+                    at = [-at[0], -at[2], -at[1]]
+                rows.append(
+                    row
+                    | {
+                        "name": setting(simple, labels),
+                        "difference": at[0],
+                        "low": at[1],
+                        "high": at[2],
+                        "bound": (simple.u or 0.0) * effect.u_unit / _unit(effect),
+                        "shown": shown_difference(apart(simple.difference, effect), effect, facts),
+                    }
+                )
+                rows[-2]["verdict"] = ""  # the setting has it, the average has not
+    return pd.DataFrame(rows)
+
+
+def _deciding_setting(effect: Effect) -> SimpleEffect | None:
+    """Return the setting that has the verdict where the average would have another."""
+    if effect.practical is None or not effect.depends_on_settings:
+        return None
+    if effect.verdict in (MATTERS, NO_DIFFERENCE):
+        return sole_setting(effect)
+    return effect.deciding_simple
+
+
+def _unit(effect: Effect) -> float:
+    """Smallest difference that matters on the scale of the analysis; 1 without any."""
+    if not effect.practical:
+        return 1.0
+    return (math.log(effect.practical) if effect.is_ratio else effect.practical) or 1.0
+
+
+def _multiple(value: float | None, effect: Effect) -> float:
+    if value is None or not math.isfinite(value):
+        return math.nan
+    if not effect.is_ratio:
+        return value / _unit(effect)
+    return math.log(value) / _unit(effect) if value > 0 else math.nan
+
+
+def _shown(effect: Effect, facts: Facts) -> str:
+    if effect.range is None:
+        return "no estimate"
+    ends = "" if effect.low is None else f"  [{size_interval(effect, facts)}]"
+    return f"{size(effect, facts)}{ends}"
+
+
+def draw_against_limits(frame: pd.DataFrame, all_facts: Sequence[Facts]) -> Canvas:
+    """Draw a row a term, the responses below each other, on the band of what does not matter."""
+    several = len(all_facts) > 1
+    places, heads = _rows_of(frame, several)
+    height = max(places) + 1
+    figure = canvas(WIDTH_IN, 0.75 + 0.27 * height)
     ax = figure.subplots()
-    zero = 1.0 if facts.ratio else 0.0
-    limits = frame["practical"].dropna()
-    if not limits.empty:
-        limit = float(limits.iloc[0])
-        below = 1 / limit if facts.ratio else -limit
-        ax.axvspan(below, limit, color=BAND, zorder=0)
-        ax.text(
-            zero,
-            1.0,
-            "no practical difference",
-            transform=ax.get_xaxis_transform(),
-            ha="center",
-            va="bottom",
-            color=MUTED,
-            fontsize=7.5,
-        )
-    ax.axvline(zero, color=MUTED, linewidth=0.7)
-    _mark_effects(ax, frame)
-    shown = {effect.term: effect for effect in facts.terms}
-    for place, term in enumerate(frame["term"]):
-        effect = shown[term]
-        ax.annotate(
-            size(effect, facts)
-            + (f"   [{size_interval(effect, facts)}]" if effect.low is not None else ""),
-            (1.0, place),
-            xycoords=ax.get_yaxis_transform(),
-            xytext=(6, 0),
-            textcoords="offset points",
-            va="center",
-            fontsize=8,
-            annotation_clip=False,
-        )
-    name_rows(ax, range(len(frame)), [wrap(name, 34) for name in frame["name"]], 8)
-    ax.set_ylim(len(frame) - 0.5, -0.6)
-    plain_ticks(ax, "x")
-    unit = f" ({facts.difference_unit})" if facts.difference_unit else ""
-    what = "ratio" if facts.ratio else f"difference{unit}"
-    ends = ""
-    if frame["low"].notna().any():
-        ends = f", with {level(facts.alpha)} simultaneous interval"
-    ax.set_xlabel(f"largest {what} between levels, {facts.title}{ends}")
+    limited = bool(frame["limited"].all())
+    if limited:
+        ax.axvspan(-1, 1, color="#e3e8ed", zorder=0)
+        ax.annotate("too small to matter", (0, 1.0), xycoords=ax.get_xaxis_transform(),
+                    xytext=(0, 3), textcoords="offset points", ha="center", color=MUTED,
+                    fontsize=7.5)  # fmt: skip
+    ax.axvline(0, color=MUTED, linewidth=0.7)
+    _mark_multiples(ax, frame, places)
+    by_name = {facts.name: facts for facts in all_facts}
+    names = list(frame["name"])
+    rows = [*zip(places, (wrap(name, 40, 80) for name in names), strict=True)]
+    for place, response in heads:
+        head = f"{clean(by_name[response].title, 60)}"
+        ax.annotate(head, (0, place), xycoords=ax.get_yaxis_transform(), xytext=(-3.5, 0),
+                    textcoords="offset points", ha="right", va="center", fontsize=8,
+                    fontweight="bold", annotation_clip=False)  # fmt: skip
+    name_rows(ax, [place for place, _ in rows], [name for _, name in rows], 8)
+    for place, verdict, words in zip(places, frame["verdict"], frame["shown"], strict=True):
+        at_right(ax, f"{verdict}:  {words}" if verdict else words, place, _WORD_COLOR.get(verdict))
+    ax.set_ylim(height - 0.4, -0.7)
+    _scale_of_multiples(ax, frame, limited, all_facts)
     clean_left(ax)
     return figure
 
 
-def _mark_effects(ax: Axes, frame: pd.DataFrame) -> None:
-    """Draw each difference on its interval, in the color of its verdict."""
-    import seaborn as sns
+def _rows_of(frame: pd.DataFrame, several: bool) -> tuple[list[int], list[tuple[int, str]]]:
+    """Place of every row, and of the name of every response above its rows."""
+    places: list[int] = []
+    heads: list[tuple[int, str]] = []
+    place = 0
+    for response, rows in frame.groupby("response", sort=False):
+        if several:
+            heads.append((place, str(response)))
+            place += 1
+        places += range(place, place + len(rows))
+        place += len(rows)
+    return places, heads
 
-    places = np.arange(len(frame))
-    colors = [_VERDICT_COLOR.get(verdict, MUTED) for verdict in frame["verdict"]]
-    ax.hlines(places, frame["low"], frame["high"], colors=colors, linewidth=2.2)
-    sns.scatterplot(
-        x=frame["difference"].to_numpy(),
-        y=places,
-        hue=colors,
-        palette={color: color for color in colors},
-        s=49,
-        linewidth=0,
-        zorder=3,
-        legend=False,
-        ax=ax,
+
+def _mark_multiples(ax: Axes, frame: pd.DataFrame, places: Sequence[int]) -> None:
+    """Draw every interval, thinner where mesh error widens it, and the difference on it."""
+    at, verdicts = np.asarray(places), [str(verdict) for verdict in frame["verdict"]]
+    colors = [_VERDICT_COLOR.get(verdict, MUTED) for verdict in verdicts]
+    low, high, bound, size_of = (
+        frame[name].to_numpy(float) for name in ("low", "high", "bound", "difference")
     )
+    # without an interval there is still the mesh error about the difference itself
+    low, high = np.where(np.isnan(low), size_of, low), np.where(np.isnan(high), size_of, high)
+    ax.hlines(at, low - bound, high + bound, colors=colors, linewidth=0.8)
+    ax.hlines(at, low, high, colors=colors, linewidth=2.6)
+    for place, verdict, color, x in zip(places, verdicts, colors, size_of.tolist(), strict=True):
+        ax.plot(
+            [x],
+            [place],
+            _VERDICT_MARKER.get(verdict, "o"),
+            color=color,
+            markerfacecolor=color if verdict in _VERDICT_MARKER else "white",
+            markersize=6.5,
+            markeredgewidth=1.4,
+        )
+
+
+def _scale_of_multiples(
+    ax: Axes, frame: pd.DataFrame, limited: bool, all_facts: Sequence[Facts]
+) -> None:
+    """Scale an axis of multiples; where they reach far, to one scale only up to what matters."""
+    facts = all_facts[0]
+    if not limited:
+        plain_ticks(ax, "x")
+        unit = f" ({facts.difference_unit})" if facts.difference_unit else ""
+        what = "log of the largest ratio" if facts.ratio else f"largest difference{unit}"
+        ax.set_xlabel(f"{what} between levels, with {level(facts.alpha)} interval")
+        return
+    edges = [frame[name].fillna(frame["difference"]) for name in ("low", "high")]
+    low = float(np.nanmin([*(edges[0] - frame["bound"]), *frame["difference"], -1.25]))
+    high = float(np.nanmax([*(edges[1] + frame["bound"]), *frame["difference"], 1.6]))
+    if max(-low, high) > _ONE_SCALE:
+        ax.set_xscale("symlog", linthresh=1.0, linscale=0.4)
+        every = [0, *(sign * n * 10**k for sign in (-1, 1) for k in range(6) for n in (1, 2, 5))]
+        ticks = [tick for tick in every if low * 1.05 <= tick <= high * 1.05]
+        ticks = ticks if len(ticks) < 13 else [t for t in ticks if str(abs(t))[0] in "01"]
+        ax.set_xticks(ticks, [f"{tick:g}".replace("-", "\N{MINUS SIGN}") for tick in ticks])
+        ax.minorticks_off()
+    else:
+        plain_ticks(ax, "x")
+    ax.set_xlim(low * 1.05, high * 1.06)
+    ends = f", with {level(facts.alpha)} interval" if frame["low"].notna().any() else ""
+    ax.set_xlabel(f"largest difference between levels, as a multiple of what matters{ends}")

@@ -6,17 +6,17 @@ A figure that cannot be drawn never stops the report: the page says which one is
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from study.reporting.content import sentences
-from study.reporting.content.content_table import practical, size, size_interval
+from study.reporting.content.content_table import size
 from study.reporting.content.numbers import THIN, duration, p_phrase, quantity, share, significant
-from study.reporting.content.numbers import level as numbers_level
 from study.reporting.content.recommendation import cost_front
 from study.reporting.content.report_facts import Facts, practical_of
 from study.reporting.content.report_facts import cells as report_cells
@@ -39,6 +39,7 @@ from study.reporting.figures import (
     study_figures,
 )
 from study.reporting.results.study_result import ReportData
+from study.statistics.analysis.simple_effects import MATTERS, NO_DIFFERENCE
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -48,23 +49,6 @@ if TYPE_CHECKING:
 
 
 # Captions: each states what its figure shows, with numbers.
-
-
-def effects(facts: Facts, data: ReportData) -> str:
-    """Name the largest effect, and what the band is."""
-    estimated = [effect for effect in facts.effects if effect.range is not None]
-    if not estimated:
-        return ""
-    first = max(estimated, key=lambda e: abs((e.range or 0) - (1 if e.is_ratio else 0)))
-    limit = practical(first, facts)
-    text = f"{term_name(first.term, data.labels)} has the largest effect, {size(first, facts)}"
-    if first.low is not None:
-        text += f" ({numbers_level(facts.alpha)} interval {size_interval(first, facts)})"
-    if first.practical is not None:
-        text += f". Shaded: up to {limit}, which does not matter in practice"
-    if first.practical is not None and first.low is not None:
-        text += "; an interval wholly outside matters, one wholly inside does not"
-    return sentence(text)
 
 
 def means(facts: Facts, data: ReportData) -> str:
@@ -236,58 +220,38 @@ class Figure:
 Drawn = tuple["pd.DataFrame", "Callable[[], Canvas]", str]
 
 
-def make(name: str, title: str, compute: Callable[[], Drawn], *, drawn: bool = True) -> Figure:
-    """Compute one figure and draw it where asked; any failure becomes its ``missing``.
+_of_data_alone: ContextVar[bool] = ContextVar("figures of data alone", default=False)
 
-    Parameters
-    ----------
-    name : str
-        Prefix of the ids in the drawing, and part of the names of its files.
-    title : str
-        Heading, and accessible name of the drawing.
-    compute : callable
-        Returns the data, a function that draws them, and the caption.
-    drawn : bool
-        Whether there is a drawing beside the data, which takes most of the time.
-    """
+
+@contextmanager
+def data_alone() -> Iterator[None]:
+    """Make figures without drawings, which take three quarters of the time of a small report."""
+    token = _of_data_alone.set(True)
+    try:
+        yield
+    finally:
+        _of_data_alone.reset(token)
+
+
+def make(name: str, title: str, compute: Callable[[], Drawn]) -> Figure:
+    """Compute and draw one figure; any failure becomes its ``missing``."""
     frame: pd.DataFrame | None = None
     try:
         frame, draw, caption = compute()
-        svg = axes.render(draw, name, title) if drawn else ""
+        svg = "" if _of_data_alone.get() else axes.render(draw, name, title)
     except Exception as error:  # the numbers must reach the reader whatever the drawing does
         why = f"{type(error).__name__}: {error}"
         return Figure(name, title, data=frame, missing=why[:300])
     return Figure(name, title, caption, svg, frame)
 
 
-def of_response(
-    data: ReportData, facts: Facts, without: Collection[str] = (), *, drawn: bool = True
-) -> dict[str, Figure]:
-    """Figures of one response by kind, but those ``without``; none where it was not analyzed.
-
-    Parameters
-    ----------
-    data : ReportData
-        Its factors, rows and depths.
-    facts : Facts
-        The response; its title and unit are shortened in the figures.
-    without : collection of str
-        Kinds that are left out, for example ``"cells"``.
-    drawn : bool
-        Whether there are drawings beside the data.
-
-    Returns
-    -------
-    dict of str to Figure
-        ``effects``, ``means``, ``interactions``, ``cells``, ``residuals``, ``spread``,
-        ``contrasts``, ``depth``, ``front``: those that the response has data for.
-    """
+def of_response(data: ReportData, facts: Facts, without: Collection[str] = ()) -> dict[str, Figure]:
+    """Figures of one response by kind, but those ``without``; none where it was not analyzed."""
     if not facts.terms:
         return {}
     facts = replace(facts, title=clean(facts.title, 60), unit=clean(facts.unit, 16))
     stem = slug(facts.name)
     makers: dict[str, tuple[str, Callable[[], Drawn]]] = {
-        "effects": ("Effects against what matters", lambda: _effects(data, facts)),
         "means": ("Main effects", lambda: _means(data, facts)),
         "interactions": ("Interactions", lambda: _interactions(data, facts)),
         "cells": ("Cells", lambda: _cells(data, facts)),
@@ -296,7 +260,7 @@ def of_response(
     }
     if not any(effect.range is not None for effect in facts.terms):
         # the sentences say that nothing could be estimated
-        del makers["effects"], makers["means"]
+        del makers["means"]
     if facts.residuals is None or "residual" not in facts.residuals:
         # nothing is left over by a saturated model
         del makers["residuals"], makers["spread"]
@@ -310,47 +274,89 @@ def of_response(
     if facts.response.better and "seconds" in data.table:
         makers["front"] = ("Cost against accuracy", lambda: _front(data, facts))
     return {
-        kind: make(f"{stem}-{kind}", f"{title}: {facts.title}", maker, drawn=drawn)
+        kind: make(f"{stem}-{kind}", f"{title}: {facts.title}", maker)
         for kind, (title, maker) in makers.items()
         if kind not in without
     }
 
 
-def of_study(data: ReportData, *, drawn: bool = True) -> dict[str, Figure]:
-    """Figures by kind that belong to no single response: those that the study has data for."""
-    makers: dict[str, tuple[str, Callable[[ReportData], Drawn]]] = {}
+def overview(data: ReportData, all_facts: Sequence[Facts]) -> dict[str, Figure]:
+    """Figure of the first page: every effect against what matters; none without an effect."""
+    analyzed = [facts for facts in all_facts if facts.terms]
+    limited = [facts for facts in analyzed if any(e.practical is not None for e in facts.effects)]
+    # without a limit there is no common scale: the first response stands for itself
+    shown = limited or analyzed[:1]
+    if not any(effect.range is not None for facts in shown for effect in facts.terms):
+        return {}
+
+    def compute() -> Drawn:
+        frame = effect_figures.against_limits(shown, data.labels)
+        caption = _against_limits(frame, analyzed, shown)
+        return frame, lambda: effect_figures.draw_against_limits(frame, shown), caption
+
+    title = "Every effect against what matters" if limited else "Every effect"
+    return {"overview": make("overview", title, compute)}
+
+
+def _against_limits(frame: pd.DataFrame, analyzed: Sequence[Facts], shown: Sequence[Facts]) -> str:
+    """Count the effects on either side of what matters, and say what the marks are."""
+    if frame["limited"].all():
+        verdicts = frame.loc[frame["verdict"] != "", "verdict"].tolist()
+        large, small = verdicts.count(MATTERS), verdicts.count(NO_DIFFERENCE)
+        rest = len(verdicts) - large - small
+        parts = [
+            f"{number} of {count(len(verdicts), 'effect')} {words}"
+            for number, words in (
+                (large, f"matter{'s' * (large == 1)} (orange circle)"),
+                (small, f"{'is' if small == 1 else 'are'} too small to matter (green square)"),
+                (rest, "cannot be judged with these data (hollow)"),
+            )
+            if number
+        ]
+    else:
+        parts = ["no smallest difference that matters was given, so no effect has a verdict"]
+    if (frame["bound"] > 0).any():
+        parts.append("thin ends: mesh error")
+    left = [facts.title for facts in analyzed if facts not in shown]
+    if left:
+        parts.append(f"not drawn, on the second page: {listing(left)}")
+    return sentence("; ".join(parts))
+
+
+def renamed(figure: Figure, name: str) -> Figure:
+    """Copy of a figure under another name, which begins all ids of its drawing."""
+    svg = re.sub(rf'(id="|href="#|url\(#){re.escape(figure.name)}-', rf"\g<1>{name}-", figure.svg)
+    return replace(figure, name=name, svg=svg)
+
+
+def of_study(data: ReportData) -> dict[str, Figure]:
+    """Figures that belong to no single response."""
+    figures: dict[str, Figure] = {}
     if data.curves:
-        makers["curves"] = ("Measured and predicted force", _curves)
+        figures["curves"] = make("curves", "Measured and predicted force", lambda: _curves(data))
+        few = curve_figures.few_panels(data)
+        if few is not None:
+            title = "Measured and predicted force, a part"
+            figures["few-curves"] = make("few-curves", title, lambda: _drawn_curves(few, data))
     if any(fit.value is not None for fit in data.fits):
-        makers["constants"] = ("Fitted constants", _constants)
+        figures["constants"] = make("constants", "Fitted constants", lambda: _constants(data))
     if any(fit["error_by_layer_mm"] for marker in data.markers for fit in marker.fits):
-        makers["markers"] = ("Errors by layer", _markers)
+        figures["markers"] = make("markers", "Errors by layer", lambda: _markers(data))
     if data.convergence:
-        makers["convergence"] = ("Value against mesh size", _convergence)
+        figures["convergence"] = make(
+            "convergence", "Value against mesh size", lambda: _convergence(data)
+        )
     if data.validation:
-        makers["validation"] = ("Comparison error along the curve", _validation)
+        figures["validation"] = make(
+            "validation", "Comparison error along the curve", lambda: _validation(data)
+        )
     if data.failures:
-        makers["failures"] = ("Failure map", _failures)
-    return {
-        kind: make(kind, title, partial(maker, data), drawn=drawn)
-        for kind, (title, maker) in makers.items()
-    }
+        figures["failures"] = make("failures", "Failure map", lambda: _failures(data))
+    return figures
 
 
 def of_recordings(frame: pd.DataFrame) -> Figure:
-    """Figure of the rows of a calibration as they were recorded, with their branches.
-
-    Parameters
-    ----------
-    frame : DataFrame
-        One row a recorded row; columns as in
-        :func:`study.reporting.figures.curve_figures.draw_recordings`.
-
-    Returns
-    -------
-    Figure
-        Drawing, data and caption.
-    """
+    """Figure of the rows of a calibration as they were recorded, with their branches."""
 
     def compute() -> Drawn:
         aside = frame[frame["set_aside"] != ""]
@@ -386,26 +392,8 @@ def _validation(data: ReportData) -> Drawn:
 
 
 def slug(text: str) -> str:
-    """File and id name made of letters, digits and hyphens alone.
-
-    Parameters
-    ----------
-    text : str
-        Name as a user wrote it.
-
-    Returns
-    -------
-    str
-        Of 48 characters at most; ``response`` where none is left.
-    """
+    """File and id name made of letters, digits and hyphens alone."""
     return re.sub(r"[^a-z0-9]+", "-", text.lower())[:48].strip("-") or "response"
-
-
-def _effects(data: ReportData, facts: Facts) -> Drawn:
-    frame = effect_figures.effect_sizes(facts, data.labels)
-    if frame.empty:
-        raise ValueError("no effect could be estimated")
-    return frame, lambda: effect_figures.draw_effect_sizes(frame, facts), effects(facts, data)
 
 
 def _depth(data: ReportData, facts: Facts) -> Drawn:
@@ -483,7 +471,10 @@ def _front(data: ReportData, facts: Facts) -> Drawn:
 
 
 def _curves(data: ReportData) -> Drawn:
-    panels = curve_figures.curve_panels(data)
+    return _drawn_curves(curve_figures.curve_panels(data), data)
+
+
+def _drawn_curves(panels: CurvePanels, data: ReportData) -> Drawn:
     return panels.frame, lambda: curve_figures.draw_curves(panels, data), curves(panels, data)
 
 

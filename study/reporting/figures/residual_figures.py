@@ -181,14 +181,7 @@ def diagnostic_residual_points(facts: Facts) -> pd.DataFrame:
     frame = facts.residuals
     if "representative" in frame:
         frame = frame[frame["representative"].astype(bool)]
-    frame = frame.sort_values("residual", kind="stable").reset_index(drop=True)
-    return frame.assign(score=_scores(len(frame)))
-
-
-def _scores(n: int) -> np.ndarray:
-    from scipy.special import ndtri
-
-    return np.asarray(ndtri((np.arange(1, n + 1) - 0.375) / (n + 0.25)))
+    return residual_points(frame.sort_values("residual", kind="stable").reset_index(drop=True))
 
 
 def envelope(n: int, spread: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -201,73 +194,6 @@ def envelope(n: int, spread: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
     draws = (draws - draws.mean(1, keepdims=True)) / draws.std(1, ddof=1, keepdims=True)
     low, high = np.quantile(draws, [0.025, 0.975], axis=0)
     return low * spread, high * spread
-
-
-def draw_residuals(frame: pd.DataFrame, facts: Facts, data: ReportData) -> Canvas:
-    """Draw the four-in-one: normal plot, against fitted, histogram, against the factors."""
-    import seaborn as sns
-
-    figure = canvas(WIDTH_IN, 5.6)
-    (normal, fitted), (histogram, factors) = figure.subplots(2, 2)
-    unit = "log ratio" if facts.ratio else facts.difference_unit
-    label = f"residual ({unit})" if unit else "residual"
-    _normal_plot(normal, frame, facts, data.seed, label)
-    fitted.axhline(0, color=MUTED, linewidth=0.7)
-    sns.scatterplot(
-        frame,
-        x="fitted",
-        y="residual",
-        s=10,
-        alpha=0.7,
-        color=color_of(0),
-        linewidth=0,
-        zorder=2,
-        # clipped, each point of a scatter becomes a group of its own: 27 % more SVG
-        clip_on=False,
-        ax=fitted,
-    )
-    where = f"log of {facts.unit}" if facts.ratio else facts.unit
-    fitted.set(title="against fitted", xlabel=f"fitted ({where})", ylabel=label)
-    sns.histplot(
-        frame,
-        x="residual",
-        bins="fd" if len(frame) > 12 else 6,
-        color=color_of(5),
-        alpha=1,
-        edgecolor="white",
-        linewidth=0.6,
-        ax=histogram,
-    )
-    histogram.set(title="histogram", xlabel=label, ylabel="count")
-    _against_factors(factors, frame, data, label)
-    for ax in (normal, fitted, histogram):
-        plain_ticks(ax, "x")
-    for ax in (normal, fitted, histogram, factors):
-        plain_ticks(ax, "y")
-    return figure
-
-
-def _normal_plot(ax: Axes, frame: pd.DataFrame, facts: Facts, seed: int, label: str) -> None:
-    values = frame["residual"].to_numpy(float)
-    spread = float(values.std(ddof=1))
-    low, high = envelope(values.size, spread, seed)
-    ax.fill_between(frame["score"], low, high, color=BAND, linewidth=0)
-    ends = np.array([frame["score"].min(), frame["score"].max()])
-    ax.plot(ends, ends * spread, color=MUTED, linewidth=0.8)
-    ax.plot(
-        frame["score"], values, "o", markersize=3.2, alpha=0.8, color=color_of(0), markeredgewidth=0
-    )
-    normality = facts.assumptions.normality
-    if normality is not None and normality.rj is not None:
-        text = f"RJ = {normality.rj:.4f}"
-        if normality.p_exact is not None:
-            text += f", simulated p {_with_sign(p_value(normality.p_exact))}"
-        ax.text(0.03, 0.96, text, transform=ax.transAxes, va="top", fontsize=8)
-    ax.set(title="normal plot, with 95 % envelope", xlabel="normal score", ylabel=label)
-
-
-def _with_sign(p: str) -> str:
-    return p if p[0] in "<>" else f"= {p}"
 
 
 def _against_factors(ax: Axes, frame: pd.DataFrame, data: ReportData, label: str) -> None:
@@ -441,25 +367,38 @@ def four_in_one_caption(points: pd.DataFrame, facts: Facts, alpha: float) -> str
     )
 
 
-def draw_four_in_one(points: pd.DataFrame, facts: Facts, data: ReportData) -> Canvas:
-    """Draw probability plot, residuals against fits, histogram, residuals in the order of rows."""
-    figure = canvas(WIDTH_IN, 5.8)
-    (normal, fits), (histogram, order) = figure.subplots(2, 2)
+def draw_residuals(
+    points: pd.DataFrame, facts: Facts, data: ReportData, *, ordered: bool = False
+) -> Canvas:
+    """Draw probability plot, residuals against fits, histogram, and against factors or in order.
+
+    Rows of a table have an order; runs of a simulation have none.
+    """
+    figure = canvas(WIDTH_IN, 5.7)
+    (normal, fits), (histogram, last) = figure.subplots(2, 2)
     shown, label = thinned(points, data.seed), _label(facts)
     _probability(normal, shown, points, facts, data.seed, label)
     _against(fits, shown["fitted"], shown["residual"])
     where = f"log of {facts.unit}" if facts.ratio and facts.unit else facts.unit
     fits.set(title="versus fits", xlabel=f"fit ({where})" if where else "fit", ylabel=label)
     _histogram(histogram, points["residual"].to_numpy(float), label)
-    joined = len(shown) <= MOST_JOINED
-    order.axhline(0, color=MUTED, linewidth=0.7)
-    order.plot(shown["row"], shown["residual"], "o-" if joined else "o", markersize=3.2,
-               linewidth=0.7, color=color_of(0), markeredgewidth=0)  # fmt: skip
-    order.set(title="versus order", xlabel="row of the file (without the header)", ylabel=label)
-    for ax in (normal, fits, histogram, order):
+    if ordered:
+        _in_order(last, shown, label)
+    else:
+        _against_factors(last, shown, data, label)
+    for ax in (normal, fits, histogram, *([last] if ordered else [])):
         plain_ticks(ax, "x")
+    for ax in (normal, fits, histogram, last):
         plain_ticks(ax, "y")
     return figure
+
+
+def _in_order(ax: Axes, shown: pd.DataFrame, label: str) -> None:
+    """Draw the residuals in the order of the rows, joined where they are few."""
+    ax.axhline(0, color=MUTED, linewidth=0.7)
+    ax.plot(shown["row"], shown["residual"], "o-" if len(shown) <= MOST_JOINED else "o",
+            markersize=3.2, linewidth=0.7, color=color_of(0), markeredgewidth=0)  # fmt: skip
+    ax.set(title="versus order", xlabel="row of the file (without the header)", ylabel=label)
 
 
 def _label(facts: Facts) -> str:

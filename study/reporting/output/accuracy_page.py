@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,9 +28,8 @@ from study.reporting.content.numbers import (
 )
 from study.reporting.content.text import clean, count
 from study.reporting.figures import accuracy_figures
-from study.reporting.figures.registry import Drawn, Figure, make, slug
-from study.reporting.output import write
-from study.reporting.output.page import _environment, data_folder, replace_file
+from study.reporting.figures.registry import Drawn, make
+from study.reporting.output.analysis_page import AnswerPage
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -301,40 +297,7 @@ def _tracker_poses(reference: ReferenceResult) -> Table:
     return Table("Residuals by pose", columns, tuple(rows), raw=tuple(raw))
 
 
-@dataclass(frozen=True)
-class AccuracyPage:
-    """A page before it is drawn."""
-
-    #: Kind of the page, its title, what was asked.
-    kicker: str
-    name: str
-    question: str
-    answer: Sequence[str]
-    figures: Sequence[Figure]
-    tables: Sequence[Table]
-    warnings: Sequence[str]
-    #: What ``--json`` prints; written beside the page.
-    document: Mapping[str, object]
-
-
-def write_accuracy(page: AccuracyPage, out_dir: str | Path) -> Path:
-    """Write a page, with the data of its figures and tables beside it."""
-    folder, stem = Path(out_dir), f"{slug(page.name)}-{slug(page.kicker)}"
-    files = data_folder(folder, stem)
-    write.write_figures(files, page.figures, drawn=False)
-    write.write_tables(files, page.tables)
-    numbers = json.dumps(page.document, indent=1, allow_nan=False)
-    replace_file(files / "numbers.json", numbers + "\n")
-    text = _environment().get_template("accuracy.html.j2").render(
-        kicker=page.kicker, name=clean(page.name), question=clean(page.question),
-        answer=page.answer, figures=page.figures, tables=page.tables,
-        warnings=[clean(line) for line in page.warnings],
-    )  # fmt: skip
-    replace_file(folder / f"{stem}.html", clean(text))
-    return folder / f"{stem}.html"
-
-
-def tracker_page(accuracy: TrackerAccuracy) -> AccuracyPage:
+def tracker_page(accuracy: TrackerAccuracy) -> AnswerPage:
     """Page of a tracker."""
     figures = []
     if (distance := accuracy.distance) is not None:
@@ -355,8 +318,9 @@ def tracker_page(accuracy: TrackerAccuracy) -> AccuracyPage:
                 "tracker-reference", "Errors against the reference", lambda: _page_poses(reference)
             )
         )
-    return AccuracyPage(
-        kicker="Tracker accuracy",
+    return AnswerPage(
+        kind="tracker accuracy",
+        stem="tracker-accuracy",
         name=accuracy.name,
         question=accuracy.question,
         answer=tracker_answers(accuracy),
@@ -392,11 +356,12 @@ def _page_poses(reference: ReferenceResult) -> Drawn:
     return frame, lambda: accuracy_figures.draw_reference(frame, reference), caption
 
 
-def shape_page(deviation: ShapeDeviation) -> AccuracyPage:
+def shape_page(deviation: ShapeDeviation) -> AnswerPage:
     """Page of a scanned surface."""
     frame = accuracy_figures.deviation_points(deviation)
-    return AccuracyPage(
-        kicker="Shape deviation",
+    return AnswerPage(
+        kind="shape deviation",
+        stem="shape-deviation",
         name=deviation.name,
         question=f"How far is the simulated surface from {deviation.scan}?",
         answer=scan_answers(deviation),

@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from study.reporting.content import analysis_content, methods, sentences, tables, verdicts
-from study.reporting.content.content_table import Table
+from study.reporting.content.content_table import Table, size
+from study.reporting.content.front_page import in_few
 from study.reporting.content.numbers import p_phrase
 from study.reporting.content.report_facts import Facts, facts
 from study.reporting.content.text import clean, count, listing, sentence, term_name
@@ -75,11 +76,11 @@ def prepare(report: AnalysisReport) -> page.Contents:
         anova=tables.anova(item, report.data) if item.rows else None,
         strata=None,
         figures=figures,
-        assumptions=page._assumptions(report.data, item),
-        recommendation="",
+        assumptions=None,  # among the tables of the page
         cheaper="",
     )
-    return page.Contents(report.data, (item,), (section,), {}, _tables(report, item))
+    overview = registry.overview(report.data, (item,))
+    return page.Contents(report.data, (item,), (section,), overview, _tables(report, item))
 
 
 def _tables(report: AnalysisReport, item: Facts) -> dict[str, Table]:
@@ -130,7 +131,11 @@ def _figures(report: AnalysisReport, item: Facts) -> dict[str, Figure]:
 
 def _four_in_one(points: pd.DataFrame, item: Facts, data: ReportData) -> Drawn:
     caption = residual_figures.four_in_one_caption(points, item, data.alpha)
-    return points, lambda: residual_figures.draw_four_in_one(points, item, data), caption
+    return (
+        points,
+        lambda: residual_figures.draw_residuals(points, item, data, ordered=True),
+        caption,
+    )
 
 
 def _factors(points: pd.DataFrame, item: Facts, data: ReportData) -> Drawn:
@@ -170,7 +175,9 @@ def _tested(report: AnalysisReport, item: Facts) -> str:
         return "There is no error term, so nothing is tested."
     names = {e.term: term_name(e.term, report.data.labels) for e in tested}
     shown = [
-        f"{clean(names[e.term])} ({p_phrase(e.p_holm)})" for e in tested if _below(e.p_holm, item)
+        f"{clean(names[e.term])} ({size(e, item)}, {p_phrase(e.p_holm)})"
+        for e in tested
+        if _below(e.p_holm, item)
     ]
     rest = [clean(names[e.term]) for e in tested if not _below(e.p_holm, item)]
     parts = []
@@ -178,24 +185,29 @@ def _tested(report: AnalysisReport, item: Facts) -> str:
         parts.append(f"an effect is shown of {listing(shown)}")
     if rest:
         parts.append(f"none is shown of {listing(rest, 'or')}")
-    size = f"at {item.alpha:g}, adjusted by Holm for {count(len(tested), 'term')}"
-    return sentence(f"for {clean(item.title)}, {'; '.join(parts)} ({size})")
+    adjusted = f"at {item.alpha:g}, adjusted by Holm for {count(len(tested), 'term')}"
+    return sentence(f"for {clean(item.title)}, {'; '.join(parts)} ({adjusted})")
 
 
 def _below(p: float | None, item: Facts) -> bool:
     return p is not None and p < item.alpha
 
 
-def render(report: AnalysisReport, contents: page.Contents) -> str:
-    """Return the HTML of computed contents."""
+def pages(report: AnalysisReport, contents: page.Contents) -> tuple[str, str]:
+    """Return the HTML of the first page and of the second."""
     (item,) = contents.found
     data = contents.data
-    text: str = page._environment().get_template("analysis.html.j2").render(
+    stem = _stem(report)
+    lines = answer(report, item)
+    first = page.front_page(contents, item.title, stem, in_few(lines), "rows.csv")
+    second = page.filled(
+        "analysis.html.j2",
         c=contents,
         s=contents.sections[0],
         data=data,
+        first=f"{stem}.html",
         found=report.found,
-        answer=answer(report, item),
+        answer=lines,
         no_coefficients=report.coefficients.reason,
         error_terms=sentences.error_terms(data, contents.found),
         verdict_groups=page._groups(contents.tables["verdicts"]),
@@ -205,8 +217,13 @@ def render(report: AnalysisReport, contents: page.Contents) -> str:
         warnings=_warnings(report),
         own_interactions=any(row.p_gg is not None for row in report.found.anova.rows),
         provenance=page._provenance(data),
-    )  # fmt: skip
-    return clean(text)
+    )
+    return first, second
+
+
+def _stem(report: AnalysisReport) -> str:
+    """Begin of the names of the files of a report."""
+    return slug(f"{report.data.name} {report.found.request.response}")
 
 
 def _warnings(report: AnalysisReport) -> tuple[str, ...]:
@@ -217,15 +234,9 @@ def _warnings(report: AnalysisReport) -> tuple[str, ...]:
 def _methods(contents: page.Contents) -> str:
     """Methods of a table: those of a study but what only simulations have."""
     data, (item,) = contents.data, contents.found
-    checked = _CHECKED if item.terms else ""
     parts = [methods._design(data), methods._measurements(data), methods._statistics(item, data)]
-    return " ".join(part for part in (*parts, checked, methods._software(data)) if part)
-
-
-_CHECKED = (
-    "Residuals were examined by the Ryan-Joiner test (p simulated for the model matrix) and by "
-    "Bartlett's and Levene's tests of equal spread."
-)
+    parts += [methods.residual_tests((item,), data), methods._software(data)]
+    return " ".join(part for part in parts if part)
 
 
 def write_analysis(
@@ -233,25 +244,23 @@ def write_analysis(
 ) -> Path:
     """Write the page of an analysis into a folder and return its main file.
 
-    The page is ``<table>-<response>.html``; ``<table>-<response>-data/`` holds the CSV of every
-    table and figure, every figure as SVG, ``rows.csv`` (every row with fit, residual, leverage)
-    and ``numbers.json``, the document of ``study analyze --json``.
+    The pages are ``<table>-<response>.html`` and ``<table>-<response>-details.html``; beside them
+    ``<table>-<response>-data/`` holds the CSV of every table and figure, every figure as SVG,
+    ``rows.csv`` (every row with fit, residual, leverage) and ``numbers.json``, the document of
+    ``study analyze --json``.
     """
     chosen = write.checked_formats(formats)
     folder = Path(out_dir)
-    stem = slug(f"{report.data.name} {report.found.request.response}")
+    stem = _stem(report)
     contents = prepare(report)
     files = data_folder(folder, stem)
     _write_data(report, contents, files)
-    html, latex, portable = (folder / f"{stem}.{suffix}" for suffix in ("html", "tex", "pdf"))
-    if "html" in chosen or "pdf" in chosen:
-        replace_file(html, render(report, contents))
+    html, latex = folder / f"{stem}.html", folder / f"{stem}.tex"
+    write.write_pages(folder, stem, pages(report, contents), chosen)
     if "tex" in chosen:
         shown = [(name, t) for name, t in contents.tables.items() if name in _IN_LATEX]
         captions = [(t.name.capitalize(), t) for _, t in shown]
         replace_file(latex, latex_document(captions, _methods(contents)))
-    if "pdf" in chosen:
-        write.print_page(html, portable)
     return {"html": html, "pdf": html, "tex": latex, "csv": files / "rows.csv"}[chosen[0]]
 
 
@@ -286,6 +295,8 @@ class AnswerPage:
     figures: Sequence[Figure]
     tables: Sequence[Table]
     warnings: Sequence[str] = ()
+    #: What ``--json`` prints, where it is written beside the page.
+    document: Mapping[str, object] | None = None
 
 
 def write_answer(page: AnswerPage, out_dir: str | Path) -> Path:
@@ -295,9 +306,12 @@ def write_answer(page: AnswerPage, out_dir: str | Path) -> Path:
     files = data_folder(folder, stem)
     write.write_figures(files, page.figures, drawn=False)
     write.write_tables(files, page.tables)
+    if page.document is not None:
+        numbers = json.dumps(page.document, indent=1, allow_nan=False)
+        replace_file(files / "numbers.json", numbers + "\n")
     text = _environment().get_template("answer.html.j2").render(
         kind=page.kind, name=clean(page.name), question=clean(page.question), answer=page.answer,
-        figures=page.figures, tables=page.tables, warnings=page.warnings,
+        figures=page.figures, tables=page.tables, warnings=[clean(line) for line in page.warnings],
     )  # fmt: skip
     replace_file(folder / f"{stem}.html", clean(text))
     return folder / f"{stem}.html"

@@ -1,4 +1,7 @@
-"""The page: one self-contained HTML document, every word of a user escaped."""
+"""The two pages of a report: self-contained HTML, every word of a user escaped.
+
+The first has the answer and what it rests on; the second, beside it, has everything else.
+"""
 
 from __future__ import annotations
 
@@ -22,6 +25,7 @@ from study.reporting.content import (
     tables,
     verdicts,
 )
+from study.reporting.content import front_page as front
 from study.reporting.content import tables as case_records
 from study.reporting.content import tables as failed_cases
 from study.reporting.content import tables as fit_tables
@@ -33,7 +37,7 @@ from study.reporting.content.report_facts import Facts, facts, grouped_inputs
 from study.reporting.content.text import clean, count, folded, name_of, plural_of, sentence
 from study.reporting.content.verdicts import verdict
 from study.reporting.figures import convergence_figures, registry, surface_figures
-from study.reporting.figures.registry import Figure
+from study.reporting.figures.registry import Figure, slug
 from study.reporting.results.study_result import FITTED_CURVE, ReportData, ResponseAnalysis
 
 if TYPE_CHECKING:
@@ -44,6 +48,8 @@ if TYPE_CHECKING:
     from study.statistics.surfaces.surface_profile import FittedSurface
 
 _VERSION = "version of "
+#: end of the name of the second page
+DETAILS = "-details"
 
 
 @dataclass(frozen=True)
@@ -57,8 +63,7 @@ class Section:
     anova: Table | None
     strata: Table | None
     figures: Mapping[str, Figure]
-    assumptions: tuple[str, ...]
-    recommendation: str
+    assumptions: Table | None
     cheaper: str
 
 
@@ -99,9 +104,9 @@ class Contents:
         )
 
 
-def prepare(data: ReportData, worker: Worker | None = None, *, drawn: bool = True) -> Contents:
-    """Compute every sentence, table and figure of a report; without drawings for tables alone."""
-    of_study = partial(registry.of_study, data, drawn=drawn)
+def prepare(data: ReportData, worker: Worker | None = None) -> Contents:
+    """Compute every sentence, table and figure of a report."""
+    of_study = partial(registry.of_study, data)
     figures = of_study if worker is None else worker.begin(of_study)
     all_facts = facts(data)
     made: dict[str, Table] = {
@@ -128,10 +133,8 @@ def prepare(data: ReportData, worker: Worker | None = None, *, drawn: bool = Tru
         made["retried"] = failed_cases.retried_table(data.retried, data.block)
     if data.failure_pattern is not None and data.failure_pattern.tests:
         made["failure_tests"] = failed_cases.tests(data.failure_pattern, data.labels)
-    sections = tuple(
-        _section(data, item, drawn) for item in all_facts if item.terms or not data.surfaces
-    )
-    over = tuple(_surface(data, surface, drawn) for surface in data.surfaces)
+    sections = tuple(_section(data, item) for item in all_facts if item.terms or not data.surfaces)
+    over = tuple(_surface(data, surface) for surface in data.surfaces)
     for section in over:
         made |= {
             t.name: t
@@ -141,12 +144,24 @@ def prepare(data: ReportData, worker: Worker | None = None, *, drawn: bool = Tru
     records = case_records.case_records(data, all_facts)
     if records is not None:
         made["cells"] = replace(made["cells"], follow=case_records.CELL)
-    return Contents(data, all_facts, sections, figures(), made, over, records)
+    drawn = _first_figure(data, all_facts, over) | figures()
+    return Contents(data, all_facts, sections, drawn, made, over, records)
 
 
-def _surface(data: ReportData, fitted: FittedSurface, drawn: bool) -> SurfaceSection:
+def _first_figure(
+    data: ReportData, all_facts: Sequence[Facts], over: Sequence[SurfaceSection]
+) -> dict[str, Figure]:
+    """Figure of the first page: effects of levels, or how much each number drives a response."""
+    effects = registry.overview(data, all_facts)
+    shares = next((s.figures["shares"] for s in over if "shares" in s.figures), None)
+    if effects or shares is None:
+        return effects
+    return {"overview": registry.renamed(shares, "overview")}
+
+
+def _surface(data: ReportData, fitted: FittedSurface) -> SurfaceSection:
     named = surface_content.title(fitted, data)
-    stem = f"surface-{registry.slug(named)}"
+    stem = f"surface-{slug(named)}"
     return SurfaceSection(
         fitted,
         named,
@@ -156,79 +171,79 @@ def _surface(data: ReportData, fitted: FittedSurface, drawn: bool) -> SurfaceSec
         surface_content.coefficients(fitted, data),
         surface_content.table(fitted, data),
         {
-            kind: registry.make(f"{stem}-{kind}", f"{words}: {named}", maker, drawn=drawn)
+            kind: registry.make(f"{stem}-{kind}", f"{words}: {named}", maker)
             for kind, (words, maker) in surface_figures.drawings(fitted, data).items()
         },
     )
 
 
-def _section(data: ReportData, item: Facts, drawn: bool) -> Section:
+def _section(data: ReportData, item: Facts) -> Section:
     strata = tables.strata(item, data) if item.rows else None
     judged = [effect for effect in item.terms if effect.is_main or effect.strength == "matters"]
     return Section(
         facts=item,
-        anchor=f"r-{registry.slug(item.name)}",
+        anchor=f"r-{slug(item.name)}",
         verdicts=tuple(verdict(effect, item, data.labels) for effect in judged),
         contrasts=analysis_content.contrasts(item),
         anova=tables.anova(item, data) if item.rows else None,
         strata=strata if strata is not None and strata.rows else None,
-        figures=registry.of_response(data, item, drawn=drawn),
-        assumptions=_assumptions(data, item),
-        recommendation=_recommendation(data, item),
+        figures=registry.of_response(data, item),
+        assumptions=analysis_content.checks(item.result, f"tests of assumptions {item.name}")
+        if item.result
+        else None,
         cheaper=recommendation.cheaper(data, item),
     )
 
 
-def _assumptions(data: ReportData, item: Facts) -> tuple[str, ...]:
-    if not item.terms:
-        return ()
-    lines = [verdicts.normality(item, data.alpha)]
-    lines += [
-        verdicts.spread(test, item.assumptions.spread.get(test), data.alpha)
-        for test in ("bartlett", "levene")
-    ]
-    lines.append(verdicts.sphericity(item, data.labels))
-    additive = item.assumptions.non_additivity
-    if additive is not None and additive.p is not None:
-        lines.append(verdicts.additivity(additive, data))
-    return tuple(line for line in lines if line)
+def pages(contents: Contents) -> tuple[str, str]:
+    """Return the HTML of the first page and of the second."""
+    data, found = contents.data, contents.found
+    name = slug(data.name)
+    answer = front.short_answer(data, found)
+    return front_page(contents, data.name, name, answer, "cases.csv"), details_page(contents)
 
 
-def _recommendation(data: ReportData, item: Facts) -> str:
-    if not item.response.better or item.name not in data.table:
-        return ""
-    if not data.table[item.name].notna().any():
-        return ""
-    return recommendation.recommendation(data, item)
-
-
-def build(context: ReportData) -> str:
-    """Return the report as one HTML document.
+def front_page(contents: Contents, title: str, stem: str, answer: Sequence[str], rows: str) -> str:
+    """Return the HTML of the first page: question, answer, effects, checks, curves, what to do.
 
     Nothing is loaded from anywhere: styles and drawings are inline, and the content security
-    policy allows no script but the one that sorts tables, by its hash. Every text that came from a
+    policy allows no script but that of the second page, by its hash. Every text that came from a
     user is escaped by the templates.
     """
-    return render(prepare(context))
-
-
-def render(contents: Contents) -> str:
-    """Return the HTML of computed contents."""
-    environment = _environment()
-    data = contents.data
-    script = table_script()
-    text: str = environment.get_template("page.html.j2").render(
+    data, found = contents.data, contents.found
+    checks = analysis_content.all_checks(data, found)
+    return filled(
+        "front.html.j2",
         c=contents,
         data=data,
-        beside=f"{registry.slug(data.name)}-data",
-        script=script,
-        script_hash=policy_hash(script),
+        kicker="Analysis of a table" if data.is_table else "Study report",
+        title=title,
         partial=sentences.partial(data),
+        answer=answer,
+        card=front.report_card(analysis_content.grouped(checks), data),
+        curves=contents.figures.get("few-curves", contents.figures.get("curves")),
+        recommendation=front.what_to_do(data, found),
+        would_change=recommendation.would_change(data, found),
+        details=f"{stem}{DETAILS}.html",
+        beside=f"{stem}-data",
+        rows=rows,
+    )
+
+
+def details_page(contents: Contents) -> str:
+    """Return the HTML of the second page: all that the first leaves out."""
+    data = contents.data
+    stem = slug(data.name)
+    return filled(
+        "page.html.j2",
+        c=contents,
+        data=data,
+        first=f"{stem}.html",
+        beside=f"{stem}-data",
         answer=(
             *sentences.answer(data, contents.found),
             *comparison_content.answer_lines(data.beside, data.labels),
         ),
-        would_change=recommendation.would_change(data, contents.found),
         checks=analysis_content.grouped(analysis_content.all_checks(data, contents.found)),
         controls=analysis_content.grouped(data.controls),
         error_terms=sentences.error_terms(data, contents.found),
@@ -249,6 +264,21 @@ def render(contents: Contents) -> str:
         two=comparison_content,
         provenance=_provenance(data),
         total_time=sum(data.timings.values()),
+    )
+
+
+def printed(first: str, second: str) -> str:
+    """Return both pages as one document, as a printer wants them."""
+    return first.partition("</main>")[0] + second.partition("<main>")[2]
+
+
+def filled(template: str, **values: object) -> str:
+    """Fill a template of a page that may run the one script of the reports."""
+    script = table_script()
+    text: str = (
+        _environment()
+        .get_template(template)
+        .render(script=script, script_hash=policy_hash(script), **values)
     )
     # control and direction characters are no markup, yet no document may hold them
     return clean(text)
@@ -315,7 +345,7 @@ def _environment() -> Environment:
     environment.filters["name"] = name_of
     # only drawings that this package rendered pass unescaped
     environment.filters["drawing"] = _drawing
-    environment.filters["slug"] = registry.slug
+    environment.filters["slug"] = slug
     environment.filters["sentence"] = sentence
     environment.filters["sub"] = _subscripts
     environment.filters["term"] = _heading

@@ -1,6 +1,6 @@
 "use strict";
-// Tables can be sorted by a column and, where they are long, searched. Without scripts they stay
-// as they are written: nothing below is needed to read the report.
+// Tables can be sorted by a column and, where they are long, searched; the second page can be
+// searched as a whole. Without scripts all stays as it is written: nothing below is needed to read.
 const LONG = 12;
 const number = (text) => {
   const plain = text.replace(/\u2212/g, "-").replace(/,/g, "").replace(/^[<>\u00d7\s\u00a0]+/, "");
@@ -56,3 +56,24 @@ document.querySelectorAll(".scroll table").forEach((table) => {
   sortable(table);
   searchable(table);
 });
+const nav = document.querySelector("nav[aria-label=Contents]");
+const sections = [...document.querySelectorAll("main > section")];
+if (nav && sections.length > 1) {
+  const label = document.createElement("label");
+  const input = document.createElement("input");
+  label.className = "search filter";
+  input.type = "search";
+  label.append("Search this page ", input);
+  (getComputedStyle(nav).display === "none" ? document.querySelector("main header") : nav.firstElementChild).append(label);
+  input.addEventListener("input", () => {
+    const words = input.value.toLowerCase().split(/\s+/).filter(Boolean);
+    const holds = (part) => words.every((word) => part.textContent.toLowerCase().includes(word));
+    sections.forEach((section) => {
+      // where the heading has the words the whole section is meant
+      const whole = holds(section.querySelector("h2") || section);
+      const parts = [...section.children].filter((part) => !/^H[1-6]$/.test(part.tagName));
+      parts.forEach((part) => { part.hidden = !whole && !holds(part); });
+      section.hidden = parts.every((part) => part.hidden);
+    });
+  });
+}

@@ -99,9 +99,12 @@ def server(demo: Path) -> Iterator[StudyServer]:
 
 @pytest.mark.parametrize(("width", "scheme"), VIEWS)
 def test_the_report_of_the_demo(tab: Browser, demo: Path, width: int, scheme: str) -> None:
-    (page,) = demo.glob("reports/*/*.html")
-    tab.open(page, width, scheme)
-    assert violations(tab) == []
+    pages = sorted(demo.glob("reports/*/*.html"))
+    assert len(pages) == 2
+    for page in pages:
+        tab.open(page, width, scheme)
+        assert violations(tab) == []
+        assert tab.ask(OVERFLOW) <= 0
 
 
 @pytest.mark.parametrize(("width", "scheme"), VIEWS)
@@ -124,7 +127,9 @@ def test_the_pages_of_a_table_and_of_a_series(
     found = api.analyze(table, "force", ["material"], block="specimen", practical=0.5)
     (tmp_path / "problem.toml").write_text(PROBLEM)
     api.converge(tmp_path / "problem.toml", results=tmp_path, reports=tmp_path / "series")
-    for page in (found.report(tmp_path / "table"), next(tmp_path.glob("series/**/*.html"))):
+    first = found.report(tmp_path / "table")
+    series = next(tmp_path.glob("series/**/*.html"))
+    for page in (first, first.with_stem(f"{first.stem}-details"), series):
         tab.open(page, width, scheme)
         assert violations(tab) == []
 

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 from study.reporting.output import write
-from study.reporting.output.page import build
 from study.reporting.results.study_result import ReportData
 from tests.reporting.browser.devtools import Browser, running
+from tests.reporting.example import build
 from tests.reporting.test_page import hostile
 
 pytestmark = [
@@ -65,25 +65,59 @@ def tab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
 
 
 @pytest.fixture(scope="module")
-def page(tmp_path_factory: pytest.TempPathFactory, html: str) -> Path:
-    path = tmp_path_factory.mktemp("report") / "report.html"
-    path.write_text(html, "utf-8")
-    return path
+def folder(tmp_path_factory: pytest.TempPathFactory, both: tuple[str, str]) -> Path:
+    """Folder with both pages under the names by which they lead to each other."""
+    made = tmp_path_factory.mktemp("report")
+    for name, text in zip(write.page_names("ecoflex-compression"), both, strict=True):
+        (made / name).write_text(text, "utf-8")
+    return made
+
+
+@pytest.fixture(scope="module")
+def page(folder: Path) -> Path:
+    return folder / "ecoflex-compression-details.html"
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("width", [1400, 390])
-def test_page_is_quiet_whole_and_within_the_screen(
-    tab: Browser, page: Path, width: int, scheme: str
+@pytest.mark.parametrize("width", [1400, 1280, 390])
+def test_pages_are_quiet_whole_and_within_the_screen(
+    tab: Browser, folder: Path, width: int, scheme: str
 ):
-    tab.open(page, width, scheme)
-    assert tab.ask("innerWidth") == width
-    assert tab.ask(f'matchMedia("(prefers-color-scheme: {scheme})").matches')
-    assert tab.complaints() == []
-    assert tab.requests() == []
-    assert tab.ask(OVERFLOW) <= 0
-    assert tab.ask(DRAWN) >= tab.ask(FIGURES) > 0
-    assert tab.ask(EMPTY_FIGURES) == 0
+    for page in sorted(folder.glob("*.html")):
+        tab.open(page, width, scheme)
+        assert tab.ask("innerWidth") == width
+        assert tab.ask(f'matchMedia("(prefers-color-scheme: {scheme})").matches')
+        assert tab.complaints() == []
+        assert tab.requests() == []
+        assert tab.ask(OVERFLOW) <= 0
+        assert tab.ask(DRAWN) >= tab.ask(FIGURES) > 0
+        assert tab.ask(EMPTY_FIGURES) == 0
+
+
+def test_the_first_page_has_three_screens_at_most(tab: Browser, folder: Path):
+    tab.open(folder / "ecoflex-compression.html", 1280, "light")
+    assert tab.ask("document.documentElement.scrollHeight") <= 3 * 800
+    words = "document.body.innerText.split(/\\s+/).filter((one) => /[\\p{L}\\p{N}]/u.test(one))"
+    assert tab.ask(f"{words}.length") <= 700
+    tab.ask("document.querySelector('footer a').click();0")
+    assert str(tab.ask("location.pathname")).endswith(".html")
+
+
+@pytest.mark.parametrize("width", [1400, 390])
+def test_words_written_above_leave_the_parts_that_hold_them(tab: Browser, page: Path, width: int):
+    tab.open(page, width, "light")
+    shown = "[...document.querySelectorAll('main > section')].filter((one) => !one.hidden).length"
+    tab.ask("const box = document.querySelector('.filter input');0")
+
+    def write_words(words: str) -> object:
+        tab.ask(f"box.value = {json.dumps(words)}; box.dispatchEvent(new Event('input'));0")
+        return tab.ask(shown)
+
+    every = tab.ask(shown)
+    assert write_words("no such word") == 0
+    few = write_words("Greenhouse")
+    assert 0 < few < every
+    assert write_words("") == every
 
 
 def test_pressed_head_sorts_its_table(tab: Browser, page: Path):
