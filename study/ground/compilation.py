@@ -97,7 +97,6 @@ _GLANCE_S = 0.02
 #: folder of the whole package, wherever in it this module is
 _PACKAGE = Path(str(sys.modules[__name__.partition(".")[0]].__file__)).resolve().parent
 _CONFIG: Any = numba.config
-_LOCATOR = f"{__name__}.PackageCacheLocator"
 # numba looks for settings in the working folder again at every compilation
 _CONFIG._config_fname = os.devnull
 
@@ -193,7 +192,8 @@ def _kept_on_disk(compiler: Callable[..., Any]) -> Callable[[_Function], Any]:
             return compiler(cache=False)(function)
         usual = _CONFIG.CACHE_DIR, _CONFIG.CACHE_LOCATOR_CLASSES
         # no other folder, should this one fail: numba would take the next that has a cache
-        _CONFIG.CACHE_DIR, _CONFIG.CACHE_LOCATOR_CLASSES = str(folder), _LOCATOR
+        locator = f"{__name__}.{PackageCacheLocator.__name__}"
+        _CONFIG.CACHE_DIR, _CONFIG.CACHE_LOCATOR_CLASSES = str(folder), locator
         try:
             return compiler(cache=True)(function)
         finally:

@@ -19,8 +19,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import scipy
 from scipy import sparse
-from scipy.optimize import brentq
 from scipy.special import chdtri, fdtrc
 
 from study.ground.arrays import Array, Flags, Ints
@@ -538,7 +538,9 @@ class RestrictedFit:
                 if not _SMALLEST * scale < outside < _LARGEST * scale:
                     return 0.0 if step < 1 else math.inf
                 inside, outside = outside, step * outside
-            return float(brentq(excess, min(inside, outside), max(inside, outside), rtol=1e-8))
+            return float(
+                scipy.optimize.brentq(excess, min(inside, outside), max(inside, outside), rtol=1e-8)
+            )
 
         least = _SMALLEST * scale
         high = crossing(max(best, least), 1.5)

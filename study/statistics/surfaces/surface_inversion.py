@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import optimize
+import scipy
 from scipy.special import fdtri
 
 from study.ground.arrays import Array, Flags, Ints
@@ -185,8 +185,8 @@ class _Search:
             at[free] = x
             return at
 
-        def searched(x: Array) -> optimize.OptimizeResult:
-            return optimize.least_squares(
+        def searched(x: Array) -> scipy.optimize.OptimizeResult:
+            return scipy.optimize.least_squares(
                 lambda x: (self.model.value(whole(x)[None, :])[0] - self.measured) / scale,
                 x,
                 jac=lambda x: self.slope(whole(x), free) / scale,
