@@ -173,7 +173,7 @@ def kernel(**options: Any) -> Callable[[_Function], _Function]:
     return decorated
 
 
-class PackageCacheLocator(UserProvidedCacheLocator):  # type: ignore[misc]
+class PackageCacheLocator(UserProvidedCacheLocator):
     """Place of a kernel in the cache: that of its file in the package, in whatever clone it is."""
 
     @classmethod
@@ -182,7 +182,7 @@ class PackageCacheLocator(UserProvidedCacheLocator):  # type: ignore[misc]
         path = Path(py_file).resolve()
         if path.is_relative_to(_PACKAGE):
             return str(path.parent.relative_to(_PACKAGE))
-        return str(super().get_suitable_cache_subpath(py_file))
+        return str(super().get_suitable_cache_subpath(py_file))  # type: ignore[no-untyped-call]
 
 
 def _kept_on_disk(compiler: Callable[..., Any]) -> Callable[[_Function], Any]:
