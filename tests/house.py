@@ -235,7 +235,11 @@ def unread_searches(root: Path) -> list[str]:
             if isinstance(node, ast.FunctionDef):
                 nodes = list(ast.walk(node))
                 names = {n.attr for n in nodes if isinstance(n, ast.Attribute)}
-                calls = {ast.unparse(n.func) for n in nodes if isinstance(n, ast.Call)}
+                calls = {
+                    ast.unparse(n.func).removeprefix("scipy.")
+                    for n in nodes
+                    if isinstance(n, ast.Call)
+                }
                 searches = calls & taken
                 if searches and not {*names, *calls} & {"settled", "status", "success"}:
                     found.append(f"{path}: {node.name}")

@@ -279,9 +279,14 @@ def test_rules_see_statistics_outside_their_rooms(house: Path, line: str) -> Non
     assert rules.stray_statistics(house) == [f"study/ground/units.py:5: {line}"]
 
 
-def test_rules_see_a_search_that_nobody_asks_how_it_ended(house: Path) -> None:
-    code = "def lowest(f):\n    return optimize.minimize(f, 0.0).x\n"
-    plant(house, "ground/units.py", f"from scipy import optimize\n\n\n{code}")
+@pytest.mark.parametrize(
+    ("taken", "place"), [("from scipy import optimize", ""), ("import scipy", "scipy.")]
+)
+def test_rules_see_a_search_that_nobody_asks_how_it_ended(
+    house: Path, taken: str, place: str
+) -> None:
+    code = f"def lowest(f):\n    return {place}optimize.minimize(f, 0.0).x\n"
+    plant(house, "ground/units.py", f"{taken}\n\n\n{code}")
     assert rules.unread_searches(house) == ["study/ground/units.py: lowest"]
 
 

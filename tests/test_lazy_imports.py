@@ -49,3 +49,23 @@ print(*sorted(name for name in sys.modules if name == "statsmodels"))
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
     assert run.stdout.split() == []
+
+
+#: all distributions of scipy take 0.6 s of every verb; the rest is loaded where it is called
+LATE = ("scipy.stats", "scipy.optimize", "scipy.spatial", "statsmodels", "matplotlib", "gmsh")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "['status', 'nothing']",
+        "['plan', 'designs/demo.toml']",
+        "['analyze', 'validation/statistics/nothing.csv']",
+    ],
+)
+def test_a_verb_that_needs_no_distribution_loads_none(words: str) -> None:
+    code = f"import sys; from study.cli.app import run; run({words}); print()"
+    code += f"; print('loaded', *sorted(set({LATE!r}) & set(sys.modules)))"
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.splitlines()[-1] == "loaded"

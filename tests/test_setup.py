@@ -8,6 +8,7 @@ import runpy
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -47,27 +48,29 @@ def test_message_for_a_missing_wheel_does_not_speak_of_libraries() -> None:
     assert "apt-get" not in text
 
 
-def test_gmsh_that_works_needs_nothing() -> None:
-    assert libraries["main"](check=lambda: None, mend=lambda: pytest.fail("installed")) == 0
-
-
-def test_without_rights_it_says_the_command_and_fails(capsys: pytest.CaptureFixture[str]) -> None:
-    code = libraries["main"](
-        check=lambda: MISSING, mend=lambda: pytest.fail("installed"), may_install=False
+@pytest.mark.parametrize(
+    ("answers", "mend", "code"),
+    [
+        ([None], None, 0),  # works: nothing is installed
+        ([MISSING], None, 1),
+        ([MISSING, None], lambda: True, 0),
+        ([MISSING], lambda: False, 1),
+    ],
+)
+def test_what_is_missing_is_installed_with_rights_or_its_command_is_printed(
+    capsys: pytest.CaptureFixture[str],
+    answers: list[str | None],
+    mend: Callable[[], bool] | None,
+    code: int,
+) -> None:
+    left = iter(answers)
+    found = libraries["main"](
+        check=lambda: next(left),
+        mend=mend or (lambda: pytest.fail("installed")),
+        may_install=mend is not None,
     )
-    assert code == 1
-    assert COMMAND in capsys.readouterr().err
-
-
-def test_with_rights_it_installs_and_checks_again() -> None:
-    answers = iter([MISSING, None])
-    assert libraries["main"](check=lambda: next(answers), mend=lambda: True, may_install=True) == 0
-
-
-def test_an_install_that_fails_says_the_command(capsys: pytest.CaptureFixture[str]) -> None:
-    code = libraries["main"](check=lambda: MISSING, mend=lambda: False, may_install=True)
-    assert code == 1
-    assert COMMAND in capsys.readouterr().err
+    assert found == code
+    assert (COMMAND in capsys.readouterr().err) is (code == 1)
 
 
 def test_install_goes_on_after_an_update_that_failed() -> None:
@@ -157,13 +160,18 @@ def test_setup_installs_venv_as_root(machine: Path) -> None:
     assert "apt-get could not install python3.12-venv" in run.stderr
 
 
+def environment(machine: Path, **programs: str) -> None:
+    """Put small programs into the environment that the set-up script has made."""
+    folder = machine / ".venv" / "bin"
+    folder.mkdir(parents=True)
+    for name, body in programs.items():
+        (folder / name).write_text(f"#!{SH}\n{body}\n")
+        (folder / name).chmod(0o755)
+
+
 def test_setup_falls_back_without_the_fast_solver(machine: Path) -> None:
-    python = machine / ".venv" / "bin" / "python"
-    python.parent.mkdir(parents=True)
-    python.write_text(
-        f"#!{SH}\ncase \"$*\" in *'.[fast'*) exit 1 ;; *'.[test]'*) echo installed ;; esac\n"
-    )
-    python.chmod(0o755)
+    python = "case \"$*\" in *'.[fast'*) exit 1 ;; *'.[test]'*) echo installed ;; esac"
+    environment(machine, python=python)
     run = set_up(machine)
     assert run.returncode == 0, run.stderr
     assert "again without the fast 3D solver" in run.stderr
@@ -171,10 +179,7 @@ def test_setup_falls_back_without_the_fast_solver(machine: Path) -> None:
 
 
 def test_setup_asks_for_the_fast_solver_on_x86_64_alone(machine: Path) -> None:
-    python = machine / ".venv" / "bin" / "python"
-    python.parent.mkdir(parents=True)
-    python.write_text(f'#!{SH}\necho "$*"\n')
-    python.chmod(0o755)
+    environment(machine, python='echo "$*"')
     extras = {}
     for processor in ("x86_64", "aarch64"):
         tool(machine, "uname", f"echo {processor}")
@@ -186,12 +191,8 @@ def test_setup_asks_for_the_fast_solver_on_x86_64_alone(machine: Path) -> None:
 def test_setup_installs_the_locked_versions_with_uv_or_else_with_pip(
     machine: Path, works: bool
 ) -> None:
-    folder = machine / ".venv" / "bin"
-    folder.mkdir(parents=True)
     python = 'case "$*" in *platform*) echo linux x86_64 3.11 ;; *) echo "python $*" ;; esac'
-    for name, body in (("python", python), ("uv", f'echo "uv $*"\nexit {int(not works)}')):
-        (folder / name).write_text(f"#!{SH}\n{body}\n")
-        (folder / name).chmod(0o755)
+    environment(machine, python=python, uv=f'echo "uv $*"\nexit {int(not works)}')
     run = set_up(machine)
     assert run.returncode == 0, run.stderr
     installed = [line for line in run.stdout.splitlines() if "requirements.lock" in line]
@@ -217,11 +218,11 @@ def test_make_knows_the_target(target: str) -> None:
     make = shutil.which("make")
     if make is None:
         pytest.skip("make is not on this machine")
-    environment = {k: v for k, v in os.environ.items() if not k.startswith("MAKE")}
+    variables = {k: v for k, v in os.environ.items() if not k.startswith("MAKE")}
     run = subprocess.run(
         [make, "-n", target],
         cwd=ROOT,
-        env=environment,
+        env=variables,
         capture_output=True,
         text=True,
         check=False,

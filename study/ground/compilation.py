@@ -14,6 +14,7 @@ import functools
 import hashlib
 import multiprocessing
 import os
+import re
 import stat
 import sys
 import time
@@ -25,6 +26,7 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar, cast
 
 import numba
+from numba.core.caching import UserProvidedCacheLocator
 from numba.core.compiler_lock import global_compiler_lock
 from threadpoolctl import ThreadpoolController
 
@@ -85,6 +87,8 @@ def _mend(place: Path, path: Path) -> str:
 
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
+#: names of constants that a module takes from another
+_CONSTANTS = re.compile(rb"^from ([\w.]+) import (?:\([^)]*|.*)\b[A-Z][A-Z_]+\b", re.MULTILINE)
 #: reorder and contract sums, but keep NaN: an inverted element must still be seen
 FAST = {"contract", "reassoc", "arcp", "nsz"}
 #: the longest compilation takes 15 s, and four times that on a busy machine
@@ -104,9 +108,13 @@ def cache_folder() -> Path | None:
     if home is None:
         return None
     marks = b"@kernel(", b"@part(", b"@callback("
-    contents = (path.read_bytes() for path in _PACKAGE.rglob("*.py"))
-    kernels = sorted(text for text in contents if any(mark in text for mark in marks))
-    digest = hashlib.sha256(b"".join(hashlib.sha256(text).digest() for text in kernels))
+    contents = [(path, path.read_bytes()) for path in _PACKAGE.rglob("*.py")]
+    kernels = [text for _, text in contents if any(mark in text for mark in marks)]
+    sources = {source.split(b".")[-1].decode() for t in kernels for source in _CONSTANTS.findall(t)}
+    constants = [text for path, text in contents if path.stem in sources]
+    digest = hashlib.sha256(
+        b"".join(hashlib.sha256(text).digest() for text in sorted({*kernels, *constants}))
+    )
     return home / f"kernels-{digest.hexdigest()[:16]}"
 
 
@@ -116,7 +124,7 @@ def only_process(work: str) -> Iterator[None]:
     # Each work has a byte of one file, which the operating system locks for a process and frees
     # when that process ends. Where a folder cannot be written or locked, work is done twice.
     handle = _lock_file()
-    place = int.from_bytes(hashlib.sha256(f"{_PACKAGE} {work}".encode()).digest()[:6], "big")
+    place = int.from_bytes(hashlib.sha256(work.encode()).digest()[:6], "big")
     locked = handle is not None and _lock_byte(handle, place)
     try:
         yield
@@ -165,6 +173,18 @@ def kernel(**options: Any) -> Callable[[_Function], _Function]:
     return decorated
 
 
+class PackageCacheLocator(UserProvidedCacheLocator):
+    """Place of a kernel in the cache: that of its file in the package, in whatever clone it is."""
+
+    @classmethod
+    def get_suitable_cache_subpath(cls, py_file: str) -> str:
+        """Say the folder of a file's kernels, under the cache."""
+        path = Path(py_file).resolve()
+        if path.is_relative_to(_PACKAGE):
+            return str(path.parent.relative_to(_PACKAGE))
+        return str(super().get_suitable_cache_subpath(py_file))  # type: ignore[no-untyped-call]
+
+
 def _kept_on_disk(compiler: Callable[..., Any]) -> Callable[[_Function], Any]:
     def decorate(function: _Function) -> Any:
         folder = cache_folder()
@@ -172,7 +192,8 @@ def _kept_on_disk(compiler: Callable[..., Any]) -> Callable[[_Function], Any]:
             return compiler(cache=False)(function)
         usual = _CONFIG.CACHE_DIR, _CONFIG.CACHE_LOCATOR_CLASSES
         # no other folder, should this one fail: numba would take the next that has a cache
-        _CONFIG.CACHE_DIR, _CONFIG.CACHE_LOCATOR_CLASSES = str(folder), "UserProvidedCacheLocator"
+        locator = f"{__name__}.{PackageCacheLocator.__name__}"
+        _CONFIG.CACHE_DIR, _CONFIG.CACHE_LOCATOR_CLASSES = str(folder), locator
         try:
             return compiler(cache=True)(function)
         finally:

@@ -118,13 +118,6 @@ def test_calibrate_finds_the_constants(home: Path) -> None:
     assert curve["rms_force_error"] < 1e-2
 
 
-def test_calibrate_in_words(home: Path) -> None:
-    answer = study("calibrate", "calibration.toml", "--data", "data")
-    assert answer.code == 0, answer.err
-    for word in ("C10", "kPa", "converged", "identifiable", "stable"):
-        assert word in answer.out
-
-
 def test_converge_of_numbers_is_the_published_example() -> None:
     # NASA's tutorial "Examining Spatial (Grid) Convergence": p = 1.786, 0.97130, GCI 0.103 %
     series = ("converge", "--values", "0.97050,0.96854,0.96178", "--sizes", "1,2,4")

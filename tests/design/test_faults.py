@@ -1,4 +1,7 @@
-"""Bad input: every fault at once, each with its key, rule and mend; before anything is computed."""
+"""Bad input: every fault at once, each with its key, rule and mend; before anything is computed.
+
+What is wrong with a key of its own stands in ``faulty.py``; here is what that does not change.
+"""
 
 from __future__ import annotations
 
@@ -68,108 +71,31 @@ def test_the_problem_itself_is_fine() -> None:
     ("old", "new", "where", "says"),
     [
         # F27: units
-        ('"25 mm"', "25", "specimen.radius", 'write "25 mm"'),
-        ('"25 mm"', '"25"', "specimen.radius", "needs a unit"),
-        ('"25 mm"', '"25 kPa"', "specimen.radius", "must be a length"),
-        ('"25 mm"', '"nan mm"', "specimen.radius", "not a number"),
         ('"25 mm"', '"1e400 mm"', "specimen.radius", "too large"),
         ('"25 mm"', "nan", "specimen.radius", "needs a unit"),
-        ('"25 mm"', '"-25 mm"', "specimen.radius", "above 0 mm"),
+        ('"25 mm"', '"nan mm"', "specimen.radius", "not a number"),
         # F25: misspelt keys and words
-        ("height", "hieght", "specimen.hieght", "did you mean 'height'?"),
-        ('"cylinder"', '"cilinder"', "specimen.shape", "did you mean 'cylinder'?"),
         ("[specimen]", "[specimne]", "specimne", "did you mean 'specimen'?"),
-        ("schema = 1", "schema = 2", "schema", "must be 1"),
-        ("schema = 1", "", "schema", "is missing"),
-        ("schema = 1", "schema = true", "schema", "must be 1"),
         # F26: materials
-        ('"5 kPa"', '"-5 kPa"', "material.C10", "must be positive, got -10 kPa"),
         ('"5 kPa"', '"0 kPa"', "material.C10", "must be positive"),
         ('"10 MPa"', '"0 MPa"', "material.bulk_modulus", "above 0 MPa"),
-        ('"10 MPa"', '"10 Pa"', "material.bulk_modulus", "below the initial shear modulus"),
-        ('bulk_modulus = "10 MPa"', "poisson_ratio = 0.5", "material.poisson_ratio", "incompress"),
         ('bulk_modulus = "10 MPa"', "poisson_ratio = 0.7", "material.poisson_ratio", "(excluded)"),
         ('bulk_modulus = "10 MPa"', "poisson_ratio = -1", "material.poisson_ratio", "-1"),
         ('bulk_modulus = "10 MPa"', "poisson_ratio = inf", "material.poisson_ratio", "finite"),
-        ('bulk_modulus = "10 MPa"', "", "material.poisson_ratio", "is missing"),
-        ("[model]", "poisson_ratio = 0.4\n[model]", "material.poisson_ratio", "stands beside"),
-        ("[model]", "incompressible = true\n[model]", "material.bulk_modulus", "stands beside"),
-        ("[model]", "order = 3\n[model]", "material.order", "is 3, but the constants given have 2"),
         ('C20 = "1 kPa"', 'C30 = "1 kPa"', "material.C20", "is missing"),
-        ('C10 = "5 kPa"\nC20 = "1 kPa"', "order = 2", "material", "has no constants"),
-        ('C20 = "1 kPa"', 'C01 = "1 kPa"', "material.C01", "unknown key"),
-        ('"reduced-polynomial"', '"neo-hooke"', "material.model", "did you mean 'neo-hookean'?"),
         # F28: indenters and depth
-        ('"5 mm"', '"30 mm"', "test.displacement", "reaches the height of the specimen, 30 mm"),
-        ('"5 mm"', '"-5 mm"', "test.displacement", "above 0 mm"),
         ('"30 deg"', '"0 deg"', "test.indenter.half_angle", "above 0 deg"),
         ('"30 deg"', '"90 deg"', "test.indenter.half_angle", "below 90 deg"),
-        ('"30 deg"', '"85 deg"', "test.indenter.half_angle", "wide from its axis"),
-        (
-            '"0.5 mm"',
-            '"0.5 mm", shaft_radius = "0.4 mm"',
-            "test.indenter.tip_radius",
-            "larger than the shaft",
-        ),
-        (
-            'shape = "cone", half_angle = "30 deg", tip_radius = "0.5 mm"',
-            'shape = "flat", radius = "25 mm"',
-            "test.indenter.radius",
-            "25 mm wide",
-        ),
-        (
-            'shape = "cone", half_angle = "30 deg", tip_radius = "0.5 mm"',
-            'shape = "flat", radius = "2 mm", edge_radius = "3 mm"',
-            "test.indenter.edge_radius",
-            "larger than the radius",
-        ),
         ("tip_radius", "tipradius", "test.indenter.tipradius", "did you mean 'tip_radius'?"),
         # models
-        ("[model]", '[model]\nmesh = "fine"', "model.mesh_size", "stands beside mesh"),
-        ("[model]", '[model]\nelement_shape = "round"', "model.element_shape", "unknown value"),
-        ("[test]", "[test]\nsteps = 2.5", "test.steps", "whole number"),
         ("[test]", "[test]\nsteps = 0", "test.steps", "from 1 to"),
         ("[test]", "[test]\nsteps = true", "test.steps", "whole number"),
-        ('displacement = "5 mm"', "", "test.displacement", "is missing"),
     ],
 )
 def test_one_fault_of_a_problem(old: str, new: str, where: str, says: str) -> None:
     assert old in PROBLEM
     found = faults(loads_problem, PROBLEM.replace(old, new, 1))
     assert where in found
-    assert says in found[where]
-
-
-@pytest.mark.parametrize(
-    ("lines", "where", "says"),
-    [
-        ('model = "ogden"\nmu = ["1 kPa"]\nalpha = [0]', "material.alpha", "must not be zero"),
-        ('model = "ogden"\nmu = ["1 kPa", "-2 kPa"]\nalpha = [2, 3]', "material.mu1", "sum of mu"),
-        (
-            'model = "ogden"\nmu = ["1 kPa"]\nalpha = [2, 3]',
-            "material.alpha",
-            "2 entries, mu has 1",
-        ),
-        ('model = "ogden"\nmu = ["1 kPa"]', "material.alpha", "is missing"),
-        ('model = "ogden"\nmu = [1]\nalpha = [2]', "material.mu[0]", "needs a unit"),
-        ('model = "ogden"\nmu = "1 kPa"\nalpha = 2', "material.mu", "must be a list"),
-        ('model = "mooney-rivlin"\nC10 = "1 kPa"', "material.C01", "is missing"),
-        (
-            'model = "mooney-rivlin"\nC10 = "1 kPa"\nC01 = "-1 kPa"',
-            "material.C10",
-            "2 (C10 + C01) must be positive",
-        ),
-        ('model = "neo-hookean"\norder = 2\nC10 = "1 kPa"', "material.order", "has no order"),
-        (
-            'model = "linear-elastic"\nyoungs_modulus = "0 kPa"',
-            "material.youngs_modulus",
-            "above 0",
-        ),
-    ],
-)
-def test_one_fault_of_a_material(lines: str, where: str, says: str) -> None:
-    start, end = PROBLEM.index('model = "red'), PROBLEM.index("bulk_modulus")
-    found = faults(loads_problem, PROBLEM[:start] + lines + "\n" + PROBLEM[end:])
     assert says in found[where]
 
 
@@ -225,26 +151,16 @@ def test_all_faults_of_a_problem_come_at_once() -> None:
     ("old", "new", "where", "says"),
     [
         # F23 and factors
-        ('["axisymmetric", "3d"]', '["3d"]', "factors.model.space", "one level is no factor"),
         ('["axisymmetric", "3d"]', "[1, 1.0]", "factors.model.space[1]", "must be distinct"),
         ('["axisymmetric", "3d"]', '["3d", " 3d"]', "factors.model.space[1]", "must be distinct"),
         ('["axisymmetric", "3d"]', '["1", 1]', "factors.model.space[1]", "must be distinct"),
-        ('["axisymmetric", "3d"]', '"3d"', "factors.model.space", "list of levels"),
-        ('["axisymmetric", "3d"]', '["3d", "4d"]', "factors.model.space", "unknown value '4d'"),
         ("model.space =", "model.spaec =", "factors.model.spaec", "did you mean 'model.space'?"),
         ("plates = [", "plate = [", "factors.plate", "did you mean 'plates'?"),
-        ('"frictionless", "bonded"]', '"lubricated", "bonded"]', "factors.plates[0]", "no preset"),
         (
             'test.interface = "bonded"',
             'test.interfaec = "bonded"',
             "presets.plates.bonded.test.interfaec",
             "did you mean 'test.interface'?",
-        ),
-        (
-            'test.interface = "bonded"',
-            'test.interface = "glued"',
-            "presets.plates.bonded.test.interface",
-            "unknown value 'glued'",
         ),
         (
             'model = "mooney-rivlin"',
@@ -255,34 +171,18 @@ def test_all_faults_of_a_problem_come_at_once() -> None:
         ("plates = [", "test.interface = ['bonded', 'frictionless']\nplates = [", "factors.plates",
          "sets too"),
         # measurements
-        ('"20 %"]', '"20 mm"]', "measurements.range", "mixes percent and length"),
-        ('["1 %", "20 %"]', '["20 %", "1 %"]', "measurements.range", "must rise"),
-        ('["1 %", "20 %"]', '["1 %", "100 %"]', "measurements.range", "below 100 %"),
-        ("[test]", '[test]\ndisplacement = "7 mm"', "test.displacement", "ends at 6 mm"),
         ('"ecoflex_compression/', '"/etc/', "measurements.file", "must be relative"),
         ('"ecoflex_compression/', '"../../', "measurements.file", "must not climb"),
         ('"ecoflex_compression/', '"a\\\\..\\\\', "measurements.file", "must not climb"),
         ('"ecoflex_compression/', '"C:/', "measurements.file", "must be relative"),
         ('"ecoflex_compression/', '"a\\u0000/', "measurements.file", "cannot be seen"),
-        ('.csv.gz"', '.geo"', "measurements.file", "must end in .csv"),
         ("score = {", "scroe = {", "measurements.scroe", "did you mean 'score'?"),
         ('force = "N" }', 'force = "mm" }', "measurements.units.force", "is a length"),
-        (', force = "load_N" }', "}", "measurements.columns.force", "is missing"),
         # questions
-        ('"relative_rms_force_error"', '"relative_rms"', "response[0].name", "unknown response"),
         ('"0.5 pp"', '"0.5 %"', "response[0].practical", '"2 pp"'),
-        ('"0.5 pp"', '"0.5 N"', "response[0].practical", '"2 pp"'),
         ('"0.5 pp"', '"-1 pp"', "response[0].practical", "must be positive"),
-        ('transform = "log"', 'transform = "ln"', "response[1].transform", "unknown value"),
         ('"mu0"', '"C40"', "response[1].name", "no material of this design"),
-        ('model = "full"', 'model = ["plates:spaec"]', "analysis.model", "no factor 'spaec'"),
-        ('model = "full"', "model = 9", "analysis.model", "from 1 to 4"),
-        ('type = "II"', 'type = "IV"', "analysis.type", "unknown value"),
-        ("seed = 2011", "seed = -1", "study.seed", "from 0"),
-        ('["test.interface"]', '["test.inteface"]', "study.assumed", "did you mean"),
         ('method = "auto"', 'method = "analytic"', "calibration.method", "both faces frictionless"),
-        ('method = "auto"', 'method = "none"', "material", "has no constants"),
-        ('method = "auto"', 'problem.tests = {}', "calibration.problem.tests", "'test'"),
     ],
 )  # fmt: skip
 def test_one_fault_of_a_design(old: str, new: str, where: str, says: str) -> None:
@@ -295,28 +195,7 @@ def test_one_fault_of_a_design(old: str, new: str, where: str, says: str) -> Non
 @pytest.mark.parametrize(
     ("lines", "where", "says"),
     [
-        (
-            'when = { plate = "bonded" }\nwhy = "x"',
-            "exclude[0].when.plate",
-            "did you mean 'plates'",
-        ),
-        ('when = { plates = "glued" }\nwhy = "x"', "exclude[0].when.plates", "no level 'glued'"),
-        ('when = { plates = "bonded" }', "exclude[0].why", "is missing"),
-        ('when = {}\nwhy = "x"', "exclude[0].when", "every cell"),
-        ('when = { plates = "bonded" }\nwhy = "x"', "exclude", "leaves 1 of the 2 levels"),
-        ('when = { plates = ["frictionless", "bonded"] }\nwhy = "x"', "exclude", "leaves 0"),
-    ],
-)
-def test_exclusions(lines: str, where: str, says: str) -> None:
-    assert says in faults(loads, f"{DESIGN}\n[[exclude]]\n{lines}\n")[where]
-
-
-@pytest.mark.parametrize(
-    ("lines", "where", "says"),
-    [
         ('"specimen.hieght" = "0.1 mm"', "uncertainty.'specimen.hieght'", "names no input"),
-        ('"specimen.height" = 0.1', "uncertainty.specimen.height", "needs a unit"),
-        ('specimen.height = "0.1 kPa"', "uncertainty.specimen.height", "must be a length"),
         ('specimen.shape = "0.1 mm"', "uncertainty.specimen.shape", "names no input"),
     ],
 )

@@ -47,14 +47,9 @@ def test_a_dump_keeps_them_and_an_override_changes_them() -> None:
     ("table", "where", "says"),
     [
         ("mesh_seed = 5", "replicates.mesh_seed", "mesh_seeds"),
-        ("mesh_seeds = 4", "replicates.mesh_seeds", "at least 5, got 4: with fewer the scatter"),
-        ("mesh_seeds = 1.5", "replicates.mesh_seeds", "whole number"),
         ("mesh_seeds = true", "replicates.mesh_seeds", "whole number"),
-        ("noise = 19", "replicates.noise", "at least 20, got 19"),
         ("noise = 20000", "replicates.noise", "from 0 to 10000"),
         ("noise = '200'", "replicates.noise", "whole number"),
-        ("mesh_seeds = 5\nnoise = 200", "replicates", "two error terms, with different questions"),
-        ("", "replicates", "is empty | write mesh_seeds = 5 or noise = 200"),
     ],
 )
 def test_bad_values_say_the_rule_and_the_value(table: str, where: str, says: str) -> None:

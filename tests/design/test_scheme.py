@@ -238,22 +238,7 @@ units = { displacement = "mm", force = "N" }
 @pytest.mark.parametrize(
     ("factors", "table", "where", "says"),
     [
-        (TWO, 'kind = "fractionl"', "design.kind", "did you mean 'fractional'?"),
-        (TWO, "runs = 8", "design.runs", "unknown key"),
-        (TWO, 'kind = "fractional"', "design.generators", "must be given"),
         (TWO, 'kind = "fractional"\nresolution = 2', "design.resolution", "from 3"),
-        (
-            TWO,
-            'kind = "fractional"\ngenerators = ["specimen.hieght = model.space:test.interface"]',
-            "design.generators",
-            "did you mean 'specimen.height'?",
-        ),
-        (
-            TWO,
-            'kind = "fractional"\ngenerators = ["specimen.height = model.space"]',
-            "design.generators",
-            "two or more different factors",
-        ),
         (
             TWO,
             'kind = "fractional"\ngenerators = ["specimen.height: __import__(os)"]',
@@ -282,11 +267,7 @@ units = { displacement = "mm", force = "N" }
             "design.kind",
             "at least 2 factors",
         ),
-        (RANGES, 'kind = "sobol"\nruns = 12', "design.runs", "power of two, got 12"),
-        (RANGES, 'kind = "latin-hypercube"', "design.runs", "is missing"),
         (RANGES, 'kind = "central-composite"\nstar = "round"', "design.star", "unknown value"),
-        (TWO, 'zip = [["model.space"]]', "design.zip", "two or more"),
-        (TWO, 'zip = [["model.space", "plates"]]', "design.zip", "no factor 'plates'"),
         (
             TWO,
             'kind = "listed"\ntreatments = [{ model.space = "3d" }, { model.space = "3d" }]',
@@ -298,15 +279,6 @@ units = { displacement = "mm", force = "N" }
             "",
             "factors.specimen.height",
             "must be a length",
-        ),
-        (TWO.replace(', high = "32 mm"', ""), "", "factors.specimen.height", "has no high"),
-        (TWO.replace('"32 mm"', '"3.2 cm"'), "", "factors.specimen.height", "in one unit"),
-        (TWO.replace('"32 mm"', '"27 mm"'), "", "factors.specimen.height", "must rise"),
-        (
-            TWO.replace('["linear", "quadratic"]', "{ low = 1, high = 2 }"),
-            "",
-            "factors.model.element_order",
-            "has no range",
         ),
     ],
 )

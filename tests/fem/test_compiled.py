@@ -74,6 +74,24 @@ def test_a_change_in_another_file_is_seen(tmp_path: Path) -> None:
     assert ask(tmp_path) == (42, 0)
 
 
+def test_another_clone_finds_the_kernels_and_a_constant_is_no_other_one(tmp_path: Path) -> None:
+    """A constant of a file without kernels is compiled into them."""
+    caller = CALLER.replace("1 *", "FACTOR *").replace("@", "from constant import FACTOR\n@", 1)
+    for clone, factor in [("first", 1), ("second", 1), ("third", 2)]:
+        folder = tmp_path / clone
+        folder.mkdir()
+        shutil.copy(study.ground.compilation.__file__, folder / "compiled.py")
+        (folder / "caller.py").write_text(caller)
+        (folder / "callee.py").write_text(CALLEE.format(answer=41))
+        (folder / "constant.py").write_text(f"FACTOR = {factor}")
+        (folder / "cache").symlink_to(tmp_path)
+    assert ask(tmp_path / "first") == (41, 0)
+    assert ask(tmp_path / "second") == (41, 1)
+    assert ask(tmp_path / "third") == (82, 0)
+    (tmp_path / "third" / "constant.py").write_text("FACTOR = 3")
+    assert ask(tmp_path / "third") == (123, 0)
+
+
 def together(folder: Path, dimensions: str) -> list[str]:
     """Whether each of several processes at once found its signature on disk."""
     environment = {**os.environ, "XDG_CACHE_HOME": str(folder / "cache")}

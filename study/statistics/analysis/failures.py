@@ -29,7 +29,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import gammaln
-from scipy.stats import fisher_exact
 
 from study.ground.arrays import Array, Ints
 from study.ground.errors import StudyError
@@ -211,6 +210,9 @@ def _independent(failed: Array, levels: Ints, rng: np.random.Generator) -> tuple
     bad = np.asarray(np.bincount(levels, failed), dtype=float)
     total = np.asarray(np.bincount(levels), dtype=float)
     if total.size == 2:
+        # loaded here: the import of all distributions takes 0.6 s of every verb
+        from scipy.stats import fisher_exact
+
         table = np.stack([bad, total - bad]).astype(int)
         return float(fisher_exact(table).pvalue), "Fisher's exact test"
     if math.prod(int(n) + 1 for n in total[:-1]) <= MOST_TABLES:

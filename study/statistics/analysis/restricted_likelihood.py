@@ -19,8 +19,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import scipy
 from scipy import sparse
-from scipy.optimize import brentq
 from scipy.special import chdtri, fdtrc
 
 from study.ground.arrays import Array, Flags, Ints
@@ -553,7 +553,9 @@ class RestrictedFit:
                 if (outside - end) * (step - 1) >= 0:
                     return 0.0 if step < 1 else math.inf
                 inside, outside = outside, step * outside
-            return float(brentq(excess, min(inside, outside), max(inside, outside), rtol=1e-8))
+            return float(
+                scipy.optimize.brentq(excess, min(inside, outside), max(inside, outside), rtol=1e-8)
+            )
 
         high = crossing(1.5 * max(best, _SMALLEST * scale), 1.5, _LARGEST * scale)
         latest[0] = self.v

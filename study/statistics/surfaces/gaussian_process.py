@@ -14,8 +14,8 @@ from functools import cached_property, reduce
 from typing import Literal
 
 import numpy as np
-from scipy import linalg, optimize
-from scipy.spatial.distance import cdist
+import scipy
+from scipy import linalg
 
 from study.ground.arrays import Array, Ints
 from study.ground.errors import settled
@@ -173,7 +173,7 @@ class Kernel:
 
     def _squared(self, x: Array, other: Array) -> Array:
         scaled = (self.numbers(points) / self.lengths for points in (x, other))
-        return np.asarray(cdist(*scaled, "sqeuclidean"))
+        return np.asarray(scipy.spatial.distance.cdist(*scaled, "sqeuclidean"))
 
 
 #: length scales in the unit box: shorter is noise between runs, longer is a straight line
@@ -301,8 +301,8 @@ def fit_process(
         value, slope = log_likelihood(theta, x, y, noise, family, sizes)
         return (-value, -slope) if np.isfinite(value) else (IMPOSSIBLE, np.zeros_like(theta))
 
-    def searched(start: Array, steps: int) -> optimize.OptimizeResult:
-        return optimize.minimize(
+    def searched(start: Array, steps: int) -> scipy.optimize.OptimizeResult:
+        return scipy.optimize.minimize(
             cost, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": steps}
         )
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from itertools import combinations, product
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy import optimize
 
 from study.ground.arrays import Array, Ints
 from study.ground.errors import Fault, InputError, nearest, settled
@@ -240,7 +240,7 @@ def _polished(
         return sign * float(value(x[None, :])[0]) / scale
 
     bounds = [(-1.0, 1.0)] * starts.shape[1]
-    searches = (optimize.minimize(goal, x, method="L-BFGS-B", bounds=bounds) for x in starts)
+    searches = (scipy.optimize.minimize(goal, x, method="L-BFGS-B", bounds=bounds) for x in starts)
     ends = [settled(one, "extreme of a surface", by_lines=True).x for one in searches]
     best = min([*ends, *starts], key=goal)
     return Extreme(np.asarray(best), float(value(best[None, :])[0]), half_width)

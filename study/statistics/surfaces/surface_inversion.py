@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import optimize, stats
+import scipy
+from scipy.special import fdtri
 
 from study.ground.arrays import Array, Flags, Ints
 from study.ground.errors import settled
@@ -98,7 +99,7 @@ def agreeing(
     rms, p, m = search.rms(at), search.free.size, measured.size
     if largest is None:
         worth = min(max(rows_worth or float(m), p + 1.0), float(m))
-        f = float(stats.f.ppf(LEVEL, p, max(m - p, 1)))
+        f = float(fdtri(p, max(m - p, 1), LEVEL))
         share = p * f / max(m - p, 1) * m / worth
         largest = float(np.sqrt(rms**2 * (1.0 + share) + (1.96 * model.loo_rms) ** 2))
     is_open = np.zeros((2, at.size), dtype=bool)
@@ -191,8 +192,8 @@ class _Search:
             at[free] = x
             return at
 
-        def searched(x: Array) -> optimize.OptimizeResult:
-            return optimize.least_squares(
+        def searched(x: Array) -> scipy.optimize.OptimizeResult:
+            return scipy.optimize.least_squares(
                 lambda x: (self.model.value(whole(x)[None, :])[0] - self.measured) / scale,
                 x,
                 jac=lambda x: self.slope(whole(x), free) / scale,

@@ -8,7 +8,7 @@ from itertools import product
 from typing import Literal
 
 import numpy as np
-from scipy import optimize
+import scipy
 
 from study.ground.arrays import Array, Flags, Ints
 from study.ground.errors import Fault, RefusedError
@@ -192,7 +192,7 @@ def _polished(
         # kept by a hair more than is asked, so that rounding does not lose the limit
         return {"type": "ineq", "fun": each(lambda p: one.room(p, share) - 0.1 * ROUNDING)}
 
-    found = optimize.minimize(
+    found = scipy.optimize.minimize(
         each(lambda p: sign * _value(model, p)), start, method="SLSQP",
         constraints=[rule(one) for one in limits],
         bounds=list(zip(space.low, space.high, strict=True)),

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from scipy import stats
-from scipy.stats import qmc
+from scipy.special import stdtrit
 
 from study.ground.arrays import Array
 from study.ground.errors import Fault, RefusedError
@@ -117,6 +116,8 @@ def propagate(
     found: SurfaceAnalysis, inputs: Mapping[str, Spread], fixed: Mapping[str, float], seed: int = 0
 ) -> Propagated:
     """Carry the distributions of inputs through a surface."""
+    from scipy.stats import qmc
+
     model = found.model
     q2 = model.q2
     if not q2 >= RANKED:
@@ -185,6 +186,8 @@ def _numbers(values: Array) -> Array:
 
 def _own(model: Model, inputs: _Inputs, seed: int) -> Array:
     """Half widths for the surface's own error, shape (2 + percentiles,), in the response's unit."""
+    from scipy.stats import qmc
+
     # Left-out runs are missed by that much on average: a number that belongs to one place of the
     # distribution may be, too. The mean and the spread average over places.
     if isinstance(model, QuadraticSurface):
@@ -194,7 +197,7 @@ def _own(model: Model, inputs: _Inputs, seed: int) -> Array:
     if isinstance(model, BlockedEmulator):
         told = np.column_stack([_numbers(e.value(inputs.coded(u))[:, None]) for e in model.each])
         blocks = told.shape[1]
-        t = float(stats.t.ppf(0.975, blocks - 1))
+        t = float(stdtrit(blocks - 1, 0.975))
         scatter = t * told.std(axis=1, ddof=1) / np.sqrt(blocks)
         return np.asarray(scatter + np.mean([_own(e, inputs, seed) for e in model.each], axis=0))
     paths = model.scale * model.paths(seed)(inputs.unit(u))
