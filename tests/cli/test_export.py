@@ -182,10 +182,7 @@ def test_the_bound_holds_at_displacements_that_nobody_solved_before(
 
 
 def test_the_bound_holds_on_a_path_of_four_times_as_many_points(tmp_path: Path) -> None:
-    """Contact closes point by point under the edge of a punch: no smooth function.
-
-    A bound by the middles of the intervals was passed 1.2 times here.
-    """
+    """Contact closes point by point under the edge of a punch: no smooth function."""
     text = re.sub("indenter.*", FLAT, INDENTATION).replace('"1 mm"\nsteps', '"3 mm"\nsteps')
     (tmp_path / "punch.toml").write_text(text)
     law = package.export(tmp_path / "punch.toml", out=tmp_path).law
