@@ -16,10 +16,12 @@ from study.ground.errors import InputError
 from study.harness.design.load import loads, loads_problem
 from study.harness.record.store import Store
 from study.harness.runner.judgement import within
+from study.harness.runner.provenance import located
 from study.harness.runner.refinement import Budget, clamped_corner, formal_order
 from study.harness.runner.solve_task import SolveResult, SolveTask, kept, solved
 from study.mechanics.setup.setup import problem_of
 from study.statistics.convergence.grid_convergence import grid_convergence
+from tests.fem.surfaces import box, write
 
 PROBLEM = """
 schema = 1
@@ -65,6 +67,7 @@ class Fake:
         scale = 10 * (1 + self.error * h**self.order)
         scale *= 1 + self.wish.get("loose", 1e-9) * (task.looser - 1)
         scale *= 1 + self.wish.get("stepping", 0.0) / steps
+        scale *= 1 + (self.wish.get("seeded", 0.0) if task.tables["model"].get("mesh_seed") else 0)
         curve = Curve(d, scale * d, np.full(steps, scale))
         elements = self.wish.get("elements") or round(1e4 / h**2)
         return SolveResult(
@@ -188,6 +191,24 @@ def test_one_table_of_mesh_steps_and_tolerance() -> None:
     assert loose["relative"] == pytest.approx(9e-6, rel=0.1)
     assert any("raise test.steps" in w for w in found["warnings"])
     assert not any("tolerance" in w for w in found["warnings"])
+
+
+def test_a_surface_knows_how_far_two_meshes_of_one_size_differ(tmp_path: Path) -> None:
+    write(tmp_path / "box.stl", box(10, 8, 6))
+    cylinder = 'shape = "cylinder"\nradius = "25 mm"\nheight = "30 mm"'
+    text = PROBLEM.replace(cylinder, 'shape = "surface"\nfile = "box.stl"\nunit = "mm"')
+    config = located(loads_problem(text, "p.toml"), (tmp_path,))
+    alike = problem(config, solve=Fake()).to_json()
+    found = problem(config, solve=Fake(seeded=0.01)).to_json()
+    (row,) = [
+        r for r in found["sources"]
+        if (r["source"], r["quantity"]) == ("another mesh", "peak_force")
+    ]  # fmt: skip
+    assert row["relative"] == pytest.approx(0.03)
+    first, second = alike["given_mesh"]["u_num"], found["given_mesh"]["u_num"]
+    assert second == pytest.approx(np.hypot(first, 0.03 * found["given_mesh"]["value"]))
+    assert any("another mesh of the problem's own size" in w for w in found["warnings"])
+    assert not any("another mesh" in w for w in alike["warnings"])
 
 
 def test_stored_solutions_are_not_solved_again(tmp_path: Path) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
 from study.ground.canonical import plain
 from study.harness.design.study_file import Converge
+from study.harness.runner.problem_tables import OTHER_MESH, on_mesh
 from study.harness.runner.refinement import (
     FEWEST,
     QUANTITIES,
@@ -22,14 +24,17 @@ from study.harness.runner.refinement import (
     usable,
 )
 from study.harness.runner.solve_task import Solver, SolveResult, SolveTask, solutions
+from study.mechanics.setup.geometry import Enclosed
 from study.mechanics.setup.setup import Setup, Tables, problem_of
 from study.statistics.convergence.grid_convergence import (
+    CAUTIOUS,
     ConvergenceResult,
     assumed_order,
     grid_convergence,
 )
 
-# Errors of mesh, load steps and solver tolerance side by side.
+# Errors of mesh, load steps and solver tolerance side by side, for a surface also of the choice
+# between equally good meshes.
 
 #: How many load steps replace one.
 STEPS = (1, 2, 4)
@@ -45,11 +50,12 @@ ALGEBRAIC = 100.0
 class ErrorSource:
     """What one source of error does to a quantity."""
 
-    #: ``"mesh"``, ``"load steps"`` or ``"solver tolerance"``; what it moves, and its unit.
+    #: ``"mesh"``, ``"another mesh"``, ``"load steps"`` or ``"solver tolerance"``.
     source: str
+    #: What it moves, and its unit.
     quantity: str
     unit: str
-    #: Mesh size, number of steps or factor on the tolerance, finest first, and the values.
+    #: Mesh size, seed, number of steps or factor on the tolerance, finest first, and the values.
     setting: tuple[float, ...]
     value: tuple[float, ...]
     #: Uncertainty of the quantity, in its unit.
@@ -72,11 +78,16 @@ def other_sources(
     count = Setup.of(tables).test.steps
     steps = [(float(count * k), r) for k, r in zip(STEPS, results, strict=False)]
     looser = list(zip(LOOSER, [results[0], *results[len(STEPS) :]], strict=True))
-    rows, warnings = [], []
-    for name, pairs, text in (
+    sources = [
         ("load steps", steps[::-1], "{:g} load steps"),
         ("solver tolerance", looser, "a tolerance {:g} times the usual"),
-    ):
+    ]
+    if isinstance(Setup.of(tables).specimen, Enclosed):
+        (again,) = solutions(solve, [SolveTask.of(on_mesh(tables, mesh_seed=OTHER_MESH), size_mm)])
+        pairs = [(0.0, results[0]), (float(OTHER_MESH), again)]
+        sources.insert(0, ("another mesh", pairs, "the mesh of this size with seed {:g}"))
+    rows, warnings = [], []
+    for name, pairs, text in sources:
         good = [(k, result) for k, result in pairs if result.converged]
         warnings += [
             f"{text.format(k)} gave no answer: {result.message}"
@@ -93,6 +104,8 @@ def _source(source: str, name: str, good: Sequence[tuple[float, SolveResult]]) -
     settings, reference = tuple(k for k, _ in good), values[0]
     # steps: what the problem's own number of them is off by; tolerance: what ten times it costs
     u = _error_of(values) if source == "load steps" else abs(values[1] - reference)
+    if source == "another mesh":
+        u *= CAUTIOUS  # of two values, as of the coarser of two meshes
     relative = u / abs(reference) if reference else None
     return ErrorSource(source, name, unit, settings, values, u, relative)
 
@@ -109,7 +122,7 @@ def _error_of(values: Sequence[float]) -> float:
 def one_table(
     quantities: Mapping[str, ConvergenceResult], others: Sequence[ErrorSource]
 ) -> tuple[ErrorSource, ...]:
-    """Set the three sources of error of every quantity side by side."""
+    """Set the sources of error of every quantity side by side."""
     table: list[ErrorSource] = []
     for name, result in quantities.items():
         u, value = result.u_num, result.value[0]
@@ -131,6 +144,11 @@ def remarks(table: Sequence[ErrorSource]) -> list[str]:
             sentences.append(
                 f"{row.quantity}: the solver's tolerance moves it by {relative:.1g} of its value, "
                 f"more than a hundredth of the mesh's {mesh:.1g}"
+            )
+        if row.source == "another mesh" and relative > mesh:
+            sentences.append(
+                f"{row.quantity}: another mesh of the problem's own size bounds its error there by "
+                f"{relative:.1g} of its value, the series of meshes at its finest by {mesh:.1g}"
             )
         if row.source == "load steps" and relative > mesh:
             sentences.append(
@@ -319,10 +337,18 @@ def judge(
 def with_sources(
     judgement: SeriesJudgement, series: RefinementSeries, solve: Solver
 ) -> SeriesJudgement:
-    """Add the errors of load steps and solver on the coarsest mesh to those of the meshes."""
+    """Add the errors of load steps, solver and choice of a mesh on the coarsest to those of meshes.
+
+    What another mesh of the problem's own size moves widens the uncertainty on that mesh.
+    """
     rows, warnings = other_sources(series.tables, series.good[0].mesh_size_mm, solve)
     table = one_table(judgement.quantities, rows)
-    return replace(judgement, sources=table).warned(*warnings, *remarks(table))
+    given, key = judgement.given, ("another mesh", judgement.main.qoi)
+    other = next((row.u for row in rows if (row.source, row.quantity) == key), None)
+    if given is not None and given.u_num is not None and other is not None:
+        given = replace(given, u_num=math.hypot(given.u_num, other))
+    judgement = replace(judgement, sources=table, given=given)
+    return judgement.warned(*warnings, *remarks(table))
 
 
 def combined(

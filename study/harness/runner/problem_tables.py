@@ -38,6 +38,10 @@ def with_both(tables: Tables, name: str, **changes: object) -> dict[str, object]
     return made
 
 
+#: Seed of the other mesh of a surface, whose difference tells how far a choice of meshes moves it.
+OTHER_MESH = 1
+
+
 def on_mesh(tables: Tables, **changes: object) -> dict[str, object]:
     """Copy a document with other keys of ``model``, in the problem of the calibration too.
 

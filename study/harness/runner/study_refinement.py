@@ -26,6 +26,7 @@ from study.harness.runner.cost import Costs
 from study.harness.runner.expansion import case_job
 from study.harness.runner.job import CaseJob, Origin, Work, varied
 from study.harness.runner.problem_tables import (
+    OTHER_MESH,
     calibrated_test,
     measurements_of,
     on_mesh,
@@ -39,9 +40,6 @@ from study.mechanics.setup.geometry import Block, Enclosed
 from study.mechanics.setup.setup import Setup, Tables, known_height_mm
 
 PURPOSE: Final = "refinement"
-
-#: Seed of the other mesh of a surface, whose difference tells how far a choice of meshes moves it.
-OTHER_MESH = 1
 
 #: Seconds below which the solution on a third mesh is predicted to be cheap, so that it is made.
 CHEAP_S = 20.0
