@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -158,7 +159,7 @@ def series_table(cells: Sequence[Document]) -> Table:
                 "verdict": q["verdict"],
             })  # fmt: skip
     columns = ("cell", "quantity", "finest value", "limit", "order", "formal", "u_num", "behavior")
-    return Table("Series", columns, tuple(rows), 2, 1, raw=tuple(raw))
+    return of_cells(Table("Series", columns, tuple(rows), 2, 1, raw=tuple(raw)), len(cells))
 
 
 def sources_tables(cells: Sequence[Document]) -> list[Table]:
@@ -175,7 +176,17 @@ def sources_tables(cells: Sequence[Document]) -> list[Table]:
     if not rows:
         return []
     columns = ("cell", "quantity", "source of error", "part of the value")
-    return [Table("Errors by source", columns, tuple(rows), 3, raw=tuple(raw))]
+    return [
+        of_cells(Table("Errors by source", columns, tuple(rows), 3, raw=tuple(raw)), len(cells))
+    ]
+
+
+def of_cells(table: Table, number: int) -> Table:
+    """Table whose first column names the cells; a single one needs no name."""
+    if number > 1:
+        return table
+    rows = tuple(row[1:] for row in table.rows)
+    return replace(table, columns=table.columns[1:], rows=rows, left=table.left - 1)
 
 
 def part_of_value(share: float | None) -> str:
