@@ -45,14 +45,8 @@ EXCEPTIONS = {
         "study/harness/record/atomic_files.py",
         "open",
     ): "handles for fsync and of the lock, of which 4 kB are read",
-    ("study/harness/record/document.py", "ZipFile"): "bytes in memory; sizes are compared first",
-    (
-        "study/harness/record/document.py",
-        "open",
-    ): "a member of an archive in memory: 10 kB",
-    ("study/harness/record/document.py", "np.load"): "bytes in memory; sizes are compared first",
     ("study/harness/runner/solve_task.py", "open"): "memory of this process, from /proc",
-    ("study/harness/runner/tasks.py", "read_text"): "memory of the machine, from /proc",
+    ("study/ground/memory.py", "read_text"): "memory of the machine, from /proc",
     (
         "study/harness/external/launcher.py",
         "open",
@@ -63,7 +57,6 @@ EXCEPTIONS = {
         "json.loads",
     ): "a record that was read and written again in memory",
     ("study/harness/execution/supervisor.py", "json.loads"): "text of this very process",
-    ("study/harness/execution/task.py", "json.loads"): "text of the process that asked",
     ("study/harness/execution/local.py", "open"): "a pool of processes",
     **{
         (

@@ -17,7 +17,8 @@ from study.harness.record.document import NumericalCells, NumericalRow, fault_of
 from study.harness.runner import refinement, study_refinement
 from study.harness.runner.batch import Progress, computing, run_batch
 from study.harness.runner.case_series import COSTS, PLACES, CaseSeries, places_of
-from study.harness.runner.solve_task import SolveResult, by_workers, kept
+from study.harness.runner.cost import Costs
+from study.harness.runner.solve_task import SolveResult, by_workers, is_kept, kept
 from study.harness.runner.study_refinement import input_shares, input_work, physics_of
 from study.harness.runner.tasks import default_jobs
 from study.reporting.content.numbers import percent, quantity
@@ -80,16 +81,23 @@ def compare_spaces(
     pairs = study_refinement.pairs(work, store.on_demand(work.input_hashes))
     if not pairs:
         return
+    workers, costs, began = jobs or default_jobs(), Costs(), time.monotonic()
     # the solids take longest: all of them first
     tasks = [pair.tasks[k] for k in (1, 0) for pair in pairs]
-    began, results = time.monotonic(), dict[str, SolveResult]()
-    for key, result in kept(by_workers(jobs or default_jobs(), executor), store)(tasks):
+    left_s = {t.key: costs.solve_seconds(t.tables) for t in tasks if not is_kept(t, store)}
+    total, results = len(left_s), dict[str, SolveResult]()
+
+    def report() -> None:
+        if progress is not None and total:
+            left = costs.side_by_side(list(left_s.values()), workers)
+            label, seconds = "one cylinder in both spaces, a control", time.monotonic() - began
+            progress(Progress(total - len(left_s), total, 0, seconds, left, label))
+
+    report()
+    for key, result in kept(by_workers(workers, executor), store)(tasks):
         results[key] = result
-        done, seconds = len(results), time.monotonic() - began
-        if progress is not None:
-            left = seconds / done * (len(tasks) - done)
-            label = "one cylinder in both spaces, a control"
-            progress(Progress(done, len(tasks), 0, seconds, left, label))
+        if left_s.pop(key, None) is not None:
+            report()
     rows = [
         study_refinement.compared(pair, *(results[task.key] for task in pair.tasks))
         for pair in pairs

@@ -97,7 +97,8 @@ def test_report_beside_another_study(here: Path) -> None:
     )
     assert answer.code == 0, answer.err
     assert set(answer.json["beside"]) >= {"summary", "conclusions"}
-    page = (here / answer.json["report"]).read_text()
+    first = here / answer.json["report"]
+    page = first.with_name(f"{first.stem}-details.html").read_text()
     assert '<section id="beside">' in page
     assert "Compared with other" in page
     table = (here / "two" / "small" / "small-data" / "table-beside.csv").read_text()

@@ -276,7 +276,8 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
 def test_files_of_another_kind_are_named() -> None:
     assert "use `study solve`" in faults(loads_calibration, PROBLEM)["x.toml"]
     assert "is a design" in faults(loads_problem, DESIGN)["x.toml"]
-    assert "factors" in faults(loads, PROBLEM)
+    assert "use `study solve`" in faults(loads, PROBLEM)["x.toml"]
+    assert "factors" in faults(loads, PROBLEM + '[report]\nformat = ["csv"]\n')
 
 
 def test_plausibility_warns_of_units() -> None:

@@ -107,20 +107,16 @@ def test_an_indentation_fit_starts_near_its_end(indenter: str, specimen: str) ->
     found = fit_task.fitted(fit_task.FitTask(fit_problem(config), (measured,)))
     assert found.status == "converged"
     assert found.constants["C10"] == pytest.approx(NEO_HOOKEAN, rel=1e-6)
-    # the force is linear in C10: one simulation at the start, one at the end
-    assert found.fit["solves"] <= 2
+    # the force is proportional to C10
+    assert found.fit["solves"] == 1
 
 
-def test_a_lost_warm_start_is_not_taken_for_constants_without_answer() -> None:
-    """27 times too soft a start, as a user may give: the fit has to come back to the truth.
-
-    After four solutions, each warm from the one before, the next one finds no equilibrium.
-    """
+def test_a_start_that_is_far_too_soft_comes_back_to_the_truth() -> None:
+    """27 times too soft, as a user may give it: one simulation tells all forces."""
     config = setting("needle", "thick cylinder")
     measured = virtual(config)
     given = {**config, "material": {**config["material"], "constants": {"C10": 2.2e-4}}}
     found = fit_task.fitted(fit_task.FitTask(fit_problem(given), (measured,)))
     assert found.status == "converged"
-    assert found.message == "the next full step would not change the parameters"
     assert found.constants["C10"] == pytest.approx(NEO_HOOKEAN, rel=1e-6)
-    assert found.fit["solves"] <= 10
+    assert found.fit["solves"] == 1
