@@ -215,7 +215,7 @@ def test_rigid_motion_has_no_force(material: Material, space: str) -> None:
 
 @pytest.mark.parametrize("material", [*HYPERELASTIC, *OTHERS], ids=name)
 def test_newton_converges_quadratically(material: Material) -> None:
-    """V09: order from the last three residuals of one step of 10 %, bonded."""
+    """V09: order from the last residuals of one step of 10 %, bonded."""
     system = System.build(
         compression(Cylinder(25, 50), 5.0, material=material), grid(25, 50, 6, 12), folding=False
     )
@@ -223,9 +223,10 @@ def test_newton_converges_quadratically(material: Material) -> None:
     tight = NewtonSettings(tolerance=1e-13)
     result = solve_step(system, State(5.0, start.x), tight, lifted_from=start)
     assert result.converged
-    # the last is at rounding (1e-14), which can only make the order look smaller
-    r = np.log(result.residuals[-3:])
-    assert (r[2] - r[1]) / (r[1] - r[0]) >= 1.9, result.residuals
+    logs = np.log(result.residuals)
+    orders = (logs[2:] - logs[1:-1]) / (logs[1:-1] - logs[:-2])
+    # the last residual may be at rounding (1e-14), where the order looks smaller
+    assert orders[-2:].max() >= 1.9, result.residuals
 
 
 def curve(material: Material, displacement: float = 4.0, **model: Any) -> Any:
