@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -67,6 +68,16 @@ def test_unequal_changes_of_a_small_difference_both_count() -> None:
     """e21 = 0 by accident: the range takes over, up to the sum of the cells' bounds."""
     found = contrast_uncertainty(PAIR, pair([5.0, 5.1, 5.5], [4.0, 4.1, 4.3], formal=(1.0, 1.0)))
     assert found.u == pytest.approx(3 * 0.4 / 2 + 1.25 * 0.1)
+
+
+def test_meshes_refined_by_other_ratios_add_their_bounds() -> None:
+    """Two bodies of one kind of element, refined by 2 and by 1.5: each knows its own error."""
+    series = pair([1.0, 1.01], [2.0, 2.04], sizes=(1.0, 2.0))
+    series["b"] = replace(series["b"], mesh_size=(1.0, 1.5))
+    alone = [contrast_uncertainty({name: 1.0}, series) for name in ("a", "b")]
+    both = contrast_uncertainty({"a": 1.0, "b": -1.0}, series)
+    assert both is not None
+    assert both.u == pytest.approx(sum(one.u for one in alone if one is not None))
 
 
 def test_inherited_by_hand() -> None:

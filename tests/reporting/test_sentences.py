@@ -221,6 +221,12 @@ def test_the_answer_names_levels_that_no_effect_covers(data: ReportData):
     assert f"Left out, because {why}: ogden-9." in sentences.answer(more, found)[0]
 
 
+def test_one_factor_alone_has_no_interaction_to_speak_of(data: ReportData):
+    one = replace(data, factors={"material": data.factors["material"]})
+    assert sentences.interactions(one, ()) == ""
+    assert "Interactions are no part" in sentences.interactions(data, ())
+
+
 def test_virtual_specimens_are_said_to_be_virtual(data: ReportData):
     virtual = replace(data, virtual=True)
     assert "scatter of their generator" in undrawn(replace(virtual, curves=()))

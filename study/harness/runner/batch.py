@@ -188,6 +188,10 @@ class Progress:
         return cases + (f", {self.fits_done}/{self.fits} calibrations" if self.fits else "")
 
 
+#: seconds of computing for which a prediction is believed as it is
+_TRUSTED_S = 10.0
+
+
 @dataclass(frozen=True)
 class Summary:
     """What a run did."""
@@ -320,8 +324,9 @@ class _Batch:
                 self._keep(outcome)
                 left -= prices[outcome.key]
                 seconds = time.monotonic() - began
-                # predicted seconds go on at the rate of those that are done
-                rate = seconds / (whole - left) if whole > left else 1 / workers
+                # predicted seconds go on at the rate of those that are done, of which the first
+                # ones say more of how long processes take to start
+                rate = (seconds + _TRUSTED_S) / (whole - left + workers * _TRUSTED_S)
                 self.fits_done += outcome.key in self.fits
                 state = Progress(
                     count, len(tasks), self.failed, seconds, max(left * rate, 0.0),

@@ -197,7 +197,7 @@ def _one_not_other(data: ReportData, all_facts: Sequence[Facts]) -> str:
 
 
 def interactions(data: ReportData, all_facts: Sequence[Facts]) -> str:
-    """Say which factors do not act alone, or which may be chosen independently."""
+    """Say which factors do not act alone, or which may be chosen independently; of one, nothing."""
     strong = [
         (facts, effect)
         for facts in all_facts
@@ -216,7 +216,9 @@ def interactions(data: ReportData, all_facts: Sequence[Facts]) -> str:
 
 def _no_interaction(data: ReportData, all_facts: Sequence[Facts]) -> str:
     every = [effect for facts in all_facts for effect in facts.interactions]
-    if not every and sum(len(levels) > 1 for levels in data.factors.values()) > 1:
+    if sum(len(levels) > 1 for levels in data.factors.values()) < 2:
+        return ""
+    if not every:
         return "Interactions are no part of this analysis, so it cannot rule them out."
     every_factor = [
         e

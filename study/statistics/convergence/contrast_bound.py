@@ -152,8 +152,11 @@ def _within(
     meshes = min(len(series[cell].value) for cell in cells)
     sizes = np.array([series[cell].mesh_size[:meshes] for cell in cells])
     ratios = sizes[:, 1:] / sizes[:, :-1]
-    if meshes < 2 or any(not np.allclose(r, ratios[0], rtol=0.05) for r in ratios):
+    if meshes < 2:
         return None
+    method = "two meshes" if meshes == 2 else "three meshes"
+    if any(not np.allclose(r, ratios[0], rtol=0.05) for r in ratios):
+        return _by_cell(cells, weights, series, method)
     w = np.array([weights[cell] for cell in cells])
     value = np.array([series[cell].value[:meshes] for cell in cells])
     size = first.mesh_size[:meshes]
@@ -166,8 +169,23 @@ def _within(
     difference = w @ value
     bound, order = difference_bounds(difference, size, formal)
     u = min(max(float(bound), FLOOR * ceiling), ceiling)
-    method = "two meshes" if meshes == 2 else "three meshes"
     return ContrastUncertainty(u, 0.0, float(order), method)
+
+
+def _by_cell(
+    cells: Sequence[str],
+    weights: Mapping[str, float],
+    series: Mapping[str, CellSeries],
+    method: str,
+) -> ContrastUncertainty | None:
+    """Sum of the bounds of single cells, whose meshes are refined by different ratios."""
+    u = math.fsum(
+        abs(weights[cell])
+        * float(response_bounds(np.array(s.value), s.mesh_size, s.formal_order, s.noise))
+        for cell in cells
+        for s in (series[cell],)
+    )
+    return ContrastUncertainty(u, 0.0, NO_ORDER, method) if math.isfinite(u) else None
 
 
 def limit_of(series: CellSeries) -> tuple[float, float] | None:
