@@ -46,6 +46,10 @@ LOCAL_SHARE = 0.05
 #: residual of an eigenvector over its eigenvalue at which the iteration ends
 _LANCZOS_TOLERANCE = 1e-4
 
+#: share of the largest compliance below which a negative one is rounding: pressures hold some
+#: motions, which have none
+_ROUNDING = 1e-10
+
 
 @dataclass(frozen=True)
 class Instability:
@@ -143,7 +147,8 @@ def least_stiffness(system: System) -> tuple[float, Array]:
         reduced[: j + 2, j] = column
         square = reduced[: j + 1, : j + 1]
         values, vectors = np.linalg.eigh((square + square.T) / 2)
-        k = 0 if values[0] < 0 else -1  # without a negative one the softest way counts
+        # without a negative one the softest way counts
+        k = 0 if values[0] < -_ROUNDING * np.abs(values).max() else -1
         if column[-1] * abs(vectors[-1, k]) <= _LANCZOS_TOLERANCE * abs(values[k]):
             break
         basis.append(w / column[-1])
@@ -154,7 +159,8 @@ def least_stiffness(system: System) -> tuple[float, Array]:
         mode = system.displacements(motion)
         return 1.0 / float(values[k]), mode / np.linalg.norm(mode, axis=1).max()
 
-    negative = [of(int(k)) for k in np.flatnonzero(values < 0)]
+    below = values < -_ROUNDING * np.abs(values).max()
+    negative = [of(int(k)) for k in np.flatnonzero(below)]
     return max(negative, key=lambda one: volume_share(system, one[1]), default=of(-1))
 
 
