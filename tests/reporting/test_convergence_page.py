@@ -129,4 +129,7 @@ def test_parts_of_a_value_are_percentages() -> None:
     (table,) = sources_tables([cell(2.0) | {"sources": sources}])
     shown = [row[-1].replace(THIN, " ") for row in table.rows]
     assert shown == ["0.88 %", "< 0.001 %", "0 %", MISSING]
-    assert table.rows[0][1] == "RMS force"
+    assert table.columns[0] == "quantity"  # a single cell has no name to be told
+    assert table.rows[0][0] == "RMS force"
+    (both,) = sources_tables([cell(2.0) | {"sources": sources}] * 2)
+    assert both.columns[0] == "cell"
