@@ -257,18 +257,10 @@ class Curve:
 
     def splined(self, values: Array, d: Array) -> Array:
         """Columns of values at the points, zero at the unloaded origin, at other places in mm."""
-        from scipy.interpolate import CubicSpline
-
-        knots = self.displacement_mm
-        if knots[0] > 0:
-            knots = np.r_[0.0, knots]
-            values = np.concatenate([np.zeros((1, values.shape[1])), values])
-        places = np.clip(d, min(float(knots[0]), 0.0), knots[-1])
         if not values.size:
             return np.empty((d.size, values.shape[1]))
-        if knots.size < 3:
-            return np.stack([np.interp(places, knots, column) for column in values.T], axis=1)
-        return np.asarray(CubicSpline(knots, values)(places))
+        knots = self.displacement_mm
+        return spline_from_origin(knots, values, np.clip(d, min(float(knots[0]), 0.0), knots[-1]))
 
     def as_dict(self, *, recorded: bool = False) -> dict[str, Any]:
         """Plain lists, for JSON; with the recorded rows where asked."""
@@ -350,6 +342,18 @@ class Curve:
         k = np.clip(np.searchsorted(knots, places, side="right") - 1, 0, missed.size - 1)
         t = (places - knots[k]) / np.diff(knots)[k]
         return np.asarray(30.0 * missed[k] * (t * (1.0 - t)) ** 2)
+
+
+def spline_from_origin(knots: Array, values: Array, at: Array) -> Array:
+    """Cubic spline from the unloaded origin through some steps; linear in ``values``."""
+    # Shapes: knots (m,); values (m,) or (m, p); at (n,); returns (n,) or (n, p).
+    from scipy.interpolate import CubicSpline
+
+    if knots[0] > 0:
+        knots, values = np.r_[0.0, knots], np.concatenate([np.zeros_like(values[:1]), values])
+    if knots.size < 3:
+        return np.apply_along_axis(lambda column: np.interp(at, knots, column), 0, values)
+    return np.asarray(CubicSpline(knots, values)(at))
 
 
 def _jumps(knots: Array, force: Array, slope: Array) -> Array:

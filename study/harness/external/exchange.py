@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from study.ground.arrays import Array
 from study.ground.bounded_file import UnreadableError, parse_json
 from study.ground.canonical import Json, plain
-from study.ground.curve import Curve
+from study.ground.curve import Curve, spline_from_origin
 from study.ground.errors import Fault, InputError
 from study.ground.working_folder import UserImports
 from study.harness.external.answers import NoAnswer, checked_curve, quantity_in
@@ -157,17 +157,6 @@ def at_points(
     except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
         raise NoAnswer("failed", f"no spline goes through the curve: {error}") from error
     return ProgramAnswer(curve, facts.get("dofs", 0), facts.get("elements", 0), tuple(gradients))
-
-
-def spline_from_origin(knots: Array, values: Array, at: Array) -> Array:
-    """Cubic spline from the unloaded origin through some steps; linear in ``values``."""
-    # Shapes: knots, values (m,); at (n,); returns (n,).
-    from scipy.interpolate import CubicSpline
-
-    x, y = (knots, values) if knots[0] <= 0 else (np.r_[0.0, knots], np.r_[0.0, values])
-    if x.size < 3:
-        return np.asarray(np.interp(at, x, y))
-    return np.asarray(CubicSpline(x, y)(at))
 
 
 def _exchange_columns(text: str) -> dict[str, Array]:

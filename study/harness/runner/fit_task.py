@@ -16,9 +16,8 @@ import numpy as np
 
 from study.ground.arrays import Array
 from study.ground.canonical import digest
-from study.ground.curve import Curve
+from study.ground.curve import Curve, spline_from_origin
 from study.ground.errors import InputError
-from study.harness.external.exchange import spline_from_origin
 from study.harness.record.document import FitDocument
 from study.harness.runner.fit_problem import FitProblem
 from study.harness.runner.fit_summary import (
@@ -294,11 +293,12 @@ class ProportionalFem(InverseFem):
         modulus, name = float(values[0]), self._names[0]
         if modulus <= 0:
             raise EvaluationFailed(f"{name} must be above 0, got {modulus:.6g} MPa")
-        try:
-            self._unit = _unit_solution(self._tables, name, self._depth)
-        except InputError as error:
-            raise EvaluationFailed(str(error)) from error
-        self.solves, self.newton_iterations = 1, self._unit.newton_iterations
+        if self._unit is None:
+            try:
+                self._unit = _unit_solution(self._tables, name, self._depth)
+            except InputError as error:
+                raise EvaluationFailed(str(error)) from error
+            self.solves, self.newton_iterations = 1, self._unit.newton_iterations
         if self._unit.status != "converged":
             raise EvaluationFailed(f"{self._unit.status}: {self._unit.message}")
         return self._unit.predicted.curve.times(modulus, without=["contact_area"])

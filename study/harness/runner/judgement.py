@@ -64,26 +64,29 @@ class ErrorSource:
 
 
 def source_tasks(tables: Tables, size_mm: float) -> list[SolveTask]:
-    """Solutions that the studies of steps and tolerance need, the usual one first."""
+    """Solutions that the studies of steps, tolerance and another mesh need, the usual one first."""
     usual = [SolveTask.of(tables, size_mm)]
     usual += [SolveTask.of(tables, size_mm, more_steps=k) for k in STEPS[1:]]
-    return usual + [SolveTask.of(tables, size_mm, looser=k) for k in LOOSER[1:]]
+    usual += [SolveTask.of(tables, size_mm, looser=k) for k in LOOSER[1:]]
+    if isinstance(Setup.of(tables).specimen, Enclosed):
+        usual.append(SolveTask.of(on_mesh(tables, mesh_seed=OTHER_MESH), size_mm))
+    return usual
 
 
 def other_sources(
     tables: Tables, size_mm: float, solve: Solver
 ) -> tuple[list[ErrorSource], list[str]]:
-    """Errors of load steps and tolerance for every quantity, and which solutions failed."""
+    """Errors of every source for every quantity, and which solutions failed."""
     results = solutions(solve, source_tasks(tables, size_mm))
     count = Setup.of(tables).test.steps
     steps = [(float(count * k), r) for k, r in zip(STEPS, results, strict=False)]
-    looser = list(zip(LOOSER, [results[0], *results[len(STEPS) :]], strict=True))
+    first = len(STEPS) + len(LOOSER) - 1
+    looser = list(zip(LOOSER, [results[0], *results[len(STEPS) : first]], strict=True))
     sources = [
         ("load steps", steps[::-1], "{:g} load steps"),
         ("solver tolerance", looser, "a tolerance {:g} times the usual"),
     ]
-    if isinstance(Setup.of(tables).specimen, Enclosed):
-        (again,) = solutions(solve, [SolveTask.of(on_mesh(tables, mesh_seed=OTHER_MESH), size_mm)])
+    for again in results[first:]:
         pairs = [(0.0, results[0]), (float(OTHER_MESH), again)]
         sources.insert(0, ("another mesh", pairs, "the mesh of this size with seed {:g}"))
     rows, warnings = [], []

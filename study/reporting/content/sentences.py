@@ -215,10 +215,9 @@ def interactions(data: ReportData, all_facts: Sequence[Facts]) -> str:
 
 
 def _no_interaction(data: ReportData, all_facts: Sequence[Facts]) -> str:
-    every = [effect for facts in all_facts for effect in facts.interactions]
     if sum(len(levels) > 1 for levels in data.factors.values()) < 2:
         return ""
-    if not every:
+    if not any(facts.interactions for facts in all_facts):
         return "Interactions are no part of this analysis, so it cannot rule them out."
     every_factor = [
         e

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 from study.harness.design.spec import Expected
 from study.reporting.content.content_table import (
@@ -40,10 +39,6 @@ from study.statistics.analysis.simple_effects import (
     NO_DIFFERENCE,
     NOT_RESOLVED,
 )
-
-if TYPE_CHECKING:
-    pass
-
 
 Labels = Mapping[str, str] | None
 SpreadTest = BartlettResult | LeveneResult

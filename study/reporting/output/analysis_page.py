@@ -205,7 +205,7 @@ def pages(report: AnalysisReport, contents: page.Contents) -> tuple[str, str]:
         c=contents,
         s=contents.sections[0],
         data=data,
-        first=f"{stem}.html",
+        first=page.page_names(stem)[0],
         found=report.found,
         answer=lines,
         no_coefficients=report.coefficients.reason,

@@ -195,6 +195,11 @@ def _section(data: ReportData, item: Facts) -> Section:
     )
 
 
+def page_names(stem: str) -> tuple[str, str]:
+    """Names of the first page of a report and of the second."""
+    return f"{stem}.html", f"{stem}{DETAILS}.html"
+
+
 def pages(contents: Contents) -> tuple[str, str]:
     """Return the HTML of the first page and of the second."""
     data, found = contents.data, contents.found
@@ -224,7 +229,7 @@ def front_page(contents: Contents, title: str, stem: str, answer: Sequence[str],
         curves=contents.figures.get("few-curves", contents.figures.get("curves")),
         recommendation=front.what_to_do(data, found),
         would_change=recommendation.would_change(data, found),
-        details=f"{stem}{DETAILS}.html",
+        details=page_names(stem)[1],
         beside=f"{stem}-data",
         rows=rows,
     )
@@ -238,7 +243,7 @@ def details_page(contents: Contents) -> str:
         "page.html.j2",
         c=contents,
         data=data,
-        first=f"{stem}.html",
+        first=page_names(stem)[0],
         beside=f"{stem}-data",
         answer=(
             *sentences.answer(data, contents.found),

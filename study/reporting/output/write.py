@@ -32,9 +32,9 @@ from study.reporting.content.numbers import MINUS, MISSING, THIN, TIMES
 from study.reporting.content.text import clean
 from study.reporting.figures.registry import Figure, data_alone, slug
 from study.reporting.output.page import (
-    DETAILS,
     Contents,
     data_folder,
+    page_names,
     pages,
     prepare,
     printed,
@@ -51,9 +51,6 @@ if TYPE_CHECKING:
 
 
 # Tables and methods in LaTeX.
-
-if TYPE_CHECKING:
-    pass
 
 
 _SPECIAL = {
@@ -178,11 +175,6 @@ def write_pages(folder: Path, stem: str, html: tuple[str, str], chosen: Sequence
             both = Path(place, f"{stem}.html")
             both.write_text(printed(*html), encoding="utf-8")
             print_page(both, folder / f"{stem}.pdf")
-
-
-def page_names(stem: str) -> tuple[str, str]:
-    """Names of the first page of a report and of the second."""
-    return f"{stem}.html", f"{stem}{DETAILS}.html"
 
 
 def main_file(folder: Path, name: str, formats: Sequence[str]) -> Path:
