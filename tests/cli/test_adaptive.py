@@ -132,6 +132,8 @@ def test_it_ends_with_its_goal_or_its_budget(adaptive) -> None:  # type: ignore[
     assert len(found.records) <= 28
 
 
+@pytest.mark.slow
+@pytest.mark.verify
 def test_it_is_the_same_for_any_number_of_workers(adaptive, processes, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     _, found = adaptive
     assert table(ran(tmp_path, jobs=2)) == table(found)

@@ -198,8 +198,11 @@ def test_a_pipe_in_the_place_of_the_lock_is_refused(done: Path) -> None:
 )
 def test_what_may_not_be_read_is_told(done: Path, place: str, mode: int) -> None:
     """Rights are obeyed by root, too, for as long as it asks."""
-    assert study("report", "small", "--format", "csv,html").code == 0
-    verbs = [("verify", "small"), ("verify", "reports/small/small.html"), READERS[0], RUN]
+    verbs = [READERS[0], RUN]
+    if place not in ("reports", "results/small/fits", "results/small/runs"):
+        # a page draws its figures whenever it is made or verified
+        assert study("report", "small", "--format", "csv,html").code == 0
+        verbs = [("verify", "small"), ("verify", "reports/small/small.html"), *verbs]
     os.chmod(place, mode)
     obey(True)
     try:

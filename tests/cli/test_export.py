@@ -181,6 +181,8 @@ def test_the_bound_holds_at_displacements_that_nobody_solved_before(
     assert np.all(np.diff(law.force_at(places)) > 0)
 
 
+@pytest.mark.slow
+@pytest.mark.verify
 def test_the_bound_holds_on_a_path_of_four_times_as_many_points(tmp_path: Path) -> None:
     """Contact closes point by point under the edge of a punch: no smooth function."""
     text = re.sub("indenter.*", FLAT, INDENTATION).replace('"1 mm"\nsteps', '"3 mm"\nsteps')

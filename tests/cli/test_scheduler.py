@@ -119,6 +119,8 @@ def assert_equal(found: StudyResult, expected: StudyResult) -> None:
     assert len(found.numerical) > 0
 
 
+@pytest.mark.slow
+@pytest.mark.verify
 @pytest.mark.usefixtures("processes")  # a solver that other tests used may round otherwise
 def test_a_study_that_loses_a_worker_gives_the_table_of_a_local_run(
     folder: Path, tmp_path: Path
@@ -196,6 +198,8 @@ def test_a_scheduler_that_is_not_there_is_refused_and_nothing_is_written(
     assert not (folder / "results").exists()
 
 
+@pytest.mark.slow
+@pytest.mark.verify
 @pytest.mark.usefixtures("processes")
 def test_a_surface_goes_to_workers_that_do_not_see_its_file(tmp_path: Path) -> None:
     """The file is gone as soon as something is computed: workers read the copies that they got."""

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from study.mechanics.material.material import Material
@@ -22,6 +23,8 @@ NEO_HOOKEAN = Material("neo-hookean", {"C10": 0.5}, bulk_modulus=1000.0)
 MOONEY = Material("mooney-rivlin", {"C10": 0.4, "C01": 0.1}, bulk_modulus=1000.0)
 RP2 = Material("reduced-polynomial", {"C10": 0.5, "C20": 0.1}, bulk_modulus=1000.0)
 YEOH = Material("reduced-polynomial", {"C10": 0.5, "C20": -0.05, "C30": 0.02}, bulk_modulus=1000.0)
+#: marks of what the long verification alone solves
+LONG = (pytest.mark.slow, pytest.mark.verify)
 #: gel of the reference figures: C10 = 5 kPa, K = 10 MPa
 GEL = Material("neo-hookean", {"C10": 5e-3}, bulk_modulus=10.0)
 

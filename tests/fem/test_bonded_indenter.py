@@ -13,7 +13,7 @@ from study.mechanics.setup.test_kind import StepSettings
 from study.mechanics.solver.finite_element_solution import solve
 from study.mechanics.solver.newton import Options
 from study.mechanics.solver.solution import Solution
-from tests.fem.problems import RP2, taylor_slopes
+from tests.fem.problems import LONG, RP2, taylor_slopes
 from tests.fem.test_indentation import NEEDLE, indentation, linear
 
 
@@ -57,6 +57,8 @@ def test_stiffness_of_adhesive_contact(nu: float) -> None:
     assert per_radius[0] / per_radius[1] == pytest.approx(expected, rel=0.01)
 
 
+@pytest.mark.slow
+@pytest.mark.verify
 def test_every_iteration_closes_what_is_held() -> None:
     """The points next to the axis stand for next to no area: their springs must hold all the same.
 
@@ -71,7 +73,7 @@ def test_every_iteration_closes_what_is_held() -> None:
     assert np.mean(found.newton_iterations) < 6  # it was 11, rising with the depth
 
 
-@pytest.mark.parametrize("mesh", ["coarse", "medium"])
+@pytest.mark.parametrize("mesh", ["coarse", pytest.param("medium", marks=LONG)])
 def test_the_force_does_not_hang_on_the_load_steps(mesh: str) -> None:
     """Where a point is held depends on the step in which it was met, by 0.4 % in eighths."""
     problem = indentation(NEEDLE, 2, interface="bonded", steps=4, mesh=mesh)
@@ -80,7 +82,7 @@ def test_the_force_does_not_hang_on_the_load_steps(mesh: str) -> None:
     np.testing.assert_allclose(usual.curve.force_N[1:], finer.curve.force_N[1:], rtol=1e-3)
 
 
-@pytest.mark.parametrize("space", ["axisymmetric", "3d"])
+@pytest.mark.parametrize("space", ["axisymmetric", pytest.param("3d", marks=LONG)])
 def test_taylor_through_what_has_stuck(space: str) -> None:
     """Where points stuck depends on the constants as well: V41 allows 1.9 to 2.1.
 
@@ -133,7 +135,7 @@ def test_sticking_is_stiffer_by_as_much_in_both_spaces() -> None:
     assert ratios[1] == pytest.approx(ratios[0], rel=3e-3)
 
 
-@pytest.mark.parametrize("order", ["linear", "quadratic"])
+@pytest.mark.parametrize("order", ["linear", pytest.param("quadratic", marks=LONG)])
 def test_a_needle_that_sticks_goes_deep(order: str) -> None:
     """A cone five times deeper than its tip is round, in a softer and a stiffening energy."""
     for material in (RP2, Material("neo-hookean", {"C10": 5e-3}, bulk_modulus=10.0)):

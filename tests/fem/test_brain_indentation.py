@@ -117,6 +117,8 @@ def test_a_sphere_on_a_ball_is_hertz_contact(tmp_path: Path) -> None:
     assert found == pytest.approx(hertz, rel=0.08)
 
 
+@pytest.mark.slow
+@pytest.mark.verify
 def test_a_place_on_a_box_away_from_its_middle(tmp_path: Path) -> None:
     """A wide box feels the same a little beside its middle: the block's own model knows it."""
     lump = Surface(write(tmp_path / "box.ply", box(24, 24, 12)), press_x_mm=2.0, press_y_mm=-1.0)

@@ -107,6 +107,8 @@ def together(folder: Path, dimensions: str) -> list[str]:
     return [hits for _, hits in found]
 
 
+@pytest.mark.slow
+@pytest.mark.verify
 def test_of_processes_at_once_one_compiles(tmp_path: Path) -> None:
     """The others wait, and no process loses the entry of another in a kernel's index."""
     shutil.copy(study.ground.compilation.__file__, tmp_path / "compiled.py")

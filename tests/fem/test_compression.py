@@ -88,6 +88,8 @@ def test_bonded_disc_at_twenty_percent(radius: float) -> None:
     np.testing.assert_allclose(force, FINITE_STRAIN[radius], rtol=0.01)
 
 
+@pytest.mark.slow
+@pytest.mark.verify
 def test_a_disc_that_snaps_is_pressed_on() -> None:
     """The plate's next increment spreads through a specimen at its limit point without drag."""
     problem = compression(Cylinder(2, 1), 0.3, steps=10)

@@ -178,6 +178,8 @@ def test_every_energy_reaches_five_millimetres(
     assert solution.converged, solution.message
 
 
+@pytest.mark.slow
+@pytest.mark.verify
 def test_a_solid_needs_no_snap_under_the_needle() -> None:
     options = Options(snaps=False)
     problem = in_block(ENERGIES["ogden"], 1.6, "quadratic", "coarse")

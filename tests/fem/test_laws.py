@@ -192,11 +192,25 @@ def test_confined_compression(material: Material) -> None:
         assert total == pytest.approx(float(confined(material, stretch)), rel=1e-12)
 
 
-def test_confined_compression_of_ogden_as_neo_hookean() -> None:
-    """V06, analytic: the value of C10 = 0.5, K = 100 at 0.9."""
-    two = Material("ogden", {"mu1": 1.0, "alpha1": 2.0}, bulk_modulus=100.0)
-    P, _, J = evaluate(two.law(), np.diag([1.0, 1.0, 0.9]))
-    assert P[2, 2] + 100 * (J - 1) == pytest.approx(-10.1509818791, abs=1e-10)
+@pytest.mark.parametrize(
+    ("material", "stretch", "expected"),
+    [
+        # V06, analytic: 4/3 C10 (l^1/3 - l^-5/3) + 4/3 C01 (l^-1/3 - l^-7/3) + K (l - 1)
+        (Material("neo-hookean", {"C10": 0.5}, bulk_modulus=100.0), 0.9, -10.1509818791),
+        (Material("neo-hookean", {"C10": 0.5}, bulk_modulus=100.0), 0.95, -5.0708012102),
+        (
+            Material("mooney-rivlin", {"C10": 0.4, "C01": 0.1}, bulk_modulus=100.0),
+            0.9,
+            -10.1531791480,
+        ),
+        (Material("ogden", {"mu1": 1.0, "alpha1": 2.0}, bulk_modulus=100.0), 0.9, -10.1509818791),
+    ],
+)
+def test_confined_compression_in_figures(
+    material: Material, stretch: float, expected: float
+) -> None:
+    P, _, J = evaluate(material.law(), np.diag([1.0, 1.0, stretch]))
+    assert P[2, 2] + 100 * (J - 1) == pytest.approx(expected, abs=1e-10)
 
 
 @given(st.integers(0, 10_000), st.sampled_from([1.0, 1e-3, 1e-8, 1e-14, 0.0]))

@@ -120,7 +120,7 @@ def test_quadratic_tetrahedra_do_not_lock_at_nearly_constant_volume() -> None:
     of the coarse mesh, and that error must not depend on Poisson's ratio.
     """
     errors = []
-    for nu in (0.4995, 0.49999, 0.5):
+    for nu in (0.4995, 0.5):
         plane, solid = (
             solve(pressed(SPHERE, 1.0, nu, space, mesh), gradients=False)
             for space, mesh in (("axisymmetric", "fine"), ("3d", "coarse"))

@@ -14,7 +14,7 @@ from study.mechanics.setup.test_kind import Test as Loading
 from study.mechanics.solver.finite_element_solution import solve
 from study.mechanics.solver.linear_solver import KeptFactors, make_solver, pardiso_available
 from study.mechanics.solver.system import System
-from tests.fem.problems import GEL
+from tests.fem.problems import GEL, LONG
 
 pytestmark = pytest.mark.skipif(not pardiso_available(), reason="pypardiso is not installed")
 
@@ -44,10 +44,10 @@ def problem(loading: Loading, space: str, material: Material) -> Problem:
         (NEEDLE, "axisymmetric", GEL),
         (NEEDLE, "axisymmetric", OGDEN),
         (NEEDLE, "axisymmetric", RUBBER),
-        (NEEDLE, "3d", GEL),
+        pytest.param(NEEDLE, "3d", GEL, marks=LONG),
         (PRESS, "axisymmetric", RUBBER),
         (PRESS, "3d", RUBBER),
-        (PRESS, "3d", OGDEN),
+        pytest.param(PRESS, "3d", OGDEN, marks=LONG),
     ],
 )
 def test_forces_and_their_derivatives_are_those_of_double_precision(

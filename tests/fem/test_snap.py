@@ -17,7 +17,6 @@ from study.mechanics.solver.system import System
 from tests.fem.problems import taylor_slopes
 from tests.fem.test_indentation import NEEDLE, RUBBER, indentation
 
-LONG = (pytest.mark.slow, pytest.mark.verify)
 TOUGHER = Material("reduced-polynomial", {"C10": 5e-3, "C20": 1e-3}, incompressible=True)
 #: with Poisson's ratio given, K follows the constants
 BY_RATIO = Material("reduced-polynomial", {"C10": 5e-3, "C20": 1e-3}, poisson_ratio=0.4995)
@@ -92,12 +91,14 @@ def test_a_block_under_a_deep_cone_snaps_and_goes_on() -> None:
     assert np.all(np.diff(found.curve.force_N) > 0)
 
 
+@pytest.mark.slow
+@pytest.mark.verify
 @pytest.mark.parametrize(
     ("element_order", "mesh"),
     [
         ("linear", "coarse"),
-        pytest.param("quadratic", "coarse", marks=LONG),
-        pytest.param("linear", "medium", marks=LONG),
+        ("quadratic", "coarse"),
+        ("linear", "medium"),
     ],
 )
 def test_a_solid_under_a_flat_end_goes_on_to_its_radius(element_order: str, mesh: str) -> None:

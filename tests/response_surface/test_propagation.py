@@ -103,7 +103,7 @@ def test_a_square_of_a_normal_input_is_a_shifted_chi_square(kind: str) -> None:
     assert only.index.total == pytest.approx(1.0, abs=0.01)
 
 
-@pytest.mark.parametrize("last", [3, pytest.param(8, marks=[pytest.mark.slow, pytest.mark.verify])])
+@pytest.mark.parametrize("last", [1, pytest.param(8, marks=[pytest.mark.slow, pytest.mark.verify])])
 def test_ishigamis_mean_and_variance_are_inside_what_the_emulator_may_err(last: int) -> None:
     uniform = {f"x{j}": of("uniform", 0.0, 1.0) for j in (1, 2, 3)}
     mean, variance = 3.5, 7**2 / 8 + 0.1 * math.pi**4 / 5 + 0.01 * math.pi**8 / 18 + 0.5
