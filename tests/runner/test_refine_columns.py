@@ -13,6 +13,7 @@ from study.api.opened_study import load as open_study
 from study.api.study import report
 from study.api.uncertainty import refine
 from study.harness.design.load import loads
+from study.harness.design.spec import Design
 from study.harness.record.record import Record
 from study.harness.record.store import Store
 from study.harness.runner.case_series import half_width
@@ -29,16 +30,15 @@ MESHES = 'material = ["neo-hookean", "reduced-polynomial-2"]\nmodel.mesh = ["fin
 RESPONSE = ("relative_rms_force_error", "%")
 
 
-def work_with(meshes: str, home: Path) -> Work:
-    text = DESIGN.replace(MESHES.split("\n")[0], MESHES.format(meshes))
-    design = loads(text, "cone.toml")
-    write_virtual(design, home, usual_generator(design, blocks=2))
-    return expand(design, home)
+def design_with(meshes: str) -> Design:
+    return loads(DESIGN.replace(MESHES.split("\n")[0], MESHES.format(meshes)), "cone.toml")
 
 
 @pytest.fixture(scope="module")
 def work(tmp_path_factory: pytest.TempPathFactory) -> Work:
-    return work_with(', "medium"', tmp_path_factory.mktemp("data"))
+    design, home = design_with(', "medium"'), tmp_path_factory.mktemp("data")
+    write_virtual(design, home, usual_generator(design, blocks=2))
+    return expand(design, home)
 
 
 @pytest.fixture(scope="module")
@@ -143,8 +143,8 @@ def test_each_effect_of_the_study_is_held_against_its_own_contrast(
     assert [e.u_num for e in again.effects] == [e.u_num for e in response.result.effects]
 
 
-def test_two_meshes_are_no_column(tmp_path: Path) -> None:
-    assert own_series(work_with("", tmp_path), {}) == []
+def test_two_meshes_are_no_column(work: Work) -> None:
+    assert own_series(expand(design_with(""), work.data.root), {}) == []
 
 
 def test_without_an_order_thrice_the_range_counts() -> None:

@@ -191,6 +191,8 @@ points = 3
 ).replace('[test]\nkind = "compression"\ninterface = "frictionless"\nsteps = 1\n', "")
 
 
+@pytest.mark.slow
+@pytest.mark.verify
 def test_energies_are_weighed_on_a_surface(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The surface is found for the choice of an energy as it is for a calibration."""
     (home / "calibration.toml").write_text(CALIBRATION)

@@ -112,6 +112,8 @@ def test_the_scan_of_the_closed_form_is_on_the_surface(
     assert "rotation about" in capsys.readouterr().out
 
 
+@pytest.mark.slow
+@pytest.mark.verify
 def test_a_body_that_is_larger_deviates_by_as_much(tmp_path: Path) -> None:
     """0.3 mm more radius, the same height: every point of the side is 0.3 mm off."""
     cloud = MOTION(cylinder(RADIUS + 0.3, HEIGHT, 4000, 2))
@@ -134,7 +136,10 @@ def test_noise_and_outliers_are_counted_and_do_no_harm(tmp_path: Path) -> None:
     assert 0 < found.registration_uncertainty < 0.01
 
 
-@pytest.mark.parametrize("space", ["axisymmetric", "3d"])
+@pytest.mark.parametrize(
+    "space",
+    ["axisymmetric", pytest.param("3d", marks=[pytest.mark.slow, pytest.mark.verify])],
+)
 def test_markers_inside_move_as_the_closed_form_says(tmp_path: Path, space: str) -> None:
     rng = np.random.default_rng(4)
     turn, r = 2 * np.pi * rng.random(20), 18 * np.sqrt(rng.random(20))

@@ -214,6 +214,8 @@ def test_fits_to_resampled_noise_are_left_out_and_counted(results: Path) -> None
     assert "left out: 4 not computed yet" in found.out
 
 
+@pytest.mark.slow
+@pytest.mark.verify
 def test_a_mesh_seed_is_solved_on_its_own_mesh(home: Path) -> None:
     found = recomputed(run(home, SEEDS), "--sample", 4)
     assert found.code == 0, found.out + found.err
@@ -274,6 +276,8 @@ def test_its_interpolation_of_a_hertz_curve(monotone: bool) -> None:
     assert np.abs(found - at**1.5).max() < 0.1 * recompute.BAR / 100 * 2**1.5
 
 
+@pytest.mark.slow
+@pytest.mark.verify
 def test_a_study_without_measurements_is_computed_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
