@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 import study
+from study.statistics.analysis import gate
 from study.statistics.analysis.analysis_result import AnalysisResult
 from study.statistics.analysis.anova import anova
 
@@ -85,3 +86,21 @@ def test_a_named_difference_has_the_interval_of_the_effect(
     assert one.ci == pytest.approx(effect.ci95, rel=1e-9)
     assert (one.verdict, one.why) == ("cannot tell", "one specimen: another may differ")
     assert (effect.verdict, effect.why) == (one.verdict, one.why)
+
+
+def test_sums_of_many_values_are_drawn_from_their_moments(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As resampling finds them: 2,000 draws of 100,000 rows took two minutes for a table."""
+    rng = np.random.default_rng(3)
+    n, draws = 3000, range(6)
+    value = rng.gamma(4.0, size=3 * n) / n
+    value[n : 2 * n] *= -1
+    value[2 * n :] = 0.0  # a cell outside the contrast
+    groups = list(np.arange(3 * n).reshape(3, n))
+    quick = np.array([gate._bootstrap_t(value, groups, 0.05, 6, seed) for seed in draws])
+    monkeypatch.setattr(gate, "_MANY", 10**9)
+    whole = np.array([gate._bootstrap_t(value, groups, 0.05, 6, seed) for seed in draws])
+    error = np.sqrt(sum(value[group].var() * n for group in groups))
+    off = (quick.mean(axis=0) - whole.mean(axis=0)) / error
+    # standard errors of quantiles of 6 times 2,000 draws: .03 of the two ends, .07 of the last
+    assert np.abs(off[:2]).max() < 0.12
+    assert abs(off[2]) < 0.28

@@ -68,6 +68,9 @@ LEAST_CONTRASTS = 7
 SKEWED = 0.05
 #: resamples of the bootstrap
 _DRAWS = 2000
+#: values from which on their sums are drawn from a normal distribution, and largest standard
+#: deviation of the sum of squares over that sum for it
+_MANY, _SMALL_SPREAD = 500, 0.06
 #: contrasts times rows that a rival keeps at once: 160 MB
 _MOST_VALUES = 20_000_000
 
@@ -488,11 +491,10 @@ def _bootstrap_t(
     shift, variance, total = np.zeros(_DRAWS), np.zeros(_DRAWS), 0.0
     for group in groups:
         part = value[group]
-        n = part.size
-        drawn = part[random.integers(0, n, (_DRAWS, n))]
-        shift += drawn.sum(axis=1) - part.sum()
-        variance += n * drawn.var(axis=1, ddof=1)
-        total += n * float(part.var(ddof=1))
+        moved, scatter = _resampled(part, random)
+        shift += moved
+        variance += part.size * scatter
+        total += part.size * float(part.var(ddof=1))
     with np.errstate(divide="ignore", invalid="ignore"):
         t = np.where(variance > 1e-24 * total, shift / np.sqrt(variance), np.sign(shift) * np.inf)
     t = np.sort(np.where(np.isnan(t), 0.0, t))
@@ -504,6 +506,29 @@ def _bootstrap_t(
     low, high = centre - quantile(1 - alpha / 2) * error, centre - quantile(alpha / 2) * error
     tail = max(alpha / (2 * m), 1 / _DRAWS)
     return low, high, max(abs(quantile(1 - tail)), abs(quantile(tail))) * error
+
+
+def _resampled(part: Array, random: np.random.Generator) -> tuple[Array, Array]:
+    """Draw how far sums of resampled values lie from the sum, and their variances, shape (draws,).
+
+    Sums of many values and of their squares are normal with the covariance that the first four
+    moments give (central limit theorem), unless tails are so heavy that single values decide.
+    """
+    n = part.size
+    apart = part - part.mean()
+    squares = apart**2
+    second = float(squares.mean())
+    spread = float(squares.var())
+    if n < _MANY or spread > n * (_SMALL_SPREAD * second) ** 2:
+        drawn = part[random.integers(0, n, (_DRAWS, n))]
+        return drawn.sum(axis=1) - part.sum(), drawn.var(axis=1, ddof=1)
+    skew = float(np.mean(squares * apart))
+    first, other = random.standard_normal((2, _DRAWS)) * math.sqrt(n)
+    shift = math.sqrt(second) * first
+    slope = skew / second if second else 0.0  # a cell outside the contrast adds nothing
+    rest = math.sqrt(max(spread - skew * slope, 0.0))
+    summed = n * second + slope * shift + rest * other
+    return shift, (summed - shift**2 / n) / (n - 1)
 
 
 def _lognormal_end(value: Array, alpha: float) -> float:
