@@ -317,7 +317,7 @@ def twin_levels(frame: pd.DataFrame, columns: Sequence[str]) -> list[str]:
     twins = []
     for name in columns:
         alike: dict[str, dict[str, None]] = {}
-        for label in dict.fromkeys(map(str, frame[name])):
+        for label in dict.fromkeys(map(str, frame[name].unique())):
             alike.setdefault("".join(label.split()).casefold(), {})[label] = None
         twins += [
             f"column {name!r} holds {' and '.join(map(repr, labels))} as different levels: "
@@ -330,7 +330,7 @@ def twin_levels(frame: pd.DataFrame, columns: Sequence[str]) -> list[str]:
 
 def number_levels(frame: pd.DataFrame, columns: Sequence[str]) -> list[str]:
     """Sentences about columns of labels that look like numbers: they are never taken as such."""
-    labels = {name: set(map(str, frame[name])) for name in columns}
+    labels = {name: set(map(str, frame[name].unique())) for name in columns}
     return [
         f"the levels of {name!r} are numbers, and are taken as labels: --numeric {name} asks for "
         "a surface over them"
