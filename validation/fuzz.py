@@ -63,7 +63,7 @@ ENDINGS = (signal.SIGTERM, signal.SIGHUP, signal.SIGINT, signal.SIGUSR1)
 #: what a verb may take
 SECONDS, MEGABYTES = 10.0, 1000.0
 #: seconds after which a verb is stopped, and its process if that did not help
-HANGS, DEAD = 120, 300.0
+HANGS, DEAD = 1200, 1500.0
 #: seconds in which the projects are made on the busiest machine: a minute of a processor
 PREPARED = 7200.0
 #: exit codes of ``study --help`` but that of an interrupt, which nobody sends here
