@@ -92,6 +92,19 @@ def test_failure_at_every_operation_then_resume(tmp_path, clean, power_loss, fol
         assert left == [], k
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="syncfs(2) is a call of Linux")
+def test_records_that_come_together_are_flushed_together(tmp_path, monkeypatch):
+    flushed = []
+    monkeypatch.setattr(os, "fsync", flushed.append)
+    names = [f"c{number}" for number in range(30)]
+    with Store(tmp_path).lock() as store:
+        begun = len(flushed)
+        for name in names:
+            store.write(record(name), followed=name != names[-1])
+        assert len(flushed) == begun
+        assert len(store.read_all()) == len(names)
+
+
 def test_disk_full_says_what_to_do(tmp_path):
     with pytest.raises(StoreError, match="No space left.*unharmed.*run again"):
         run(tmp_path, FailingDisk(4))

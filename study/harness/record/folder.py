@@ -12,7 +12,7 @@ from typing import Self, TypeVar, cast
 from study.ground.bounded_file import MAX_JSON_BYTES, NotRegularError, read_regular
 from study.ground.errors import NewerSchemaError, StoreError
 from study.harness.record import atomic_files
-from study.harness.record.atomic_files import FileSystem, is_leftover, write_atomic, write_error
+from study.harness.record.atomic_files import Batch, FileSystem, is_leftover, write_error
 from study.harness.record.document import ManifestDocument, fault_of
 from study.harness.record.record import plain, seal, unseal
 
@@ -59,8 +59,8 @@ class SealedFolder:
         self._warn = warn
         self._system = system or FileSystem()
         self._locked = False
-        #: folders with names that a loss of power may still take back
-        self._unflushed: dict[Path, None] = {}
+        #: files that wait for the one that follows them
+        self._batch = Batch(self._system)
 
     @contextlib.contextmanager
     def lock(self) -> Iterator[Self]:
@@ -100,20 +100,17 @@ class SealedFolder:
             clean["not_finite"] = lost
         self._write(self._json(name), seal(clean).encode(), followed)
 
-    def _write(self, path: Path, data: bytes, followed: bool = False) -> None:
-        """Write a file; what went before it and was left unflushed is flushed first."""
+    def _write(
+        self,
+        path: Path,
+        data: bytes,
+        followed: bool = False,
+        then: Callable[[], None] | None = None,
+    ) -> None:
+        """Write a file, and those that it follows; one that is followed waits to be in place."""
+        self._batch.add(path, data, then)
         if not followed:
-            self._flush()
-        write_atomic(path, data, self._system, self._unflushed if followed else None)
-
-    def _flush(self) -> None:
-        """Make the names of all that was written survive a loss of power."""
-        try:
-            while self._unflushed:
-                self._system.sync_folder(next(iter(self._unflushed)))
-                del self._unflushed[next(iter(self._unflushed))]
-        except OSError as error:
-            raise write_error(self.path, error) from error
+            self._batch.finish()
 
     def read_json(self, name: str) -> object:
         """Content stored under a name; None if there is none or it is damaged (set aside)."""

@@ -17,7 +17,7 @@ import hashlib
 import os
 from collections import defaultdict
 from collections.abc import Collection, Mapping
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import cast
 
@@ -141,11 +141,14 @@ class Store(ResultFolder):
         """Store a record, whole or not at all."""
         path = self._case(record.case_id) / CURRENT
         self._lay_by(record)
-        self._write(path, record.to_json().encode(), followed)
+        self._write(path, record.to_json().encode(), followed, partial(self._written, record, path))
+        if self._locked and self._index.is_due:
+            self._write_index()
+
+    def _written(self, record: Record, path: Path) -> None:
+        """Note a record that is in place now."""
         if self._locked:
             self._index.note(record, FileStamp.of(path))
-            if self._index.is_due:
-                self._write_index()
 
     def write_folder(self, case_id: str, packed: bytes) -> None:
         """Keep the folder in which a program computed a case, as a zip beside the records."""
@@ -269,7 +272,7 @@ class Store(ResultFolder):
         self._clear_leftovers([*folders, *names])
 
     def _end(self) -> None:
-        self._flush()
+        self._batch.finish()
         self._write_index()
 
     def _write_index(self) -> None:
