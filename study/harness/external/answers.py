@@ -12,9 +12,10 @@ import re
 import resource
 import signal
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import BrokenExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -29,6 +30,7 @@ from study.harness.design.forward_section import (
     ValueFile,
     target_and_source,
 )
+from study.harness.execution.local import Process, ProcessPool
 
 if TYPE_CHECKING:
     from jinja2 import Environment, Template
@@ -42,20 +44,36 @@ _MOST_REPEATED = 100_000
 _MOST_SECONDS = 5.0
 _MOST_MEMORY = 500_000_000
 _NEAR = "\t"
+#: what a call with limits gives
+Given = TypeVar("Given")
 
 
-@contextlib.contextmanager
-def _limited() -> Iterator[None]:
-    """Context with limits of its own time and memory, for texts of strangers: templates, patterns.
+@functools.cache
+def _helper() -> ProcessPool:
+    """Process whose main thread does for the other threads of this one what has limits."""
+    return Process(dict).open()
 
-    Signals reach the main thread alone: that of a command and of a worker process.
+
+def _within_limits(call: Callable[..., Given], *arguments: object) -> Given:
+    """Make a call that a text of a stranger decides on, with limits of its time and memory.
+
+    Signals reach the main thread of a process alone, that of a command and of a worker; any other
+    one, such as those of Dask or of a notebook's widgets, has the call made by a process beside it.
     """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
+    if threading.current_thread() is threading.main_thread():
+        return _limited(_MOST_SECONDS, call, *arguments)
+    try:
+        return _helper().submit(_limited, _MOST_SECONDS, call, *arguments).result()
+    except BrokenExecutor as error:
+        _helper.cache_clear()
+        raise MemoryError("the process that computed it has died") from error
+
+
+def _limited(seconds: float, call: Callable[..., Given], *arguments: object) -> Given:
+    """Make a call in the main thread with limits of its own time and memory."""
 
     def stop(*_: object) -> None:
-        raise TimeoutError(f"takes more than {_MOST_SECONDS:g} s of computing")
+        raise TimeoutError(f"takes more than {seconds:g} s of computing")
 
     pages = 0
     with contextlib.suppress(OSError):  # Linux alone tells
@@ -65,9 +83,9 @@ def _limited() -> Iterator[None]:
     if pages and (soft == resource.RLIM_INFINITY or most < soft):
         resource.setrlimit(resource.RLIMIT_AS, (most, hard))
     handler = signal.signal(signal.SIGVTALRM, stop)
-    signal.setitimer(signal.ITIMER_VIRTUAL, _MOST_SECONDS)
+    signal.setitimer(signal.ITIMER_VIRTUAL, seconds)
     try:
-        yield
+        return call(*arguments)
     finally:
         signal.setitimer(signal.ITIMER_VIRTUAL, 0)
         signal.signal(signal.SIGVTALRM, handler)
@@ -143,6 +161,23 @@ def _template(text: str) -> Template:
 
 def rendered(text: str, context: Mapping[str, object], source: str) -> str:
     """Text of a template over a case; an unknown name is an :class:`InputError` with its line."""
+    try:
+        made = _within_limits(_rendered, text, context, source)
+    except (TimeoutError, MemoryError) as error:
+        made = _fault(error, source)
+    if isinstance(made, Fault):
+        raise InputError(made)
+    return made
+
+
+def _fault(error: BaseException, source: str) -> Fault:
+    """Fault of a template that could not be rendered to its end."""
+    rule = f"cannot be rendered: {type(error).__name__}: {str(error)[:200] or 'no memory'}"
+    return Fault(f"{source}:{_line(error)}", rule, "see what the template does there")
+
+
+def _rendered(text: str, context: Mapping[str, object], source: str) -> str | Fault:
+    """Text of a template, or what is wrong with it and where."""
     from jinja2.exceptions import (
         SecurityError,
         TemplateError,
@@ -153,27 +188,27 @@ def rendered(text: str, context: Mapping[str, object], source: str) -> str:
     names = {k: Names(k, v) if isinstance(v, Mapping) else v for k, v in context.items()}
     size, parts = 0, []
     try:
-        with _limited():
-            for part in _template(text).generate(**names):
-                size += len(part)
-                if size > MOST_RENDERED:
-                    raise SecurityError(f"renders more than {MOST_RENDERED / 1e6:g} MB")
-                parts.append(part)
+        for part in _template(text).generate(**names):
+            size += len(part)
+            if size > MOST_RENDERED:
+                raise SecurityError(f"renders more than {MOST_RENDERED / 1e6:g} MB")
+            parts.append(part)
     except TemplateSyntaxError as error:
         rule = f"is no template: {error.message}"
-        raise InputError(Fault(f"{source}:{error.lineno}", rule, "mend the braces there")) from None
+        return Fault(f"{source}:{error.lineno}", rule, "mend the braces there")
     except UndefinedError as error:
         rule, _, near = str(error).partition(_NEAR)
         top = rule.removeprefix("unknown name ")
         mend = near or (nearest(top, context) if top != rule else "")
-        raise InputError(Fault(f"{source}:{_line(error)}", rule, mend)) from None
+        return Fault(f"{source}:{_line(error)}", rule, mend)
     except (
         TemplateError, ArithmeticError, TypeError, ValueError, LookupError, TimeoutError,
         MemoryError, RecursionError,
     ) as error:  # fmt: skip
-        where = f"{source}:{_line(error)}"
-        rule = f"cannot be rendered: {type(error).__name__}: {str(error)[:200] or 'no memory'}"
-        raise InputError(Fault(where, rule, "see what the template does there")) from None
+        if "no loader" in str(error):  # of include, import and extends
+            rule = "takes in another file, which no template may: what runs is what was allowed"
+            return Fault(f"{source}:{_line(error)}", rule, "write its text into this template")
+        return _fault(error, source)
     return "".join(parts)
 
 
@@ -393,14 +428,18 @@ def _with_unit(row: Sequence[str]) -> object:
     return {"value": row[1], "unit": row[2]} if len(row) > 2 and row[2] else row[1]
 
 
+def _last_in(text: str, pattern: str) -> str | None:
+    expression, last = re.compile(pattern), None
+    for line in text.splitlines():
+        for match in expression.finditer(line[:_LINE]):
+            last = match[1]
+    return last
+
+
 def _logged(text: str, pattern: str, place: str, name: str) -> float:
     """Last number that a pattern has in a log."""
-    expression, last = re.compile(pattern), None
     try:
-        with _limited():
-            for line in text.splitlines():
-                for match in expression.finditer(line[:_LINE]):
-                    last = match[1]
+        last = _within_limits(_last_in, text, pattern)
     except TimeoutError as error:
         rule = f"{place}: looking for {name} with {pattern[:80]!r} {error}"
         raise NoAnswer("failed", f"{rule}: write it without a repeat within a repeat") from None

@@ -22,12 +22,12 @@ from study.harness.runner.fit_problem import (
     NOTHING,
     Allowed,
     FitProblem,
+    Forwards,
     check_templates,
     fit_problem,
     identity,
     start_problem,
     together,
-    with_external,
 )
 from study.harness.runner.job import (
     CONSTANTS,
@@ -228,17 +228,18 @@ def expand(design: Design, data_root: Path, allowed: Allowed = NOTHING) -> Work:
     places = provenance.folders(design.source, data_root)
     # a replicate is named by what was written, not by where its surface was found
     planned = seeded(_distinct(cases(design, blocks)), design)
+    asked, forwards = units_asked(design), Forwards(places, allowed.function)
     shared: dict[int, Computed] = {}
 
     def job(case: Case, origin: Origin) -> CaseJob:
         place = id(case.config)  # one for all blocks of a cell, kept alive by its cases
         if place not in shared:
-            shared[place] = Computed.of(_located(case, places, allowed), design)
+            shared[place] = Computed.of(_located(case, places, forwards), list(asked))
         return case_job(case, data, design, origin, shared[place])
 
     jobs = _anchored(job(case, origin) for case, origin in planned)
     every = (*jobs, *resampled(jobs, design))
-    return Work(design, every, units_asked(design), blocks, data, allowed)
+    return Work(design, every, asked, blocks, data, allowed)
 
 
 def cases_by_id(design: Design, blocks: Sequence[str]) -> dict[str, Case]:
@@ -286,12 +287,11 @@ class Computed:
     names: tuple[object, ...]
 
     @classmethod
-    def of(cls, case: Case, design: Design) -> Computed:
+    def of(cls, case: Case, asked: Sequence[str]) -> Computed:
         """Work out what the cases of a cell share, from one whose files were found."""
         problem = fit_problem(case.config)
         names = (code_version(), *provenance.fingerprints(case.config), *identity(case.config))
-        names_asked = sorted(units_asked(design))
-        return cls(case.config, problem, _forward_of(case, problem), (names_asked, *names))
+        return cls(case.config, problem, _forward_of(case, problem), (sorted(asked), *names))
 
 
 def units_asked(design: Design) -> dict[str, str]:
@@ -330,12 +330,14 @@ def _distinct(repeated_cases: Sequence[Case]) -> tuple[Case, ...]:
     return tuple(out)
 
 
-def _located(case: Case, places: Sequence[Path], allowed: Allowed = NOTHING) -> Case:
+def _located(case: Case, places: Sequence[Path], forwards: Forwards) -> Case:
     """Copy a case with its surfaces, and the files of its forward model, found and checked."""
     config = provenance.with_markers(provenance.located(case.config, places), places)
-    made = with_external(config, places, allowed.function)
-    check_templates(made, case.case_id)
-    return replace(case, config=made)
+    section = case.treatment.cell.problem.forward
+    if section is not None and section.is_external:
+        config = {**config, "forward": forwards.table(section)}
+        check_templates(config, case.case_id)
+    return replace(case, config=config)
 
 
 def case_job(
@@ -346,7 +348,7 @@ def case_job(
     computed: Computed | None = None,
 ) -> CaseJob:
     """Make the job of one case."""
-    shared = computed or Computed.of(case, design)
+    shared = computed or Computed.of(case, list(units_asked(design)))
     placed = case if computed is None else replace(case, config=shared.config)
     pairs = tuple(_score_pairs(placed, shared.problem, data, design))
     content = [case.case_id, [pair.identity for pair in pairs], *shared.names]

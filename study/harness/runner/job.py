@@ -310,9 +310,10 @@ class CaseTask:
     def of(cls, job: CaseJob, work: Work, fits: Mapping[str, FitResult]) -> CaseTask:
         """Task of a case whose fits are done: a worker needs of each fit its name and outcome."""
         names = (*PROBLEM, "markers", "parameters", "units")
-        tables: dict[str, object] = dict(
-            plain({k: v for k, v in job.case.config.items() if k in names})
-        )
+        # the forward model is one value for all cases, which go to a worker together
+        tables: dict[str, object] = {
+            k: v if k == "forward" else plain(v) for k, v in job.case.config.items() if k in names
+        }
         pairs = tuple(
             replace(pair, fit=pair.fit and replace(pair.fit, measured=(), start=None))
             for pair in job.directions
