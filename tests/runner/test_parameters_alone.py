@@ -408,6 +408,12 @@ parameters.stiffness = "30 N/m"
     at = {"parameters.stiffness": "1.1 kN/m", "parameters.damping": "12 N s/m"}
     told = api.predict(found.folder, at, response="peak")[0]
     assert told.value == pytest.approx(overshoot(1100.0, 12.0), rel=0.02)
+    with pytest.raises(errors.RefusedError, match="--no-confirm"):
+        api.optimize(found, minimize="peak")
+    (best,) = api.optimize(found, minimize="peak", confirming=False)
+    stiffness, damping = (best.settings[name] for name in at)
+    assert (stiffness > 1500, damping > 17) == (True, True)
+    assert best.value == pytest.approx(overshoot(stiffness, damping), rel=0.02)
 
 
 RUNS = """

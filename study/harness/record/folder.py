@@ -19,28 +19,30 @@ from study.harness.record.record import plain, seal, unseal
 Kept = TypeVar("Kept")
 
 ID = re.compile(r"[a-z0-9][a-z0-9-]{0,79}")
+#: where a link in a results folder must not lead
+OUTSIDE = "the results folder; remove it"
 
 
 def own_folder(root: Path, name: str) -> Path:
     """Folder of a study or a report below the one that the user named; it is not made."""
-    return _inside(
-        root,
-        root / name,
-        f"{root}, where nothing is written; remove the link, or name another folder",
-    )
+    outside = f"{root}, where nothing is written; remove the link, or name another folder"
+    return inside(root, Path(name).parts, outside)
 
 
-def _inside(root: Path, path: Path, outside: str) -> Path:
-    """Refuse a place that a link leads out of a folder."""
-    below = path.relative_to(root).parts
-    names = [os.path.join(root, *below[: k + 1]) for k in range(len(below))]
-    if not any(map(os.path.islink, names)):
+def inside(root: Path, below: Sequence[str], outside: str) -> Path:
+    """Place below a folder; refuse one that a link leads out of it."""
+    places, place = [], str(root)
+    for part in below:
+        place = os.path.join(place, part)
+        places.append(place)
+    path = Path(place)
+    if not any(map(os.path.islink, places)):
         return path
     try:
-        inside = path.resolve().is_relative_to(root.resolve())
+        is_inside = path.resolve().is_relative_to(root.resolve())
     except (OSError, RuntimeError, ValueError) as error:
         raise StoreError(f"{path}: cannot be used ({error})") from error
-    if not inside:
+    if not is_inside:
         raise StoreError(f"{path}: a link leads outside {outside}")
     return path
 
@@ -152,11 +154,7 @@ class SealedFolder:
     def _json(self, name: str) -> Path:
         if not all(ID.fullmatch(part) for part in name.split("/")):
             raise StoreError(f"{name!r} is no name of a stored file (a-z, 0-9, hyphens)")
-        return self._inside(self.path / f"{name}.json")
-
-    def _inside(self, path: Path) -> Path:
-        """Refuse a place that a link leads out of the results folder."""
-        return _inside(self.path, path, "the results folder; remove it")
+        return inside(self.path, f"{name}.json".split("/"), OUTSIDE)
 
     def _bytes(self, path: Path, limit: int = MAX_JSON_BYTES) -> bytes | None:
         try:

@@ -32,7 +32,7 @@ from study.harness.record.document import (
     fault_of_curves,
     fault_of_fits,
 )
-from study.harness.record.folder import ID, ManifestFolder
+from study.harness.record.folder import ID, OUTSIDE, ManifestFolder, inside
 from study.harness.record.index import (
     CURRENT,
     Entry,
@@ -193,8 +193,9 @@ class Store(ResultFolder):
         made_with: dict[str, str] = {}
         missing: list[str] = []
         foreign: list[str] = []
+        there = frozenset(self._case_ids())
         for case_id, input_hash in input_hashes.items():
-            entry = self._said(case_id, input_hash)
+            entry = self._said(case_id, input_hash) if case_id in there else None
             if entry is None or not self._counts(entry, input_hash):
                 missing.append(case_id)
                 if entry is not None:
@@ -339,7 +340,7 @@ class Store(ResultFolder):
     def _case(self, case_id: str) -> Path:
         if not ID.fullmatch(case_id):
             raise StoreError(f"{case_id!r} is no case id (small letters, digits and hyphens)")
-        return self._inside(self.path / "cases" / case_id)
+        return inside(self.path, ("cases", case_id), OUTSIDE)
 
     def _case_ids(self) -> list[str]:
         folder = self.path / "cases"
