@@ -13,7 +13,7 @@ import resource
 import signal
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import BrokenExecutor
+from concurrent.futures import BrokenExecutor, Future
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -63,7 +63,8 @@ def _within_limits(call: Callable[..., Given], *arguments: object) -> Given:
     if threading.current_thread() is threading.main_thread():
         return _limited(_MOST_SECONDS, call, *arguments)
     try:
-        return _helper().submit(_limited, _MOST_SECONDS, call, *arguments).result()
+        made: Future[Given] = _helper().submit(_limited, _MOST_SECONDS, call, *arguments)
+        return made.result()
     except BrokenExecutor as error:
         _helper.cache_clear()
         raise MemoryError("the process that computed it has died") from error
@@ -273,25 +274,19 @@ def read_text(folder: Path, name: str) -> str:
 
 def curve_of(curve_file: CurveFile, folder: Path) -> Curve:
     """Curve of a file, in mm and N."""
-    header, rows = _rows(read_text(folder, curve_file.file), curve_file.file)
+    header, rows = table_rows(read_text(folder, curve_file.file), curve_file.file)
     columns = []
     for role in ("displacement", "force"):
         column, unit = getattr(curve_file.columns, role), getattr(curve_file.units, role)
         into = "mm" if role == "displacement" else "N"
-        values = _column(header, rows, column, curve_file.file)
+        values = column_of(header, rows, column, curve_file.file)
         columns.append(values * converted(1.0, unit, into, f"{role} of {curve_file.file}"))
     return checked_curve(columns[0], columns[1], curve_file.file)
 
 
 def checked_curve(displacement_mm: Array, force_N: Array, what: str) -> Curve:  # noqa: N803
     """Curve of two columns, shape (n,), that are finite and rise."""
-    for values in (displacement_mm, force_N):
-        if not np.all(np.isfinite(values)):
-            raise NoAnswer("not-converged", f"{what} holds a number that is not finite")
-        if np.abs(values).max(initial=0.0) > LARGEST:
-            raise NoAnswer("failed", f"{what} holds a number beyond {LARGEST:g}")
-    if displacement_mm.size == 0 or displacement_mm[0] < 0 or np.any(np.diff(displacement_mm) <= 0):
-        raise NoAnswer("failed", f"the displacement of {what} does not rise from 0 on")
+    check_columns({"displacement": displacement_mm, "force": force_N}, "displacement", what)
     if displacement_mm[0] == 0:  # the unloaded state is no step
         displacement_mm, force_N = displacement_mm[1:], force_N[1:]
     if displacement_mm.size == 0:
@@ -302,7 +297,19 @@ def checked_curve(displacement_mm: Array, force_N: Array, what: str) -> Curve:  
         raise NoAnswer("failed", f"{what} is no curve: {error}") from error
 
 
-def _rows(text: str, name: str) -> tuple[list[str], list[list[str]]]:
+def check_columns(columns: Mapping[str, Array], displacement: str, what: str) -> None:
+    """Check that every number of some columns, shape (n,), is one, and that one column rises."""
+    for values in columns.values():
+        if not np.all(np.isfinite(values)):
+            raise NoAnswer("not-converged", f"{what} holds a number that is not finite")
+        if np.abs(values).max(initial=0.0) > LARGEST:
+            raise NoAnswer("failed", f"{what} holds a number beyond {LARGEST:g}")
+    d = columns[displacement]
+    if d.size == 0 or d[0] < 0 or np.any(np.diff(d) <= 0):
+        raise NoAnswer("failed", f"the displacement of {what} does not rise from 0 on")
+
+
+def table_rows(text: str, name: str) -> tuple[list[str], list[list[str]]]:
     """Header and rows of a table; the header is empty where the first row is one of numbers."""
     lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
     if not lines:
@@ -329,7 +336,8 @@ def _is_number(cell: str) -> bool:
         return False
 
 
-def _column(header: list[str], rows: list[list[str]], column: str | int, name: str) -> Array:
+def column_of(header: list[str], rows: list[list[str]], column: str | int, name: str) -> Array:
+    """Numbers of a column of a table, by its name or its number from 1 on, shape (n,)."""
     if isinstance(column, str):
         if header.count(column) != 1:
             columns = ", ".join(header[:20]) or "numbers alone, without a header"
@@ -415,7 +423,7 @@ def _table(text: str, name: str) -> Mapping[str, object]:
         if not isinstance(content, dict):
             raise NoAnswer("failed", f"{name} must be an object of names and values")
         return content
-    header, rows = _rows(text, name)
+    header, rows = table_rows(text, name)
     if [cell.lower() for cell in header[:2]] == ["name", "value"]:
         return {row[0]: _with_unit(row) for row in rows if len(row) > 1}
     if len(rows) != 1 or len(rows[0]) != len(header):

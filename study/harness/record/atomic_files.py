@@ -100,8 +100,8 @@ class Batch:
     def add(self, path: Path, data: bytes, then: Callable[[], None] | None = None) -> None:
         """Write a file beside its place; ``then`` is called once it is there."""
         part = path.with_name(f".{path.name}.{os.getpid()}{TEMPORARY}")
-        self._parts[path] = part
-        with self._discarding(path):
+        with self._discarding([path]):  # the others are whole, and stay
+            self._parts[path] = part
             for folder in _make_folder(path.parent, self._system):
                 self._folders[folder] = None
             self._system.write(part, data)
@@ -110,9 +110,10 @@ class Batch:
 
     def finish(self, *, flush: bool = True) -> None:
         """Put every file in its place: after a crash the old content is there, or the new."""
+        then, self._then = self._then, []
         if not self._parts:
             return
-        with self._discarding(next(iter(self._parts))):
+        with self._discarding(list(self._parts)):
             if flush:
                 self._system.sync(list(self._parts.values()))
             for path in list(self._parts):
@@ -122,21 +123,21 @@ class Batch:
                 self._folders[path.parent] = None
             if flush:
                 self._system.sync(list(self._folders))
-        then, self._then, self._folders = self._then, [], {}
+        self._folders = {}
         for call in then:
             call()
 
     @contextmanager
-    def _discarding(self, path: Path) -> Iterator[None]:
-        """Context that leaves no part behind when it is not gone through."""
+    def _discarding(self, paths: Sequence[Path]) -> Iterator[None]:
+        """Context that leaves no part of some files behind when it is not gone through."""
         try:
             yield
         except (OSError, KeyboardInterrupt) as error:
-            for part in self._parts.values():
-                _discard(part, self._system)
-            self._parts, self._folders, self._then = {}, {}, []
+            for path in paths:
+                if path in self._parts:
+                    _discard(self._parts.pop(path), self._system)
             if isinstance(error, OSError):
-                raise write_error(path, error) from error
+                raise write_error(paths[0], error) from error
             raise
 
 
