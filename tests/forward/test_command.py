@@ -152,7 +152,11 @@ def answer(facts: str) -> Command:
         (script("open('curve.csv', 'wb').truncate(10**9)"), "failed", "holds more than 20 MB"),
         (script("open('curve.csv', 'w').write('\\n' * 19_000_000)"), "failed", "is empty"),
         (script("open('curve.csv', 'w').write('a' * 200_000 + '\\n1')"), "failed", "needs one"),
-        (script("open('curve.csv', 'w').write('a,' * 9_000_000 + '\\n1')"), "failed", "needs one"),
+        (
+            script("open('curve.csv', 'w').write('a,' * 9_000_000 + '\\n1')"),
+            "failed",
+            "10000 columns",
+        ),
         (script(WRITES.format(CURVE.replace("8", "1e308"))), "failed", "beyond 1e+30"),
         (script(WRITES.format(CURVE.replace("8", "-1e308"))), "failed", "beyond 1e+30"),
         (script(WRITES.format(CURVE.replace("8", "inf"))), "not-converged", "finite"),

@@ -226,6 +226,8 @@ def _line(error: BaseException) -> int:
 #: bytes of a file that is read, and characters of a line of it
 MOST_BYTES = 20_000_000
 _LINE = 2000
+#: columns of a table, of which each cell takes memory
+_MOST_COLUMNS = 10_000
 #: magnitude that no number of an answer has
 LARGEST = 1e30
 
@@ -317,6 +319,8 @@ def table_rows(text: str, name: str) -> tuple[list[str], list[list[str]]]:
     if len(lines) > 1_000_000:
         raise NoAnswer("failed", f"{name} has more than a million rows")
     delimiter = next((delimiter for delimiter in (",", ";", "\t") if delimiter in lines[0]), None)
+    if delimiter is not None and lines[0].count(delimiter) >= _MOST_COLUMNS:
+        raise NoAnswer("failed", f"{name} has more than {_MOST_COLUMNS} columns")
     try:
         split = [line.split() for line in lines] if delimiter is None else [
             [cell.strip() for cell in row]

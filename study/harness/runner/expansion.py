@@ -99,7 +99,7 @@ def _check_count(count: int) -> None:
 
 def _seeds(design: Design, case: Case, count: int) -> list[int]:
     """Seeds of the repeats of a case: hashes of the study's seed, the cell and the number."""
-    cell = canonical([design.seed, plain(case.config)])
+    cell = [canonical(design.seed), canonical(plain(case.config))]
     return [int(digest([*cell, number], 8), 16) for number in range(1, count + 1)]
 
 
