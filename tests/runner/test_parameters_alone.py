@@ -5,13 +5,11 @@ import math
 import os
 import re
 import tomllib
-from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
 from study import api
 from study.ground import errors
-from study.harness.external import answers
 from tests.cli.small import study
 
 
@@ -163,38 +161,12 @@ def test_effects_of_a_program_with_a_template_are_those_of_the_formula(tmp_path,
     ],
 )
 def test_a_template_that_is_wrong_is_told_by_the_plan(tmp_path, monkeypatch, changed, into, said):
-    monkeypatch.setattr(answers, "_MOST_SECONDS", 0.5)
+    monkeypatch.setattr("study.harness.external.answers._MOST_SECONDS", 0.5)
     design = program(tmp_path)
     path = tmp_path / "input.txt.j2"
     path.write_text(path.read_text().replace(changed, into))
     with pytest.raises(errors.InputError, match=said):
         api.plan(design)
-
-
-def test_limits_hold_in_threads_that_hear_no_signal(monkeypatch):
-    """As those of a cluster's worker: the call is made in the main thread of another process."""
-    monkeypatch.setattr(answers, "_MOST_SECONDS", 0.5)
-    context = {"parameters": {"mass": 2}}
-
-    def refused(text):
-        with pytest.raises(errors.InputError) as caught:
-            answers.rendered(text, context, "input.txt.j2")
-        return str(caught.value)
-
-    def slow_pattern():
-        with pytest.raises(answers.NoAnswer) as caught:
-            answers._logged("a" * 40 + "b", "(a+)+$", "", "peak")
-        return str(caught.value)
-
-    with ThreadPoolExecutor(1) as thread:
-        late = thread.submit(refused, WITHOUT_END).result()
-        unknown = thread.submit(refused, "\n{{ parameters.mas }}").result()
-        made = thread.submit(answers.rendered, "{{ parameters.mass }}", context, "a.j2").result()
-        pattern = thread.submit(slow_pattern).result()
-    assert re.match(r"input\.txt\.j2:1: cannot.*more than 0.5 s of computing", late)
-    assert re.match(r"input\.txt\.j2:2: unknown name parameters\.mas\s.*mass", unknown)
-    assert made == "2"
-    assert "more than 0.5 s of computing" in pattern
 
 
 @pytest.mark.parametrize(

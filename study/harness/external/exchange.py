@@ -121,7 +121,9 @@ def context_of(request: Mapping[str, object]) -> dict[str, object]:
 
 def answer(files: Text, displacement_mm: Array, reaches: bool = True) -> ProgramAnswer:
     """Read what a program wrote. Shapes: displacement_mm (n,)."""
-    columns = _exchange_columns(files[CURVE_FILE])
+    header, rows = table_rows(files[CURVE_FILE], CURVE_FILE)
+    names = (DISPLACEMENT, FORCE, *(name for name in header if name.startswith(GRADIENT)))
+    columns = {name: column_of(header, rows, name, CURVE_FILE) for name in names}
     facts = _facts(files.get(FACTS_FILE, "{}"))
     return at_points(columns, displacement_mm, facts, reaches)
 
@@ -143,7 +145,10 @@ def at_points(
     if not reaches and columns[DISPLACEMENT].size:
         inside = displacement_mm <= columns[DISPLACEMENT][-1] * (1 + _SHORT)
         displacement_mm = displacement_mm[inside] if inside.any() else displacement_mm
-    reached, force = _checked(columns, float(displacement_mm[-1]))
+    check_columns(columns, DISPLACEMENT, "the curve")
+    reached, force, end_mm = columns[DISPLACEMENT], columns[FORCE], float(displacement_mm[-1])
+    if reached[-1] < end_mm * (1 - _SHORT):
+        raise NoAnswer("not-converged", f"the curve ends at {reached[-1]:g} mm of {end_mm:g} mm")
     gradients = {k.removeprefix(GRADIENT): v for k, v in columns.items() if k.startswith(GRADIENT)}
     try:
         with np.errstate(all="ignore"):
@@ -156,21 +161,6 @@ def at_points(
     except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
         raise NoAnswer("failed", f"no spline goes through the curve: {error}") from error
     return ProgramAnswer(curve, facts.get("dofs", 0), facts.get("elements", 0), tuple(gradients))
-
-
-def _exchange_columns(text: str) -> dict[str, Array]:
-    header, rows = table_rows(text, CURVE_FILE)
-    gradients = [name for name in header if name.startswith(GRADIENT)]
-    names = (DISPLACEMENT, FORCE, *gradients)
-    return {name: column_of(header, rows, name, CURVE_FILE) for name in names}
-
-
-def _checked(columns: Mapping[str, Array], end_mm: float) -> tuple[Array, Array]:
-    check_columns(columns, DISPLACEMENT, "the curve")
-    d, force = columns[DISPLACEMENT], columns[FORCE]
-    if d[-1] < end_mm * (1 - _SHORT):
-        raise NoAnswer("not-converged", f"the curve ends at {d[-1]:g} mm of {end_mm:g} mm")
-    return d, force
 
 
 def _facts(text: str) -> dict[str, int]:
