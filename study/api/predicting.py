@@ -255,6 +255,14 @@ def confirm(
         rule = "was computed by another version of this program: a new run does not belong to it"
         raise RefusedError(str(Fault(study.design.name, rule, "run the study again first")))
     design = place(study.design, settings, labels)
+    forward = design.treatments[0].cell.problem.forward
+    if forward is not None and forward.model == "python" and permission.allowed.function is None:
+        rule = "is computed by a Python function, which is not at hand for a confirming run"
+        mend = (
+            "ask without the run (confirming=False, --no-confirm), and call the function at the\n"
+            "    setting that is recommended"
+        )
+        raise RefusedError(str(Fault(study.design.name, rule, mend)))
     work = expand(design, design_root(study.design, permission.data), permission.allowed)
     store = Store(study.folder)
     run_batch(work, store, jobs=1, progress=permission.progress)

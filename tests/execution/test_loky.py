@@ -35,25 +35,33 @@ def run(
     return {o.key: o for o in Loky(perform, jobs, timeout_s).run(tasks, **options)}
 
 
-def test_a_killed_worker_costs_its_own_task_alone() -> None:
-    found = run([task("a"), task("bad", "die"), task("b"), task("c")])
-    assert set(found) == {"a", "bad", "b", "c"}
-    assert found["bad"].result["status"] == "crashed"
-    assert "signal 9" in found["bad"].result["message"]
-    assert all(found[k].result["value"] == 1 for k in "abc")
+def test_tasks_that_misbehave_cost_themselves_alone(tmp_path: Path) -> None:
+    ends = {
+        "die": ("crashed", "signal 9"),
+        "exit": ("crashed", "exit code 3"),
+        "memory": ("out-of-memory", "out of memory"),
+        "raise": ("failed", "ZeroDivisionError: a bug"),
+        "nan": ("failed", "not JSON compliant"),
+        "not plain": ("failed", "not JSON serializable"),
+    }
+    seen: dict[str, Any] = {}
 
+    def told(results: Any) -> dict[str, Any]:
+        seen.update(results["die"])
+        return {"kind": "work"}
 
-def test_a_task_whose_worker_died_is_tried_once_more(tmp_path: Path) -> None:
-    found = run([task("a", "die once", mark=str(tmp_path / "mark"))], jobs=1)
-    assert found["a"].result == {"status": "converged", "value": 1}
-
-
-def test_tasks_wait_for_what_they_need() -> None:
-    def payload(results: Any) -> dict[str, Any]:
-        return {"kind": "work", "value": results["first"]["value"]}
-
-    found = run([Task("second", payload, ("first",)), task("first", value=10)])
-    assert found["second"].result["value"] == 12
+    again = task("again", "die once", mark=str(tmp_path / "mark"))
+    tasks = [*(task(kind, kind) for kind in ends), again, Task("next", told, ("die",)), task("a")]
+    found = run(tasks)
+    for kind, (status, said) in ends.items():
+        assert found[kind].result["status"] == status
+        assert said in found[kind].result["message"]
+    assert found["a"].result["value"] == 1
+    # one whose worker died is tried once more
+    assert found["again"].result == {"status": "converged", "value": 1}
+    # what waits for a crash is told of it, and not left waiting
+    assert seen["status"] == "crashed"
+    assert found["next"].result["status"] == "converged"
 
 
 def test_what_is_finished_already_is_not_done_again() -> None:
@@ -65,30 +73,16 @@ def test_what_is_finished_already_is_not_done_again() -> None:
     assert found["next"].result["value"] == 6
 
 
-def test_dependents_of_a_crash_are_told_and_not_left_waiting() -> None:
-    seen: dict[str, Any] = {}
-
-    def payload(results: Any) -> dict[str, Any]:
-        seen.update(results["bad"])
-        return {"kind": "work"}
-
-    found = run([Task("next", payload, ("bad",)), task("bad", "die")], jobs=1)
-    assert seen["status"] == "crashed"
-    assert found["next"].result["status"] == "converged"
-
-
 def test_a_need_that_nobody_makes_is_a_bug_and_raises() -> None:
     with pytest.raises(RuntimeError, match="nobody makes"):
         run([task("a", needs=("ghost",))])
 
 
-def test_libraries_that_print_do_not_disturb_the_answers() -> None:
-    assert run([task("a", "print")], jobs=1)["a"].result["value"] == 1
-
-
-def test_every_worker_has_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_worker_has_one_thread_and_no_output(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
-    assert run([task("a", "threads")], jobs=1)["a"].result["threads"] == "1"
+    found = run([task("loud", "print"), task("a", "threads")], jobs=1)
+    assert found["loud"].result["value"] == 1
+    assert found["a"].result["threads"] == "1"
 
 
 def test_leaving_early_kills_the_workers() -> None:
@@ -104,23 +98,6 @@ def _children() -> list[str]:
     listed = Path(f"/proc/self/task/{os.getpid()}/children")
     found = [Path(f"/proc/{pid}/cmdline") for pid in listed.read_text().split()]
     return [line for path in found if "popen_loky" in (line := path.read_text())]
-
-
-@pytest.mark.parametrize(
-    ("kind", "status", "said"),
-    [
-        ("raise", "failed", "ZeroDivisionError: a bug"),
-        ("nan", "failed", "not JSON compliant"),
-        ("not plain", "failed", "not JSON serializable"),
-        ("memory", "out-of-memory", "out of memory"),
-        ("exit", "crashed", "exit code 3"),
-    ],
-)
-def test_a_bug_is_the_outcome_of_its_task(kind: str, status: str, said: str) -> None:
-    found = run([task("bad", kind), task("a")], jobs=1)
-    assert found["bad"].result["status"] == status
-    assert said in found["bad"].result["message"]
-    assert found["a"].result["status"] == "converged"
 
 
 def test_the_limit_holds_whatever_a_worker_does() -> None:

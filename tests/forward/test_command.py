@@ -4,12 +4,14 @@ import io
 import json
 import math
 import os
+import re
 import shutil
 import signal
 import subprocess
 import sys
 import tempfile
 import zipfile
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,9 +19,9 @@ import numpy as np
 import pytest
 
 from study.api.opened_study import load as open_study
-from study.ground.errors import RefusedError
+from study.ground.errors import InputError, RefusedError
 from study.harness.design.forward_section import ValueFile
-from study.harness.external import command, exchange
+from study.harness.external import answers, command, exchange
 from study.harness.external.answers import NoAnswer, values_of_files
 from study.harness.external.command import Command
 from study.harness.external.exchange import PythonFunction
@@ -150,13 +152,21 @@ def answer(facts: str) -> Command:
         (script("import os; os.mkdir('curve.csv')"), "failed", "is no file but a folder"),
         (script("open('curve.csv', 'wb').truncate(10**10)"), "failed", "return code 1"),
         (script("open('curve.csv', 'wb').truncate(10**9)"), "failed", "holds more than 20 MB"),
-        (script("open('curve.csv', 'w').write('\\n' * 19_000_000)"), "failed", "no rows"),
-        (script("open('curve.csv', 'w').write('a' * 200_000 + '\\n1')"), "failed", "field larger"),
-        (script("open('curve.csv', 'w').write('a,' * 9_000_000 + '\\n1')"), "failed", "needs one"),
+        (script("open('curve.csv', 'w').write('\\n' * 19_000_000)"), "failed", "is empty"),
+        (script("open('curve.csv', 'w').write('a' * 200_000 + '\\n1')"), "failed", "needs one"),
+        (
+            script("open('curve.csv', 'w').write('a,' * 9_000_000 + '\\n1')"),
+            "failed",
+            "10000 columns",
+        ),
         (script(WRITES.format(CURVE.replace("8", "1e308"))), "failed", "beyond 1e+30"),
         (script(WRITES.format(CURVE.replace("8", "-1e308"))), "failed", "beyond 1e+30"),
-        (script(WRITES.format(CURVE.replace("8", "inf"))), "not-converged", "not finite"),
-        (script(WRITES.format(CURVE.replace("3,8", "3"))), "failed", "differ in length"),
+        (script(WRITES.format(CURVE.replace("8", "inf"))), "not-converged", "finite"),
+        (
+            script(WRITES.format(CURVE.replace("3,8", "3"))),
+            "failed",
+            "curve.csv:3: has 1 columns, not 2",
+        ),
         (script(WRITES.format(CURVE.replace("3,8", "5e-324,8"))), "failed", "rise"),
         (script(WRITES.format("displacement_mm,force_N\n5e-324,1\n1e-323,2\n5,3\n")), "failed", ""),
         (answer("'[' * 100_000"), "failed", "facts.json: is not valid JSON"),
@@ -310,6 +320,34 @@ def test_nothing_of_a_case_stays_in_the_temporary_folder(monkeypatch, tmp_path):
     deep += "for k in range(2100):\n    os.mkdir('d')\n    os.chdir('d')\n"
     refusal(script(deep))
     assert list(tmp_path.iterdir()) == []
+
+
+def test_limits_hold_in_threads_that_hear_no_signal(monkeypatch):
+    """As those of a cluster's worker: the call is made in the main thread of another process."""
+    monkeypatch.setattr(answers, "_MOST_SECONDS", 0.5)
+    context = {"parameters": {"mass": 2}}
+    # 10 thousand million rounds without a letter
+    without_end = "{% for a in range(99999) %}{% for b in range(99999) %}{% endfor %}{% endfor %}"
+
+    def refused(text):
+        with pytest.raises(InputError) as caught:
+            answers.rendered(text, context, "input.txt.j2")
+        return str(caught.value)
+
+    def slow_pattern():
+        with pytest.raises(NoAnswer) as caught:
+            answers._logged("a" * 40 + "b", "(a+)+$", "", "peak")
+        return str(caught.value)
+
+    with ThreadPoolExecutor(1) as thread:
+        late = thread.submit(refused, without_end).result()
+        unknown = thread.submit(refused, "\n{{ parameters.mas }}").result()
+        made = thread.submit(answers.rendered, "{{ parameters.mass }}", context, "a.j2").result()
+        pattern = thread.submit(slow_pattern).result()
+    assert re.match(r"input\.txt\.j2:1: cannot.*more than 0.5 s of computing", late)
+    assert re.match(r"input\.txt\.j2:2: unknown name parameters\.mas\s.*mass", unknown)
+    assert made == "2"
+    assert "more than 0.5 s of computing" in pattern
 
 
 def test_no_shell_reads_the_words(tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+from collections.abc import Sequence
 from pathlib import Path
 
 from study.harness.record.atomic_files import FileSystem
@@ -37,9 +38,11 @@ class FailingDisk(FileSystem):
         super().write(path, data)
         self.unsynced.add(path)
 
-    def sync_file(self, path: Path) -> None:
-        self._tick()
-        self.unsynced.discard(path)
+    def sync(self, paths: Sequence[Path]) -> None:
+        for path in paths:
+            self._tick()
+            self.unsynced.discard(path)
+            self.renames = [(t, old) for t, old in self.renames if t.parent != path]
 
     def replace(self, source: Path, target: Path) -> None:
         self._tick()
@@ -48,10 +51,6 @@ class FailingDisk(FileSystem):
         if source in self.unsynced:
             self.unsynced.remove(source)
             self.unsynced.add(target)
-
-    def sync_folder(self, path: Path) -> None:
-        self._tick()
-        self.renames = [(t, old) for t, old in self.renames if t.parent != path]
 
     def unlink(self, path: Path) -> None:
         self._tick()

@@ -92,6 +92,31 @@ def test_failure_at_every_operation_then_resume(tmp_path, clean, power_loss, fol
         assert left == [], k
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="syncfs(2) is a call of Linux")
+def test_records_that_come_together_are_flushed_together(tmp_path, monkeypatch):
+    flushed = []
+    monkeypatch.setattr(os, "fsync", flushed.append)
+    names = [f"c{number}" for number in range(30)]
+    with Store(tmp_path).lock() as store:
+        begun = len(flushed)
+        for name in names:
+            store.write(record(name), followed=name != names[-1])
+        assert len(flushed) == begun
+        assert len(store.read_all()) == len(names)
+
+
+def test_a_disk_that_is_full_costs_what_it_cannot_take_alone(tmp_path):
+    class Full(FailingDisk):
+        def write(self, path, data):
+            if path.parent.name == CASES[-1]:
+                raise OSError(28, "No space left on device")
+            super().write(path, data)
+
+    with pytest.raises(StoreError, match="No space left"):
+        run(tmp_path, Full(), followed=True)
+    assert {one.case_id for one in Store(tmp_path).read_all()} == set(CASES[:-1])
+
+
 def test_disk_full_says_what_to_do(tmp_path):
     with pytest.raises(StoreError, match="No space left.*unharmed.*run again"):
         run(tmp_path, FailingDisk(4))

@@ -152,19 +152,11 @@ def test_a_failure_is_a_record_and_stops_nothing_else(
     frame = table(records)
     assert frame["mu0"].isna().sum() == 2
     assert sorted(os.listdir(tmp_path / "results" / "cases")) == sorted(work.input_hashes)
-
-
-def test_a_crash_is_tried_again_by_the_next_run_and_a_verdict_is_not(
-    design: Design, one_mix: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("FAKE_WISH", str(tmp_path / "wish"))
-    (tmp_path / "wish").write_text("mooney-rivlin die")
-    work = expand(design, one_mix)
-    run(work, tmp_path / "results")
+    # a crash is tried again by the next run, an answer of the solver is not
     (tmp_path / "wish").unlink()
     again, records = run(work, tmp_path / "results")
-    assert again.computed == 2
-    assert {r.status for r in records} == {"converged"}
+    assert again.computed == (2 if status == "crashed" else 0)
+    assert all(r.converged for r in records) == (status == "crashed")
 
 
 def test_records_of_other_code_are_not_used(clean: Clean, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -196,9 +188,10 @@ def test_the_kept_code_version_follows_the_sources(
     root = tmp_path / "study"
     shutil.copytree(Path(study.__file__).parent, root, ignore=shutil.ignore_patterns("__pycache__"))
     monkeypatch.setattr(provenance, "__file__", str(root / "harness" / "runner" / "provenance.py"))
+    # a task that imports little: the sources of the real ones take seconds to read
+    monkeypatch.setattr(provenance, "_TASKS", ("study.ground.curve",))
     version = provenance.code_version.__wrapped__
     first = version()
-    assert first == provenance.code_version()
     assert (root / "__pycache__" / "code-version").is_file()
     assert version() == first
     curve = root / "ground" / "curve.py"

@@ -157,6 +157,7 @@ def test_effects_of_a_program_with_a_template_are_those_of_the_formula(tmp_path,
         ("{{ parameters.mass }}", "{{ 'a' * 10**9 }}", r"input\.txt\.j2:1: cannot be rendered"),
         ("{{ parameters.mass }}", "{{ '%0999999999d' % 1 }}", r"j2:1: cannot.*MemoryError"),
         ("{{ parameters.mass }}", WITHOUT_END, r"j2:1: cannot.*more than 0.5 s of computing"),
+        ("{{ parameters.mass }}", "{% include 'more.j2' %}", r"j2:1: takes in another file"),
     ],
 )
 def test_a_template_that_is_wrong_is_told_by_the_plan(tmp_path, monkeypatch, changed, into, said):
@@ -379,6 +380,12 @@ parameters.stiffness = "30 N/m"
     at = {"parameters.stiffness": "1.1 kN/m", "parameters.damping": "12 N s/m"}
     told = api.predict(found.folder, at, response="peak")[0]
     assert told.value == pytest.approx(overshoot(1100.0, 12.0), rel=0.02)
+    with pytest.raises(errors.RefusedError, match="--no-confirm"):
+        api.optimize(found, minimize="peak")
+    (best,) = api.optimize(found, minimize="peak", confirming=False)
+    stiffness, damping = (best.settings[name] for name in at)
+    assert (stiffness > 1500, damping > 17) == (True, True)
+    assert best.value == pytest.approx(overshoot(stiffness, damping), rel=0.02)
 
 
 RUNS = """

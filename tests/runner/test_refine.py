@@ -81,6 +81,7 @@ def test_a_series_without_an_order_takes_three_times_its_range() -> None:
     behaviour, u = case_series.half_width([1.0, 1.2, 1.1], sizes, 1.0)
     assert behaviour == "oscillatory"
     assert u == pytest.approx(3 * 0.2)
+    assert case_series.half_width([1.0, 1.2, 1.1], sizes, 1.0, "finest")[1] == pytest.approx(0.6)
     # order 0.1: not in the asymptotic range, so thrice the distance to a limit of order 0.5
     slow = [1.0, 1.1, 1.1 + 0.1 / 1.5**0.1]
     limit = slow[2] + (slow[2] - slow[1]) / (1.5**0.5 - 1)

@@ -16,7 +16,6 @@ from study.harness.design.load import loads
 from study.harness.design.spec import Design
 from study.harness.record.record import Record
 from study.harness.record.store import Store
-from study.harness.runner.case_series import half_width
 from study.harness.runner.expansion import expand
 from study.harness.runner.job import Work
 from study.harness.runner.refinement import base_size_mm
@@ -145,9 +144,3 @@ def test_each_effect_of_the_study_is_held_against_its_own_contrast(
 
 def test_two_meshes_are_no_column(work: Work) -> None:
     assert own_series(expand(design_with(""), work.data.root), {}) == []
-
-
-def test_without_an_order_thrice_the_range_counts() -> None:
-    behaviour, u = half_width([1.0, 1.2, 1.1], [3.0, 2.0, 1.0], 1.0, "finest")
-    assert behaviour == "oscillatory"
-    assert u == pytest.approx(0.6)

@@ -25,30 +25,9 @@ def test_a_curve_ten_percent_off_is_ten_percent_off_in_every_measure(factor: flo
     assert found["rms_force_error"]["value"] == pytest.approx(2 / np.sqrt(3), rel=5e-3)
 
 
-def test_constants_are_reported_in_kpa_and_exponents_plain() -> None:
-    found = response.constants_of(Scored(MEASURED, None, {"mu1": 0.01, "alpha1": 2.0}, 0.01))
-    assert found == {
-        "mu0": {"value": 10.0, "unit": "kPa"},
-        "mu1": {"value": 10.0, "unit": "kPa"},
-        "alpha1": {"value": 2.0, "unit": ""},
-    }
-
-
 def test_every_response_of_the_study_file_is_one_of_these() -> None:
     known = {*response.CURVE_RESPONSES, *MARKED, response.InitialShearModulus().name, "seconds"}
     assert known == set(RESPONSES)
     assert set(response.CURVE_RESPONSES) == set(SCORED)
     assert response.units_of(["C10", "alpha1"])["alpha1"] == ""
     assert response.units_of(["seconds"])["seconds"] == "s"
-
-
-def test_a_curve_response_without_a_prediction_is_a_mistake() -> None:
-    with pytest.raises(ValueError, match="needs a predicted and a measured curve"):
-        response.WorkError().compute(Scored(MEASURED))
-
-
-def test_directions_are_averaged() -> None:
-    found = response.averaged(
-        [{"mu0": {"value": 10.0, "unit": "kPa"}}, {"mu0": {"value": 12.0, "unit": "kPa"}}]
-    )
-    assert found == {"mu0": {"value": 11.0, "unit": "kPa"}}

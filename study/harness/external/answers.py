@@ -12,9 +12,10 @@ import re
 import resource
 import signal
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import BrokenExecutor, Future
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -29,6 +30,7 @@ from study.harness.design.forward_section import (
     ValueFile,
     target_and_source,
 )
+from study.harness.execution.local import Process, ProcessPool
 
 if TYPE_CHECKING:
     from jinja2 import Environment, Template
@@ -42,20 +44,37 @@ _MOST_REPEATED = 100_000
 _MOST_SECONDS = 5.0
 _MOST_MEMORY = 500_000_000
 _NEAR = "\t"
+#: what a call with limits gives
+Given = TypeVar("Given")
 
 
-@contextlib.contextmanager
-def _limited() -> Iterator[None]:
-    """Context with limits of its own time and memory, for texts of strangers: templates, patterns.
+@functools.cache
+def _helper() -> ProcessPool:
+    """Process whose main thread does for the other threads of this one what has limits."""
+    return Process(dict).open()
 
-    Signals reach the main thread alone: that of a command and of a worker process.
+
+def _within_limits(call: Callable[..., Given], *arguments: object) -> Given:
+    """Make a call that a text of a stranger decides on, with limits of its time and memory.
+
+    Signals reach the main thread of a process alone, that of a command and of a worker; any other
+    one, such as those of Dask or of a notebook's widgets, has the call made by a process beside it.
     """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
+    if threading.current_thread() is threading.main_thread():
+        return _limited(_MOST_SECONDS, call, *arguments)
+    try:
+        made: Future[Given] = _helper().submit(_limited, _MOST_SECONDS, call, *arguments)
+        return made.result()
+    except BrokenExecutor as error:
+        _helper.cache_clear()
+        raise MemoryError("the process that computed it has died") from error
+
+
+def _limited(seconds: float, call: Callable[..., Given], *arguments: object) -> Given:
+    """Make a call in the main thread with limits of its own time and memory."""
 
     def stop(*_: object) -> None:
-        raise TimeoutError(f"takes more than {_MOST_SECONDS:g} s of computing")
+        raise TimeoutError(f"takes more than {seconds:g} s of computing")
 
     pages = 0
     with contextlib.suppress(OSError):  # Linux alone tells
@@ -65,9 +84,9 @@ def _limited() -> Iterator[None]:
     if pages and (soft == resource.RLIM_INFINITY or most < soft):
         resource.setrlimit(resource.RLIMIT_AS, (most, hard))
     handler = signal.signal(signal.SIGVTALRM, stop)
-    signal.setitimer(signal.ITIMER_VIRTUAL, _MOST_SECONDS)
+    signal.setitimer(signal.ITIMER_VIRTUAL, seconds)
     try:
-        yield
+        return call(*arguments)
     finally:
         signal.setitimer(signal.ITIMER_VIRTUAL, 0)
         signal.signal(signal.SIGVTALRM, handler)
@@ -143,6 +162,23 @@ def _template(text: str) -> Template:
 
 def rendered(text: str, context: Mapping[str, object], source: str) -> str:
     """Text of a template over a case; an unknown name is an :class:`InputError` with its line."""
+    try:
+        made = _within_limits(_rendered, text, context, source)
+    except (TimeoutError, MemoryError) as error:
+        made = _fault(error, source)
+    if isinstance(made, Fault):
+        raise InputError(made)
+    return made
+
+
+def _fault(error: BaseException, source: str) -> Fault:
+    """Fault of a template that could not be rendered to its end."""
+    rule = f"cannot be rendered: {type(error).__name__}: {str(error)[:200] or 'no memory'}"
+    return Fault(f"{source}:{_line(error)}", rule, "see what the template does there")
+
+
+def _rendered(text: str, context: Mapping[str, object], source: str) -> str | Fault:
+    """Text of a template, or what is wrong with it and where."""
     from jinja2.exceptions import (
         SecurityError,
         TemplateError,
@@ -153,27 +189,27 @@ def rendered(text: str, context: Mapping[str, object], source: str) -> str:
     names = {k: Names(k, v) if isinstance(v, Mapping) else v for k, v in context.items()}
     size, parts = 0, []
     try:
-        with _limited():
-            for part in _template(text).generate(**names):
-                size += len(part)
-                if size > MOST_RENDERED:
-                    raise SecurityError(f"renders more than {MOST_RENDERED / 1e6:g} MB")
-                parts.append(part)
+        for part in _template(text).generate(**names):
+            size += len(part)
+            if size > MOST_RENDERED:
+                raise SecurityError(f"renders more than {MOST_RENDERED / 1e6:g} MB")
+            parts.append(part)
     except TemplateSyntaxError as error:
         rule = f"is no template: {error.message}"
-        raise InputError(Fault(f"{source}:{error.lineno}", rule, "mend the braces there")) from None
+        return Fault(f"{source}:{error.lineno}", rule, "mend the braces there")
     except UndefinedError as error:
         rule, _, near = str(error).partition(_NEAR)
         top = rule.removeprefix("unknown name ")
         mend = near or (nearest(top, context) if top != rule else "")
-        raise InputError(Fault(f"{source}:{_line(error)}", rule, mend)) from None
+        return Fault(f"{source}:{_line(error)}", rule, mend)
     except (
         TemplateError, ArithmeticError, TypeError, ValueError, LookupError, TimeoutError,
         MemoryError, RecursionError,
     ) as error:  # fmt: skip
-        where = f"{source}:{_line(error)}"
-        rule = f"cannot be rendered: {type(error).__name__}: {str(error)[:200] or 'no memory'}"
-        raise InputError(Fault(where, rule, "see what the template does there")) from None
+        if "no loader" in str(error):  # of include, import and extends
+            rule = "takes in another file, which no template may: what runs is what was allowed"
+            return Fault(f"{source}:{_line(error)}", rule, "write its text into this template")
+        return _fault(error, source)
     return "".join(parts)
 
 
@@ -190,6 +226,8 @@ def _line(error: BaseException) -> int:
 #: bytes of a file that is read, and characters of a line of it
 MOST_BYTES = 20_000_000
 _LINE = 2000
+#: columns of a table, of which each cell takes memory
+_MOST_COLUMNS = 10_000
 #: magnitude that no number of an answer has
 LARGEST = 1e30
 
@@ -238,25 +276,19 @@ def read_text(folder: Path, name: str) -> str:
 
 def curve_of(curve_file: CurveFile, folder: Path) -> Curve:
     """Curve of a file, in mm and N."""
-    header, rows = _rows(read_text(folder, curve_file.file), curve_file.file)
+    header, rows = table_rows(read_text(folder, curve_file.file), curve_file.file)
     columns = []
     for role in ("displacement", "force"):
         column, unit = getattr(curve_file.columns, role), getattr(curve_file.units, role)
         into = "mm" if role == "displacement" else "N"
-        values = _column(header, rows, column, curve_file.file)
+        values = column_of(header, rows, column, curve_file.file)
         columns.append(values * converted(1.0, unit, into, f"{role} of {curve_file.file}"))
     return checked_curve(columns[0], columns[1], curve_file.file)
 
 
 def checked_curve(displacement_mm: Array, force_N: Array, what: str) -> Curve:  # noqa: N803
     """Curve of two columns, shape (n,), that are finite and rise."""
-    for values in (displacement_mm, force_N):
-        if not np.all(np.isfinite(values)):
-            raise NoAnswer("not-converged", f"{what} holds a number that is not finite")
-        if np.abs(values).max(initial=0.0) > LARGEST:
-            raise NoAnswer("failed", f"{what} holds a number beyond {LARGEST:g}")
-    if displacement_mm.size == 0 or displacement_mm[0] < 0 or np.any(np.diff(displacement_mm) <= 0):
-        raise NoAnswer("failed", f"the displacement of {what} does not rise from 0 on")
+    check_columns({"displacement": displacement_mm, "force": force_N}, "displacement", what)
     if displacement_mm[0] == 0:  # the unloaded state is no step
         displacement_mm, force_N = displacement_mm[1:], force_N[1:]
     if displacement_mm.size == 0:
@@ -267,7 +299,19 @@ def checked_curve(displacement_mm: Array, force_N: Array, what: str) -> Curve:  
         raise NoAnswer("failed", f"{what} is no curve: {error}") from error
 
 
-def _rows(text: str, name: str) -> tuple[list[str], list[list[str]]]:
+def check_columns(columns: Mapping[str, Array], displacement: str, what: str) -> None:
+    """Check that every number of some columns, shape (n,), is one, and that one column rises."""
+    for values in columns.values():
+        if not np.all(np.isfinite(values)):
+            raise NoAnswer("not-converged", f"{what} holds a number that is not finite")
+        if np.abs(values).max(initial=0.0) > LARGEST:
+            raise NoAnswer("failed", f"{what} holds a number beyond {LARGEST:g}")
+    d = columns[displacement]
+    if d.size == 0 or d[0] < 0 or np.any(np.diff(d) <= 0):
+        raise NoAnswer("failed", f"the displacement of {what} does not rise from 0 on")
+
+
+def table_rows(text: str, name: str) -> tuple[list[str], list[list[str]]]:
     """Header and rows of a table; the header is empty where the first row is one of numbers."""
     lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
     if not lines:
@@ -275,6 +319,8 @@ def _rows(text: str, name: str) -> tuple[list[str], list[list[str]]]:
     if len(lines) > 1_000_000:
         raise NoAnswer("failed", f"{name} has more than a million rows")
     delimiter = next((delimiter for delimiter in (",", ";", "\t") if delimiter in lines[0]), None)
+    if delimiter is not None and lines[0].count(delimiter) >= _MOST_COLUMNS:
+        raise NoAnswer("failed", f"{name} has more than {_MOST_COLUMNS} columns")
     try:
         split = [line.split() for line in lines] if delimiter is None else [
             [cell.strip() for cell in row]
@@ -294,7 +340,8 @@ def _is_number(cell: str) -> bool:
         return False
 
 
-def _column(header: list[str], rows: list[list[str]], column: str | int, name: str) -> Array:
+def column_of(header: list[str], rows: list[list[str]], column: str | int, name: str) -> Array:
+    """Numbers of a column of a table, by its name or its number from 1 on, shape (n,)."""
     if isinstance(column, str):
         if header.count(column) != 1:
             columns = ", ".join(header[:20]) or "numbers alone, without a header"
@@ -380,7 +427,7 @@ def _table(text: str, name: str) -> Mapping[str, object]:
         if not isinstance(content, dict):
             raise NoAnswer("failed", f"{name} must be an object of names and values")
         return content
-    header, rows = _rows(text, name)
+    header, rows = table_rows(text, name)
     if [cell.lower() for cell in header[:2]] == ["name", "value"]:
         return {row[0]: _with_unit(row) for row in rows if len(row) > 1}
     if len(rows) != 1 or len(rows[0]) != len(header):
@@ -393,14 +440,18 @@ def _with_unit(row: Sequence[str]) -> object:
     return {"value": row[1], "unit": row[2]} if len(row) > 2 and row[2] else row[1]
 
 
+def _last_in(text: str, pattern: str) -> str | None:
+    expression, last = re.compile(pattern), None
+    for line in text.splitlines():
+        for match in expression.finditer(line[:_LINE]):
+            last = match[1]
+    return last
+
+
 def _logged(text: str, pattern: str, place: str, name: str) -> float:
     """Last number that a pattern has in a log."""
-    expression, last = re.compile(pattern), None
     try:
-        with _limited():
-            for line in text.splitlines():
-                for match in expression.finditer(line[:_LINE]):
-                    last = match[1]
+        last = _within_limits(_last_in, text, pattern)
     except TimeoutError as error:
         rule = f"{place}: looking for {name} with {pattern[:80]!r} {error}"
         raise NoAnswer("failed", f"{rule}: write it without a repeat within a repeat") from None

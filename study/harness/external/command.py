@@ -18,6 +18,7 @@ import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TypedDict, TypeVar
 
@@ -452,7 +453,7 @@ class External:
         function = PythonFunction(text, version) if text else None
         return cls(section, _texts(table, "contents"), _texts(table, "programs"), function)
 
-    @property
+    @cached_property
     def digest(self) -> str:
         """Name of commands, files and programs, or of the function, by their content."""
         if self.section.model == "python":

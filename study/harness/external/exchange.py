@@ -8,9 +8,6 @@ whose gradient it knows) and, if it likes, ``facts.json`` (``dofs``, ``elements`
 from __future__ import annotations
 
 import base64
-import csv
-import io
-import itertools
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -25,7 +22,14 @@ from study.ground.canonical import Json, plain
 from study.ground.curve import Curve, spline_from_origin
 from study.ground.errors import Fault, InputError
 from study.ground.working_folder import UserImports
-from study.harness.external.answers import NoAnswer, checked_curve, quantity_in
+from study.harness.external.answers import (
+    NoAnswer,
+    check_columns,
+    checked_curve,
+    column_of,
+    quantity_in,
+    table_rows,
+)
 from study.mechanics.material.material import is_dimensionless
 from study.mechanics.setup.declaration import values_of
 from study.mechanics.setup.setup import Problem
@@ -38,11 +42,6 @@ FACTS_FILE = "facts.json"
 DISPLACEMENT = "displacement_mm"
 FORCE = "force_N"
 GRADIENT = "dforce_"
-#: rows that a curve may have, and bytes of an answer: more is a mistake
-MAX_ROWS = 100_000
-MAX_BYTES = 20_000_000
-#: magnitude that no displacement in mm and no force in N has; powers of smaller ones are numbers
-LARGEST = 1e30
 #: unknowns and elements that no mesh has, beyond which a double is not exact
 MOST_ELEMENTS = 2**53
 #: share of the displacement asked for that a curve may end before: digits of a text file
@@ -122,7 +121,9 @@ def context_of(request: Mapping[str, object]) -> dict[str, object]:
 
 def answer(files: Text, displacement_mm: Array, reaches: bool = True) -> ProgramAnswer:
     """Read what a program wrote. Shapes: displacement_mm (n,)."""
-    columns = _exchange_columns(files[CURVE_FILE])
+    header, rows = table_rows(files[CURVE_FILE], CURVE_FILE)
+    names = (DISPLACEMENT, FORCE, *(name for name in header if name.startswith(GRADIENT)))
+    columns = {name: column_of(header, rows, name, CURVE_FILE) for name in names}
     facts = _facts(files.get(FACTS_FILE, "{}"))
     return at_points(columns, displacement_mm, facts, reaches)
 
@@ -144,7 +145,10 @@ def at_points(
     if not reaches and columns[DISPLACEMENT].size:
         inside = displacement_mm <= columns[DISPLACEMENT][-1] * (1 + _SHORT)
         displacement_mm = displacement_mm[inside] if inside.any() else displacement_mm
-    reached, force = _checked(columns, float(displacement_mm[-1]))
+    check_columns(columns, DISPLACEMENT, "the curve")
+    reached, force, end_mm = columns[DISPLACEMENT], columns[FORCE], float(displacement_mm[-1])
+    if reached[-1] < end_mm * (1 - _SHORT):
+        raise NoAnswer("not-converged", f"the curve ends at {reached[-1]:g} mm of {end_mm:g} mm")
     gradients = {k.removeprefix(GRADIENT): v for k, v in columns.items() if k.startswith(GRADIENT)}
     try:
         with np.errstate(all="ignore"):
@@ -157,45 +161,6 @@ def at_points(
     except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
         raise NoAnswer("failed", f"no spline goes through the curve: {error}") from error
     return ProgramAnswer(curve, facts.get("dofs", 0), facts.get("elements", 0), tuple(gradients))
-
-
-def _exchange_columns(text: str) -> dict[str, Array]:
-    lines = csv.reader(io.StringIO(text.lstrip("\ufeff")))
-    filled = (row for row in lines if any(cell.strip() for cell in row))
-    try:
-        rows = list(itertools.islice(filled, MAX_ROWS + 2))
-    except csv.Error as error:
-        raise NoAnswer("failed", f"{CURVE_FILE}: {error}") from error
-    if len(rows) < 2:
-        raise NoAnswer("failed", f"{CURVE_FILE} holds no rows below its header")
-    if len(rows) > MAX_ROWS + 1:
-        raise NoAnswer("failed", f"{CURVE_FILE} has more than {MAX_ROWS} rows below its header")
-    header = [cell.strip() for cell in rows[0]]
-    for name in (DISPLACEMENT, FORCE):
-        if header.count(name) != 1:
-            some = ", ".join(header[:20])
-            raise NoAnswer("failed", f"{CURVE_FILE} needs one column {name}, it has {some}")
-    if any(len(row) != len(header) for row in rows):
-        raise NoAnswer("failed", f"the rows of {CURVE_FILE} differ in length")
-    try:
-        table = np.array([[float(cell) for cell in row] for row in rows[1:]])
-    except ValueError as error:
-        raise NoAnswer("failed", f"{CURVE_FILE}: {error}") from error
-    if not np.all(np.isfinite(table)):
-        raise NoAnswer("not-converged", f"{CURVE_FILE} holds a number that is not finite")
-    return dict(zip(header, table.T, strict=True))
-
-
-def _checked(columns: Mapping[str, Array], end_mm: float) -> tuple[Array, Array]:
-    for name, values in columns.items():
-        if np.abs(values).max(initial=0.0) > LARGEST:
-            raise NoAnswer("failed", f"{name} holds a number beyond {LARGEST:g}, which none can be")
-    d, force = columns[DISPLACEMENT], columns[FORCE]
-    if d.size == 0 or d[0] < 0 or np.any(np.diff(d) <= 0):
-        raise NoAnswer("failed", f"{DISPLACEMENT} of the program does not rise from 0 on")
-    if d[-1] < end_mm * (1 - _SHORT):
-        raise NoAnswer("not-converged", f"the curve ends at {d[-1]:g} mm of {end_mm:g} mm")
-    return d, force
 
 
 def _facts(text: str) -> dict[str, int]:
@@ -335,6 +300,4 @@ def _python_function_columns(
     for name, values in columns.items():
         if values.shape != size or values.ndim != 1:
             raise NoAnswer("failed", f"{name} of the function has the shape {values.shape}")
-        if not np.all(np.isfinite(values)):
-            raise NoAnswer("not-converged", f"{name} of the function is not finite everywhere")
     return columns

@@ -12,35 +12,37 @@ from typing import Self, TypeVar, cast
 from study.ground.bounded_file import MAX_JSON_BYTES, NotRegularError, read_regular
 from study.ground.errors import NewerSchemaError, StoreError
 from study.harness.record import atomic_files
-from study.harness.record.atomic_files import FileSystem, is_leftover, write_atomic, write_error
+from study.harness.record.atomic_files import Batch, FileSystem, is_leftover, write_error
 from study.harness.record.document import ManifestDocument, fault_of
 from study.harness.record.record import plain, seal, unseal
 
 Kept = TypeVar("Kept")
 
 ID = re.compile(r"[a-z0-9][a-z0-9-]{0,79}")
+#: where a link in a results folder must not lead
+OUTSIDE = "the results folder; remove it"
 
 
 def own_folder(root: Path, name: str) -> Path:
     """Folder of a study or a report below the one that the user named; it is not made."""
-    return _inside(
-        root,
-        root / name,
-        f"{root}, where nothing is written; remove the link, or name another folder",
-    )
+    outside = f"{root}, where nothing is written; remove the link, or name another folder"
+    return inside(root, Path(name).parts, outside)
 
 
-def _inside(root: Path, path: Path, outside: str) -> Path:
-    """Refuse a place that a link leads out of a folder."""
-    below = path.relative_to(root).parts
-    names = [os.path.join(root, *below[: k + 1]) for k in range(len(below))]
-    if not any(map(os.path.islink, names)):
+def inside(root: Path, below: Sequence[str], outside: str) -> Path:
+    """Place below a folder; refuse one that a link leads out of it."""
+    places, place = [], str(root)
+    for part in below:
+        place = os.path.join(place, part)
+        places.append(place)
+    path = Path(place)
+    if not any(map(os.path.islink, places)):
         return path
     try:
-        inside = path.resolve().is_relative_to(root.resolve())
+        is_inside = path.resolve().is_relative_to(root.resolve())
     except (OSError, RuntimeError, ValueError) as error:
         raise StoreError(f"{path}: cannot be used ({error})") from error
-    if not inside:
+    if not is_inside:
         raise StoreError(f"{path}: a link leads outside {outside}")
     return path
 
@@ -59,8 +61,8 @@ class SealedFolder:
         self._warn = warn
         self._system = system or FileSystem()
         self._locked = False
-        #: folders with names that a loss of power may still take back
-        self._unflushed: dict[Path, None] = {}
+        #: files that wait for the one that follows them
+        self._batch = Batch(self._system)
 
     @contextlib.contextmanager
     def lock(self) -> Iterator[Self]:
@@ -100,20 +102,17 @@ class SealedFolder:
             clean["not_finite"] = lost
         self._write(self._json(name), seal(clean).encode(), followed)
 
-    def _write(self, path: Path, data: bytes, followed: bool = False) -> None:
-        """Write a file; what went before it and was left unflushed is flushed first."""
+    def _write(
+        self,
+        path: Path,
+        data: bytes,
+        followed: bool = False,
+        then: Callable[[], None] | None = None,
+    ) -> None:
+        """Write a file, and those that it follows; one that is followed waits to be in place."""
+        self._batch.add(path, data, then)
         if not followed:
-            self._flush()
-        write_atomic(path, data, self._system, self._unflushed if followed else None)
-
-    def _flush(self) -> None:
-        """Make the names of all that was written survive a loss of power."""
-        try:
-            while self._unflushed:
-                self._system.sync_folder(next(iter(self._unflushed)))
-                del self._unflushed[next(iter(self._unflushed))]
-        except OSError as error:
-            raise write_error(self.path, error) from error
+            self._batch.finish()
 
     def read_json(self, name: str) -> object:
         """Content stored under a name; None if there is none or it is damaged (set aside)."""
@@ -155,11 +154,7 @@ class SealedFolder:
     def _json(self, name: str) -> Path:
         if not all(ID.fullmatch(part) for part in name.split("/")):
             raise StoreError(f"{name!r} is no name of a stored file (a-z, 0-9, hyphens)")
-        return self._inside(self.path / f"{name}.json")
-
-    def _inside(self, path: Path) -> Path:
-        """Refuse a place that a link leads out of the results folder."""
-        return _inside(self.path, path, "the results folder; remove it")
+        return inside(self.path, f"{name}.json".split("/"), OUTSIDE)
 
     def _bytes(self, path: Path, limit: int = MAX_JSON_BYTES) -> bytes | None:
         try:

@@ -17,7 +17,7 @@ import hashlib
 import os
 from collections import defaultdict
 from collections.abc import Collection, Mapping
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import cast
 
@@ -32,7 +32,7 @@ from study.harness.record.document import (
     fault_of_curves,
     fault_of_fits,
 )
-from study.harness.record.folder import ID, ManifestFolder
+from study.harness.record.folder import ID, OUTSIDE, ManifestFolder, inside
 from study.harness.record.index import (
     CURRENT,
     Entry,
@@ -141,11 +141,14 @@ class Store(ResultFolder):
         """Store a record, whole or not at all."""
         path = self._case(record.case_id) / CURRENT
         self._lay_by(record)
-        self._write(path, record.to_json().encode(), followed)
+        self._write(path, record.to_json().encode(), followed, partial(self._written, record, path))
+        if self._locked and self._index.is_due:
+            self._write_index()
+
+    def _written(self, record: Record, path: Path) -> None:
+        """Note a record that is in place now."""
         if self._locked:
             self._index.note(record, FileStamp.of(path))
-            if self._index.is_due:
-                self._write_index()
 
     def write_folder(self, case_id: str, packed: bytes) -> None:
         """Keep the folder in which a program computed a case, as a zip beside the records."""
@@ -190,8 +193,9 @@ class Store(ResultFolder):
         made_with: dict[str, str] = {}
         missing: list[str] = []
         foreign: list[str] = []
+        there = frozenset(self._case_ids())
         for case_id, input_hash in input_hashes.items():
-            entry = self._said(case_id, input_hash)
+            entry = self._said(case_id, input_hash) if case_id in there else None
             if entry is None or not self._counts(entry, input_hash):
                 missing.append(case_id)
                 if entry is not None:
@@ -269,7 +273,7 @@ class Store(ResultFolder):
         self._clear_leftovers([*folders, *names])
 
     def _end(self) -> None:
-        self._flush()
+        self._batch.finish()
         self._write_index()
 
     def _write_index(self) -> None:
@@ -336,7 +340,7 @@ class Store(ResultFolder):
     def _case(self, case_id: str) -> Path:
         if not ID.fullmatch(case_id):
             raise StoreError(f"{case_id!r} is no case id (small letters, digits and hyphens)")
-        return self._inside(self.path / "cases" / case_id)
+        return inside(self.path, ("cases", case_id), OUTSIDE)
 
     def _case_ids(self) -> list[str]:
         folder = self.path / "cases"

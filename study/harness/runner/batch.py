@@ -143,7 +143,7 @@ def _changed(job: CaseJob, changes: Sequence[str], work: Work) -> tuple[CaseJob,
     if tables is job.case.config:
         return job, what
     case = replace(job.case, config=dict(tables))
-    made = case_job(case, work.data, work.design, job.origin)
+    made = case_job(case, work, job.origin)
     return replace(made, input_hash=job.input_hash), what
 
 

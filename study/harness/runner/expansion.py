@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from study.ground.canonical import digest
+from study.ground.canonical import canonical, digest
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
 from study.harness.design.cell import Config, plain
@@ -22,12 +22,12 @@ from study.harness.runner.fit_problem import (
     NOTHING,
     Allowed,
     FitProblem,
+    Forwards,
     check_templates,
     fit_problem,
     identity,
     start_problem,
     together,
-    with_external,
 )
 from study.harness.runner.job import (
     CONSTANTS,
@@ -64,9 +64,13 @@ def seeded(distinct: Sequence[Case], design: Design) -> tuple[tuple[Case, Origin
         return tuple((case, Origin()) for case in distinct)
     _check_count(len(distinct) * seeds)
     return tuple(
-        (_on_mesh(case, _seed(design, case, number)), Origin(mesh_seed=number))
+        # the seed of its mesh stands in its tables, and so in its name
+        (
+            repeated(case, ["mesh seed", seed], on_mesh(case.config, mesh_seed=seed)),
+            Origin(mesh_seed=number),
+        )
         for case in distinct
-        for number in range(1, seeds + 1)
+        for number, seed in enumerate(_seeds(design, case, seeds), 1)
     )
 
 
@@ -79,10 +83,10 @@ def _reseeded(cases: Sequence[Case], design: Design, name: str) -> tuple[tuple[C
     _check_count(len(cases) * count)
     made = []
     for case in cases:
-        for number in range(1, count + 1):
-            parameters = {**table_of(case.config, "parameters"), name: _seed(design, case, number)}
+        for number, seed in enumerate(_seeds(design, case, count), 1):
+            parameters = {**table_of(case.config, "parameters"), name: seed}
             config = {**case.config, "parameters": parameters}
-            again = repeated(case, ["replicate", number, parameters[name]], config)
+            again = repeated(case, ["replicate", number, seed], config)
             made.append((again, Origin(replicate=number)))
     return tuple(made)
 
@@ -93,13 +97,10 @@ def _check_count(count: int) -> None:
         raise InputError(Fault("replicates", rule, "ask for fewer, or use fewer levels"))
 
 
-def _seed(design: Design, case: Case, number: int) -> int:
-    return int(digest([design.seed, plain(case.config), number], 8), 16)
-
-
-def _on_mesh(case: Case, seed: int) -> Case:
-    """Copy a case with the seed of its mesh in its tables, and so in its name."""
-    return repeated(case, ["mesh seed", seed], on_mesh(case.config, mesh_seed=seed))
+def _seeds(design: Design, case: Case, count: int) -> list[int]:
+    """Seeds of the repeats of a case: hashes of the study's seed, the cell and the number."""
+    cell = [canonical(design.seed), canonical(plain(case.config))]
+    return [int(digest([*cell, number], 8), 16) for number in range(1, count + 1)]
 
 
 def resampled(jobs: Sequence[CaseJob], design: Design) -> tuple[CaseJob, ...]:
@@ -228,17 +229,18 @@ def expand(design: Design, data_root: Path, allowed: Allowed = NOTHING) -> Work:
     places = provenance.folders(design.source, data_root)
     # a replicate is named by what was written, not by where its surface was found
     planned = seeded(_distinct(cases(design, blocks)), design)
+    asked, forwards = units_asked(design), Forwards(places, allowed.function)
     shared: dict[int, Computed] = {}
 
     def job(case: Case, origin: Origin) -> CaseJob:
         place = id(case.config)  # one for all blocks of a cell, kept alive by its cases
         if place not in shared:
-            shared[place] = Computed.of(_located(case, places, allowed), design)
-        return case_job(case, data, design, origin, shared[place])
+            shared[place] = Computed.of(_located(case, places, forwards), list(asked))
+        return _job(case, data, design, origin, shared[place])
 
     jobs = _anchored(job(case, origin) for case, origin in planned)
     every = (*jobs, *resampled(jobs, design))
-    return Work(design, every, units_asked(design), blocks, data, allowed)
+    return Work(design, every, asked, blocks, data, allowed)
 
 
 def cases_by_id(design: Design, blocks: Sequence[str]) -> dict[str, Case]:
@@ -286,12 +288,11 @@ class Computed:
     names: tuple[object, ...]
 
     @classmethod
-    def of(cls, case: Case, design: Design) -> Computed:
+    def of(cls, case: Case, asked: Sequence[str]) -> Computed:
         """Work out what the cases of a cell share, from one whose files were found."""
         problem = fit_problem(case.config)
         names = (code_version(), *provenance.fingerprints(case.config), *identity(case.config))
-        names_asked = sorted(units_asked(design))
-        return cls(case.config, problem, _forward_of(case, problem), (names_asked, *names))
+        return cls(case.config, problem, _forward_of(case, problem), (sorted(asked), *names))
 
 
 def units_asked(design: Design) -> dict[str, str]:
@@ -330,27 +331,30 @@ def _distinct(repeated_cases: Sequence[Case]) -> tuple[Case, ...]:
     return tuple(out)
 
 
-def _located(case: Case, places: Sequence[Path], allowed: Allowed = NOTHING) -> Case:
+def _located(case: Case, places: Sequence[Path], forwards: Forwards) -> Case:
     """Copy a case with its surfaces, and the files of its forward model, found and checked."""
     config = provenance.with_markers(provenance.located(case.config, places), places)
-    made = with_external(config, places, allowed.function)
-    check_templates(made, case.case_id)
-    return replace(case, config=made)
+    section = case.treatment.cell.problem.forward
+    if section is not None and section.is_external:
+        config = {**config, "forward": forwards.table(section)}
+        check_templates(config, case.case_id)
+    return replace(case, config=config)
 
 
-def case_job(
-    case: Case,
-    data: DataCache,
-    design: Design,
-    origin: Origin | None = None,
-    computed: Computed | None = None,
+def case_job(case: Case, work: Work, origin: Origin) -> CaseJob:
+    """Make the job of one more case of a study."""
+    computed = Computed.of(case, list(work.responses))
+    return _job(case, work.data, work.design, origin, computed)
+
+
+def _job(
+    case: Case, data: DataCache, design: Design, origin: Origin, computed: Computed
 ) -> CaseJob:
-    """Make the job of one case."""
-    shared = computed or Computed.of(case, design)
-    placed = case if computed is None else replace(case, config=shared.config)
-    pairs = tuple(_score_pairs(placed, shared.problem, data, design))
-    content = [case.case_id, [pair.identity for pair in pairs], *shared.names]
-    return CaseJob(placed, pairs, digest(content), shared.forward, origin or Origin())
+    """Job of a case, from what it shares with those of its cell."""
+    placed = replace(case, config=computed.config)
+    pairs = tuple(_score_pairs(placed, computed.problem, data, design))
+    content = [case.case_id, [pair.identity for pair in pairs], *computed.names]
+    return CaseJob(placed, pairs, digest(content), computed.forward, origin)
 
 
 def _forward_of(case: Case, problem: FitProblem) -> Forward:

@@ -20,8 +20,7 @@ from study.ground.bounded_file import UnreadableError, read_existing, sha256_of
 from study.ground.canonical import digest, plain
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
-from study.harness.design.cell import Config
-from study.harness.design.forward_section import target_and_source
+from study.harness.design.forward_section import ForwardModel, target_and_source
 from study.harness.external import command, exchange
 from study.harness.external.command import External
 from study.harness.external.exchange import PythonFunction
@@ -60,28 +59,39 @@ class Allowed:
 NOTHING = Allowed()
 
 
-def with_external(
-    config: Tables, places: Sequence[Path], function: PythonFunction | None
-) -> Config:
-    """Copy a configuration with the files and the identity of its forward model.
+class Forwards:
+    """Forward models of a study that are not ours, each found once for all cells that share it.
 
     Nothing is run: a program is known by the content of its file.
     """
-    external = External.of(config)
-    if external is None:
-        return dict(config)
-    made = plain({k: v for k, v in table_of(config, "forward").items() if v is not None})
-    if external.section.model == "python":
-        if function is not None:
-            made |= {"function": function.text, "function_version": function.version}
-        return {**config, "forward": made}
-    words = [argv[0] for argv in external.section.argv]
-    # a program that should say its version and is missing says none, which is no fault
-    words += filter(command.path_of, external.section.version[:1])
-    made["programs"] = {word: _program_sha(word) for word in words}
-    files = map(target_and_source, external.section.files)
-    made["contents"] = {target: _text(source, places) for target, source in files}
-    return {**config, "forward": made}
+
+    def __init__(self, places: Sequence[Path], function: PythonFunction | None) -> None:
+        self._places, self._function = places, function
+        self._tables: dict[ForwardModel, dict[str, object]] = {}
+
+    def table(self, section: ForwardModel) -> Tables:
+        """Table of a forward model with its files and its identity."""
+        if section not in self._tables:
+            made: dict[str, object] = dict(plain(section.document()))
+            self._tables[section] = {k: v for k, v in made.items() if v is not None}
+            self._tables[section] |= self._identity(section)
+        return self._tables[section]
+
+    def _identity(self, section: ForwardModel) -> dict[str, object]:
+        function = self._function
+        if section.model == "python":
+            named = {} if function is None else {
+                "function": function.text, "function_version": function.version
+            }  # fmt: skip
+            return dict(named)
+        words = [argv[0] for argv in section.argv]
+        # a program that should say its version and is missing says none, which is no fault
+        words += filter(command.path_of, section.version[:1])
+        files = map(target_and_source, section.files)
+        return {
+            "programs": {word: _program_sha(word) for word in words},
+            "contents": {target: _text(source, self._places) for target, source in files},
+        }
 
 
 def check_templates(config: Tables, case_id: str) -> None:

@@ -83,9 +83,9 @@ class DataCache:
         self.root, self.tests = root, tests
         self._read: dict[str, Measurements] = {}
         self._recorded: dict[str, Recordings] = {}
-        # what was asked for already, by the specification itself, which is kept so that its
-        # identity stays its own
-        self._asked: dict[tuple[object, ...], tuple[object, Measurements]] = {}
+        # what was asked for already, by the tables themselves, which are kept so that their
+        # identity stays their own
+        self._asked: dict[int, tuple[Tables, Measurements]] = {}
 
     def scored(self, tables: Tables) -> Measurements | None:
         """Measurements that a case is scored on."""
@@ -110,17 +110,16 @@ class DataCache:
         spec = measurements_of(tables)
         if spec is None:
             return None
-        setup = Setup.of(tables)
-        height, depth, gauge = setup.height_mm, setup.test.displacement_mm, gauge_of(setup)
-        place = (id(spec), height, depth, gauge)
-        if place not in self._asked:
+        if id(tables) not in self._asked:  # one document for all blocks of a cell
+            setup = Setup.of(tables)
+            height, depth, gauge = setup.height_mm, setup.test.displacement_mm, gauge_of(setup)
             key = digest([spec.as_dict(), height, depth, None if gauge is None else asdict(gauge)])
             if key not in self._read:
                 rows = self._recordings(spec)
                 measurements = read_measurements(spec, self.root, height, depth, gauge, rows)
                 self._read[key] = conditioning.checked(measurements, setup)
-            self._asked[place] = spec, self._read[key]
-        return self._asked[place][1]
+            self._asked[id(tables)] = tables, self._read[key]
+        return self._asked[id(tables)][1]
 
     def _recordings(self, spec: MeasurementSpec) -> Recordings:
         """Rows of the files, read once for all ranges that are cut out of them."""
@@ -310,9 +309,10 @@ class CaseTask:
     def of(cls, job: CaseJob, work: Work, fits: Mapping[str, FitResult]) -> CaseTask:
         """Task of a case whose fits are done: a worker needs of each fit its name and outcome."""
         names = (*PROBLEM, "markers", "parameters", "units")
-        tables: dict[str, object] = dict(
-            plain({k: v for k, v in job.case.config.items() if k in names})
-        )
+        # the forward model is one value for all cases, which go to a worker together
+        tables: dict[str, object] = {
+            k: v if k == "forward" else plain(v) for k, v in job.case.config.items() if k in names
+        }
         pairs = tuple(
             replace(pair, fit=pair.fit and replace(pair.fit, measured=(), start=None))
             for pair in job.directions

@@ -196,6 +196,8 @@ def folders(source: str | Path, data_root: Path) -> tuple[Path, ...]:
 
 def located(config: Tables, places: Sequence[Path]) -> Config:
     """Copy a configuration with every surface in it found and checked."""
+    if "specimen" not in config:
+        return dict(config)
     config_found = cast(Config, _walked(config, places))
     if _is_surface(config_found.get("specimen")):
         # Refuse what cannot be meshed or held, with placeholders for what a fit will find.

@@ -5,7 +5,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from enum import Enum
 from typing import ClassVar, Protocol
 
 import numpy as np
@@ -18,14 +17,6 @@ from study.mechanics.material.material import is_dimensionless, unit_shown
 
 #: kPa in one MPa: a fit is in MPa, a response in kPa
 KPA = 1000.0
-
-
-class Need(Enum):
-    """What a response is computed from."""
-
-    CURVES = "a predicted and a measured curve"
-    CONSTANTS = "the constants of the material"
-    PREDICTION = "a predicted curve"
 
 
 @dataclass(frozen=True)
@@ -63,11 +54,6 @@ class Response(Protocol):
         """Unit of its value; empty for a plain number."""
         ...
 
-    @property
-    def needs(self) -> frozenset[Need]:
-        """What it is computed from."""
-        ...
-
     def compute(self, scored: Scored) -> float:
         """Value of the response, in its unit."""
         ...
@@ -78,7 +64,6 @@ class CurveResponse(ABC):
 
     name: ClassVar[str]
     unit: ClassVar[str]
-    needs: ClassVar[frozenset[Need]] = frozenset({Need.CURVES})
 
     def compute(self, scored: Scored) -> float:
         """Value of the response, in its unit.
@@ -89,7 +74,7 @@ class CurveResponse(ABC):
             If one of the curves is missing.
         """
         if scored.predicted is None or scored.measured is None:
-            raise ValueError(f"{self.name} needs {Need.CURVES.value}")
+            raise ValueError(f"{self.name} needs a predicted and a measured curve")
         return self.between(scored.predicted, scored.measured)
 
     @abstractmethod
@@ -169,7 +154,6 @@ class SimulatedResponse:
     """
 
     name: str
-    needs: ClassVar[frozenset[Need]] = frozenset({Need.PREDICTION})
 
     @property
     def unit(self) -> str:
@@ -185,7 +169,7 @@ class SimulatedResponse:
             If there is no predicted curve.
         """
         if scored.predicted is None:
-            raise ValueError(f"{self.name} needs {Need.PREDICTION.value}")
+            raise ValueError(f"{self.name} needs a predicted curve")
         return self.of(scored.predicted)
 
     def of(self, curve: Curve) -> float:
@@ -216,7 +200,6 @@ class ConstantResponse:
     """A constant of the material in kPa; an exponent is a plain number, a time is in s."""
 
     name: str
-    needs: ClassVar[frozenset[Need]] = frozenset({Need.CONSTANTS})
 
     @property
     def unit(self) -> str:
@@ -233,7 +216,6 @@ class InitialShearModulus:
 
     name: ClassVar[str] = "mu0"
     unit: ClassVar[str] = RESPONSES[name]
-    needs: ClassVar[frozenset[Need]] = frozenset({Need.CONSTANTS})
 
     def compute(self, scored: Scored) -> float:
         """Value of the modulus, kPa; NaN where it is not known."""

@@ -89,8 +89,7 @@ def refined_series(
     finer = [
         case_job(
             refined(base.case, size / ratio**level),
-            work.data,
-            work.design,
+            work,
             Origin(purpose=PURPOSE, of=base.case.case_id, level=level),
         )
         for level in range(1, times + 1)
@@ -136,7 +135,7 @@ def _series(
     if not alone and isinstance(base.case.setup.specimen, Enclosed):
         case = varied(base.case, on_mesh(base.case.config, mesh_seed=OTHER_MESH), PURPOSE)
         origin = Origin(purpose=PURPOSE, of=base.case.case_id, level=0)
-        other = case_job(case, work.data, work.design, origin)
+        other = case_job(case, work, origin)
     series = CaseSeries(jobs, work.design.converge.ratio, end, other=other)
     for job in series.every:
         record = records.get(job.case.case_id)
@@ -260,7 +259,7 @@ def input_work(work: Work) -> Work:
                 config = with_table(config, "calibration", problem=inner)
             case = varied(base.case, config, INPUT_PURPOSE)
             origin = Origin(purpose=INPUT_PURPOSE, of=base.case.case_id, input=key)
-            jobs.append(case_job(case, work.data, work.design, origin))
+            jobs.append(case_job(case, work, origin))
     return replace(work, jobs=tuple(jobs))
 
 

@@ -13,6 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from math import factorial
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
@@ -33,9 +34,8 @@ from study.mechanics.forward import finite_element
 from study.mechanics.material.homogeneous import LOADINGS
 from study.mechanics.material.material import Material, unit_shown
 from study.mechanics.measurement.measurement_section import MeasurementSpec
-from study.mechanics.setup.declaration import table_of
 from study.mechanics.setup.geometry import Block, Enclosed
-from study.mechanics.setup.setup import Setup, Tables, problem_of
+from study.mechanics.setup.setup import MeshName, Model, Order, Problem, Setup, Tables
 
 #: what a fit should find
 TRUTH = Material("gent", {"mu": 0.03, "Jm": 8.0}, poisson_ratio=0.495)
@@ -141,9 +141,6 @@ def truth(name: str) -> Truth:
 
 # Reference curve of virtual specimens: a finer model than any cell of the design.
 
-#: plates of a reference curve for a design of a single test
-_BONDED = {"interface": "bonded", "base": "bonded"}
-
 
 def reference_curve(
     tables: Tables,
@@ -186,20 +183,15 @@ def _task(
     asked_for: Virtual | None,
 ) -> ReferenceTask:
     virtual, setup = asked_for or Virtual(), Setup.of(tables)
+    loaded = setup.test if as_designed else replace(setup.test, interface="bonded", base="bonded")
     # the grid runs a little past the range, as a real test does
-    changes = {"steps": virtual.steps, "displacement_mm": 1.03 * setup.test.depth_mm}
-    test = {**table_of(tables, "test"), **({} if as_designed else _BONDED), **changes}
+    depth_mm = 1.03 * setup.test.depth_mm
+    test = replace(loaded, steps=virtual.steps, displacement_mm=depth_mm)
+    constants = dict(material.constants)
+    solid = Material(model=material.model, constants=constants, poisson_ratio=poisson_ratio)
+    model = _reference_model(setup, virtual, as_designed)
     finer = as_designed and not virtual.chooses_mesh and not setup.is_homogeneous
-    return ReferenceTask(
-        {
-            "specimen": tables["specimen"],
-            "test": test,
-            "material": {"model": material.model, "constants": dict(material.constants),
-                         "poisson_ratio": poisson_ratio},
-            "model": _reference_model(setup, virtual, as_designed),
-        },
-        int(finer),
-    )  # fmt: skip
+    return ReferenceTask(Problem(setup.specimen, test, solid, model), int(finer))
 
 
 def _solved(task: ReferenceTask, what: str) -> Curve:
@@ -211,32 +203,33 @@ def _solved(task: ReferenceTask, what: str) -> Curve:
     return result.curve
 
 
-def _reference_model(setup: Setup, virtual: Virtual, as_designed: bool) -> dict[str, object]:
+def _reference_model(setup: Setup, virtual: Virtual, as_designed: bool) -> Model:
     """3D where the specimen is no body of revolution and that matters; the mesh of ``[virtual]``.
 
     Without one, and where every test is as the design has it, the mesh is the finest that the
     design uses, to be made finer still.
     """
-    specimen, designed = setup.specimen, setup.model
-    corners = isinstance(specimen, Block) and setup.kind.takes_indenter
-    solid = isinstance(specimen, Enclosed) or corners
-    order = virtual.element_order
-    model: dict[str, object] = {"space": "3d" if solid else "axisymmetric", "element_order": order}
-    ratio = {"mesh_ratio": designed.mesh_ratio}
+    designed = setup.model
+    corners = isinstance(setup.specimen, Block) and setup.kind.takes_indenter
+    solid = isinstance(setup.specimen, Enclosed) or corners
+    model = Model(
+        space="3d" if solid else "axisymmetric", element_order=cast(Order, virtual.element_order)
+    )
+    if not as_designed and not virtual.chooses_mesh:
+        return replace(model, mesh="fine")
+    model = replace(model, mesh_ratio=designed.mesh_ratio)
     if virtual.mesh_size_mm is not None:
-        return model | ratio | {"mesh_size_mm": virtual.mesh_size_mm}
+        return replace(model, mesh_size_mm=virtual.mesh_size_mm)
     if virtual.mesh is not None:
-        return model | ratio | {"mesh": virtual.mesh}
-    if not as_designed:
-        return {**model, "mesh": "fine"}
-    return model | ratio | {"mesh": designed.mesh, "mesh_size_mm": designed.mesh_size_mm}
+        return replace(model, mesh=cast(MeshName, virtual.mesh))
+    return replace(model, mesh=designed.mesh, mesh_size_mm=designed.mesh_size_mm)
 
 
 @dataclass(frozen=True)
 class ReferenceTask:
     """The reference problem as it goes to a worker."""
 
-    tables: Tables
+    problem: Problem
     #: How often its mesh is made finer by one step, so that no cell of the design generates its own
     #: data; coarser where negative.
     refined: int
@@ -246,7 +239,7 @@ class ReferenceTask:
 
 def perform(task: ReferenceTask) -> dict[str, object]:
     """Solve the reference problem: a task for a worker."""
-    problem = problem_of(task.tables)
+    problem = task.problem
     if task.refined:
         from study.mechanics.mesh.mesher import mesh_size
 
