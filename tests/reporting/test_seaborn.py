@@ -65,7 +65,7 @@ def heights(ax: Axes) -> list[float]:
 
 def test_main_effects(data: ReportData, error: Facts, used: list[str]):
     frame = effect_figures.level_means(error)
-    (ax,) = effect_figures.draw_level_means(frame, error, 5.5, None, data).axes
+    (ax,) = effect_figures.draw_level_means(frame, error, data).axes
     assert used == ["pointplot"]
     assert heights(ax) == frame["mean"].tolist()
     assert ax.get_xlabel() == ""
@@ -120,7 +120,7 @@ def test_cells_of_a_design_without_blocks_have_no_lines(data: ReportData, error:
 
 def test_interactions(data: ReportData, error: Facts, used: list[str]):
     frame = effect_figures.pair_means(data, error)
-    axes = effect_figures.draw_interactions(frame, error, data.factors, data).axes
+    axes = effect_figures.draw_interactions(frame, error, data).axes
     k = len(data.factors)
     assert used == ["pointplot", "heatmap"] * (k * (k - 1) // 2)
     for i, first in enumerate(data.factors):
@@ -188,7 +188,5 @@ def test_contrasts(used: list[str]):
 def test_the_style_of_the_report_stays_in_force(data: ReportData, error: Facts):
     before = dict(mpl.rcParams)
     frame = effect_figures.pair_means(data, error)
-    style.render(
-        lambda: effect_figures.draw_interactions(frame, error, data.factors, data), "n", "t"
-    )
+    style.render(lambda: effect_figures.draw_interactions(frame, error, data), "n", "t")
     assert dict(mpl.rcParams) == before

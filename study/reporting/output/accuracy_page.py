@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -28,12 +27,8 @@ from study.reporting.content.numbers import (
 )
 from study.reporting.content.text import clean, count
 from study.reporting.figures import accuracy_figures
-from study.reporting.figures.registry import Drawn, make
+from study.reporting.figures.registry import Plot, make
 from study.reporting.output.analysis_page import AnswerPage
-
-if TYPE_CHECKING:
-    import pandas as pd
-
 
 # What a report says of a scanned surface: its answers in sentences, and its tables.
 
@@ -299,24 +294,36 @@ def _tracker_poses(reference: ReferenceResult) -> Table:
 
 def tracker_page(accuracy: TrackerAccuracy) -> AnswerPage:
     """Page of a tracker."""
-    figures = []
+    plots: dict[str, Plot] = {}
     if (distance := accuracy.distance) is not None:
-        figures.append(
-            make("tracker-distance", "Distance by stage", lambda: _page_distance(distance))
+        dashed = " Dashed: the standard." if distance.standard else ""
+        plots["distance"] = (
+            "Distance by stage",
+            lambda: accuracy_figures.distance_points(distance),
+            lambda frame: accuracy_figures.draw_distances(frame, distance),
+            lambda _: (
+                "Histograms of all samples, a panel a stage. Line: mean over visits." + dashed
+            ),
         )
     if (displacement := accuracy.displacement) is not None:
-        figures.append(
-            make(
-                "tracker-displacement",
-                "Measured and commanded displacement",
-                lambda: _page_displacement(displacement),
-            )
+        plots["displacement"] = (
+            "Measured and commanded displacement",
+            lambda: accuracy_figures.displacement_points(displacement),
+            lambda frame: accuracy_figures.draw_displacement(frame, displacement),
+            lambda _: (
+                "Left: every stop and the line with errors in both. Right: differences "
+                "against means, bias and limits of agreement (dashed) with their intervals."
+            ),
         )
     if (reference := accuracy.reference) is not None:
-        figures.append(
-            make(
-                "tracker-reference", "Errors against the reference", lambda: _page_poses(reference)
-            )
+        plots["reference"] = (
+            "Errors against the reference",
+            lambda: accuracy_figures.reference_points(reference),
+            accuracy_figures.draw_reference,
+            lambda _: (
+                "Left: residuals of the registration over the workspace. Right: what is left "
+                "at every pose, and the error of a pose predicted from all others."
+            ),
         )
     return AnswerPage(
         kind="tracker accuracy",
@@ -324,62 +331,38 @@ def tracker_page(accuracy: TrackerAccuracy) -> AnswerPage:
         name=accuracy.name,
         question=accuracy.question,
         answer=tracker_answers(accuracy),
-        figures=figures,
+        figures=[make(f"tracker-{name}", plot) for name, plot in plots.items()],
         tables=tracker_tables(accuracy),
         warnings=accuracy.notes,
         document=accuracy.to_json(),
     )
 
 
-def _page_distance(distance: DistanceResult) -> Drawn:
-    frame = accuracy_figures.distance_points(distance)
-    dashed = " Dashed: the standard." if distance.standard else ""
-    caption = f"Histograms of all samples, a panel a stage. Line: mean over visits.{dashed}"
-    return frame, lambda: accuracy_figures.draw_distances(frame, distance), caption
-
-
-def _page_displacement(displacement: DisplacementResult) -> Drawn:
-    frame = accuracy_figures.displacement_points(displacement)
-    caption = (
-        "Left: every stop and the line with errors in both. Right: differences against means, "
-        "bias and limits of agreement (dashed) with their intervals."
-    )
-    return frame, lambda: accuracy_figures.draw_displacement(frame, displacement), caption
-
-
-def _page_poses(reference: ReferenceResult) -> Drawn:
-    frame = accuracy_figures.reference_points(reference)
-    caption = (
-        "Left: residuals of the registration over the workspace. Right: what is left at every "
-        "pose, and the error of a pose predicted from all others."
-    )
-    return frame, lambda: accuracy_figures.draw_reference(frame, reference), caption
-
-
 def shape_page(deviation: ShapeDeviation) -> AnswerPage:
     """Page of a scanned surface."""
     frame = accuracy_figures.deviation_points(deviation)
+    plots: dict[str, Plot] = {
+        "histogram": (
+            "Deviations",
+            lambda: frame,
+            accuracy_figures.draw_histogram,
+            lambda _: "Signed distances of scanned points. Line: mean; dashed: 5 % and 95 %.",
+        ),
+        "views": (
+            "Deviation over the body",
+            lambda: frame,
+            accuracy_figures.draw_views,
+            lambda _: "Mean deviation of the points in every hexagon that face the viewer.",
+        ),
+    }
     return AnswerPage(
         kind="shape deviation",
         stem="shape-deviation",
         name=deviation.name,
         question=f"How far is the simulated surface from {deviation.scan}?",
         answer=scan_answers(deviation),
-        figures=[
-            make("shape-histogram", "Deviations", lambda: _histogram(frame)),
-            make("shape-views", "Deviation over the body", lambda: _views(frame)),
-        ],
+        figures=[make(f"shape-{name}", plot) for name, plot in plots.items()],
         tables=scan_tables(deviation),
         warnings=(f"simulated part: {deviation.symmetry}", *deviation.notes),
         document=deviation.to_json(),
     )
-
-
-def _histogram(frame: pd.DataFrame) -> Drawn:
-    caption = "Signed distances of scanned points. Line: mean; dashed: 5 % and 95 %."
-    return frame, lambda: accuracy_figures.draw_histogram(frame), caption
-
-
-def _views(frame: pd.DataFrame) -> Drawn:
-    caption = "Mean deviation of the points in every hexagon that face the viewer."
-    return frame, lambda: accuracy_figures.draw_views(frame), caption

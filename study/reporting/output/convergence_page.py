@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,10 +15,12 @@ from study.reporting.content.content_table import Table
 from study.reporting.content.numbers import MISSING, quantity, significant
 from study.reporting.content.text import clean, name_of, sentence
 from study.reporting.figures import convergence_figures as convergence
-from study.reporting.figures.registry import Drawn, Figure, make
+from study.reporting.figures.registry import Figure, Plot, make
 from study.reporting.output.analysis_page import AnswerPage, write_answer
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from study.reporting.figures.convergence_figures import Document
 
 
@@ -63,46 +64,48 @@ def convergence_figures(
 ) -> list[Figure]:
     """Value against size, error against size, error against seconds, meshes."""
     shown = [cell for cell in cells if len(cell.get("value", ())) > 1]
-    figures = []
+    plots: dict[str, Plot] = {}
     if shown:
-        figures.append(
-            make("convergence-values", "Value against mesh size", lambda: _values(shown))
+        plots["values"] = (
+            "Value against mesh size",
+            lambda: convergence.value_points(shown),
+            convergence.draw_values,
+            lambda _: convergence.value_caption(shown),
         )
     if any(cell["extrapolated"] is not None for cell in shown):
-        figures.append(make("convergence-errors", "Error and formal order", lambda: _errors(shown)))
-    for k, front in enumerate(fronts):
-        name = f"convergence-front-{k + 1}"
-        figures.append(make(name, "Error against seconds", partial(_front, front)))
+        plots["errors"] = (
+            "Error and formal order",
+            lambda: convergence.error_points(shown),
+            convergence.draw_errors,
+            lambda _: convergence.error_caption(shown),
+        )
+    plots |= {f"front-{k}": _front(front) for k, front in enumerate(fronts, 1)}
     if meshes:
-        figures.append(make("convergence-meshes", "Meshes", lambda: _meshes(meshes, window)))
-    return figures
+        plots["meshes"] = (
+            "Meshes",
+            lambda: _counts(meshes),
+            lambda _: convergence.draw_meshes(meshes, np.asarray(window, float)),
+            lambda _: "The coarsest and the finest mesh, in the same window.",
+        )
+    return [make(f"convergence-{name}", plot) for name, plot in plots.items()]
 
 
-def _values(cells: Sequence[Document]) -> Drawn:
-    frame = convergence.value_points(cells)
-    return frame, lambda: convergence.draw_values(frame), convergence.value_caption(cells)
+def _front(front: Document) -> Plot:
+    return (
+        "Error against seconds",
+        lambda: convergence.front_points(front),
+        lambda frame: convergence.draw_front(frame, float(front["accuracy"])),
+        lambda _: sentence(front["answer"]),
+    )
 
 
-def _errors(cells: Sequence[Document]) -> Drawn:
-    frame = convergence.error_points(cells)
-    return frame, lambda: convergence.draw_errors(frame), convergence.error_caption(cells)
-
-
-def _front(front: Document) -> Drawn:
-    frame = convergence.front_points(front)
-    accuracy = float(front["accuracy"])
-    return frame, lambda: convergence.draw_front(frame, accuracy), sentence(front["answer"])
-
-
-def _meshes(meshes: Meshes, window: ArrayLike | None) -> Drawn:
+def _counts(meshes: Meshes) -> pd.DataFrame:
     import pandas as pd
 
-    counts = pd.DataFrame(
+    return pd.DataFrame(
         [{"mesh": label, "points": len(points), "cells": len(cells)}
          for label, points, cells in meshes]
     )  # fmt: skip
-    caption = "The coarsest and the finest mesh, in the same window."
-    return counts, lambda: convergence.draw_meshes(meshes, np.asarray(window, float)), caption
 
 
 def answers(cells: Sequence[Document], document: Document) -> list[str]:

@@ -170,10 +170,7 @@ def _surface(data: ReportData, fitted: FittedSurface) -> SurfaceSection:
         surface_content.sensitivity(fitted, data),
         surface_content.coefficients(fitted, data),
         surface_content.table(fitted, data),
-        {
-            kind: registry.make(f"{stem}-{kind}", f"{words}: {named}", maker)
-            for kind, (words, maker) in surface_figures.drawings(fitted, data).items()
-        },
+        registry.made(surface_figures.drawings(fitted, data), stem, named),
     )
 
 
