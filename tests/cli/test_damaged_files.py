@@ -187,19 +187,16 @@ def test_a_pipe_in_the_place_of_the_lock_is_refused(done: Path) -> None:
 @pytest.mark.parametrize(
     ("place", "mode"),
     [
-        ("reports/small", 0o444),
-        ("reports/small/small-data", 0o444),
         ("reports/small/small-data", 0o000),
         ("reports", 0o000),
         ("results/small/fits", 0o444),
-        ("results/small/runs", 0o444),
         ("results/small/cases", 0o444),
     ],
 )
 def test_what_may_not_be_read_is_told(done: Path, place: str, mode: int) -> None:
     """Rights are obeyed by root, too, for as long as it asks."""
-    assert study("report", "small", "--format", "csv,html").code == 0
-    verbs = [("verify", "small"), ("verify", "reports/small/small.html"), READERS[0], RUN]
+    assert study("report", "small", "--format", "csv").code == 0
+    verbs = [("verify", "small"), READERS[0], RUN]
     os.chmod(place, mode)
     obey(True)
     try:

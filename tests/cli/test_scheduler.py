@@ -21,23 +21,10 @@ from tests.execution.loopback import ROOT, Loopback, loopback
 from tests.fem.surfaces import box, write
 from tests.forward.test_command import DESIGN as PROGRAMS
 from tests.forward.test_command import force
-from tests.runner.conftest import DESIGN, make_data
 from tests.runner.test_surfaces import DESIGN as SURFACE
 from tests.waiting import CAP_S, until
 
 pytest.importorskip("distributed", reason="Dask is not installed (extra 'dask')")
-
-#: finite elements, calibration and a refinement in seconds
-FEM = (
-    DESIGN.replace('mesh = "coarse"', 'mesh_size = "6 mm"')
-    .replace("steps = 10", "steps = 3")
-    .replace("swap = true", "")
-    .replace('material = ["neo-hookean", "mooney-rivlin"]\n', "")
-    .replace('[presets.material.neo-hookean]\nmodel = "neo-hookean"\n', "")
-    .replace('[presets.material.mooney-rivlin]\nmodel = "mooney-rivlin"\n', "")
-    .replace("[material]\n", '[material]\nmodel = "neo-hookean"\n')
-) + '[report]\nformat = ["csv"]\n'
-
 
 #: a closed form, and a program that gives its answer only when a file is there
 HELD = PROGRAMS.replace(', "differences", "gradients"]', ', "gradients"]').replace(
@@ -69,13 +56,6 @@ def allowed(folder: Path) -> tuple[str, str]:
     """Options that allow the programs of the study."""
     plan = study("plan", folder / "small.toml", "--data", folder / "data", "--json").json
     return "--allow-digest", plan["commands_digest"]
-
-
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    (tmp_path / "small.toml").write_text(FEM)
-    make_data(tmp_path, ("M1", "M2"))
-    return tmp_path
 
 
 def started(folder: Path, cluster: Loopback, *options: str) -> subprocess.Popen[str]:
@@ -116,37 +96,24 @@ def assert_equal(found: StudyResult, expected: StudyResult) -> None:
         assert numbers(one) == numbers(other)
     assert {"responses", "curves", "fit"} <= set(numbers(found.records[0]))  # type: ignore[call-overload]
     assert found.numerical == expected.numerical
-    assert len(found.numerical) > 0
 
 
-@pytest.mark.usefixtures("processes")  # a solver that other tests used may round otherwise
-def test_a_study_that_loses_a_worker_gives_the_table_of_a_local_run(
-    folder: Path, tmp_path: Path
-) -> None:
-    cluster_folder = tmp_path / "cluster"
-    cluster_folder.mkdir()
-    with loopback(cluster_folder) as cluster:
-        run = started(folder, cluster)
-        until(lambda: len(kept_of(folder)) >= 2 or run.poll() is not None)
-        cluster.workers[0].kill()
-        out, err = run.communicate(timeout=CAP_S)
-    assert run.returncode == 0, err
-    assert json.loads(out)["cases"] == {"total": 4, "done": 4, "failed": 0, "missing": 0}
-    local = api.run(
-        folder / "small.toml", data=folder / "data", jobs=2, results=tmp_path / "local",
-        reports=None,
-    )  # fmt: skip
-    assert_equal(api.load(folder / "results" / "small"), local)
-
-
-def test_a_study_that_loses_its_scheduler_keeps_what_is_finished_and_resumes(
+def test_a_study_that_is_interrupted_or_loses_its_scheduler_resumes(
     held: Path, tmp_path: Path
 ) -> None:
+    """Ctrl-C leaves the cluster, which the next run uses until its scheduler is gone."""
     cluster_folder, options = tmp_path / "cluster", allowed(held)
     cluster_folder.mkdir()
-    with loopback(cluster_folder) as cluster:
+    with loopback(cluster_folder, workers=1) as cluster:
         run = started(held, cluster, *options)
-        until(lambda: kept_of(held) or run.poll() is not None)
+        until(lambda: (held / "begun").exists() or run.poll() is not None)
+        run.send_signal(signal.SIGINT)
+        _, err = run.communicate(timeout=CAP_S)
+        assert run.returncode == 130, err
+        assert "interrupted: what is finished is kept" in err
+        (held / "begun").unlink()
+        run = started(held, cluster, *options)
+        until(lambda: ((held / "begun").exists() and kept_of(held)) or run.poll() is not None)
         cluster.scheduler.kill()
         _, err = run.communicate(timeout=CAP_S)
     assert run.returncode == 130, err
@@ -164,41 +131,21 @@ def test_a_study_that_loses_its_scheduler_keeps_what_is_finished_and_resumes(
     assert {path: path.read_bytes() for path in kept} == kept
 
 
-def test_ctrl_c_stops_a_study_on_a_cluster_and_leaves_the_cluster(
-    held: Path, tmp_path: Path
-) -> None:
-    cluster_folder, options = tmp_path / "cluster", allowed(held)
-    cluster_folder.mkdir()
-    with loopback(cluster_folder, workers=1) as cluster:
-        run = started(held, cluster, *options)
-        until(lambda: (held / "begun").exists() or run.poll() is not None)
-        run.send_signal(signal.SIGINT)
-        _, err = run.communicate(timeout=CAP_S)
-        assert run.returncode == 130, err
-        assert "interrupted: what is finished is kept" in err
-        (held / "go").touch()
-        again = study(
-            "run", held / "small.toml", "--data", held / "data", "--results", held / "results",
-            "--scheduler", cluster.file, "--json", *options,
-        )  # fmt: skip
-    assert again.code == 0, again.err
-    assert again.json["cases"]["done"] == 2
-
-
 def test_a_scheduler_that_is_not_there_is_refused_and_nothing_is_written(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
+    home: Path,
 ) -> None:
-    monkeypatch.chdir(folder)
     answer = study("run", "small.toml", "--data", "data", "--scheduler", "nowhere.json")
     assert answer.code == 2
     assert "'nowhere.json' is no address and no file" in answer.err
     assert "tls://HOST:PORT" in answer.err
-    assert not (folder / "results").exists()
+    assert not (home / "results").exists()
 
 
-@pytest.mark.usefixtures("processes")
-def test_a_surface_goes_to_workers_that_do_not_see_its_file(tmp_path: Path) -> None:
-    """The file is gone as soon as something is computed: workers read the copies that they got."""
+@pytest.mark.usefixtures("processes")  # a solver that other tests used may round otherwise
+def test_workers_that_see_no_file_and_of_which_one_is_lost_give_the_table_of_a_local_run(
+    tmp_path: Path,
+) -> None:
+    """The file is gone and a worker is lost as soon as something is computed."""
     designs, data, place = (tmp_path / name for name in ("designs", "data", "cluster"))
     for folder in (designs, data, place):
         folder.mkdir()
@@ -206,19 +153,21 @@ def test_a_surface_goes_to_workers_that_do_not_see_its_file(tmp_path: Path) -> N
     (designs / "design.toml").write_text(SURFACE)
     rows = [f"{s},{d:.3f},{0.45 * d:.5f}" for s in "ab" for d in np.linspace(0, 0.7, 15)]
     (data / "tests.csv").write_text("\n".join(["specimen,d,f", *rows, ""]))
-    found = {}
+    local = api.run(
+        designs / "design.toml", data=data, results=tmp_path / "here", reports=None, jobs=2,
+        refine=False,
+    )  # fmt: skip
     with loopback(place) as cluster:
-        for name, engine in (("here", None), ("there", cluster.file)):
 
-            def hide(state: Progress, name: str = name) -> None:
-                if name == "there":
-                    (designs / "box.stl").unlink(missing_ok=True)
+        def lose(state: Progress) -> None:
+            if state.done and (designs / "box.stl").exists():
+                (designs / "box.stl").unlink()
+                cluster.workers[0].kill()
 
-            found[name] = api.run(
-                designs / "design.toml", data=data, results=tmp_path / name, reports=None,
-                jobs=2 if engine is None else None, engine=engine, progress=hide, refine=False,
-            )  # fmt: skip
+        found = api.run(
+            designs / "design.toml", data=data, results=tmp_path / "there", reports=None,
+            engine=cluster.file, progress=lose, refine=False,
+        )  # fmt: skip
     assert not (designs / "box.stl").exists()
-    assert found["there"].cases == {"total": 4, "done": 4, "failed": 0, "missing": 0}
-    here, there = (found[name].table.drop(columns="seconds") for name in ("here", "there"))
-    assert there.equals(here)
+    assert found.cases == {"total": 4, "done": 4, "failed": 0, "missing": 0}
+    assert_equal(found, local)

@@ -109,7 +109,7 @@ def note(
     ax: Axes, words: str, at: tuple[float, float], shift: tuple[float, float], **look: Any
 ) -> None:
     """Write small words beside a place, shifted by points."""
-    look = {"fontsize": 7.5} | look
+    look.setdefault("fontsize", 7.5)
     ax.annotate(words, at, xytext=shift, textcoords="offset points", **look)
 
 
@@ -121,8 +121,8 @@ def at_right(ax: Axes, words: str, height: float, color: str | None = None) -> N
 
 def above(ax: Axes, words: str, x: float, **look: Any) -> None:
     """Write small words on the upper edge of axes."""
-    look = {"ha": "center", "va": "bottom", "fontsize": 7.5, "color": MUTED} | look
-    ax.text(x, 1.0, words, transform=ax.get_xaxis_transform(), **look)
+    usual = {"ha": "center", "va": "bottom", "fontsize": 7.5, "color": MUTED}
+    ax.text(x, 1.0, words, transform=ax.get_xaxis_transform(), **{**usual, **look})
 
 
 def panels(

@@ -5,14 +5,14 @@ Everything comes as plain values: a series is the document that ``study converge
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from study.ground.arrays import Array
-from study.reporting.content.content_table import Table
+from study.reporting.content.blocks import Document, Table
 from study.reporting.content.numbers import MISSING, percent, significant
 from study.reporting.content.text import clean, count, name_of
 from study.reporting.figures.axes import (
@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as Canvas
 
-
-Document = Mapping[str, Any]
 
 #: more panels than these are no picture any more; the table has them all
 MOST_PANELS = 12

@@ -555,8 +555,10 @@ def _measured(
         force.fill_between(d, measured - s, measured + s, color="#c4cad1", linewidth=0)
         residual.fill_between(d, -s, s, color="#dde2e7", linewidth=0)
     ground = INK if filled else "#ffffff"
-    dot = {"color": INK, "markersize": 1.9, "markerfacecolor": ground, "markeredgewidth": 0.5}
-    force.plot(d.iloc[::2], measured.iloc[::2], "o", **dot)
+    force.plot(
+        d.iloc[::2], measured.iloc[::2], "o", color=INK, markersize=1.9, markerfacecolor=ground,
+        markeredgewidth=0.5,
+    )  # fmt: skip
 
 
 def _ticks(force: Axes, residual: Axes, place: int, columns: int, panels: CurvePanels) -> None:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.reporting.content.content_table import apart, shown_difference, size, size_interval
+from study.reporting.content.effect_words import apart, shown_difference, size, size_interval
 from study.reporting.content.numbers import level, quantity, significant
 from study.reporting.content.report_facts import Facts, cells, comparable, describe, groups
 from study.reporting.content.text import clean, name_of, term_name
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 
 #: how means are joined by lines
-_JOINED: dict[str, Any] = {
+_JOINED = {
     "native_scale": True, "errorbar": None, "legend": False, "linewidth": 1.4,
     "markeredgewidth": 1,
 }  # fmt: skip
@@ -94,8 +94,8 @@ def draw_level_means(frame: pd.DataFrame, facts: Facts, data: ReportData) -> Can
         above(ax, name, float(group["place"].mean()), **bold)
     names = [wrap(level, 12, 40) for level in frame["level"]]
     many = len(names) > 13
-    turned: dict[str, Any] = {"rotation": 45, "ha": "right"} if many else {}
-    ax.set_xticks(placed["place"], names, fontsize=7.5 if len(names) < 9 else 7, **turned)
+    small, side = 7.5 if len(names) < 9 else 7, "right" if many else "center"
+    ax.set_xticks(placed["place"], names, rotation=45 if many else 0, ha=side, fontsize=small)
     ax.set_xlim(-0.7, float(placed["place"].iloc[-1]) + 0.7)
     ax.margins(y=0.2)
     plain_ticks(ax, "y")
@@ -197,12 +197,12 @@ def _mark_cells(ax: Axes, frame: pd.DataFrame, means: pd.DataFrame) -> None:
         sns.lineplot(
             frame, x="value", y="rank", units="block", estimator=None, sort=False, ax=ax, **thin
         )
-    dots: dict[str, Any] = {"color": "#56B4E9", "size": 3, "alpha": 0.8, "clip_on": False}
+    dots = {"color": "#56B4E9", "size": 3, "alpha": 0.8, "clip_on": False}
     sns.stripplot(
         frame, x="value", y="rank", orient="y", native_scale=True, jitter=False, zorder=2.5, ax=ax,
         **dots,
     )  # fmt: skip
-    diamonds: dict[str, Any] = {"marker": "D", "color": INK, "s": 26, "linewidth": 0}
+    diamonds = {"marker": "D", "color": INK, "s": 26, "linewidth": 0}
     sns.scatterplot(means, x="cell_mean", y="rank", zorder=3, legend=False, ax=ax, **diamonds)
 
 
@@ -487,8 +487,10 @@ def _mark_multiples(ax: Axes, frame: pd.DataFrame, places: Sequence[int]) -> Non
     ax.hlines(at, low, high, colors=colors, linewidth=2.6)
     for place, verdict, color, x in zip(places, verdicts, colors, size_of.tolist(), strict=True):
         face = color if verdict in _VERDICT_MARKER else "white"
-        look = {"color": color, "markerfacecolor": face, "markersize": 6.5, "markeredgewidth": 1.4}
-        ax.plot([x], [place], _VERDICT_MARKER.get(verdict, "o"), **look)
+        ax.plot(
+            [x], [place], _VERDICT_MARKER.get(verdict, "o"), color=color, markerfacecolor=face,
+            markersize=6.5, markeredgewidth=1.4,
+        )  # fmt: skip
 
 
 def _scale_of_multiples(

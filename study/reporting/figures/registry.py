@@ -9,14 +9,15 @@ import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from study.reporting.content import sentences
-from study.reporting.content.content_table import size
+from study.reporting.content.blocks import Figure
+from study.reporting.content.effect_words import size
 from study.reporting.content.numbers import THIN, duration, p_phrase, quantity, share, significant
 from study.reporting.content.recommendation import cost_front
 from study.reporting.content.report_facts import Facts, practical_of
@@ -206,18 +207,6 @@ def _by(fraction: float) -> str:
     return share(fraction).replace("< ", "less than ")
 
 
-@dataclass(frozen=True)
-class Figure:
-    """A finished figure: ``svg`` is markup, all else plain text; ``missing`` says why not."""
-
-    name: str
-    title: str
-    caption: str = ""
-    svg: str = ""
-    data: pd.DataFrame | None = None
-    missing: str = ""
-
-
 #: title, points, drawing and caption of a figure: the frame that is computed is drawn and told of
 Plot = tuple[
     str,
@@ -257,8 +246,8 @@ def make(name: str, plot: Plot) -> Figure:
 def made(plots: Mapping[str, Plot], stem: str, of: str) -> dict[str, Figure]:
     """Make the figures of one response or surface: its name stands in their titles."""
     return {
-        kind: make(f"{stem}-{kind}", (f"{title}: {of}", *how))
-        for kind, (title, *how) in plots.items()
+        kind: make(f"{stem}-{kind}", (f"{title}: {of}", points, draw, caption))
+        for kind, (title, points, draw, caption) in plots.items()
     }
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -89,8 +90,10 @@ def _panel(ax: Axes, frame: pd.DataFrame, color: str) -> None:
         ax.hlines(y, group["low"], group["high"], color=color, linewidth=0.8)
         sure = group["identifiable"].to_numpy(bool)
         ax.plot(group["value"][sure], y[sure], "o", color=color, markersize=2.8)
-        hollow = {"markerfacecolor": "white", "markeredgewidth": 0.8}
-        ax.plot(group["value"][~sure], y[~sure], "o", color=color, markersize=2.8, **hollow)
+        ax.plot(
+            group["value"][~sure], y[~sure], "o", color=color, markersize=2.8,
+            markerfacecolor="white", markeredgewidth=0.8,
+        )  # fmt: skip
     ax.grid(axis="y", color=RULE, linewidth=0.4)
     clean_left(ax)
     plain_ticks(ax, "x")
@@ -99,11 +102,6 @@ def _panel(ax: Axes, frame: pd.DataFrame, color: str) -> None:
 
 # Figures of cost and of failure: the front of cells worth their seconds, the failure map.
 
-#: how the mark of a cell is drawn on the front of cost and accuracy
-_CELL_MARK: dict[str, Any] = {
-    "markersize": 6.5, "alpha": 0.85, "markeredgecolor": "white", "markeredgewidth": 0.5,
-    "linestyle": "none",
-}  # fmt: skip
 #: a row of a legend in small type, a letter in it, what its mark and gaps take, inches; and the
 #: share of the figure's width beside the labels of the vertical axis
 _LEGEND_ROW_IN = 0.16
@@ -119,11 +117,11 @@ def draw_front(frame: pd.DataFrame, facts: Facts, data: ReportData, practical: f
     figure = canvas(WIDTH_IN, 3.7 + _LEGEND_ROW_IN * (rows - 1))
     ax = figure.subplots()
     for row in frame.to_dict("records"):
-        look = {
-            "marker": MARKERS[shape_by[1].get(row["cell"], 0) % 7],
-            "color": color_of(color_by[1].get(row["cell"], 0)),
-        }
-        ax.plot(row["seconds"], row["mean"], **look, **_CELL_MARK)
+        ax.plot(
+            row["seconds"], row["mean"], marker=MARKERS[shape_by[1].get(row["cell"], 0) % 7],
+            color=color_of(color_by[1].get(row["cell"], 0)), markersize=6.5, alpha=0.85,
+            markeredgecolor="white", markeredgewidth=0.5, linestyle="none",
+        )  # fmt: skip
     ax.set_xscale("log")
     front = frame[frame["front"]]
     ax.step(front["seconds"], front["mean"], where="post", color=MUTED, linewidth=0.9)
@@ -131,9 +129,10 @@ def draw_front(frame: pd.DataFrame, facts: Facts, data: ReportData, practical: f
     best = float(sign * (sign * frame["mean"]).min())
     if practical > 0:
         ax.axhspan(best, best + sign * practical, color="#eef1f4", zorder=0)
-        look = {"ha": "right", "va": "bottom", "fontsize": 7.5, "color": MUTED}
-        place = ax.get_yaxis_transform()
-        ax.text(1.0, best + sign * practical, "as good as the best ", transform=place, **look)
+        ax.text(
+            1.0, best + sign * practical, "as good as the best ", ha="right", va="bottom",
+            transform=ax.get_yaxis_transform(), fontsize=7.5, color=MUTED,
+        )  # fmt: skip
     ax.margins(x=0.06, y=0.16)
     _front_labels(ax, front, list(data.factors))
     _front_legend(ax, color_by[0], shape_by[0], data, columns)
@@ -200,10 +199,9 @@ def _front_legend(ax: Axes, color_by: str, shape_by: str, data: ReportData, colu
     if shape_by != color_by:
         named += [(v, MUTED, MARKERS[i % 7]) for i, v in enumerate(data.factors[shape_by])]
         title += f" (color), {clean(name_of(shape_by, data.labels), 30)} (shape)"
-    mark: dict[str, Any] = {"linestyle": "none", "markersize": 5}
+    mark = partial(Line2D, [], [], linestyle="none", markersize=5)
     handles = [
-        Line2D([], [], color=color, marker=marker, label=clean(level, 22), **mark)
-        for level, color, marker in named
+        mark(color=color, marker=marker, label=clean(level, 22)) for level, color, marker in named
     ]
     ax.legend(
         handles=handles, title=title, title_fontsize=7.5, fontsize=7.5, ncols=columns,
@@ -234,10 +232,13 @@ def draw_failures(frame: pd.DataFrame) -> Canvas:
         some = frame[frame["status"] == status]
         good = status == "converged"
         x, y = map(columns.index, some["block"]), map(rows.index, some["cell"])
-        look = {"marker": MARKERS[(index + 1) % 7], "color": color_of(index), "markersize": 7}
+        marker, color, big = MARKERS[(index + 1) % 7], color_of(index), 7
         if good:
-            look = {"marker": ".", "color": "#c4cad1", "markersize": 4}
-        ax.plot(list(x), list(y), linestyle="none", label=clean(status, 24), **look)
+            marker, color, big = ".", "#c4cad1", 4
+        ax.plot(
+            list(x), list(y), linestyle="none", marker=marker, color=color, markersize=big,
+            label=clean(status, 24),
+        )  # fmt: skip
     ax.set_xticks(range(len(columns)), [wrap(c, 10, 20) for c in columns], fontsize=7.5)
     name_rows(ax, range(len(rows)), [wrap(r, 80, 70) for r in rows])
     ax.set_ylim(len(rows) - 0.5, -0.5)

@@ -15,7 +15,7 @@ from study.laboratory.tracker.tracker_error import (
     TrackerAccuracy,
 )
 from study.laboratory.tracker.tracker_reference import LeverArm, ReferenceResult
-from study.reporting.content.content_table import Table
+from study.reporting.content.blocks import Table
 from study.reporting.content.numbers import (
     MISSING,
     interval,

@@ -13,13 +13,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from study.reporting.content import analysis_content, methods, sentences, tables, verdicts
-from study.reporting.content.content_table import Table, size
+from study.reporting.content.blocks import Figure, Table
+from study.reporting.content.effect_words import size
 from study.reporting.content.front_page import in_few
 from study.reporting.content.numbers import p_phrase
 from study.reporting.content.report_facts import Facts, facts
 from study.reporting.content.text import clean, count, listing, sentence, term_name
 from study.reporting.figures import registry, residual_figures
-from study.reporting.figures.registry import Figure, Plot, made, slug
+from study.reporting.figures.registry import Plot, made, slug
 from study.reporting.output import page, write
 from study.reporting.output.page import _environment, data_folder, replace_file
 from study.reporting.output.write import document as latex_document
@@ -85,7 +86,10 @@ def prepare(report: AnalysisReport) -> page.Contents:
 
 def _tables(report: AnalysisReport, item: Facts) -> dict[str, Table]:
     analysis, data = report.found, report.data
-    shown: dict[str, Table | None] = {"verdicts": tables.verdicts((item,), data)}
+    shown: dict[str, Table | None] = {
+        "verdicts": tables.verdicts((item,), data),
+        "factors": analysis_content.factor_information(data),
+    }
     if analysis.anova.rows:
         shown |= {
             "anova": analysis_content.analysis_of_variance(analysis),

@@ -14,7 +14,7 @@ from study.laboratory.haptics.tabulated_force import ForceLaw
 from study.laboratory.sensors.requirement import MULTIPLES, SensorRequirement, percent, size
 from study.laboratory.sensors.requirement import sentences as requirement_sentences
 from study.mechanics.material.material import is_dimensionless
-from study.reporting.content.content_table import Table
+from study.reporting.content.blocks import Figure, Table
 from study.reporting.content.numbers import MISSING, significant
 from study.reporting.content.text import clean
 from study.reporting.figures.axes import (
@@ -29,7 +29,7 @@ from study.reporting.figures.axes import (
     note,
     plain_ticks,
 )
-from study.reporting.figures.registry import Figure, Plot, make
+from study.reporting.figures.registry import Plot, make
 from study.reporting.output.analysis_page import AnswerPage, write_answer
 
 if TYPE_CHECKING:

@@ -31,13 +31,13 @@ from study.reporting.content import tables as failed_cases
 from study.reporting.content import tables as fit_tables
 from study.reporting.content import tables as marker_tables
 from study.reporting.content import verdicts as hypotheses
-from study.reporting.content.content_table import Table
+from study.reporting.content.blocks import Figure, Table
 from study.reporting.content.numbers import duration
 from study.reporting.content.report_facts import Facts, facts, grouped_inputs
 from study.reporting.content.text import clean, count, folded, name_of, plural_of, sentence
 from study.reporting.content.verdicts import verdict
 from study.reporting.figures import convergence_figures, registry, surface_figures
-from study.reporting.figures.registry import Figure, slug
+from study.reporting.figures.registry import slug
 from study.reporting.results.study_result import FITTED_CURVE, ReportData, ResponseAnalysis
 
 if TYPE_CHECKING:
