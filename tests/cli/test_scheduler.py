@@ -104,7 +104,7 @@ def test_a_study_that_is_interrupted_or_loses_its_scheduler_resumes(
     """Ctrl-C leaves the cluster, which the next run uses until its scheduler is gone."""
     cluster_folder, options = tmp_path / "cluster", allowed(held)
     cluster_folder.mkdir()
-    with loopback(cluster_folder, workers=1) as cluster:
+    with loopback(cluster_folder) as cluster:
         run = started(held, cluster, *options)
         until(lambda: (held / "begun").exists() or run.poll() is not None)
         run.send_signal(signal.SIGINT)

@@ -73,7 +73,7 @@ def test_p_has_no_leading_zero(p, text):
 def test_interval_has_the_decimals_of_its_larger_end():
     assert flat(interval(-0.0612, 0.4311, "pp")) == f"{MINUS}0.061 to 0.431 pp"
     assert interval(-0.0001, 12.3) == "0.0 to 12.3"
-    assert interval(9.96, 9.999) == "9.96 to 10.00"
+    assert interval(9.96, 9.999) == "9.960 to 9.999"
     assert interval(1.43362, 1.43374) == "1.4336 to 1.4337"
     assert interval(None, 1.0) == MISSING
 

@@ -102,7 +102,7 @@ def interval(low: float | None, high: float | None, unit: str = "", digits: int 
     Examples
     --------
     >>> interval(1.4336, 1.4341), interval(9.96, 9.999)
-    ('1.4336 to 1.4341', '9.96 to 10.00')
+    ('1.4336 to 1.4341', '9.960 to 9.999')
     """
     if low is None or high is None or not (math.isfinite(low) and math.isfinite(high)):
         return MISSING

@@ -11,7 +11,6 @@ from study.laboratory.shape.shape_deviation import MarkerDeviation, ShapeDeviati
 from study.laboratory.tracker.tracker_error import (
     DisplacementResult,
     DistanceResult,
-    StageDistance,
     TrackerAccuracy,
 )
 from study.laboratory.tracker.tracker_reference import LeverArm, ReferenceResult
@@ -109,14 +108,13 @@ def scan_tables(deviation: ShapeDeviation) -> list[Table]:
 
 
 def _marker_table(markers: MarkerDeviation) -> Table:
-    rows, raw = [], []
-    for name, error in zip(markers.names, markers.errors.tolist(), strict=True):
-        size = float(np.linalg.norm(error))
-        rows.append((clean(name), *(significant(value) for value in (*error, size))))
-        raw.append({"marker": name, "x_mm": error[0], "y_mm": error[1], "z_mm": error[2],
-                    "size_mm": size})  # fmt: skip
+    sizes = [(*error, float(np.linalg.norm(error))) for error in markers.errors.tolist()]
+    every = list(zip(markers.names, sizes, strict=True))
+    rows = tuple((clean(name), *map(significant, numbers)) for name, numbers in every)
+    names = ("x_mm", "y_mm", "z_mm", "size_mm")
+    raw = tuple({"marker": n, **dict(zip(names, numbers, strict=True))} for n, numbers in every)
     columns = ("marker", "x (mm)", "y (mm)", "z (mm)", "size (mm)")
-    return Table("Measured less simulated place of markers", columns, tuple(rows), raw=tuple(raw))
+    return Table("Measured less simulated place of markers", columns, rows, raw=raw)
 
 
 # What a report says of a tracker: its answers in sentences, and its tables.
@@ -249,33 +247,37 @@ def tracker_tables(accuracy: TrackerAccuracy) -> list[Table]:
 
 
 def _stages(distance: DistanceResult, alpha: float) -> Table:
-    columns = ("stage", "visits", "samples", "independent", "mean (mm)", "SD within (mm)",
-               "SD between visits (mm)", f"{level(alpha)} interval of the mean")  # fmt: skip
-    return Table(
+    return Table.of(
         "Distance by stage",
-        columns,
-        tuple(_stage(stage) for stage in distance.stages),
-        raw=tuple(vars(stage) for stage in distance.stages),
+        distance.stages,
+        {
+            "stage": lambda stage: clean(stage.stage),
+            "visits": lambda stage: str(stage.visits),
+            "samples": lambda stage: f"{stage.samples:,}",
+            "independent": lambda stage: f"{stage.independent:.0f}",
+            "mean (mm)": lambda stage: significant(stage.mean_mm, 6),
+            "SD within (mm)": lambda stage: significant(stage.sd_mm),
+            "SD between visits (mm)": lambda stage: significant(stage.between_mm),
+            f"{level(alpha)} interval of the mean": lambda stage: (
+                MISSING if stage.interval_mm is None else interval(*stage.interval_mm, "", 6)
+            ),
+        },
+        raw=vars,
     )
-
-
-def _stage(stage: StageDistance) -> tuple[str, ...]:
-    ends = MISSING if stage.interval_mm is None else interval(*stage.interval_mm, "", 6)
-    return (
-        clean(stage.stage), str(stage.visits), f"{stage.samples:,}", f"{stage.independent:.0f}",
-        significant(stage.mean_mm, 6), significant(stage.sd_mm), significant(stage.between_mm),
-        ends,
-    )  # fmt: skip
 
 
 def _stops(displacement: DisplacementResult) -> Table:
-    pairs = list(
-        zip(displacement.commanded_mm.tolist(), displacement.measured_mm.tolist(), strict=True)
+    return Table.of(
+        "Displacement by stop",
+        zip(displacement.commanded_mm.tolist(), displacement.measured_mm.tolist(), strict=True),
+        {
+            "commanded (mm)": lambda pair: f"{pair[0]:.6g}",
+            "measured (mm)": lambda pair: f"{pair[1]:.6g}",
+            "difference (mm)": lambda pair: significant(pair[1] - pair[0]),
+        },
+        left=0,
+        raw=lambda pair: {"commanded_mm": pair[0], "measured_mm": pair[1]},
     )
-    rows = tuple((f"{c:.6g}", f"{m:.6g}", significant(m - c)) for c, m in pairs)
-    raw = tuple({"commanded_mm": c, "measured_mm": m} for c, m in pairs)
-    columns = ("commanded (mm)", "measured (mm)", "difference (mm)")
-    return Table("Displacement by stop", columns, rows, 0, raw=raw)
 
 
 def _tracker_poses(reference: ReferenceResult) -> Table:
