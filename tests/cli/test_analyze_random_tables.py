@@ -14,7 +14,7 @@ from validation import fuzz
 from validation.fuzz_inputs import Place, tables
 
 #: tables in the suite, and in `make verify`
-FEW = 40
+FEW = 30
 MANY = 10_000
 NOT_A_NUMBER = re.compile(r"(?<!\w)(nan|-?inf)(?!\w)", re.ASCII)
 

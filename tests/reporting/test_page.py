@@ -230,8 +230,8 @@ def test_a_broken_figure_is_named_and_the_others_are_the_same_to_the_byte(
     assert again == first | {"interactions": ""}
 
 
-def test_failures_are_listed_with_their_map():
-    page = undrawn(replace(with_failures(), responses=(), curves=()))
+def test_failures_are_listed_with_their_map(data: ReportData):
+    page = undrawn(replace(with_failures(data), responses=(), curves=()))
     assert "3 cases of 288" in page
     assert "Failure map" in page
     assert "the step could not be halved further" in page
@@ -298,8 +298,8 @@ def test_a_huge_f_is_only_said_to_be_so(data: ReportData):
     assert table.note.startswith("F > 10,000: the effect is nearly the same in every phantom")
 
 
-def test_cells_are_compared_over_the_blocks_they_share():
-    data = with_failures()
+def test_cells_are_compared_over_the_blocks_they_share(data: ReportData):
+    data = with_failures(data)
     name = "relative_rms_force_error"
     failed = set(data.table.loc[data.table[name].isna(), "block"])
     shared = comparable(data, name)
