@@ -25,7 +25,6 @@ from study.reporting.results.study_answers import (
     Beside,
     Change,
     Conclusion,
-    Found,
     OnlyInOne,
     document,
 )
@@ -191,21 +190,24 @@ def _conclusion(
     end = ("lowest" if response.better == "lower" else "highest") if main else ""
     leading = [_leading(effect, end, _common(effects)) for effect in effects] if main else []
     same = bool(leading[0] & leading[1]) if main and all(leading) else None
-    best = [_best(effect, end, _common(effects)) if main else "" for effect in effects]
-    conclusions = _found(effects[0], best[0]), _found(effects[1], best[1])
-    conclusion, holds = _judge(conclusions, names, end, same)
+    first, second = (_best(effect, end, _common(effects)) if main else "" for effect in effects)
+    conclusion, holds = _judge(effects, (first, second), names, end, same)
     ratio = effects[0].scale == "ratio"
     return Conclusion(
-        response.name, effects[0].term, response.unit, conclusion, holds, conclusions, ratio, end,
-        bool(response.better), same,
+        response.name, effects[0].term, response.unit, conclusion, holds, effects, ratio, end,
+        bool(response.better), same, (first, second),
     )  # fmt: skip
 
 
 def _judge(
-    conclusions: tuple[Found, Found], names: tuple[str, str], end: str, same: bool | None
+    effects: tuple[Effect, Effect],
+    best: tuple[str, str],
+    names: tuple[str, str],
+    end: str,
+    same: bool | None,
 ) -> tuple[str, bool | None]:
     """Conclusion in words, and whether it holds in both."""
-    verdicts = [conclusion.verdict for conclusion in conclusions]
+    verdicts = [effect.strength for effect in effects]
     unknown = [verdict not in _HOLDS for verdict in verdicts]
     if all(unknown):
         return study_answers.NONE_CAN_TELL, None
@@ -216,19 +218,10 @@ def _judge(
         return f"{study_answers.DIFFERS}: {how}", False
     if verdicts[0] == _MATTERS and same is False:
         lead = " and ".join(
-            f"{conclusion.best} under {name}"
-            for conclusion, name in zip(conclusions, names, strict=True)
+            f"{level} under {name}" for level, name in zip(best, names, strict=True)
         )
         return f"{study_answers.DIFFERS}: matters in both, but the {end} is with {lead}", False
     return _HOLDS[verdicts[0]], True
-
-
-def _found(effect: Effect, best: str) -> Found:
-    low, high = effect.ci95 or (None, None)
-    return Found(
-        effect.strength, effect.range, low, high, effect.practical, effect.p, effect.u_num,
-        effect.effect_over_u_num, best, effect.why,
-    )  # fmt: skip
 
 
 def _common(effects: Sequence[Effect]) -> set[str]:

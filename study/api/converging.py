@@ -63,8 +63,8 @@ if TYPE_CHECKING:
 
     from study.harness.design.spec import Design
     from study.harness.runner.solve_task import Solver
+    from study.reporting.content.blocks import Document
     from study.reporting.figures.axes import Drawing
-    from study.reporting.figures.convergence_figures import Document
     from study.statistics.convergence.grid_convergence import ConvergenceResult
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,14 +11,18 @@ import typer
 
 from study.cli import output
 from study.cli.study_commands import REPORTS, RESULTS, Data, Jobs, Json, Reports, Results, Set
+from study.reporting.content.blocks import Sentence, Table, Verbatim
+from study.reporting.content.numbers import between, general
 
 if TYPE_CHECKING:
     from study.api.haptics import Required
     from study.mechanics.indentation.indentation_modulus import (
         AnalyticCalibration,
+        FittedCurve,
         IndentationModulus,
         MedianEstimate,
     )
+    from study.reporting.content.blocks import Block
 
 
 #: curves or units that are listed; moduli.csv has all
@@ -33,7 +37,7 @@ def closed_form(
 
     calibration = api.indentation_modulus(file, data=data, overrides=settings, results=results)
     warnings = [text for test in calibration.tests for text in test.warnings]
-    output.show(calibration, as_json, _print, warnings)
+    output.show(calibration, as_json, moduli_blocks, warnings)
     if not as_json:
         folder = results / calibration.name
         print(f"written: {folder / 'analytic.json'}, {folder / 'moduli.csv'}")
@@ -41,58 +45,56 @@ def closed_form(
         raise typer.Exit(1)
 
 
-def _print(calibration: AnalyticCalibration) -> None:
+def moduli_blocks(calibration: AnalyticCalibration) -> Iterator[Block]:
+    """Median modulus of every test, and of its first curves."""
     for test in calibration.tests:
-        title = f"{test.file}: {test.indenter}, {test.theory}, nu = {test.poisson_ratio:g}"
-        rows = [["median of", "n", "E [kPa]", "95 % interval", "quartiles", "G [kPa]"]]
-        unit = test.block or "curve"
-        if test.estimate is not None:
-            rows.append([unit, *_estimate(test.estimate, test.poisson_ratio)])
-        output.table(rows, title)
-        _print_curves(test)
-        print(f"{test.fitted} of {len(test.curves)} curves, {test.rows - test.rows_outside} of "
-              f"{test.rows} rows, up to {test.limits[0].depth_mm:.4g} mm "
-              f"({test.limits[0].what})")  # fmt: skip
-        if test.estimate is not None:
-            print(f"interval: {test.estimate.kind}")
-    for note in calibration.notes:
-        print(f"data: {note}")
+        yield from _moduli(test)
+    yield from (Verbatim(f"data: {note}") for note in calibration.notes)
 
 
-def _estimate(estimate: MedianEstimate, poisson_ratio: float) -> list[str]:
-    return [
-        str(estimate.units),
-        _kilo(estimate.value_MPa),
-        _between(estimate.interval_MPa),
-        _between(estimate.quartiles_MPa),
-        _kilo(estimate.value_MPa / (2 * (1 + poisson_ratio))),
-    ]
-
-
-def _print_curves(test: IndentationModulus) -> None:
-    fitted = any(curve.found.contact_mm is not None for curve in test.curves)
-    rows = [["curve", "E [kPa]", "95 % interval", "residual [%]", "status"]]
-    if fitted:
-        rows[0].insert(3, "contact [mm]")
-    for curve in test.curves[:_LISTED]:
-        modulus = curve.found
-        share = None if modulus.relative_rms is None else 100 * modulus.relative_rms
-        row = [curve.label, _kilo(modulus.modulus_MPa), _between(modulus.interval_MPa),
-               output.number(share, 3), modulus.status]  # fmt: skip
-        if fitted:
-            row.insert(3, output.number(modulus.contact_mm))
-        rows.append(row)
-    output.table(rows)
+def _moduli(test: IndentationModulus) -> Iterator[Block]:
+    title = f"{test.file}: {test.indenter}, {test.theory}, nu = {test.poisson_ratio:g}"
+    of_median: dict[str, Callable[[MedianEstimate], str]] = {
+        "median of": lambda _: test.block or "curve",
+        "n": lambda median: str(median.units),
+        "E [kPa]": lambda median: general(1e3 * median.value_MPa, 5),
+        "95 % interval": lambda median: _kilo(median.interval_MPa),
+        "quartiles": lambda median: _kilo(median.quartiles_MPa),
+        "G [kPa]": lambda median: general(
+            1e3 * median.value_MPa / (2 * (1 + test.poisson_ratio)), 5
+        ),
+    }
+    yield Table.of(title, [] if test.estimate is None else [test.estimate], of_median)
+    columns: dict[str, Callable[[FittedCurve], str]] = {
+        "curve": lambda curve: curve.label,
+        "E [kPa]": lambda curve: general(_thousand(curve.found.modulus_MPa), 5),
+        "95 % interval": lambda curve: _kilo(curve.found.interval_MPa),
+    }
+    if any(curve.found.contact_mm is not None for curve in test.curves):
+        columns["contact [mm]"] = lambda curve: general(curve.found.contact_mm)
+    columns |= {
+        "residual [%]": lambda curve: general(
+            None if curve.found.relative_rms is None else 100 * curve.found.relative_rms, 3
+        ),
+        "status": lambda curve: curve.found.status,
+    }
+    yield Table.of("", test.curves[:_LISTED], columns)
     if len(test.curves) > _LISTED:
-        print(f"... and {len(test.curves) - _LISTED} more curves")
+        yield Verbatim(f"... and {len(test.curves) - _LISTED} more curves")
+    yield Verbatim(
+        f"{test.fitted} of {len(test.curves)} curves, {test.rows - test.rows_outside} of "
+        f"{test.rows} rows, up to {test.limits[0].depth_mm:.4g} mm ({test.limits[0].what})"
+    )
+    if test.estimate is not None:
+        yield Verbatim(f"interval: {test.estimate.kind}")
 
 
-def _kilo(value_MPa: float | None) -> str:
-    return output.number(None if value_MPa is None else 1e3 * value_MPa, 5)
+def _thousand(value: float | None) -> float | None:
+    return None if value is None else 1e3 * value
 
 
-def _between(pair: tuple[float, float] | None) -> str:
-    return "-" if pair is None else " to ".join(f"{1e3 * v:.5g}" for v in pair)
+def _kilo(pair: tuple[float, float] | None) -> str:
+    return between(None if pair is None else [1e3 * end for end in pair])
 
 
 # The verbs for a device that renders forces: its force law, and what its sensors must be.
@@ -133,15 +135,14 @@ def export(
             overrides=settings or (), out=reports, progress=_say,
         )  # fmt: skip
     output.show(
-        made.document, as_json, lambda _: _print_files(made.sentences, *made.paths), made.warnings
+        made.document, as_json, lambda _: _files(made.sentences, *made.paths), made.warnings
     )
 
 
-def _print_files(lines: Iterable[str], *paths: Path | str | None) -> None:
-    """Print sentences, then the files that hold the rest, whose names are not folded."""
-    output.paragraphs(lines)
-    for path in paths:
-        print(f"written: {path}")
+def _files(lines: Iterable[str], *paths: Path | str | None) -> Iterator[Block]:
+    """Sentences, then the files that hold the rest, whose names are not folded."""
+    yield from map(Sentence, lines)
+    yield from (Verbatim(f"written: {path}") for path in paths)
 
 
 def _say(text: str) -> None:
@@ -165,20 +166,16 @@ def require(
     from study import api
 
     answer = api.require(file, overrides=settings or (), jobs=jobs, out=reports, progress=_say)
-    output.show(answer, as_json, _print_requirement, answer.warnings)
+    output.show(answer, as_json, _requirement, answer.warnings)
 
 
-def _print_requirement(answer: Required) -> None:
+def _requirement(answer: Required) -> Iterator[Block]:
     from study.laboratory.sensors import requirement
+    from study.reporting.output import haptic_pages
 
-    output.paragraphs(requirement.sentences(answer.requirement))
-    rows = [["sensor", "error", "given", "allowed alone", "allowed beside the others"]]
-    for k, source in enumerate(answer.requirement.propagation.sources):
-        alone, jointly = (requirement.size(source, v) for v in answer.requirement.allowed(k))
-        given = requirement.size(source, source.given)
-        rows.append([source.sensor, source.name, given, alone, jointly])
-    output.table(rows)
-    print(f"report: {answer.page}")
+    yield from map(Sentence, requirement.sentences(answer.requirement))
+    yield haptic_pages.errors(answer.requirement)
+    yield Verbatim(f"report: {answer.page}")
 
 
 # Verbs that compare with an instrument: tracking, shape.
@@ -198,7 +195,7 @@ def tracking(
     from study.reporting.output.accuracy_page import tracker_answers as answers
 
     accuracy = api.tracking(file, data=data, reports=reports)
-    output.show(accuracy, as_json, lambda _: _print_files(answers(accuracy), accuracy.report))
+    output.show(accuracy, as_json, lambda _: _files(answers(accuracy), accuracy.report))
 
 
 def shape(
@@ -231,6 +228,4 @@ def shape(
         options=Options(not as_it_lies, any_state), overrides=settings or (), reports=reports,
     )  # fmt: skip
     words = answers(deviation)
-    output.show(
-        deviation, as_json, lambda _: _print_files(words, deviation.report), deviation.notes
-    )
+    output.show(deviation, as_json, lambda _: _files(words, deviation.report), deviation.notes)

@@ -10,23 +10,22 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import typer
 
 from study.ground.errors import Fault, InputError, StudyError
+from study.reporting.content.blocks import Heading, Sentence, Table, Verbatim
 
 if TYPE_CHECKING:
     from study.api.planning import Plan
     from study.ground.curve import Curve
     from study.harness.runner.batch import Progress
-    from study.reporting.content.content_table import Table as Content
+    from study.reporting.content.blocks import Block
     from study.reporting.results.study_result import StudyResult
 
 
 T = TypeVar("T")
-#: what a verb answers with --json
-Document = Mapping[str, Any]
 
 #: seconds between two lines of progress where there is no terminal to redraw
 QUIET_S = 10.0
@@ -45,14 +44,17 @@ def print_json(result: object) -> None:
 
 
 def show(
-    result: T, as_json: bool, printed: Callable[[T], object], warnings: Sequence[str] = ()
+    result: T,
+    as_json: bool,
+    blocks: Callable[[T], Iterable[Block | None]],
+    warnings: Sequence[str] = (),
 ) -> None:
-    """Print what a verb found, in words or as JSON, after its warnings."""
+    """Print what a verb found, in blocks or as JSON, after its warnings."""
     warn(warnings)
     if as_json:
         print_json(result)
     else:
-        printed(result)
+        say(blocks(result))
 
 
 def complain(error: StudyError) -> None:
@@ -85,53 +87,52 @@ def warn(messages: Sequence[str]) -> None:
         print("warning: " + message.replace("\n", "\n  "), file=sys.stderr)
 
 
-def paragraph(text: str) -> None:
-    """Print a sentence or more, folded to the width of the terminal, at most 100 columns."""
+def say(blocks: Iterable[Block | None]) -> None:
+    """Print blocks; figures have no place in a terminal, nor have tables without rows."""
+    for block in blocks:
+        match block:
+            case Heading(words):
+                print(f"\n{_plain(words)}")
+            case Sentence(words):
+                print(_folded_to_width(words))
+            case Verbatim(words):
+                print(_plain(words))
+            case Table() if block.rows:
+                _print_table(block)
+
+
+def _plain(words: str) -> str:
+    """Text with spaces that every terminal knows."""
+    return words.replace("\N{NO-BREAK SPACE}", " ")
+
+
+def _folded_to_width(words: str) -> str:
+    """Text in lines of the width of the terminal, at most 100 columns."""
     import shutil
     import textwrap
 
-    text = text.replace("\N{NO-BREAK SPACE}", " ")
-    print(textwrap.fill(text, min(shutil.get_terminal_size((100, 24)).columns, 100)))
+    return textwrap.fill(_plain(words), min(shutil.get_terminal_size((100, 24)).columns, 100))
 
 
-def paragraphs(lines: Iterable[str]) -> None:
-    """Print sentences, each folded by itself."""
-    for line in lines:
-        paragraph(line)
-
-
-def table(rows: Sequence[Sequence[str]], title: str = "") -> None:
-    """Print rows of text as a table; the first is the header."""
+def _print_table(block: Table) -> None:
+    """Print a table between its name and its note, and an empty line."""
+    import rich.table
     from rich.console import Console
     from rich.markup import escape
-    from rich.table import Table
 
-    if len(rows) < 2:
-        return
-    made = Table(title=escape(title) or None, title_justify="left", box=None, pad_edge=False)
-    for name in rows[0]:
-        made.add_column(escape(name), overflow="fold")
-    for row in rows[1:]:
-        made.add_row(*(escape(cell) for cell in row))
+    title = escape(block.name) or None
+    made = rich.table.Table(title=title, title_justify="left", box=None, pad_edge=False)
+    for name in block.columns:
+        made.add_column(escape(_plain(name)), overflow="fold")
+    for row in block.rows:
+        made.add_row(*(escape(_plain(cell)) for cell in row))
     console = Console(highlight=False, emoji=False)  # "s:a:b" is a term, not a picture
     if not console.is_terminal:
         console.width = 160  # a file has no width: lines must not be folded at 80
     console.print(made)
-
-
-def cells(table: Content) -> list[list[str]]:
-    """Rows of a table of a report, its heads first, with spaces that every terminal knows."""
-    rows = [table.columns, *table.rows]
-    return [[cell.replace("\N{NO-BREAK SPACE}", " ") for cell in row] for row in rows]
-
-
-def content(shown: Content | None, title: str = "") -> None:
-    """Print a table of a report and its note; nothing for None."""
-    if shown is not None:
-        table(cells(shown), title or shown.name)
-        if shown.note:
-            paragraph(shown.note)
-        print()
+    if block.note:
+        print(_folded_to_width(block.note))
+    print()
 
 
 def seconds(value: float) -> str:
@@ -139,11 +140,6 @@ def seconds(value: float) -> str:
     from study.reporting.content.numbers import THIN, duration
 
     return duration(value).replace(THIN, " ")
-
-
-def number(value: float | None, digits: int = 4) -> str:
-    """Give a number in a few digits, or a dash."""
-    return "-" if value is None else f"{value:.{digits}g}"
 
 
 @contextmanager
@@ -214,8 +210,8 @@ def counts(cases: Mapping[str, int]) -> str:
     )
 
 
-def curve_rows(curve: Curve) -> list[list[str]]:
-    """Rows of a table of the quantities that a curve has.
+def curve_table(curve: Curve) -> Table:
+    """Tabulate the quantities that a curve has.
 
     Units: curve s, mm, N/mm.
     """
@@ -227,30 +223,7 @@ def curve_rows(curve: Curve) -> list[list[str]]:
     }
     columns = {head: values for head, values in every.items() if values is not None}
     rows = zip(*columns.values(), strict=True)
-    return [list(columns), *([f"{v:.6g}" for v in row] for row in rows)]
-
-
-def print_nuisance(nuisance: Document) -> None:
-    """Show nuisance parameters and the share that each has in the variance of the constants."""
-    if not nuisance:
-        return
-    constants = next(iter(nuisance.values()))["shares"]
-    rows = [["nuisance parameter", "", "expected", "found", "unit", "95 % interval",
-             *(f"share in {name}" for name in constants)]]  # fmt: skip
-    for name, entry in nuisance.items():
-        before = number(entry["expected"])
-        if entry["uncertainty"] is not None:
-            before = f"{before} +- {number(entry['uncertainty'])}"
-        low, high = (number(v) for v in entry["ci95"])
-        shares = (f"{100 * share:.3g} %" for share in entry["shares"].values())
-        rows.append([name, entry["treated"], before, number(entry["value"]), entry["unit"],
-                     f"{low} to {high}", *shares])  # fmt: skip
-    table(rows, "nuisance parameters")
-    if any(entry["treated"] == "fitted" and entry["uncertainty"] for entry in nuisance.values()):
-        print(
-            "the expected value of a fitted parameter enters the fit as one row that nobody "
-            "measured (a pseudo-observation)"
-        )
+    return Table("", tuple(columns), tuple(tuple(f"{v:.6g}" for v in row) for row in rows))
 
 
 # The command that comes next, or that resumes, as it is typed, and what a shell offers behind it.

@@ -3,26 +3,38 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
-from study.cli import output, surface_tables
-from study.cli.study_commands import RESULTS, Data, Design, Json, Results, Set, Study
-from study.cli.surface_tables import names
+from study.cli import output
+from study.cli.study_commands import (
+    RESULTS,
+    Data,
+    Design,
+    Json,
+    Results,
+    Set,
+    Study,
+    names,
+    settings,
+)
 from study.ground.errors import Fault, InputError
+from study.reporting.content.blocks import Sentence, Table
+from study.reporting.content.numbers import interval, p_value, significant
 
 if TYPE_CHECKING:
-    from study.api.analyzing import MixedOptions
+    from study.api.analyzing import MixedOptions, SummaryAnalysis
     from study.api.contrast_power import ContrastDetection, Power
     from study.api.fitting_surfaces import Surface as SurfaceKind
     from study.api.predicting import Permission
+    from study.reporting.content.blocks import Block
     from study.statistics.analysis.analysis_request import AnovaOptions
     from study.statistics.analysis.analysis_result import AnalysisResult
-    from study.statistics.analysis.mixed_model import MixedModel
+    from study.statistics.analysis.comparisons import LevelPair
 
 
 #: Flags as they were given; what was not given is None or empty.
@@ -174,7 +186,7 @@ def analyze(
         _show_moments(source, names(summary), flags | {"--numeric": numeric}, alpha, as_json)
         return
     if numeric and surface != "none":
-        surface_tables.show(source, names(numeric), surface, flags, as_json)
+        _show_surfaces(source, names(numeric), surface, flags, as_json)
         return
     if error == "reml":
         mixed: MixedOptions = {"contrasts": contrast or ()}
@@ -228,21 +240,88 @@ def _show(
         output.print_json(analysis.to_json() | further)
         return
     data = analyzing.report_data(analysis, asked)
-    from study.cli import analysis_tables
     from study.reporting.content import analysis_content
 
-    analysis_tables.print_analysis(analysis, data)
-    if analysis.contrasts:
-        contrasts = analysis_content.contrast_table(analysis, analysis.request.response)
-        output.content(contrasts, "Differences that were asked for")
+    output.say(analysis_content.analysis_blocks(analysis, data))
+    printed = analysis_content.unit_sentences(analysis)
+    output.warn([message for message in analysis.notes if message not in printed])
     if compared is not None:
-        output.content(analysis_content.against_reference(*compared, data))
+        output.say([analysis_content.against_reference(*compared, data)])
     if page is not None:
         print(f"\nreport: {page}")
     is_open = all(e.verdict == "cannot tell" for e in analysis.effects if e.is_main)
     if flags["--practical"] is None and is_open:
         hint = "--practical 0.5 or --practical '5 % of mean'"
         output.warn([f"no smallest difference that matters is given, so no verdict: {hint}"])
+
+
+# A surface over numeric factors.
+
+#: flags of `study analyze` that a surface has a use for
+_OF_SURFACES = frozenset({
+    "--response", "--factors", "--block", "--practical", "--decimal", "--report", "--format",
+})  # fmt: skip
+
+
+def _show_surfaces(
+    source: Path,
+    numeric: Sequence[str],
+    surface: str,
+    flags: Mapping[str, str | None],
+    as_json: bool,
+) -> None:
+    """Fit a surface and print it."""
+    from study import api
+    from study.api.analyzing import AnalysisSource
+    from study.api.fitting_surfaces import table_data, write_surface_page
+    from study.reporting.content import surface_content
+
+    if source.is_dir() or source.suffix == ".toml":
+        raise InputError(Fault("--numeric", "reads a table, one row a run", "name a CSV"))
+    if not flags["--response"]:
+        rule, mend = "is missing", "name the column of the response"
+        raise InputError(Fault("--response", rule, mend))
+    refuse_useless(flags, _OF_SURFACES, "a surface over numeric factors")
+    every = api.fit_surfaces(
+        source,
+        flags["--response"],
+        numeric,
+        names(flags["--factors"]),
+        surface=cast("SurfaceKind", surface),
+        block=flags["--block"],
+        practical=flags["--practical"],
+        decimal=flags["--decimal"] or ".",
+        announce=lambda text: output.warn([text]),
+    )
+    carried = [fitted.found for fitted in every if fitted.found is not None]
+    notes = dict.fromkeys(note for surface_found in carried for note in surface_found.notes)
+    refused = [(fitted.labels, fitted.refused) for fitted in every if fitted.found is None]
+    at = [f"{', '.join(f'{n} = {v}' for n, v in at.items())}: {why}" for at, why in refused]
+    output.warn([*notes, *at])
+    given = {flag: value for flag, value in flags.items() if value}
+    given |= {"--numeric": ",".join(numeric), "--surface": surface}
+    data = table_data(every, AnalysisSource(source, given))
+    page = None
+    if (folder := flags["--report"]) is not None:
+        page = write_surface_page(data, folder, names(flags["--format"]) or ["html"])
+    if as_json:
+        surfaces_document = {"surfaces": [fitted.to_json() for fitted in every]}
+        document = surfaces_document if flags["--factors"] else carried[0].to_json()
+        output.print_json(document if page is None else document | {"report": str(page)})
+        return
+    output.say(surface_content.surface_blocks(data))
+    if page is not None:
+        print(f"\nreport: {page}")
+
+
+def refuse_useless(flags: Mapping[str, str | None], used: Container[str], of: str) -> None:
+    """Refuse flags that were given and that an analysis of some kind has no use for."""
+    rule, always_95 = f"has no meaning for {of}", "intervals are 95 %: leave it out"
+    useless = [flag for flag, value in flags.items() if value and flag not in used]
+    if useless:
+        raise InputError(
+            [Fault(f, rule, always_95 if f == "--alpha" else "leave it out") for f in useless]
+        )
 
 
 # A mixed model: blocks and other columns as random factors.
@@ -259,12 +338,13 @@ def _show_mixed(
 ) -> None:
     """Fit a mixed model and print it; ``options`` holds what is no text in the flags."""
     from study.api.analyzing import fit_mixed_model
+    from study.reporting.content import analysis_content
 
-    surface_tables.refuse_useless(flags, _OF_MIXED, "a mixed model")
+    refuse_useless(flags, _OF_MIXED, "a mixed model")
     options["random"] = names(flags["--random"])
     options["covariates"] = names(flags["--covariates"])
-    if blocks := names(flags["--block"]):
-        options["block"] = blocks
+    if crossed := names(flags["--block"]):
+        options["block"] = crossed
     if practical := flags["--practical"]:
         options["practical"] = practical
     model = fit_mixed_model(
@@ -274,44 +354,8 @@ def _show_mixed(
     alpha = options.get("alpha", 0.05)
     document = {"method": "REML", "alpha": alpha, **vars(model)}
     response = flags["--response"] or ""
-    output.show(document, as_json, lambda _: _print_mixed(model, response, alpha))
-
-
-def _print_mixed(model: MixedModel, response: str, alpha: float) -> None:
-    """Print variance components, tests, slopes, means, effects and contrasts."""
-    import pandas as pd
-
-    from study.cli.analysis_tables import print_effects
-    from study.reporting.content.numbers import interval, p_value, significant
-    from study.reporting.content.report_facts import Facts
-    from study.reporting.results.study_result import ReportData, ResponseAnalysis
-
-    ends = f"{100 * (1 - alpha):.4g} % interval"
-    rows = [["Source", "standard deviation", ends, "share of the variance"]]
-    for c in model.components:
-        high = "unknown" if math.isinf(c.high) else significant(c.high, 4)
-        between = f"{significant(c.low, 4)} to {high}"
-        rows.append([c.source, significant(c.sd, 4), between, f"{100 * c.share:.0f} %"])
-    output.table(rows, f"Scatter by source (REML, {model.rows} rows)")
-    rows = [["Term", "DF", "F", "DF of error", "p"]]
-    rows += [[term.term, str(term.df), f"{term.f:.2f}", f"{term.df_error:.1f}", p_value(term.p)]
-             for term in model.terms]  # fmt: skip
-    output.table(rows, "Tests of the fixed terms (Kenward and Roger)")
-    rows = [["Covariate", "change for each unit", ends]]
-    rows += [[slope.covariate, significant(slope.value, 4), interval(slope.low, slope.high)]
-             for slope in model.slopes]  # fmt: skip
-    output.table(rows, "Slopes")
-    if model.effects:
-        data = ReportData("table", "", {}, pd.DataFrame(), alpha=alpha)
-        item = Facts(ResponseAnalysis(response, ""), response, "", model.effects)
-        print_effects(item, data)
-    rows = [["asked for", "difference", f"{ends}, all together", "DF", "p", "verdict"]]
-    for asked in model.contrasts:
-        first, last = asked.ci_simultaneous or asked.ci or (None, None)
-        df = "" if asked.df is None else f"{asked.df:.1f}"
-        size = significant(asked.difference, 4), interval(first, last, digits=4)
-        rows.append([asked.name, *size, df, p_value(asked.p), asked.verdict])
-    output.table(rows, "Differences that were asked for")
+    blocks = analysis_content.mixed_blocks
+    output.show(document, as_json, lambda _: blocks(model, response, alpha))
 
 
 #: flags that groups of which only moments are known have a use for; a format has a default
@@ -322,15 +366,43 @@ def _show_moments(
     source: Path, columns: Sequence[str], flags: Flags, alpha: float | None, as_json: bool
 ) -> None:
     """Compare groups of which mean, standard deviation and number of rows are known."""
-    surface_tables.refuse_useless(flags, _OF_MOMENTS, "groups of which only moments are known")
+    refuse_useless(flags, _OF_MOMENTS, "groups of which only moments are known")
     from study.api.analyzing import analyze_summary
-    from study.cli import analysis_tables
 
     groups = analyze_summary(
         source, names(flags["--factors"]), columns, practical=flags["--practical"],
         alpha=0.05 if alpha is None else alpha, decimal=flags["--decimal"] or ".",
     )  # fmt: skip
-    output.show(groups, as_json, analysis_tables.print_summaries)
+    output.show(groups, as_json, _summaries)
+
+
+def _summaries(groups: SummaryAnalysis) -> Iterator[Block]:
+    """Give tests of equal means, and all pairs with one variance and with one for each group."""
+    yield Table.of(
+        "Are the means equal?",
+        (("one variance", groups.anova), ("Welch", groups.welch)),
+        {
+            "Test": lambda of: of[0],
+            "F": lambda of: f"{of[1][0]:.2f}",
+            "DF": lambda of: f"{of[1][1]:g}",
+            "DF of error": lambda of: f"{of[1][2]:.4g}",
+            "p": lambda of: p_value(of[1][3]),
+        },
+    )
+    ends = f"{100 * (1 - groups.tukey.alpha):.4g} % interval"
+    columns: dict[str, Callable[[tuple[LevelPair, LevelPair, str | None]], str]] = {
+        "Groups": lambda of: f"{of[0].first} - {of[0].second}",
+        "difference": lambda of: significant(of[0].difference, 5),
+        ends: lambda of: interval(of[0].lower, of[0].upper, digits=4),
+        "p": lambda of: p_value(of[0].p),
+        "Games and Howell": lambda of: interval(of[1].lower, of[1].upper, digits=4),
+        "p (Games and Howell)": lambda of: p_value(of[1].p),
+    }
+    if groups.practical is not None:
+        columns["verdict"] = lambda of: of[2] or ""
+    every = zip(groups.tukey.pairs, groups.games_howell.pairs, groups.verdicts, strict=True)
+    title = "All pairs (Tukey and Kramer; variances of their own: Games and Howell)"
+    yield Table.of(title, every, columns)
 
 
 def _options(flags: Flags, alpha: float | None) -> AnovaOptions:
@@ -401,18 +473,18 @@ def optimize(
 ) -> None:
     """Find the best setting among choices, within limits, and confirm it by a run."""
     from study import api
-    from study.cli import surface_tables
+    from study.reporting.content import surface_content
 
     recommendations = api.optimize(
         path, minimize=minimize, maximize=maximize, subject_to=subject_to or (),
-        at=surface_tables.settings(at) if at else {}, numeric=names(numeric),
+        at=settings(at) if at else {}, numeric=names(numeric),
         surface=cast("SurfaceKind", surface), decimal=decimal, results=results,
         confirming=confirm, permission=_permission(data, allow_commands),
     )  # fmt: skip
     notes = [note for recommended in recommendations for note in recommended.notes]
     document = {"recommendations": [recommended.to_json() for recommended in recommendations]}
-    printed = surface_tables.print_recommendations
-    output.show(document, as_json, lambda _: printed(recommendations), notes)
+    blocks = surface_content.recommendation_blocks
+    output.show(document, as_json, lambda _: blocks(recommendations), notes)
     if any(
         recommended.confirmed is not None and not recommended.confirmed.predicted
         for recommended in recommendations
@@ -440,14 +512,14 @@ def invert(
 ) -> None:
     """Find all inputs of a study whose curve agrees with a measured one."""
     from study import api
-    from study.cli import surface_tables
+    from study.reporting.content import surface_content
 
     answer = api.invert(
-        path, to, at=surface_tables.settings(at) if at else {}, columns=names(columns),
+        path, to, at=settings(at) if at else {}, columns=names(columns),
         in_units=names(units), within=within, decimal=decimal, results=results,
         confirming=confirm, permission=_permission(data, allow_commands),
     )  # fmt: skip
-    output.show(answer, as_json, surface_tables.print_inverted, answer.notes)
+    output.show(answer, as_json, surface_content.inversion_blocks, answer.notes)
     if answer.best_run is not None and not answer.best_run.agrees:
         raise typer.Exit(1)
 
@@ -487,37 +559,39 @@ def power(
     from study import api
 
     answer = api.power(design, sd=sd, data=data, results=results, overrides=settings or ())
-    output.show(answer, as_json, _print_power, answer.warnings)
+    output.show(answer, as_json, _power, answer.warnings)
 
 
-def _print_power(answer: Power) -> None:
+def _power(answer: Power) -> Iterator[Block]:
     for detection in answer.detections:
         matters, sd = _size(detection.practical, detection), _size(detection.sd, detection)
         numerics = f"; numerics {_size(detection.u, detection)}" if detection.u else ""
-        output.paragraph(
+        yield Sentence(
             f"{detection.response}: {matters} matters; between specimens a difference scatters by "
             f"{sd} ({detection.source}){numerics}"
         )
-        rows = [["specimens", "shows that none matters", "shows that one matters", "cases", "time"]]
-        for row in detection.rows:
-            mark = " (measured)" if row.blocks == answer.blocks else ""
-            rows.append(
-                [
-                    f"{row.blocks}{mark}",
-                    f"{100 * row.equal.no_practical_difference:.0f} %",
-                    f"{100 * row.double.matters:.0f} %",
-                    str(row.cases),
-                    "" if row.seconds is None else output.seconds(row.seconds),
-                ]
-            )
-        output.table(rows, "")
+        yield Table.of(
+            "",
+            detection.rows,
+            {
+                "specimens": lambda row: (
+                    f"{row.blocks}{' (measured)' if row.blocks == answer.blocks else ''}"
+                ),
+                "shows that none matters": lambda row: (
+                    f"{100 * row.equal.no_practical_difference:.0f} %"
+                ),
+                "shows that one matters": lambda row: f"{100 * row.double.matters:.0f} %",
+                "cases": lambda row: str(row.cases),
+                "time": lambda row: "" if row.seconds is None else output.seconds(row.seconds),
+            },
+        )
         enough = [
             f"{100 * share:.0f} %: {'no number up to 200' if n is None else f'{n} specimens'}"
             for share, n in detection.enough
         ]
-        output.paragraph(
+        yield Sentence(
             "Right in both cases (no difference, and one twice as large as matters) with "
-            f"{', '.join(enough)}\n"
+            f"{', '.join(enough)}"
         )
 
 

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from study.cli import output
-from study.cli.output import Document
+from study.ground.errors import Fault, InputError
+from study.reporting.content.blocks import Sentence, Table, Verbatim
+from study.reporting.content.numbers import between, general
 
 if TYPE_CHECKING:
     from study.api.comparison import CaseState
     from study.api.opened_study import Study as OpenedStudy
+    from study.api.predicting import PredictedAnswer
     from study.api.verification import Verification
+    from study.reporting.content.blocks import Block, Document
 
 
 Json = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")]
@@ -35,6 +40,35 @@ Results = Annotated[Path, typer.Option("--results", help="Where results are kept
 Reports = Annotated[Path, typer.Option("--reports", help="Where reports are written.")]
 RESULTS = Path("results")
 REPORTS = Path("reports")
+
+
+def names(text: str | None) -> list[str]:
+    """Read names with commas between them.
+
+    Examples
+    --------
+    >>> names("time, temperature,")
+    ['time', 'temperature']
+    """
+    return [name.strip() for name in (text or "").split(",") if name.strip()]
+
+
+def settings(text: str) -> dict[str, str]:
+    """Read ``thickness=3 mm,C10=5 kPa``.
+
+    Examples
+    --------
+    >>> settings("specimen.height=3 mm, material.C10 = 5 kPa")
+    {'specimen.height': '3 mm', 'material.C10': '5 kPa'}
+    """
+    settings_typed: dict[str, str] = {}
+    for part in text.split(","):
+        name, equals, value = (piece.strip(" \"'") for piece in part.partition("="))
+        if not equals or not name or not value or name in settings_typed:
+            rule = f"cannot read {part.strip()!r}"
+            raise InputError(Fault("--at", rule, "write thickness='3 mm',C10='5 kPa', each once"))
+        settings_typed[name] = value
+    return settings_typed
 
 
 def demo(
@@ -90,9 +124,10 @@ def plan(
         added = {} if further is None else {"augment": further.to_json()}
         output.print_json(planned.to_json() | added | {"next": after[1]})
         return
-    study_tables.print_plan(planned)
+    output.say(study_tables.plan_blocks(planned))
+    output.warn(planned.warnings)
     if further is not None:
-        study_tables.print_further(further)
+        output.say(study_tables.further_blocks(further))
     output.next_step(*after)
 
 
@@ -184,19 +219,18 @@ def status(
     from study import api
 
     state = api.status(path, results=results)
-    output.show(state, as_json, _print_status, state["warnings"])
+    output.show(state, as_json, _status, state["warnings"])
 
 
-def _print_status(state: Document) -> None:
-    print(f"{state['study']}: {output.counts(state['cases'])}")
+def _status(state: Document) -> Iterator[Block]:
+    yield Verbatim(f"{state['study']}: {output.counts(state['cases'])}")
     for name, count in sorted(state["failures"].items()):
-        print(f"  {count} {name}")
-    later = state["unfinished"]
-    if later is not None:
-        print(f"  that is its last finished run; a later one has {output.counts(later['cases'])}")
-        for change in later["changed"]:
-            print(f"    {change}")
-    print(_running(state["running"], state["predicted_seconds"]))
+        yield Verbatim(f"  {count} {name}")
+    if (later := state["unfinished"]) is not None:
+        cases = output.counts(later["cases"])
+        yield Verbatim(f"  that is its last finished run; a later one has {cases}")
+        yield from (Verbatim(f"    {change}") for change in later["changed"])
+    yield Verbatim(_running(state["running"], state["predicted_seconds"]))
 
 
 def report(
@@ -235,10 +269,10 @@ def diff(
 ) -> None:
     """Compare two studies: what was changed, and which conclusions hold under both."""
     from study import api
-    from study.cli.study_tables import print_comparison
+    from study.cli.study_tables import comparison_blocks
 
     comparison = api.diff(first, second, results=results)
-    output.show(comparison, as_json, print_comparison, comparison.warnings)
+    output.show(comparison, as_json, comparison_blocks, comparison.warnings)
 
 
 def why(
@@ -261,35 +295,39 @@ def why(
     state = api.explain(case, study=study, results=results, data=data)
     facts = {"use": state.use, "changes": state.changes, "libraries": state.libraries}
     whole = json.loads(state.record.to_json())["content"] | {"state": facts}
-    output.show(whole, as_json, lambda _: _print_case(state))
+    output.show(whole, as_json, lambda _: _case(state))
 
 
-def _print_case(state: CaseState) -> None:
+def _case(state: CaseState) -> Iterator[Block]:
     from study.harness.runner.batch import notes_of
 
     record = state.record
-    print(f"case {record.case_id} of {record.study}: {record.status}")
-    print(f"  {state.use}")
-    for change in (*state.changes, *state.libraries):
-        print(f"    {change.sentence}")
+    yield Verbatim(f"case {record.case_id} of {record.study}: {record.status}")
+    yield Verbatim(f"  {state.use}")
+    yield from (Verbatim(f"    {change.sentence}") for change in (*state.changes, *state.libraries))
     if record.message:
-        print(f"  {record.message}")
+        yield Verbatim(f"  {record.message}")
     for note in notes_of(record):
-        print(f"  after {note['cause']}: {note['what']} ({note['message']})")
-    for name, level in record.levels.items():
-        print(f"  {name} = {level}")
+        yield Verbatim(f"  after {note['cause']}: {note['what']} ({note['message']})")
+    yield from (Verbatim(f"  {name} = {level}") for name, level in record.levels.items())
     if record.block is not None:
-        print(f"  block = {record.block}")
-    rows = [["response", "value", "unit"]]
-    rows += [[n, output.number(r["value"]), r["unit"]] for n, r in record.responses.items()]
-    output.table(rows)
+        yield Verbatim(f"  block = {record.block}")
+    yield Table.of(
+        "",
+        record.responses.items(),
+        {
+            "response": lambda of: of[0],
+            "value": lambda of: general(of[1]["value"]),
+            "unit": lambda of: of[1]["unit"],
+        },
+    )
     for specimen, fit in (record.fit or {}).items():
         ended = fit.get("message", "how it ended is not known")
-        print(f"calibration on {specimen}: {ended}; {fit.get('reason') or 'identifiable'}")
+        yield Verbatim(f"calibration on {specimen}: {ended}; {fit.get('reason') or 'identifiable'}")
         if "stability" in fit:  # a fit to resampled residuals is not judged
-            print(f"  {fit['stability']}")
+            yield Verbatim(f"  {fit['stability']}")
     if "traceback" in record.extra:
-        print(record.extra["traceback"])
+        yield Verbatim(str(record.extra["traceback"]))
 
 
 def predict(
@@ -301,12 +339,26 @@ def predict(
 ) -> None:
     """Predict responses at settings that were not run, inside those that were."""
     from study import api
-    from study.cli import surface_tables
 
-    predictions = api.predict(path, surface_tables.settings(at), response=response, results=results)
+    predictions = api.predict(path, settings(at), response=response, results=results)
     document = {"predictions": [prediction.to_json() for prediction in predictions]}
-    printed = surface_tables.print_predictions
-    output.show(document, as_json, lambda _: printed(predictions))
+    output.show(document, as_json, lambda _: _predictions(predictions))
+
+
+def _predictions(predictions: Sequence[PredictedAnswer]) -> Iterator[Block]:
+    yield Table.of(
+        "",
+        predictions,
+        {
+            "Response": lambda of: of.response,
+            "Prediction": lambda of: f"{general(of.value[0])} {of.unit}".strip(),
+            "95 % interval": lambda of: between((of.low[0], of.high[0]), 4),
+        },
+    )
+    yield Sentence(
+        "predicted by a surface fitted to the runs; about 95 of 100 simulations at such settings "
+        "lie in their interval"
+    )
 
 
 def _running(runner: Document | None, seconds_left: float | None) -> str:
@@ -331,11 +383,11 @@ def _folders(results: Path, reports: Path) -> output.Options:
 
 def _finish(study: OpenedStudy, as_json: bool, typed: output.Options) -> None:
     """Print verdicts and report; exit 1 if cases failed or a report could not be written."""
-    from study.cli.study_tables import print_study
+    from study.cli.study_tables import study_blocks
 
     after = output.after_run(study, typed)
     document = study.to_json() | {"next": after[1]}
-    output.show(document, as_json, lambda _: print_study(study), study.warnings)
+    output.show(document, as_json, lambda _: study_blocks(study), study.warnings)
     if not as_json:
         output.next_step(*after)
     if study.failed or study.report is None:
@@ -379,31 +431,32 @@ def verify(
         path, results=results, reports=reports, resolve=resolve, seed=seed, data=data,
         allow_commands=allow_commands, tolerance=tolerance,
     )  # fmt: skip
-    output.show(verification, as_json, _print_verification)
+    output.show(verification, as_json, _verified)
     raise typer.Exit(0 if verification.agrees else 1)
 
 
-def _print_verification(verification: Verification) -> None:
+def _verified(verification: Verification) -> Iterator[Block]:
     from study.api.verification import TOLD
 
     counted = ", ".join(
         f"{count} of {kind}" for kind, count in sorted(verification.numbers.items())
     )
-    print(f"{verification.numbers.total()} numbers computed again (100 %): {counted}")
-    print(f"{verification.records} records checked against their sums")
+    yield Verbatim(f"{verification.numbers.total()} numbers computed again (100 %): {counted}")
+    yield Verbatim(f"{verification.records} records checked against their sums")
     if verification.solved:
-        print(f"{verification.solved} cases solved again from nothing")
+        yield Verbatim(f"{verification.solved} cases solved again from nothing")
     if verification.rounded:
-        print(
+        yield Verbatim(
             f"{verification.rounded} lines agree to a relative {verification.tolerance:g} and not "
-            "to the last "
-            "digit: another processor, or other libraries, add up the same numbers otherwise"
+            "to the last digit: another processor, or other libraries, add up the same numbers "
+            "otherwise"
         )
     for difference in verification.differences[:TOLD]:
-        print(
+        yield Verbatim(
             f"{difference.where}\n    reported:   {difference.reported}\n    recomputed: "
             f"{difference.recomputed}"
         )
     if len(verification.differences) > TOLD:
-        print(f"and {len(verification.differences) - TOLD} more")
-    print("all agree" if verification.agrees else f"{len(verification.differences)} differences")
+        yield Verbatim(f"and {len(verification.differences) - TOLD} more")
+    differ = f"{len(verification.differences)} differences"
+    yield Verbatim("all agree" if verification.agrees else differ)

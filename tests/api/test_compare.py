@@ -27,9 +27,9 @@ def test_conclusions_that_hold_under_both(tmp_path: Path) -> None:
     assert (material.conclusion, material.holds) == (study_answers.MATTERS, True)
     assert (space.conclusion, space.holds) == (study_answers.NO_DIFFERENCE, True)
     # the means are made: 7.0 - 5.0 and 7.5 - 5.0; 12 values each with a deviation of 0.02
-    assert material.found[0].effect == pytest.approx(2.0, abs=0.05)
-    assert material.found[1].effect == pytest.approx(2.5, abs=0.05)
-    assert [one.best for one in material.found] == ["soft", "soft"]
+    assert material.effects[0].range == pytest.approx(2.0, abs=0.05)
+    assert material.effects[1].range == pytest.approx(2.5, abs=0.05)
+    assert material.best == ("soft", "soft")
     said = comparison_content.summary(found)
     assert said[0] == "Of 2 conclusions about single factors, 2 hold under both first and second."
     assert "under both: material matters (2.0" in said[1]
@@ -42,8 +42,8 @@ def test_each_number_is_that_of_its_own_study(tmp_path: Path) -> None:
     for which, study in enumerate(studies):
         for row_ in found.conclusions:
             effect = study.analyses[0].result.effect(row_.term)
-            one = row_.found[which]
-            assert (one.verdict, one.effect, one.p) == (effect.strength, effect.range, effect.p)
+            one = row_.effects[which]
+            assert (one.strength, one.range, one.p) == (effect.strength, effect.range, effect.p)
             assert (one.low, one.high) == effect.ci95
             assert one.practical == effect.practical
     assert "the smallest difference that matters is not the same in both" in found.warnings[0]
@@ -71,7 +71,7 @@ def test_levels_within_what_matters_of_the_best_are_as_good(tmp_path: Path) -> N
     # "other" leads by 0.1 pp in the second study, where 0.5 pp matters
     found = compare(made(tmp_path), made(tmp_path, name="second", material=(5.1, 7.0, 5.0)))
     material = row(found, "material")
-    assert [one.best for one in material.found] == ["soft", "other"]
+    assert material.best == ("soft", "other")
     assert material.same_best is True
     assert material.holds is True
     assert "which lie within what matters" in comparison_content.summary(found)[1]
@@ -91,10 +91,10 @@ def test_ratios_are_compared_as_ratios(tmp_path: Path) -> None:
     found = compare(made(tmp_path, **log), made(tmp_path, name="second", **log))  # type: ignore[arg-type]
     material = row(found, "material")
     assert material.ratio
-    assert material.found[0].effect == pytest.approx(7.0 / 5.0, rel=0.02)
+    assert material.effects[0].range == pytest.approx(7.0 / 5.0, rel=0.02)
     # without a better end the highest level is named, and nothing is called best
     assert (material.end, material.best_is_better) == ("highest", False)
-    assert material.found[0].best == "stiff"
+    assert material.best[0] == "stiff"
 
 
 def test_what_only_one_study_has_is_named(tmp_path: Path) -> None:

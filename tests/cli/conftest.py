@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.cli import test_numeric_factors
 from tests.cli.small import Edit, Finished, study, write_files
 
 
@@ -26,6 +27,19 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Finished:
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         answer = study("run", "small.toml", "--data", "data", "--jobs", 1, "--json")
+    return Finished(folder, answer)
+
+
+@pytest.fixture(scope="session")
+def ranges(tmp_path_factory: pytest.TempPathFactory) -> Finished:
+    """One run of a study over ranges, for all tests that only read, or copy it."""
+    folder = tmp_path_factory.mktemp("ranges")
+    text = test_numeric_factors.DESIGN.replace('["csv"]', '["html"]')
+    (folder / "ranges.toml").write_text(text + test_numeric_factors.UNCERTAIN)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        answer = study("run", "ranges.toml", "--jobs", 1, "--json")
+    assert answer.code == 0, answer.err
     return Finished(folder, answer)
 
 

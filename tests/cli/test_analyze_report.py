@@ -191,26 +191,6 @@ def test_an_interaction_alone_with_a_cell_missing_is_told_in_words(tmp_path: Pat
     assert "Box-Cox exponent" in answer.out
 
 
-def test_semicolons_and_decimal_commas(tmp_path: Path) -> None:
-    text = (TABLES / "etch_rate.csv").read_text().replace(",", ";")
-    lines = text.splitlines()
-    lines = [lines[0], *(f"{line},5" for line in lines[1:])]
-    (tmp_path / "a.csv").write_text("\n".join(lines) + "\n")
-    answer = study("analyze", tmp_path / "a.csv", "--response", "etch_rate", "--factors", "power",
-                   "--decimal", ",", "--json")  # fmt: skip
-    assert answer.code == 0, answer.err
-    row = json.loads(answer.out)["anova"]["rows"][0]
-    assert row["ss"] == pytest.approx(66870.55)  # a shift changes no sum of squares
-
-
-def test_levels_that_differ_in_case_are_said(tmp_path: Path) -> None:
-    table = tmp_path / "a.csv"
-    table.write_text("kind,y\nsteel,1\nSteel,2\nsteel,3\nSteel,5\n")
-    answer = study("analyze", table, "--response", "y", "--factors", "kind")
-    assert answer.code == 0
-    assert "'steel' and 'Steel' differ in capitals alone" in answer.err
-
-
 def test_a_result_shows_itself_in_a_notebook(tmp_path: Path) -> None:
     import study as package
 

@@ -188,18 +188,16 @@ def test_a_pipe_in_the_place_of_the_lock_is_refused(done: Path) -> None:
     ("place", "mode"),
     [
         ("reports/small", 0o444),
-        ("reports/small/small-data", 0o444),
         ("reports/small/small-data", 0o000),
         ("reports", 0o000),
         ("results/small/fits", 0o444),
-        ("results/small/runs", 0o444),
         ("results/small/cases", 0o444),
     ],
 )
 def test_what_may_not_be_read_is_told(done: Path, place: str, mode: int) -> None:
     """Rights are obeyed by root, too, for as long as it asks."""
     verbs = [READERS[0], RUN]
-    if place not in ("reports", "results/small/fits", "results/small/runs"):
+    if place not in ("reports", "results/small/fits"):
         # a page draws its figures whenever it is made or verified
         assert study("report", "small", "--format", "csv,html").code == 0
         report = "reports/small/small.html" if place == "reports/small" else "small"

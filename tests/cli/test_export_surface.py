@@ -23,7 +23,15 @@ def test_the_function_gives_what_the_surface_predicts(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "ranges.toml").write_text(text)
-    assert study("run", "ranges.toml", "--jobs", 1, "--json").code == 0
+    ran = study("run", "ranges.toml", "--jobs", 1, "--json")
+    assert ran.code == 0, ran.err
+    (surface,) = ran.json["surfaces"]
+    assert surface["surface"]["kind"] == kind
+    if kind == "quadratic":
+        # the force is linear in C10: half the range times its slope, at the centre of the others
+        linear = {row["term"]: row["coefficient"] for row in surface["surface"]["terms"]}
+        assert linear["material.C10"] == pytest.approx(_force(10, 10, 20) / 4, rel=0.01)
+        assert all(row["p"] is None for row in surface["surface"]["terms"])
     answer = study("export", "ranges", "--as", "emulator", "--json")
     assert answer.code == 0, answer.err
     (told,) = answer.json["functions"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,7 @@ from study.statistics.surfaces import surface_inversion
 from study.statistics.surfaces.surface_factors import NumericFactor, Runs
 from study.statistics.surfaces.surface_inversion import agreeing
 from study.statistics.surfaces.surface_profile import fit_curves
-from tests.cli.small import study
-from tests.cli.test_numeric_factors import DESIGN
+from tests.cli.small import Finished, study
 
 KNOWN = "specimen.radius=10.2 mm, specimen.height=19.5 mm"
 
@@ -26,16 +26,12 @@ def _curve(displacement: np.ndarray) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    home = tmp_path_factory.mktemp("inversion")
-    (home / "ranges.toml").write_text(DESIGN)
+def folder(ranges: Finished, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    home = tmp_path_factory.mktemp("inversion") / "copy"
+    shutil.copytree(ranges.folder, home)
     d = np.linspace(0.25, 3.0, 12)
     rows = [f"{x:.6g},{f:.8g}" for x, f in zip(d, _curve(d), strict=True)]
     (home / "m.csv").write_text("\n".join(["displacement_mm,force_N", *rows]))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(home)
-        answer = study("run", "ranges.toml", "--jobs", 1, "--json")
-    assert answer.code == 0, answer.err
     return home
 
 

@@ -53,11 +53,7 @@ def offered(words: str, folder: Path | None = None) -> list[str]:
 
 @pytest.mark.parametrize(
     ("words", "expected"),
-    [
-        ("study pl", ["plan"]),
-        ("study plan --au", ["--augment"]),
-        ("study re", ["report", "require"]),
-    ],
+    [("study plan --au", ["--augment"]), ("study re", ["report", "require"])],
 )
 def test_a_shell_completes_verbs_and_options(words: str, expected: list[str]) -> None:
     assert offered(words) == expected

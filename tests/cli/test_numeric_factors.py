@@ -10,7 +10,7 @@ import pytest
 
 import study as public
 from study.api.fitting_surfaces import surfaces
-from tests.cli.small import Answer, study
+from tests.cli.small import Answer, Finished, study
 
 #: an incompressible cylinder between frictionless plates: its force is known by hand
 DESIGN = """
@@ -64,18 +64,22 @@ def _shares() -> list[float]:
     return [float(1 - (np.prod([1 + s for s in spread]) / (1 + s) - 1) / whole) for s in spread]
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    home = tmp_path_factory.mktemp("ranges")
-    (home / "ranges.toml").write_text(DESIGN)
-    return home
+#: distributions of two of its inputs
+UNCERTAIN = """
+[uncertainty]
+material.C10 = { distribution = "normal", mean = "7 kPa", sd = "0.4 kPa" }
+specimen.radius = { distribution = "uniform", low = "9.8 mm", high = "10.2 mm" }
+"""
 
 
-@pytest.fixture(scope="module")
-def ran(folder: Path) -> Answer:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
-        return study("run", "ranges.toml", "--jobs", 1, "--json")
+@pytest.fixture
+def folder(ranges: Finished) -> Path:
+    return ranges.folder
+
+
+@pytest.fixture
+def ran(ranges: Finished) -> Answer:
+    return ranges.answer
 
 
 def test_total_indices_are_those_of_the_closed_form(ran: Answer) -> None:
@@ -145,23 +149,6 @@ def test_a_failed_run_is_left_out_and_said(
     assert found.found is not None
     assert found.found.runs.response.size == 29
     assert any("1 run without an answer left out" in note for note in found.found.notes)
-
-
-def test_a_composite_design_gives_a_quadratic_surface(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    text = DESIGN.replace('kind = "latin-hypercube"\nruns = 30', 'kind = "central-composite"')
-    (tmp_path / "ranges.toml").write_text(text)
-    answer = study("run", "ranges.toml", "--jobs", 1, "--json")
-    assert answer.code == 0, answer.err
-    (found,) = answer.json["surfaces"]
-    assert found["surface"]["kind"] == "quadratic"
-    # the force is linear in C10: half the range times its slope, at the centre of the others
-    linear = {row["term"]: row["coefficient"] for row in found["surface"]["terms"]}
-    slope = _force(10, 10, 20) / 10 * 2.5
-    assert linear["material.C10"] == pytest.approx(slope, rel=0.01)
-    assert all(row["p"] is None for row in found["surface"]["terms"])
 
 
 def test_a_surface_without_a_range_is_refused(

@@ -13,7 +13,6 @@ import pytest
 
 from study import api
 from study.ground.curve import Curve
-from study.harness.design import load
 from tests.cli.small import Edit, study
 
 SOLVE_KEYS = {
@@ -36,24 +35,9 @@ ROW_KEYS = {
 }  # fmt: skip
 
 
-def test_new_writes_a_design_that_loads_and_plans(home: Path) -> None:
-    answer = study("new", "mine.toml")
-    assert answer.code == 0
-    assert "study plan mine.toml" in answer.out
-    assert len(load.load("mine.toml").factors) == 3
-    plan = study("plan", "mine.toml", "--json")
-    assert plan.code == 0
-    assert plan.json["cases"]["total"] == 8
-
-
-def test_new_in_a_folder_that_does_not_exist(home: Path) -> None:
-    answer = study("new", "nowhere/mine.toml")
-    assert answer.code == 2
-    assert "cannot be written" in answer.err
-
-
 def test_solve(home: Path) -> None:
-    answer = study("solve", "problem.toml", "--json")
+    drawn = ("--vtu", "out.vtu", "--picture", "mesh.svg")
+    answer = study("solve", "problem.toml", "--json", *drawn)
     assert answer.code == 0, answer.err
     found = answer.json
     assert set(found) >= SOLVE_KEYS
@@ -67,6 +51,12 @@ def test_solve(home: Path) -> None:
     assert found["force_N"] == pytest.approx(force, rel=1e-9)
     # the force is linear in its only constant
     assert found["force_gradient"]["C10"] == pytest.approx(force / 0.01, rel=1e-9)
+    read = meshio.read("out.vtu")
+    assert read.point_data["displacement_mm"].min() == pytest.approx(-0.5)  # the upper half
+    assert set(read.cell_data) >= {"J", "cauchy_stress_MPa", "mean_stress_MPa"}
+    drawing = Path("mesh.svg").read_text(encoding="utf-8")
+    assert drawing.startswith("<svg")
+    assert "<image" not in drawing
 
 
 def test_solve_in_words(home: Path) -> None:
@@ -130,23 +120,6 @@ def test_converge_of_numbers_is_the_published_example() -> None:
     assert found["gci_fine"] == pytest.approx(0.00103083, abs=1e-8)
     words = study("converge", "--values", "0.97050,0.96854,0.96178", "--sizes", "1,2,4").out
     assert "order 1.786" in words
-
-
-def test_divergence_is_an_answer() -> None:
-    answer = study("converge", "--values", "4,2,1", "--sizes", "1,2,4", "--json")
-    assert answer.code == 0
-    assert answer.json["behaviour"] == "divergent"
-    assert answer.json["gci_fine"] is None
-
-
-def test_converge_of_a_problem(home: Path) -> None:
-    answer = study("converge", "problem.toml", "--json")
-    assert answer.code == 0, answer.err
-    found = answer.json
-    assert set(found) >= CONVERGE_KEYS
-    # a homogeneous field is exact on every mesh: no order can be observed
-    assert found["behaviour"] == "noise-floor"
-    assert found["mesh_size"] == sorted(found["mesh_size"])
 
 
 def test_virtual_measurements_reach_the_deepest_range(home: Path, edit: Edit) -> None:
@@ -214,16 +187,6 @@ def test_analyze_a_table(tidy: Path) -> None:
     assert "--practical" in words.err
 
 
-def test_analyze_listed_terms(tidy: Path) -> None:
-    answer = study(
-        "analyze", tidy, "--response", "force", "--factors", "material,plates",
-        "--block", "specimen", "--model", "material,plates", "--json",
-    )  # fmt: skip
-    assert answer.code == 0, answer.err
-    terms = [row["term"] for row in answer.json["anova"]["rows"]]
-    assert "material:plates" not in terms
-
-
 def test_fake_replicates_are_refused(home: Path) -> None:
     rows = ["run,material,force"]
     rows += [f"{k},{m},{v}" for m, v in (("A", 10.0), ("B", 12.0)) for k in range(3)]
@@ -233,14 +196,6 @@ def test_fake_replicates_are_refused(home: Path) -> None:
     assert answer.out == ""
     assert "fake replicates" in answer.err
     assert "Instead:" in answer.err
-
-
-def test_solve_writes_the_deformed_fields(home: Path) -> None:
-    answer = study("solve", "problem.toml", "--vtu", "out.vtu", "--json")
-    assert answer.code == 0, answer.err
-    read = meshio.read("out.vtu")
-    assert read.point_data["displacement_mm"].min() == pytest.approx(-0.5)  # the upper half
-    assert set(read.cell_data) >= {"J", "cauchy_stress_MPa", "mean_stress_MPa"}
 
 
 def test_solve_refuses_a_file_that_cannot_be_written_before_it_solves(
@@ -264,11 +219,3 @@ def test_solve_without_a_converged_step_writes_no_fields(
     assert answer.code == 1
     assert answer.json["displacement_mm"] == []
     assert not Path("out.vtu").exists()
-
-
-def test_solve_draws_the_deformed_mesh(home: Path) -> None:
-    answer = study("solve", "problem.toml", "--picture", "mesh.svg", "--json")
-    assert answer.code == 0, answer.err
-    drawing = Path("mesh.svg").read_text(encoding="utf-8")
-    assert drawing.startswith("<svg")
-    assert "<image" not in drawing

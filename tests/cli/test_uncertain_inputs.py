@@ -9,27 +9,13 @@ import pytest
 
 import study as public
 from study.ground.errors import InputError
+from tests.cli.small import Finished
 from tests.cli.test_numeric_factors import DESIGN
 from tests.pages import both_pages
 
-UNCERTAIN = """
-[uncertainty]
-material.C10 = { distribution = "normal", mean = "7 kPa", sd = "0.4 kPa" }
-specimen.radius = { distribution = "uniform", low = "9.8 mm", high = "10.2 mm" }
-"""
 
-
-@pytest.fixture(scope="module")
-def ran(tmp_path_factory: pytest.TempPathFactory):  # type: ignore[no-untyped-def]
-    home = tmp_path_factory.mktemp("uncertain")
-    (home / "ranges.toml").write_text(DESIGN.replace('["csv"]', '["html"]') + UNCERTAIN)
-    return public.run(
-        home / "ranges.toml", jobs=1, results=home / "results", reports=home / "reports"
-    )
-
-
-def test_the_distribution_is_that_of_the_closed_form(ran) -> None:  # type: ignore[no-untyped-def]
-    (surface,) = ran.to_json()["surfaces"]
+def test_the_distribution_is_that_of_the_closed_form(ranges: Finished) -> None:
+    (surface,) = ranges.answer.json["surfaces"]
     told = surface["uncertainty"]
     # F = c C10 R^2 at the file's height, 20 mm: a product of independent inputs
     stretch = 1 - 3.0 / 20
@@ -52,8 +38,8 @@ def test_the_distribution_is_that_of_the_closed_form(ran) -> None:  # type: igno
     assert first["gain"] == pytest.approx(1 - math.sqrt(halved / variance), abs=0.01)
 
 
-def test_the_page_says_what_to_measure_better(ran) -> None:  # type: ignore[no-untyped-def]
-    page = both_pages(ran.report)
+def test_the_page_says_what_to_measure_better(ranges: Finished) -> None:
+    page = both_pages(ranges.folder / ranges.answer.json["report"])
     assert "Uncertain inputs" in page
     assert "normal, mean 7 kPa, sd 0.4 kPa" in page
     assert "uniform, low 0.98 cm, high 1.02 cm" in page  # in the unit of the range

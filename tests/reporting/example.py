@@ -293,9 +293,8 @@ def unreplicated() -> ReportData:
     return ReportData("once", "", dict.fromkeys(names, ("lo", "hi")), table, (response,))
 
 
-def with_failures() -> ReportData:
+def with_failures(data: ReportData) -> ReportData:
     """The same study with three failed cases in two cells."""
-    data = example()
     table = data.table.copy()
     failed = table.index[[5, 40, 41]]
     table.loc[failed, "status"] = ["not-converged", "timeout", "timeout"]

@@ -19,20 +19,23 @@ from study.reporting.results.study_answers import (
     Beside,
     Change,
     Conclusion,
-    Found,
     OnlyInOne,
 )
 from study.reporting.results.study_result import ReportData
+from study.statistics.analysis.anova_table import Effect
 
 EVIL = '<script>alert("x")</script>'
 
 
-def found(verdict: str, effect: float, best: str = "") -> Found:
-    return Found(verdict, effect, effect - 0.1, effect + 0.1, 0.5, 0.003, 0.02, effect / 0.02, best)
+def found(verdict: str, effect: float) -> Effect:
+    return Effect(
+        "t", (), (), (effect - 0.1, effect + 0.1), effect, verdict, practical=0.5, p=0.003,
+        u_num=0.02, effect_over_u_num=effect / 0.02,
+    )  # fmt: skip
 
 
 def conclusion(
-    term: str, kind: str, holds: bool | None, *both: Found, **more: object
+    term: str, kind: str, holds: bool | None, *both: Effect, **more: object
 ) -> Conclusion:
     return Conclusion("work_error", term, "%", kind, holds, (both[0], both[1]), **more)  # type: ignore[arg-type]
 
@@ -41,8 +44,8 @@ def example(name: str = "second") -> Beside:
     yes, no, open_ = "matters", "no practical difference", "cannot tell"
     lead = {"end": "lowest", "best_is_better": True}
     rows = (
-        conclusion("material", MATTERS, True, found(yes, 1.9, "mr"), found(yes, 2.1, "mr"),
-                   same_best=True, **lead),
+        conclusion("material", MATTERS, True, found(yes, 1.9), found(yes, 2.1),
+                   same_best=True, best=("mr", "mr"), **lead),
         conclusion("model.space", NO_DIFFERENCE, True, found(no, 0.1), found(no, 0.2)),
         conclusion("plates", f"{DIFFERS}: how", False, found(yes, 1.0), found(no, 0.2)),
         conclusion("range", ONE_CANNOT_TELL, None, found(yes, 1.0), found(open_, 0.6)),
@@ -150,7 +153,7 @@ def test_names_of_users_are_escaped(contents: Contents) -> None:
         warnings=(EVIL,),
         conclusions=(
             replace(other.conclusions[0], term=EVIL, response=EVIL, unit=EVIL,
-                    found=(found("matters", 1.0, EVIL), found("matters", 1.0, EVIL))),
+                    effects=(found("matters", 1.0), found("matters", 1.0)), best=(EVIL, EVIL)),
         ),
     )  # fmt: skip
     page = pages(with_beside(contents, other))[1]

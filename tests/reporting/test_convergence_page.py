@@ -103,7 +103,7 @@ def comparison(label: str, error: float) -> dict[str, Any]:
 
 def test_validation_is_drawn_and_tabled() -> None:
     rows = [comparison("neo-hookean", 0.1), comparison("<b>ogden</b>", 0.001)]
-    frame = validation.validation_error_points(validation.first_block(rows))
+    frame = validation.validation_error_points(rows)
     assert len(frame) == 12
     np.testing.assert_allclose(frame["u_val_N"], frame["displacement_mm"] * np.hypot(0.02, 0.01))
     unknown = {**rows[0], "u_val_N": [0.0] * len(rows[0]["u_val_N"])}

@@ -24,14 +24,6 @@ from study.statistics.analysis.unreplicated import pseudo_standard_error
 from tests.reporting.example import build, unreplicated
 
 
-def test_level_means_are_the_means_of_the_cells(data: ReportData):
-    error = facts(data)[0]
-    frame = effect_figures.level_means(error)
-    expected = data.table.groupby("material")["relative_rms_force_error"].mean()
-    for row in frame[frame["factor"] == "material"].itertuples():
-        assert row.mean == pytest.approx(expected[row.level], rel=1e-12)  # same sums, other order
-
-
 def test_log_cells_are_geometric_means(data: ReportData):
     first = cells(data, "mu0").iloc[0]
     match = (data.table[list(data.factors)].astype(str) == first[list(data.factors)]).all(axis=1)
@@ -201,15 +193,6 @@ def test_no_two_panels_have_the_same_title(data: ReportData):
     factors = {"range": names, "material": both.factors["material"]}
     found = curve_figures.curve_panels(replace(both, curves=pairs, factors=factors))
     assert len(set(curve_figures.panel_titles(found, 2.0))) == 2
-
-
-def test_names_keep_their_distance_and_their_mean():
-    wanted = [0.0, 0.0, 0.5, 30.0, 31.0]
-    found = np.array(curve_figures.spread(wanted, 4.0))
-    assert np.all(np.diff(found) >= 4.0 - 1e-12)
-    # nobody is pushed further than the crowd around it makes necessary
-    assert found[:3].mean() == pytest.approx(np.mean(wanted[:3]))
-    assert found[3:].mean() == pytest.approx(np.mean(wanted[3:]))
 
 
 def test_mathematics_in_a_name_stays_text():

@@ -15,11 +15,10 @@ import pandas as pd
 import pytest
 from matplotlib.figure import Figure as Drawing
 
-from study.cli import study_tables
-from study.cli.output import cells
+from study.cli import output, study_tables
 from study.ground.errors import InputError
 from study.reporting.content import tables
-from study.reporting.content.content_table import Table
+from study.reporting.content.blocks import Figure, Heading, Table
 from study.reporting.content.report_facts import facts
 from study.reporting.output import page, write
 from study.reporting.results.study_result import Check, ReportData
@@ -85,9 +84,6 @@ def drawings() -> set[int]:
 def test_reference_cycles_are_looked_for_again_after_a_report(
     tmp_path: Path, data: ReportData, monkeypatch: pytest.MonkeyPatch
 ):
-    write.write(data, tmp_path)
-    assert gc.isenabled()
-
     def broken(contents: page.Contents, beside: Path) -> None:
         assert not gc.isenabled()
         raise OSError("disk full")
@@ -145,15 +141,21 @@ def test_tex_has_no_command_of_a_user():
     ]  # fmt: skip
 
 
-def test_terminal_rows_have_one_width(data: ReportData):
-    rows = cells(tables.verdicts(facts(data), data))
-    assert len({len(row) for row in rows}) == 1
-    assert not any("\N{NO-BREAK SPACE}" in cell for row in rows for cell in row)
-    assert rows[0][2] == "verdict"
+def test_a_terminal_has_a_table_for_each_response(
+    data: ReportData, capsys: pytest.CaptureFixture[str]
+):
+    whole = tables.verdicts(facts(data), data)
     made = study_tables.verdict_tables(data)
-    assert [title for title, _ in made] == ["relative RMS force error", "initial shear modulus"]
-    assert all(rows[0][:2] == ["factor", "verdict"] for _, rows in made)
-    assert sum(len(rows) - 1 for _, rows in made) == len(rows) - 1
+    assert [table.name for table in made] == ["relative RMS force error", "initial shear modulus"]
+    assert all(table.columns == whole.columns[1:] for table in made)
+    assert [row for table in made for row in table.rows] == [row[1:] for row in whole.rows]
+    output.say([Heading("a\N{NO-BREAK SPACE}b"), *made, Figure("f", "no place here"), None])
+    shown = capsys.readouterr().out
+    assert shown.startswith("\na b\n")
+    assert "no place here" not in shown
+    assert "\N{NO-BREAK SPACE}" not in shown
+    for row in whole.rows:
+        assert row[3].replace("\N{NO-BREAK SPACE}", " ") in shown
 
 
 def test_every_cell_of_the_matrix_is_there(data: ReportData):

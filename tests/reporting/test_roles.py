@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from study.reporting.content import content_table, recommendation, sentences
+from study.reporting.content import effect_words, recommendation, sentences
 from study.reporting.content.report_facts import facts
 from study.reporting.results.study_result import ReportData, ResponseAnalysis
 from study.statistics.analysis.anova import anova
@@ -41,7 +41,7 @@ DECLARED = {"range": "condition", "plates": "unknown"}
 
 def test_a_choice_is_answered_at_each_level_of_a_condition() -> None:
     data = study(DECLARED)
-    (line,) = content_table.by_condition(data, facts(data))
+    (line,) = effect_words.by_condition(data, facts(data))
     assert line.startswith("Material by range, for the error: no practical difference at 20 % (")
     means = data.table.groupby(["range", "plates", "material"])["error"].mean()
     for span, sizes in zip(FACTORS["range"], re.findall(r"\(([\d.]+)", line), strict=True):
@@ -56,7 +56,7 @@ def test_a_choice_is_answered_at_each_level_of_a_condition() -> None:
 )
 def test_an_unknown_says_whether_measuring_it_pays(glue: float, words: str) -> None:
     data = study(DECLARED, glue)
-    (line,) = content_table.unknowns(data, facts(data))
+    (line,) = effect_words.unknowns(data, facts(data))
     assert line.startswith("The level of plates was assumed")
     assert words in line
 
@@ -78,7 +78,7 @@ def test_only_choices_are_recommended() -> None:
 
 def test_all_factors_are_choices_unless_said_otherwise() -> None:
     data = study()
-    assert content_table.factors_of(data, content_table.CHOICE) == list(FACTORS)
+    assert effect_words.factors_of(data, effect_words.CHOICE) == list(FACTORS)
     assert "dry" in recommendation.recommendation(data, facts(data)[0])
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from study.reporting.content import (
     analysis_content,
-    content_table,
+    effect_words,
     methods,
     report_facts,
     sentences,
@@ -17,7 +17,6 @@ from study.reporting.content import (
 )
 from study.reporting.content.recommendation import best_cell, cheaper, recommendation, would_change
 from study.reporting.content.report_facts import Facts, Group, describe, facts, groups
-from study.reporting.figures import registry, residual_figures
 from study.reporting.results.study_result import Failure, ReportData, ResponseAnalysis
 from study.statistics.analysis.analysis_request import AnalysisRequest
 from study.statistics.analysis.analysis_result import (
@@ -124,11 +123,6 @@ def test_cannot_tell_is_said_whatever_p_is():
     assert "the interval crosses" in text
 
 
-def test_not_estimable_keeps_its_reason():
-    one = effect(CANNOT_TELL, range=None, ci95=None, why="not estimable")
-    assert verdicts.verdict(one, error()) == "Plates: cannot tell; not estimable."
-
-
 @pytest.mark.parametrize(
     ("exact", "printed", "rejected"),
     [
@@ -229,15 +223,9 @@ def test_one_factor_alone_has_no_interaction_to_speak_of(data: ReportData):
 
 def test_virtual_specimens_are_said_to_be_virtual(data: ReportData):
     virtual = replace(data, virtual=True)
-    assert "scatter of their generator" in undrawn(replace(virtual, curves=()))
+    few = replace(virtual, responses=data.responses[:1], curves=(), fits=())
+    assert "scatter of their generator" in undrawn(few)
     assert "real measurements" in would_change(virtual, facts(virtual))
-
-
-def test_error_term_names_source_and_question(data: ReportData):
-    text = sentences.error_term(facts(data)[0], data)
-    assert text.startswith("The error term is E1, measured replicates as blocks")
-    assert "another phantom? Each effect against" in text
-    assert "9 phantoms" in text
 
 
 def test_error_term_is_said_once_for_responses_that_share_it(data: ReportData):
@@ -261,10 +249,10 @@ def test_numerical_uncertainty_of_a_ratio_is_a_ratio():
     one = effect(
         MATTERS, range=1.43363, practical=1.1, scale="ratio", u_num=0.85, effect_over_u_num=7.4
     )
-    assert flat(content_table.numerical(one, modulus())) == "\N{MULTIPLICATION SIGN} 1.05"
-    assert content_table.over_numerical(one) == "7.4"
-    assert content_table.over_numerical(replace(one, effect_over_u_num=4321.0)) == "> 100"
-    assert content_table.over_numerical(replace(one, effect_over_u_num=None)) == "\N{EN DASH}"
+    assert flat(effect_words.numerical(one, modulus())) == "\N{MULTIPLICATION SIGN} 1.05"
+    assert effect_words.over_numerical(one) == "7.4"
+    assert effect_words.over_numerical(replace(one, effect_over_u_num=4321.0)) == "> 100"
+    assert effect_words.over_numerical(replace(one, effect_over_u_num=None)) == "\N{EN DASH}"
 
 
 def test_copies_are_one_computation_and_named_together(data: ReportData):
@@ -294,14 +282,6 @@ def test_the_cheaper_level_of_the_model_is_named_and_no_other_factor(data: Repor
     assert "plates" not in text.lower()
 
 
-def test_plurals_of_blocks_are_english(data: ReportData):
-    found = facts(replace(data, block="batch"))
-    doubt = replace(found[0], terms=(effect(CANNOT_TELL),))
-    assert (
-        "more batches would narrow" in would_change(replace(data, block="batch"), (doubt,)).lower()
-    )
-
-
 def test_replicates_are_not_advised_where_one_specimen_is_the_reason(data: ReportData):
     doubt = replace(effect(CANNOT_TELL), why=ONE_SPECIMEN)
     text = would_change(data, (replace(facts(data)[0], terms=(doubt,)),))
@@ -319,12 +299,6 @@ def test_recommendation_takes_the_cheapest_within_what_matters(data: ReportData)
     assert "8.3 min" in text
 
 
-def test_nothing_is_called_normal(html: str):
-    lowered = html.lower()
-    for word in ("is normal", "are normal", "normally distributed", "data normal"):
-        assert word not in lowered
-
-
 def test_no_best_cell_where_the_mesh_cannot_tell_them_apart(
     data: ReportData, monkeypatch: pytest.MonkeyPatch
 ):
@@ -334,11 +308,6 @@ def test_no_best_cell_where_the_mesh_cannot_tell_them_apart(
     one = report_facts.Group(5.0, tuple(m for group in every for m in group.members))
     monkeypatch.setattr("study.reporting.content.recommendation.groups", lambda *_: (one,))
     assert "no cell can be told from another" in best_cell(data, found)
-
-
-def test_a_tiny_threshold_is_printed(data: ReportData):
-    tiny = replace(facts(data)[0].effects[0], practical=7.97e-5, scale="difference")
-    assert "7.97e\N{MINUS SIGN}05" in verdicts.practical(tiny, facts(data)[0])
 
 
 def test_the_number_beside_an_effect_is_explained():
@@ -397,19 +366,3 @@ def test_what_would_change_an_effect_that_the_mesh_leaves_open(data: ReportData)
     text = would_change(data, [few, coarse])
     assert "would narrow the interval of plates; finer meshes could resolve order" in flat(text)
     assert "narrow" not in would_change(data, [coarse])
-
-
-def test_a_caption_judges_normality_as_the_checks_do(data: ReportData):
-    """Without a simulated p the tabled one decides, in the captions of figures too."""
-    item = facts(data)[0]
-    tested = item.assumptions.normality
-    assert item.result is not None
-    assert tested is not None
-    for p, word in (("< 0.010", "rejected"), ("> 0.100", "not rejected")):
-        tabled = replace(tested, p_exact=None, p_minitab=p)
-        assumptions = replace(item.assumptions, normality=tabled)
-        result = replace(item.result, assumptions=assumptions)
-        changed = replace(item, response=replace(item.response, result=result))
-        assert f"normality is {word} by" in registry.residuals(changed, data, 20)
-        caption = residual_figures.four_in_one_caption(pd.DataFrame(), changed, 0.05)
-        assert f"normality is {word} by" in caption

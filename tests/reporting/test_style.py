@@ -24,6 +24,7 @@ NOT_USED = {
     r"\bsignificant(ly)?\b": "the difference, its interval and what matters",
     r"\butili[sz]e": "use",
     r"\bobviously|clearly|of course\b": "nothing",
+    r"\b(is|are|data) normal\b|normally distributed": "not rejected by a test",
     r"\bproves?\b": "shows",
     r"\b(at most|at least|below|above|within|under) [<>]": "less than 0.1 %, and no second bound",
     r"(?<!\w)# (mm|N|%|kPa)|stretch #": "dots where a number was left out",
@@ -71,6 +72,7 @@ def test_no_sentence_has_a_word_that_is_not_used(html: str):
 def test_the_list_of_words_finds_a_breach():
     assert breaches("whether material matters these data cannot tell")
     assert breaches("a significant effect")
+    assert breaches("The residuals are normal.")
     assert breaches("the two differ by at most < 0.1 % of it")
     assert breaches("unstable below stretch #")
     assert breaches("stopped at # mm of # mm")

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING
 
 from study.ground.canonical import plain
 from study.reporting.content import sentences, surface_content, tables, verdicts
-from study.reporting.content.content_table import Table, bound
+from study.reporting.content.blocks import MOST_ROWS, Block, Table, Verbatim
+from study.reporting.content.effect_words import bound
 from study.reporting.content.numbers import (
     MISSING,
     f_value,
@@ -18,67 +19,82 @@ from study.reporting.content.numbers import (
     p_phrase,
     p_value,
     percent,
+    ratio_digits,
     significant,
 )
 from study.reporting.content.report_facts import Facts
-from study.reporting.content.text import clean, listing, plural_of, term_name
-from study.reporting.results.study_result import Check, ReportData
-from study.statistics.analysis.anova_table import Row
-from study.statistics.analysis.simple_effects import NOT_RESOLVED
+from study.reporting.content.report_facts import facts as read_facts
+from study.reporting.content.text import clean, listing, name_of, plural_of, term_name
+from study.reporting.results.study_result import Check, ReportData, ResponseAnalysis
+from study.statistics.analysis import strata
+from study.statistics.analysis.anova_table import Effect, Row
+from study.statistics.analysis.simple_effects import NOT_RESOLVED, REFUSALS
 from study.statistics.surfaces.emulator import GIVEN, RANKED
 from study.statistics.surfaces.surface_profile import FittedSurface
 
 if TYPE_CHECKING:
     from study.statistics.analysis.analysis_result import AnalysisResult
+    from study.statistics.analysis.anova_table import NestedUnits
     from study.statistics.analysis.comparisons import Comparisons
+    from study.statistics.analysis.linear_contrast import Contrast
+    from study.statistics.analysis.mixed_model import MixedModel
     from study.statistics.analysis.post_hoc import (
+        Coefficient,
         CoefficientTable,
         PairwiseDifference,
         UnusualObservations,
     )
 
 
-#: Rows that a page lists of a long table; the CSV beside it has all.
-MOST_ROWS = 40
 #: Digits of sums of squares and statistics, as Minitab prints them.
 DIGITS = 5
 
 
+def factor_information(data: ReportData) -> Table:
+    """Levels of every factor."""
+    return Table.of(
+        "factor information",
+        data.factors.items(),
+        {
+            "factor": lambda of: clean(name_of(of[0], data.labels)),
+            "levels": lambda of: str(len(of[1])),
+            "values": lambda of: (
+                ", ".join(clean(level, 30) for level in of[1][:20])
+                + (f", and {len(of[1]) - 20} more" if len(of[1]) > 20 else "")
+            ),
+        },
+        tail=1,
+    )
+
+
 def analysis_of_variance(analysis: AnalysisResult) -> Table:
     """Source, DF, SS, MS, F, P for every term, the error and the total."""
-    rows = analysis.anova.rows
-    corrected = any(row.p_gg is not None for row in rows)
-    strata = len({row.error for row in rows if row.error}) > 1
+    rows, cross = analysis.anova.rows, " \N{MULTIPLICATION SIGN} "
     how = "Seq" if analysis.anova.type == "I" else "Adj"
-    columns = ["source", "DF", f"{how} SS", f"{how} MS", "F", "p"]
-    columns += ["GG epsilon", "p corrected"] if corrected else []
-    columns += ["tested against"] if strata else []
-    shown = [_anova_row(row, corrected, strata) for row in rows]
-    if analysis.anova.ss_total is not None:
-        total = (
-            "total",
-            f"{analysis.anova.df_total}",
-            significant(analysis.anova.ss_total, DIGITS),
+    columns: dict[str, Callable[[Row], str]] = {
+        "source": lambda row: (
+            "error" if row.term == "residual" else clean(row.term.replace(":", cross))
+        ),
+        "DF": lambda row: f"{row.df:g}",
+        f"{how} SS": lambda row: significant(row.ss, DIGITS),
+        f"{how} MS": lambda row: "" if row.ms is None else significant(row.ms, DIGITS),
+        "F": lambda row: "" if row.f is None else f_value(row.f),
+        "p": lambda row: "" if row.p is None else p_value(row.p),
+    }
+    if any(row.p_gg is not None for row in rows):
+        columns["GG epsilon"] = lambda row: (
+            "" if row.epsilon_gg is None else f"{row.epsilon_gg:.3f}"
         )
-        shown.append((*total, *[""] * (len(columns) - 3)))
-    raw = tuple(plain(row) for row in rows)
-    return Table("anova", tuple(columns), tuple(shown), 1, int(strata), raw=raw)
-
-
-def _anova_row(row: Row, corrected: bool, strata: bool) -> tuple[str, ...]:
-    name = "error" if row.term == "residual" else row.term.replace(":", " \N{MULTIPLICATION SIGN} ")
-    sums = significant(row.ss, DIGITS), significant(row.ms, DIGITS) if row.ms is not None else ""
-    tested = row.f is not None
-    cells = [clean(name), f"{row.df:g}", *sums]
-    cells += [f_value(row.f) if tested else "", p_value(row.p) if row.p is not None else ""]
-    if corrected:
-        cells += [
-            "" if row.epsilon_gg is None else f"{row.epsilon_gg:.3f}",
-            "" if row.p_gg is None else p_value(row.p_gg),
-        ]
+        columns["p corrected"] = lambda row: "" if row.p_gg is None else p_value(row.p_gg)
+    strata = len({row.error for row in rows if row.error}) > 1
     if strata:
-        cells.append(clean((row.error or "").replace(":", " \N{MULTIPLICATION SIGN} ")))
-    return tuple(cells)
+        columns["tested against"] = lambda row: clean((row.error or "").replace(":", cross))
+    made = Table.of("anova", rows, columns, tail=int(strata), raw=plain)
+    if analysis.anova.ss_total is None:
+        return made
+    sums = significant(analysis.anova.ss_total, DIGITS)
+    total = ("total", f"{analysis.anova.df_total}", sums, *[""] * (len(columns) - 3))
+    return replace(made, rows=(*made.rows, total))
 
 
 def model_summary(analysis: AnalysisResult) -> Table | None:
@@ -99,45 +115,70 @@ def coefficients(table: CoefficientTable, facts: Facts) -> Table | None:
     """Coefficient, standard error, t, p and variance inflation factor of every column."""
     if not table.coefficients:
         return None
-    inflated = any(c.vif is not None for c in table.coefficients)
-    rows = tuple(
-        (
-            clean(c.term),
-            significant(c.estimate, 4),
-            significant(c.standard_error),
-            significant(c.t),
-            p_value(c.p),
-            *([significant(c.vif) if c.vif is not None else ""] if inflated else []),
-        )
-        for c in table.coefficients
-    )
-    columns = ("term", "coefficient", "standard error", "t", "p", *(["VIF"] if inflated else []))
+    columns: dict[str, Callable[[Coefficient], str]] = {
+        "term": lambda c: clean(c.term),
+        "coefficient": lambda c: significant(c.estimate, 4),
+        "standard error": lambda c: significant(c.standard_error),
+        "t": lambda c: significant(c.t),
+        "p": lambda c: p_value(c.p),
+    }
+    if any(c.vif is not None for c in table.coefficients):
+        columns["VIF"] = lambda c: "" if c.vif is None else significant(c.vif)
     scale = " of the log" if facts.ratio else ""
     note = (
         f"Sum-to-zero coding: a coefficient{scale} is the distance of a level from the mean of "
         "all; the last level of a factor is minus the sum of the others."
     )
-    raw = tuple(plain(c) for c in table.coefficients)
-    return Table("coefficients", columns, rows[:MOST_ROWS], 1, 0, note + _cut(len(rows)), raw)
+    return Table.of(
+        "coefficients", table.coefficients, columns, note=note, raw=plain, most=MOST_ROWS
+    )
 
 
 def means(facts: Facts, data: ReportData) -> Table:
     """Mean of every level of every factor and combination, with interval and letters."""
-    rows: list[tuple[str, ...]] = []
-    raw: list[dict[str, object]] = []
-    for effect in facts.terms:
-        for i, (name, mean) in enumerate(zip(effect.levels, effect.mean, strict=True)):
-            low, high = (None, None) if effect.mean_ci95 is None else effect.mean_ci95[i]
-            letters = effect.letters[i] if effect.letters else ""
-            values = significant(mean, 4), interval(low, high, digits=4)
-            rows.append((term_name(effect.term, data.labels), clean(name, 60), *values, letters))
-            raw.append({"term": effect.term, "level": name, "mean": mean, "low": low, "high": high,
-                        "letters": letters})  # fmt: skip
-    columns = ("term", "level", "mean", f"{level(data.alpha)} interval", "grouping")
-    note = "Levels of a factor that share a letter are not told apart." + _cut(len(rows))
-    return Table(
-        "means", columns, tuple(rows[:MOST_ROWS]), 2, 1, note, tuple(raw), grouped=True
-    )  # fmt: skip
+    columns: dict[str, Callable[[tuple[Effect, int]], str]] = {
+        "term": lambda of: term_name(of[0].term, data.labels),
+        "level": lambda of: clean(of[0].levels[of[1]], 60),
+        "mean": lambda of: significant(of[0].mean[of[1]], 4),
+        f"{level(data.alpha)} interval": lambda of: interval(*_mean_ends(*of), digits=4),
+        "grouping": lambda of: of[0].letters[of[1]] if of[0].letters else "",
+    }
+    made = Table.of(
+        "means",
+        [(effect, i) for effect in facts.terms for i in range(len(effect.levels))],
+        columns,
+        left=2,
+        tail=1,
+        note="Levels of a factor that share a letter are not told apart.",
+        raw=lambda of: {
+            "term": of[0].term,
+            "level": of[0].levels[of[1]],
+            "mean": of[0].mean[of[1]],
+            **_raw_ends(_mean_ends(*of)),
+            "letters": columns["grouping"](of),
+        },
+        most=MOST_ROWS,
+    )
+    return replace(made, grouped=True)
+
+
+def _mean_ends(effect: Effect, i: int) -> Ends:
+    return _NO_ENDS if effect.mean_ci95 is None else effect.mean_ci95[i]
+
+
+# Two levels or settings compared: a difference, or a ratio of a log response, and its intervals.
+
+Ends = tuple[float | None, float | None]
+_NO_ENDS: Ends = (None, None)
+
+
+def _what(facts: Facts) -> str:
+    return "ratio" if facts.ratio else "difference"
+
+
+def _levels(first: str, second: str, facts: Facts) -> str:
+    sign = "/" if facts.ratio else "\N{MINUS SIGN}"
+    return f"{clean(first, 30)} {sign} {clean(second, 30)}"
 
 
 def simple_effects(facts: Facts, data: ReportData) -> Table | None:
@@ -145,38 +186,38 @@ def simple_effects(facts: Facts, data: ReportData) -> Table | None:
     listed = [(e, simple) for e in facts.effects for simple in e.simple_effects if simple.at]
     if not listed:
         return None
-    sign = "/" if facts.ratio else "\N{MINUS SIGN}"
-    rows = tuple(
-        (
-            term_name(effect.term, data.labels),
-            f"{clean(simple.first, 30)} {sign} {clean(simple.second, 30)}",
-            ", ".join(
-                f"{term_name(name, data.labels)} {clean(lev, 30)}" for name, lev in simple.at
+    return Table.of(
+        "simple effects",
+        listed,
+        {
+            "factor": lambda of: term_name(of[0].term, data.labels),
+            "levels": lambda of: _levels(of[1].first, of[1].second, facts),
+            "at": lambda of: ", ".join(
+                f"{term_name(name, data.labels)} {clean(lev, 30)}" for name, lev in of[1].at
             ),
-            significant(simple.difference),
-            interval(*(simple.ci or (None, None))),
-            interval(*(simple.ci_simultaneous or (None, None))),
-            simple.verdict,
-        )
-        for effect, simple in listed
+            _what(facts): lambda of: significant(of[1].difference),
+            "its own interval": lambda of: interval(*(of[1].ci or _NO_ENDS)),
+            "simultaneous interval": lambda of: interval(*(of[1].ci_simultaneous or _NO_ENDS)),
+            "verdict": lambda of: of[1].verdict,
+        },
+        left=3,
+        tail=1,
+        note="A factor makes no practical difference where every own interval lies inside what "
+        "matters; it matters where one simultaneous interval lies beyond.",
+        raw=lambda of: {
+            "factor": of[0].term,
+            **{k: v for k, v in asdict(of[1]).items() if not isinstance(v, tuple)},
+            "at": "; ".join(f"{name}={lev}" for name, lev in of[1].at),
+            **_raw_ends(of[1].ci),
+            **_raw_ends(of[1].ci_simultaneous, "_simultaneous"),
+        },
+        most=MOST_ROWS,
     )
-    what = "ratio" if facts.ratio else "difference"
-    ends = ("its own interval", "simultaneous interval")
-    columns = ("factor", "levels", "at", what, *ends, "verdict")
-    note = (
-        "A factor makes no practical difference where every own interval lies inside what matters; "
-        "it matters where one simultaneous interval lies beyond." + _cut(len(rows))
-    )
-    raw = tuple(
-        {"factor": e.term, **{k: v for k, v in asdict(simple).items() if not isinstance(v, tuple)},
-         "at": "; ".join(f"{name}={lev}" for name, lev in simple.at),
-         "low": None if simple.ci is None else simple.ci[0],
-         "high": None if simple.ci is None else simple.ci[1],
-         "low_simultaneous": None if simple.ci_simultaneous is None else simple.ci_simultaneous[0],
-         "high_simultaneous": None if simple.ci_simultaneous is None else simple.ci_simultaneous[1]}
-        for e, simple in listed
-    )  # fmt: skip
-    return Table("simple effects", columns, rows[:MOST_ROWS], 3, 1, note, raw)
+
+
+def _raw_ends(ends: Ends | None, suffix: str = "") -> dict[str, object]:
+    low, high = ends or _NO_ENDS
+    return {f"low{suffix}": low, f"high{suffix}": high}
 
 
 def contrasts(facts: Facts) -> Table | None:
@@ -184,83 +225,86 @@ def contrasts(facts: Facts) -> Table | None:
     result = facts.response.result
     if result is None or not result.contrasts:
         return None
-    return contrast_table(result, facts.name, facts.unit)
+    return contrast_table(result.contrasts, facts, result.request.alpha)
 
 
-def contrast_table(result: AnalysisResult, name: str, unit: str = "") -> Table:
+def contrast_table(asked: Sequence[Contrast], facts: Facts, alpha: float) -> Table:
     """Differences of two settings that were asked for by name."""
-    what = "ratio" if result.request.scale.is_log else "difference"
-    level = f"{100 * (1 - result.request.alpha):.4g} %"
-    several = len(result.contrasts) > 1
-    columns = ("asked for", what, f"{level} interval, all together", "U", "p",
-               *(("Holm's p",) if several else ()), "verdict")  # fmt: skip
-    rows = tuple(
-        (
-            clean(item.name, 200),
-            significant(item.difference),
-            interval(*(item.ci_simultaneous or (None, None))),
-            significant(item.u, 2),
-            p_value(item.p),
-            *((p_value(item.p_holm),) if several else ()),
-            f"{item.verdict}: {item.why}" if item.why else item.verdict,
-        )
-        for item in result.contrasts
-    )
+    several = len(asked) > 1
+    columns: dict[str, Callable[[Contrast], str]] = {
+        "asked for": lambda item: clean(item.name, 200),
+        _what(facts): lambda item: significant(item.difference),
+        f"{100 * (1 - alpha):.4g} % interval, all together": lambda item: interval(
+            *(item.ci_simultaneous or item.ci or _NO_ENDS)
+        ),
+        "U": lambda item: significant(item.u, 2),
+        "p": lambda item: p_value(item.p),
+    }
+    if several:
+        columns["Holm's p"] = lambda item: p_value(item.p_holm)
+    columns["verdict"] = lambda item: f"{item.verdict}: {item.why}" if item.why else item.verdict
     adjusted = ", and Holm's p is adjusted for all of them" if several else ""
     note = (
         "Each row is the mean over all cells of the first setting less (or over) that of the "
         "second; a factor that a setting leaves out is averaged over. The intervals hold for all "
         f"rows together{adjusted}. U, the bound of the numerical error, is in "
-        f"{unit or 'the response'}."
+        f"{facts.unit or 'the response'}."
     )
-    raw = tuple(
-        {"contrast": item.name, "difference": item.difference, "U": item.u, "p": item.p,
-         "p_holm": item.p_holm,
-         "low": None if item.ci_simultaneous is None else item.ci_simultaneous[0],
-         "high": None if item.ci_simultaneous is None else item.ci_simultaneous[1],
-         "verdict": item.verdict}
-        for item in result.contrasts
+    return Table.of(
+        f"contrasts {facts.name}",
+        asked,
+        columns,
+        note=note,
+        raw=lambda item: {
+            "contrast": item.name, "difference": item.difference, "U": item.u, "p": item.p,
+            "p_holm": item.p_holm, **_raw_ends(item.ci_simultaneous), "verdict": item.verdict,
+        },
     )  # fmt: skip
-    return Table(f"contrasts {name}", columns, rows, 1, 0, note, raw)
 
 
 def pairwise(pairs: tuple[PairwiseDifference, ...], facts: Facts, data: ReportData) -> Table | None:
     """All pairs of levels with simultaneous interval and adjusted p."""
     if not pairs:
         return None
-    sign = "/" if facts.ratio else "\N{MINUS SIGN}"
-    rows = tuple(
-        (
-            term_name(pair.factor, data.labels),
-            f"{clean(pair.first, 30)} {sign} {clean(pair.second, 30)}",
-            significant(pair.difference),
-            interval(pair.lower, pair.upper),
-            p_value(pair.p),
-            pair.method,
-        )
-        for pair in pairs
+    made = Table.of(
+        "pairwise comparisons",
+        pairs,
+        {
+            "factor": lambda pair: term_name(pair.factor, data.labels),
+            "levels": lambda pair: _levels(pair.first, pair.second, facts),
+            _what(facts): lambda pair: significant(pair.difference),
+            f"simultaneous {level(data.alpha)} interval": lambda pair: interval(
+                pair.lower, pair.upper
+            ),
+            "adjusted p": lambda pair: p_value(pair.p),
+            "method": lambda pair: pair.method,
+        },
+        left=2,
+        tail=1,
+        note="Interval and p hold for all pairs of a factor together.",
+        raw=plain,
+        most=MOST_ROWS,
     )
-    what = "ratio" if facts.ratio else "difference"
-    ends = f"simultaneous {level(data.alpha)} interval"
-    columns = ("factor", "levels", what, ends, "adjusted p", "method")
-    note = "Interval and p hold for all pairs of a factor together." + _cut(len(rows))
-    raw = tuple(plain(pair) for pair in pairs)
-    return Table("pairwise comparisons", columns, rows[:MOST_ROWS], 2, 1, note, raw, grouped=True)
+    return replace(made, grouped=True)
 
 
 def against_reference(factor: str, comparisons: Comparisons, data: ReportData) -> Table:
     """Every level against a reference (Dunnett)."""
     reference = comparisons.pairs[0].second
-    rows = tuple(
-        (clean(pair.first), significant(pair.difference), interval(pair.lower, pair.upper),
-         p_value(pair.p))
-        for pair in comparisons.pairs
-    )  # fmt: skip
-    name = f"{term_name(factor, data.labels)} against {clean(reference)}"
-    ends = f"simultaneous {level(comparisons.alpha)} interval"
-    columns = ("level", comparisons.effect, ends, "adjusted p")
-    raw = tuple(plain(pair) for pair in comparisons.pairs)
-    return Table(name, columns, rows, 1, 0, f"{comparisons.method}.", raw)
+    return Table.of(
+        f"{term_name(factor, data.labels)} against {clean(reference)}",
+        comparisons.pairs,
+        {
+            "level": lambda pair: clean(pair.first),
+            comparisons.effect: lambda pair: significant(pair.difference),
+            f"simultaneous {level(comparisons.alpha)} interval": lambda pair: interval(
+                pair.lower, pair.upper
+            ),
+            "adjusted p": lambda pair: p_value(pair.p),
+        },
+        note=f"{comparisons.method}.",
+        raw=plain,
+    )
 
 
 def checks(analysis: AnalysisResult, name: str = "tests of assumptions") -> Table | None:
@@ -302,24 +346,28 @@ def unusual(unusual_rows: UnusualObservations | None) -> Table | None:
     """Rows with a large residual, a high leverage or a large Cook's distance."""
     if unusual_rows is None or unusual_rows.rows.empty:
         return None
-    columns = (
-        "row",
-        "response",
-        "fit",
-        "residual",
-        "standardized",
-        "leverage",
-        "Cook",
-        "PRESS residual",
-        "why",
-    )  # noqa: E501
-    numbers = ("response", "fitted", "residual", "standardized", "leverage", "cook", "press")
-    raw = tuple({str(k): v for k, v in row.items()} for row in unusual_rows.rows.to_dict("records"))
-    rows = tuple(
-        (f"{row['row']}", *(significant(float(str(row[key]))) for key in numbers), str(row["why"]))
-        for row in raw[:MOST_ROWS]
+    numbers = {
+        "response": "response", "fit": "fitted", "residual": "residual",
+        "standardized": "standardized", "leverage": "leverage", "Cook": "cook",
+        "PRESS residual": "press",
+    }  # fmt: skip
+    columns: dict[str, Callable[[Mapping[Hashable, object]], str]] = {
+        "row": lambda row: f"{row['row']}",
+        **{
+            head: lambda row, key=key: significant(float(str(row[key])))  # type: ignore[misc]
+            for head, key in numbers.items()
+        },
+        "why": lambda row: str(row["why"]),
+    }
+    return Table.of(
+        "unusual observations",
+        unusual_rows.rows.to_dict("records"),
+        columns,
+        left=0,
+        tail=1,
+        raw=lambda row: {str(k): v for k, v in row.items()},
+        most=MOST_ROWS,
     )
-    return Table("unusual observations", columns, rows, 0, 1, _cut(len(raw)).strip(), raw)
 
 
 def robustness(analysis: AnalysisResult, data: ReportData) -> Table | None:
@@ -338,8 +386,173 @@ def robustness(analysis: AnalysisResult, data: ReportData) -> Table | None:
     return Table("p in the defensible analyses", columns, rows, 1, 1, raw=raw)
 
 
-def _cut(n: int) -> str:
-    return f" The first {MOST_ROWS} of {n:,} are shown; the CSV has all." if n > MOST_ROWS else ""
+# An analysis as a terminal shows it: the tables of its page, and what a page draws instead.
+
+
+def analysis_blocks(analysis: AnalysisResult, data: ReportData) -> Iterator[Block | None]:
+    """Error term, table, effects, assumptions, and what an analysis by rows would have claimed."""
+    (item,) = read_facts(data)
+    term = analysis.error_term
+    yield Verbatim(f"error term {term.source}: {term.question}")
+    yield Verbatim(f"  because: {term.reason}\n")
+    if analysis.anova.rows:
+        title = f"Analysis of Variance: {analysis.request.response}, type {analysis.anova.type}"
+        yield replace(factor_information(data), name="Factor Information")
+        yield replace(analysis_of_variance(analysis), name=title)
+        yield _titled(model_summary(analysis), "Model Summary")
+        yield replace(tables.anova(item, data), name="Sizes of the effects")
+        yield from effect_blocks(item, data)
+        yield _titled(checks(analysis), "Assumptions")
+        yield from _further_checks(analysis)
+        yield robustness(analysis, data)
+        yield _bounds(analysis)
+        yield _detectable(analysis)
+    if analysis.data.nested is not None:
+        yield _by_units(analysis.data.nested)
+        yield from (Verbatim(f"{text}.") for text in unit_sentences(analysis)[:2])
+    if analysis.contrasts:
+        asked = contrast_table(analysis.contrasts, item, analysis.request.alpha)
+        yield replace(asked, name="Differences that were asked for")
+
+
+def _titled(table: Table | None, title: str) -> Table | None:
+    return None if table is None else replace(table, name=title)
+
+
+def effect_blocks(item: Facts, data: ReportData) -> Iterator[Block | None]:
+    """Means, largest differences with their verdicts, and the telling simple effects."""
+    yield replace(means(item, data), name="Means")
+    yield replace(tables.verdicts((item,), data), name="Effects")
+    for e in item.effects:
+        # without a threshold nothing can be told, which is said once for all
+        if e.verdict in REFUSALS and e.practical is not None:
+            yield Verbatim(f"{e.term}: {e.verdict} ({e.why})")
+    # of every factor that interacts the largest simple effect, and that which decides its verdict
+    telling = [(e, dict.fromkeys((e.largest_simple, e.deciding_simple))) for e in item.terms]
+    terms = tuple(replace(e, simple_effects=tuple(filter(None, few))) for e, few in telling)
+    largest = simple_effects(replace(item, terms=terms), data)
+    yield _titled(largest, "Largest simple effects, and those that decide a verdict")
+
+
+def _further_checks(analysis: AnalysisResult) -> Iterator[Verbatim]:
+    """Give what a page draws: contrasts beyond Lenth's margins, rows that the fit leans on."""
+    lenth, tests = analysis.variation.lenth, analysis.assumptions
+    if lenth is not None:
+        yield Verbatim(
+            f"Lenth: pseudo standard error {significant(lenth.pse, 4)}, margin of error "
+            f"{significant(lenth.me, 4)}, simultaneous {significant(lenth.sme, 4)}; beyond it: "
+            f"{', '.join(lenth.active) or 'none'}"
+        )
+    if tests.fligner is not None:
+        statistic, p = tests.fligner
+        yield Verbatim(f"Fligner-Killeen: {significant(statistic, 4)}, {p_phrase(p)}")
+    if tests.influence is not None and tests.influence.rows:
+        listed = ", ".join(str(i) for i in tests.influence.rows[:10])
+        limit = tests.influence.limit
+        yield Verbatim(f"rows the fit leans on (Cook's distance > {limit:.2g}): {listed}")
+    if tests.box_cox is not None:
+        low, high = tests.box_cox.ci95
+        exponent = tests.box_cox.exponent
+        yield Verbatim(f"Box-Cox exponent {exponent:.2f} (95 % {low:.2f} to {high:.2f})")
+
+
+def _bounds(analysis: AnalysisResult) -> Table:
+    return Table.of(
+        "Largest differences, whatever the missing responses are",
+        analysis.data.bounds,
+        {
+            "Term": lambda b: b.term,
+            "lowest": lambda b: significant(b.low, 4),
+            "highest": lambda b: significant(b.high, 4),
+            "p from": lambda b: p_value(None if b.p is None else b.p[0]),
+            "p to": lambda b: p_value(None if b.p is None else b.p[1]),
+            "verdicts": lambda b: ", ".join(b.verdicts),
+            "holds": lambda b: "yes" if b.holds else "no",
+        },
+    )
+
+
+def _detectable(analysis: AnalysisResult) -> Table | None:
+    """Differences that would be seen with power 80 %, by the number of units."""
+    power = analysis.detection.power
+    if not power:
+        return None
+    digits = ratio_digits if analysis.request.scale.is_log else lambda _: 3
+    rows = tuple(
+        (term, *(significant(row.detectable, digits(row.detectable)) for row in rows_of_term))
+        for term, rows_of_term in power.items()
+    )
+    counts = (str(row.n) for row in next(iter(power.values())))
+    unit = analysis.data.block or "replicates a cell"
+    return Table(f"Detectable (power 80 %), by {unit}", ("Term", *counts), rows)
+
+
+def unit_sentences(analysis: AnalysisResult) -> tuple[str, ...]:
+    """Say what the analysis by units claims, and what one by rows would have; empty without."""
+    nested = analysis.data.nested
+    return () if nested is None else tuple(strata.sentences(nested, analysis.request.alpha))
+
+
+def _by_units(nested: NestedUnits) -> Table:
+    return Table.of(
+        f"What {nested.rows} 'independent' rows would have claimed",
+        nested.terms,
+        {
+            "Term": lambda t: t.term,
+            f"F ({nested.unit} as the replicate)": lambda t: (
+                f"F({t.df[0]:g}, {t.df[1]:g}) = {t.f:.4g}"
+            ),
+            "p": lambda t: p_value(t.p),
+            "F (every row)": lambda t: f"F({t.naive_df[0]:g}, {t.naive_df[1]:g}) = {t.naive_f:.4g}",
+            "p (every row)": lambda t: p_value(t.naive_p),
+        },
+    )
+
+
+def mixed_blocks(model: MixedModel, response: str, alpha: float) -> Iterator[Block | None]:
+    """Variance components, tests, slopes, means, effects and contrasts."""
+    import pandas as pd
+
+    ends = f"{100 * (1 - alpha):.4g} % interval"
+    yield Table.of(
+        f"Scatter by source (REML, {model.rows} rows)",
+        model.components,
+        {
+            "Source": lambda c: c.source,
+            "standard deviation": lambda c: significant(c.sd, 4),
+            ends: lambda c: (
+                f"{significant(c.low, 4)} to "
+                + ("unknown" if math.isinf(c.high) else significant(c.high, 4))
+            ),
+            "share of the variance": lambda c: f"{100 * c.share:.0f} %",
+        },
+    )
+    yield Table.of(
+        "Tests of the fixed terms (Kenward and Roger)",
+        model.terms,
+        {
+            "Term": lambda term: term.term,
+            "DF": lambda term: str(term.df),
+            "F": lambda term: f"{term.f:.2f}",
+            "DF of error": lambda term: f"{term.df_error:.1f}",
+            "p": lambda term: p_value(term.p),
+        },
+    )
+    yield Table.of(
+        "Slopes",
+        model.slopes,
+        {
+            "Covariate": lambda slope: slope.covariate,
+            "change for each unit": lambda slope: significant(slope.value, 4),
+            ends: lambda slope: interval(slope.low, slope.high),
+        },
+    )
+    item = Facts(ResponseAnalysis(response, ""), response, "", model.effects)
+    if model.effects:
+        yield from effect_blocks(item, ReportData("table", "", {}, pd.DataFrame(), alpha=alpha))
+    if model.contrasts:
+        asked = contrast_table(model.contrasts, item, alpha)
+        yield replace(asked, name="Differences that were asked for")
 
 
 # Checks that follow from the analysis: outcome, finding, and what it means for the reader.

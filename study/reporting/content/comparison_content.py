@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 
-from study.reporting.content.content_table import Table, over_numerical, size, size_interval
+from study.reporting.content.blocks import Table
+from study.reporting.content.effect_words import over_numerical, size, size_interval
 from study.reporting.content.numbers import MISSING, level, p_value
 from study.reporting.content.report_facts import Facts
 from study.reporting.content.text import clean, count, listing, name_of, sentence, term_name
 from study.reporting.results import study_answers
-from study.reporting.results.study_answers import Beside, Change, Conclusion, Found, OnlyInOne
+from study.reporting.results.study_answers import Beside, Change, Conclusion, OnlyInOne
 from study.reporting.results.study_result import ResponseAnalysis
 from study.statistics.analysis.anova_table import Effect
 from study.statistics.analysis.simple_effects import CANNOT_TELL, MATTERS
@@ -96,7 +98,7 @@ def _interactions(rows: Sequence[Conclusion], labels: Labels) -> str:
 
 def _strong(row: Conclusion) -> bool:
     """Whether an interaction deserves a sentence: it matters in one, or the studies differ."""
-    return not row.is_main and any(conclusion.verdict == MATTERS for conclusion in row.found)
+    return not row.is_main and any(effect.strength == MATTERS for effect in row.effects)
 
 
 def _both(matter: Sequence[Conclusion], small: Sequence[Conclusion], labels: Labels) -> str:
@@ -114,16 +116,15 @@ def _term(row: Conclusion, labels: Labels) -> str:
 
 
 def _sizes(row: Conclusion) -> str:
-    first, second = (effect_of(row, conclusion) for conclusion in row.found)
     facts = facts_of(row)
-    return f"{size(first, facts)} and {size(second, facts)}"
+    return " and ".join(size(effect, facts) for effect in row.effects)
 
 
 def _lead(row: Conclusion) -> str:
     """Say which level leads in both, or that a tie leaves it open."""
-    if not row.is_main or not row.found[0].best:
+    if not row.is_main or not row.best[0]:
         return ""
-    best = [clean(conclusion.best) for conclusion in row.found]
+    best = [clean(level) for level in row.best]
     if best[0] == best[1]:
         return f", {row.end} with {best[0]} in both"
     return f", {row.end} with {best[0]} and {best[1]}, which lie within what matters"
@@ -133,25 +134,14 @@ def _how(row: Conclusion, comparison: Beside) -> str:
     """Verdict and size under each study."""
     facts = facts_of(row)
     parts = []
-    for name, side in zip(comparison.names, row.found, strict=True):
-        number = size(effect_of(row, side), facts)
+    for name, effect, best in zip(comparison.names, row.effects, row.best, strict=True):
+        number = size(effect, facts)
         number = "" if number == MISSING else number
-        lead = f"{row.end} with {clean(side.best)}" if row.same_best is False else ""
-        why = clean(side.why) if side.verdict == CANNOT_TELL else ""
+        lead = f"{row.end} with {clean(best)}" if row.same_best is False else ""
+        why = clean(effect.why) if effect.strength == CANNOT_TELL else ""
         details = ", ".join(part for part in (number, lead, why) if part)
-        parts.append(f"{side.verdict} under {clean(name)}{f' ({details})' if details else ''}")
+        parts.append(f"{effect.strength} under {clean(name)}{f' ({details})' if details else ''}")
     return ", ".join(parts)
-
-
-def effect_of(row: Conclusion, conclusion: Found) -> Effect:
-    """Effect of one study, as the words of a report want it."""
-    low, high = conclusion.low, conclusion.high
-    ends = None if low is None or high is None else (low, high)
-    return Effect(
-        row.term, (), (), ends, conclusion.effect, conclusion.verdict,
-        "ratio" if row.ratio else "difference", practical=conclusion.practical, p=conclusion.p,
-        u_num=conclusion.u_num, effect_over_u_num=conclusion.over_u_num, why=conclusion.why,
-    )  # fmt: skip
 
 
 def facts_of(row: Conclusion) -> Facts:
@@ -200,18 +190,23 @@ def _by_response(rows: Iterable[Conclusion]) -> dict[str, list[Conclusion]]:
 
 def changes(comparison: Beside) -> Table:
     """Return the inputs that differ, the first thing to read."""
-    rows = tuple(
-        (clean(c.key, LONGEST), *(clean(_absent(c) if v is None else v, LONGEST) for v in c.values))
-        for c in comparison.changes
+    return Table.of(
+        "changes",
+        comparison.changes,
+        {
+            "input": lambda c: clean(c.key, LONGEST),
+            clean(comparison.names[0]): lambda c: clean(_value(c, 0), LONGEST),
+            clean(comparison.names[1]): lambda c: clean(_value(c, 1), LONGEST),
+        },
+        left=3,
+        raw=lambda c: {"kind": c.kind, "input": c.key, "first": c.values[0], "second": c.values[1]},
     )
-    raw = tuple(
-        {"kind": c.kind, "input": c.key, "first": c.values[0], "second": c.values[1]}
-        for c in comparison.changes
-    )
-    return Table("changes", ("input", *map(clean, comparison.names)), rows, 3, raw=raw)
 
 
-def _absent(change: Change) -> str:
+def _value(change: Change, study: int) -> str:
+    value = change.values[study]
+    if value is not None:
+        return value
     return "not set" if change.kind in ("design", "truth") else "none"
 
 
@@ -256,59 +251,48 @@ def quiet_lines(comparison: Beside, labels: Labels = None) -> tuple[tuple[str, s
     return tuple((title, line) for title, line in lines if line)
 
 
-def short(row: Conclusion) -> str:
-    """Conclusion without what the verdicts beside it say."""
-    return row.conclusion.partition(":")[0]
+Side = tuple[Conclusion, str, Effect, str]
+
+
+def _sides(rows: Iterable[Conclusion], comparison: Beside) -> Iterator[Side]:
+    """Give every conclusion twice: with the name, the effect and the leading level of a study."""
+    for row in rows:
+        for name, effect, best in zip(comparison.names, row.effects, row.best, strict=True):
+            yield row, name, effect, best
 
 
 def table(comparison: Beside, labels: Labels = None) -> Table:
     """Two rows a term, one for each study; grouped by response."""
-    rows, raw = [], []
-    for group in _by_response(comparison.conclusions).values():
-        for row in shown(group):
-            rows += list(_lines(row, comparison, labels))
-        raw += [line for row in group for line in _raw(row, comparison)]
+    groups = _by_response(comparison.conclusions).values()
     first, other = map(level, comparison.alphas)
-    ends = f"{first} interval" if first == other else f"interval ({first}; {other})"
-    columns = ("response", "factor", "in both", "study", "verdict", "largest difference",
-               ends, "effect / u_num", "p", "leading level")  # fmt: skip
-    return Table("beside", columns, tuple(rows), 5, 1, raw=tuple(raw), grouped=True)
+    columns: dict[str, Callable[[Side], str]] = {
+        "response": lambda of: response_of(of[0], labels),
+        "factor": lambda of: _term(of[0], labels),
+        "in both": lambda of: of[0].conclusion.partition(":")[0],
+        "study": lambda of: clean(of[1]),
+        "verdict": lambda of: of[2].strength or CANNOT_TELL,
+        "largest difference": lambda of: size(of[2], facts_of(of[0])),
+        f"{first} interval" if first == other else f"interval ({first}; {other})": lambda of: (
+            size_interval(of[2], facts_of(of[0]))
+        ),
+        "effect / u_num": lambda of: over_numerical(of[2]),
+        "p": lambda of: p_value(of[2].p),
+        "leading level": lambda of: (
+            f"{clean(of[3])} ({of[0].end})" if of[3] and of[2].strength == MATTERS else MISSING
+        ),
+    }
+    main = _sides((row for group in groups for row in shown(group)), comparison)
+    made = Table.of("beside", main, columns, left=5, tail=1)
+    every = _sides((row for group in groups for row in group), comparison)
+    return replace(made, raw=tuple(map(_raw, every)), grouped=True)
 
 
-def _lines(row: Conclusion, comparison: Beside, labels: Labels) -> Iterator[tuple[str, ...]]:
-    facts = facts_of(row)
-    for name, side in zip(comparison.names, row.found, strict=True):
-        effect = effect_of(row, side)
-        yield (
-            response_of(row, labels),
-            _term(row, labels),
-            short(row),
-            clean(name),
-            side.verdict if side.verdict else CANNOT_TELL,
-            size(effect, facts),
-            size_interval(effect, facts),
-            over_numerical(effect),
-            p_value(side.p),
-            f"{clean(side.best)} ({row.end})" if side.best and side.verdict == MATTERS else MISSING,
-        )
-
-
-def _raw(row: Conclusion, comparison: Beside) -> Iterator[dict[str, object]]:
-    for name, side in zip(comparison.names, row.found, strict=True):
-        yield {
-            "response": row.response,
-            "factor": row.term,
-            "conclusion": row.conclusion,
-            "study": name,
-            "verdict": side.verdict,
-            "effect": side.effect,
-            "low": side.low,
-            "high": side.high,
-            "practical": side.practical,
-            "u_num": side.u_num,
-            "effect_over_u_num": side.over_u_num,
-            "p": side.p,
-            "end": row.end,
-            "best": side.best,
-            "scale": "ratio" if row.ratio else "difference",
-        }
+def _raw(of: Side) -> dict[str, object]:
+    row, name, effect, best = of
+    return {
+        "response": row.response, "factor": row.term, "conclusion": row.conclusion, "study": name,
+        "verdict": effect.strength, "effect": effect.range, "low": effect.low, "high": effect.high,
+        "practical": effect.practical, "u_num": effect.u_num,
+        "effect_over_u_num": effect.effect_over_u_num, "p": effect.p, "end": row.end, "best": best,
+        "scale": "ratio" if row.ratio else "difference",
+    }  # fmt: skip

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from study.reporting.content import (
     comparison_content,
-    content_table,
+    effect_words,
     recommendation,
     sentences,
     surface_content,
@@ -50,8 +50,8 @@ def short_answer(data: ReportData, all_facts: Sequence[Facts]) -> tuple[str, ...
         recommendation.best_cell(data, all_facts)
         if any(f.response.better for f in analyzed)
         else "",
-        *content_table.unknowns(data, all_facts),
-        *content_table.by_condition(data, all_facts),
+        *effect_words.unknowns(data, all_facts),
+        *effect_words.by_condition(data, all_facts),
         sentences.interactions(data, all_facts),
     )
     return in_few(ranked)

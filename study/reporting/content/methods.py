@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from markupsafe import Markup, escape
 
 from study.reporting.content import surface_content
-from study.reporting.content.content_table import practical
+from study.reporting.content.effect_words import practical
 from study.reporting.content.numbers import TIMES, level
 from study.reporting.content.report_facts import Facts, grouped_inputs
 from study.reporting.content.text import clean, count, listing, name_of, plural_of, sentence

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 MINUS = "\N{MINUS SIGN}"
 TIMES = "\N{MULTIPLICATION SIGN}"
@@ -55,6 +56,16 @@ def p_phrase(p: float | None) -> str:
     return f"p {text}" if text[0] in "<>" else f"p = {text}"
 
 
+def general(value: float | None, digits: int = 4) -> str:
+    """Write a number to a precision, without zeros at its end; a dash for none."""
+    return "-" if value is None else f"{value:.{digits}g}"
+
+
+def between(ends: Sequence[float | None] | None, digits: int = 5) -> str:
+    """Write both ends of an interval to a precision; a dash for none."""
+    return "-" if ends is None else " to ".join(general(end, digits) for end in ends)
+
+
 def quantity(value: float | None, unit: str = "", digits: int = 3) -> str:
     """Write a number with its unit, kept together by a space that does not break."""
     number = significant(value, digits)
@@ -84,13 +95,24 @@ def level(alpha: float) -> str:
 
 
 def interval(low: float | None, high: float | None, unit: str = "", digits: int = 3) -> str:
-    """Write a confidence interval, both ends with the decimals of the larger one."""
+    """Write a confidence interval, both ends with the decimals of the larger one.
+
+    Ends that would look alike get as many more digits as tell them apart, at most eight in all.
+
+    Examples
+    --------
+    >>> interval(1.4336, 1.4341), interval(9.96, 9.999)
+    ('1.4336 to 1.4341', '9.960 to 9.999')
+    """
     if low is None or high is None or not (math.isfinite(low) and math.isfinite(high)):
         return MISSING
     largest = max(abs(low), abs(high))
     if largest == 0 or not 1e-3 <= largest < 1e5:
-        return f"{significant(low, digits)} to {quantity(high, unit, digits)}"
-    ends = [_fixed(end, _decimals(largest, digits)) for end in (low, high)]
+        ends = [significant(low, digits), significant(high, digits)]
+    else:
+        ends = [_fixed(end, _decimals(largest, digits)) for end in (low, high)]
+    if ends[0] == ends[1] and low != high and digits < 8:
+        return interval(low, high, unit, digits + 1)
     return f"{ends[0]} to {ends[1]}" + (f"{THIN}{unit}" if unit else "")
 
 
@@ -203,12 +225,6 @@ def ratio_digits(value: float | None) -> int:
         return 3
     away = abs(value - 1)
     return 3 if away >= 0.05 else 4 if away >= 0.005 else 5
-
-
-def ratio(value: float | None) -> str:
-    """Write a ratio with a multiplication sign; ``1.0004`` keeps the digits that differ from 1."""
-    text = significant(value, ratio_digits(value))
-    return text if text == MISSING else f"{TIMES}{THIN}{text}"
 
 
 def duration(seconds: float | None) -> str:

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from study.harness.record.record import cell_names
-from study.reporting.content import content_table, surface_content
-from study.reporting.content.content_table import size, size_interval
+from study.reporting.content import effect_words, surface_content
+from study.reporting.content.effect_words import size, size_interval
 from study.reporting.content.numbers import (
     THIN,
     decimals_that_count,
@@ -59,7 +59,7 @@ def best_cell(data: ReportData, all_facts: Sequence[Facts]) -> str:
     for facts in all_facts:
         if facts.response.better not in ("lower", "higher"):
             continue
-        if content_table.factors_of(data, content_table.CONDITION, content_table.UNKNOWN):
+        if effect_words.factors_of(data, effect_words.CONDITION, effect_words.UNKNOWN):
             return _best_choice(data, facts)
         ranked = groups(data, facts)
         if not ranked:
@@ -77,26 +77,26 @@ def best_cell(data: ReportData, all_facts: Sequence[Facts]) -> str:
 
 def _best_choice(data: ReportData, facts: Facts) -> str:
     """Name the best combination of the choices, at each setting of the conditions."""
-    chosen = content_table.factors_of(data, content_table.CHOICE)
+    chosen = effect_words.factors_of(data, effect_words.CHOICE)
     if not chosen:
         return "No factor is a choice, so nothing is recommended; the effects are what counts."
     last = facts.response.better == "higher"
     best: dict[str, list[str]] = {}
     ties = []
-    for setting in content_table.settings(data):
-        frame = cells(content_table.at(data, setting), facts.name, chosen)
+    for setting in effect_words.settings(data):
+        frame = cells(effect_words.at(data, setting), facts.name, chosen)
         if frame.empty:
             continue
         row = frame.iloc[-1 if last else 0]
         limit = practical_of(facts, frame)
         ties.append(int((abs(frame["mean"] - row["mean"]) <= limit).sum()) - 1)
         mean = quantity(float(row["mean"]), facts.unit)
-        where = f"{content_table.named(setting, data)} ({mean})" if setting else mean
+        where = f"{effect_words.named(setting, data)} ({mean})" if setting else mean
         best.setdefault(listing([clean(row[name]) for name in chosen]), []).append(where)
-    over = [name_of(n, data.labels) for n in content_table.factors_of(data, content_table.UNKNOWN)]
+    over = [name_of(n, data.labels) for n in effect_words.factors_of(data, effect_words.UNKNOWN)]
     mean_of = f", averaged over {listing(over)}" if over else ""
     word = "highest" if last else "lowest"
-    if not content_table.settings(data)[0]:
+    if not effect_words.settings(data)[0]:
         named, (mean,) = next(iter(best.items()))
         tie = f"; {_within(ties[0], facts, data)}" if ties[0] else ""
         return sentence(f"the {word} {facts.title} is {mean}, with {named}{mean_of}{tie}")
@@ -106,7 +106,7 @@ def _best_choice(data: ReportData, facts: Facts) -> str:
 
 def _within(others: int, facts: Facts, data: ReportData) -> str:
     """Say how many other combinations are as good in practice."""
-    chosen = content_table.factors_of(data, content_table.CHOICE)
+    chosen = effect_words.factors_of(data, effect_words.CHOICE)
     frame = cells(data, facts.name, chosen)
     limit = f"{practical_of(facts, frame):.3g}{THIN}{facts.difference_unit}"
     every = "all the others" if others == len(frame) - 1 else count(others, "other combination")
@@ -176,13 +176,13 @@ def recommendation(data: ReportData, facts: Facts) -> str:
 
     Units: data s.
     """
-    chosen = content_table.factors_of(data, content_table.CHOICE)
+    chosen = effect_words.factors_of(data, effect_words.CHOICE)
     if not chosen:
         return "No factor is a choice, so nothing is recommended."
     by_setting: dict[str, list[str]] = {}
-    for setting in content_table.settings(data):
-        text = _recommended(content_table.at(data, setting), facts, chosen)
-        by_setting.setdefault(text, []).append(content_table.named(setting, data))
+    for setting in effect_words.settings(data):
+        text = _recommended(effect_words.at(data, setting), facts, chosen)
+        by_setting.setdefault(text, []).append(effect_words.named(setting, data))
     return " ".join(
         sentence(f"at {listing(where)}: {text}" if where[0] else text)
         for text, where in by_setting.items()

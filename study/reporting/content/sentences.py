@@ -10,8 +10,8 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from study.reporting.content import content_table, recommendation, surface_content
-from study.reporting.content.content_table import change, shown_difference, size
+from study.reporting.content import effect_words, recommendation, surface_content
+from study.reporting.content.effect_words import change, shown_difference, size
 from study.reporting.content.numbers import MISSING, percent
 from study.reporting.content.report_facts import Facts
 from study.reporting.content.text import (
@@ -60,10 +60,10 @@ def answer(data: ReportData, all_facts: Sequence[Facts]) -> tuple[str, ...]:
     parts = (
         " ".join(text for text in first if text),
         without_verdict(all_facts),
-        *content_table.by_condition(data, all_facts),
+        *effect_words.by_condition(data, all_facts),
         _one_not_other(data, all_facts),
         recommendation.best_cell(data, all_facts),
-        *content_table.unknowns(data, all_facts),
+        *effect_words.unknowns(data, all_facts),
     )
     return tuple(text for text in parts if text)
 
@@ -106,7 +106,7 @@ def verdicts_of(data: ReportData, facts: Facts) -> str:
     named: dict[str, list[Effect]] = {
         MATTERS: [], NO_DIFFERENCE: [], NOT_RESOLVED: [], CANNOT_TELL: []
     }  # fmt: skip
-    chosen = [e for e in facts.effects if content_table.role(data, e.term) == content_table.CHOICE]
+    chosen = [e for e in facts.effects if effect_words.role(data, e.term) == effect_words.CHOICE]
     for effect in sorted(chosen, key=_magnitude, reverse=True):
         named.setdefault(effect.verdict, named[CANNOT_TELL]).append(effect)
     parts = []
@@ -152,7 +152,7 @@ def _to_reader(effect: Effect, facts: Facts, data: ReportData) -> str:
     if effect.lost_without:
         fragile = f"; not so if {blocks_needed(effect, facts)} is left out"
     if simple := sole_setting(effect):
-        number = shown_difference(content_table.apart(simple.difference, effect), effect, facts)
+        number = shown_difference(effect_words.apart(simple.difference, effect), effect, facts)
         at = setting(simple, data.labels)
         return f"{number} {at}; {size(effect, facts)} on average{fragile}"
     extremes = "" if effect.is_ratio else " between extremes"
@@ -172,7 +172,7 @@ def _one_not_other(data: ReportData, all_facts: Sequence[Facts]) -> str:
     by_factor: dict[str, dict[str, Effect]] = {}
     for facts in all_facts:
         for effect in facts.effects:
-            if content_table.role(data, effect.term) != content_table.CHOICE:
+            if effect_words.role(data, effect.term) != effect_words.CHOICE:
                 continue
             by_factor.setdefault(effect.term, {})[facts.name] = effect
     titles = {facts.name: facts for facts in all_facts}
@@ -223,7 +223,7 @@ def _no_interaction(data: ReportData, all_facts: Sequence[Facts]) -> str:
         e
         for facts in all_facts
         for e in facts.effects
-        if content_table.role(data, e.term) == content_table.CHOICE
+        if effect_words.role(data, e.term) == effect_words.CHOICE
     ]
     together = {_label(e, data) for e in every_factor if not _may_be_chosen_alone(e)}
     if not together:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from study.reporting.content.content_table import Table
+from study.reporting.content.blocks import Block, Heading, Sentence, Table, Verbatim
 from study.reporting.content.numbers import (
     MISSING,
+    TIMES,
+    between,
+    general,
     interval,
     p_phrase,
     p_value,
@@ -16,16 +19,17 @@ from study.reporting.content.numbers import (
     significant,
 )
 from study.reporting.content.text import clean, count, listing, name_of, sentence
-from study.statistics.analysis.simple_effects import MATTERS, NO_DIFFERENCE
+from study.statistics.analysis.simple_effects import CANNOT_TELL, MATTERS, NO_DIFFERENCE
 from study.statistics.surfaces.emulator import Emulator
 from study.statistics.surfaces.quadratic import QuadraticSurface
 from study.statistics.surfaces.surface_profile import profiles, strongest
 
 if TYPE_CHECKING:
+    from study.reporting.results.study_answers import Confirmed, Inverted, Recommendation
     from study.reporting.results.study_result import ReportData
+    from study.statistics.surfaces.quadratic import SurfaceTerm
     from study.statistics.surfaces.surface_factors import Extreme
     from study.statistics.surfaces.surface_profile import FittedSurface
-    from study.statistics.surfaces.surface_propagation import InputShare
     from study.statistics.surfaces.surface_result import Sensitivity, SurfaceAnalysis
 
 
@@ -87,30 +91,25 @@ def table(one: FittedSurface, data: ReportData) -> Table | None:
     told = one.uncertain
     if told is None:
         return None
-    rows = tuple(
-        (
-            clean(name_of(item.name, data.labels)),
-            clean(one.inputs.get(item.name, "")),
-            *_shares(item),
-            quantity(item.halved, clean(one.unit)),
-            percent(told.gain(item)),
-        )
-        for item in told.inputs
-    )
-    columns = ("input", "distribution", "share alone", "share in all", "sd if halved", "gain")
     note = (
         f"Standard deviation of the response now: {quantity(told.sd.value, clean(one.unit))}. "
         "Shares of its variance by the input alone and with all its interactions. Gain: part of "
         "the standard deviation that goes when the input is known twice as well."
     )
-    name = " ".join(("uncertain", one.response, *one.labels.values()))
-    return Table(name, columns, rows, 2, 0, note)
-
-
-def _shares(item: InputShare) -> tuple[str, str]:
-    if item.index is None:
-        return MISSING, MISSING
-    return percent(item.index.first), percent(item.index.total)
+    return Table.of(
+        " ".join(("uncertain", one.response, *one.labels.values())),
+        told.inputs,
+        {
+            "input": lambda item: clean(name_of(item.name, data.labels)),
+            "distribution": lambda item: clean(one.inputs.get(item.name, "")),
+            "share alone": lambda item: percent(None if item.index is None else item.index.first),
+            "share in all": lambda item: percent(None if item.index is None else item.index.total),
+            "sd if halved": lambda item: quantity(item.halved, clean(one.unit)),
+            "gain": lambda item: percent(told.gain(item)),
+        },
+        left=2,
+        note=note,
+    )
 
 
 def title(one: FittedSurface, data: ReportData) -> str:
@@ -288,23 +287,33 @@ def sensitivity(one: FittedSurface, data: ReportData) -> Table | None:
     found = one.found
     if found is None or all(i.index is None and i.range is None for i in found.sensitivity):
         return None
-    items = sorted(found.sensitivity, key=lambda item: item.rank)
-    rows = tuple(_sensitivity_row(item, one, data) for item in items)
-    columns = ("factor", "share alone", "share in all", "range", "bound", "verdict")
-    moved = (
+    unit = clean(one.unit)
+    columns: dict[str, Callable[[Sensitivity], str]] = {
+        "factor": lambda item: clean(name_of(item.factor, data.labels)),
+        "share alone": lambda item: (
+            MISSING if item.index is None else _share(item.index.first, item.index.first_interval)
+        ),
+        "share in all": lambda item: (
+            MISSING if item.index is None else _share(item.index.total, item.index.total_interval)
+        ),
+        "range": lambda item: quantity(None if item.range is None else item.range.value, unit),
+        "bound": lambda item: quantity(None if item.range is None else item.range.bound, unit, 2),
+        "verdict": lambda item: CANNOT_TELL if item.range is None else item.range.told,
+    }
+    note = (
         "Range: 95 % of the settings of the other factors change the response by less along this "
         "one."
     )
     if found.kind == "quadratic":
-        short = tuple((row[0], *row[3:]) for row in rows)
-        heads = (columns[0], *columns[3:])
-        return Table(_table_name("sensitivity", one), heads, short, 1, 1, moved)
-    note = (
-        "Shares of the variance of the response when every factor is uniform over its range: by "
-        "the factor alone (first-order Sobol index) and with all its interactions (total index), "
-        f"each with an interval of about 95 %. {moved}"
-    )
-    return Table(_table_name("sensitivity", one), columns, rows, 1, 1, note)
+        del columns["share alone"], columns["share in all"]
+    else:
+        note = (
+            "Shares of the variance of the response when every factor is uniform over its range: "
+            "by the factor alone (first-order Sobol index) and with all its interactions (total "
+            f"index), each with an interval of about 95 %. {note}"
+        )
+    ranked = sorted(found.sensitivity, key=lambda item: item.rank)
+    return Table.of(_table_name("sensitivity", one), ranked, columns, tail=1, note=note)
 
 
 def coefficients(one: FittedSurface, data: ReportData) -> Table | None:
@@ -312,28 +321,19 @@ def coefficients(one: FittedSurface, data: ReportData) -> Table | None:
     model = None if one.found is None else one.found.model
     if not isinstance(model, QuadraticSurface):
         return None
-    judged = model.error != "none"
-    unit = clean(one.unit)
-    rows = tuple(
-        (
-            clean(" \N{MULTIPLICATION SIGN} ".join(_term(t.term, data))),
-            quantity(t.coefficient, unit, 4),
-            *(
-                (
-                    MISSING if t.interval is None else interval(*t.interval),
-                    MISSING if t.p is None else p_value(t.p),
-                )
-                if judged
-                else ()
-            ),
-        )
-        for t in model.terms
-    )
-    columns = ("term", "coefficient", *(("95 % interval", "p") if judged else ()))
+    columns: dict[str, Callable[[SurfaceTerm], str]] = {
+        "term": lambda t: clean(
+            f" {TIMES} ".join(name_of(part.strip(), data.labels) for part in t.term.split(":"))
+        ),
+        "coefficient": lambda t: quantity(t.coefficient, clean(one.unit), 4),
+    }
     note = "Every factor runs from \N{MINUS SIGN}1 at its lower end to 1 at its upper end."
-    if not judged:
+    if model.error == "none":
         note += " No p: a simulation without scatter has misfit, not noise."
-    return Table(_table_name("coefficients", one), columns, rows, 1, 0, note)
+    else:
+        columns["95 % interval"] = lambda t: interval(*(t.interval or (None, None)))
+        columns["p"] = lambda t: p_value(t.p)
+    return Table.of(_table_name("coefficients", one), model.terms, columns, note=note)
 
 
 def _answer(one: FittedSurface, data: ReportData) -> str:
@@ -397,18 +397,6 @@ def _judged(one: FittedSurface, data: ReportData) -> str:
     )
 
 
-def _sensitivity_row(item: Sensitivity, one: FittedSurface, data: ReportData) -> tuple[str, ...]:
-    index, effect, unit = item.index, item.range, clean(one.unit)
-    shares = (MISSING, MISSING) if index is None else (
-        _share(index.first, index.first_interval), _share(index.total, index.total_interval)
-    )  # fmt: skip
-    moved = (MISSING, MISSING, "cannot tell") if effect is None else (
-        quantity(effect.value, unit), quantity(effect.bound, unit, 2),
-        effect.told,
-    )  # fmt: skip
-    return (clean(name_of(item.factor, data.labels)), *shares, *moved)
-
-
 def _share(value: float, ends: tuple[float, float]) -> str:
     low, high = (max(0.0, min(1.0, end)) for end in ends)
     return f"{percent(max(value, 0.0))} [{percent(low)}, {percent(high)}]"
@@ -421,13 +409,146 @@ def _extreme(extreme: Extreme, one: FittedSurface) -> str:
     return f"{value} \N{PLUS-MINUS SIGN} {significant(extreme.half_width, 2)}"
 
 
-def _term(term: str, data: ReportData) -> Sequence[str]:
-    return [name_of(part.strip(), data.labels) for part in term.split(":")]
-
-
 def _table_name(kind: str, one: FittedSurface) -> str:
     return " ".join((kind, one.response, *one.labels.values()))
 
 
 def _q2(value: float) -> str:
     return f"{value:.3f}" if value < 0.9995 else "above 0.999"
+
+
+# Surfaces as a terminal shows them, and what optimize, invert and predict answer.
+
+
+def surface_blocks(data: ReportData) -> Iterator[Block | None]:
+    """Surfaces of a study or a table as their page shows them."""
+    for fitted in data.surfaces:
+        if fitted.found is None:
+            continue
+        yield Heading(title(fitted, data))
+        yield coefficients(fitted, data)
+        yield sensitivity(fitted, data)
+        if isinstance(model := fitted.found.model, QuadraticSurface):
+            for name, test in model.factor_tests.items():
+                ratio = f"F({test.df:.3g}, {test.df_error:.3g}) = {test.f:.3g}"
+                yield Verbatim(f"all terms of {name}: {ratio}, {p_phrase(test.p)}")
+        yield from map(Sentence, surface_lines(fitted, data))
+        yield table(fitted, data)
+
+
+def recommendation_blocks(recommendations: Sequence[Recommendation]) -> Iterator[Block]:
+    """Give the best settings, what is predicted there, and the runs that confirm them."""
+    for number, recommended in enumerate(recommendations):
+        if number:
+            yield Verbatim("")
+        yield from _recommendation(recommended)
+
+
+def _recommendation(recommended: Recommendation) -> Iterator[Block]:
+    word = "smallest" if recommended.goal == "minimize" else "largest"
+    unit = f" {recommended.unit}" if recommended.unit else ""
+    ends = f"{general(recommended.low, 3)} to {general(recommended.high, 3)}"
+    yield Verbatim(
+        f"{word} {recommended.response}: {general(recommended.value, 3)}{unit}, 95 % interval "
+        f"{ends}{unit}"
+    )
+    yield Table.of(
+        "",
+        recommended.settings.items(),
+        {
+            "Choice": lambda of: of[0],
+            "Best setting": lambda of: _setting(of[1], recommended.units.get(of[0], "")),
+            "": lambda of: "at an end of what was run" if of[0] in recommended.at_end else "",
+        },
+    )
+    if held := _settings(recommended.held, recommended.units):
+        yield Verbatim(f"held, not recommended: {held}")
+    if recommended.bounds:
+        yield from _limits(recommended)
+    if (spread := recommended.spread) is not None:
+        kept = f"; the limits hold at {100 * spread.kept:.0f} % of them"
+        yield Sentence(
+            f"over what was run of the inputs that are not chosen, {recommended.response} there "
+            f"goes from {spread.low:.3g} to {spread.high:.3g}{unit}"
+            f"{kept if recommended.bounds else ''}"
+        )
+    for at, value in recommended.rivals:
+        yield Verbatim(f"best with {_settings(at, recommended.units)}: {value:.3g}{unit}")
+    if recommended.confirmed is not None:
+        yield from _confirmed(recommended, recommended.confirmed)
+
+
+def _limits(recommended: Recommendation) -> Iterator[Block]:
+    yield Table.of(
+        "",
+        list(zip(recommended.bounds, recommended.limited, strict=True)),
+        {
+            "Limit": lambda of: of[0].words,
+            "Predicted": lambda of: general(of[1][0], 3),
+            "95 % interval": lambda of: between(of[1][1:], 3),
+        },
+    )
+    if recommended.assurance == "predicted":
+        yield Sentence(
+            "the limits hold for the prediction, not at the unfavourable end of its interval: no "
+            "setting keeps them there"
+        )
+
+
+def _confirmed(recommended: Recommendation, run: Confirmed) -> Iterator[Block]:
+    ends = [(recommended.low, recommended.high), *(one[1:] for one in recommended.limited)]
+    yield Table.of(
+        "",
+        [(name, value, pair) for (name, value), pair in zip(run.values.items(), ends, strict=True)],
+        {
+            "True model": lambda of: of[0],
+            "Run": lambda of: general(of[1]),
+            "Predicted interval": lambda of: between(of[2], 4),
+        },
+    )
+    inside = "inside of" if run.predicted else "outside of"
+    limits = "" if not recommended.bounds else "; limits kept" if run.kept else "; limits not kept"
+    yield Verbatim(f"the confirming run lies {inside} the predicted interval{limits}")
+
+
+def inversion_blocks(inverted: Inverted) -> Iterator[Block]:
+    """Tabulate inputs that agree, what of them is determined, and the true model's runs."""
+    yield Table.of(
+        "",
+        inverted.inputs,
+        {
+            "Input": lambda item: item.name,
+            "Best": lambda item: _setting(item.best, item.unit),
+            "Settings that agree": lambda item: (
+                f"{between((item.low, item.high), 4)} {item.unit}".strip()
+            ),
+            "": lambda item: item.verdict,
+        },
+    )
+    yield Sentence(inverted.sentence)
+    for product in inverted.combinations:
+        within = 100 * (product.ratio - 1)
+        yield Verbatim(f"{product.words} = {product.value:.4g}, within {within:.2g} %")
+    if held := _settings(inverted.held, inverted.units):
+        yield Verbatim(f"known: {held}")
+    yield Verbatim(
+        f"best curve: misses {inverted.rms:.3g} N rms ({100 * inverted.relative:.3g} %) over "
+        f"{inverted.rows} rows; a curve agrees up to {inverted.limit:.3g} N"
+    )
+    yield Table.of(
+        "",
+        () if inverted.best_run is None else (inverted.best_run, *inverted.end_runs),
+        {
+            "True model at": lambda run: ", ".join(f"{n} = {v}" for n, v in run.settings.items()),
+            "Misses [N]": lambda run: general(run.rms, 3),
+            "Agrees": lambda run: "yes" if run.agrees else "no",
+        },
+    )
+
+
+def _settings(settings: Mapping[str, float | str], units: Mapping[str, str]) -> str:
+    return ", ".join(f"{n} = {_setting(v, units.get(n, ''))}" for n, v in settings.items())
+
+
+def _setting(value: float | str, unit: str) -> str:
+    return value if isinstance(value, str) else f"{value:.4g} {unit}".strip()

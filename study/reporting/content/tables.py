@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import fields
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import fields, replace
 from typing import TYPE_CHECKING
 
 from study.ground.canonical import plain
-from study.harness.record.document import PlateFitDocument
 from study.reporting.content import sentences
-from study.reporting.content.content_table import Table, practical, size, size_interval
-from study.reporting.content.content_table import numerical as u_num_of
+from study.reporting.content.blocks import Table
+from study.reporting.content.effect_words import numerical as u_num_of
+from study.reporting.content.effect_words import practical, size, size_interval
 from study.reporting.content.numbers import (
     MINUS,
     MISSING,
@@ -19,6 +19,7 @@ from study.reporting.content.numbers import (
     f_value,
     interval,
     level,
+    p_phrase,
     p_value,
     quantity,
     share,
@@ -27,14 +28,14 @@ from study.reporting.content.numbers import (
 from study.reporting.content.report_facts import Facts, cells, is_effect
 from study.reporting.content.text import clean, count, listing, name_of, plural_of, term_name
 from study.reporting.content.verdicts import told
-from study.reporting.results.study_result import ANY, FittedConstant, MarkedCase, ReportData
+from study.reporting.results.study_result import ANY, FittedConstant, ReportData
 from study.statistics.analysis.anova_table import Row
 from study.statistics.convergence.grid_convergence import NumericalUncertainty
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.reporting.results.study_result import Retried
+    from study.reporting.results.study_result import Failure, Retried
     from study.statistics.analysis.failures import FailurePattern, FailureRule, FailureTest
 
 
@@ -64,19 +65,12 @@ def fits(data: ReportData) -> Table:
     groups: dict[tuple[str, str], list[FittedConstant]] = {}
     for fit in sorted(data.fits, key=lambda fit: (fit_rank(fit.levels, data), fit.constant)):
         groups.setdefault((fit_name(fit, data), clean(fit.constant)), []).append(fit)
-    rows = [(*key, *_summary(items)) for key, items in groups.items()]
-    raw = tuple(_raw_fit(fit) for fit in data.fits)
     columns = (
-        "fit",
-        "constant",
-        "median",
-        "range over fits",
-        "standard error",
-        "correlation",
-        "residual (RMS)",
-        "identifiable",
-    )
-    return Table("fits", columns, tuple(rows), 2, 0, raw=raw, grouped=True)
+        "fit", "constant", "median", "range over fits", "standard error", "correlation",
+        "residual (RMS)", "identifiable",
+    )  # fmt: skip
+    rows = tuple((*key, *_summary(items)) for key, items in groups.items())
+    return Table("fits", columns, rows, 2, raw=tuple(map(_raw_fit, data.fits)), grouped=True)
 
 
 def _raw_fit(fit: FittedConstant) -> dict[str, object]:
@@ -126,31 +120,26 @@ def every_fit(data: ReportData) -> Table:
 
     Units: data N.
     """
-    rows = tuple(
-        (
-            fit_name(fit, data),
-            clean(fit.constant),
-            clean(fit.block),
-            clean(fit.specimen) or MISSING,
-            quantity(fit.value, fit.unit),
-            interval(fit.low, fit.high, fit.unit),
-            quantity(fit.residual_N, "N", 2),
-            ("yes" if fit.identifiable else "no")
-            + (f": {clean(fit.reason, 160)}" if fit.reason else ""),
-        )
-        for fit in sorted(data.fits, key=lambda fit: fit_rank(fit.levels, data))
+    made = Table.of(
+        "every-fit",
+        sorted(data.fits, key=lambda fit: fit_rank(fit.levels, data)),
+        {
+            "fit": lambda fit: fit_name(fit, data),
+            "constant": lambda fit: clean(fit.constant),
+            data.block or "block": lambda fit: clean(fit.block),
+            "specimen": lambda fit: clean(fit.specimen) or MISSING,
+            "value": lambda fit: quantity(fit.value, fit.unit),
+            "95 % interval": lambda fit: interval(fit.low, fit.high, fit.unit),
+            "residual (RMS)": lambda fit: quantity(fit.residual_N, "N", 2),
+            "identifiable": lambda fit: (
+                ("yes" if fit.identifiable else "no")
+                + (f": {clean(fit.reason, 160)}" if fit.reason else "")
+            ),
+        },
+        left=4,
+        tail=1,
     )
-    columns = (
-        "fit",
-        "constant",
-        data.block or "block",
-        "specimen",
-        "value",
-        "95 % interval",
-        "residual (RMS)",
-        "identifiable",
-    )
-    return Table("every-fit", columns, rows, 4, 1, grouped=True)
+    return replace(made, grouped=True)
 
 
 # Every case beside its record: where the mean of a cell comes from.
@@ -215,105 +204,93 @@ _NOTE = (
 
 def verdicts(all_facts: Sequence[Facts], data: ReportData) -> Table:
     """One row a factor and response, and interactions that are not negligible."""
-    rows: list[tuple[str, ...]] = []
-    raw: list[dict[str, object]] = []
-    for facts in all_facts:
-        strong = [e for e in facts.interactions if e.strength == "matters"]
-        for effect in (*facts.effects, *strong):
-            rows.append(
-                (
-                    facts.title,
-                    term_name(effect.term, data.labels),
-                    told(effect),
-                    size(effect, facts),
-                    size_interval(effect, facts),
-                    practical(effect, facts),
-                    u_num_of(effect, facts),
-                    p_value(effect.p),
-                    p_value(effect.p_holm),
+    judged = [
+        (facts, effect)
+        for facts in all_facts
+        for effect in (
+            *facts.effects, *(e for e in facts.interactions if e.strength == "matters")
+        )
+    ]  # fmt: skip
+    made = Table.of(
+        "verdicts",
+        judged,
+        {
+            "response": lambda of: of[0].title,
+            "factor": lambda of: term_name(of[1].term, data.labels),
+            "verdict": lambda of: told(of[1]),
+            "largest difference": lambda of: size(of[1], of[0]),
+            f"{level(data.alpha)} interval".replace(THIN, " "): lambda of: size_interval(
+                of[1], of[0]
+            ),
+            "matters from": lambda of: practical(of[1], of[0]),
+            "U": lambda of: u_num_of(of[1], of[0]),
+            "p": lambda of: p_value(of[1].p),
+            "p (Holm)": lambda of: p_value(of[1].p_holm),
+        },
+        left=3,
+        note=sentences.numerical(all_facts),
+        raw=lambda of: {
+            "response": of[0].name,
+            "factor": of[1].term,
+            "verdict": told(of[1]),
+            "effect": of[1].range,
+            **{
+                name: getattr(of[1], name)
+                for name in (
+                    "low", "high", "practical", "u_num", "effect_over_u_num", "p", "p_holm",
                 )
-            )
-            raw.append(
-                {
-                    "response": facts.name,
-                    "factor": effect.term,
-                    "verdict": told(effect),
-                    "effect": effect.range,
-                    "low": effect.low,
-                    "high": effect.high,
-                    "practical": effect.practical,
-                    "u_num": effect.u_num,
-                    "effect_over_u_num": effect.effect_over_u_num,
-                    "p": effect.p,
-                    "p_holm": effect.p_holm,
-                    "scale": "ratio" if effect.is_ratio else "difference",
-                }
-            )
+            },
+            "scale": "ratio" if of[1].is_ratio else "difference",
+        },
+    )  # fmt: skip
+    return replace(made, raw=(*made.raw, *_surface_verdicts(data)))
+
+
+def _surface_verdicts(data: ReportData) -> Iterator[dict[str, object]]:
+    """Unrounded verdicts over numeric factors, which the page shows with their surfaces."""
     for one, row in ((surface, row) for surface in data.surfaces for row in surface.verdicts):
         ends = row["ci95"] if isinstance(row["ci95"], list) else [None, None]
-        raw.append(
-            {
-                "response": row["response"],
-                "factor": row["factor"],
-                "verdict": row["verdict"],
-                "effect": row["effect"],
-                "low": ends[0],
-                "high": ends[1],
-                "practical": row["practical"],
-                "u_num": row["u_num"],
-                "scale": "range",
-                "at": ", ".join(f"{name}={level}" for name, level in one.labels.items()),
-            }
-        )
-    columns = (
-        "response",
-        "factor",
-        "verdict",
-        "largest difference",
-        f"{level(data.alpha)} interval".replace(THIN, " "),
-        "matters from",
-        "U",
-        "p",
-        "p (Holm)",
-    )
-    return Table("verdicts", columns, tuple(rows), 3, 0, sentences.numerical(all_facts), tuple(raw))
+        yield {
+            **{name: row[name] for name in ("response", "factor", "verdict", "effect")},
+            "low": ends[0],
+            "high": ends[1],
+            "practical": row["practical"],
+            "u_num": row["u_num"],
+            "scale": "range",
+            "at": ", ".join(f"{name}={level}" for name, level in one.labels.items()),
+        }
 
 
 def anova(facts: Facts, data: ReportData) -> Table:
     """Return the ANOVA table of the effects; error strata stand in :func:`strata`."""
     effects = [row for row in facts.rows if is_effect(row, list(data.factors))]
-    corrected = any(row.epsilon_gg is not None for row in effects)
     tested = any(row.f is not None for row in effects)
-    columns = ["term", "df"]
+    columns: dict[str, Callable[[Row], str]] = {
+        "term": lambda row: term_name(row.term, data.labels),
+        "df": lambda row: (
+            f"{row.df:g}" if row.df_error is None else f"{row.df:g}, {row.df_error:g}"
+        ),
+    }
     if tested:
-        columns += ["F", "p"] + (["GG epsilon", "p corrected"] if corrected else [])
-        columns += ["omega squared", "partial eta squared"]
+        columns |= {"F": lambda row: f_value(row.f), "p": lambda row: p_value(row.p)}
+        if any(row.epsilon_gg is not None for row in effects):
+            columns["GG epsilon"] = lambda row: _fixed(row.epsilon_gg)
+            columns["p corrected"] = lambda row: p_value(row.p_deciding)
+        columns["omega squared"] = lambda row: _fixed(row.omega_sq, 3)
+        columns["partial eta squared"] = _partial_eta
     else:
-        columns += ["sum of squares"] + (["p (Lenth)"] if facts.lenth else [])
-    columns.append("share")
-    rows = []
-    for row in effects:
-        cell = [
-            term_name(row.term, data.labels),
-            f"{row.df:g}" + (f", {row.df_error:g}" if row.df_error is not None else ""),
-        ]
-        if tested:
-            cell += [f_value(row.f), p_value(row.p)]
-            if corrected:
-                cell += [_fixed(row.epsilon_gg), p_value(row.p_deciding)]
-            text = _fixed(row.partial_eta_sq, 3)
-            ends = row.partial_eta_sq_ci95
-            cell += [
-                _fixed(row.omega_sq, 3),
-                f"{text} ({interval(ends[0], ends[1])})" if ends else text,
-            ]
-        else:
-            cell += [significant(row.ss)]
-            cell += [p_value(row.p)] if facts.lenth else []
-        rows.append((*cell, share(row.share) if row.df else MISSING))
+        columns["sum of squares"] = lambda row: significant(row.ss)
+        if facts.lenth:
+            columns["p (Lenth)"] = lambda row: p_value(row.p)
+    columns["share"] = lambda row: share(row.share) if row.df else MISSING
     note = " ".join(_anova_notes(effects, data, tested))
-    raw = tuple(plain(row) for row in facts.rows)
-    return Table(f"{facts.name}-anova", tuple(columns), tuple(rows), 1, 0, note, raw)
+    made = Table.of(f"{facts.name}-anova", effects, columns, note=note)
+    return replace(made, raw=tuple(map(plain, facts.rows)))
+
+
+def _partial_eta(row: Row) -> str:
+    text, ends = _fixed(row.partial_eta_sq, 3), row.partial_eta_sq_ci95
+    return f"{text} ({interval(*ends)})" if ends else text
 
 
 def _anova_notes(effects: Sequence[Row], data: ReportData, tested: bool) -> Iterator[str]:
@@ -339,19 +316,17 @@ def _anova_notes(effects: Sequence[Row], data: ReportData, tested: bool) -> Iter
 def strata(facts: Facts, data: ReportData) -> Table:
     """Rows of the ANOVA table that are blocks or error."""
     names = {**data.labels, "block": data.labels.get("block", data.block or "block")}
-    rows = tuple(
-        (
-            term_name(row.term, names),
-            f"{row.df:g}",
-            significant(row.ss),
-            significant(row.ms),
-            share(row.share),
-        )
-        for row in facts.rows
-        if not is_effect(row, list(data.factors))
+    return Table.of(
+        f"{facts.name}-strata",
+        [row for row in facts.rows if not is_effect(row, list(data.factors))],
+        {
+            "stratum": lambda row: term_name(row.term, names),
+            "df": lambda row: f"{row.df:g}",
+            "sum of squares": lambda row: significant(row.ss),
+            "mean square": lambda row: significant(row.ms),
+            "share": lambda row: share(row.share),
+        },
     )
-    columns = ("stratum", "df", "sum of squares", "mean square", "share")
-    return Table(f"{facts.name}-strata", columns, rows)
 
 
 def _fixed(value: float | None, decimals: int = 2) -> str:
@@ -376,74 +351,60 @@ def matrix(data: ReportData, all_facts: Sequence[Facts]) -> Table:
         shown = [quantity(v, f.unit) for v, f in zip(values, listed, strict=True)]
         status = f"{done} of {len(group)}"
         rows.append((*(clean(level) for level in labels), status, *shown, duration(seconds)))
-        raw.append(
-            {
-                **dict(zip(factors, labels, strict=True)),
-                "converged": done,
-                "cases": len(group),
-                **dict(zip(means, values, strict=True)),
-                "seconds": seconds,
-            }
-        )
-    columns = (
-        *(name_of(f, data.labels) for f in factors),
-        "cases",
-        *(facts.title for facts in listed),
-        "mean time",
-    )
+        counts = {"converged": done, "cases": len(group)}
+        numbers = {**counts, **dict(zip(means, values, strict=True)), "seconds": seconds}
+        raw.append(dict(zip(factors, labels, strict=True)) | numbers)
+    named, titles = (name_of(f, data.labels) for f in factors), (facts.title for facts in listed)
+    columns = (*named, "cases", *titles, "mean time")
     return Table("cells", columns, tuple(rows), len(factors), raw=tuple(raw))
 
 
 def numerical(items: Sequence[NumericalUncertainty], data: ReportData) -> Table:
     """Numerical uncertainty of each kind of discretization."""
     names = list(dict.fromkeys(name for item in items for name in item.levels))
-    rows = tuple(
-        (
-            *(clean(item.levels.get(name, MISSING)) for name in names),
-            name_of(item.response, data.labels),
-            quantity(item.value, item.unit),
-            quantity(item.u_num, "pp" if item.unit == "%" else item.unit, 2),
-            clean(item.behaviour) or MISSING,
-            clean(item.note),
-        )
-        for item in items
+    columns: dict[str, Callable[[NumericalUncertainty], str]] = {
+        name_of(name, data.labels): lambda item, name=name: clean(item.levels.get(name, MISSING))  # type: ignore[misc]
+        for name in names
+    }
+    columns |= {
+        "response": lambda item: name_of(item.response, data.labels),
+        "value": lambda item: quantity(item.value, item.unit),
+        "u_num": lambda item: quantity(item.u_num, "pp" if item.unit == "%" else item.unit, 2),
+        "behavior": lambda item: clean(item.behaviour) or MISSING,
+        "how": lambda item: clean(item.note),
+    }
+    stored = ("response", "value", "u_num", "unit", "behaviour", "note")
+    return Table.of(
+        "numerical",
+        items,
+        columns,
+        left=len(names) + 1,
+        tail=2,
+        raw=lambda item: (
+            {name: item.levels.get(name) for name in names}
+            | {name: getattr(item, name) for name in stored}
+        ),
     )
-    raw = tuple(
-        {
-            **{name: item.levels.get(name) for name in names},
-            "response": item.response,
-            "value": item.value,
-            "u_num": item.u_num,
-            "unit": item.unit,
-            "behaviour": item.behaviour,
-            "note": item.note,
-        }
-        for item in items
-    )
-    columns = (
-        *(name_of(name, data.labels) for name in names),
-        "response",
-        "value",
-        "u_num",
-        "behavior",
-        "how",
-    )
-    return Table("numerical", columns, rows, len(names) + 1, 2, raw=raw)
+
+
+def _cell(item: Failure | Retried) -> str:
+    return " \N{MIDDLE DOT} ".join(clean(level) for level in item.levels.values())
 
 
 def failures(data: ReportData) -> Table:
     """Every failed case with what was said."""
-    rows = tuple(
-        (
-            clean(item.case_id, 16),
-            " \N{MIDDLE DOT} ".join(clean(level) for level in item.levels.values()),
-            clean(item.block) or MISSING,
-            clean(item.status),
-            clean(item.message, 400),
-        )
-        for item in data.failures
+    return Table.of(
+        "failures",
+        data.failures,
+        {
+            "case": lambda item: clean(item.case_id, 16),
+            "cell": _cell,
+            data.block or "block": lambda item: clean(item.block) or MISSING,
+            "status": lambda item: clean(item.status),
+            "message": lambda item: clean(item.message, 400),
+        },
+        left=5,
     )
-    return Table("failures", ("case", "cell", data.block or "block", "status", "message"), rows, 5)
 
 
 # Which settings fail: rules in words, then a test of every factor.
@@ -488,7 +449,7 @@ def _rule(rule: FailureRule, labels: Mapping[str, str]) -> str:
 
 def _blamed(pattern: FailurePattern, labels: Mapping[str, str]) -> str:
     blamed = [
-        f"{name_of(test.factor, labels)} (p {_p(test.p_holm)})"
+        f"{name_of(test.factor, labels)} ({p_phrase(test.p_holm)})"
         for test in pattern.tests
         if test.p_holm < _ALPHA
     ]
@@ -511,30 +472,28 @@ def _blamed(pattern: FailurePattern, labels: Mapping[str, str]) -> str:
 
 def tests(pattern: FailurePattern, labels: Mapping[str, str]) -> Table:
     """Test of every factor: failed cases by level, p, and p adjusted for their number."""
-    rows = tuple(
-        (name_of(test.factor, labels), _p(test.p), _p(test.p_holm), _levels(test), test.method)
-        for test in pattern.tests
+    made = Table.of(
+        "failure_tests",
+        pattern.tests,
+        {
+            "factor": lambda test: name_of(test.factor, labels),
+            "p": lambda test: p_value(test.p),
+            "p (Holm)": lambda test: p_value(test.p_holm),
+            "failed by level": _levels,
+            "method": lambda test: test.method,
+        },
+        tail=2,
+        note="Fisher's exact test of levels against failed and not failed (Freeman and Halton 1951 "
+        "for more than two levels), with Holm's adjustment. Cases of one cell mostly fail "
+        "together, so whole cells are permuted where a cell has several.",
     )
     raw = tuple(
-        {
-            "factor": test.factor,
-            "level": level,
-            "failed": bad,
-            "cases": total,
-            "p": test.p,
-            "p_holm": test.p_holm,
-            "method": test.method,
-        }
+        {"factor": test.factor, "level": level, "failed": bad, "cases": total, "p": test.p,
+         "p_holm": test.p_holm, "method": test.method}
         for test in pattern.tests
         for level, (bad, total) in test.counts.items()
-    )
-    note = (
-        "Fisher's exact test of levels against failed and not failed (Freeman and Halton 1951 for "
-        "more than two levels), with Holm's adjustment. Cases of one cell mostly fail together, so "
-        "whole cells are permuted where a cell has several."
-    )
-    columns = ("factor", "p", "p (Holm)", "failed by level", "method")
-    return Table("failure_tests", columns, rows, 1, 2, note, raw)
+    )  # fmt: skip
+    return replace(made, raw=raw)
 
 
 def retried_sentence(items: Sequence[Retried]) -> str:
@@ -552,19 +511,20 @@ def retried_sentence(items: Sequence[Retried]) -> str:
 
 def retried_table(items: Sequence[Retried], block: str) -> Table:
     """List every case whose settings are not those of the design: why, what, and the outcome."""
-    rows = tuple(
-        (
-            clean(item.case_id, 16),
-            " \N{MIDDLE DOT} ".join(clean(level) for level in item.levels.values()),
-            clean(item.block) or MISSING,
-            "; then ".join(f"{clean(n['cause'])}: {clean(n['message'], 200)}" for n in item.notes),
-            "; ".join(clean(n["what"]) for n in item.notes),
-            clean(item.status),
-        )
-        for item in items
-    )
-    return Table(
-        "retried", ("case", "cell", block or "block", "failed", "changed", "outcome"), rows, 6
+    return Table.of(
+        "retried",
+        items,
+        {
+            "case": lambda item: clean(item.case_id, 16),
+            "cell": _cell,
+            block or "block": lambda item: clean(item.block) or MISSING,
+            "failed": lambda item: "; then ".join(
+                f"{clean(n['cause'])}: {clean(n['message'], 200)}" for n in item.notes
+            ),
+            "changed": lambda item: "; ".join(clean(n["what"]) for n in item.notes),
+            "outcome": lambda item: clean(item.status),
+        },
+        left=6,
     )
 
 
@@ -572,10 +532,6 @@ def _levels(test: FailureTest) -> str:
     shares = sorted(test.counts.items(), key=lambda item: -item[1][0] / item[1][1])
     shown = [f"{clean(level)}: {bad:,} of {total:,}" for level, (bad, total) in shares[:_LISTED]]
     return "; ".join([*shown, *(["\N{HORIZONTAL ELLIPSIS}"] if len(shares) > _LISTED else [])])
-
-
-def _p(value: float) -> str:
-    return "< 0.001" if value < 0.001 else f"{value:.3f}"
 
 
 # Tables of markers inside a specimen: errors beside the motion of the plate that leaves them.
@@ -589,45 +545,41 @@ def marker_errors(data: ReportData) -> Table:
 
     Units: data mm.
     """
-    shown = sorted(data.markers, key=lambda case: fit_rank(case.levels, data))
-    rows = tuple(_row(case, fit) for case in shown for fit in case.fits)
-    raw = tuple(
-        {
-            **case.levels,
-            "state": case.state,
-            "plate": fit["plate"],
-            "fitted": fit["fitted"],
-            "markers": fit["markers"],
-            "error_mm": fit["error_mm"],
-            "floor_mm": case.floor_mm,
-            **{f"{name}_{end}": v for name, pair in fit["motion"].items()
-               for end, v in zip(("value", "standard_error"), pair, strict=True)},
-            **{f"layer_{name}_mm": v for name, v in fit["error_by_layer_mm"].items()},
-        }
-        for case in shown
+    shown = [
+        (case, fit)
+        for case in sorted(data.markers, key=lambda case: fit_rank(case.levels, data))
         for fit in case.fits
+    ]
+    made = Table.of(
+        "marker-errors",
+        shown,
+        {
+            "cell": lambda of: " \N{MIDDLE DOT} ".join(map(clean, of[0].levels.values())),
+            "state": lambda of: clean(of[0].state),
+            "plate": lambda of: _PLATES.get(of[1]["plate"], clean(of[1]["plate"])),
+            "told by": lambda of: clean(of[1]["fitted"]),
+            "markers": lambda of: f"{of[1]['markers']}",
+            "RMS error": lambda of: quantity(of[1]["error_mm"], "mm"),
+            "floor": lambda of: quantity(of[0].floor_mm, "mm"),
+            "down, x, y (mm)": lambda of: _values(of[1]["motion"], ("down", "x", "y")),
+            "tilts, twist (deg)": lambda of: _values(
+                of[1]["motion"], ("tilt_x", "tilt_y", "twist")
+            ),
+            "spread (%)": lambda of: _values(of[1]["motion"], ("spread",)),
+        },
+        left=4,
+        tail=3,
+        raw=lambda of: {
+            **of[0].levels,
+            "state": of[0].state,
+            **{name: of[1][name] for name in ("plate", "fitted", "markers", "error_mm")},
+            "floor_mm": of[0].floor_mm,
+            **{f"{name}_{end}": v for name, pair in of[1]["motion"].items()
+               for end, v in zip(("value", "standard_error"), pair, strict=True)},
+            **{f"layer_{name}_mm": v for name, v in of[1]["error_by_layer_mm"].items()},
+        },
     )  # fmt: skip
-    columns = (
-        "cell", "state", "plate", "told by", "markers", "RMS error", "floor",
-        "down, x, y (mm)", "tilts, twist (deg)", "spread (%)",
-    )  # fmt: skip
-    return Table("marker-errors", columns, rows, 4, 3, raw=raw, grouped=True)
-
-
-def _row(case: MarkedCase, fit: PlateFitDocument) -> tuple[str, ...]:
-    motion = fit["motion"]
-    return (
-        " \N{MIDDLE DOT} ".join(clean(level) for level in case.levels.values()),
-        clean(case.state),
-        _PLATES.get(fit["plate"], clean(fit["plate"])),
-        f"{clean(fit['fitted'])}",
-        f"{fit['markers']}",
-        quantity(fit["error_mm"], "mm"),
-        quantity(case.floor_mm, "mm"),
-        _values(motion, ("down", "x", "y")),
-        _values(motion, ("tilt_x", "tilt_y", "twist")),
-        _values(motion, ("spread",)),
-    )
+    return replace(made, grouped=True)
 
 
 def _values(motion: dict[str, list[float | None]], names: tuple[str, ...]) -> str:

@@ -6,8 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 
 from study.harness.design.spec import Expected
-from study.reporting.content.content_table import (
-    Table,
+from study.reporting.content.blocks import Table
+from study.reporting.content.effect_words import (
     bound,
     decimals,
     numerical,

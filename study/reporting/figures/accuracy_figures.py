@@ -231,7 +231,7 @@ def reference_points(reference: ReferenceResult) -> pd.DataFrame:
     return frame
 
 
-def draw_reference(frame: pd.DataFrame, reference: ReferenceResult) -> Canvas:
+def draw_reference(frame: pd.DataFrame) -> Canvas:
     """Draw residuals over the workspace, and errors pose by pose."""
     import seaborn as sns
 

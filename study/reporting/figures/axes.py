@@ -51,17 +51,9 @@ def name_rows(
         lines = name.split("\n")
         for number, line in enumerate(lines):
             higher = 1.2 * fontsize * ((len(lines) - 1) / 2 - number)
-            ax.annotate(
-                line,
-                (0, place),
-                xycoords=ax.get_yaxis_transform(),
-                xytext=(-3.5, higher),
-                textcoords="offset points",
-                ha="right",
-                va="center_baseline",
-                fontsize=fontsize,
-                annotation_clip=False,
-            )
+            edge = {"xycoords": ax.get_yaxis_transform(), "annotation_clip": False}
+            look = {"ha": "right", "va": "center_baseline", "fontsize": fontsize} | edge
+            note(ax, line, (0, place), (-3.5, higher), **look)
 
 
 def plain_ticks(ax: Axes, axis: str) -> None:
@@ -113,19 +105,37 @@ def log_ticks(ax: Axes, axis: str, label: Callable[[float], str] = "{:g}".format
     (ax.xaxis if axis == "x" else ax.yaxis).set_minor_formatter(NullFormatter())
 
 
+def note(
+    ax: Axes, words: str, at: tuple[float, float], shift: tuple[float, float], **look: Any
+) -> None:
+    """Write small words beside a place, shifted by points."""
+    look.setdefault("fontsize", 7.5)
+    ax.annotate(words, at, xytext=shift, textcoords="offset points", **look)
+
+
 def at_right(ax: Axes, words: str, height: float, color: str | None = None) -> None:
     """Write outside the right edge of axes."""
-    ax.annotate(
-        words,
-        (1.0, height),
-        xytext=(4, 0),
-        xycoords=ax.get_yaxis_transform(),
-        textcoords="offset points",
-        va="center",
-        fontsize=7.5,
-        annotation_clip=False,
-        color=color,
-    )
+    edge = {"xycoords": ax.get_yaxis_transform(), "annotation_clip": False}
+    note(ax, words, (1.0, height), (4, 0), va="center", color=color, **edge)
+
+
+def above(ax: Axes, words: str, x: float, **look: Any) -> None:
+    """Write small words on the upper edge of axes."""
+    usual = {"ha": "center", "va": "bottom", "fontsize": 7.5, "color": MUTED}
+    ax.text(x, 1.0, words, transform=ax.get_xaxis_transform(), **{**usual, **look})
+
+
+def panels(
+    number: int, columns: int, height_in: float, pad_in: float = 0.5, **shared: Any
+) -> tuple[Canvas, list[Axes]]:
+    """Return a figure of panels in rows, all of one size; places that are left over stay empty."""
+    columns = min(columns, number)
+    rows = -(-number // columns)
+    figure = canvas(WIDTH_IN, pad_in + height_in * rows)
+    axes = figure.subplots(rows, columns, squeeze=False, **shared).ravel()
+    for ax in axes[number:]:
+        ax.set_visible(False)
+    return figure, list(axes[:number])
 
 
 def clean_left(ax: Axes) -> None:

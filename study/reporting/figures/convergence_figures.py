@@ -5,14 +5,14 @@ Everything comes as plain values: a series is the document that ``study converge
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from study.ground.arrays import Array
-from study.reporting.content.content_table import Table
+from study.reporting.content.blocks import Document, Table
 from study.reporting.content.numbers import MISSING, percent, significant
 from study.reporting.content.text import clean, count, name_of
 from study.reporting.figures.axes import (
@@ -25,6 +25,7 @@ from study.reporting.figures.axes import (
     canvas,
     color_of,
     log_ticks,
+    panels,
     plain_ticks,
     wrap,
 )
@@ -35,11 +36,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as Canvas
 
 
-Document = Mapping[str, Any]
-
 #: more panels than these are no picture any more; the table has them all
-MOST_CONVERGENCE_PANELS = 12
-CONVERGENCE_COLUMNS = 4
+MOST_PANELS = 12
+COLUMNS = 4
 
 
 def label_of(cell: Document) -> str:
@@ -85,19 +84,14 @@ def _titles(cells: Sequence[Document]) -> list[str]:
 
 def draw_values(frame: pd.DataFrame) -> Canvas:
     """Draw value against mesh size, a panel a cell: fit, limit at zero, interval at the finest."""
-    groups = list(frame.groupby("cell", sort=False))[:MOST_CONVERGENCE_PANELS]
-    columns = min(CONVERGENCE_COLUMNS, len(groups))
-    rows = -(-len(groups) // columns)
-    figure = canvas(WIDTH_IN, 0.5 + 2.1 * rows)
-    axes = np.atleast_1d(figure.subplots(rows, columns, squeeze=False)).ravel()
+    groups = list(frame.groupby("cell", sort=False))[:MOST_PANELS]
+    figure, axes = panels(len(groups), COLUMNS, 2.1)
     several = len(set(frame["quantity"])) > 1
-    for ax, (_, part) in zip(axes, groups, strict=False):
+    for ax, (_, part) in zip(axes, groups, strict=True):
         _value_panel(ax, part)
         ax.set_title(wrap(part["panel"].iloc[0], 30, 90), fontsize=7.5)
         if several:
             ax.set_ylabel(wrap(_axis(part), 24), fontsize=7.5)
-    for ax in axes[len(groups) :]:
-        ax.set_visible(False)
     figure.supxlabel("mesh size (mm)", fontsize=8.5)
     if not several:
         figure.supylabel(_axis(frame), fontsize=8.5)
@@ -214,11 +208,8 @@ def draw_meshes(meshes: Sequence[tuple[str, Array, NDArray[np.int64]]], window: 
     """
     from matplotlib.collections import PolyCollection
 
-    columns = min(CONVERGENCE_COLUMNS, len(meshes))
-    rows = -(-len(meshes) // columns)
-    figure = canvas(WIDTH_IN, 0.4 + 2.3 * rows)
-    axes = np.atleast_1d(figure.subplots(rows, columns, squeeze=False)).ravel()
-    for ax, (label, points, cells) in zip(axes, meshes, strict=False):
+    figure, axes = panels(len(meshes), COLUMNS, 2.3, 0.4)
+    for ax, (label, points, cells) in zip(axes, meshes, strict=True):
         corners = points[cells]
         low, high = corners.min(axis=1), corners.max(axis=1)
         near = cells[np.asarray(((high > window[0]) & (low < window[1])).all(axis=1))]
@@ -230,8 +221,6 @@ def draw_meshes(meshes: Sequence[tuple[str, Array, NDArray[np.int64]]], window: 
         ax.set_ylim(window[0, 1], window[1, 1])
         ax.set_aspect("equal")
         ax.set_title(wrap(label, 34), fontsize=7.5)
-    for ax in axes[len(meshes) :]:
-        ax.set_visible(False)
     figure.supxlabel("distance from the axis (mm)", fontsize=8.5)
     return figure
 
@@ -258,7 +247,7 @@ def value_caption(cells: Sequence[Document]) -> str:
     text = f"{len(good)} of {len(cells)} series have an interval"
     if shares:
         text += f"; the widest is {percent(max(shares), 2)} of its value"
-    left = len(cells) - MOST_CONVERGENCE_PANELS
+    left = len(cells) - MOST_PANELS
     more = f" {left} more series stand in the table." if left > 0 else ""
     return (
         f"{text}. Points: meshes; line and diamond: power law and its limit; bar: interval of the "
@@ -278,22 +267,13 @@ def error_caption(cells: Sequence[Document]) -> str:
 
 # Comparison of simulation and measurement: E and u_val along the curve (ASME V&V 20).
 
-Row = Mapping[str, Any]
-MOST_VALIDATION_PANELS = 12
-VALIDATION_COLUMNS = 4
 
-
-def validation_label(row: Row) -> str:
+def validation_label(row: Document) -> str:
     """Name of a cell: its levels."""
     return " / ".join(str(v) for v in row["levels"].values()) or "all"
 
 
-def first_block(rows: Sequence[Row]) -> list[Row]:
-    """Rows of the first block, which stand for the others in the figure."""
-    return [row for row in rows if row["block"] == rows[0]["block"]]
-
-
-def validation_error_points(rows: Sequence[Row]) -> pd.DataFrame:
+def validation_error_points(rows: Sequence[Document]) -> pd.DataFrame:
     """One row a place of a curve: E and each part of its uncertainty."""
     import pandas as pd
 
@@ -310,27 +290,21 @@ def validation_error_points(rows: Sequence[Row]) -> pd.DataFrame:
 
 def draw_validation_errors(frame: pd.DataFrame) -> Canvas:
     """Draw E along the curve on the band of u_val, a panel a cell, on shared axes."""
-    groups = list(frame.groupby("cell", sort=False))[:MOST_VALIDATION_PANELS]
-    columns = min(VALIDATION_COLUMNS, len(groups))
-    count = -(-len(groups) // columns)
-    figure = canvas(WIDTH_IN, 0.5 + 1.9 * count)
-    panels = figure.subplots(count, columns, squeeze=False, sharex=True, sharey=True)
-    axes = np.atleast_1d(panels).ravel()
-    for ax, (cell, part) in zip(axes, groups, strict=False):
+    groups = list(frame.groupby("cell", sort=False))[:MOST_PANELS]
+    figure, axes = panels(len(groups), COLUMNS, 1.9, sharex=True, sharey=True)
+    for ax, (cell, part) in zip(axes, groups, strict=True):
         d, u = part["displacement_mm"], part["u_val_N"]
         ax.fill_between(d, -u, u, color=BAND, linewidth=0)
         ax.axhline(0.0, color=MUTED, linewidth=0.6)
         ax.plot(d, part["error_N"], color=color_of(0))
         plain_ticks(ax, "y")
         ax.set_title(wrap(cell, 30), fontsize=7.5)
-    for ax in axes[len(groups) :]:
-        ax.set_visible(False)
     figure.supxlabel("displacement (mm)", fontsize=8.5)
     figure.supylabel("simulated minus measured force (N)", fontsize=8.5)
     return figure
 
 
-def caption(rows: Sequence[Row]) -> str:
+def caption(rows: Sequence[Document]) -> str:
     """State in how many cells the model's error shows, and what is not known."""
     judged = [row for row in rows if row["u_val_N"][-1] > 0]
     beyond = sum(abs(row["error_N"][-1]) > row["u_val_N"][-1] for row in judged)
@@ -349,7 +323,7 @@ def _unjudged(cells: int) -> str:
     return f"; {count(cells, 'cell')} without a known one" if cells else ""
 
 
-def table(rows: Sequence[Row], block: str) -> Table:
+def table(rows: Sequence[Document], block: str) -> Table:
     """Compare every case at the end of its curve."""
     shown = tuple(
         (

@@ -22,6 +22,7 @@ from study.reporting.figures.axes import (
     WIDTH_IN,
     canvas,
     color_of,
+    panels,
     plain_ticks,
     render,
     word_color_of,
@@ -135,15 +136,11 @@ def draw_recordings(frame: pd.DataFrame) -> Canvas:
     Columns of the frame: test, line, far, hard, branch, set_aside, far_name, hard_name.
     """
     titles = list(dict.fromkeys(frame["test"]))[:_MOST]
-    columns = min(_COLUMNS, len(titles))
-    lines = -(-len(titles) // columns)
-    figure = canvas(WIDTH_IN if columns > 1 else 0.6 * WIDTH_IN, 0.3 + 2.6 * lines)
-    panels = figure.subplots(lines, columns, squeeze=False)
-    for place, ax in enumerate(panels.ravel()):
-        if place >= len(titles):
-            ax.set_axis_off()
-            continue
-        _recording_panel(ax, frame[frame["test"] == titles[place]], titles[place])
+    figure, axes = panels(len(titles), _COLUMNS, 2.6, 0.3)
+    if len(titles) == 1:
+        figure.set_figwidth(0.6 * WIDTH_IN)
+    for ax, title in zip(axes, titles, strict=True):
+        _recording_panel(ax, frame[frame["test"] == title], title)
     return figure
 
 
@@ -176,17 +173,13 @@ def layer_points(data: ReportData) -> pd.DataFrame:
 
     rows = [
         {
-            "state": case.state,
-            "group": next(iter(case.levels.values()), "all"),
-            "cell": " / ".join(case.levels.values()),
-            "place": place,
-            "layer": layer,
-            "error_mm": error,
-            "floor_mm": case.floor_mm,
+            "state": case.state, "group": next(iter(case.levels.values()), "all"),
+            "cell": " / ".join(case.levels.values()), "place": place, "layer": layer,
+            "error_mm": error, "floor_mm": case.floor_mm,
         }
         for case in data.markers
         for place, (layer, error) in enumerate(_freest(case).items())
-    ]
+    ]  # fmt: skip
     if not rows:
         raise ValueError("no marker has a layer")
     return pd.DataFrame(rows)
@@ -202,16 +195,14 @@ def _freest(case: MarkedCase) -> dict[str, float]:
 def draw_layers(frame: pd.DataFrame) -> Canvas:
     """Draw a panel a state: a line for each cell, colored by the first factor."""
     states = list(dict.fromkeys(frame["state"]))
-    figure = canvas(WIDTH_IN, 2.6)
-    panels = figure.subplots(1, len(states), squeeze=False, sharey=True)[0]
-    for ax, state in zip(panels, states, strict=True):
-        _marker_layers_panel(
-            ax, frame[frame["state"] == state], list(dict.fromkeys(frame["group"]))
-        )
+    figure, axes = panels(len(states), len(states), 2.6, 0.0, sharey=True)
+    groups = list(dict.fromkeys(frame["group"]))
+    for ax, state in zip(axes, states, strict=True):
+        _marker_layers_panel(ax, frame[frame["state"] == state], groups)
         ax.set_title(clean(state, 30), fontsize=8)
-    panels[0].set_ylabel("RMS error of markers (mm)", fontsize=8.5)
-    panels[0].legend(fontsize=6.5, frameon=False, loc="upper left")
-    panels[0].set_ylim(bottom=0.0)
+    axes[0].set_ylabel("RMS error of markers (mm)", fontsize=8.5)
+    axes[0].legend(fontsize=6.5, frameon=False, loc="upper left")
+    axes[0].set_ylim(bottom=0.0)
     figure.supxlabel("layer of markers, from the base up", fontsize=8.5)
     return figure
 
@@ -260,14 +251,8 @@ SAME_LENGTH = 1.5
 SAME_FORCE = 1e-6
 
 COLUMNS = (
-    "block",
-    "panel",
-    "line",
-    "displacement_mm",
-    "measured_N",
-    "predicted_N",
-    "scatter_N",
-)
+    "block", "panel", "line", "displacement_mm", "measured_N", "predicted_N", "scatter_N",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -302,13 +287,6 @@ class CurvePanels:
         """Whether the curves of all panels end at about the same displacement."""
         end = self.frame.groupby(["block", "panel"])["displacement_mm"].max()
         return bool(end.max() < SAME_LENGTH * end.min())
-
-
-def few_panels(data: ReportData) -> CurvePanels | None:
-    """One row of panels for the first page; None where all of them are no more than that."""
-    if len(curve_panels(data).panels) <= MOST_COLUMNS:
-        return None
-    return curve_panels(data, MOST_COLUMNS)
 
 
 def curve_panels(data: ReportData, most: int = MOST_PANELS) -> CurvePanels:
@@ -433,6 +411,8 @@ CHARACTER_IN = 0.6 * 7.5 / 72
 NAMES_IN = 1.35
 #: Distance of two names in points: 7 pt text.
 NAME_PT = 8.5
+#: Line from the end of a curve to its name.
+_LEADER = {"arrowstyle": "-", "color": MUTED, "linewidth": 0.4, "shrinkA": 0, "shrinkB": 0}
 #: Inches that a pair of axes is high, without its title.
 PAIR_IN = 1.85
 TITLE_LINE_IN = 0.125
@@ -526,15 +506,9 @@ def _grid(figure: Canvas, rows: int, columns: int, titles: float) -> list[tuple[
     """Pairs of axes in reading order, placed in inches: no layout engine has to measure text."""
     height = figure.get_figheight()
     outer = figure.add_gridspec(
-        rows,
-        columns,
-        left=0.62 / WIDTH_IN,
-        right=1 - NAMES_IN / WIDTH_IN,
-        top=1 - 0.62 / height,
-        bottom=0.48 / height,
-        wspace=0.1,
-        hspace=titles / (1 - titles),
-    )
+        rows, columns, left=0.62 / WIDTH_IN, right=1 - NAMES_IN / WIDTH_IN, top=1 - 0.62 / height,
+        bottom=0.48 / height, wspace=0.1, hspace=titles / (1 - titles),
+    )  # fmt: skip
     pairs: list[tuple[Axes, Axes]] = []
     for place in range(rows * columns):
         inner = outer[place // columns, place % columns].subgridspec(
@@ -582,14 +556,9 @@ def _measured(
         residual.fill_between(d, -s, s, color="#dde2e7", linewidth=0)
     ground = INK if filled else "#ffffff"
     force.plot(
-        d.iloc[::2],
-        measured.iloc[::2],
-        "o",
-        color=INK,
-        markersize=1.9,
-        markerfacecolor=ground,
+        d.iloc[::2], measured.iloc[::2], "o", color=INK, markersize=1.9, markerfacecolor=ground,
         markeredgewidth=0.5,
-    )
+    )  # fmt: skip
 
 
 def _ticks(force: Axes, residual: Axes, place: int, columns: int, panels: CurvePanels) -> None:
@@ -633,22 +602,10 @@ def _name_lines(
     heights = [height_pt * (gap / scale.gap + 1) / 2 for gap, *_ in ends]
     for (gap, d, index, name), at in zip(ends, spread(heights, NAME_PT), strict=True):
         residual.annotate(
-            clean(name, 24),
-            xy=(d, gap),
-            xytext=(1.09, at / height_pt),
-            textcoords="axes fraction",
-            fontsize=7,
-            va="center",
-            color=word_color_of(index),
-            annotation_clip=False,
-            arrowprops={
-                "arrowstyle": "-",
-                "color": MUTED,
-                "linewidth": 0.4,
-                "shrinkA": 0,
-                "shrinkB": 0,
-            },
-        )
+            clean(name, 24), xy=(d, gap), xytext=(1.09, at / height_pt), fontsize=7, va="center",
+            textcoords="axes fraction", color=word_color_of(index), annotation_clip=False,
+            arrowprops=_LEADER,
+        )  # fmt: skip
 
 
 def spread(heights: Sequence[float], distance: float) -> tuple[float, ...]:
@@ -691,14 +648,10 @@ def _legend(figure: Canvas, panels: CurvePanels) -> None:
     handles: list[Line2D | Patch] = [points]
     if panels.frame["scatter_N"].notna().any():
         handles.append(Patch(color="#c4cad1", label="standard deviation of the repeats"))
+    room = {"handlelength": 1.6, "columnspacing": 1.4, "borderaxespad": 0.2}
+    corner = (0.5 / WIDTH_IN, 1.0)
     figure.legend(
-        handles=handles,
-        loc="upper left",
-        bbox_to_anchor=(0.5 / WIDTH_IN, 1.0),
-        ncols=len(handles),
-        handlelength=1.6,
-        columnspacing=1.4,
-        borderaxespad=0.2,
+        handles=handles, loc="upper left", bbox_to_anchor=corner, ncols=len(handles), **room
     )
 
 
@@ -707,8 +660,6 @@ def _legend(figure: Canvas, panels: CurvePanels) -> None:
 
 def draw_curve(curve: Curve) -> Canvas:
     """Draw force against displacement from the unloaded origin, load steps as points."""
-    import numpy as np
-
     figure = canvas(0.6 * WIDTH_IN, 3.2)
     ax = figure.subplots()
     places = np.linspace(0.0, curve.displacement_mm[-1], 200)

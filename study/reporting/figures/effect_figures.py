@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.reporting.content.content_table import apart, shown_difference, size, size_interval
+from study.reporting.content.effect_words import apart, shown_difference, size, size_interval
 from study.reporting.content.numbers import level, quantity, significant
 from study.reporting.content.report_facts import Facts, cells, comparable, describe, groups
 from study.reporting.content.text import clean, name_of, term_name
@@ -22,11 +22,13 @@ from study.reporting.figures.axes import (
     RULE,
     WIDTH_IN,
     WORDS,
+    above,
     at_right,
     canvas,
     clean_left,
     color_of,
     name_rows,
+    note,
     plain_ticks,
     shown,
     word_color_of,
@@ -41,6 +43,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as Canvas
 
+
+#: how means are joined by lines
+_JOINED = {
+    "native_scale": True, "errorbar": None, "legend": False, "linewidth": 1.4,
+    "markeredgewidth": 1,
+}  # fmt: skip
 
 # Means of levels of every factor, beside the grand mean.
 
@@ -65,10 +73,10 @@ def grand_mean(data: ReportData, facts: Facts) -> float:
     return float(np.exp(np.log(means).mean()) if facts.ratio else means.mean())
 
 
-def draw_level_means(
-    frame: pd.DataFrame, facts: Facts, center: float, practical: float | None, data: ReportData
-) -> Canvas:
+def draw_level_means(frame: pd.DataFrame, facts: Facts, data: ReportData) -> Canvas:
     """Draw the main effects on one shared axis, grand mean and practical band behind."""
+    center = grand_mean(data, facts)
+    practical = next((e.practical for e in facts.effects if e.practical is not None), None)
     figure = canvas(WIDTH_IN, 3.5)
     ax = figure.subplots()
     if practical is not None:
@@ -81,24 +89,13 @@ def draw_level_means(
     placed = _connect_levels(ax, frame)
     for index, (factor, group) in enumerate(placed.groupby("factor", sort=False)):
         _number_points(ax, group["place"].tolist(), group["mean"].tolist())
-        ax.text(
-            float(group["place"].mean()),
-            1.02,
-            clean(name_of(str(factor), data.labels), 30),
-            transform=ax.get_xaxis_transform(),
-            ha="center",
-            fontweight="bold",
-            color=word_color_of(index),
-        )
+        name = clean(name_of(str(factor), data.labels), 30)
+        bold = {"fontweight": "bold", "color": word_color_of(index), "fontsize": 8.5}
+        above(ax, name, float(group["place"].mean()), **bold)
     names = [wrap(level, 12, 40) for level in frame["level"]]
     many = len(names) > 13
-    ax.set_xticks(
-        placed["place"],
-        names,
-        rotation=45 if many else 0,
-        ha="right" if many else "center",
-        fontsize=7.5 if len(names) < 9 else 7,
-    )
+    small, side = 7.5 if len(names) < 9 else 7, "right" if many else "center"
+    ax.set_xticks(placed["place"], names, rotation=45 if many else 0, ha=side, fontsize=small)
     ax.set_xlim(-0.7, float(placed["place"].iloc[-1]) + 0.7)
     ax.margins(y=0.2)
     plain_ticks(ax, "y")
@@ -114,19 +111,9 @@ def _connect_levels(ax: Axes, frame: pd.DataFrame) -> pd.DataFrame:
     factors = frame.groupby("factor", sort=False)
     # levels are 1 apart, and half a step more parts the factors
     placed = frame.assign(place=np.arange(len(frame)) + 0.5 * factors.ngroup())
+    colors = [color_of(index) for index in range(factors.ngroups)]
     sns.pointplot(
-        placed,
-        x="place",
-        y="mean",
-        hue="factor",
-        palette=[color_of(index) for index in range(factors.ngroups)],
-        native_scale=True,
-        errorbar=None,
-        legend=False,
-        linewidth=1.4,
-        markersize=5.5,
-        markeredgewidth=1,
-        ax=ax,
+        placed, x="place", y="mean", hue="factor", palette=colors, markersize=5.5, ax=ax, **_JOINED
     )
     return placed
 
@@ -134,15 +121,8 @@ def _connect_levels(ax: Axes, frame: pd.DataFrame) -> pd.DataFrame:
 def _number_points(ax: Axes, places: Sequence[float], means: Sequence[float]) -> None:
     """Write its number at the mean of every level of one factor."""
     for place, mean, side in zip(places, means, _sides(means), strict=True):
-        ax.annotate(
-            significant(mean),
-            (place, mean),
-            xytext=(0, 6 * side),
-            textcoords="offset points",
-            ha="center",
-            fontsize=7.5,
-            va="bottom" if side > 0 else "top",
-        )
+        va = "bottom" if side > 0 else "top"
+        note(ax, significant(mean), (place, mean), (0, 6 * side), ha="center", va=va)
 
 
 def _sides(means: Sequence[float]) -> list[int]:
@@ -194,16 +174,7 @@ def draw_cells(frame: pd.DataFrame, facts: Facts, practical: float) -> Canvas:
     if facts.response.better and practical > 0:
         sign = -1 if facts.response.better == "higher" else 1
         ax.axvspan(best, best + sign * practical, color=BAND, zorder=0)
-        ax.text(
-            best + sign * practical / 2,
-            1.0,
-            "as good as the best",
-            transform=ax.get_xaxis_transform(),
-            ha="center",
-            va="bottom",
-            fontsize=7.5,
-            color=MUTED,
-        )
+        above(ax, "as good as the best", best + sign * practical / 2)
     means = frame.drop_duplicates("rank")
     _mark_cells(ax, frame, means)
     for mean, place in zip(means["cell_mean"], means["rank"], strict=True):
@@ -222,44 +193,17 @@ def _mark_cells(ax: Axes, frame: pd.DataFrame, means: pd.DataFrame) -> None:
     import seaborn as sns
 
     if "block" in frame and 0 < frame["block"].nunique() <= 40:
+        thin = {"color": MUTED, "alpha": 0.28, "linewidth": 0.5}
         sns.lineplot(
-            frame,
-            x="value",
-            y="rank",
-            units="block",
-            estimator=None,
-            sort=False,
-            color=MUTED,
-            alpha=0.28,
-            linewidth=0.5,
-            ax=ax,
+            frame, x="value", y="rank", units="block", estimator=None, sort=False, ax=ax, **thin
         )
+    dots = {"color": "#56B4E9", "size": 3, "alpha": 0.8, "clip_on": False}
     sns.stripplot(
-        frame,
-        x="value",
-        y="rank",
-        orient="y",
-        native_scale=True,
-        jitter=False,
-        color="#56B4E9",
-        size=3,
-        clip_on=False,
-        alpha=0.8,
-        zorder=2.5,
-        ax=ax,
-    )
-    sns.scatterplot(
-        means,
-        x="cell_mean",
-        y="rank",
-        marker="D",
-        color=INK,
-        s=26,
-        linewidth=0,
-        zorder=3,
-        legend=False,
-        ax=ax,
-    )
+        frame, x="value", y="rank", orient="y", native_scale=True, jitter=False, zorder=2.5, ax=ax,
+        **dots,
+    )  # fmt: skip
+    diamonds = {"marker": "D", "color": INK, "s": 26, "linewidth": 0}
+    sns.scatterplot(means, x="cell_mean", y="rank", zorder=3, legend=False, ax=ax, **diamonds)
 
 
 # The interaction matrix: lines above the diagonal, cell means below.
@@ -282,10 +226,9 @@ def pair_means(data: ReportData, facts: Facts) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["factor", "level", "other", "other_level", "mean"])
 
 
-def draw_interactions(
-    frame: pd.DataFrame, facts: Facts, factors: Mapping[str, Sequence[str]], data: ReportData
-) -> Canvas:
+def draw_interactions(frame: pd.DataFrame, facts: Facts, data: ReportData) -> Canvas:
     """Draw a matrix: lines above the diagonal, the same means as numbers below it."""
+    factors = data.factors
     k = len(factors)
     figure = canvas(WIDTH_IN, 0.7 + 1.45 * k)
     axes = figure.subplots(k, k, squeeze=False)
@@ -321,19 +264,9 @@ def _diagonal(ax: Axes, name: str, levels: Sequence[str]) -> None:
     ax.text(0.02, top, clean(name, 22), fontweight="bold", va="center")
     for index, shown_level in enumerate(shown):
         y = top - step * (index + 1.2)
-        ax.plot(
-            [0.03, 0.17],
-            [y, y],
-            color=color_of(index),
-            linestyle=_dash(index),
-            marker=MARKERS[index % 7],
-            markersize=3.5,
-        )
+        look = {"color": color_of(index), "linestyle": DASHES[index % len(DASHES)]}
+        ax.plot([0.03, 0.17], [y, y], marker=MARKERS[index % 7], markersize=3.5, **look)
         ax.text(0.22, y, clean(shown_level, 24), va="center", fontsize=7.5)
-
-
-def _dash(index: int) -> Any:
-    return DASHES[index % len(DASHES)]
 
 
 def _lines(ax: Axes, table: pd.DataFrame) -> None:
@@ -348,14 +281,10 @@ def _lines(ax: Axes, table: pd.DataFrame) -> None:
         hue_order=list(table.index),
         palette=[color_of(index) for index in range(rows)],
         markers=[MARKERS[index % 7] for index in range(rows)],
-        linestyles=[_dash(index) for index in range(rows)],
-        native_scale=True,
-        errorbar=None,
-        legend=False,
-        linewidth=1.4,
+        linestyles=[DASHES[index % len(DASHES)] for index in range(rows)],
         markersize=4,
-        markeredgewidth=1,
         ax=ax,
+        **_JOINED,
     )
     ax.set_xlim(-0.35, columns - 0.65)
     ax.grid(axis="y", color=RULE, linewidth=0.4)
@@ -445,35 +374,21 @@ def against_limits(all_facts: Sequence[Facts], labels: Mapping[str, str]) -> pd.
     for facts in all_facts:
         strong = [e for e in facts.interactions if e.strength == MATTERS or e.practical is None]
         for effect in (*facts.effects, *strong[:_MOST_INTERACTIONS]):
+            limited = effect.practical is not None
             row = {
-                "response": facts.name,
-                "term": effect.term,
-                "name": term_name(effect.term, labels),
-                "verdict": effect.strength if effect.practical is not None else "",
-                "difference": _multiple(effect.range, effect),
-                "low": _multiple(effect.low, effect),
-                "high": _multiple(effect.high, effect),
-                "bound": (effect.u_num or 0.0) * effect.u_unit / _unit(effect),
-                "limited": effect.practical is not None,
-                "shown": _shown(effect, facts),
-            }
+                "response": facts.name, "term": effect.term, "name": term_name(effect.term, labels),
+                "verdict": effect.strength if limited else "",
+                **_multiples((effect.range, effect.low, effect.high), effect.u_num, effect),
+                "limited": limited, "shown": _shown(effect, facts),
+            }  # fmt: skip
             rows.append(row)
             if (simple := _deciding_setting(effect)) is not None:
-                ends = simple.ci_simultaneous or simple.ci or (math.nan, math.nan)
-                at = [_multiple(value, effect) for value in (simple.difference, *ends)]
-                if at[0] < 0:  # which level is the higher one does not matter here
-                    at = [-at[0], -at[2], -at[1]]
-                rows.append(
-                    row
-                    | {
-                        "name": setting(simple, labels),
-                        "difference": at[0],
-                        "low": at[1],
-                        "high": at[2],
-                        "bound": (simple.u or 0.0) * effect.u_unit / _unit(effect),
-                        "shown": shown_difference(apart(simple.difference, effect), effect, facts),
-                    }
-                )
+                ends = simple.ci_simultaneous or simple.ci or (None, None)
+                at = _multiples((simple.difference, *ends), simple.u, effect)
+                if at["difference"] < 0:  # which level is the higher one does not matter here
+                    at |= {"difference": -at["difference"], "low": -at["high"], "high": -at["low"]}
+                size_there = shown_difference(apart(simple.difference, effect), effect, facts)
+                rows.append(row | at | {"name": setting(simple, labels), "shown": size_there})
                 rows[-2]["verdict"] = ""  # the setting has it, the average has not
     return pd.DataFrame(rows)
 
@@ -494,12 +409,17 @@ def _unit(effect: Effect) -> float:
     return (math.log(effect.practical) if effect.is_ratio else effect.practical) or 1.0
 
 
-def _multiple(value: float | None, effect: Effect) -> float:
-    if value is None or not math.isfinite(value):
-        return math.nan
-    if not effect.is_ratio:
-        return value / _unit(effect)
-    return math.log(value) / _unit(effect) if value > 0 else math.nan
+def _multiples(values: Sequence[float | None], u: float | None, effect: Effect) -> dict[str, float]:
+    """Difference, both ends of its interval and its numerical bound, over what matters."""
+    unit = _unit(effect)
+
+    def multiple(value: float | None) -> float:
+        if value is None or not math.isfinite(value) or (effect.is_ratio and value <= 0):
+            return math.nan
+        return (math.log(value) if effect.is_ratio else value) / unit
+
+    columns = zip(("difference", "low", "high"), map(multiple, values), strict=True)
+    return {**dict(columns), "bound": (u or 0.0) * effect.u_unit / unit}
 
 
 def _shown(effect: Effect, facts: Facts) -> str:
@@ -519,19 +439,18 @@ def draw_against_limits(frame: pd.DataFrame, all_facts: Sequence[Facts]) -> Canv
     limited = bool(frame["limited"].all())
     if limited:
         ax.axvspan(-1, 1, color="#e3e8ed", zorder=0)
-        ax.annotate("too small to matter", (0, 1.0), xycoords=ax.get_xaxis_transform(),
-                    xytext=(0, 3), textcoords="offset points", ha="center", color=MUTED,
-                    fontsize=7.5)  # fmt: skip
+        top = ax.get_xaxis_transform()
+        look = {"ha": "center", "color": MUTED, "xycoords": top}
+        note(ax, "too small to matter", (0, 1.0), (0, 3), **look)
     ax.axvline(0, color=MUTED, linewidth=0.7)
     _mark_multiples(ax, frame, places)
     by_name = {facts.name: facts for facts in all_facts}
     names = list(frame["name"])
     rows = [*zip(places, (wrap(name, 40, 80) for name in names), strict=True)]
     for place, response in heads:
-        head = f"{clean(by_name[response].title, 60)}"
-        ax.annotate(head, (0, place), xycoords=ax.get_yaxis_transform(), xytext=(-3.5, 0),
-                    textcoords="offset points", ha="right", va="center", fontsize=8,
-                    fontweight="bold", annotation_clip=False)  # fmt: skip
+        edge = {"xycoords": ax.get_yaxis_transform(), "annotation_clip": False}
+        bold = {"ha": "right", "va": "center", "fontsize": 8, "fontweight": "bold"} | edge
+        note(ax, clean(by_name[response].title, 60), (0, place), (-3.5, 0), **bold)
     name_rows(ax, [place for place, _ in rows], [name for _, name in rows], 8)
     for place, verdict, words in zip(places, frame["verdict"], frame["shown"], strict=True):
         at_right(ax, f"{verdict}:  {words}" if verdict else words, place, _WORD_COLOR.get(verdict))
@@ -567,15 +486,11 @@ def _mark_multiples(ax: Axes, frame: pd.DataFrame, places: Sequence[int]) -> Non
     ax.hlines(at, low - bound, high + bound, colors=colors, linewidth=0.8)
     ax.hlines(at, low, high, colors=colors, linewidth=2.6)
     for place, verdict, color, x in zip(places, verdicts, colors, size_of.tolist(), strict=True):
+        face = color if verdict in _VERDICT_MARKER else "white"
         ax.plot(
-            [x],
-            [place],
-            _VERDICT_MARKER.get(verdict, "o"),
-            color=color,
-            markerfacecolor=color if verdict in _VERDICT_MARKER else "white",
-            markersize=6.5,
-            markeredgewidth=1.4,
-        )
+            [x], [place], _VERDICT_MARKER.get(verdict, "o"), color=color, markerfacecolor=face,
+            markersize=6.5, markeredgewidth=1.4,
+        )  # fmt: skip
 
 
 def _scale_of_multiples(

@@ -6,16 +6,18 @@ A figure that cannot be drawn never stops the report: the page says which one is
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from study.reporting.content import sentences
-from study.reporting.content.content_table import size
+from study.reporting.content.blocks import Figure
+from study.reporting.content.effect_words import size
 from study.reporting.content.numbers import THIN, duration, p_phrase, quantity, share, significant
 from study.reporting.content.recommendation import cost_front
 from study.reporting.content.report_facts import Facts, practical_of
@@ -205,19 +207,13 @@ def _by(fraction: float) -> str:
     return share(fraction).replace("< ", "less than ")
 
 
-@dataclass(frozen=True)
-class Figure:
-    """A finished figure: ``svg`` is markup, all else plain text; ``missing`` says why not."""
-
-    name: str
-    title: str
-    caption: str = ""
-    svg: str = ""
-    data: pd.DataFrame | None = None
-    missing: str = ""
-
-
-Drawn = tuple["pd.DataFrame", "Callable[[], Canvas]", str]
+#: title, points, drawing and caption of a figure: the frame that is computed is drawn and told of
+Plot = tuple[
+    str,
+    Callable[[], "pd.DataFrame"],
+    Callable[["pd.DataFrame"], "Canvas"],
+    Callable[["pd.DataFrame"], str],
+]
 
 
 _of_data_alone: ContextVar[bool] = ContextVar("figures of data alone", default=False)
@@ -233,16 +229,26 @@ def data_alone() -> Iterator[None]:
         _of_data_alone.reset(token)
 
 
-def make(name: str, title: str, compute: Callable[[], Drawn]) -> Figure:
+def make(name: str, plot: Plot) -> Figure:
     """Compute and draw one figure; any failure becomes its ``missing``."""
+    title, points, draw, caption = plot
     frame: pd.DataFrame | None = None
     try:
-        frame, draw, caption = compute()
-        svg = "" if _of_data_alone.get() else axes.render(draw, name, title)
+        frame = points()
+        words = caption(frame)
+        svg = "" if _of_data_alone.get() else axes.render(partial(draw, frame), name, title)
     except Exception as error:  # the numbers must reach the reader whatever the drawing does
         why = f"{type(error).__name__}: {error}"
         return Figure(name, title, data=frame, missing=why[:300])
-    return Figure(name, title, caption, svg, frame)
+    return Figure(name, title, words, svg, frame)
+
+
+def made(plots: Mapping[str, Plot], stem: str, of: str) -> dict[str, Figure]:
+    """Make the figures of one response or surface: its name stands in their titles."""
+    return {
+        kind: make(f"{stem}-{kind}", (f"{title}: {of}", points, draw, caption))
+        for kind, (title, points, draw, caption) in plots.items()
+    }
 
 
 def of_response(data: ReportData, facts: Facts, without: Collection[str] = ()) -> dict[str, Figure]:
@@ -250,34 +256,73 @@ def of_response(data: ReportData, facts: Facts, without: Collection[str] = ()) -
     if not facts.terms:
         return {}
     facts = replace(facts, title=clean(facts.title, 60), unit=clean(facts.unit, 16))
-    stem = slug(facts.name)
-    makers: dict[str, tuple[str, Callable[[], Drawn]]] = {
-        "means": ("Main effects", lambda: _means(data, facts)),
-        "interactions": ("Interactions", lambda: _interactions(data, facts)),
-        "cells": ("Cells", lambda: _cells(data, facts)),
-        "residuals": ("Residuals", lambda: _residuals(data, facts)),
-        "spread": ("Spread of the cells", lambda: _spread(data, facts)),
+    plots: dict[str, Plot] = {
+        "means": (
+            "Main effects",
+            lambda: effect_figures.level_means(facts),
+            lambda frame: effect_figures.draw_level_means(frame, facts, data),
+            lambda _: means(facts, data),
+        ),
+        "interactions": (
+            "Interactions",
+            lambda: effect_figures.pair_means(data, facts),
+            lambda frame: effect_figures.draw_interactions(frame, facts, data),
+            lambda _: interactions(facts, data),
+        ),
+        "cells": (
+            "Cells",
+            lambda: effect_figures.cell_points(data, facts),
+            lambda frame: effect_figures.draw_cells(
+                frame, facts, practical_of(facts, report_cells(data, facts.name))
+            ),
+            lambda frame: cells(facts, data, frame),
+        ),
+        "residuals": (
+            "Residuals",
+            lambda: residual_figures.diagnostic_residual_points(facts),
+            lambda frame: residual_figures.draw_residuals(frame, facts, data),
+            lambda frame: residuals(facts, data, len(frame)),
+        ),
+        "spread": (
+            "Spread of the cells",
+            lambda: residual_figures.spread_of_cells(facts, data.alpha),
+            lambda frame: residual_figures.draw_spread(frame, facts),
+            spread,
+        ),
+        "contrasts": (
+            "Contrasts without replicates",
+            lambda: residual_figures.contrasts(facts, data),
+            lambda frame: residual_figures.draw_contrasts(frame, facts),
+            lambda frame: contrasts(frame, facts),
+        ),
+        "depth": (
+            "Effects against depth",
+            lambda: study_figures.points(data.depths, facts.name, data),
+            lambda frame: study_figures.draw(frame, facts),
+            lambda frame: study_figures.caption(frame, facts),
+        ),
+        "front": (
+            "Cost against accuracy",
+            lambda: cost_front(data, facts),
+            lambda frame: study_figures.draw_front(frame, facts, data, practical_of(facts, frame)),
+            lambda frame: front(frame, facts, practical_of(facts, frame)),
+        ),
     }
-    if not any(effect.range is not None for effect in facts.terms):
+    # nothing is left over by a saturated model
+    is_saturated = facts.residuals is None or "residual" not in facts.residuals
+    timed = "seconds" in data.table and bool(data.table["seconds"].notna().any())
+    has = {
         # the sentences say that nothing could be estimated
-        del makers["means"]
-    if facts.residuals is None or "residual" not in facts.residuals:
-        # nothing is left over by a saturated model
-        del makers["residuals"], makers["spread"]
-    if facts.lenth:
-        title = "Contrasts without replicates"
-        makers["contrasts"] = (title, lambda: _contrasts(data, facts))
-    if len(data.factors) < 2:
-        del makers["interactions"]
-    if any(row.response == facts.name for row in data.depths):
-        makers["depth"] = ("Effects against depth", lambda: _depth(data, facts))
-    if facts.response.better and "seconds" in data.table:
-        makers["front"] = ("Cost against accuracy", lambda: _front(data, facts))
-    return {
-        kind: make(f"{stem}-{kind}", f"{title}: {facts.title}", maker)
-        for kind, (title, maker) in makers.items()
-        if kind not in without
+        "means": any(effect.range is not None for effect in facts.terms),
+        "interactions": len(data.factors) > 1,
+        "residuals": not is_saturated,
+        "spread": not is_saturated,
+        "contrasts": facts.lenth is not None,
+        "depth": any(row.response == facts.name for row in data.depths),
+        "front": bool(facts.response.better) and timed,
     }
+    chosen = {k: plot for k, plot in plots.items() if has.get(k, True) and k not in without}
+    return made(chosen, slug(facts.name), facts.title)
 
 
 def overview(data: ReportData, all_facts: Sequence[Facts]) -> dict[str, Figure]:
@@ -289,13 +334,13 @@ def overview(data: ReportData, all_facts: Sequence[Facts]) -> dict[str, Figure]:
     if not any(effect.range is not None for facts in shown for effect in facts.terms):
         return {}
 
-    def compute() -> Drawn:
-        frame = effect_figures.against_limits(shown, data.labels)
-        caption = _against_limits(frame, analyzed, shown)
-        return frame, lambda: effect_figures.draw_against_limits(frame, shown), caption
-
-    title = "Every effect against what matters" if limited else "Every effect"
-    return {"overview": make("overview", title, compute)}
+    plot: Plot = (
+        "Every effect against what matters" if limited else "Every effect",
+        lambda: effect_figures.against_limits(shown, data.labels),
+        lambda frame: effect_figures.draw_against_limits(frame, shown),
+        lambda frame: _against_limits(frame, analyzed, shown),
+    )
+    return {"overview": make("overview", plot)}
 
 
 def _against_limits(frame: pd.DataFrame, analyzed: Sequence[Facts], shown: Sequence[Facts]) -> str:
@@ -331,64 +376,75 @@ def renamed(figure: Figure, name: str) -> Figure:
 
 def of_study(data: ReportData) -> dict[str, Figure]:
     """Figures that belong to no single response."""
-    figures: dict[str, Figure] = {}
+    plots: dict[str, Plot] = {}
     if data.curves:
-        figures["curves"] = make("curves", "Measured and predicted force", lambda: _curves(data))
-        few = curve_figures.few_panels(data)
-        if few is not None:
-            title = "Measured and predicted force, a part"
-            figures["few-curves"] = make("few-curves", title, lambda: _drawn_curves(few, data))
+        every = curve_figures.curve_panels(data)
+        plots["curves"] = _curves("Measured and predicted force", every, data)
+        if len(every.panels) > curve_figures.MOST_COLUMNS:
+            few = curve_figures.curve_panels(data, curve_figures.MOST_COLUMNS)
+            plots["few-curves"] = _curves("Measured and predicted force, a part", few, data)
     if any(fit.value is not None for fit in data.fits):
-        figures["constants"] = make("constants", "Fitted constants", lambda: _constants(data))
+        plots["constants"] = (
+            "Fitted constants",
+            lambda: study_figures.constant_points(data),
+            study_figures.draw_constants,
+            lambda frame: constants(frame, data),
+        )
     if any(fit["error_by_layer_mm"] for marker in data.markers for fit in marker.fits):
-        figures["markers"] = make("markers", "Errors by layer", lambda: _markers(data))
+        plots["markers"] = (
+            "Errors by layer",
+            lambda: curve_figures.layer_points(data),
+            curve_figures.draw_layers,
+            curve_figures.caption,
+        )
     if data.convergence:
-        figures["convergence"] = make(
-            "convergence", "Value against mesh size", lambda: _convergence(data)
+        plots["convergence"] = (
+            "Value against mesh size",
+            lambda: convergence_figures.value_points(data.convergence),
+            convergence_figures.draw_values,
+            lambda _: convergence_figures.value_caption(data.convergence),
         )
     if data.validation:
-        figures["validation"] = make(
-            "validation", "Comparison error along the curve", lambda: _validation(data)
+        # the first block stands for the others
+        rows = [row for row in data.validation if row["block"] == data.validation[0]["block"]]
+        plots["validation"] = (
+            "Comparison error along the curve",
+            lambda: convergence_figures.validation_error_points(rows),
+            convergence_figures.draw_validation_errors,
+            lambda _: convergence_figures.caption(rows),
         )
     if data.failures:
-        figures["failures"] = make("failures", "Failure map", lambda: _failures(data))
-    return figures
+        plots["failures"] = (
+            "Failure map",
+            lambda: _failed_cases(data),
+            study_figures.draw_failures,
+            lambda _: _failures(data),
+        )
+    return {name: make(name, plot) for name, plot in plots.items()}
+
+
+def _curves(title: str, panels: CurvePanels, data: ReportData) -> Plot:
+    return (
+        title,
+        lambda: panels.frame,
+        lambda _: curve_figures.draw_curves(panels, data),
+        lambda _: curves(panels, data),
+    )
 
 
 def of_recordings(frame: pd.DataFrame) -> Figure:
     """Figure of the rows of a calibration as they were recorded, with their branches."""
-
-    def compute() -> Drawn:
-        aside = frame[frame["set_aside"] != ""]
-        why = [
-            f"{n} {reason}" for reason, n in aside.groupby("set_aside", sort=False).size().items()
-        ]
-        caption = f"{len(frame)} recorded rows, {len(frame) - len(aside)} used"
-        caption += f"; set aside: {listing(why)}" if why else ""
-        return frame, lambda: curve_figures.draw_recordings(frame), sentence(caption)
-
-    return make("recording", "Recording and its branches", compute)
-
-
-def _convergence(data: ReportData) -> Drawn:
-    frame = convergence_figures.value_points(data.convergence)
-    caption = convergence_figures.value_caption(data.convergence)
-    return frame, lambda: convergence_figures.draw_values(frame), caption
-
-
-def _markers(data: ReportData) -> Drawn:
-    frame = curve_figures.layer_points(data)
-    return frame, lambda: curve_figures.draw_layers(frame), curve_figures.caption(frame)
-
-
-def _validation(data: ReportData) -> Drawn:
-    rows = convergence_figures.first_block(data.validation)
-    frame = convergence_figures.validation_error_points(rows)
-    return (
-        frame,
-        lambda: convergence_figures.draw_validation_errors(frame),
-        convergence_figures.caption(rows),
+    aside = frame[frame["set_aside"] != ""]
+    why = [f"{n} {reason}" for reason, n in aside.groupby("set_aside", sort=False).size().items()]
+    caption = f"{len(frame)} recorded rows, {len(frame) - len(aside)} used"
+    caption += f"; set aside: {listing(why)}" if why else ""
+    plot: Plot = (
+        "Recording and its branches",
+        lambda: frame,
+        curve_figures.draw_recordings,
+        lambda _: sentence(caption),
     )
+    return make("recording", plot)
 
 
 def slug(text: str) -> str:
@@ -396,106 +452,24 @@ def slug(text: str) -> str:
     return re.sub(r"[^a-z0-9]+", "-", text.lower())[:48].strip("-") or "response"
 
 
-def _depth(data: ReportData, facts: Facts) -> Drawn:
-    frame = study_figures.points(data.depths, facts.name, data)
-    return frame, lambda: study_figures.draw(frame, facts), study_figures.caption(frame, facts)
-
-
-def _contrasts(data: ReportData, facts: Facts) -> Drawn:
-    frame = residual_figures.contrasts(facts, data)
-    return (
-        frame,
-        lambda: residual_figures.draw_contrasts(frame, facts),
-        contrasts(frame, facts),
-    )
-
-
-def _constants(data: ReportData) -> Drawn:
-    frame = study_figures.constant_points(data)
-    return frame, lambda: study_figures.draw_constants(frame), constants(frame, data)
-
-
-def _means(data: ReportData, facts: Facts) -> Drawn:
-    frame, center = effect_figures.level_means(facts), effect_figures.grand_mean(data, facts)
-    limit = next((e.practical for e in facts.effects if e.practical is not None), None)
-    return (
-        frame,
-        lambda: effect_figures.draw_level_means(frame, facts, center, limit, data),
-        means(facts, data),
-    )
-
-
-def _interactions(data: ReportData, facts: Facts) -> Drawn:
-    frame = effect_figures.pair_means(data, facts)
-    return (
-        frame,
-        lambda: effect_figures.draw_interactions(frame, facts, data.factors, data),
-        interactions(facts, data),
-    )
-
-
-def _cells(data: ReportData, facts: Facts) -> Drawn:
-    frame = effect_figures.cell_points(data, facts)
-    limit = practical_of(facts, report_cells(data, facts.name))
-    return (
-        frame,
-        lambda: effect_figures.draw_cells(frame, facts, limit),
-        cells(facts, data, frame),
-    )
-
-
-def _residuals(data: ReportData, facts: Facts) -> Drawn:
-    frame = residual_figures.diagnostic_residual_points(facts)
-    return (
-        frame,
-        lambda: residual_figures.draw_residuals(frame, facts, data),
-        residuals(facts, data, len(frame)),
-    )
-
-
-def _spread(data: ReportData, facts: Facts) -> Drawn:
-    frame = residual_figures.spread_of_cells(facts, data.alpha)
-    return frame, lambda: residual_figures.draw_spread(frame, facts), spread(frame)
-
-
-def _front(data: ReportData, facts: Facts) -> Drawn:
-    frame = cost_front(data, facts)
-    if frame.empty:
-        raise ValueError("no computing times are known")
-    limit = practical_of(facts, frame)
-    return (
-        frame,
-        lambda: study_figures.draw_front(frame, facts, data, limit),
-        front(frame, facts, limit),
-    )
-
-
-def _curves(data: ReportData) -> Drawn:
-    return _drawn_curves(curve_figures.curve_panels(data), data)
-
-
-def _drawn_curves(panels: CurvePanels, data: ReportData) -> Drawn:
-    return panels.frame, lambda: curve_figures.draw_curves(panels, data), curves(panels, data)
-
-
-def _failures(data: ReportData) -> Drawn:
+def _failed_cases(data: ReportData) -> pd.DataFrame:
+    """Cell, block and status of every case, in the order of the design."""
     factors = list(data.factors)
     frame = data.table[[*factors, "status"]].astype(str)
     block = data.table["block"].astype(str) if "block" in data.table else "all"
     frame = frame.assign(block=block, cell=frame[factors].agg(" \N{MIDDLE DOT} ".join, axis=1))
     orders = {**{name: list(levels) for name, levels in data.factors.items()}}
     orders["block"] = list(data.blocks)
-    frame = frame.sort_values(
+    return frame.sort_values(
         [*factors, "block"], key=lambda column: column.map(_place_in(orders[str(column.name)]))
     )
-    statuses = ["converged", *sorted(set(frame["status"]) - {"converged"})]
-    named = ", ".join(name_of(name, data.labels) for name in factors)
-    return (
-        frame,
-        lambda: study_figures.draw_failures(frame, statuses),
-        f"{sentences.failures(data.failures, len(data.table)).split('. ')[0]}: large marks; rows "
-        f"are cells ({named}), columns are blocks.",
-    )
+
+
+def _failures(data: ReportData) -> str:
+    """Count the failed cases, and say what rows and columns of the map are."""
+    failed = sentences.failures(data.failures, len(data.table)).split(". ")[0]
+    named = ", ".join(name_of(name, data.labels) for name in data.factors)
+    return f"{failed}: large marks; rows are cells ({named}), columns are blocks."
 
 
 def _place_in(order: list[str]) -> Callable[[str], int]:

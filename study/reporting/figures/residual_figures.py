@@ -17,10 +17,12 @@ from study.reporting.figures.axes import (
     MUTED,
     RULE,
     WIDTH_IN,
+    above,
     canvas,
     clean_left,
     color_of,
     name_rows,
+    note,
     plain_ticks,
     word_color_of,
     wrap,
@@ -34,9 +36,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure as Canvas
 
 
-_ACTIVE = "#D55E00"
-
-_PASSIVE = "#0072B2"
+#: color of contrasts beyond the margin of error, and of the others
+_CONTRAST_COLORS = {True: "#D55E00", False: "#0072B2"}
 
 _MOST_BARS = 31
 
@@ -98,32 +99,14 @@ def _pareto(ax: Axes, frame: pd.DataFrame, label: str) -> None:
 
     places = np.arange(len(frame))
     sns.barplot(
-        x=frame["size"],
-        y=places,
-        hue=frame["active"],
-        orient="y",
-        native_scale=True,
-        dodge=False,
-        palette={True: _ACTIVE, False: _PASSIVE},
-        saturation=1,
-        width=0.66,
-        errorbar=None,
-        legend=False,
+        x=frame["size"], y=places, hue=frame["active"], palette=_CONTRAST_COLORS, orient="y",
+        native_scale=True, dodge=False, saturation=1, width=0.66, errorbar=None, legend=False,
         ax=ax,
-    )
+    )  # fmt: skip
     for column, style, name in (("margin", "--", "one"), ("simultaneous", ":", "all")):
         limit = float(frame[column].iloc[0])
         ax.axvline(limit, color=INK, linewidth=0.8, linestyle=style)
-        ax.text(
-            limit,
-            1.0,
-            name,
-            transform=ax.get_xaxis_transform(),
-            ha="center",
-            va="bottom",
-            fontsize=7.5,
-            color=MUTED,
-        )
+        above(ax, name, limit)
     name_rows(ax, places, [wrap(name, 30) for name in frame["name"]])
     ax.set_ylim(len(frame) - 0.4, -0.6)
     clean_left(ax)
@@ -139,29 +122,12 @@ def _half_normal(ax: Axes, frame: pd.DataFrame, label: str) -> None:
         ordered["score"], np.sort(frame["low"]), np.sort(frame["high"]), color=BAND, linewidth=0
     )
     sns.scatterplot(
-        frame,
-        x="score",
-        y="size",
-        hue="active",
-        style="active",
-        palette={True: _ACTIVE, False: _PASSIVE},
-        markers={True: "D", False: "o"},
-        s=30,
-        linewidth=0,
-        legend=False,
-        ax=ax,
-    )
+        frame, x="score", y="size", hue="active", style="active", palette=_CONTRAST_COLORS,
+        markers={True: "D", False: "o"}, s=30, linewidth=0, legend=False, ax=ax,
+    )  # fmt: skip
     for name, score, size in zip(*(frame[c] for c in ("name", "score", "size")), strict=True):
         if size > float(frame["margin"].iloc[0]):
-            ax.annotate(
-                name,
-                (score, size),
-                xytext=(-6, 0),
-                textcoords="offset points",
-                ha="right",
-                va="center",
-                fontsize=7.5,
-            )
+            note(ax, name, (score, size), (-6, 0), ha="right", va="center")
     ax.set_ylim(bottom=0)
     ax.set_xlim(left=0)
     ax.set_xlabel("half-normal score, with the 95 % envelope of no effect")
@@ -204,32 +170,15 @@ def _against_factors(ax: Axes, frame: pd.DataFrame, data: ReportData, label: str
     levels = _level_places(frame, data)
     if levels.empty:
         return
+    colors = {number: color_of(number) for number in levels["number"]}
     sns.scatterplot(
-        _jittered(frame, levels, data.seed),
-        x="place",
-        y="residual",
-        hue="number",
-        palette={number: color_of(number) for number in levels["number"]},
-        s=7,
-        alpha=0.7,
-        linewidth=0,
-        zorder=2,
-        clip_on=False,
-        legend=False,
-        ax=ax,
-    )
+        _jittered(frame, levels, data.seed), x="place", y="residual", hue="number", palette=colors,
+        s=7, alpha=0.7, linewidth=0, zorder=2, clip_on=False, legend=False, ax=ax,
+    )  # fmt: skip
     for number, factor in levels.groupby("number"):
-        ax.text(
-            float(factor["place"].mean()),
-            1.0,
-            wrap(name_of(factor["factor"].iloc[0], data.labels), 16, 24),
-            transform=ax.get_xaxis_transform(),
-            ha="center",
-            va="bottom",
-            fontsize=7.5,
-            color=word_color_of(int(str(number))),
-            fontweight="bold",
-        )
+        name = wrap(name_of(factor["factor"].iloc[0], data.labels), 16, 24)
+        bold = {"color": word_color_of(int(str(number))), "fontweight": "bold"}
+        above(ax, name, float(factor["place"].mean()), **bold)
     names = [clean(level, 20) for level in levels["level"]]
     ax.set_xticks(
         levels["place"], names, rotation=40, ha="right", rotation_mode="anchor", fontsize=7
@@ -450,6 +399,12 @@ def draw_against_factors(points: pd.DataFrame, facts: Facts, data: ReportData) -
     return figure
 
 
+def against_factors_caption(points: pd.DataFrame) -> str:
+    """Say what to look for."""
+    look = "a level whose residuals scatter more has the larger variance"
+    return sentence(look + drawn_words(points))
+
+
 def influence_caption(points: pd.DataFrame, limit: float | None) -> str:
     """Say how many rows move the fit."""
     moving = 0 if limit is None else int((points["cook"] > limit).sum())
@@ -474,8 +429,7 @@ def draw_influence(points: pd.DataFrame, data: ReportData, limit: float | None) 
         cook.axhline(limit, color=INK, linewidth=0.8, linestyle="--")
     for row in shown.nlargest(NAMED, "cook").itertuples():
         at = float(str(row.row)), float(str(row.cook))
-        cook.annotate(f"{row.row}", at, xytext=(0, 2), textcoords="offset points",
-                      ha="center", va="bottom", fontsize=7.5)  # fmt: skip
+        note(cook, f"{row.row}", at, (0, 2), ha="center", va="bottom")
     cook.set_ylim(bottom=0, top=1.12 * largest if largest > 0 else 1.0)
     cook.set(title="Cook's distance", xlabel="row of the file", ylabel="")
     for height in (-2, 2):

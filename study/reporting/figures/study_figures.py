@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,6 +25,7 @@ from study.reporting.figures.axes import (
     color_of,
     log_ticks,
     name_rows,
+    note,
     plain_ticks,
     wrap,
 )
@@ -50,20 +52,14 @@ def constant_points(data: ReportData) -> pd.DataFrame:
     every = dict.fromkeys(tuple(fit.levels.items()) for fit in fits)
     ranked = sorted(every, key=lambda levels: fit_rank(dict(levels), data))
     place = {levels: i for i, levels in enumerate(ranked)}
+    columns = (
+        "constant", "block", "specimen", "value", "low", "high", "standard_error", "unit",
+        "identifiable",
+    )  # fmt: skip
     frame = pd.DataFrame(
-        {
-            "row": [fit_name(fit, data) for fit in fits],
-            "place": [place[tuple(fit.levels.items())] for fit in fits],
-            "constant": [fit.constant for fit in fits],
-            "block": [fit.block for fit in fits],
-            "specimen": [fit.specimen for fit in fits],
-            "value": [fit.value for fit in fits],
-            "low": [fit.low for fit in fits],
-            "high": [fit.high for fit in fits],
-            "standard_error": [fit.standard_error for fit in fits],
-            "unit": [fit.unit for fit in fits],
-            "identifiable": [fit.identifiable for fit in fits],
-        }
+        {"row": fit_name(fit, data), "place": place[tuple(fit.levels.items())]}
+        | {name: getattr(fit, name) for name in columns}
+        for fit in fits
     )
     numbers = dict.fromkeys(("value", "low", "high", "standard_error"), float)
     frame = frame.astype(numbers)
@@ -95,14 +91,9 @@ def _panel(ax: Axes, frame: pd.DataFrame, color: str) -> None:
         sure = group["identifiable"].to_numpy(bool)
         ax.plot(group["value"][sure], y[sure], "o", color=color, markersize=2.8)
         ax.plot(
-            group["value"][~sure],
-            y[~sure],
-            "o",
-            color=color,
-            markersize=2.8,
-            markerfacecolor="white",
-            markeredgewidth=0.8,
-        )
+            group["value"][~sure], y[~sure], "o", color=color, markersize=2.8,
+            markerfacecolor="white", markeredgewidth=0.8,
+        )  # fmt: skip
     ax.grid(axis="y", color=RULE, linewidth=0.4)
     clean_left(ax)
     plain_ticks(ax, "x")
@@ -127,16 +118,10 @@ def draw_front(frame: pd.DataFrame, facts: Facts, data: ReportData, practical: f
     ax = figure.subplots()
     for row in frame.to_dict("records"):
         ax.plot(
-            row["seconds"],
-            row["mean"],
-            marker=MARKERS[shape_by[1].get(row["cell"], 0) % 7],
-            color=color_of(color_by[1].get(row["cell"], 0)),
-            markersize=6.5,
-            alpha=0.85,
-            markeredgecolor="white",
-            markeredgewidth=0.5,
-            linestyle="none",
-        )
+            row["seconds"], row["mean"], marker=MARKERS[shape_by[1].get(row["cell"], 0) % 7],
+            color=color_of(color_by[1].get(row["cell"], 0)), markersize=6.5, alpha=0.85,
+            markeredgecolor="white", markeredgewidth=0.5, linestyle="none",
+        )  # fmt: skip
     ax.set_xscale("log")
     front = frame[frame["front"]]
     ax.step(front["seconds"], front["mean"], where="post", color=MUTED, linewidth=0.9)
@@ -145,15 +130,9 @@ def draw_front(frame: pd.DataFrame, facts: Facts, data: ReportData, practical: f
     if practical > 0:
         ax.axhspan(best, best + sign * practical, color="#eef1f4", zorder=0)
         ax.text(
-            1.0,
-            best + sign * practical,
-            "as good as the best ",
-            ha="right",
-            va="bottom",
-            transform=ax.get_yaxis_transform(),
-            fontsize=7.5,
-            color=MUTED,
-        )
+            1.0, best + sign * practical, "as good as the best ", ha="right", va="bottom",
+            transform=ax.get_yaxis_transform(), fontsize=7.5, color=MUTED,
+        )  # fmt: skip
     ax.margins(x=0.06, y=0.16)
     _front_labels(ax, front, list(data.factors))
     _front_legend(ax, color_by[0], shape_by[0], data, columns)
@@ -199,15 +178,8 @@ def _front_labels(ax: Axes, front: pd.DataFrame, factors: Sequence[str]) -> None
             continue
         taken.append((x, y))
         text = " \N{MIDDLE DOT} ".join(clean(row[name], 22) for name in factors)
-        ax.annotate(
-            text,
-            (row["seconds"], row["mean"]),
-            fontsize=7.5,
-            va="top",
-            ha="right" if x > 0.6 else "left",
-            xytext=(-7 if x > 0.6 else 7, -6),
-            textcoords="offset points",
-        )
+        shift, side = ((-7, -6), "right") if x > 0.6 else ((7, -6), "left")
+        note(ax, text, (row["seconds"], row["mean"]), shift, va="top", ha=side)
 
 
 def _legend_shape(color_by: str, shape_by: str, data: ReportData) -> tuple[int, int]:
@@ -222,45 +194,19 @@ def _legend_shape(color_by: str, shape_by: str, data: ReportData) -> tuple[int, 
 def _front_legend(ax: Axes, color_by: str, shape_by: str, data: ReportData, columns: int) -> None:
     from matplotlib.lines import Line2D
 
-    handles = [
-        Line2D(
-            [],
-            [],
-            color=color_of(i),
-            marker="o",
-            linestyle="none",
-            markersize=5,
-            label=clean(level, 22),
-        )
-        for i, level in enumerate(data.factors[color_by])
-    ]
-    if shape_by != color_by:
-        handles += [
-            Line2D(
-                [],
-                [],
-                color=MUTED,
-                marker=MARKERS[i % 7],
-                linestyle="none",
-                markersize=5,
-                label=clean(level, 22),
-            )
-            for i, level in enumerate(data.factors[shape_by])
-        ]
+    named = [(level, color_of(i), "o") for i, level in enumerate(data.factors[color_by])]
     title = clean(name_of(color_by, data.labels), 30)
     if shape_by != color_by:
+        named += [(v, MUTED, MARKERS[i % 7]) for i, v in enumerate(data.factors[shape_by])]
         title += f" (color), {clean(name_of(shape_by, data.labels), 30)} (shape)"
+    mark = partial(Line2D, [], [], linestyle="none", markersize=5)
+    handles = [
+        mark(color=color, marker=marker, label=clean(level, 22)) for level, color, marker in named
+    ]
     ax.legend(
-        handles=handles,
-        title=title,
-        title_fontsize=7.5,
-        fontsize=7.5,
-        ncols=columns,
-        loc="lower left",
-        bbox_to_anchor=(0, 1.0),
-        alignment="left",
-        borderpad=0,
-    )
+        handles=handles, title=title, title_fontsize=7.5, fontsize=7.5, ncols=columns,
+        loc="lower left", bbox_to_anchor=(0, 1.0), alignment="left", borderpad=0,
+    )  # fmt: skip
 
 
 def _time_ticks(ax: Axes, frame: pd.DataFrame) -> None:
@@ -275,8 +221,9 @@ def _time_ticks(ax: Axes, frame: pd.DataFrame) -> None:
     ax.set_xticks([], minor=True)
 
 
-def draw_failures(frame: pd.DataFrame, statuses: Sequence[str]) -> Canvas:
+def draw_failures(frame: pd.DataFrame) -> Canvas:
     """Draw cells against blocks, a mark where a case failed."""
+    statuses = ["converged", *sorted(set(frame["status"]) - {"converged"})]
     rows = list(dict.fromkeys(frame["cell"]))
     columns = list(dict.fromkeys(frame["block"]))
     figure = canvas(WIDTH_IN, 0.9 + 0.2 * len(rows))
@@ -284,15 +231,14 @@ def draw_failures(frame: pd.DataFrame, statuses: Sequence[str]) -> Canvas:
     for index, status in enumerate(statuses):
         some = frame[frame["status"] == status]
         good = status == "converged"
+        x, y = map(columns.index, some["block"]), map(rows.index, some["cell"])
+        marker, color, big = MARKERS[(index + 1) % 7], color_of(index), 7
+        if good:
+            marker, color, big = ".", "#c4cad1", 4
         ax.plot(
-            [columns.index(b) for b in some["block"]],
-            [rows.index(c) for c in some["cell"]],
-            linestyle="none",
-            marker="." if good else MARKERS[(index + 1) % 7],
-            color="#c4cad1" if good else color_of(index),
-            markersize=4 if good else 7,
+            list(x), list(y), linestyle="none", marker=marker, color=color, markersize=big,
             label=clean(status, 24),
-        )
+        )  # fmt: skip
     ax.set_xticks(range(len(columns)), [wrap(c, 10, 20) for c in columns], fontsize=7.5)
     name_rows(ax, range(len(rows)), [wrap(r, 80, 70) for r in rows])
     ax.set_ylim(len(rows) - 0.5, -0.5)
@@ -355,16 +301,8 @@ def _band(ax: Axes, frame: pd.DataFrame, facts: Facts) -> None:
     limits = limits.sort_values("depth_mm")
     below = 1 / limits["practical"] if facts.ratio else -limits["practical"]
     ax.fill_between(limits["depth_mm"], below, limits["practical"], color=BAND, zorder=0)
-    ax.annotate(
-        "no practical difference",
-        (limits["depth_mm"].iloc[-1], below.iloc[-1]),
-        xytext=(0, 3),
-        textcoords="offset points",
-        ha="right",
-        color=INK,
-        fontsize=7.5,
-        alpha=0.7,
-    )
+    end = limits["depth_mm"].iloc[-1], below.iloc[-1]
+    note(ax, "no practical difference", end, (0, 3), ha="right", color=INK, alpha=0.7)
 
 
 def caption(frame: pd.DataFrame, facts: Facts) -> str:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,6 +18,7 @@ from study.reporting.figures.axes import (
     canvas,
     color_of,
     name_rows,
+    panels,
     plain_ticks,
     wrap,
 )
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as Canvas
 
+    from study.reporting.figures.registry import Plot
     from study.reporting.results.study_result import ReportData
     from study.statistics.surfaces.surface_profile import FittedSurface
     from study.statistics.surfaces.surface_result import SurfaceAnalysis
@@ -37,91 +38,102 @@ if TYPE_CHECKING:
 #: profiles beside each other
 _COLUMNS = 4
 
-Drawn = tuple["pd.DataFrame", "Callable[[], Canvas]", str]
 
-
-def drawings(fitted: FittedSurface, data: ReportData) -> dict[str, tuple[str, Callable[[], Drawn]]]:
-    """Title and maker of every figure of one surface, by kind."""
+def drawings(fitted: FittedSurface, data: ReportData) -> dict[str, Plot]:
+    """Every figure of one surface by kind."""
     surface = fitted.found
     if surface is None:
         return {}
-    made: dict[str, tuple[str, Callable[[], Drawn]]] = {}
-    if any(item.index is not None for item in surface.sensitivity):
-        made["shares"] = ("Shares of the variance", lambda: _shares(surface, fitted, data))
-    made["profiles"] = ("Along each factor", lambda: _profiles(surface, fitted, data))
-    if len(surface.runs.factors) > 1:
-        made["contours"] = (
+    pair = strongest(surface)[:2]
+    plots: dict[str, Plot] = {
+        "shares": (
+            "Shares of the variance",
+            lambda: _shares(surface),
+            lambda frame: _draw_shares(frame, data),
+            lambda frame: _shares_caption(frame, fitted, data),
+        ),
+        "profiles": (
+            "Along each factor",
+            lambda: _profiles(surface),
+            lambda frame: _draw_profiles(frame, fitted, data),
+            lambda _: _profiles_caption(surface, fitted, data),
+        ),
+        "contours": (
             "Over the two strongest factors",
-            lambda: _contours(surface, fitted, data),
-        )
-    if left_out(surface) is not None:
-        made["left-out"] = (
+            lambda: _contours(surface, pair),
+            lambda frame: _draw_contours(frame, contour(surface, pair).runs, fitted, data),
+            lambda frame: _contours_caption(frame, fitted, data),
+        ),
+        "left-out": (
             "Runs predicted from the others",
-            lambda: _left_out(surface, fitted, data),
-        )
-    return made
+            lambda: _left_out(surface),
+            lambda frame: _draw_left_out(frame, fitted, data),
+            lambda frame: _left_out_caption(frame, fitted, data),
+        ),
+    }
+    has = {
+        "shares": any(item.index is not None for item in surface.sensitivity),
+        "contours": len(surface.runs.factors) > 1,
+        "left-out": left_out(surface) is not None,
+    }
+    return {kind: plot for kind, plot in plots.items() if has.get(kind, True)}
 
 
-def _profiles(surface: SurfaceAnalysis, fitted: FittedSurface, data: ReportData) -> Drawn:
+def _profiles(surface: SurfaceAnalysis) -> pd.DataFrame:
     import pandas as pd
 
-    order = strongest(surface)
     by_factor = {p.factor: p for p in profiles(surface)}
-    frame = pd.concat(
+    return pd.concat(
         pd.DataFrame(
             {"factor": n, "setting": p.setting, "value": p.value, "low": p.low, "high": p.high}
         )
-        for n, p in ((name, by_factor[name]) for name in order)
+        for n, p in ((name, by_factor[name]) for name in strongest(surface))
     )
-    sizes = [quantity(by_factor[name].range, clean(fitted.unit)) for name in order]
-    named = [name_of(name, data.labels) for name in order]
-    caption = sentence(
+
+
+def _profiles_caption(surface: SurfaceAnalysis, fitted: FittedSurface, data: ReportData) -> str:
+    size = {p.factor: quantity(p.range, clean(fitted.unit)) for p in profiles(surface)}
+    named = [f"{size[name]} ({name_of(name, data.labels)})" for name in strongest(surface)]
+    return sentence(
         f"{title(fitted, data)} along each factor with the others in the middle of their "
-        f"ranges; bands are 95 % intervals of the prediction. It changes by up to "
-        f"{listing([f'{s} ({n})' for s, n in zip(sizes, named, strict=True)])}."
+        f"ranges; bands are 95 % intervals of the prediction. It changes by up to {listing(named)}."
     )
-    return frame, lambda: _draw_profiles(frame, fitted, data), caption
 
 
 def _draw_profiles(frame: pd.DataFrame, fitted: FittedSurface, data: ReportData) -> Canvas:
     names = list(dict.fromkeys(frame["factor"]))
-    columns = min(_COLUMNS, len(names))
-    rows = math.ceil(len(names) / columns)
-    figure = canvas(WIDTH_IN, 0.4 + 2.3 * rows)
-    axes = figure.subplots(rows, columns, sharey=True, squeeze=False)
-    for place, ax in enumerate(axes.ravel()):
-        if place >= len(names):
-            ax.set_axis_off()
-            continue
-        part = frame[frame["factor"] == names[place]]
+    figure, axes = panels(len(names), _COLUMNS, 2.3, 0.4, sharey=True)
+    for ax, name in zip(axes, names, strict=True):
+        part = frame[frame["factor"] == name]
         ax.fill_between(part["setting"], part["low"], part["high"], color=BAND)
         ax.plot(part["setting"], part["value"], color=color_of(0))
-        ax.set_xlabel(_axis(names[place], fitted, data))
+        ax.set_xlabel(_axis(name, fitted, data))
         ax.set_xmargin(0)
         plain_ticks(ax, "x")
-    for ax in axes[:, 0]:
+    for ax in axes[::_COLUMNS]:
         ax.set_ylabel(_response(fitted, data))
     return figure
 
 
-def _contours(surface: SurfaceAnalysis, fitted: FittedSurface, data: ReportData) -> Drawn:
+def _contours(surface: SurfaceAnalysis, pair: Sequence[str]) -> pd.DataFrame:
     import pandas as pd
 
-    pair = strongest(surface)[:2]
     grid = contour(surface, pair)
     x, y = np.meshgrid(grid.x, grid.y)
-    frame = pd.DataFrame({pair[0]: x.ravel(), pair[1]: y.ravel(), "value": grid.value.ravel()})
-    low, high = grid.value.min(), grid.value.max()
-    unit = clean(fitted.unit)
-    others = (
-        "; the others are in the middle of their ranges" if len(surface.runs.factors) > 2 else ""
+    return pd.DataFrame({pair[0]: x.ravel(), pair[1]: y.ravel(), "value": grid.value.ravel()})
+
+
+def _contours_caption(frame: pd.DataFrame, fitted: FittedSurface, data: ReportData) -> str:
+    ends = [
+        quantity(float(v), clean(fitted.unit)) for v in (frame["value"].min(), frame["value"].max())
+    ]
+    over = " and ".join(name_of(str(name), data.labels) for name in frame.columns[:2])
+    several = fitted.found is not None and len(fitted.found.runs.factors) > 2
+    others = "; the others are in the middle of their ranges" if several else ""
+    return sentence(
+        f"{title(fitted, data)} goes from {ends[0]} to {ends[1]} over {over}{others}. Points are "
+        "the runs."
     )
-    caption = sentence(
-        f"{title(fitted, data)} goes from {quantity(low, unit)} to "
-        f"{quantity(high, unit)} over {name_of(pair[0], data.labels)} and "
-        f"{name_of(pair[1], data.labels)}{others}. Points are the runs."
-    )
-    return frame, lambda: _draw_contours(frame, grid.runs, fitted, data), caption
 
 
 def _draw_contours(
@@ -146,33 +158,28 @@ def _draw_contours(
     return figure
 
 
-def _shares(surface: SurfaceAnalysis, fitted: FittedSurface, data: ReportData) -> Drawn:
+def _shares(surface: SurfaceAnalysis) -> pd.DataFrame:
     import pandas as pd
 
-    items = sorted(surface.sensitivity, key=lambda item: item.rank)
-    frame = pd.DataFrame(
-        [
-            {
-                "factor": item.factor,
-                "total": item.index.total,
-                "low": item.index.total_interval[0],
-                "high": item.index.total_interval[1],
-                "alone": item.index.first,
-            }
-            for item in items
-            if item.index is not None
-        ]
-    )
-    first = frame.iloc[0]
-    alone = float(frame["alone"].sum())
-    caption = sentence(
+    return pd.DataFrame(
+        {
+            "factor": item.factor, "total": item.index.total, "low": item.index.total_interval[0],
+            "high": item.index.total_interval[1], "alone": item.index.first,
+        }
+        for item in sorted(surface.sensitivity, key=lambda item: item.rank)
+        if item.index is not None
+    )  # fmt: skip
+
+
+def _shares_caption(frame: pd.DataFrame, fitted: FittedSurface, data: ReportData) -> str:
+    first, alone = frame.iloc[0], float(frame["alone"].sum())
+    return sentence(
         f"{name_of(str(first['factor']), data.labels)} carries "
         f"{percent(float(first['total']))} of the variance of {title(fitted, data)} when every "
         f"factor is uniform over its range. Bars are total indices with intervals of about 95 %, "
         f"rings what the factor does alone; all factors alone sum to {percent(min(alone, 1.0))}, "
         "the rest is interaction."
     )
-    return frame, lambda: _draw_shares(frame, data), caption
 
 
 def _draw_shares(frame: pd.DataFrame, data: ReportData) -> Canvas:
@@ -192,21 +199,24 @@ def _draw_shares(frame: pd.DataFrame, data: ReportData) -> Canvas:
     return figure
 
 
-def _left_out(surface: SurfaceAnalysis, fitted: FittedSurface, data: ReportData) -> Drawn:
+def _left_out(surface: SurfaceAnalysis) -> pd.DataFrame:
     import pandas as pd
 
     errors = left_out(surface)
     if errors is None:
         raise ValueError("no run can be left out")
-    frame = pd.DataFrame({"simulated": errors.observed, "predicted": errors.predicted})
-    worst = float(np.abs(errors.observed - errors.predicted).max())
-    caption = (
+    return pd.DataFrame({"simulated": errors.observed, "predicted": errors.predicted})
+
+
+def _left_out_caption(frame: pd.DataFrame, fitted: FittedSurface, data: ReportData) -> str:
+    worst = float((frame["simulated"] - frame["predicted"]).abs().max())
+    q2 = 0.0 if fitted.found is None else fitted.found.model.q2
+    return (
         f"Each run of {title(fitted, data)} against what a surface fitted to all the others "
         f"predicts; the worst is off by {quantity(worst, clean(fitted.unit))}, and Q2 is "
-        f"{min(surface.model.q2, 0.9999):.4g}{' or more' if surface.model.q2 > 0.9999 else ''} "
+        f"{min(q2, 0.9999):.4g}{' or more' if q2 > 0.9999 else ''} "
         "(1 is perfect, 0 no better than the mean)."
     )
-    return frame, lambda: _draw_left_out(frame, fitted, data), caption
 
 
 def _draw_left_out(frame: pd.DataFrame, fitted: FittedSurface, data: ReportData) -> Canvas:

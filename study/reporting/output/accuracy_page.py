@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,11 +11,10 @@ from study.laboratory.shape.shape_deviation import MarkerDeviation, ShapeDeviati
 from study.laboratory.tracker.tracker_error import (
     DisplacementResult,
     DistanceResult,
-    StageDistance,
     TrackerAccuracy,
 )
 from study.laboratory.tracker.tracker_reference import LeverArm, ReferenceResult
-from study.reporting.content.content_table import Table
+from study.reporting.content.blocks import Table
 from study.reporting.content.numbers import (
     MISSING,
     interval,
@@ -28,12 +26,8 @@ from study.reporting.content.numbers import (
 )
 from study.reporting.content.text import clean, count
 from study.reporting.figures import accuracy_figures
-from study.reporting.figures.registry import Drawn, make
+from study.reporting.figures.registry import Plot, make
 from study.reporting.output.analysis_page import AnswerPage
-
-if TYPE_CHECKING:
-    import pandas as pd
-
 
 # What a report says of a scanned surface: its answers in sentences, and its tables.
 
@@ -114,14 +108,13 @@ def scan_tables(deviation: ShapeDeviation) -> list[Table]:
 
 
 def _marker_table(markers: MarkerDeviation) -> Table:
-    rows, raw = [], []
-    for name, error in zip(markers.names, markers.errors.tolist(), strict=True):
-        size = float(np.linalg.norm(error))
-        rows.append((clean(name), *(significant(value) for value in (*error, size))))
-        raw.append({"marker": name, "x_mm": error[0], "y_mm": error[1], "z_mm": error[2],
-                    "size_mm": size})  # fmt: skip
+    sizes = [(*error, float(np.linalg.norm(error))) for error in markers.errors.tolist()]
+    every = list(zip(markers.names, sizes, strict=True))
+    rows = tuple((clean(name), *map(significant, numbers)) for name, numbers in every)
+    names = ("x_mm", "y_mm", "z_mm", "size_mm")
+    raw = tuple({"marker": n, **dict(zip(names, numbers, strict=True))} for n, numbers in every)
     columns = ("marker", "x (mm)", "y (mm)", "z (mm)", "size (mm)")
-    return Table("Measured less simulated place of markers", columns, tuple(rows), raw=tuple(raw))
+    return Table("Measured less simulated place of markers", columns, rows, raw=raw)
 
 
 # What a report says of a tracker: its answers in sentences, and its tables.
@@ -254,33 +247,37 @@ def tracker_tables(accuracy: TrackerAccuracy) -> list[Table]:
 
 
 def _stages(distance: DistanceResult, alpha: float) -> Table:
-    columns = ("stage", "visits", "samples", "independent", "mean (mm)", "SD within (mm)",
-               "SD between visits (mm)", f"{level(alpha)} interval of the mean")  # fmt: skip
-    return Table(
+    return Table.of(
         "Distance by stage",
-        columns,
-        tuple(_stage(stage) for stage in distance.stages),
-        raw=tuple(vars(stage) for stage in distance.stages),
+        distance.stages,
+        {
+            "stage": lambda stage: clean(stage.stage),
+            "visits": lambda stage: str(stage.visits),
+            "samples": lambda stage: f"{stage.samples:,}",
+            "independent": lambda stage: f"{stage.independent:.0f}",
+            "mean (mm)": lambda stage: significant(stage.mean_mm, 6),
+            "SD within (mm)": lambda stage: significant(stage.sd_mm),
+            "SD between visits (mm)": lambda stage: significant(stage.between_mm),
+            f"{level(alpha)} interval of the mean": lambda stage: (
+                MISSING if stage.interval_mm is None else interval(*stage.interval_mm, "", 6)
+            ),
+        },
+        raw=vars,
     )
-
-
-def _stage(stage: StageDistance) -> tuple[str, ...]:
-    ends = MISSING if stage.interval_mm is None else interval(*stage.interval_mm, "", 6)
-    return (
-        clean(stage.stage), str(stage.visits), f"{stage.samples:,}", f"{stage.independent:.0f}",
-        significant(stage.mean_mm, 6), significant(stage.sd_mm), significant(stage.between_mm),
-        ends,
-    )  # fmt: skip
 
 
 def _stops(displacement: DisplacementResult) -> Table:
-    pairs = list(
-        zip(displacement.commanded_mm.tolist(), displacement.measured_mm.tolist(), strict=True)
+    return Table.of(
+        "Displacement by stop",
+        zip(displacement.commanded_mm.tolist(), displacement.measured_mm.tolist(), strict=True),
+        {
+            "commanded (mm)": lambda pair: f"{pair[0]:.6g}",
+            "measured (mm)": lambda pair: f"{pair[1]:.6g}",
+            "difference (mm)": lambda pair: significant(pair[1] - pair[0]),
+        },
+        left=0,
+        raw=lambda pair: {"commanded_mm": pair[0], "measured_mm": pair[1]},
     )
-    rows = tuple((f"{c:.6g}", f"{m:.6g}", significant(m - c)) for c, m in pairs)
-    raw = tuple({"commanded_mm": c, "measured_mm": m} for c, m in pairs)
-    columns = ("commanded (mm)", "measured (mm)", "difference (mm)")
-    return Table("Displacement by stop", columns, rows, 0, raw=raw)
 
 
 def _tracker_poses(reference: ReferenceResult) -> Table:
@@ -299,24 +296,36 @@ def _tracker_poses(reference: ReferenceResult) -> Table:
 
 def tracker_page(accuracy: TrackerAccuracy) -> AnswerPage:
     """Page of a tracker."""
-    figures = []
+    plots: dict[str, Plot] = {}
     if (distance := accuracy.distance) is not None:
-        figures.append(
-            make("tracker-distance", "Distance by stage", lambda: _page_distance(distance))
+        dashed = " Dashed: the standard." if distance.standard else ""
+        plots["distance"] = (
+            "Distance by stage",
+            lambda: accuracy_figures.distance_points(distance),
+            lambda frame: accuracy_figures.draw_distances(frame, distance),
+            lambda _: (
+                "Histograms of all samples, a panel a stage. Line: mean over visits." + dashed
+            ),
         )
     if (displacement := accuracy.displacement) is not None:
-        figures.append(
-            make(
-                "tracker-displacement",
-                "Measured and commanded displacement",
-                lambda: _page_displacement(displacement),
-            )
+        plots["displacement"] = (
+            "Measured and commanded displacement",
+            lambda: accuracy_figures.displacement_points(displacement),
+            lambda frame: accuracy_figures.draw_displacement(frame, displacement),
+            lambda _: (
+                "Left: every stop and the line with errors in both. Right: differences "
+                "against means, bias and limits of agreement (dashed) with their intervals."
+            ),
         )
     if (reference := accuracy.reference) is not None:
-        figures.append(
-            make(
-                "tracker-reference", "Errors against the reference", lambda: _page_poses(reference)
-            )
+        plots["reference"] = (
+            "Errors against the reference",
+            lambda: accuracy_figures.reference_points(reference),
+            accuracy_figures.draw_reference,
+            lambda _: (
+                "Left: residuals of the registration over the workspace. Right: what is left "
+                "at every pose, and the error of a pose predicted from all others."
+            ),
         )
     return AnswerPage(
         kind="tracker accuracy",
@@ -324,62 +333,38 @@ def tracker_page(accuracy: TrackerAccuracy) -> AnswerPage:
         name=accuracy.name,
         question=accuracy.question,
         answer=tracker_answers(accuracy),
-        figures=figures,
+        figures=[make(f"tracker-{name}", plot) for name, plot in plots.items()],
         tables=tracker_tables(accuracy),
         warnings=accuracy.notes,
         document=accuracy.to_json(),
     )
 
 
-def _page_distance(distance: DistanceResult) -> Drawn:
-    frame = accuracy_figures.distance_points(distance)
-    dashed = " Dashed: the standard." if distance.standard else ""
-    caption = f"Histograms of all samples, a panel a stage. Line: mean over visits.{dashed}"
-    return frame, lambda: accuracy_figures.draw_distances(frame, distance), caption
-
-
-def _page_displacement(displacement: DisplacementResult) -> Drawn:
-    frame = accuracy_figures.displacement_points(displacement)
-    caption = (
-        "Left: every stop and the line with errors in both. Right: differences against means, "
-        "bias and limits of agreement (dashed) with their intervals."
-    )
-    return frame, lambda: accuracy_figures.draw_displacement(frame, displacement), caption
-
-
-def _page_poses(reference: ReferenceResult) -> Drawn:
-    frame = accuracy_figures.reference_points(reference)
-    caption = (
-        "Left: residuals of the registration over the workspace. Right: what is left at every "
-        "pose, and the error of a pose predicted from all others."
-    )
-    return frame, lambda: accuracy_figures.draw_reference(frame, reference), caption
-
-
 def shape_page(deviation: ShapeDeviation) -> AnswerPage:
     """Page of a scanned surface."""
     frame = accuracy_figures.deviation_points(deviation)
+    plots: dict[str, Plot] = {
+        "histogram": (
+            "Deviations",
+            lambda: frame,
+            accuracy_figures.draw_histogram,
+            lambda _: "Signed distances of scanned points. Line: mean; dashed: 5 % and 95 %.",
+        ),
+        "views": (
+            "Deviation over the body",
+            lambda: frame,
+            accuracy_figures.draw_views,
+            lambda _: "Mean deviation of the points in every hexagon that face the viewer.",
+        ),
+    }
     return AnswerPage(
         kind="shape deviation",
         stem="shape-deviation",
         name=deviation.name,
         question=f"How far is the simulated surface from {deviation.scan}?",
         answer=scan_answers(deviation),
-        figures=[
-            make("shape-histogram", "Deviations", lambda: _histogram(frame)),
-            make("shape-views", "Deviation over the body", lambda: _views(frame)),
-        ],
+        figures=[make(f"shape-{name}", plot) for name, plot in plots.items()],
         tables=scan_tables(deviation),
         warnings=(f"simulated part: {deviation.symmetry}", *deviation.notes),
         document=deviation.to_json(),
     )
-
-
-def _histogram(frame: pd.DataFrame) -> Drawn:
-    caption = "Signed distances of scanned points. Line: mean; dashed: 5 % and 95 %."
-    return frame, lambda: accuracy_figures.draw_histogram(frame), caption
-
-
-def _views(frame: pd.DataFrame) -> Drawn:
-    caption = "Mean deviation of the points in every hexagon that face the viewer."
-    return frame, lambda: accuracy_figures.draw_views(frame), caption

@@ -7,19 +7,20 @@ coefficients, all pairs of levels, four residual plots in one, unusual observati
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from study.reporting.content import analysis_content, methods, sentences, tables, verdicts
-from study.reporting.content.content_table import Table, size
+from study.reporting.content.blocks import Figure, Table
+from study.reporting.content.effect_words import size
 from study.reporting.content.front_page import in_few
 from study.reporting.content.numbers import p_phrase
 from study.reporting.content.report_facts import Facts, facts
 from study.reporting.content.text import clean, count, listing, sentence, term_name
 from study.reporting.figures import registry, residual_figures
-from study.reporting.figures.registry import Drawn, Figure, make, slug
+from study.reporting.figures.registry import Plot, made, slug
 from study.reporting.output import page, write
 from study.reporting.output.page import _environment, data_folder, replace_file
 from study.reporting.output.write import document as latex_document
@@ -85,9 +86,12 @@ def prepare(report: AnalysisReport) -> page.Contents:
 
 def _tables(report: AnalysisReport, item: Facts) -> dict[str, Table]:
     analysis, data = report.found, report.data
-    made: dict[str, Table | None] = {"verdicts": tables.verdicts((item,), data)}
+    shown: dict[str, Table | None] = {
+        "verdicts": tables.verdicts((item,), data),
+        "factors": analysis_content.factor_information(data),
+    }
     if analysis.anova.rows:
-        made |= {
+        shown |= {
             "anova": analysis_content.analysis_of_variance(analysis),
             "summary": analysis_content.model_summary(analysis),
             "coefficients": analysis_content.coefficients(report.coefficients, item),
@@ -100,8 +104,8 @@ def _tables(report: AnalysisReport, item: Facts) -> dict[str, Table]:
             "robustness": analysis_content.robustness(analysis, data),
         }
     if report.reference is not None:
-        made["reference"] = analysis_content.against_reference(*report.reference, data)
-    return {name: table for name, table in made.items() if table is not None}
+        shown["reference"] = analysis_content.against_reference(*report.reference, data)
+    return {name: table for name, table in shown.items() if table is not None}
 
 
 def _figures(report: AnalysisReport, item: Facts) -> dict[str, Figure]:
@@ -117,40 +121,27 @@ def _figures(report: AnalysisReport, item: Facts) -> dict[str, Figure]:
         return drawn
     points = residual_figures.residual_points(report.rows)
     limit = None if report.unusual is None else report.unusual.cook_limit
-    stem = slug(item.name)
-    makers: Mapping[str, tuple[str, Callable[[], Drawn]]] = {
-        "four-in-one": ("Residual plots", lambda: _four_in_one(points, item, data)),
-        "against-factors": ("Residuals versus factors", lambda: _factors(points, item, data)),
-        "influence": ("Influence", lambda: _influence(points, data, limit)),
+    plots: dict[str, Plot] = {
+        "four-in-one": (
+            "Residual plots",
+            lambda: points,
+            lambda frame: residual_figures.draw_residuals(frame, item, data, ordered=True),
+            lambda frame: residual_figures.four_in_one_caption(frame, item, data.alpha),
+        ),
+        "against-factors": (
+            "Residuals versus factors",
+            lambda: points[[*data.factors, "residual"]],
+            lambda frame: residual_figures.draw_against_factors(frame, item, data),
+            residual_figures.against_factors_caption,
+        ),
+        "influence": (
+            "Influence",
+            lambda: points[["row", "leverage", "cook", "standardized", "press"]],
+            lambda _: residual_figures.draw_influence(points, data, limit),
+            lambda _: residual_figures.influence_caption(points, limit),
+        ),
     }
-    return drawn | {
-        kind: make(f"{stem}-{kind}", f"{title}: {item.title}", maker)
-        for kind, (title, maker) in makers.items()
-    }
-
-
-def _four_in_one(points: pd.DataFrame, item: Facts, data: ReportData) -> Drawn:
-    caption = residual_figures.four_in_one_caption(points, item, data.alpha)
-    return (
-        points,
-        lambda: residual_figures.draw_residuals(points, item, data, ordered=True),
-        caption,
-    )
-
-
-def _factors(points: pd.DataFrame, item: Facts, data: ReportData) -> Drawn:
-    frame = points[[*data.factors, "residual"]]
-    caption = sentence(
-        "a level whose residuals scatter more has the larger variance"
-        + residual_figures.drawn_words(points)
-    )
-    return frame, lambda: residual_figures.draw_against_factors(points, item, data), caption
-
-
-def _influence(points: pd.DataFrame, data: ReportData, limit: float | None) -> Drawn:
-    frame = points[["row", "leverage", "cook", "standardized", "press"]]
-    caption = residual_figures.influence_caption(points, limit)
-    return frame, lambda: residual_figures.draw_influence(points, data, limit), caption
+    return drawn | made(plots, slug(item.name), item.title)
 
 
 def answer(report: AnalysisReport, item: Facts) -> tuple[str, ...]:

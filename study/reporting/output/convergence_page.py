@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,15 +11,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from study.ground.arrays import Array, Ints
-from study.reporting.content.content_table import Table
-from study.reporting.content.numbers import MISSING, quantity, significant
+from study.reporting.content.blocks import Block, Document, Figure, Table, Verbatim
+from study.reporting.content.numbers import MISSING, general, quantity, significant
 from study.reporting.content.text import clean, name_of, sentence
 from study.reporting.figures import convergence_figures as convergence
-from study.reporting.figures.registry import Drawn, Figure, make
+from study.reporting.figures.registry import Plot, make
 from study.reporting.output.analysis_page import AnswerPage, write_answer
 
 if TYPE_CHECKING:
-    from study.reporting.figures.convergence_figures import Document
+    import pandas as pd
 
 
 #: Parts of a value below this are written as "less than".
@@ -63,46 +62,48 @@ def convergence_figures(
 ) -> list[Figure]:
     """Value against size, error against size, error against seconds, meshes."""
     shown = [cell for cell in cells if len(cell.get("value", ())) > 1]
-    figures = []
+    plots: dict[str, Plot] = {}
     if shown:
-        figures.append(
-            make("convergence-values", "Value against mesh size", lambda: _values(shown))
+        plots["values"] = (
+            "Value against mesh size",
+            lambda: convergence.value_points(shown),
+            convergence.draw_values,
+            lambda _: convergence.value_caption(shown),
         )
     if any(cell["extrapolated"] is not None for cell in shown):
-        figures.append(make("convergence-errors", "Error and formal order", lambda: _errors(shown)))
-    for k, front in enumerate(fronts):
-        name = f"convergence-front-{k + 1}"
-        figures.append(make(name, "Error against seconds", partial(_front, front)))
+        plots["errors"] = (
+            "Error and formal order",
+            lambda: convergence.error_points(shown),
+            convergence.draw_errors,
+            lambda _: convergence.error_caption(shown),
+        )
+    plots |= {f"front-{k}": _front(front) for k, front in enumerate(fronts, 1)}
     if meshes:
-        figures.append(make("convergence-meshes", "Meshes", lambda: _meshes(meshes, window)))
-    return figures
+        plots["meshes"] = (
+            "Meshes",
+            lambda: _counts(meshes),
+            lambda _: convergence.draw_meshes(meshes, np.asarray(window, float)),
+            lambda _: "The coarsest and the finest mesh, in the same window.",
+        )
+    return [make(f"convergence-{name}", plot) for name, plot in plots.items()]
 
 
-def _values(cells: Sequence[Document]) -> Drawn:
-    frame = convergence.value_points(cells)
-    return frame, lambda: convergence.draw_values(frame), convergence.value_caption(cells)
+def _front(front: Document) -> Plot:
+    return (
+        "Error against seconds",
+        lambda: convergence.front_points(front),
+        lambda frame: convergence.draw_front(frame, float(front["accuracy"])),
+        lambda _: sentence(front["answer"]),
+    )
 
 
-def _errors(cells: Sequence[Document]) -> Drawn:
-    frame = convergence.error_points(cells)
-    return frame, lambda: convergence.draw_errors(frame), convergence.error_caption(cells)
-
-
-def _front(front: Document) -> Drawn:
-    frame = convergence.front_points(front)
-    accuracy = float(front["accuracy"])
-    return frame, lambda: convergence.draw_front(frame, accuracy), sentence(front["answer"])
-
-
-def _meshes(meshes: Meshes, window: ArrayLike | None) -> Drawn:
+def _counts(meshes: Meshes) -> pd.DataFrame:
     import pandas as pd
 
-    counts = pd.DataFrame(
+    return pd.DataFrame(
         [{"mesh": label, "points": len(points), "cells": len(cells)}
          for label, points, cells in meshes]
     )  # fmt: skip
-    caption = "The coarsest and the finest mesh, in the same window."
-    return counts, lambda: convergence.draw_meshes(meshes, np.asarray(window, float)), caption
 
 
 def answers(cells: Sequence[Document], document: Document) -> list[str]:
@@ -194,3 +195,95 @@ def part_of_value(share: float | None) -> str:
     if share is not None and 0 < share < SMALLEST_PART:
         return "< " + quantity(100 * SMALLEST_PART, "%", 1)
     return quantity(None if share is None else 100 * share, "%", 2)
+
+
+# A series as a terminal shows it: meshes, verdict, limit, then what the page tables.
+
+
+def series_blocks(document: Document) -> Iterator[Block]:
+    """Every series with its verdict and limit, then the fronts of error and cost."""
+    for cell in document.get("cells", [document]):
+        yield from _series(cell)
+    for front in document.get("fronts", ()):
+        yield _front_table(front)
+        yield Verbatim(front["answer"])
+    if left_out := document.get("left_out"):
+        cells_left = (" / ".join(map(str, cell["levels"].values())) for cell in left_out)
+        yield Verbatim(
+            f"not refined, for the time budget does not allow it: {', '.join(cells_left)}"
+        )
+        yield Verbatim("  a longer budget in [converge], or none, refines them too\n")
+    if document.get("report"):
+        yield Verbatim(f"report: {document['report']}")
+
+
+def _series(cell: Document) -> Iterator[Block]:
+    labels = " / ".join(str(v) for v in (cell.get("levels") or {}).values())
+    parts = (labels, cell["qoi"].removeprefix("value"), cell.get("note", ""))
+    title = ": ".join(part for part in parts[:2] if part) + (f" ({parts[2]})" if parts[2] else "")
+    yield Verbatim(title.strip())  # the title of a narrow table would be folded
+    yield _meshes(cell)
+    yield Verbatim(cell["verdict"])
+    if cell.get("formal_reason"):
+        yield Verbatim(f"formal order {cell['formal_order']:.3g}: {cell['formal_reason']}")
+    yield from _limit(cell)
+    if len(cell.get("quantities") or {}) > 1:
+        yield replace(series_table([cell]), name="quantities")
+    yield from (replace(table, name="error by source") for table in sources_tables([cell]))
+    yield Verbatim("")
+
+
+def _meshes(cell: Document) -> Table:
+    unit = f"value [{cell['unit']}]" if cell["unit"] else "value"
+    meshes = [m for m in cell.get("meshes") or () if m["status"] == "converged"]
+    pairs = list(zip(cell["mesh_size"], cell["value"], strict=True))
+    if len(meshes) != len(pairs):
+        return Table("", ("mesh size", unit), tuple((f"{h:.5g}", f"{v:.8g}") for h, v in pairs))
+    return Table.of(
+        "",
+        [(h, v, mesh) for (h, v), mesh in zip(pairs, meshes, strict=True)],
+        {
+            "mesh size [mm]": lambda of: f"{of[0]:.5g}",
+            unit: lambda of: f"{of[1]:.8g}",
+            "elements": lambda of: str(of[2]["elements"]),
+            "unknowns": lambda of: str(of[2]["unknowns"]),
+            "seconds": lambda of: f"{of[2]['seconds']:.3g}",
+            "predicted": lambda of: general(of[2]["predicted_seconds"], 3),
+            "MB": lambda of: f"{of[2]['memory_MB']:.0f}",
+        },
+    )
+
+
+def _limit(cell: Document) -> Iterator[Verbatim]:
+    if cell["gci_fine"] is not None:
+        yield Verbatim(
+            f"order {general(cell['observed_order'])}, extrapolated "
+            f"{general(cell['extrapolated'], 8)}, GCI {100 * cell['gci_fine']:.4g} %"
+        )
+    if cell["u_num"] is not None:
+        unit = f" {cell['unit']}" if cell["unit"] else ""
+        yield Verbatim(f"finest value {cell['value'][0]:.8g} +- {cell['u_num']:.3g}{unit}")
+    given = cell.get("given_mesh")
+    if given and given["u_num"] is not None:
+        share = f" ({100 * given['u_num'] / abs(given['value']):.2g} %)" if given["value"] else ""
+        yield Verbatim(f"on the mesh as given: {given['value']:.6g} +- {given['u_num']:.2g}{share}")
+    if cell.get("mesh_size_needed"):
+        accuracy = f"{100 * cell['accuracy']:g} %"
+        yield Verbatim(f"{accuracy} needs a mesh size of {cell['mesh_size_needed']:.3g}")
+    if cell.get("stopped"):
+        yield Verbatim(f"stopped: {cell['stopped']}")
+
+
+def _front_table(front: Document) -> Table:
+    return Table.of(
+        f"error and seconds against the limit {front['reference']:.6g}",
+        front["points"],
+        {
+            "cell": lambda p: p["cell"],
+            "mesh size": lambda p: f"{p['mesh_size']:.3g}",
+            "unknowns": lambda p: str(p["unknowns"]),
+            "seconds": lambda p: f"{p['seconds']:.3g}",
+            "MB": lambda p: f"{p['memory_MB']:.0f}",
+            "error": lambda p: f"{100 * p['error']:.2g} %",
+        },
+    )

@@ -14,7 +14,7 @@ from study.laboratory.haptics.tabulated_force import ForceLaw
 from study.laboratory.sensors.requirement import MULTIPLES, SensorRequirement, percent, size
 from study.laboratory.sensors.requirement import sentences as requirement_sentences
 from study.mechanics.material.material import is_dimensionless
-from study.reporting.content.content_table import Table
+from study.reporting.content.blocks import Figure, Table
 from study.reporting.content.numbers import MISSING, significant
 from study.reporting.content.text import clean
 from study.reporting.figures.axes import (
@@ -26,9 +26,10 @@ from study.reporting.figures.axes import (
     canvas,
     color_of,
     log_ticks,
+    note,
     plain_ticks,
 )
-from study.reporting.figures.registry import Figure, make
+from study.reporting.figures.registry import Plot, make
 from study.reporting.output.analysis_page import AnswerPage, write_answer
 
 if TYPE_CHECKING:
@@ -51,30 +52,29 @@ def write_force_law(
 
 def force_law_figures(law: ForceLaw) -> list[Figure]:
     """Force, stiffness and gradients; deviations from the simulation."""
-    points, deviations = law_points(law), deviation_points(law)
     uncertain = law.covariance is not None
-    caption = (
-        "Force, its slope, and how a tenth of each constant changes the force; dots are the "
-        "knots, dashes the continuations that no simulation says."
-    )
-    return [
-        make(
-            "force-law",
+    plots: dict[str, Plot] = {
+        "force-law": (
             "Force, stiffness, sensitivity",
-            lambda: (points, lambda: draw_law(points, law.displacement_mm), caption),
-        ),
-        make(
-            "force-law-deviation",
-            "Distance from the simulation",
-            lambda: (
-                deviations,
-                lambda: draw_deviation(deviations),
-                f"At points between the knots that were solved and kept out; the band is the "
-                f"error bound of {law.held_out.bound_N:.2g} N."
-                + (" What the calibration leaves open comes on top." if uncertain else ""),
+            lambda: law_points(law),
+            lambda frame: draw_law(frame, law.displacement_mm),
+            lambda _: (
+                "Force, its slope, and how a tenth of each constant changes the force; dots "
+                "are the knots, dashes the continuations that no simulation says."
             ),
         ),
-    ]
+        "force-law-deviation": (
+            "Distance from the simulation",
+            lambda: deviation_points(law),
+            draw_deviation,
+            lambda _: (
+                "At points between the knots that were solved and kept out; the band is the "
+                f"error bound of {law.held_out.bound_N:.2g} N."
+                + (" What the calibration leaves open comes on top." if uncertain else "")
+            ),
+        ),
+    }
+    return [make(name, plot) for name, plot in plots.items()]
 
 
 def constants(law: ForceLaw) -> Table:
@@ -132,30 +132,26 @@ def warnings(sensors: SensorRequirement) -> list[str]:
 
 def requirement_figures(sensors: SensorRequirement) -> list[Figure]:
     """Map of accuracies, and parts of the uncertainty."""
-    plane, parts = map_points(sensors), part_points(sensors)
-    percent_wanted = 100 * sensors.accuracy
-    caption = (
-        f"Expanded uncertainty (k = {sensors.coverage:g}) with all errors of a sensor so many "
-        "times "
-        f"as large as given; in the green region it is {percent_wanted:g} % or less. To first "
-        "order."
-    )
-    return [
-        make(
-            "requirement-map",
+    limit = 100 * sensors.accuracy
+    plots: dict[str, Plot] = {
+        "map": (
             "Position against force accuracy",
-            lambda: (plane, lambda: draw_map(plane, percent_wanted), caption),
-        ),
-        make(
-            "requirement-parts",
-            "What each error adds",
-            lambda: (
-                parts,
-                lambda: draw_parts(parts),
-                "Standard uncertainty by each error alone; their squares add up.",
+            lambda: map_points(sensors),
+            lambda frame: draw_map(frame, limit),
+            lambda _: (
+                f"Expanded uncertainty (k = {sensors.coverage:g}) with all errors of a "
+                "sensor so many times as large as given; in the green region it is "
+                f"{limit:g} % or less. To first order."
             ),
         ),
-    ]
+        "parts": (
+            "What each error adds",
+            lambda: part_points(sensors),
+            draw_parts,
+            lambda _: "Standard uncertainty by each error alone; their squares add up.",
+        ),
+    }
+    return [make(f"requirement-{name}", plot) for name, plot in plots.items()]
 
 
 def errors(sensors: SensorRequirement) -> Table:
@@ -341,7 +337,7 @@ def draw_map(frame: pd.DataFrame, wanted_percent: float) -> Canvas:
         limit = ax.contour(x, y, z, [wanted_percent], colors=[color_of(2)], linewidths=2.0)
         ax.clabel(limit, fmt=lambda level: f"{level:g} %", fontsize=7.5)
         ax.plot([1], [1], "o", color=INK, markersize=5)
-        ax.annotate("as given", (1, 1), xytext=(6, 5), textcoords="offset points", fontsize=7.5)
+        note(ax, "as given", (1, 1), (6, 5))
         log_ticks(ax, "x")
         log_ticks(ax, "y")
         ax.set_title(title)

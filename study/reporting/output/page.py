@@ -26,18 +26,13 @@ from study.reporting.content import (
     verdicts,
 )
 from study.reporting.content import front_page as front
-from study.reporting.content import tables as case_records
-from study.reporting.content import tables as failed_cases
-from study.reporting.content import tables as fit_tables
-from study.reporting.content import tables as marker_tables
-from study.reporting.content import verdicts as hypotheses
-from study.reporting.content.content_table import Table
+from study.reporting.content.blocks import Figure, Table
 from study.reporting.content.numbers import duration
 from study.reporting.content.report_facts import Facts, facts, grouped_inputs
 from study.reporting.content.text import clean, count, folded, name_of, plural_of, sentence
 from study.reporting.content.verdicts import verdict
 from study.reporting.figures import convergence_figures, registry, surface_figures
-from study.reporting.figures.registry import Figure, slug
+from study.reporting.figures.registry import slug
 from study.reporting.results.study_result import FITTED_CURVE, ReportData, ResponseAnalysis
 
 if TYPE_CHECKING:
@@ -109,43 +104,34 @@ def prepare(data: ReportData, worker: Worker | None = None) -> Contents:
     of_study = partial(registry.of_study, data)
     figures = of_study if worker is None else worker.begin(of_study)
     all_facts = facts(data)
-    made: dict[str, Table] = {
-        "verdicts": tables.verdicts(all_facts, data),
-        "cells": tables.matrix(data, all_facts),
-    }
-    if data.fits:
-        made["fits"] = fit_tables.fits(data)
-        made["every_fit"] = fit_tables.every_fit(data)
-    if data.markers:
-        made["markers"] = marker_tables.marker_errors(data)
-    if data.numerical:
-        made["numerical"] = tables.numerical(data.numerical, data)
-    if data.expected:
-        made["expected"] = hypotheses.table(data, all_facts)
-    if data.validation:
-        made["validation"] = convergence_figures.table(data.validation, data.block)
-    if data.beside is not None:
-        made["beside"] = comparison_content.table(data.beside, data.labels)
-        made["changes"] = comparison_content.changes(data.beside)
-    if data.failures:
-        made["failures"] = tables.failures(data)
-    if data.retried:
-        made["retried"] = failed_cases.retried_table(data.retried, data.block)
-    if data.failure_pattern is not None and data.failure_pattern.tests:
-        made["failure_tests"] = failed_cases.tests(data.failure_pattern, data.labels)
     sections = tuple(_section(data, item) for item in all_facts if item.terms or not data.surfaces)
     over = tuple(_surface(data, surface) for surface in data.surfaces)
+    records = tables.case_records(data, all_facts)
+    cells = tables.matrix(data, all_facts)
+    pattern, beside = data.failure_pattern, data.beside
+    made: dict[str, Table | None] = {
+        "verdicts": tables.verdicts(all_facts, data),
+        "cells": cells if records is None else replace(cells, follow=tables.CELL),
+        "fits": tables.fits(data) if data.fits else None,
+        "every_fit": tables.every_fit(data) if data.fits else None,
+        "markers": tables.marker_errors(data) if data.markers else None,
+        "numerical": tables.numerical(data.numerical, data) if data.numerical else None,
+        "expected": verdicts.table(data, all_facts) if data.expected else None,
+        "validation": convergence_figures.table(data.validation, data.block)
+        if data.validation
+        else None,
+        "beside": comparison_content.table(beside, data.labels) if beside else None,
+        "changes": comparison_content.changes(beside) if beside else None,
+        "failures": tables.failures(data) if data.failures else None,
+        "retried": tables.retried_table(data.retried, data.block) if data.retried else None,
+        "failure_tests": tables.tests(pattern, data.labels) if pattern and pattern.tests else None,
+    }
     for section in over:
-        made |= {
-            t.name: t
-            for t in (section.sensitivity, section.coefficients, section.uncertain)
-            if t is not None
-        }
-    records = case_records.case_records(data, all_facts)
-    if records is not None:
-        made["cells"] = replace(made["cells"], follow=case_records.CELL)
+        of_surface = (section.sensitivity, section.coefficients, section.uncertain)
+        made |= {table.name: table for table in of_surface if table is not None}
+    present = {name: table for name, table in made.items() if table is not None}
     drawn = _first_figure(data, all_facts, over) | figures()
-    return Contents(data, all_facts, sections, drawn, made, over, records)
+    return Contents(data, all_facts, sections, drawn, present, over, records)
 
 
 def _first_figure(
@@ -170,10 +156,7 @@ def _surface(data: ReportData, fitted: FittedSurface) -> SurfaceSection:
         surface_content.sensitivity(fitted, data),
         surface_content.coefficients(fitted, data),
         surface_content.table(fitted, data),
-        {
-            kind: registry.make(f"{stem}-{kind}", f"{words}: {named}", maker)
-            for kind, (words, maker) in surface_figures.drawings(fitted, data).items()
-        },
+        registry.made(surface_figures.drawings(fitted, data), stem, named),
     )
 
 
@@ -257,10 +240,10 @@ def details_page(contents: Contents) -> str:
         planned=_planned(data, len(contents.tables["cells"].rows)),
         methods=methods.paragraph(data, contents.found),
         failures=sentences.failures(data.failures, len(data.table)),
-        retried=failed_cases.retried_sentence(data.retried),
+        retried=tables.retried_sentence(data.retried),
         failure_pattern=()
         if data.failure_pattern is None
-        else failed_cases.failure_sentences(data.failure_pattern, data.labels),
+        else tables.failure_sentences(data.failure_pattern, data.labels),
         warnings=_warnings(contents),
         verdict_groups=_groups(contents.tables["verdicts"]),
         sections={section.facts.title: section.anchor for section in contents.sections},

@@ -26,11 +26,11 @@ from study.ground.bounded_file import read_existing, read_json, sha256_of
 from study.ground.errors import Fault, InputError, StoreError, StudyError, nearest
 from study.ground.memory import uncollected
 from study.harness.record.folder import own_folder
-from study.reporting.content.content_table import Table
+from study.reporting.content.blocks import Figure, Table
 from study.reporting.content.methods import paragraph
 from study.reporting.content.numbers import MINUS, MISSING, THIN, TIMES
 from study.reporting.content.text import clean
-from study.reporting.figures.registry import Figure, data_alone, slug
+from study.reporting.figures.registry import data_alone, slug
 from study.reporting.output.page import (
     Contents,
     data_folder,
@@ -91,29 +91,20 @@ def escape(text: object) -> str:
 
 def table(content: Table, caption: str) -> str:
     """Return a ``table`` environment with a label, and the rules of booktabs."""
+    import pandas as pd
+
     words = content.left, len(content.columns) - content.tail
-    columns = "".join(
-        "l" if i < words[0] or i >= words[1] else "r" for i in range(len(content.columns))
+    kinds = ("l" if i < words[0] or i >= words[1] else "r" for i in range(len(content.columns)))
+    rows = [[escape(cell) for cell in row] for row in content.rows]
+    # names of columns, not the header that may be given: pandas reads braces in that as formats
+    frame = pd.DataFrame(rows, columns=[escape(column) for column in content.columns])
+    return frame.to_latex(
+        index=False,
+        escape=False,
+        column_format="".join(kinds),
+        caption=escape(caption),
+        label=f"tab:{slug(content.name)}",
     )
-    lines = [
-        r"\begin{table}",
-        r"\centering",
-        rf"\caption{{{escape(caption)}}}",
-        rf"\label{{tab:{slug(content.name)}}}",
-        rf"\begin{{tabular}}{{{columns}}}",
-        r"\toprule",
-        _row(content.columns),
-        r"\midrule",
-        *(_row(row) for row in content.rows),
-        r"\bottomrule",
-        r"\end{tabular}",
-        r"\end{table}",
-    ]
-    return "\n".join(lines) + "\n"
-
-
-def _row(cells: Sequence[str]) -> str:
-    return " & ".join(escape(cell) for cell in cells) + r" \\"
 
 
 def document(tables: Sequence[tuple[str, Table]], methods: str) -> str:

@@ -10,29 +10,32 @@ import numpy as np
 from study.harness.design.factors import settings_of
 from study.harness.design.spec import Design, Factor
 from study.harness.record.record import Record
+from study.statistics.analysis.anova_table import Effect
 from study.statistics.analysis.failures import CaseFate, cause
 from study.statistics.surfaces.surface_optimum import Goal, ResponseSpread
 
 
 def document(comparison: Beside) -> dict[str, object]:
     """Comparison as plain JSON."""
-    from dataclasses import asdict
-
-    rows = []
-    for row in comparison.conclusions:
-        conclusions = [asdict(f) for f in row.found]
-        for conclusion in conclusions:
-            ends = (conclusion.pop("low"), conclusion.pop("high"))
-            conclusion["ci95"] = None if None in ends else list(ends)
-            conclusion["effect_over_u_num"] = conclusion.pop("over_u_num")
-        rows.append(
-            {
-                "response": row.response, "factor": row.term, "unit": row.unit,
-                "scale": "ratio" if row.ratio else "difference",
-                "conclusion": row.conclusion, "holds": row.holds,
-                "end": row.end or None, "same_best": row.same_best, "found": conclusions,
-            }
-        )  # fmt: skip
+    rows = [
+        {
+            "response": row.response, "factor": row.term, "unit": row.unit,
+            "scale": "ratio" if row.ratio else "difference",
+            "conclusion": row.conclusion, "holds": row.holds,
+            "end": row.end or None, "same_best": row.same_best,
+            "found": [
+                {
+                    "verdict": effect.strength, "effect": effect.range,
+                    "practical": effect.practical, "p": effect.p, "u_num": effect.u_num,
+                    "best": best, "why": effect.why,
+                    "ci95": None if effect.ci95 is None else list(effect.ci95),
+                    "effect_over_u_num": effect.effect_over_u_num,
+                }
+                for effect, best in zip(row.effects, row.best, strict=True)
+            ],
+        }
+        for row in comparison.conclusions
+    ]  # fmt: skip
     changed = [{"kind": c.kind, "key": c.key, "values": list(c.values)} for c in comparison.changes]
     only = [
         {"what": o.what, "name": o.name, "study": comparison.names[o.study], "why": o.why}
@@ -50,27 +53,6 @@ NONE_CAN_TELL = "cannot tell in both"
 
 
 @dataclass(frozen=True)
-class Found:
-    """What one of the two studies says of one term."""
-
-    #: As in the verdict table of that study.
-    verdict: str
-    #: Largest difference and its 95 % interval: in the unit of the response, or ratios.
-    effect: float | None = None
-    low: float | None = None
-    high: float | None = None
-    #: Smallest difference that matters there, on the same scale.
-    practical: float | None = None
-    #: The deciding p, numerical uncertainty, and the effect over it.
-    p: float | None = None
-    u_num: float | None = None
-    over_u_num: float | None = None
-    #: Level that leads (see ``Conclusion.end``), among the levels that both studies have.
-    best: str = ""
-    why: str = ""
-
-
-@dataclass(frozen=True)
 class Conclusion:
     """One term of one response under both studies."""
 
@@ -81,7 +63,7 @@ class Conclusion:
     conclusion: str
     #: Whether the conclusion is the same in both; None where one of them cannot tell.
     holds: bool | None
-    found: tuple[Found, Found]
+    effects: tuple[Effect, Effect]
     ratio: bool = False
     #: {"lowest", "highest", ""}: end of the response that ``best`` names: the better one, or the
     #: highest where no end is better; empty for interactions.
@@ -90,6 +72,8 @@ class Conclusion:
     best_is_better: bool = False
     #: Whether some level leads in both, or lies within what matters of the leading one.
     same_best: bool | None = None
+    #: Level that leads in each, among those that both have.
+    best: tuple[str, str] = ("", "")
 
     @property
     def is_main(self) -> bool:

@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.cli.small import study
-from tests.cli.test_numeric_factors import DESIGN, _force, _shares
+from tests.cli.small import Finished, study
+from tests.cli.test_numeric_factors import _force, _shares
 
 
 def _words(page: Path) -> str:
@@ -21,16 +21,9 @@ def _words(page: Path) -> str:
     return re.sub(r"\s+", " ", plain.replace("\N{NO-BREAK SPACE}", " "))
 
 
-@pytest.fixture(scope="module")
-def ranged(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    home = tmp_path_factory.mktemp("ranged")
-    (home / "ranges.toml").write_text(DESIGN.replace('["csv"]', '["html"]'))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(home)
-        answer = study("run", "ranges.toml", "--jobs", 1)
-    assert answer.code == 0, answer.err
-    assert "No response could be analyzed" not in answer.out
-    return home / "reports" / "ranges"
+@pytest.fixture
+def ranged(ranges: Finished) -> Path:
+    return ranges.folder / "reports" / "ranges"
 
 
 def test_the_answer_names_the_factors_by_what_they_do(ranged: Path) -> None:

@@ -1,10 +1,10 @@
-"""A table of a report, before it is drawn in any format."""
+"""Effects as text: their sizes, and their answers by the role of a factor."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import product
 
 from study.reporting.content.numbers import (
@@ -30,29 +30,6 @@ from study.statistics.analysis.simple_effects import (
     NO_DIFFERENCE,
     NOT_RESOLVED,
 )
-
-
-@dataclass(frozen=True)
-class Table:
-    """Plain text in rows.
-
-    ``left`` and ``tail`` count the leading and the last columns that hold words, not numbers;
-    ``raw`` has the unrounded values for the CSV; with ``grouped`` the first column names
-    groups of rows. ``anchors`` name rows of the page; ``follow`` is the start of the names that
-    the first number of each row leads to, counted from 1.
-    """
-
-    name: str
-    columns: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    left: int = 1
-    tail: int = 0
-    note: str = ""
-    raw: tuple[Mapping[str, object], ...] = field(default=(), repr=False)
-    grouped: bool = False
-    anchors: tuple[str, ...] = ()
-    follow: str = ""
-
 
 # Sizes of effects as text: differences and ratios, intervals, what matters, numerical bounds.
 #

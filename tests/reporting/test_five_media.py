@@ -1,0 +1,95 @@
+"""One table in every medium: page, terminal, LaTeX, CSV and JSON hold the same numbers."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from html import unescape
+from pathlib import Path
+
+import pytest
+
+from tests.cli.small import study
+
+TABLE = Path(__file__).parents[2] / "validation" / "statistics" / "battery_life.csv"
+ASKED = ("--response", "life", "--factors", "material,temperature", "--practical", "10")
+STEM = "battery-life-life"
+#: signs as LaTeX writes them
+SIGNS = {
+    "$-$": "\N{MINUS SIGN}", r"$\times$": "\N{MULTIPLICATION SIGN}", r"\textless{}": "<",
+    r"\textgreater{}": ">",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def media(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """What each medium says of one analysis."""
+    folder = tmp_path_factory.mktemp("media")
+    files = ("--report", folder, "--format", "html,tex,csv")
+    shown, document = (
+        study("analyze", TABLE, *ASKED, *files),
+        study("analyze", TABLE, *ASKED, "--json"),
+    )
+    assert (shown.code, document.code) == (0, 0), shown.err + document.err
+    page = (folder / f"{STEM}-details.html").read_text("utf-8")
+    words = unescape(re.sub(r"<[^>]*>", " ", re.sub(r"<svg.*?</svg>", "", page, flags=re.S)))
+    return {
+        "page": re.sub(r"\s+", " ", words),
+        "terminal": re.sub(r"\s+", " ", shown.out),
+        "latex": (folder / f"{STEM}.tex").read_text("utf-8"),
+        "json": document.out,
+        **{name: (folder / f"{STEM}-data" / f"table-{name}.csv").read_text("utf-8")
+           for name in ("anova", "verdicts", "means")},
+    }  # fmt: skip
+
+
+def latex_rows(text: str, label: str) -> list[list[str]]:
+    """Cells of a table, as they are escaped."""
+    body = text.partition(rf"\label{{tab:{label}}}")[2].partition(r"\end{tabular}")[0]
+    body = body.partition(r"\midrule")[2].partition(r"\bottomrule")[0]
+    return [[cell.strip() for cell in row.split("&")] for row in body.split(r"\\") if row.strip()]
+
+
+@pytest.mark.parametrize("name", ["anova", "verdicts", "means"])
+def test_every_number_that_is_shown_is_shown_alike(media: dict[str, str], name: str) -> None:
+    rows = latex_rows(media["latex"], name)
+    assert rows
+    for row in rows:
+        cells = [cell.replace("~", " ") for cell in row]
+        for written, character in SIGNS.items():
+            cells = [cell.replace(written, character) for cell in cells]
+        # a page groups rows by the first cell, and both leave out what an empty cell holds
+        line = " ".join(cell.replace("--", "\N{EN DASH}") for cell in cells[1:] if cell)
+        for medium in ("page", "terminal"):
+            assert line in media[medium], (medium, line)
+
+
+def test_every_number_that_is_stored_is_equal_to_the_last_digit(media: dict[str, str]) -> None:
+    document = json.loads(media["json"])
+    stored = {row["term"]: row for row in csv.DictReader(media["anova"].splitlines())}
+    for row in document["anova"]["rows"]:
+        for key in ("df", "ss", "ms", "f", "p"):
+            text = stored[row["term"]][key]
+            assert (None if text == "" else float(text)) == row[key], (row["term"], key)
+    sizes = {row["factor"]: row for row in csv.DictReader(media["verdicts"].splitlines())}
+    for effect in document["effects"]:
+        if ":" not in effect["term"]:
+            row = sizes[effect["term"]]
+            assert float(row["effect"]) == effect["range"]
+            assert [float(row["low"]), float(row["high"])] == effect["ci95"]
+            assert row["verdict"] == effect["verdict"]
+
+
+def test_latex_has_a_label_and_the_rules_of_booktabs_for_each_table(media: dict[str, str]) -> None:
+    count = media["latex"].count(r"\begin{table}")
+    assert count >= 4
+    labels = re.findall(r"\\label\{tab:([a-z0-9-]+)\}", media["latex"])
+    assert len(set(labels)) == len(labels) == count
+    for rule in ("toprule", "midrule", "bottomrule"):
+        assert media["latex"].count(f"\\{rule}") == count
+
+
+def test_a_p_is_written_one_way(media: dict[str, str]) -> None:
+    for medium in ("page", "terminal", "latex"):
+        assert not re.search(r"\bp(-value)? ?(=|<|>) ?0\.\d", media[medium]), medium
