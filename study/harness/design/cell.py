@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, is_dataclass
+from dataclasses import dataclass, is_dataclass
 from functools import cached_property
 from typing import cast, overload
 
@@ -15,7 +15,7 @@ import numpy as np
 from study.ground.canonical import Json
 from study.ground.errors import Fault, InputError
 from study.harness.design.diagnostics import Faults, Table, read_table, read_variant, with_values
-from study.harness.design.forward_model import ForwardCell, Refinement, Value
+from study.harness.design.forward_model import ForwardCell
 from study.harness.design.forward_section import ForwardModel
 from study.mechanics.measurement.measurement_section import (
     KINEMATIC,
@@ -129,26 +129,18 @@ SELDOM = ("speed_mm_per_s", "hold_s", "cycles", "prestretch")
 
 
 @dataclass(frozen=True)
-class CellProblem:
+class CellProblem(ForwardCell):
     """One test of a cell: what is pressed, how, and how it is discretized."""
 
     specimen: Specimen
     test: TestSection
     material: MaterialSection
     model: Model
-    measurements: MeasurementSpec | None = None
-    #: What predicts its curves; None for the built-in finite elements.
-    forward: ForwardModel | None = None
-    #: Where the places of markers inside the specimen are.
-    markers: MarkerSpec | None = None
-    #: Values of the user's own for the templates of its program, and their units.
-    parameters: Mapping[str, Value] = field(default_factory=dict)
-    units: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def calibrated_names(self) -> tuple[str, ...]:
         """Names of the constants that a fit may find."""
-        return tuple(self.material.calibrated_names)
+        return self.material.calibrated_names
 
     @property
     def depth_mm(self) -> float | None:
@@ -162,11 +154,6 @@ class CellProblem:
             return ""
         names = ("space", "element_order", "element_shape", "formulation")
         return " ".join(str(getattr(self.model, name)) for name in names)
-
-    @property
-    def refinement(self) -> Refinement | None:
-        """Its own mesh refines it, no parameter."""
-        return None
 
     def faults_in_design(self) -> list[tuple[str, str, str]]:
         """Where, rule and mend of a course in time, of which a design has no response."""

@@ -93,13 +93,13 @@ def _of_parameters(
             faults.add(name, "has no meaning for parameters alone, without a material", mend)
     name = (converge.key or "").partition(".")[2]
     if not name:
-        return ParameterProblem(values, units, forward)
+        return ParameterProblem(parameters=values, units=units, forward=forward)
     size = values.get(name)
     if isinstance(size, bool) or not isinstance(size, float) or size <= 0:
         rule = f"must be a positive number in every cell, parameters.{name} is {shown(size)}"
         faults.add("converge.key", rule, "name the mesh size, step or tolerance of your solver")
     refinement = Refinement(name, converge.formal_order)
-    return ParameterProblem(values, units, forward, refinement)
+    return ParameterProblem(parameters=values, units=units, forward=forward, refinement=refinement)
 
 
 def resolve_problem(
@@ -131,7 +131,9 @@ def resolve_problem(
             spec = replace(spec, points="raw")  # every row of a test of material counts
     forward = forward_from(tables.get("forward"), faults, at["forward"])
     markers = markers_from(tables.get("markers"), faults, at["markers"])
-    problem = CellProblem(specimen, test, material, model, spec, forward, markers)
+    problem = CellProblem(
+        specimen, test, material, model, measurements=spec, forward=forward, markers=markers
+    )
     _check_closed_form(problem, faults, at)
     problem = _with_displacement(problem, tables, faults, at)
     plausibility.check(problem, faults, at)
