@@ -36,7 +36,7 @@ TABLES: tuple[tuple[str, type], ...] = (
     *((f'[design] with kind = "{name}"', kind) for name, kind in LAYOUTS.items()),
     ("[[response]]", study_file.ResponseTable),
     ("[[exclude]]", study_file.ExclusionTable),
-    ("[analysis]", study_file.AnalysisTable),
+    ("[analysis]", study_file.Analysis),
     ("[replicates]", study_file.Replicates),
     ("[execution]", study_file.Execution),
     ("[converge]", study_file.Converge),

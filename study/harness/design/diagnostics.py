@@ -16,6 +16,7 @@ from study.ground.errors import Fault, InputError, UnitError, nearest
 from study.mechanics.setup.declaration import (
     Bad,
     Key,
+    choice,
     keys_of,
     quoted,
     read_section,
@@ -84,7 +85,7 @@ def read_variant(
     elif ruling not in table:
         faults.add(_dotted(path, ruling), "is missing", f"one of {', '.join(kinds)}")
     else:
-        word = noted(one_of(kinds), table[ruling], _dotted(path, ruling), faults)
+        word = noted(choice(*kinds), table[ruling], _dotted(path, ruling), faults)
         if word is not None:
             return read_table(kinds[word], table, path, faults)
     first = next(iter(kinds.values()))
@@ -110,20 +111,6 @@ def noted(
     except UnitError as error:
         faults.add(where, error.faults[0].rule, error.faults[0].mend)
     return None
-
-
-def one_of(names: Iterable[str]) -> Callable[[object], str]:
-    """Reader of the word that says which section a table is."""
-    valid = tuple(names)
-
-    def read(value: object) -> str:
-        if not isinstance(value, str):
-            raise Bad(f"must be a text, got {shown(value)}", nearest("", valid))
-        if value not in valid:
-            raise Bad(f"unknown value {shown(value)}", nearest(value[:80], valid))
-        return value
-
-    return read
 
 
 def is_known(*values: object) -> bool:

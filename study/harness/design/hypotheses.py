@@ -10,11 +10,11 @@ from typing import Annotated
 import numpy as np
 
 from study.ground.errors import nearest
-from study.harness.design.diagnostics import Faults, flatten, noted, read_table
+from study.harness.design.diagnostics import Faults, flatten, noted, read_table, with_values
 from study.harness.design.generators import clear_order, model_columns
 from study.harness.design.layout_kinds import word_of, words_of
 from study.harness.design.spec import Expected, Factor, ResponseSpec, Scheme
-from study.harness.design.study_file import Analysis, AnalysisTable
+from study.harness.design.study_file import Analysis, Terms
 from study.mechanics.setup.declaration import (
     AsWritten,
     Bad,
@@ -24,88 +24,19 @@ from study.mechanics.setup.declaration import (
     section,
     shown,
     text,
-    written_keys,
 )
 
 MAX_EXPECTED = 50
 
-_Factor = Annotated[object, as_written('name a factor, such as "material"')]
-_Factors = Annotated[object, as_written('two factors, such as ["material", "plates"]')]
-_Labels = Annotated[object, as_written('one level or several, such as "quadratic"')]
-_Cell = Annotated[object, as_written('{ material = "neo-hookean" }')]
-
 
 @section
 class Expectation:
-    """One ``[[expected]]``: who said it, and of which response."""
+    """One ``[[expected]]``: who said it, and of which response; its kind has keys besides."""
 
     source: Annotated[str, Reads(text)] = ""
     response: AsWritten = None
 
 
-@section
-class Matters(Expectation):
-    """A factor has an effect that matters."""
-
-    matters: _Factor = None
-
-
-@section
-class Larger(Expectation):
-    """The effect of a factor is larger than that of another one."""
-
-    larger: _Factor = None
-    than: _Factor = None
-
-
-@section
-class Interact(Expectation):
-    """Two factors interact."""
-
-    interact: _Factors = None
-
-
-@section
-class Best(Expectation):
-    """A cell, mean over all other factors, is the best."""
-
-    best: _Cell = None
-
-
-@section
-class Close(Expectation):
-    """Two cells differ by less than what matters."""
-
-    close: _Cell = None
-    to: _Cell = None
-
-
-@section
-class Better(Expectation):
-    """Levels of a factor score better than its others, or than those named."""
-
-    better: _Labels = None
-    than: AsWritten = None
-
-
-@section
-class Fewer(Expectation):
-    """Levels of a factor need less of the response than its others, or than those named."""
-
-    fewer: _Labels = None
-    than: AsWritten = None
-
-
-#: every kind by the key that names it
-KINDS: Mapping[str, type[Expectation]] = {
-    "matters": Matters,
-    "larger": Larger,
-    "interact": Interact,
-    "best": Best,
-    "close": Close,
-    "better": Better,
-    "fewer": Fewer,
-}
 #: word for every level of a material factor but the linear one
 HYPERELASTIC = "hyperelastic"
 _LINEAR = "linear-elastic"
@@ -136,29 +67,21 @@ def _expected(
     if isinstance(table, Mapping) and len(kinds) != 1:
         rule = f"must hold one of {', '.join(KINDS)}" + (f", got {len(kinds)}" if kinds else "")
         faults.add(where, rule, _MEND)
-    kind, others = kinds[0] if kinds else "", [key for k in kinds[1:] for key in _own_keys(k)]
-    section = read_table(KINDS.get(kind, Expectation), table, where, faults, others)
+    kind, others = kinds[0] if kinds else "", [key for k in kinds[1:] for key in KINDS[k]]
+    section = read_table(_SECTIONS.get(kind, Expectation), table, where, faults, others)
     response = responses[0] if responses else ""
     if section.response is not None:
         response = noted(_one_of(responses), section.response, f"{where}.response", faults) or ""
-    read = _READERS.get(kind, _factor)
-    given = {key: getattr(section, key) for key in _own_keys(kind)}
     values = [
         noted(partial(read, named), value, f"{where}.{key}", faults)
-        for key, value in given.items()
-        if value is not None
+        for key, (read, _) in KINDS.get(kind, {}).items()
+        if (value := getattr(section, key)) is not None
     ]
     if len(faults) > before:
         return None
     cells = tuple(value for value in values if isinstance(value, dict))
     names = tuple(name for value in values if isinstance(value, tuple) for name in value)
     return Expected(kind, names, cells, response, section.source)
-
-
-def _own_keys(kind: str) -> tuple[str, ...]:
-    """Keys of a kind beside those of all kinds; none of an unknown one."""
-    declared = written_keys(KINDS.get(kind, Expectation))
-    return tuple(key for key in declared if key not in written_keys(Expectation))
 
 
 def _one_of(valid: Sequence[str]) -> Callable[[object], str]:
@@ -206,9 +129,34 @@ def _levels(named: Mapping[str, Factor], value: object) -> dict[str, str]:
     raise Bad(f"are no levels of one factor: {shown(value)}", nearest(str(labels[0])[:80], every))
 
 
-_READERS: Mapping[
-    str, Callable[[Mapping[str, Factor], object], tuple[str, ...] | dict[str, str]]
-] = {"interact": _factors, "best": _cell, "close": _cell, "better": _levels, "fewer": _levels}
+#: Reader of what is said of factors, and what to write where it is missing; "" where it may be.
+Said = tuple[Callable[[Mapping[str, Factor], object], tuple[str, ...] | dict[str, str]], str]
+
+_FACTOR: Said = (_factor, 'name a factor, such as "material"')
+_CELL: Said = (_cell, '{ material = "neo-hookean" }')
+_LEVELS: Said = (_levels, 'one level or several, such as "quadratic"')
+#: keys of every kind, the first of which names it
+KINDS: Mapping[str, Mapping[str, Said]] = {
+    # a factor has an effect that matters, or a larger one than another factor
+    "matters": {"matters": _FACTOR},
+    "larger": {"larger": _FACTOR, "than": _FACTOR},
+    "interact": {"interact": (_factors, 'two factors, such as ["material", "plates"]')},
+    # a cell, mean over all other factors, is the best; two cells differ by less than what matters
+    "best": {"best": _CELL},
+    "close": {"close": _CELL, "to": _CELL},
+    # levels of a factor score better, or need less, than its others, or than those named
+    "better": {"better": _LEVELS, "than": (_levels, "")},
+    "fewer": {"fewer": _LEVELS, "than": (_levels, "")},
+}
+
+
+def _section_of(keys: Mapping[str, Said]) -> type[Expectation]:
+    """Section of a kind: an expectation with the keys of the kind."""
+    types = {key: Annotated[object, as_written(mend)] for key, (_, mend) in keys.items()}
+    return section(type("Kind", (Expectation,), {"__annotations__": types} | dict.fromkeys(keys)))
+
+
+_SECTIONS = {kind: _section_of(keys) for kind, keys in KINDS.items()}
 
 
 # The terms of the analysis: those asked for, or those that a design can tell.
@@ -217,11 +165,9 @@ MAX_TERMS = 1000
 #: kinds of a design whose cells do not tell every term
 _FRACTIONS = ("fractional", "plackett-burman", "d-optimal", "listed")
 
-Model = str | int | tuple[str, ...]
-
 
 def analysis_from(
-    table: AnalysisTable,
+    table: Analysis,
     factors: Sequence[Factor],
     declared: Sequence[str],
     scheme: Scheme,
@@ -245,13 +191,10 @@ def analysis_from(
         faults.add("analysis.surface", rule, 'write surface = "emulator", or leave it out')
     for term in table.primary or ():
         noted(partial(_term, factors=declared), term, "analysis.primary", faults)
-    return Analysis(
-        model, table.type, table.error, table.alpha, table.roles or (), table.family,
-        table.primary or (), table.surface or "auto", table.contrasts or (),
-    )  # fmt: skip
+    return with_values(table, model=model)
 
 
-def default_model(scheme: Scheme, factors: Sequence[Factor]) -> Model:
+def default_model(scheme: Scheme, factors: Sequence[Factor]) -> Terms:
     """Terms that a design can tell, where the file does not ask for others."""
     if scheme.kind == "full":
         terms = terms_of(scheme, factors)
@@ -264,7 +207,7 @@ def default_model(scheme: Scheme, factors: Sequence[Factor]) -> Model:
     return 1
 
 
-def _model(factors: Sequence[str], value: object) -> Model:
+def _model(factors: Sequence[str], value: object) -> Terms:
     if value == "full":
         return "full"
     if isinstance(value, list):
@@ -281,7 +224,7 @@ def _term(value: object, factors: Sequence[str]) -> str:
 
 
 def _check_told_apart(
-    model: Model, factors: Sequence[Factor], scheme: Scheme, faults: Faults
+    model: Terms, factors: Sequence[Factor], scheme: Scheme, faults: Faults
 ) -> None:
     """Refuse terms that no analysis of a fraction can tell apart."""
     # Each would be judged by what the others leave of it, which is nothing.

@@ -337,18 +337,29 @@ class Report:
     format: Annotated[tuple[str, ...], Reads(_formats)] = ("html",)
 
 
+#: Terms of an analysis: all, those up to an order, or those listed, ``"A"`` or ``"A:B"``.
+Terms = str | int | tuple[str, ...]
+
+
 @section
-class AnalysisTable:
+class Analysis:
     """How the table of cases is analyzed; ``model`` is by default what the design can tell."""
 
-    model: AsWritten = None
+    model: Annotated[Terms, as_written()] = None  # type: ignore[assignment]
+    #: Of the sums of squares.
     type: Annotated[str, Reads(choice("I", "II", "III"))] = "II"
+    #: What effects are compared with.
     error: Annotated[str, Reads(choice("auto", "pooled", "own", "replicates"))] = "auto"
     alpha: Annotated[float, Reads(number(0, 1))] = 0.05
+    #: What a factor is to the question (:data:`ROLES`).
     roles: Annotated[tuple[tuple[str, str], ...], Reads(_roles)] = ()
+    #: Tests that Holm's adjustment takes together: of one response, or of all.
     family: Annotated[str, Reads(choice("response", "study"))] = "response"
+    #: Terms declared before the run, which then are the family; all terms where it is empty.
     primary: Annotated[tuple[str, ...], Reads(_primary)] = ()
+    #: What is fitted over the factors that are ranges.
     surface: Annotated[str, Reads(choice("auto", "quadratic", "emulator", "none"))] = "auto"
+    #: Differences of two settings that every response is asked for.
     contrasts: Annotated[tuple[str, ...], Reads(texts("contrasts", "stiff - soft"))] = ()
 
 
@@ -436,7 +447,7 @@ class DesignFile(ProblemFile):
     parameters: AsWritten = None
     constraint: _Constraints = ()
     response: _Responses = ()
-    analysis: AnalysisTable = AnalysisTable()
+    analysis: Analysis = Analysis()
     replicates: Replicates = Replicates()
     execution: Execution = Execution()
     expected: AsWritten = None
@@ -455,30 +466,3 @@ class CalibrationFile:
     tests: _Tests = ()
     calibration: Fitting = Fitting()
     nuisance: AsWritten = None
-
-
-# How the table of cases is analyzed, as a design declares it.
-
-
-@dataclass(frozen=True)
-class Analysis:
-    """How the table of cases is analyzed."""
-
-    #: Terms: all, those up to an order, or those listed, ``"A"`` or ``"A:B"``.
-    model: str | int | tuple[str, ...] = "full"
-    #: Of the sums of squares.
-    type: str = "II"
-    #: What effects are compared with.
-    error: str = "auto"
-    alpha: float = 0.05
-    #: Factors and what they are to the question (:data:`study.harness.design.study_file.ROLES`).
-    roles: tuple[tuple[str, str], ...] = ()
-    #: Tests that Holm's adjustment takes together: of one response, or of
-    #: all.
-    family: str = "response"
-    #: Terms declared before the run, which then are the family; all terms where it is empty.
-    primary: tuple[str, ...] = ()
-    #: What is fitted over the factors that are ranges.
-    surface: str = "auto"
-    #: Differences of two settings that every response is asked for (:mod:`study.ground.contrast`).
-    contrasts: tuple[str, ...] = ()
