@@ -17,7 +17,7 @@ from study.ground.contrast import sides_of
 from study.ground.errors import Fault, InputError, nearest
 from study.harness.design import diagnostics, overlay, plausibility
 from study.harness.design.calibration_section import CalibrationDesign
-from study.harness.design.cell import Cell, Config, measurements_from
+from study.harness.design.cell import Cell, Config
 from study.harness.design.diagnostics import (
     Faults,
     Table,
@@ -45,7 +45,12 @@ from study.harness.design.parameters import (
     constraint_of,
     stands_alone,
 )
-from study.harness.design.resolve import calibration_from, resolve_calibration, resolve_problem
+from study.harness.design.resolve import (
+    calibration_from,
+    measurements_from,
+    resolve_calibration,
+    resolve_problem,
+)
 from study.harness.design.response_tables import responses_from, uncertainty_from
 from study.harness.design.spec import Design, Level
 from study.harness.design.study_file import (
