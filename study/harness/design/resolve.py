@@ -19,6 +19,7 @@ from study.harness.design.diagnostics import (
     Kind,
     Table,
     all_about,
+    is_about,
     is_known,
     noted,
     read_table,
@@ -47,7 +48,6 @@ from study.mechanics.setup.calibration_table import (
 )
 from study.mechanics.setup.declaration import shown, values_of, written_keys
 from study.mechanics.setup.geometry import INDENTERS, SPECIMENS, Specimen
-from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import Model
 from study.mechanics.setup.test_section import TEST_KINDS, TestSection
 
@@ -383,8 +383,9 @@ def resolve_calibration(
     problems = [_test(tables, test, f"tests[{i}]", faults) for i, test in enumerate(file.tests)]
     if all_about(faults, "calibration") and not any(test.role == "fit" for test in file.tests):
         faults.add("tests", "has no test with role fit", 'write role = "fit" in one of them')
-    material = problems[0].material if all_about(faults, "calibration") else None
-    bounds = _bounds(file.calibration, material, faults)
+    is_read = bool(problems) and not any(is_about(fault, "material") for fault in faults)
+    names = problems[0].calibrated_names if is_read else None
+    bounds = _bounds(file.calibration, names, faults)
     shared = nuisance_from(file.nuisance, overlay.dimension, "nuisance", faults)
     nuisances = [
         nuisance_from(test.nuisance, overlay.dimension, f"tests[{i}].nuisance", faults)
@@ -414,7 +415,7 @@ def _test(tables: Table, test: TestTable, where: str, faults: Faults) -> CellPro
     return resolve_problem({"test": {}, **tables, **given}, faults, places=places, all_rows=True)
 
 
-def _bounds(fitting: Fitting, material: MaterialSection | None, faults: Faults) -> Bounds:
+def _bounds(fitting: Fitting, names: tuple[str, ...] | None, faults: Faults) -> Bounds:
     """Bounds of the constants; keys that the closed form of indentations has alone are noted."""
     for key in ANALYTIC_KEYS:
         if fitting.method != "analytic" and getattr(fitting, key) != getattr(Fitting(), key):
@@ -422,5 +423,4 @@ def _bounds(fitting: Fitting, material: MaterialSection | None, faults: Faults) 
             faults.add(f"calibration.{key}", "is of the closed form of indentations", mend)
     if fitting.bounds is None:
         return {}
-    names = () if material is None else material.calibrated_names
     return noted(bounds_of(names), fitting.bounds, "calibration.bounds", faults) or {}
