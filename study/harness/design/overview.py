@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 
 from study.ground.canonical import Json, plain
 from study.harness.design.cell import Cell
@@ -13,6 +14,9 @@ from study.harness.design.spec import Combination, Design, Factor, Level, Treatm
 
 Groups = tuple[tuple[Treatment, ...], ...]
 Key = Callable[[Cell], Hashable]
+_physical, _calibration, _content = map(
+    attrgetter, ("physical_key", "calibration_key", "content_key")
+)
 
 
 def _grouped(treatments: Sequence[Treatment], key: Key) -> Groups:
@@ -20,14 +24,6 @@ def _grouped(treatments: Sequence[Treatment], key: Key) -> Groups:
     for t in treatments:
         groups.setdefault(key(t.cell), []).append(t)
     return tuple(tuple(group) for group in groups.values())
-
-
-def _physical(cell: Cell) -> str:
-    return cell.physical_key
-
-
-def _calibration(cell: Cell) -> str | None:
-    return cell.calibration_key
 
 
 def equivalent_groups(design: Design) -> Groups:
@@ -39,7 +35,7 @@ def equivalent_groups(design: Design) -> Groups:
 
 def duplicates(design: Design) -> Groups:
     """Find groups of two or more cells with different labels and the same content."""
-    groups = _grouped(design.treatments, lambda cell: cell.content_key)
+    groups = _grouped(design.treatments, _content)
     return tuple(group for group in groups if len(group) > 1)
 
 
@@ -248,11 +244,7 @@ def _matrix(design: Design, groups: Groups, fitted: Groups) -> tuple[CellOvervie
     fit = {member.label: i for i, members in enumerate(fitted, 1) for member in members}
     return tuple(
         CellOverview(
-            t.label,
-            t.levels,
-            group[t.label],
-            fit.get(t.label),
-            t.cell.problem.is_homogeneous,
+            t.label, t.levels, group[t.label], fit.get(t.label), t.cell.problem.is_homogeneous
         )
         for t in design.treatments
     )

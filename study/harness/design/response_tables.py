@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 from study.ground import units
@@ -214,6 +214,15 @@ def _distribution(
     return InputDistribution(word, nums, span.low, span.high)
 
 
+def _in_unit(kind: str, unit: str) -> Callable[[object], float]:
+    """Reader of a value of some dimension in a unit of it."""
+    if kind == overlay.ANY:
+        return partial(number_in, unit=unit)
+    if kind == "number":
+        return number()
+    return lambda value: units.parse(value, kind) / units.parse(f"1 {unit}", kind)
+
+
 def _value(
     raw: object, name: str, kind: str, span: Span, where: str, faults: Faults
 ) -> float | None:
@@ -223,17 +232,11 @@ def _value(
     positive = name in ("sd", "median")
     if kind == "number":
         return noted(number(0.0) if positive else number(), raw, where, faults)
-
-    def read(value: object) -> float:
-        if kind == overlay.ANY:
-            size = number_in(value, span.unit)
-        else:
-            size = units.parse(value, kind) / units.parse(f"1 {span.unit}", kind)
-        if positive and size <= 0:
-            raise Bad(f"must be above 0, got {shown(value)}")
-        return size
-
-    return noted(read, raw, where, faults)
+    size = noted(_in_unit(kind, span.unit), raw, where, faults)
+    if size is not None and positive and size <= 0:
+        faults.add(where, f"must be above 0, got {shown(raw)}")
+        return None
+    return size
 
 
 def _about(key: str, size: float, kind: str, span: Span, config: Table) -> InputDistribution:
@@ -254,12 +257,7 @@ def usual_value(key: str, kind: str, span: Span, config: Table) -> float:
     if isinstance(node, bool) or not isinstance(node, str | int | float):
         return middle
     try:
-        if kind == overlay.ANY:
-            value = number_in(node, span.unit)
-        elif kind == "number":
-            value = float(node)
-        else:
-            value = units.parse(node, kind) / units.parse(f"1 {span.unit}", kind)
+        value = _in_unit(kind, span.unit)(node)
     except (UnitError, ValueError):  # told where the value stands
         return middle
     return value if span.low <= value <= span.high else middle
