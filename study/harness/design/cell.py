@@ -83,36 +83,27 @@ def plain(value: object) -> Json: ...
 
 def plain(value: object) -> Json:
     """Plain JSON values of a configuration, numbers coerced."""
-    return _plain(value)
-
-
-#: types that are plain as they are, asked for first: nine values in ten
-_ATOMS = frozenset({str, int, bool, type(None)})
-
-
-def _plain(value: object) -> Json:
-    kind = type(value)
-    if kind in _ATOMS:
+    if type(value) in _ATOMS:
         return cast("Json", value)
-    if kind is dict:
-        return {str(k): _plain(v) for k, v in cast("dict[object, object]", value).items()}
     if isinstance(value, MeasurementSpec):
-        return _plain({k: v for k, v in value.as_dict().items() if k != "citation"})
+        return plain({k: v for k, v in value.as_dict().items() if k != "citation"})
     if is_dataclass(value) and not isinstance(value, type):
-        return _plain(vars(value))
+        return plain(vars(value))
     if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in value.items()}
+        return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_plain(v) for v in value]
+        return [plain(v) for v in value]
     if isinstance(value, (np.ndarray, np.generic)):
-        return _plain(value.tolist())
-    if value is None or isinstance(value, (str, bool, int)):
+        return plain(value.tolist())
+    if isinstance(value, (str, int)):
         return value
     if isinstance(value, float) and math.isfinite(value):
         return int(value) if value.is_integer() and abs(value) < 2**53 else value
     raise InputError(Fault("case", f"cannot name the content {value!r}"))
 
 
+#: types that are plain as they are, asked for first: nine values in ten
+_ATOMS = frozenset({str, int, bool, type(None)})
 #: Document of a cell or of a file, in mm, N, MPa and deg: what leaves this room, to be hashed and
 #: to be computed. Inside the room a cell is a value of the classes below.
 Config = dict[str, object]

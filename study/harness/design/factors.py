@@ -18,11 +18,12 @@ from study.harness.design.diagnostics import (
     is_known,
     noted,
     quoted_path,
+    with_values,
 )
 from study.harness.design.material_table import DISTRIBUTION_KEYS
 from study.harness.design.parameters import number_and_unit
-from study.harness.design.spec import Exclusion, Factor, Level, Span
-from study.harness.design.study_file import ExclusionTable
+from study.harness.design.spec import Factor, Level, Span
+from study.harness.design.study_file import Exclusion
 from study.mechanics.setup.declaration import MAX_NAME, Bad, choice, name, number, quoted, shown
 
 MAX_FACTORS = 20
@@ -167,7 +168,7 @@ def _slot(key: str) -> str:
 
 
 def exclusions_from(
-    tables: Sequence[ExclusionTable],
+    tables: Sequence[Exclusion],
     factors: Sequence[Factor],
     declared: Collection[str],
     faults: Faults,
@@ -179,29 +180,17 @@ def exclusions_from(
         before, where = len(faults), f"exclude[{i}].when"
         if not is_known(table.why, table.when):
             continue
-        labels = _labels(table.when, where, by_name, declared, faults)
+        written, labels = entries(table.when, where, faults), {}
+        if isinstance(table.when, Mapping) and not written:
+            faults.add(where, "is empty: it would leave out every cell")
+        for key, raw in written.items():
+            if key in by_name:
+                labels[key] = noted(partial(_chosen, by_name[key]), raw, f"{where}.{key}", faults)
+            elif key not in declared:
+                faults.add(f"{where}.{quoted(key)}", "unknown key", nearest(key, declared))
         if len(faults) == before:
-            exclusions.append(Exclusion(labels, table.why))
+            exclusions.append(with_values(table, when=labels))
     return tuple(exclusions)
-
-
-def _labels(
-    when: object,
-    where: str,
-    by_name: Mapping[str, Factor],
-    declared: Collection[str],
-    faults: Faults,
-) -> dict[str, tuple[str, ...]]:
-    written = entries(when, where, faults)
-    if isinstance(when, Mapping) and not written:
-        faults.add(where, "is empty: it would leave out every cell")
-    labels = {}
-    for key, raw in written.items():
-        if key in by_name:
-            labels[key] = noted(partial(_chosen, by_name[key]), raw, f"{where}.{key}", faults) or ()
-        elif key not in declared:
-            faults.add(f"{where}.{quoted(key)}", "unknown key", nearest(key, declared))
-    return labels
 
 
 def _chosen(factor: Factor, raw: object) -> tuple[str, ...]:
@@ -224,8 +213,8 @@ SCALES = ("linear", "log")
 _QUANTITY = re.compile(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*(\S.*?)\s*")
 
 
-def grouped(table: Table) -> dict[str, object]:
-    """Join the keys of a range, which joining dotted keys took apart, to ``KEY``.
+def grouped(table: Table, parts: Collection[str] = RANGE_KEYS) -> dict[str, object]:
+    """Join the keys of a range or a distribution, which joining dotted keys took apart, to ``KEY``.
 
     Examples
     --------
@@ -236,7 +225,7 @@ def grouped(table: Table) -> dict[str, object]:
     ends: dict[str, dict[str, object]] = {}
     for key, value in table.items():
         name, _, end = key.rpartition(".")
-        if _is_end(key):
+        if name and end in parts and not overlay.may_vary(key):
             joined[name] = ends.setdefault(name, {})
             ends[name][end] = value
         else:

@@ -38,12 +38,17 @@ from study.harness.design.factors import (
     set_whole,
 )
 from study.harness.design.forward_section import ValueFile
-from study.harness.design.hypotheses import analysis_from, expected_from
 from study.harness.design.layout_kinds import scheme_from
 from study.harness.design.parameters import (
     check_names,
     constraint_of,
     stands_alone,
+)
+from study.harness.design.questions import (
+    analysis_from,
+    expected_from,
+    responses_from,
+    uncertainty_from,
 )
 from study.harness.design.resolve import (
     calibration_from,
@@ -51,7 +56,6 @@ from study.harness.design.resolve import (
     resolve_calibration,
     resolve_problem,
 )
-from study.harness.design.response_tables import responses_from, uncertainty_from
 from study.harness.design.spec import Design, Level
 from study.harness.design.study_file import (
     MARKED,

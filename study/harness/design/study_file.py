@@ -277,9 +277,13 @@ def _reason(value: object) -> str:
 class StudyTable:
     """Name, question, seed and what is assumed; the name is by default that of the file."""
 
+    #: Of its folder of results.
     name: Annotated[str, Reads(slug)] = ""
+    #: What it is to answer; the report begins with it.
     question: Annotated[str, Reads(text)] = ""
+    #: Of every random draw.
     seed: Annotated[int, Reads(integer(0, 2**32 - 1))] = 2011
+    #: Inputs that nobody measured, by key.
     assumed: Annotated[tuple[str, ...], Reads(_assumed)] = ()
 
 
@@ -369,18 +373,24 @@ class ResponseTable:
 
     name: Annotated[str, Reads(_response_name, mend="for example relative_rms_force_error")]
     displacement: Length | None = None
+    #: Smallest difference that matters, in its unit or as a share: "0.05 N", "2 pp", "5 % of mean".
     practical: AsWritten = None
+    #: Scale on which it is analyzed.
     transform: Annotated[str, Reads(choice("none", "log"))] = "none"
     #: Of a value that a Python function returns, or a program that says none.
     unit: Annotated[str | None, Reads(value_unit)] = None
 
 
 @section
-class ExclusionTable:
+class Exclusion:
     """One ``[[exclude]]``: labels of levels by factor, and why their cells are left out."""
 
     why: Annotated[str, Reads(_reason, mend='say why: why = "..."')]
-    when: Annotated[object, as_written('when = { material = "ogden-1" }')]
+    when: Annotated[Mapping[str, tuple[str, ...]], as_written('when = { material = "ogden-1" }')]
+
+    def matches(self, levels: Mapping[str, str]) -> bool:
+        """Whether a cell is left out: every factor named takes one of its labels."""
+        return all(levels[name] in labels for name, labels in self.when.items())
 
 
 @section
@@ -408,7 +418,7 @@ class TestTable:
 
 _Schema = Annotated[int, Reads(_schema, mend=f"write schema = {SCHEMA} on the first line")]
 _Responses = Annotated[tuple[ResponseTable, ...], Rows(1, MAX_RESPONSES, RESPONSES_MEND)]
-_Exclusions = Annotated[tuple[ExclusionTable, ...], Rows(0, MAX_EXCLUSIONS, "write [[exclude]]")]
+_Exclusions = Annotated[tuple[Exclusion, ...], Rows(0, MAX_EXCLUSIONS, "write [[exclude]]")]
 _Constraints = Annotated[
     tuple[ConstraintTable, ...], Rows(0, MAX_EXCLUSIONS, "write [[constraint]]")
 ]
