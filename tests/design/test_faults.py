@@ -115,6 +115,8 @@ def test_malformed_toml_says_file_line_and_column(text: str, place: str) -> None
 def test_not_utf8() -> None:
     with pytest.raises(InputError, match=r"x\.toml:2: is not UTF-8"):
         loads(b"schema = 1\n# \xff\n", "x.toml")
+    with pytest.raises(InputError, match=r"x\.toml:2: holds a NUL byte: it is no text file"):
+        loads(b"schema = 1\n\0\xff", "x.toml")
     assert loads(b"\xef\xbb\xbf" + DESIGN.replace("\n", "\r\n").encode())
 
 

@@ -88,13 +88,15 @@ def plain(value: object) -> Json:
     if isinstance(value, MeasurementSpec):
         return plain({k: v for k, v in value.as_dict().items() if k != "citation"})
     if is_dataclass(value) and not isinstance(value, type):
-        return plain(vars(value))
+        fields: dict[str, object] = vars(value)
+        return plain(fields)
     if isinstance(value, Mapping):
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):
         return [plain(v) for v in value]
     if isinstance(value, (np.ndarray, np.generic)):
-        return plain(value.tolist())
+        made: object = value.tolist()
+        return plain(made)
     if isinstance(value, (str, int)):
         return value
     if isinstance(value, float) and math.isfinite(value):

@@ -194,6 +194,7 @@ MAX_BYTES = 256 * 1024
 MAX_LINE = 4096
 MAX_DOTS = 32  # before an equals sign: tomllib takes quadratic time in the parts of a key
 MAX_DEPTH = 12
+_TEXT = "save it as UTF-8 text"
 _PLACE = re.compile(r"^(.*) \((?:at line (\d+), column (\d+)|at end of document)\)$", re.DOTALL)
 
 
@@ -222,12 +223,15 @@ def decode(raw: bytes, source: str) -> str:
     if len(raw) > MAX_BYTES:
         rule = f"is larger than {MAX_BYTES // 1024} KiB, which no study file needs"
         raise InputError(Fault(source, rule, "keep measured data in CSV files"))
+    if b"\0" in raw:
+        line = raw.count(b"\n", 0, raw.index(b"\0")) + 1
+        raise InputError(Fault(f"{source}:{line}", "holds a NUL byte: it is no text file", _TEXT))
     try:
         return raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = raw.count(b"\n", 0, error.start) + 1
         rule = f"is not UTF-8 (byte {raw[error.start]:#04x})"
-        raise InputError(Fault(f"{source}:{line}", rule, "save it as UTF-8 text")) from error
+        raise InputError(Fault(f"{source}:{line}", rule, _TEXT)) from error
 
 
 def parse_toml(text: str, source: str) -> Tables:

@@ -23,8 +23,17 @@ from study.harness.design.diagnostics import (
 from study.harness.design.material_table import DISTRIBUTION_KEYS
 from study.harness.design.parameters import number_and_unit
 from study.harness.design.spec import Factor, Level, Span
-from study.harness.design.study_file import Exclusion
-from study.mechanics.setup.declaration import MAX_NAME, Bad, choice, name, number, quoted, shown
+from study.harness.design.study_file import DesignFile, Exclusion
+from study.mechanics.setup.declaration import (
+    MAX_NAME,
+    Bad,
+    choice,
+    name,
+    number,
+    quoted,
+    shown,
+    written_keys,
+)
 
 MAX_FACTORS = 20
 MAX_LEVELS = 100
@@ -97,6 +106,9 @@ def _levels(key: str, value: object, presets: Presets, faults: Faults) -> tuple[
         table = key.split(".")[0]
         valid = [*presets, *(k for k in overlay.VARYING if k.partition(".")[0] == table)]
         mend = nearest(key[:MAX_NAME], valid) if valid else overlay.suggestion(key)
+        if table in written_keys(DesignFile) and table not in overlay.TABLES:
+            mend = f"[{table}] is the same in every cell; keys of these may vary: "
+            mend += ", ".join(overlay.TABLES)
         faults.add(where, "is neither a key that may vary nor a preset set", mend)
         return ()
     if not isinstance(value, list):

@@ -280,10 +280,9 @@ def resolve_problem(
         if spec is not None and (all_rows or specimen.shape == "homogeneous") and not chosen:
             spec = replace(spec, points="raw")  # every row of a test of material counts
     forward = forward_from(tables.get("forward"), faults, at["forward"])
-    places = tables.get("markers")
-    markers = None
-    if places is not None:
-        markers = _sound(MarkerSpec, places, at["markers"], faults, _markers_broken)
+    marked, markers = tables.get("markers"), None
+    if marked is not None:
+        markers = _sound(MarkerSpec, marked, at["markers"], faults, _markers_broken)
     problem = CellProblem(
         specimen, test, material, model, measurements=spec, forward=forward, markers=markers
     )
