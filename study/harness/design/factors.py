@@ -84,7 +84,8 @@ def factors_from(table: object, presets: Presets, faults: Faults) -> tuple[Facto
     if len(written) > MAX_FACTORS:
         faults.add("factors", f"has {len(written)} factors, the limit is {MAX_FACTORS}")
         return ()
-    for key in sorted(set(written) & {key.rpartition(".")[0] for key in written if _is_end(key)}):
+    parted = [key.rpartition(".") for key in written]
+    for key in sorted(set(written) & {start for start, _, end in parted if end in RANGE_KEYS}):
         rule = "stands twice, with levels and with an end of a range"
         faults.add(f"factors.{quoted_path(key)}", rule, "keep one of the two")
     read = [_factor(key, value, presets, faults) for key, value in grouped(written).items()]
@@ -258,12 +259,6 @@ def set_whole(table: Table, key: str, value: object) -> dict[str, object]:
     for old_key, old_value in table.items():
         copied |= {key: value} if old_key in old else {old_key: old_value}
     return {**copied, key: value}
-
-
-def _is_end(key: str) -> bool:
-    """Whether a joined key is one of a range: an end, or how it is divided."""
-    name, _, end = key.rpartition(".")
-    return bool(name) and end in RANGE_KEYS
 
 
 def _range(key: str, value: Table, where: str, faults: Faults) -> Factor | None:

@@ -480,6 +480,8 @@ def _design(file: DesignFile, tables: Tables, faults: Faults, source: str, text:
         study.setdefault("name", name)
     presets = presets_from(file.presets, faults)
     factors = factors_from(file.factors, presets, faults)
+    material = tables.get("material")  # before any level is laid over it
+    given = isinstance(material, dict) and any(is_constant_key(key) for key in material)
     declared = list(grouped(entries(file.factors, "factors", faults)))
     excluding = "exclude" in tables or "constraint" in tables
     factors, scheme = scheme_from(file.design, factors, file.study.seed, excluding, faults)
@@ -498,7 +500,7 @@ def _design(file: DesignFile, tables: Tables, faults: Faults, source: str, text:
         exclusions=exclusions_from(file.exclude, factors, declared, faults),
         responses=responses,
         measurements=measurements_from(file.measurements, Faults()) if file.measurements else None,
-        calibration=calibration_from(tables, _gives_constants(tables), Faults()),
+        calibration=calibration_from(tables, given, Faults()),
         analysis=analysis_from(file.analysis, factors, declared, scheme, faults),
         scheme=scheme,
         replicates=file.replicates,
@@ -555,12 +557,6 @@ def _check_parameters(
     if replicates.key is not None and not alone:
         rule = "is the seed of a program of parameters alone; here write mesh_seeds or noise"
         faults.add("replicates.key", rule, "leave it out")
-
-
-def _gives_constants(tables: Table) -> bool:
-    """Whether the table ``[material]`` itself has constants, before any level is laid over it."""
-    material = tables.get("material")
-    return isinstance(material, dict) and any(is_constant_key(key) for key in material)
 
 
 def _check_asked(tables: Table, faults: Faults) -> None:

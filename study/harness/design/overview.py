@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
-from operator import attrgetter
 
 from study.ground.canonical import Json, plain
 from study.harness.design.cell import Cell
@@ -14,9 +13,6 @@ from study.harness.design.spec import Combination, Design, Factor, Level, Treatm
 
 Groups = tuple[tuple[Treatment, ...], ...]
 Key = Callable[[Cell], Hashable]
-_physical, _calibration, _content = map(
-    attrgetter, ("physical_key", "calibration_key", "content_key")
-)
 
 
 def _grouped(treatments: Sequence[Treatment], key: Key) -> Groups:
@@ -30,18 +26,19 @@ def equivalent_groups(design: Design) -> Groups:
     """Cells that must agree physically, grouped: one group is one distinct computation."""
     # In compression with both faces frictionless the deformation is the same everywhere, so that
     # space, order, mesh and element shape cannot matter: those cells are controls.
-    return _grouped(design.treatments, _physical)
+    return _grouped(design.treatments, lambda cell: cell.physical_key)
 
 
 def duplicates(design: Design) -> Groups:
     """Find groups of two or more cells with different labels and the same content."""
-    groups = _grouped(design.treatments, _content)
+    groups = _grouped(design.treatments, lambda cell: cell.content_key)
     return tuple(group for group in groups if len(group) > 1)
 
 
 def calibration_groups(design: Design) -> Groups:
     """Cells that share one calibration problem (one fit a block); none where nothing is fitted."""
-    return _grouped([t for t in design.treatments if t.cell.is_calibrated], _calibration)
+    calibrated = [t for t in design.treatments if t.cell.is_calibrated]
+    return _grouped(calibrated, lambda cell: cell.calibration_key)
 
 
 def calibration_factors(design: Design) -> tuple[str, ...]:
@@ -56,7 +53,7 @@ def _calibrates(design: Design, factor: str) -> bool:
     of times to find that out.
     """
     fitted = any(t.cell.is_calibrated for t in design.treatments)
-    return fitted and _separated(design, factor, _calibration) > 0
+    return fitted and _separated(design, factor, lambda cell: cell.calibration_key) > 0
 
 
 def _separated(design: Design, factor: str, key: Key) -> int:
@@ -93,7 +90,7 @@ def _compared(factor: Factor) -> Sequence[Level]:
 
 def inert_cells(design: Design, factor: str) -> int:
     """Count the cells in which a factor cannot change a force: its controls."""
-    return len(design.treatments) - _separated(design, factor, _physical)
+    return len(design.treatments) - _separated(design, factor, lambda cell: cell.physical_key)
 
 
 @dataclass(frozen=True)

@@ -84,10 +84,7 @@ class Fitting:
 
 
 def bounds_of(names: Sequence[str] | None) -> Callable[[object], Bounds]:
-    """Reader of the bounds of constants, such as ``{ C10 = ["1 kPa", "20 kPa"] }``.
-
-    Without ``names`` the material is faulty itself, and any constant may have them.
-    """
+    """Reader of bounds, ``{ C10 = ["1 kPa", "20 kPa"] }``; of any constant without names."""
 
     def read(value: object) -> Bounds:
         if not isinstance(value, Mapping):
