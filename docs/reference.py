@@ -35,8 +35,8 @@ TABLES: tuple[tuple[str, type], ...] = (
     ("[calibration]", Calibration),
     *((f'[design] with kind = "{name}"', kind) for name, kind in LAYOUTS.items()),
     ("[[response]]", study_file.ResponseTable),
-    ("[[exclude]]", study_file.ExclusionTable),
-    ("[analysis]", study_file.AnalysisTable),
+    ("[[exclude]]", study_file.Exclusion),
+    ("[analysis]", study_file.Analysis),
     ("[replicates]", study_file.Replicates),
     ("[execution]", study_file.Execution),
     ("[converge]", study_file.Converge),
@@ -62,16 +62,22 @@ def design_file() -> str:
 
 
 def _summary(kind: type) -> str:
-    return (inspect.getdoc(kind) or "").split("\n\n")[0].replace("\n", " ")
+    return _plain((inspect.getdoc(kind) or "").split("\n\n")[0].replace("\n", " "))
+
+
+def _plain(text: str) -> str:
+    """Text of a docstring without the roles and the double quotes of reStructuredText."""
+    return re.sub(r":\w+:`~?(?:[\w.]*\.)?(\w+)`", r"`\1`", text).replace("``", "`")
 
 
 def _rows(kind: type) -> Iterable[str]:
-    yield "| key | what it holds | default |"
-    yield "| --- | --- | --- |"
+    yield "| key | what it is | value | default |"
+    yield "| --- | --- | --- | --- |"
     said = _said(kind)
     for key in declaration.keys_of(kind):
         if not key.is_derived:
-            yield f"| `{key.written}` | {_holds(key, said)} | {_default(key)} |"
+            cells = (f"`{key.written}`", said.get(key.name, ""), _value(key), _default(key))
+            yield f"| {' | '.join(_plain(cell).replace('|', chr(92) + '|') for cell in cells)} |"
 
 
 def _said(kind: type) -> dict[str, str]:
@@ -83,44 +89,67 @@ def _said(kind: type) -> dict[str, str]:
             if line.startswith("    #: "):
                 lines.append(line.removeprefix("    #: "))
             elif lines:
-                texts[line.split(":")[0].strip()] = " ".join(lines).rstrip(".")
+                text = " ".join(lines).rstrip(".")
+                # the words themselves stand in the next column
+                texts[line.split(":")[0].strip()] = "" if text.startswith("One of :data:") else text
                 lines = []
     return texts
 
 
-def _rule(reads: declaration.Reads) -> str:
-    """Return the rule of a plain value: what its reader says of one that breaks every rule."""
-    for wrong in ("?", object()):
+#: values that break every rule there is, each another one: of the type, of the range, of the words
+WRONG = (10**18, object(), "?")
+#: what a rule begins with, and what an example in a mend
+RULE = re.compile(r"^(must be|may have|is) ")
+EXAMPLE = re.compile(r"(?:^|write, |, )for example,? (.+)")
+
+
+def _broken(reads: declaration.Reads) -> Iterator[declaration.Bad]:
+    for wrong in WRONG:
         try:
             reads(wrong)
         except declaration.Bad as broken:
-            if broken.mend.startswith("Valid: "):
-                return f"one of {broken.mend.removeprefix('Valid: ')}"
-            rule = re.sub(r",? got .*", "", broken.rule)
-            return f"{rule}; {broken.mend}" if wrong == "?" and broken.mend else rule
-    return ""
+            yield broken
 
 
-def _holds(key: declaration.Key, said: dict[str, str]) -> str:
-    """Say what a key holds: its docstring, its unit, what to write where it is missing."""
-    parts = [said.get(key.name, "")]
-    if key.reads is not None and key.reads.dimension:
-        parts.append(f"with a unit of {key.reads.dimension}")
-    elif key.reads is not None:
-        parts.append(_rule(key.reads))
-    if key.reads is None or not key.reads.dimension:
-        parts.append(key.mend)
+def _value(key: declaration.Key) -> str:
+    """Say which values a key may have, and give one, from its declaration and its rules."""
     if key.kind is not None:
-        parts.append(f"table with {', '.join(declaration.written_keys(key.kind))}")
-    return "; ".join(part for part in parts if part).replace("|", "\\|")
+        return f"table with {', '.join(f'`{name}`' for name in declaration.written_keys(key.kind))}"
+    if key.reads is None:  # the word that says which section this is
+        return f"`{json.dumps(key.default)}`"
+    broken = list(_broken(key.reads))
+    given = key.mend or next((b.mend for b in broken if EXAMPLE.search(b.mend)), "")
+    match = EXAMPLE.search(given)
+    example = given.rpartition(": ")[2] if "=" in given else ""
+    if match is not None:
+        example = re.split(r" \(Valid|; ", match[1])[0]
+    is_plain = key.reads.dimension in ("", "number")
+    what = _rule(broken) if is_plain else f"{_article(key.reads.dimension)} with its unit"
+    return ", ".join(part for part in (what, example and f"for example `{example}`") if part)
+
+
+def _rule(broken: Iterable[declaration.Bad]) -> str:
+    """Values that a rule allows: its words, the range of a number, or what it must be."""
+    rules = {RULE.sub("", re.sub(r",? got .*", "", b.rule)): b.mend for b in broken}
+    for mend in rules.values():
+        if mend.startswith("Valid: "):
+            return f"one of {mend.removeprefix('Valid: ')}"
+    ranges = [rule for rule in rules if re.search(r"\b(from|between|at least|above)\b.*\d", rule)]
+    rule = next(iter([*ranges, *rules]), "")
+    return "a number with its unit" if rule.startswith("needs a unit") else rule
+
+
+def _article(dimension: str) -> str:
+    return f"{'an' if dimension[0] in 'aeiou' else 'a'} {dimension}"
 
 
 def _default(key: declaration.Key) -> str:
     if key.must_be_written:
         return "must be written"
-    if key.kind is not None or key.default is None:
+    if key.kind is not None or key.default in (None, "", ()):
         return ""
-    return f"`{key.default!r}`".replace("|", "\\|")
+    values = key.default if isinstance(key.default, tuple) else (key.default,)
+    return ", ".join(f"`{json.dumps(value)}`" for value in values)
 
 
 def python() -> str:

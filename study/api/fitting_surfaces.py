@@ -18,7 +18,7 @@ from study.ground.errors import Fault, InputError, RefusedError, StudyError, nea
 from study.ground.tabular import MISSING, CsvTable
 from study.harness.design import overlay
 from study.harness.design.factors import settings_of
-from study.harness.design.response_tables import usual_value
+from study.harness.design.questions import usual_value
 from study.harness.record.record import is_repeat
 from study.reporting.content.text import count
 from study.reporting.output.write import write

@@ -24,7 +24,7 @@ from study.api.predicting import (
 from study.ground import units
 from study.ground.errors import Fault, InputError, RefusedError, UnitError, nearest
 from study.harness.design import overlay
-from study.harness.design.response_tables import usual_value
+from study.harness.design.questions import usual_value
 from study.reporting.results.study_answers import Bound, Confirmed, Recommendation
 from study.statistics.surfaces.surface_optimum import (
     Goal,

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pytest
-
-from study.ground.errors import InputError
 from study.harness.design import load
 from study.mechanics.measurement.measurement_section import Range
 
@@ -51,34 +48,6 @@ def test_tests_inherit_specimen_and_model() -> None:
     assert held_out.setup.test.base == "bonded"
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "says"),
-    [
-        ('weight = "scatter"', 'weigth = "scatter"', "did you mean 'weight'"),
-        ('"6 mm"', '"7 mm"', r"tests\[0\]\.test\.displacement: 7 mm, but .* ends at 6 mm"),
-        ('"a.csv"', '"/a.csv"', r"tests\[0\]\.measurements\.file: must be relative"),
-        ('"10 mm"', "10", r"tests\[1\]\.specimen\.radius: needs a unit"),
-    ],
-)
-def test_faults_name_the_test(old: str, new: str, says: str) -> None:
-    assert old in TEXT
-    with pytest.raises(InputError, match=says):
-        load.loads_calibration(TEXT.replace(old, new, 1))
-
-
-def test_a_fault_of_an_inherited_table_is_told_once() -> None:
-    with pytest.raises(InputError) as caught:
-        load.loads(CONICAL.replace('"40 mm"', '"-40 mm"'), "x")
-    assert [f.where for f in caught.value.faults] == ["x: specimen.height"]
-
-
-def test_a_fault_of_the_calibration_problem_is_told_there() -> None:
-    text = CONICAL.replace('["1 %", "30 %"]', '["1 %", "130 %"]')
-    with pytest.raises(InputError) as caught:
-        load.loads(text, "x")
-    assert caught.value.faults[0].where == "x: calibration.problem.measurements.range"
-
-
 def test_no_calibration_where_constants_are_given() -> None:
     start, end = CONICAL.index("[calibration]"), CONICAL.index("[factors]")
     text = CONICAL[:start] + CONICAL[end:]
@@ -86,9 +55,3 @@ def test_no_calibration_where_constants_are_given() -> None:
     cells = load.loads(fixed).treatments
     assert not cells[0].cell.is_calibrated  # neo-Hookean: constants given
     assert cells[-1].cell.is_calibrated
-
-
-def test_cross_validation() -> None:
-    study = load.loads(CONICAL.replace('method = "auto"', 'method="auto"\nleave_out="specimen"'))
-    assert study.calibration.leave_out == "specimen"
-    assert study.treatments[0].config["calibration"]["leave_out"] == "specimen"

@@ -124,28 +124,6 @@ def test_conical_calibration_is_compression(conical: Design) -> None:
     assert len(overview.equivalent_groups(conical)) == 48
 
 
-def test_conical_indenter_and_mesh_ratio(conical: Design) -> None:
-    config = conical.treatments[0].config
-    assert config["test"]["indenter"] == {
-        "shape": "cone",
-        "half_angle_deg": 30.0,
-        "tip_radius_mm": 1.0,
-        "shaft_radius_mm": 3.0,
-    }
-    assert config["test"]["base"] == "bonded"
-    assert config["model"]["mesh_ratio"] == 1.3  # of [converge]
-    assert conical.analysis.model == 2
-
-
-def test_range_design_needs_no_mesh() -> None:
-    study = load.load(DESIGNS / "ecoflex-range.toml")
-    cells = study.treatments
-    assert len(cells) == 16
-    ends = {cell.levels["range"]: cell.config["test"]["displacement_mm"] for cell in cells}
-    assert ends == {"14 %": 4.2, "20 %": 6.0, "40 %": 12.0, "60 %": 18.0}
-    assert all(cell.cell.problem.is_homogeneous for cell in cells)
-
-
 @pytest.mark.parametrize("name", SHIPPED)
 def test_shipped_designs_have_no_warnings_and_describe_themselves(name: str) -> None:
     study = load.load(DESIGNS / f"{name}.toml")
@@ -212,3 +190,20 @@ def test_every_design_that_ships_is_read(path: Path) -> None:
         assert load.load_problem(path)["test"]
     else:
         assert load.load(path).treatments
+
+
+def test_what_is_expected_of_the_needle(conical: Design) -> None:
+    kinds = [(one.kind, one.factors) for one in conical.expected]
+    both = ("material", "model.space")
+    assert kinds == [("larger", both), ("interact", both), ("best", ()), ("close", ())]
+    first, second = conical.expected[3].cells
+    assert first == {"material": "reduced-polynomial-2", "model.space": "3d"}
+    assert second["model.space"] == "axisymmetric"
+    assert {one.response for one in conical.expected} == {"relative_rms_force_error"}
+
+
+def test_what_nobody_measured_is_unknown_unless_said_otherwise() -> None:
+    plain = load.load(DESIGNS / "demo.toml").roles
+    assert plain == {"material": "choice", "plates": "unknown", "model.space": "choice"}
+    override = 'analysis.roles={ plates = "condition" }'
+    assert load.load(DESIGNS / "demo.toml", [override]).roles["plates"] == "condition"

@@ -153,28 +153,23 @@ def toml(text: str) -> str:
 
 
 @pytest.mark.parametrize("name", CORPUS)
-def test_names_of_levels(name: str) -> None:
-    levels = f"[presets.set.{toml(name)}]\ntest.steps = 5\n[presets.set.b]\ntest.steps = 7\n"
-    text = f'{SMALL}{levels}[factors]\nset = [{toml(name)}, "b"]\n[[response]]\nname = "seconds"\n'
-    if name in REFUSED:
-        with pytest.raises(InputError):
-            loads(text)
-        return
-    study = loads(text)
-    assert study.factors[0].labels == (name, "b")  # shown verbatim; who draws it escapes it
-    assert loads(dump(study)) == study
-    assert all(set(c.case_id) <= set("0123456789abcdef") for c in spec.cases(study))
-
-
-@pytest.mark.parametrize("name", CORPUS)
-def test_names_of_factors(name: str) -> None:
-    levels = f"[presets.{toml(name)}.a]\ntest.steps = 5\n[presets.{toml(name)}.b]\ntest.steps = 7\n"
-    text = f'{SMALL}{levels}[factors]\n{toml(name)} = ["a", "b"]\n[[response]]\nname = "seconds"\n'
-    if name in REFUSED:
-        with pytest.raises(InputError):
-            loads(text)
-        return
-    assert loads(text).factors[0].name == name
+def test_names_of_levels_and_of_factors(name: str) -> None:
+    for factor, level in (("set", name), (name, "a")):
+        presets = "".join(
+            f"[presets.{toml(factor)}.{toml(label)}]\ntest.steps = {steps}\n"
+            for label, steps in ((level, 5), ("b", 7))
+        )
+        factors = f'[factors]\n{toml(factor)} = [{toml(level)}, "b"]\n'
+        text = f'{SMALL}{presets}{factors}[[response]]\nname = "seconds"\n'
+        if name in REFUSED:
+            with pytest.raises(InputError):
+                loads(text)
+            continue
+        study = loads(text)
+        (read,) = study.factors
+        assert (read.name, read.labels) == (factor, (level, "b"))  # who draws it escapes it
+        assert loads(dump(study)) == study
+        assert all(set(c.case_id) <= set("0123456789abcdef") for c in spec.cases(study))
 
 
 @pytest.mark.parametrize("name", CORPUS)

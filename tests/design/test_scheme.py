@@ -100,17 +100,6 @@ def test_the_model_has_the_terms_that_are_clear(resolution: int, model: int) -> 
 HALF_OF_16 = 'kind = "fractional"\nresolution = 4\n'
 
 
-@pytest.mark.parametrize("table", [HALF_OF_16, 'kind = "plackett-burman"\n'])
-@pytest.mark.parametrize(("model", "terms"), [('"full"', 15), ("2", 10), ("3", 14)])
-def test_terms_that_a_fraction_cannot_tell_apart_are_refused(
-    table: str, model: str, terms: int
-) -> None:
-    found = faults(TWO, table, f"[analysis]\nmodel = {model}\n")
-    assert list(found) == ["analysis.model"]
-    assert f"asks for {terms} terms, of which 8 cells tell 7 apart" in found["analysis.model"]
-    assert "leave it out (model = 1)" in found["analysis.model"]
-
-
 def test_two_aliases_are_refused_and_one_of_them_is_analyzed() -> None:
     # I = ABCD: AB = CD
     pairs = "model.space:model.element_order", "test.interface:specimen.height"
@@ -235,70 +224,6 @@ units = { displacement = "mm", force = "N" }
     assert inert_cells(part, "specimen.height") == 0
 
 
-@pytest.mark.parametrize(
-    ("factors", "table", "where", "says"),
-    [
-        (TWO, 'kind = "fractional"\nresolution = 2', "design.resolution", "from 3"),
-        (
-            TWO,
-            'kind = "fractional"\ngenerators = ["specimen.height: __import__(os)"]',
-            "design.generators",
-            "NAME = A:B",
-        ),
-        (
-            TWO,
-            'kind = "fractional"\ngenerators = ["specimen.height = model.space:test.interface", '
-            '"model.element_order = test.interface:model.space"]',
-            "design.generators",
-            "the same generator",
-        ),
-        (
-            TWO.replace(
-                '["linear", "quadratic"]', '["linear", "quadratic"]\ntest.steps = [1, 2, 3]'
-            ),
-            'kind = "plackett-burman"',
-            "factors.test.steps",
-            "has 3 levels",
-        ),
-        (TWO, 'kind = "box-behnken"', "factors.model.space", "must be a range"),
-        (
-            "[factors]\nspecimen.height = { low = '28 mm', high = '32 mm' }\n",
-            'kind = "central-composite"',
-            "design.kind",
-            "at least 2 factors",
-        ),
-        (RANGES, 'kind = "central-composite"\nstar = "round"', "design.star", "unknown value"),
-        (
-            TWO,
-            'kind = "listed"\ntreatments = [{ model.space = "3d" }, { model.space = "3d" }]',
-            "design.treatments",
-            "treatment 1 has no",
-        ),
-        (
-            TWO.replace('"32 mm"', '"32 kPa"'),
-            "",
-            "factors.specimen.height",
-            "must be a length",
-        ),
-    ],
-)
-def test_one_fault_of_a_scheme(factors: str, table: str, where: str, says: str) -> None:
-    found = faults(factors, table + "\n")
-    assert where in found
-    assert says in found[where]
-
-
-def test_exclusions_would_break_a_fraction() -> None:
-    lines = '[[exclude]]\nwhen = { model.space = "3d", test.interface = "bonded" }\nwhy = "slow"\n'
-    assert "cannot lose runs" in faults(TWO, HALF, lines)["exclude"]
-
-
-def test_nested_levels_must_be_shared_out() -> None:
-    text = BASE.replace('mesh = "coarse"\n', "") + NESTED.replace(', "7 mm"] }', "] }")
-    with pytest.raises(InputError, match="must stand in one level of 'model.space'"):
-        loads(text)
-
-
 def test_a_sampled_range_is_compared_at_its_ends(monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[int] = []
     resolve = Design._resolved
@@ -313,3 +238,24 @@ def test_a_sampled_range_is_compared_at_its_ends(monkeypatch: pytest.MonkeyPatch
     assert all(not one.calibrates and one.inert_cells == 0 for one in described.factors)
     # compared at each of their 120 levels, 7 factors made 87,000 cells
     assert len(made) <= 2 * len(design.treatments) * len(design.factors)
+
+
+@pytest.mark.parametrize(
+    ("key", "kind", "count", "says"),
+    [
+        ("mesh_seeds", "mesh-seeds", 5, ("5 meshes", "(E3)")),
+        ("noise", "noise", 200, ("200 times", "(E2)")),
+    ],
+)
+def test_replicates_are_described_dumped_and_overridden(
+    key: str, kind: str, count: int, says: tuple[str, str]
+) -> None:
+    text = (DESIGNS / "ecoflex-compression.toml").read_text()
+    assert overview.replication(loads(text)) is None
+    study = loads(f"{text}\n[replicates]\n{key} = {count}\n")
+    assert loads(dump(study)).replicates == study.replicates
+    described = overview.overview(study).to_json()["replicates"]
+    assert (described["kind"], described["count"]) == (kind, count)
+    assert all(part in described["sentence"] for part in says)
+    changed = loads(dump(study), overrides=[f"replicates.{key}={2 * count}"])
+    assert getattr(changed.replicates, key) == 2 * count

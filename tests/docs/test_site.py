@@ -107,6 +107,9 @@ def test_the_reference_names_every_key_that_a_file_can_have():
     for key in ("specimen.radius", "test.interface", "model.mesh_size", "measurements.zero"):
         assert overlay.may_vary(key)
         assert f"| `{key.split('.')[1]}` |" in text
+    values = [line.split(" | ")[2] for line in text.splitlines() if line.startswith("| `")]
+    assert not [value for value in values if re.match("must|may|needs|unknown", value)]
+    assert '| `shape` |  | `"cylinder"` | `"cylinder"` |' in text
     assert "study.solve" in reference.python()
     shipped = {path.stem for path in (ROOT / "designs").glob("*.toml")}
     assert shipped == set(re.findall(r"^## (.+)$", reference.gallery(ROOT / "designs"), re.M))

@@ -5,8 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, is_dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, is_dataclass
 from functools import cached_property
 from typing import cast, overload
 
@@ -14,24 +14,17 @@ import numpy as np
 
 from study.ground.canonical import Json
 from study.ground.errors import Fault, InputError
-from study.harness.design.diagnostics import Faults, Table, read_table, read_variant, with_values
-from study.harness.design.forward_model import ForwardCell, Refinement, Value
-from study.harness.design.forward_section import ForwardModel
+from study.harness.design.forward_model import ForwardCell
 from study.mechanics.measurement.measurement_section import (
-    KINEMATIC,
-    KINETIC,
-    SECOND,
-    MarkerSpec,
     MeasurementSpec,
-    groups_of,
 )
 from study.mechanics.setup import setup
-from study.mechanics.setup.declaration import shown, table_of, values_of
-from study.mechanics.setup.geometry import INDENTERS, SPECIMENS, Enclosed, Specimen, Surface
+from study.mechanics.setup.declaration import table_of, values_of
+from study.mechanics.setup.geometry import Enclosed, Specimen, Surface
 from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import Model, Setup
 from study.mechanics.setup.test_kind import Test
-from study.mechanics.setup.test_section import TEST_KINDS, TestSection
+from study.mechanics.setup.test_section import TestSection
 
 # Names made of content: the hash of plain values with one spelling.
 
@@ -90,36 +83,29 @@ def plain(value: object) -> Json: ...
 
 def plain(value: object) -> Json:
     """Plain JSON values of a configuration, numbers coerced."""
-    return _plain(value)
-
-
-#: types that are plain as they are, asked for first: nine values in ten
-_ATOMS = frozenset({str, int, bool, type(None)})
-
-
-def _plain(value: object) -> Json:
-    kind = type(value)
-    if kind in _ATOMS:
+    if type(value) in _ATOMS:
         return cast("Json", value)
-    if kind is dict:
-        return {str(k): _plain(v) for k, v in cast("dict[object, object]", value).items()}
     if isinstance(value, MeasurementSpec):
-        return _plain({k: v for k, v in value.as_dict().items() if k != "citation"})
+        return plain({k: v for k, v in value.as_dict().items() if k != "citation"})
     if is_dataclass(value) and not isinstance(value, type):
-        return _plain(vars(value))
+        fields: dict[str, object] = vars(value)
+        return plain(fields)
     if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in value.items()}
+        return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_plain(v) for v in value]
+        return [plain(v) for v in value]
     if isinstance(value, (np.ndarray, np.generic)):
-        return _plain(value.tolist())
-    if value is None or isinstance(value, (str, bool, int)):
+        made: object = value.tolist()
+        return plain(made)
+    if isinstance(value, (str, int)):
         return value
     if isinstance(value, float) and math.isfinite(value):
         return int(value) if value.is_integer() and abs(value) < 2**53 else value
     raise InputError(Fault("case", f"cannot name the content {value!r}"))
 
 
+#: types that are plain as they are, asked for first: nine values in ten
+_ATOMS = frozenset({str, int, bool, type(None)})
 #: Document of a cell or of a file, in mm, N, MPa and deg: what leaves this room, to be hashed and
 #: to be computed. Inside the room a cell is a value of the classes below.
 Config = dict[str, object]
@@ -129,26 +115,18 @@ SELDOM = ("speed_mm_per_s", "hold_s", "cycles", "prestretch")
 
 
 @dataclass(frozen=True)
-class CellProblem:
+class CellProblem(ForwardCell):
     """One test of a cell: what is pressed, how, and how it is discretized."""
 
     specimen: Specimen
     test: TestSection
     material: MaterialSection
     model: Model
-    measurements: MeasurementSpec | None = None
-    #: What predicts its curves; None for the built-in finite elements.
-    forward: ForwardModel | None = None
-    #: Where the places of markers inside the specimen are.
-    markers: MarkerSpec | None = None
-    #: Values of the user's own for the templates of its program, and their units.
-    parameters: Mapping[str, Value] = field(default_factory=dict)
-    units: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def calibrated_names(self) -> tuple[str, ...]:
         """Names of the constants that a fit may find."""
-        return tuple(self.material.calibrated_names)
+        return self.material.calibrated_names
 
     @property
     def depth_mm(self) -> float | None:
@@ -162,11 +140,6 @@ class CellProblem:
             return ""
         names = ("space", "element_order", "element_shape", "formulation")
         return " ".join(str(getattr(self.model, name)) for name in names)
-
-    @property
-    def refinement(self) -> Refinement | None:
-        """Its own mesh refines it, no parameter."""
-        return None
 
     def faults_in_design(self) -> list[tuple[str, str, str]]:
         """Where, rule and mend of a course in time, of which a design has no response."""
@@ -325,150 +298,3 @@ class Cell:
     def _distinct_method(self) -> str:
         """Method, where the closed form makes all methods one."""
         return "exact" if self.is_calibrated and self.fitted.has_closed_form else self.method
-
-
-# The table ``[measurements]``: its keys read, and checked against one another.
-
-
-def measurements_from(
-    table: object, faults: Faults, path: str = "measurements"
-) -> MeasurementSpec | None:
-    """Read where measured curves are; None where a fault was found."""
-    before = len(faults)
-    spec = read_table(MeasurementSpec, table, path, faults)
-    if isinstance(table, Mapping):
-        _check_together(table, path, faults)
-    return None if len(faults) > before else spec
-
-
-def markers_from(table: object, faults: Faults, path: str = "markers") -> MarkerSpec | None:
-    """Read where markers inside a specimen are; None without them, or where a fault was found."""
-    if table is None:
-        return None
-    before = len(faults)
-    spec = read_table(MarkerSpec, table, path, faults)
-    if len(faults) == before and spec.fit and spec.layer is None:
-        faults.add(f"{path}.layer", "is missing beside fit", "name the column of the layers")
-    return None if len(faults) > before else spec
-
-
-def _check_columns(table: Table, fault: Callable[[str, str, str], None]) -> None:
-    """One column says how far, one how hard, and each has its unit."""
-    columns, units = table.get("columns"), table.get("units")
-    if "units" not in table and table.get("unit_row") is not True:
-        mend = 'for example units = { displacement = "mm", force = "N" }'
-        fault("units", "is missing", mend)
-    if not isinstance(columns, Mapping):
-        return
-    for quantities, usual in ((KINEMATIC, "displacement"), (KINETIC, "force")):
-        given = [key for key in quantities if key in columns]
-        if not given:
-            fault(f"columns.{usual}", "is missing", "displacement and force")
-        if len(given) > 1:
-            rule = f"stands beside {given[0]}"
-            fault(f"columns.{given[1]}", rule, f"give one of {', '.join(quantities)}")
-        needed = given[0] if given else usual
-        if isinstance(units, Mapping) and needed not in units and table.get("unit_row") is not True:
-            fault(f"units.{needed}", "is missing", f'for example {needed} = "{_UNITS[needed]}"')
-    first = next((key for key in (*SECOND, *SECOND.values()) if key in columns), None)
-    for key in (*SECOND, *SECOND.values()) if first else ():
-        if key not in columns:
-            fault(f"columns.{key}", f"is missing beside {first}", "a biaxial test has all four")
-    if isinstance(units, Mapping) and "time" in columns and "time" not in units:
-        fault("units.time", "is missing", 'for example time = "s"')
-
-
-_UNITS = {
-    **dict.fromkeys(KINEMATIC, "1"),
-    **dict.fromkeys(KINETIC, "kPa"),
-    "displacement": "mm",
-    "force": "N",
-}
-
-
-def _check_course(table: Table, fault: Callable[[str, str, str], None]) -> None:
-    """Keep rules that take rows out, or move them, from tests whose course in time matters."""
-    columns = table.get("columns")
-    if not isinstance(columns, Mapping) or not {"time", *SECOND} & set(columns):
-        return
-    given_rules = {
-        "points": table.get("points", "raw") != "raw",
-        "range": "range" in table,
-        "toe": "toe" in table,
-        "zero": table.get("zero") == "fit" or ("zero" in table and "time" not in columns),
-    }
-    mends = {"points": 'write points = "raw"', "zero": 'write zero = "first"'}
-    what = "a column of time" if "time" in columns else "two directions"
-    rule = f"has no meaning for a test with {what}, whose rows all count"
-    for key in (key for key, given in given_rules.items() if given):
-        fault(key, rule, mends.get(key, "leave it out"))
-
-
-def _check_together(table: Table, path: str, faults: Faults) -> None:
-    def fault(key: str, rule: str, mend: str) -> None:
-        faults.add(f"{path}.{key}", rule, mend)
-
-    _check_columns(table, fault)
-    _check_course(table, fault)
-    given = [key for key in ("file", "files") if key in table]
-    if len(given) != 1:
-        rule = "stands beside file" if given else "is missing"
-        fault("file" if not given else "files", rule, "give one of file and files")
-    for key, other in (("fit", "score"), ("score", "fit")):
-        if key in table and other not in table:
-            fault(other, f"is missing beside {key}", "give both, or neither")
-    if table.get("swap") is True and "fit" not in table:
-        fault("swap", "needs fit and score", "say which rows change places")
-    block, files = table.get("block"), table.get("files")
-    if isinstance(block, str) and isinstance(files, str) and block not in groups_of(files):
-        rule = f"{block!r} is no group of the file names {shown(files)}"
-        fault("block", rule, f"write {{{block}}} where its label stands")
-
-
-# Specimen, test and discretization of a cell, with the defaults that other tables decide.
-
-
-def specimen_from(table: object, faults: Faults, path: str = "specimen") -> Specimen:
-    """Read a specimen: its shape says which keys it has."""
-    return read_variant(SPECIMENS, "shape", table, path, faults)
-
-
-def loading_from(table: object, faults: Faults, path: str = "test") -> TestSection:
-    """Read how the specimen is loaded; the measured range may give the displacement later."""
-    section = read_table(TestSection, table, path, faults)
-    written: Table = table if isinstance(table, Mapping) else {}
-    base = section.base if "base" in written else section.held_below
-    kind, where = TEST_KINDS.get(section.kind), f"{path}.indenter"
-    indenter = None
-    if kind is not None and kind.takes_indenter:
-        if "indenter" in written:
-            indenter = read_variant(INDENTERS, "shape", written["indenter"], where, faults)
-        else:
-            faults.add(where, "is missing", f"{{ shape = ... }} with {'|'.join(INDENTERS)}")
-    return with_values(section, base=base, indenter=indenter)
-
-
-def model_from(
-    table: object, faults: Faults, shape: str, ratio: float, path: str = "model"
-) -> Model:
-    """Read the discretization."""
-    section = read_table(Model, table, path, faults)
-    written: Table = table if isinstance(table, Mapping) else {}
-    if "mesh" in written and "mesh_size" in written:
-        faults.add(f"{path}.mesh_size", "stands beside mesh", "give one of the two")
-    usual = "axisymmetric" if shape == "cylinder" else "3d"
-    space = section.space if "space" in written else usual
-    return with_values(section, space=space, mesh_ratio=ratio)
-
-
-def forward_from(table: object, faults: Faults, path: str = "forward") -> ForwardModel | None:
-    """Read what predicts the curves; None for the built-in finite elements."""
-    if table is None:
-        return None
-    section = read_table(ForwardModel, table, path, faults)
-    if section.model is None or section.model == "fem":
-        return None
-    missing = None if section.argv is None else section.fault(path)
-    if missing is not None:
-        faults.add(missing.where, missing.rule, missing.mend)
-    return section

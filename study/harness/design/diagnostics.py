@@ -16,6 +16,7 @@ from study.ground.errors import Fault, InputError, UnitError, nearest
 from study.mechanics.setup.declaration import (
     Bad,
     Key,
+    choice,
     keys_of,
     quoted,
     read_section,
@@ -84,7 +85,7 @@ def read_variant(
     elif ruling not in table:
         faults.add(_dotted(path, ruling), "is missing", f"one of {', '.join(kinds)}")
     else:
-        word = noted(one_of(kinds), table[ruling], _dotted(path, ruling), faults)
+        word = noted(choice(*kinds), table[ruling], _dotted(path, ruling), faults)
         if word is not None:
             return read_table(kinds[word], table, path, faults)
     first = next(iter(kinds.values()))
@@ -110,20 +111,6 @@ def noted(
     except UnitError as error:
         faults.add(where, error.faults[0].rule, error.faults[0].mend)
     return None
-
-
-def one_of(names: Iterable[str]) -> Callable[[object], str]:
-    """Reader of the word that says which section a table is."""
-    valid = tuple(names)
-
-    def read(value: object) -> str:
-        if not isinstance(value, str):
-            raise Bad(f"must be a text, got {shown(value)}", nearest("", valid))
-        if value not in valid:
-            raise Bad(f"unknown value {shown(value)}", nearest(value[:80], valid))
-        return value
-
-    return read
 
 
 def is_known(*values: object) -> bool:
@@ -207,6 +194,7 @@ MAX_BYTES = 256 * 1024
 MAX_LINE = 4096
 MAX_DOTS = 32  # before an equals sign: tomllib takes quadratic time in the parts of a key
 MAX_DEPTH = 12
+_TEXT = "save it as UTF-8 text"
 _PLACE = re.compile(r"^(.*) \((?:at line (\d+), column (\d+)|at end of document)\)$", re.DOTALL)
 
 
@@ -235,12 +223,15 @@ def decode(raw: bytes, source: str) -> str:
     if len(raw) > MAX_BYTES:
         rule = f"is larger than {MAX_BYTES // 1024} KiB, which no study file needs"
         raise InputError(Fault(source, rule, "keep measured data in CSV files"))
+    if b"\0" in raw:
+        line = raw.count(b"\n", 0, raw.index(b"\0")) + 1
+        raise InputError(Fault(f"{source}:{line}", "holds a NUL byte: it is no text file", _TEXT))
     try:
         return raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = raw.count(b"\n", 0, error.start) + 1
         rule = f"is not UTF-8 (byte {raw[error.start]:#04x})"
-        raise InputError(Fault(f"{source}:{line}", rule, "save it as UTF-8 text")) from error
+        raise InputError(Fault(f"{source}:{line}", rule, _TEXT)) from error
 
 
 def parse_toml(text: str, source: str) -> Tables:

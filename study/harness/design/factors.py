@@ -18,12 +18,22 @@ from study.harness.design.diagnostics import (
     is_known,
     noted,
     quoted_path,
+    with_values,
 )
 from study.harness.design.material_table import DISTRIBUTION_KEYS
 from study.harness.design.parameters import number_and_unit
-from study.harness.design.spec import Exclusion, Factor, Level, Span
-from study.harness.design.study_file import ExclusionTable
-from study.mechanics.setup.declaration import MAX_NAME, Bad, choice, name, number, quoted, shown
+from study.harness.design.spec import Factor, Level, Span
+from study.harness.design.study_file import DesignFile, Exclusion
+from study.mechanics.setup.declaration import (
+    MAX_NAME,
+    Bad,
+    choice,
+    name,
+    number,
+    quoted,
+    shown,
+    written_keys,
+)
 
 MAX_FACTORS = 20
 MAX_LEVELS = 100
@@ -74,7 +84,8 @@ def factors_from(table: object, presets: Presets, faults: Faults) -> tuple[Facto
     if len(written) > MAX_FACTORS:
         faults.add("factors", f"has {len(written)} factors, the limit is {MAX_FACTORS}")
         return ()
-    for key in sorted(set(written) & {key.rpartition(".")[0] for key in written if _is_end(key)}):
+    parted = [key.rpartition(".") for key in written]
+    for key in sorted(set(written) & {start for start, _, end in parted if end in RANGE_KEYS}):
         rule = "stands twice, with levels and with an end of a range"
         faults.add(f"factors.{quoted_path(key)}", rule, "keep one of the two")
     read = [_factor(key, value, presets, faults) for key, value in grouped(written).items()]
@@ -96,6 +107,9 @@ def _levels(key: str, value: object, presets: Presets, faults: Faults) -> tuple[
         table = key.split(".")[0]
         valid = [*presets, *(k for k in overlay.VARYING if k.partition(".")[0] == table)]
         mend = nearest(key[:MAX_NAME], valid) if valid else overlay.suggestion(key)
+        if table in written_keys(DesignFile) and table not in overlay.TABLES:
+            mend = f"[{table}] is the same in every cell; keys of these may vary: "
+            mend += ", ".join(overlay.TABLES)
         faults.add(where, "is neither a key that may vary nor a preset set", mend)
         return ()
     if not isinstance(value, list):
@@ -167,7 +181,7 @@ def _slot(key: str) -> str:
 
 
 def exclusions_from(
-    tables: Sequence[ExclusionTable],
+    tables: Sequence[Exclusion],
     factors: Sequence[Factor],
     declared: Collection[str],
     faults: Faults,
@@ -179,29 +193,17 @@ def exclusions_from(
         before, where = len(faults), f"exclude[{i}].when"
         if not is_known(table.why, table.when):
             continue
-        labels = _labels(table.when, where, by_name, declared, faults)
+        written, labels = entries(table.when, where, faults), {}
+        if isinstance(table.when, Mapping) and not written:
+            faults.add(where, "is empty: it would leave out every cell")
+        for key, raw in written.items():
+            if key in by_name:
+                labels[key] = noted(partial(_chosen, by_name[key]), raw, f"{where}.{key}", faults)
+            elif key not in declared:
+                faults.add(f"{where}.{quoted(key)}", "unknown key", nearest(key, declared))
         if len(faults) == before:
-            exclusions.append(Exclusion(labels, table.why))
+            exclusions.append(with_values(table, when=labels))
     return tuple(exclusions)
-
-
-def _labels(
-    when: object,
-    where: str,
-    by_name: Mapping[str, Factor],
-    declared: Collection[str],
-    faults: Faults,
-) -> dict[str, tuple[str, ...]]:
-    written = entries(when, where, faults)
-    if isinstance(when, Mapping) and not written:
-        faults.add(where, "is empty: it would leave out every cell")
-    labels = {}
-    for key, raw in written.items():
-        if key in by_name:
-            labels[key] = noted(partial(_chosen, by_name[key]), raw, f"{where}.{key}", faults) or ()
-        elif key not in declared:
-            faults.add(f"{where}.{quoted(key)}", "unknown key", nearest(key, declared))
-    return labels
 
 
 def _chosen(factor: Factor, raw: object) -> tuple[str, ...]:
@@ -224,8 +226,8 @@ SCALES = ("linear", "log")
 _QUANTITY = re.compile(r"\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*(\S.*?)\s*")
 
 
-def grouped(table: Table) -> dict[str, object]:
-    """Join the keys of a range, which joining dotted keys took apart, to ``KEY``.
+def grouped(table: Table, parts: Collection[str] = RANGE_KEYS) -> dict[str, object]:
+    """Join the keys of a range or a distribution, which joining dotted keys took apart, to ``KEY``.
 
     Examples
     --------
@@ -236,7 +238,7 @@ def grouped(table: Table) -> dict[str, object]:
     ends: dict[str, dict[str, object]] = {}
     for key, value in table.items():
         name, _, end = key.rpartition(".")
-        if _is_end(key):
+        if name and end in parts and not overlay.may_vary(key):
             joined[name] = ends.setdefault(name, {})
             ends[name][end] = value
         else:
@@ -257,12 +259,6 @@ def set_whole(table: Table, key: str, value: object) -> dict[str, object]:
     for old_key, old_value in table.items():
         copied |= {key: value} if old_key in old else {old_key: old_value}
     return {**copied, key: value}
-
-
-def _is_end(key: str) -> bool:
-    """Whether a joined key is one of a range: an end, or how it is divided."""
-    name, _, end = key.rpartition(".")
-    return bool(name) and end in RANGE_KEYS
 
 
 def _range(key: str, value: Table, where: str, faults: Faults) -> Factor | None:

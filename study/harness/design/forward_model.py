@@ -8,9 +8,10 @@ refines or reports a case asks the object, and needs to know none of its tables.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from study.harness.design.forward_section import ForwardModel
@@ -50,67 +51,54 @@ def _parameters(document: Mapping[str, object]) -> Mapping[str, object]:
     return values
 
 
-class ForwardCell(Protocol):
-    """What a cell computes, whatever computes it."""
+@dataclass(frozen=True, kw_only=True)
+class ForwardCell(ABC):
+    """What a cell computes, whatever computes it; a class of its own says what differs."""
 
-    @property
-    def forward(self) -> ForwardModel | None:
-        """Program or function that predicts; None for the built-in model."""
-        ...
-
-    @property
-    def parameters(self) -> Mapping[str, Value]:
-        """Values of the table ``[parameters]``."""
-        ...
-
-    @property
-    def measurements(self) -> MeasurementSpec | None:
-        """Where measured curves are."""
-        ...
-
-    @property
-    def markers(self) -> MarkerSpec | None:
-        """Where markers inside a specimen are."""
-        ...
-
-    @property
-    def is_homogeneous(self) -> bool:
-        """Whether its answer has no numerical error that a refinement would show."""
-        ...
+    #: Program or function that predicts; None for the built-in model.
+    forward: ForwardModel | None = None
+    #: Values of the table ``[parameters]``, and the units of those that have one.
+    parameters: Mapping[str, Value] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    #: Where measured curves are, and markers inside a specimen.
+    measurements: MeasurementSpec | None = None
+    markers: MarkerSpec | None = None
+    #: The parameter that refines it; None where its mesh does, or nothing.
+    refinement: Refinement | None = None
 
     @property
     def has_closed_form(self) -> bool:
         """Whether a closed form is its answer."""
-        ...
+        return False
 
     @property
     def calibrated_names(self) -> tuple[str, ...]:
         """Names of the constants that a fit may find; also responses."""
-        ...
+        return ()
 
     @property
     def depth_mm(self) -> float | None:
         """How far its test goes; None where that is open, or there is no test."""
-        ...
+        return None
 
     @property
+    def is_homogeneous(self) -> bool:
+        """Whether its answer has no numerical error that a refinement would show."""
+        return self.refinement is None
+
+    @property
+    @abstractmethod
     def discretization(self) -> str:
         """Name of what its numerical error depends on: cells that share it share an order."""
-        ...
 
-    @property
-    def refinement(self) -> Refinement | None:
-        """The parameter that refines it; None where its mesh does."""
-        ...
-
+    @abstractmethod
     def document(self) -> dict[str, object]:
         """Plain values in internal units: what is hashed and handed to a worker."""
-        ...
 
     def physical(self) -> dict[str, object]:
-        """Part of the document that can change an answer."""
-        ...
+        """Part of the document that can change an answer: of a stranger's program all of it."""
+        return self.document()
 
     def faults_in_design(self) -> Sequence[tuple[str, str, str]]:
         """Where, rule and mend of what has no place in a design of experiments."""
-        ...
+        return ()

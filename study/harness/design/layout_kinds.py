@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import Annotated, Literal
 
@@ -15,7 +14,6 @@ from study.ground.arrays import Array
 from study.ground.errors import nearest
 from study.harness.design import generators
 from study.harness.design.diagnostics import Faults, noted, read_table
-from study.harness.design.factors import levels_at
 from study.harness.design.generators import Word, d_optimal, efficiency
 from study.harness.design.layouts import (
     MAX_CELLS,
@@ -31,8 +29,9 @@ from study.harness.design.layouts import (
     PlackettBurman,
     Request,
     Sobol,
+    placed,
 )
-from study.harness.design.spec import Factor, Level, Scheme
+from study.harness.design.spec import Factor, Scheme
 from study.harness.design.study_file import Sequential
 from study.mechanics.setup.declaration import (
     AsWritten,
@@ -172,7 +171,8 @@ class Adaptive:
             return request.nothing
         seed = request.seed if self.seed is None else self.seed
         shares = _start(factors, self.start // math.prod(others), seed)
-        made, rows = _placed(factors, np.vstack([shares, *(np.array([c]) for c in self.added)]))
+        every = np.vstack([shares, *(np.array([c]) for c in self.added)])
+        made, rows = placed(factors, every, each_alone=True)
         if len(set(rows)) < len(rows):
             request.fault("added", "two cells are the same", "leave it to `study run`")
         settings = Sequential(self.start, self.batch, self.budget, self.until, self.q2, seed)
@@ -243,33 +243,6 @@ def share_of(index: int, count: int) -> float:
     (0.25, 0.75)
     """
     return (index + 0.5) / count
-
-
-def _placed(
-    factors: Sequence[Factor], shares: Array
-) -> tuple[tuple[Factor, ...], tuple[tuple[int, ...], ...]]:
-    """Levels of every factor and the rows of the cells."""
-    # A level is written by its own share alone, so that a cell stays what it is when more are
-    # added.
-    made, columns = [], []
-    for factor, column in zip(factors, shares.T, strict=True):
-        if factor.span is None:
-            count = len(factor.levels)
-            made.append(factor)
-            columns.append([min(int(x * count), count - 1) for x in column])
-            continue
-        levels: dict[str, Level] = {}
-        labels = []
-        for share in np.sort(column):
-            (level,) = levels_at(factor.name, factor.span, (float(share),))
-            levels.setdefault(level.label, level)
-        for share in column:
-            (level,) = levels_at(factor.name, factor.span, (float(share),))
-            labels.append(level.label)
-        places = {label: index for index, label in enumerate(levels)}
-        made.append(replace(factor, levels=tuple(levels.values())))
-        columns.append([places[label] for label in labels])
-    return tuple(made), tuple(zip(*columns, strict=True))
 
 
 # Table ``[design]``: which combinations of the levels are run.

@@ -69,22 +69,41 @@ class Layout(Protocol):
         """Levels and combinations; anything where a fault is noted."""
 
 
-def placed(request: Request, kind: str, shares: Array, summary: str, note: str) -> Made:
-    """Levels and rows of a design whose runs are shares of each range, (runs, factors)."""
+def placed(
+    factors: Sequence[Factor], shares: Array, *, each_alone: bool = False
+) -> tuple[tuple[Factor, ...], tuple[tuple[int, ...], ...]]:
+    """Levels and rows of a design whose runs are shares of each range, (runs, factors).
+
+    With ``each_alone`` a level is written by its own share alone, so that a cell stays what it is
+    when more are added.
+    """
     made, columns = [], []
-    for factor, column in zip(request.factors, shares.T, strict=True):
-        if factor.span is None:
-            count = len(factor.levels)
+    for factor, column in zip(factors, shares.T, strict=True):
+        count, span = len(factor.levels), factor.span
+        if span is None:
             made.append(factor)
             columns.append([min(int(x * count), count - 1) for x in column])
             continue
-        values, index = np.unique(np.round(column, 12), return_inverse=True)
-        made.append(replace(factor, levels=levels_at(factor.name, factor.span, values.tolist())))
-        columns.append(index.tolist())
-    rows = tuple(zip(*columns, strict=True))
+        if each_alone:
+            alone = [levels_at(factor.name, span, (float(share),))[0] for share in column]
+            by_share = (alone[i] for i in np.argsort(column, kind="stable"))
+            levels = tuple({level.label: level for level in by_share}.values())
+            labels = [level.label for level in levels]
+            index = [labels.index(level.label) for level in alone]
+        else:
+            values, inverse = np.unique(np.round(column, 12), return_inverse=True)
+            levels, index = levels_at(factor.name, span, values.tolist()), inverse.tolist()
+        made.append(replace(factor, levels=levels))
+        columns.append(index)
+    return tuple(made), tuple(zip(*columns, strict=True))
+
+
+def _sampled(request: Request, kind: str, shares: Array, summary: str, note: str) -> Made:
+    """Design of runs that are shares of each range, no two of which may be one cell."""
+    made, rows = placed(request.factors, shares)
     if len(set(rows)) < len(rows):
         request.fault("runs", "two runs are the same cell", "use another seed or fewer")
-    return tuple(made), Scheme(kind, rows, summary, (note,))
+    return made, Scheme(kind, rows, summary, (note,))
 
 
 # Full factorials, also with factors that change together or are nested; and listed cells.
@@ -426,17 +445,22 @@ class PlackettBurman:
         return request.factors, Scheme(self.kind, _rows(runs), summary, aliased, verified)
 
 
-def _two_levels(request: Request, least: int, most: int) -> bool:
-    """Whether a two-level design can be made of the factors; faults say why not."""
-    wrong = [f for f in request.factors if len(f.levels) != 2]
-    for factor in wrong:
-        rule = f"has {len(factor.levels)} levels, a two-level design needs 2"
-        request.faults.add(f"factors.{factor.name}", rule, "list two, or write a range")
+def _suited(request: Request, least: int, most: int, faults: Mapping[str, tuple[str, str]]) -> bool:
+    """Whether a design can be made of the factors: enough of them, and none with a fault."""
+    for factor, (rule, mend) in faults.items():
+        request.faults.add(f"factors.{factor}", rule, mend)
     count = len(request.factors)
     if not least <= count <= most:
         request.fault("kind", f"takes {least} to {most} factors, got {count}")
-        return False
-    return not wrong
+    return least <= count <= most and not faults
+
+
+def _two_levels(request: Request, least: int, most: int) -> bool:
+    """Whether a two-level design can be made of the factors; faults say why not."""
+    rule, mend = "has {} levels, a two-level design needs 2", "list two, or write a range"
+    counts = {factor.name: len(factor.levels) for factor in request.factors}
+    wrong = {name: (rule.format(n), mend) for name, n in counts.items() if n != 2}
+    return _suited(request, least, most, wrong)
 
 
 def _rows(runs: Array) -> tuple[tuple[int, ...], ...]:
@@ -482,19 +506,9 @@ class BoxBehnken:
 
 def _spans(request: Request, least: int) -> bool:
     """Whether every factor is a range; faults say which is not."""
-    wrong = [factor for factor in request.factors if factor.span is None]
-    for factor in wrong:
-        mend = 'write { low = "28 mm", high = "32 mm" }'
-        where = f"factors.{factor.name}"
-        request.faults.add(where, "must be a range for this design", mend)
-    count = len(request.factors)
-    if count < least:
-        request.fault("kind", f"takes at least {least} factors, got {count}")
-        return False
-    if count > MAX_FACTORS:
-        request.fault("kind", f"takes at most {MAX_FACTORS} factors, got {count}")
-        return False
-    return not wrong
+    fault = "must be a range for this design", 'write { low = "28 mm", high = "32 mm" }'
+    wrong = {factor.name: fault for factor in request.factors if factor.span is None}
+    return _suited(request, least, MAX_FACTORS, wrong)
 
 
 def _surface(request: Request, kind: str, runs: Array, what: str) -> Made:
@@ -504,7 +518,7 @@ def _surface(request: Request, kind: str, runs: Array, what: str) -> Made:
         "the analysis of levels has main effects only"
     )
     words = f"{what}: {len(runs)} cells, the center once"
-    return placed(request, kind, (runs + 1) / 2, words, note)
+    return _sampled(request, kind, (runs + 1) / 2, words, note)
 
 
 # Space-filling designs: samples of the ranges of the factors.
@@ -563,4 +577,4 @@ def _filled(
         "every setting of a range stands in one cell: no table of levels, but a surface over the "
         "ranges tells the factors apart; study run fits it"
     )
-    return placed(request, kind, draw(len(request.factors), runs, drawn_seed), words, note)
+    return _sampled(request, kind, draw(len(request.factors), runs, drawn_seed), words, note)

@@ -17,7 +17,7 @@ from study.ground.contrast import sides_of
 from study.ground.errors import Fault, InputError, nearest
 from study.harness.design import diagnostics, overlay, plausibility
 from study.harness.design.calibration_section import CalibrationDesign
-from study.harness.design.cell import Cell, Config, measurements_from
+from study.harness.design.cell import Cell, Config
 from study.harness.design.diagnostics import (
     Faults,
     Table,
@@ -38,15 +38,24 @@ from study.harness.design.factors import (
     set_whole,
 )
 from study.harness.design.forward_section import ValueFile
-from study.harness.design.hypotheses import analysis_from, expected_from
 from study.harness.design.layout_kinds import scheme_from
 from study.harness.design.parameters import (
     check_names,
     constraint_of,
     stands_alone,
 )
-from study.harness.design.resolve import calibration_from, resolve_calibration, resolve_problem
-from study.harness.design.response_tables import responses_from, uncertainty_from
+from study.harness.design.questions import (
+    analysis_from,
+    expected_from,
+    responses_from,
+    uncertainty_from,
+)
+from study.harness.design.resolve import (
+    calibration_from,
+    measurements_from,
+    resolve_calibration,
+    resolve_problem,
+)
 from study.harness.design.spec import Design, Level
 from study.harness.design.study_file import (
     MARKED,
@@ -471,6 +480,8 @@ def _design(file: DesignFile, tables: Tables, faults: Faults, source: str, text:
         study.setdefault("name", name)
     presets = presets_from(file.presets, faults)
     factors = factors_from(file.factors, presets, faults)
+    material = tables.get("material")  # before any level is laid over it
+    given = isinstance(material, dict) and any(is_constant_key(key) for key in material)
     declared = list(grouped(entries(file.factors, "factors", faults)))
     excluding = "exclude" in tables or "constraint" in tables
     factors, scheme = scheme_from(file.design, factors, file.study.seed, excluding, faults)
@@ -489,7 +500,7 @@ def _design(file: DesignFile, tables: Tables, faults: Faults, source: str, text:
         exclusions=exclusions_from(file.exclude, factors, declared, faults),
         responses=responses,
         measurements=measurements_from(file.measurements, Faults()) if file.measurements else None,
-        calibration=calibration_from(tables, _gives_constants(tables), Faults()),
+        calibration=calibration_from(tables, given, Faults()),
         analysis=analysis_from(file.analysis, factors, declared, scheme, faults),
         scheme=scheme,
         replicates=file.replicates,
@@ -546,12 +557,6 @@ def _check_parameters(
     if replicates.key is not None and not alone:
         rule = "is the seed of a program of parameters alone; here write mesh_seeds or noise"
         faults.add("replicates.key", rule, "leave it out")
-
-
-def _gives_constants(tables: Table) -> bool:
-    """Whether the table ``[material]`` itself has constants, before any level is laid over it."""
-    material = tables.get("material")
-    return isinstance(material, dict) and any(is_constant_key(key) for key in material)
 
 
 def _check_asked(tables: Table, faults: Faults) -> None:

@@ -22,19 +22,11 @@ def _grouped(treatments: Sequence[Treatment], key: Key) -> Groups:
     return tuple(tuple(group) for group in groups.values())
 
 
-def _physical(cell: Cell) -> str:
-    return cell.physical_key
-
-
-def _calibration(cell: Cell) -> str | None:
-    return cell.calibration_key
-
-
 def equivalent_groups(design: Design) -> Groups:
     """Cells that must agree physically, grouped: one group is one distinct computation."""
     # In compression with both faces frictionless the deformation is the same everywhere, so that
     # space, order, mesh and element shape cannot matter: those cells are controls.
-    return _grouped(design.treatments, _physical)
+    return _grouped(design.treatments, lambda cell: cell.physical_key)
 
 
 def duplicates(design: Design) -> Groups:
@@ -45,7 +37,8 @@ def duplicates(design: Design) -> Groups:
 
 def calibration_groups(design: Design) -> Groups:
     """Cells that share one calibration problem (one fit a block); none where nothing is fitted."""
-    return _grouped([t for t in design.treatments if t.cell.is_calibrated], _calibration)
+    calibrated = [t for t in design.treatments if t.cell.is_calibrated]
+    return _grouped(calibrated, lambda cell: cell.calibration_key)
 
 
 def calibration_factors(design: Design) -> tuple[str, ...]:
@@ -60,7 +53,7 @@ def _calibrates(design: Design, factor: str) -> bool:
     of times to find that out.
     """
     fitted = any(t.cell.is_calibrated for t in design.treatments)
-    return fitted and _separated(design, factor, _calibration) > 0
+    return fitted and _separated(design, factor, lambda cell: cell.calibration_key) > 0
 
 
 def _separated(design: Design, factor: str, key: Key) -> int:
@@ -97,7 +90,7 @@ def _compared(factor: Factor) -> Sequence[Level]:
 
 def inert_cells(design: Design, factor: str) -> int:
     """Count the cells in which a factor cannot change a force: its controls."""
-    return len(design.treatments) - _separated(design, factor, _physical)
+    return len(design.treatments) - _separated(design, factor, lambda cell: cell.physical_key)
 
 
 @dataclass(frozen=True)
@@ -248,11 +241,7 @@ def _matrix(design: Design, groups: Groups, fitted: Groups) -> tuple[CellOvervie
     fit = {member.label: i for i, members in enumerate(fitted, 1) for member in members}
     return tuple(
         CellOverview(
-            t.label,
-            t.levels,
-            group[t.label],
-            fit.get(t.label),
-            t.cell.problem.is_homogeneous,
+            t.label, t.levels, group[t.label], fit.get(t.label), t.cell.problem.is_homogeneous
         )
         for t in design.treatments
     )

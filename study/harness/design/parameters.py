@@ -11,15 +11,14 @@ import math
 import operator
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 
 from study.ground import units
 from study.ground.errors import UnitError, nearest
 from study.harness.design.diagnostics import Faults, Table, noted
-from study.harness.design.forward_model import Refinement, Value
+from study.harness.design.forward_model import ForwardCell, Value
 from study.harness.design.forward_section import ForwardModel
-from study.mechanics.measurement.measurement_section import MarkerSpec, MeasurementSpec
 from study.mechanics.setup.declaration import MAX_NAME, Bad, quoted, shown, text
 
 MOST_PARAMETERS = 1000
@@ -161,25 +160,11 @@ def _like(read: tuple[Value, str], usual: tuple[Value, str], raw: object) -> tup
     return value, unit
 
 
-@dataclass(frozen=True)
-class ParameterProblem:
+@dataclass(frozen=True, kw_only=True)
+class ParameterProblem(ForwardCell):
     """Parameters alone, for a program or a function: no specimen, test, material or mesh."""
 
-    parameters: Mapping[str, Value]
-    #: Of those that have one.
-    units: Mapping[str, str]
     forward: ForwardModel
-    refinement: Refinement | None = None
-    measurements: MeasurementSpec | None = None
-    markers: MarkerSpec | None = None
-    has_closed_form: bool = field(default=False, init=False)
-    calibrated_names: tuple[str, ...] = field(default=(), init=False)
-    depth_mm: float | None = field(default=None, init=False)
-
-    @property
-    def is_homogeneous(self) -> bool:
-        """Whether nothing says how it is refined."""
-        return self.refinement is None
 
     @property
     def discretization(self) -> str:
@@ -188,18 +173,9 @@ class ParameterProblem:
 
     def document(self) -> dict[str, object]:
         """Plain values: parameters with their units, and what predicts."""
-        document: dict[str, object] = {"parameters": dict(self.parameters)}
-        if self.units:
-            document["units"] = dict(self.units)
+        units_of = {"units": dict(self.units)} if self.units else {}
+        document = {"parameters": dict(self.parameters), **units_of}
         return {**document, "forward": self.forward.document()}
-
-    def physical(self) -> dict[str, object]:
-        """Return the whole document: of a stranger's program nothing is known not to matter."""
-        return self.document()
-
-    def faults_in_design(self) -> Sequence[tuple[str, str, str]]:
-        """Nothing that is read has no place in a design."""
-        return ()
 
 
 def check_names(config: Table, keys: Sequence[tuple[str, str]], faults: Faults) -> None:

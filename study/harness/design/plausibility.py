@@ -29,27 +29,31 @@ from study.mechanics.setup.setup import Model, Setup
 from study.mechanics.setup.test_kinds import PlateMotion, buckling_strain
 from study.mechanics.setup.test_section import TEST_KINDS
 
+#: place of a fault in the tables of a problem, such as ``"test.kind"``; rule and mend
+Broken = Iterator[tuple[str, str, str]]
+
 
 def check(problem: CellProblem, faults: Faults, places: Mapping[str, str]) -> None:
     """Check the sections of a problem against one another."""
-    _check_moduli(problem.material, faults, places)
-    _check_displacement(problem, faults, places)
-    _check_gauge_section(problem, faults, places)
-    _check_course(problem, faults, places)
-    _check_model(problem, faults, places)
+    checks = (_moduli_broken, _displacement, _gauge_section, _course, _model, _motion, _markers,
+              _indenter, _closed_form)  # fmt: skip
+    for broken in checks:
+        for where, rule, mend in broken(problem):
+            table, dot, key = where.partition(".")
+            faults.add(f"{places[table]}{dot}{key}", rule, mend)
+
+
+def _motion(problem: CellProblem) -> Broken:
     moves = isinstance(TEST_KINDS.get(problem.test.kind), PlateMotion)
     if problem.test.motion is not None and not moves:
         rule = f"a {problem.test.kind} moves along its axis alone"
-        faults.add(f"{places['test']}.motion", rule, 'write kind = "plate-motion", or leave it out')
+        yield "test.motion", rule, 'write kind = "plate-motion", or leave it out'
     if moves and problem.specimen.shape not in (None, "block"):
         rule = f"plate-motion is modelled on a block, not on a {problem.specimen.shape}"
-        faults.add(f"{places['test']}.kind", rule, 'write specimen.shape = "block"')
+        yield "test.kind", rule, 'write specimen.shape = "block"'
     if moves and problem.model.space == "axisymmetric":
         rule = "a plate that moves sideways leaves no axis of symmetry"
-        faults.add(f"{places['model']}.space", rule, 'write space = "3d"')
-    _check_markers(problem, faults, places)
-    if problem.test.indenter is not None:
-        _check_indenter(problem, problem.test.indenter, faults, f"{places['test']}.indenter.")
+        yield "model.space", rule, 'write space = "3d"'
 
 
 def initial_shear_modulus(material: MaterialSection) -> float | None:
@@ -64,153 +68,156 @@ def initial_shear_modulus(material: MaterialSection) -> float | None:
     return None if energy.small_strain and not 0 < mu0 < math.inf else mu0
 
 
-def _check_moduli(material: MaterialSection, faults: Faults, places: Mapping[str, str]) -> None:
+def _moduli_broken(problem: CellProblem) -> Broken:
+    material = problem.material
     mu0, bulk = initial_shear_modulus(material), material.compressibility.bulk_modulus_MPa
-    where = f"{places['material']}.{next(iter(material.constants), '')}"
     if mu0 is not None and mu0 <= 0:
         formula = ENERGIES[material.model].shear_modulus_formula
         rule = f"the initial shear modulus {formula} must be positive, got {mu0 * 1e3:g} kPa"
-        faults.add(where, rule, "check the signs of the constants")
+        key = next(iter(material.constants), "")
+        yield f"material.{key}", rule, "check the signs of the constants"
     elif mu0 is not None and bulk is not None and bulk < mu0:
         rule = f"{bulk * 1e3:g} kPa is below the initial shear modulus, {mu0 * 1e3:g} kPa"
-        faults.add(f"{places['material']}.bulk_modulus", rule, "check the units (MPa, kPa) of both")
+        yield "material.bulk_modulus", rule, "check the units (MPa, kPa) of both"
 
 
-def _check_displacement(problem: CellProblem, faults: Faults, places: Mapping[str, str]) -> None:
+def _displacement(problem: CellProblem) -> Broken:
     depth, height = problem.test.displacement_mm, problem.height_mm
     kind = TEST_KINDS.get(problem.test.kind)
     if kind is not None and kind.sense > 0:
         return  # what is lengthened has no end
     if depth is not None and height is not None and depth >= height:
         rule = f"{depth:g} mm reaches the height of the specimen, {height:g} mm"
-        faults.add(f"{places['test']}.displacement", rule, "make it smaller than specimen.height")
+        yield "test.displacement", rule, "make it smaller than specimen.height"
 
 
-def _check_gauge_section(problem: CellProblem, faults: Faults, places: Mapping[str, str]) -> None:
+def _gauge_section(problem: CellProblem) -> Broken:
     """Keep tests of material to specimens that deform the same everywhere."""
     test, is_gauge = problem.test, isinstance(problem.specimen, Homogeneous)
     kind = TEST_KINDS.get(test.kind)
     if kind is None or problem.specimen.shape is None:
         return
-    where = places["test"]
     if kind.needs_homogeneous and not is_gauge:
         rule = f"{test.kind} is a test of a gauge section, not of a {problem.specimen.shape}"
-        faults.add(f"{where}.kind", rule, 'write specimen.shape = "homogeneous"')
+        yield "test.kind", rule, 'write specimen.shape = "homogeneous"'
     if is_gauge and problem.test.gravity is not None:
         rule = "acts on a specimen of elements; a gauge section deforms the same everywhere"
-        faults.add(f"{where}.gravity", rule, "leave it out, or give the specimen's shape and size")
+        yield "test.gravity", rule, "leave it out, or give the specimen's shape and size"
     if is_gauge and kind.takes_indenter:
         rule = f"{test.kind} does not deform a specimen the same everywhere"
-        faults.add(f"{where}.kind", rule, "give the specimen's shape and size")
+        yield "test.kind", rule, "give the specimen's shape and size"
     if is_gauge and "bonded" in (test.interface, test.held_below) and not kind.takes_indenter:
         rule = "bonded faces do not let a specimen deform the same everywhere"
-        faults.add(f"{where}.interface", rule, "leave it out, or give a cylinder or block")
+        yield "test.interface", rule, "leave it out, or give a cylinder or block"
     energy = ENERGIES.get(problem.material.model)
     if energy is not None and not energy.splits and not is_gauge:
         rule = f"{energy.name} has no isochoric part that finite elements could take for itself"
         mend = 'write specimen.shape = "homogeneous", with area and length, or another energy'
-        faults.add(f"{places['material']}.model", rule, mend)
+        yield "material.model", rule, mend
     if test.prestretch is not None:
         if not kind.shears:
             rule = f"belongs to a simple shear, not to {test.kind}"
-            faults.add(f"{where}.prestretch", rule, "leave it out")
+            yield "test.prestretch", rule, "leave it out"
         elif problem.material.relaxation:
             rule = "would relax as well, and nobody knows since when"
-            faults.add(f"{where}.prestretch", rule, "leave it out, or the relaxation")
+            yield "test.prestretch", rule, "leave it out, or the relaxation"
     rigid = kind.needs_homogeneous and LOADINGS[kind.mode].is_volumetric
     if rigid and problem.material.compressibility.incompressible:
         rule = f"{test.kind} of an incompressible material has no displacement"
-        faults.add(f"{places['material']}.incompressible", rule, "give poisson_ratio instead")
+        yield "material.incompressible", rule, "give poisson_ratio instead"
 
 
-def _check_course(problem: CellProblem, faults: Faults, places: Mapping[str, str]) -> None:
+def _course(problem: CellProblem) -> Broken:
     """Check what a course in time needs, and that something knows what to do with one."""
-    test, at = problem.test, places["test"]
-    relaxes = bool(problem.material.relaxation)
+    test, relaxes = problem.test, bool(problem.material.relaxation)
     timed = problem.measurements is not None and problem.measurements.columns.time is not None
-    given = [key for key in ("speed_mm_per_s", "hold_s", "cycles") if getattr(test, key)]
-    words = {"speed_mm_per_s": "speed", "hold_s": "hold"}
-    courses = [f"{at}.{words.get(key, key)}" for key in given]
-    courses += [f"{places['material']}.relaxation"] if relaxes else []
-    courses += [f"{places['measurements']}.columns.time"] if timed else []
+    given = [
+        f"test.{key}"
+        for key, value in (
+            ("speed", test.speed_mm_per_s), ("hold", test.hold_s), ("cycles", test.cycles)
+        )
+        if value
+    ]  # fmt: skip
+    courses = [*given, *["material.relaxation"] * relaxes, *["measurements.columns.time"] * timed]
     if courses and problem.specimen.shape not in (None, "homogeneous"):
         rule = "is of a test in closed form: finite elements know no time"
         mend = 'write specimen.shape = "homogeneous", with area and length, or leave it out'
-        faults.add(courses[0], rule, mend)
+        yield courses[0], rule, mend
         return
     if relaxes and problem.forward is not None and problem.forward.model != "closed-form":
         rule = f"is no part of what {problem.forward.model} is told of a material"
-        faults.add(f"{places['material']}.relaxation", rule, "give it in [parameters]")
-    _check_speed(problem, [courses[0]] if given else [], relaxes, timed, faults, at)
-
-
-def _check_speed(
-    problem: CellProblem, places: list[str], relaxes: bool, timed: bool, faults: Faults, at: str
-) -> None:
-    """Check that the times of a test are given once."""
-    test = problem.test
-    if timed and places:
+        yield "material.relaxation", rule, "give it in [parameters]"
+    if timed and given:
         rule = "stands beside a column of time, which says how the test went"
-        faults.add(places[0], rule, "leave it out")
-    elif (relaxes and not timed or places) and not test.speed_mm_per_s:
+        yield given[0], rule, "leave it out"
+    elif (relaxes and not timed or given) and not test.speed_mm_per_s:
         rule = "is missing: a material that relaxes resists a fast test more than a slow one"
         if not relaxes:
             rule = "is missing: what is held or repeated has a speed"
-        faults.add(f"{at}.speed", rule, 'write speed = "10 mm/min", or name a column of time')
+        yield "test.speed", rule, 'write speed = "10 mm/min", or name a column of time'
     if test.hold_s and test.cycles:
-        rule = "stands beside hold"
-        faults.add(f"{at}.cycles", rule, "give one of the two, and the other in a test of its own")
+        mend = "give one of the two, and the other in a test of its own"
+        yield "test.cycles", "stands beside hold", mend
 
 
-def _check_markers(problem: CellProblem, faults: Faults, places: Mapping[str, str]) -> None:
+def _markers(problem: CellProblem) -> Broken:
     """Keep markers to the test whose plate can be fitted to them, by our own model."""
     if problem.markers is None:
         return
     if not isinstance(TEST_KINDS.get(problem.test.kind), PlateMotion):
         rule = "markers tell how a plate moved, which only a plate-motion lets be fitted"
-        faults.add(places["markers"], rule, 'write test.kind = "plate-motion"')
+        yield "markers", rule, 'write test.kind = "plate-motion"'
     if problem.measurements is not None or problem.forward is not None:
         rule = "stands beside measurements or forward, which it cannot be scored together with"
-        faults.add(
-            places["markers"], rule, "give the curves, or the other model, a design of its own"
-        )
+        yield "markers", rule, "give the curves, or the other model, a design of its own"
     if not problem.material.constants and problem.material.model:
         rule = "tells of displacements, which give no constants, and [material] has none"
-        faults.add(places["markers"], rule, 'give them, for example C10 = "2.5 kPa"')
+        yield "markers", rule, 'give them, for example C10 = "2.5 kPa"'
 
 
-def _check_model(problem: CellProblem, faults: Faults, places: Mapping[str, str]) -> None:
+def _model(problem: CellProblem) -> Broken:
     model, is_surface = problem.model, isinstance(problem.specimen, Enclosed)
     if problem.material.compressibility.incompressible and model.formulation == "displacement":
         rule = "the displacement formulation cannot hold the volume of an incompressible material"
-        faults.add(f"{places['model']}.formulation", rule, 'write formulation = "mixed"')
+        yield "model.formulation", rule, 'write formulation = "mixed"'
     if is_surface and model.space == "axisymmetric":
         rule = "a surface from a file has no axis of symmetry that could be relied on"
-        faults.add(f"{places['model']}.space", rule, 'write space = "3d"')
+        yield "model.space", rule, 'write space = "3d"'
     if is_surface and model.element_shape == "tensor":
         rule = "the inside of a surface is meshed with tetrahedra"
         mend = 'write element_shape = "tetrahedron"'
-        faults.add(f"{places['model']}.element_shape", rule, mend)
+        yield "model.element_shape", rule, mend
 
 
-def _check_indenter(problem: CellProblem, indenter: Indenter, faults: Faults, where: str) -> None:
-    if not is_known(*(v for k, v in values_of(indenter).items() if k != "shaft_radius_mm")):
+def _indenter(problem: CellProblem) -> Broken:
+    indenter = problem.test.indenter
+    if indenter is None or not is_known(
+        *(v for k, v in values_of(indenter).items() if k != "shaft_radius_mm")
+    ):
         return
     if isinstance(indenter, Flat) and indenter.edge_radius_mm > indenter.radius_mm:
         rule = (
             f"{indenter.edge_radius_mm:g} mm is larger than the radius, {indenter.radius_mm:g} mm"
         )
-        faults.add(f"{where}edge_radius", rule, "round less")
+        yield "test.indenter.edge_radius", rule, "round less"
     shaft = indenter.shaft_radius_mm if isinstance(indenter, Cone) else None
     if isinstance(indenter, Cone) and shaft is not None and indenter.tip_radius_mm > shaft:
         rule = f"{indenter.tip_radius_mm:g} mm is larger than the shaft radius, {shaft:g} mm"
-        faults.add(f"{where}tip_radius", rule, "a tip is inside its shaft")
+        yield "test.indenter.tip_radius", rule, "a tip is inside its shaft"
     half = half_width(problem.specimen)
     reach = footprint(indenter, problem.test.displacement_mm)
     if half is not None and reach is not None and reach >= half:
         key = "half_angle" if isinstance(indenter, Cone) else "radius"
         rule = f"the indenter is {reach:g} mm wide from its axis, the specimen {half:g} mm"
-        faults.add(where + key, rule, "it must stay inside the top face at full depth")
+        yield f"test.indenter.{key}", rule, "it must stay inside the top face at full depth"
+
+
+def _closed_form(problem: CellProblem) -> Broken:
+    is_closed_form = problem.forward is not None and problem.forward.model == "closed-form"
+    if is_closed_form and is_known(problem.test.kind) and not problem.is_homogeneous:
+        rule = "closed-form needs a test that deforms the specimen the same everywhere"
+        mend = 'write test.interface = "frictionless", or another forward.model'
+        yield "forward.model", rule, mend
 
 
 def check_stability(problem: CellProblem, faults: Faults) -> None:

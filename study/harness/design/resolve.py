@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 
 from study.ground.errors import InputError
@@ -13,23 +13,17 @@ from study.harness.design.calibration_section import (
     nuisance_from,
     of_test,
 )
-from study.harness.design.cell import (
-    Cell,
-    CellProblem,
-    forward_from,
-    loading_from,
-    markers_from,
-    measurements_from,
-    model_from,
-    specimen_from,
-)
+from study.harness.design.cell import Cell, CellProblem
 from study.harness.design.diagnostics import (
     Faults,
+    Kind,
     Table,
     all_about,
+    is_about,
     is_known,
     noted,
     read_table,
+    read_variant,
     with_values,
 )
 from study.harness.design.forward_model import Refinement
@@ -37,6 +31,14 @@ from study.harness.design.forward_section import ForwardModel
 from study.harness.design.material_table import material_from
 from study.harness.design.parameters import ParameterProblem, parameters_from, stands_alone
 from study.harness.design.study_file import CalibrationFile, Converge, TestTable
+from study.mechanics.measurement.measurement_section import (
+    KINEMATIC,
+    KINETIC,
+    SECOND,
+    MarkerSpec,
+    MeasurementSpec,
+    groups_of,
+)
 from study.mechanics.setup.calibration_table import (
     ANALYTIC_KEYS,
     Bounds,
@@ -44,8 +46,155 @@ from study.mechanics.setup.calibration_table import (
     Fitting,
     bounds_of,
 )
-from study.mechanics.setup.declaration import shown, values_of
-from study.mechanics.setup.material_section import MaterialSection
+from study.mechanics.setup.declaration import shown, values_of, written_keys
+from study.mechanics.setup.geometry import INDENTERS, SPECIMENS, Specimen
+from study.mechanics.setup.setup import Model
+from study.mechanics.setup.test_section import TEST_KINDS, TestSection
+
+#: key of a table, rule and mend
+Broken = Iterator[tuple[str, str, str]]
+
+
+def _sound(
+    kind: type[Kind],
+    table: object,
+    path: str,
+    faults: Faults,
+    check: Callable[[Table, Kind], Broken],
+) -> Kind | None:
+    """Read a table and check its keys against one another; None where a fault was found."""
+    before = len(faults)
+    section = read_table(kind, table, path, faults)
+    for key, rule, mend in check(table, section) if isinstance(table, Mapping) else ():
+        faults.add(f"{path}.{key}", rule, mend)
+    return None if len(faults) > before else section
+
+
+def measurements_from(
+    table: object, faults: Faults, path: str = "measurements"
+) -> MeasurementSpec | None:
+    """Read where measured curves are; None where a fault was found."""
+    return _sound(MeasurementSpec, table, path, faults, _measurements_broken)
+
+
+def _measurements_broken(table: Table, _: MeasurementSpec) -> Broken:
+    yield from _columns_broken(table)
+    columns = table.get("columns")
+    if isinstance(columns, Mapping) and {"time", *SECOND} & set(columns):
+        yield from _course_broken(table, columns)
+    given = [key for key in ("file", "files") if key in table]
+    if len(given) != 1:
+        rule = "stands beside file" if given else "is missing"
+        yield "file" if not given else "files", rule, "give one of file and files"
+    for key, other in (("fit", "score"), ("score", "fit")):
+        if key in table and other not in table:
+            yield other, f"is missing beside {key}", "give both, or neither"
+    if table.get("swap") is True and "fit" not in table:
+        yield "swap", "needs fit and score", "say which rows change places"
+    block, files = table.get("block"), table.get("files")
+    if isinstance(block, str) and isinstance(files, str) and block not in groups_of(files):
+        rule = f"{block!r} is no group of the file names {shown(files)}"
+        yield "block", rule, f"write {{{block}}} where its label stands"
+
+
+def _columns_broken(table: Table) -> Broken:
+    """One column says how far, one how hard, and each has its unit."""
+    columns, units = table.get("columns"), table.get("units")
+    no_row = table.get("unit_row") is not True
+    if "units" not in table and no_row:
+        yield "units", "is missing", 'for example units = { displacement = "mm", force = "N" }'
+    if not isinstance(columns, Mapping):
+        return
+    for quantities, usual in ((KINEMATIC, "displacement"), (KINETIC, "force")):
+        given = [key for key in quantities if key in columns]
+        if not given:
+            yield f"columns.{usual}", "is missing", "displacement and force"
+        if len(given) > 1:
+            rule = f"stands beside {given[0]}"
+            yield f"columns.{given[1]}", rule, f"give one of {', '.join(quantities)}"
+        needed = given[0] if given else usual
+        if isinstance(units, Mapping) and needed not in units and no_row:
+            yield f"units.{needed}", "is missing", f'for example {needed} = "{_UNITS[needed]}"'
+    biaxial = (*SECOND, *SECOND.values())
+    first = next((key for key in biaxial if key in columns), None)
+    for key in biaxial if first else ():
+        if key not in columns:
+            yield f"columns.{key}", f"is missing beside {first}", "a biaxial test has all four"
+    if isinstance(units, Mapping) and "time" in columns and "time" not in units:
+        yield "units.time", "is missing", 'for example time = "s"'
+
+
+_UNITS = {
+    **dict.fromkeys(KINEMATIC, "1"),
+    **dict.fromkeys(KINETIC, "kPa"),
+    "displacement": "mm",
+    "force": "N",
+}
+
+
+def _course_broken(table: Table, columns: Table) -> Broken:
+    """Keep rules that take rows out, or move them, from tests whose course in time matters."""
+    what = "a column of time" if "time" in columns else "two directions"
+    rule = f"has no meaning for a test with {what}, whose rows all count"
+    if table.get("points", "raw") != "raw":
+        yield "points", rule, 'write points = "raw"'
+    for key in ("range", "toe"):
+        if key in table:
+            yield key, rule, "leave it out"
+    if table.get("zero") == "fit" or ("zero" in table and "time" not in columns):
+        yield "zero", rule, 'write zero = "first"'
+
+
+def _markers_broken(table: Table, markers: MarkerSpec) -> Broken:
+    if markers.fit and "layer" not in table and set(table) <= set(written_keys(MarkerSpec)):
+        yield "layer", "is missing beside fit", "name the column of the layers"
+
+
+# Specimen, test and discretization of a cell, with the defaults that other tables decide.
+
+
+def loading_from(table: object, faults: Faults, path: str = "test") -> TestSection:
+    """Read how the specimen is loaded; the measured range may give the displacement later."""
+    section = read_table(TestSection, table, path, faults)
+    written: Table = table if isinstance(table, Mapping) else {}
+    base = section.base if "base" in written else section.held_below
+    kind, where = TEST_KINDS.get(section.kind), f"{path}.indenter"
+    indenter = None
+    if kind is not None and kind.takes_indenter:
+        if "indenter" in written:
+            indenter = read_variant(INDENTERS, "shape", written["indenter"], where, faults)
+        else:
+            faults.add(where, "is missing", f"{{ shape = ... }} with {'|'.join(INDENTERS)}")
+    return with_values(section, base=base, indenter=indenter)
+
+
+def model_from(
+    table: object, faults: Faults, shape: str, ratio: float, path: str = "model"
+) -> Model:
+    """Read the discretization."""
+    section = read_table(Model, table, path, faults)
+    written: Table = table if isinstance(table, Mapping) else {}
+    if "mesh" in written and "mesh_size" in written:
+        faults.add(f"{path}.mesh_size", "stands beside mesh", "give one of the two")
+    usual = "axisymmetric" if shape == "cylinder" else "3d"
+    space = section.space if "space" in written else usual
+    return with_values(section, space=space, mesh_ratio=ratio)
+
+
+def forward_from(table: object, faults: Faults, path: str = "forward") -> ForwardModel | None:
+    """Read what predicts the curves; None for the built-in finite elements."""
+    if table is None:
+        return None
+    section = read_table(ForwardModel, table, path, faults)
+    if section.model is None or section.model == "fem":
+        return None
+    missing = None if section.argv is None else section.fault(path)
+    if missing is not None:
+        faults.add(missing.where, missing.rule, missing.mend)
+    return section
+
+
+# A cell, and a calibration, of such tables.
 
 TABLES = ("specimen", "test", "material", "model", "measurements", "markers", "forward")
 
@@ -93,13 +242,13 @@ def _of_parameters(
             faults.add(name, "has no meaning for parameters alone, without a material", mend)
     name = (converge.key or "").partition(".")[2]
     if not name:
-        return ParameterProblem(values, units, forward)
+        return ParameterProblem(parameters=values, units=units, forward=forward)
     size = values.get(name)
     if isinstance(size, bool) or not isinstance(size, float) or size <= 0:
         rule = f"must be a positive number in every cell, parameters.{name} is {shown(size)}"
         faults.add("converge.key", rule, "name the mesh size, step or tolerance of your solver")
     refinement = Refinement(name, converge.formal_order)
-    return ParameterProblem(values, units, forward, refinement)
+    return ParameterProblem(parameters=values, units=units, forward=forward, refinement=refinement)
 
 
 def resolve_problem(
@@ -115,7 +264,8 @@ def resolve_problem(
     With ``all_rows`` measured rows count as they are, unless a number of points is written.
     """
     at = {name: name for name in TABLES} | dict(places or {})
-    specimen = specimen_from(tables.get("specimen", {}), faults, at["specimen"])
+    shaped = tables.get("specimen", {})
+    specimen: Specimen = read_variant(SPECIMENS, "shape", shaped, at["specimen"], faults)
     written = tables.get("test", {})
     if specimen.shape == "homogeneous" and isinstance(written, Mapping):
         written = {"interface": "frictionless", **written}  # nothing holds a gauge section
@@ -130,21 +280,15 @@ def resolve_problem(
         if spec is not None and (all_rows or specimen.shape == "homogeneous") and not chosen:
             spec = replace(spec, points="raw")  # every row of a test of material counts
     forward = forward_from(tables.get("forward"), faults, at["forward"])
-    markers = markers_from(tables.get("markers"), faults, at["markers"])
-    problem = CellProblem(specimen, test, material, model, spec, forward, markers)
-    _check_closed_form(problem, faults, at)
+    marked, markers = tables.get("markers"), None
+    if marked is not None:
+        markers = _sound(MarkerSpec, marked, at["markers"], faults, _markers_broken)
+    problem = CellProblem(
+        specimen, test, material, model, measurements=spec, forward=forward, markers=markers
+    )
     problem = _with_displacement(problem, tables, faults, at)
     plausibility.check(problem, faults, at)
     return problem
-
-
-def _check_closed_form(problem: CellProblem, faults: Faults, at: Mapping[str, str]) -> None:
-    forward = problem.forward
-    is_closed_form = forward is not None and forward.model == "closed-form"
-    if is_closed_form and is_known(problem.test.kind) and not problem.is_homogeneous:
-        rule = "closed-form needs a test that deforms the specimen the same everywhere"
-        mend = 'write test.interface = "frictionless", or another forward.model'
-        faults.add(f"{at['forward']}.model", rule, mend)
 
 
 def _with_displacement(
@@ -238,8 +382,9 @@ def resolve_calibration(
     problems = [_test(tables, test, f"tests[{i}]", faults) for i, test in enumerate(file.tests)]
     if all_about(faults, "calibration") and not any(test.role == "fit" for test in file.tests):
         faults.add("tests", "has no test with role fit", 'write role = "fit" in one of them')
-    material = problems[0].material if all_about(faults, "calibration") else None
-    bounds = _bounds(file.calibration, material, faults)
+    is_read = bool(problems) and not any(is_about(fault, "material") for fault in faults)
+    names = problems[0].calibrated_names if is_read else None
+    bounds = _bounds(file.calibration, names, faults)
     shared = nuisance_from(file.nuisance, overlay.dimension, "nuisance", faults)
     nuisances = [
         nuisance_from(test.nuisance, overlay.dimension, f"tests[{i}].nuisance", faults)
@@ -269,7 +414,7 @@ def _test(tables: Table, test: TestTable, where: str, faults: Faults) -> CellPro
     return resolve_problem({"test": {}, **tables, **given}, faults, places=places, all_rows=True)
 
 
-def _bounds(fitting: Fitting, material: MaterialSection | None, faults: Faults) -> Bounds:
+def _bounds(fitting: Fitting, names: tuple[str, ...] | None, faults: Faults) -> Bounds:
     """Bounds of the constants; keys that the closed form of indentations has alone are noted."""
     for key in ANALYTIC_KEYS:
         if fitting.method != "analytic" and getattr(fitting, key) != getattr(Fitting(), key):
@@ -277,5 +422,4 @@ def _bounds(fitting: Fitting, material: MaterialSection | None, faults: Faults) 
             faults.add(f"calibration.{key}", "is of the closed form of indentations", mend)
     if fitting.bounds is None:
         return {}
-    names = () if material is None else material.calibrated_names
     return noted(bounds_of(names), fitting.bounds, "calibration.bounds", faults) or {}

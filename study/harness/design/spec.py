@@ -26,6 +26,7 @@ from study.harness.design.study_file import (
     SCORED,
     Analysis,
     Converge,
+    Exclusion,
     Replicates,
     Report,
     Sequential,
@@ -110,18 +111,6 @@ class Scheme:
     terms: tuple[str, ...] = ()
     #: How cells are added while it runs.
     sequential: Sequential | None = None
-
-
-@dataclass(frozen=True)
-class Exclusion:
-    """Cells left out: every factor named takes one of its labels."""
-
-    when: Mapping[str, tuple[str, ...]]
-    why: str
-
-    def matches(self, levels: Mapping[str, str]) -> bool:
-        """Whether a treatment is left out."""
-        return all(levels[name] in labels for name, labels in self.when.items())
 
 
 @dataclass(frozen=True)

@@ -277,9 +277,13 @@ def _reason(value: object) -> str:
 class StudyTable:
     """Name, question, seed and what is assumed; the name is by default that of the file."""
 
+    #: Of its folder of results.
     name: Annotated[str, Reads(slug)] = ""
+    #: What it is to answer; the report begins with it.
     question: Annotated[str, Reads(text)] = ""
+    #: Of every random draw.
     seed: Annotated[int, Reads(integer(0, 2**32 - 1))] = 2011
+    #: Inputs that nobody measured, by key.
     assumed: Annotated[tuple[str, ...], Reads(_assumed)] = ()
 
 
@@ -337,18 +341,29 @@ class Report:
     format: Annotated[tuple[str, ...], Reads(_formats)] = ("html",)
 
 
+#: Terms of an analysis: all, those up to an order, or those listed, ``"A"`` or ``"A:B"``.
+Terms = str | int | tuple[str, ...]
+
+
 @section
-class AnalysisTable:
+class Analysis:
     """How the table of cases is analyzed; ``model`` is by default what the design can tell."""
 
-    model: AsWritten = None
+    model: Annotated[Terms, as_written()] = None  # type: ignore[assignment]
+    #: Of the sums of squares.
     type: Annotated[str, Reads(choice("I", "II", "III"))] = "II"
+    #: What effects are compared with.
     error: Annotated[str, Reads(choice("auto", "pooled", "own", "replicates"))] = "auto"
     alpha: Annotated[float, Reads(number(0, 1))] = 0.05
+    #: What a factor is to the question (:data:`ROLES`).
     roles: Annotated[tuple[tuple[str, str], ...], Reads(_roles)] = ()
+    #: Tests that Holm's adjustment takes together: of one response, or of all.
     family: Annotated[str, Reads(choice("response", "study"))] = "response"
+    #: Terms declared before the run, which then are the family; all terms where it is empty.
     primary: Annotated[tuple[str, ...], Reads(_primary)] = ()
+    #: What is fitted over the factors that are ranges.
     surface: Annotated[str, Reads(choice("auto", "quadratic", "emulator", "none"))] = "auto"
+    #: Differences of two settings that every response is asked for.
     contrasts: Annotated[tuple[str, ...], Reads(texts("contrasts", "stiff - soft"))] = ()
 
 
@@ -358,18 +373,24 @@ class ResponseTable:
 
     name: Annotated[str, Reads(_response_name, mend="for example relative_rms_force_error")]
     displacement: Length | None = None
+    #: Smallest difference that matters, in its unit or as a share: "0.05 N", "2 pp", "5 % of mean".
     practical: AsWritten = None
+    #: Scale on which it is analyzed.
     transform: Annotated[str, Reads(choice("none", "log"))] = "none"
     #: Of a value that a Python function returns, or a program that says none.
     unit: Annotated[str | None, Reads(value_unit)] = None
 
 
 @section
-class ExclusionTable:
+class Exclusion:
     """One ``[[exclude]]``: labels of levels by factor, and why their cells are left out."""
 
     why: Annotated[str, Reads(_reason, mend='say why: why = "..."')]
-    when: Annotated[object, as_written('when = { material = "ogden-1" }')]
+    when: Annotated[Mapping[str, tuple[str, ...]], as_written('when = { material = "ogden-1" }')]
+
+    def matches(self, levels: Mapping[str, str]) -> bool:
+        """Whether a cell is left out: every factor named takes one of its labels."""
+        return all(levels[name] in labels for name, labels in self.when.items())
 
 
 @section
@@ -397,7 +418,7 @@ class TestTable:
 
 _Schema = Annotated[int, Reads(_schema, mend=f"write schema = {SCHEMA} on the first line")]
 _Responses = Annotated[tuple[ResponseTable, ...], Rows(1, MAX_RESPONSES, RESPONSES_MEND)]
-_Exclusions = Annotated[tuple[ExclusionTable, ...], Rows(0, MAX_EXCLUSIONS, "write [[exclude]]")]
+_Exclusions = Annotated[tuple[Exclusion, ...], Rows(0, MAX_EXCLUSIONS, "write [[exclude]]")]
 _Constraints = Annotated[
     tuple[ConstraintTable, ...], Rows(0, MAX_EXCLUSIONS, "write [[constraint]]")
 ]
@@ -436,7 +457,7 @@ class DesignFile(ProblemFile):
     parameters: AsWritten = None
     constraint: _Constraints = ()
     response: _Responses = ()
-    analysis: AnalysisTable = AnalysisTable()
+    analysis: Analysis = Analysis()
     replicates: Replicates = Replicates()
     execution: Execution = Execution()
     expected: AsWritten = None
@@ -455,30 +476,3 @@ class CalibrationFile:
     tests: _Tests = ()
     calibration: Fitting = Fitting()
     nuisance: AsWritten = None
-
-
-# How the table of cases is analyzed, as a design declares it.
-
-
-@dataclass(frozen=True)
-class Analysis:
-    """How the table of cases is analyzed."""
-
-    #: Terms: all, those up to an order, or those listed, ``"A"`` or ``"A:B"``.
-    model: str | int | tuple[str, ...] = "full"
-    #: Of the sums of squares.
-    type: str = "II"
-    #: What effects are compared with.
-    error: str = "auto"
-    alpha: float = 0.05
-    #: Factors and what they are to the question (:data:`study.harness.design.study_file.ROLES`).
-    roles: tuple[tuple[str, str], ...] = ()
-    #: Tests that Holm's adjustment takes together: of one response, or of
-    #: all.
-    family: str = "response"
-    #: Terms declared before the run, which then are the family; all terms where it is empty.
-    primary: tuple[str, ...] = ()
-    #: What is fitted over the factors that are ranges.
-    surface: str = "auto"
-    #: Differences of two settings that every response is asked for (:mod:`study.ground.contrast`).
-    contrasts: tuple[str, ...] = ()

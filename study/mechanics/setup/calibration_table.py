@@ -83,8 +83,8 @@ class Fitting:
     contact: Annotated[str, Reads(choice("given", "fitted"))] = "given"
 
 
-def bounds_of(names: Sequence[str]) -> Callable[[object], Bounds]:
-    """Reader of the bounds of constants, such as ``{ C10 = ["1 kPa", "20 kPa"] }``."""
+def bounds_of(names: Sequence[str] | None) -> Callable[[object], Bounds]:
+    """Reader of bounds, ``{ C10 = ["1 kPa", "20 kPa"] }``; of any constant without names."""
 
     def read(value: object) -> Bounds:
         if not isinstance(value, Mapping):
@@ -94,8 +94,8 @@ def bounds_of(names: Sequence[str]) -> Callable[[object], Bounds]:
     return read
 
 
-def _pair(name: str, pair: object, names: Sequence[str]) -> tuple[float, float]:
-    if name not in names:
+def _pair(name: str, pair: object, names: Sequence[str] | None) -> tuple[float, float]:
+    if names is not None and name not in names:
         raise Bad(f"{shown(name)} is no constant of this fit", nearest(str(name)[:80], names))
     if not isinstance(pair, list) or len(pair) != 2:
         raise Bad(f"{name} must be two values, got {shown(pair)}", '["1 kPa", "20 kPa"]')
