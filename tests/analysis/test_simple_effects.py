@@ -22,7 +22,7 @@ from study.statistics.analysis.comparisons import (
     bonferroni,
     holm_family,
 )
-from study.statistics.analysis.effects import over_blocks
+from study.statistics.analysis.effects import over_groups
 from study.statistics.analysis.linear_model import CellLayout as Layout
 from study.statistics.analysis.linear_model import grid, model_matrix, terms_of
 from study.statistics.analysis.simple_effects import (
@@ -62,9 +62,8 @@ def with_blocks(cells: Array, blocks: int, se: float, seed: int = 1) -> Array:
 def judged(layout: Layout, y: Array, factor: str, practical: float) -> SimpleEffects:
     """Simple effects of a factor as a study with blocks judges them."""
     fit = factor_model(layout, y)
-    shift = y - y[0, 0]
-    coefficients = np.linalg.pinv(fit.matrix.columns) @ shift
-    sample = over_blocks(fit, coefficients, 0.05, 1)
+    added = np.linalg.pinv(fit.matrix.columns) @ (y - y[0, 0]) / y.shape[1]
+    sample = over_groups(fit, added, [np.arange(y.shape[1])], 0.05, 1)
     found = simple_effects(factor, layout, fit.matrix, sample, practical, None)
     assert found is not None
     return found

@@ -253,6 +253,13 @@ class AnalysisRequest:
         """Seed of simultaneous intervals; None where they are not simulated."""
         return self.seed if self.simulated else None
 
+    @property
+    def lower_order(self) -> int:
+        """Highest order of a smaller model, at most two; 0 where none of fewer terms has a name."""
+        order = self.model if isinstance(self.model, int) else len(self.factors)
+        ordered = self.model == "full" or isinstance(self.model, int)
+        return min(2, order - 1, len(self.factors) - 1) if ordered else 0
+
     def __post_init__(self) -> None:
         faults = [
             *_not_one_of("type", self.sums, ("auto", "I", "II", "III")),

@@ -614,11 +614,13 @@ def _with_empty_cells(
         return structure, terms
     lost = [term_name(t) for t in terms if t not in kept]
     listed = ", ".join(lost[:8]) + (f" and {len(lost) - 8} more" if len(lost) > 8 else "")
-    said = (
+    order = request.lower_order
+    smaller = f"--model {order}, or the terms" if order else "--model with the terms"
+    reason = (
         f"{listed}: left out, for these runs cannot tell them from the terms before them; declare "
-        "which are negligible to have the others judged (--model 2, or the terms)"
+        f"which are negligible to have the others judged ({smaller})"
     )
-    return replace(structure, undecided=said, asked=terms), kept
+    return replace(structure, undecided=reason, asked=terms), kept
 
 
 def _replicates(table: pd.DataFrame, data: Data, request: AnalysisRequest) -> str:

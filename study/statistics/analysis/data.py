@@ -82,7 +82,11 @@ def prepare(
         order = [level for level in order if level in present]
         if len(order) < 2:
             kind = "block" if name in blocks else "factor"
-            mend = f"leave the {kind} out, or add rows with another level"
+            others = [other for other in factors if other != name]
+            option = f" (--factors {','.join(others)})" if kind == "factor" and others else ""
+            mend = f"leave the {kind} out{option}, or add rows with another level"
+            if lost:
+                mend = f"level {', '.join(lost)} has no response: {mend}"
             faults.append(
                 Fault(f"{kind} {name!r}", f"needs at least two levels, got {order}", mend)
             )

@@ -241,32 +241,6 @@ def own_critical(k: int, df_term: int, blocks: int, alpha: float) -> float:
 # What is known of combinations of coefficients: over blocks, with a pooled error, or exactly.
 
 
-def over_blocks(
-    fit: Factored, coefficients: Array, alpha: float, seed: int | None, reading: float = 0.0
-) -> Sample:
-    """Estimate combinations by their own variance over the blocks.
-
-    Shapes: coefficients (p, b).
-    """
-
-    def estimate(asked: Differences) -> Estimates:
-        rows = asked.rows
-        value = np.where(fit.estimable(rows)[:, None], rows @ coefficients, np.nan)
-        known = value[np.isfinite(value).all(axis=1)]
-        b = value.shape[1]
-        spread = value.std(axis=1, ddof=1)
-        if reading:
-            spread = np.maximum(spread, reading * np.linalg.norm(rows @ fit.model.inverse, axis=1))
-        return Estimates(
-            value.mean(axis=1),
-            spread / np.sqrt(b),
-            t_quantile(alpha / 2, b - 1),
-            block_multiplier(known, alpha, seed) if len(known) else 0.0,
-        )
-
-    return estimate
-
-
 def over_groups(
     fit: Factored,
     added: Array,
@@ -333,19 +307,42 @@ def with_pooled_error(
     return estimate
 
 
+def by_components(share: Array, variance: Array, free: Array) -> tuple[Array, Array]:
+    """Find standard errors of combinations of independent sources, and Satterthwaite's df.
+
+    The error is infinite where a source that counts has an infinite variance or none does.
+
+    Shapes: share (m, k); variance, free (k,); returns (m,).
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        part = np.where(share == 0, 0.0, share * variance)
+        square = part.sum(axis=1)
+        df = square**2 / np.sum(part**2 / free, axis=1)
+    known = np.isfinite(square) & np.isfinite(df)
+    return np.where(known, np.sqrt(square), np.inf), np.where(known, df, 1.0)
+
+
 def cell_welch(
-    fit: Factored, cell: Ints, variances: tuple[Array, Array], alpha: float, reading: float
+    fit: Factored,
+    cell: Ints,
+    variances: tuple[Array, Array],
+    alpha: float,
+    reading: float,
+    rows_alike: Ints | None = None,
 ) -> Sample:
     """Estimate combinations with a variance of its own in each cell (Welch, Satterthwaite).
 
     Of one factor the simultaneous intervals are those of Games and Howell (1976); a contrast that
-    needs a cell with an infinite variance has no interval.
+    needs a cell with an infinite variance has no interval. Rows that the model describes alike
+    have one number in ``rows_alike``: those of a cell where there are no blocks.
 
-    Shapes: cell (n,); variances and their degrees of freedom (cells,).
+    Shapes: cell, rows_alike (n,); variances and their degrees of freedom (cells,).
     """
-    count = np.bincount(cell)
-    first = np.unique(cell, return_index=True)[1]
-    variance, free = np.maximum(variances[0], reading**2), variances[1]
+    _, first, count = np.unique(
+        cell if rows_alike is None else rows_alike, return_index=True, return_counts=True
+    )
+    variance = np.maximum(variances[0], reading**2)
+    member = np.eye(len(variance))[cell[first]]
     coefficients = fit.coefficients()
 
     def estimate(asked: Differences) -> Estimates:
@@ -353,13 +350,7 @@ def cell_welch(
         value = np.where(fit.estimable(rows), rows @ coefficients, np.nan)
         weight = (rows @ fit.model.inverse) @ fit.q[first].T
         weight[np.abs(weight) < 1e-12 * np.abs(weight).max(initial=0.0)] = 0.0
-        with np.errstate(invalid="ignore"):
-            part = np.where(weight == 0, 0.0, weight**2 * count * variance)
-            square = part.sum(axis=1)
-            df = square**2 / np.sum(part**2 / free, axis=1)
-        known = np.isfinite(square) & np.isfinite(df)
-        error = np.where(known, np.sqrt(square), np.inf)
-        df = np.where(known, df, 1.0)
+        error, df = by_components((weight**2 * count) @ member, variance, variances[1])
         every = games_howell_multiplier(asked, df, alpha)
         return Estimates(value, error, t_quantile(alpha / 2, df), every)
 

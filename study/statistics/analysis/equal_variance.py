@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from study.ground.arrays import Array, Ints
 from study.statistics.analysis.anova_table import WaldTest
 from study.statistics.analysis.linear_model import CellLayout, Term, model_matrix, term_name
-from study.statistics.analysis.sums_of_squares import factor, term_sums
+from study.statistics.analysis.sums_of_squares import Factored, factor, term_sums
 
 Groups = Mapping[str, ArrayLike] | Sequence[ArrayLike]
 
@@ -320,6 +320,47 @@ def own_variances(y: Array, cell: Ints, shrinkage: float = 0.0) -> tuple[Array, 
     pooled = ss.sum() / total
     variance = np.where(count > 1, (ss / df + shrinkage * pooled) / (1 + shrinkage), pooled)
     return variance, np.where(count > 1, (1 + shrinkage) * df, total)
+
+
+#: part of the pooled variance below which one that is estimated beside blocks is not believed
+_LEAST_PART = 0.01
+#: p below which a cell beside blocks is taken to scatter more than the others
+VOLATILE = 0.10
+
+
+def variances_beside_blocks(fit: Factored, cell: Ints) -> tuple[Array, Array]:
+    """Unbiased variance of each cell from residuals of a fit, and its degrees of freedom.
+
+    MINQUE (Rao 1970, J. Amer. Statist. Assoc. 65, 161-172): sums of squared residuals by cell are
+    solved for the variances. Without blocks they are the variances of the cells.
+
+    Shapes: cell (n,); returns (cells,).
+    """
+    member = np.eye(int(cell.max()) + 1)[cell]
+    gram = np.einsum("ni,nj,nc->cij", fit.q, fit.q, member, optimize=True)
+    leverage = member.T @ fit.leverage
+    expected = np.einsum("cij,dij->cd", gram, gram)
+    expected += np.diag(member.sum(axis=0) - 2 * leverage)
+    inverse = np.linalg.pinv(expected, rcond=1e-9)
+    variance = inverse @ (member.T @ fit.residual**2)
+    pooled = fit.rss / fit.df_residual
+    return np.maximum(variance, _LEAST_PART * pooled), 1 / np.maximum(np.diag(inverse), 1e-9)
+
+
+def volatile_beside_blocks(fit: Factored, cell: Ints) -> tuple[Array, Array] | None:
+    """Variances of the cells beside blocks, where one scatters more than all others together.
+
+    Each variance is tested against that of the rest (F, Bonferroni over the cells).
+
+    Shapes: cell (n,); returns (cells,).
+    """
+    from scipy.special import fdtrc
+
+    variance, df = variances_beside_blocks(fit, cell)
+    rest = np.maximum(fit.df_residual - df, 1.0)
+    of_rest = np.maximum(fit.rss - df * variance, _LEAST_PART * fit.rss) / rest
+    p = fdtrc(df, rest, variance / of_rest)
+    return (variance, df) if p.min() * p.size < VOLATILE else None
 
 
 def doubted_variances(y: Array, cell: Ints) -> tuple[Array, Array] | None:

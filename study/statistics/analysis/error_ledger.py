@@ -58,8 +58,7 @@ NONE = "none"
 REMEDIES = (
     "no residual degrees of freedom, so no F: replicate runs that are set up anew (E0), score "
     "every cell on several measured specimens as blocks (E1), repeat with mesh seeds or "
-    "resampled noise (E3, E2), or declare before looking that high-order interactions are "
-    "negligible (E5: model = 2)"
+    "resampled noise (E3, E2), or declare before looking which terms are negligible (E5: {})"
 )
 NOISE_QUESTION = "is the effect larger than the noise in the measured data alone would give?"
 ONE_CURVE = "one measured curve stands behind all resamples: nothing is said of specimens"
@@ -218,7 +217,9 @@ def pooled(out: AnalysisOutcome, untested: str = "") -> AnalysisOutcome:
         choice = replace(choice, reason=untested)
     df = fit.df_residual if choice.how == POOLED else 0
     if untested or df == 0:
-        out = out.warn(untested or REMEDIES)
+        order = out.request.lower_order
+        fewer_terms = f"model = {order}" if order else "name the terms of the model"
+        out = out.warn(untested or REMEDIES.format(fewer_terms))
     out = out.warn(*choice.cautions)
     ready = choice.source in ("E4", "E6") and _sparse_ready(out, fit)
     lenth = unreplicated.lenth_of(data, out.y, out.terms, out.request.seed) if ready else None

@@ -367,7 +367,10 @@ def bounds(
             continue
     if not found:
         return ()
-    return tuple(_bound(e.term, [*effects], found, request.alpha) for e in found[0])
+    analyzed = {e.term for e in effects}
+    return tuple(
+        _bound(e.term, effects, found, request.alpha) for e in found[0] if e.term in analyzed
+    )
 
 
 def _fillings(
@@ -430,7 +433,8 @@ def sentences(found: Sequence[FailureBound], missing: int) -> list[str]:
     if not found:
         return []
     runs = f"{missing} missing response" + ("s" if missing > 1 else "")
-    kept = [b.term for b in found if b.holds]
+    # of a term without a p and a claim nothing is said that could be overturned
+    kept = [b.term for b in found if b.holds and (b.p or b.verdicts != (CANNOT_TELL,))]
     # interactions have no verdict; one sentence serves them all
     open_ones = [b.term for b in found if not b.holds and ":" in b.term]
     out = [

@@ -20,13 +20,12 @@ from study.statistics.analysis.effects import (
     DOUBT,
     UNEQUAL,
     cell_welch,
-    over_blocks,
     over_groups,
     t_quantile,
     with_pooled_error,
     with_pseudo_error,
 )
-from study.statistics.analysis.equal_variance import doubted_variances
+from study.statistics.analysis.equal_variance import doubted_variances, volatile_beside_blocks
 from study.statistics.analysis.linear_model import (
     CellLayout,
     ModelMatrix,
@@ -70,6 +69,8 @@ SKEWED = 0.05
 _DRAWS = 2000
 #: contrasts times rows that a rival keeps at once: 160 MB
 _MOST_VALUES = 20_000_000
+#: rows whose pairs are weighed to tell the variances of cells beside crossing blocks
+_MOST_PAIRS = 2000
 
 COARSE = "the readings are too coarse: with their rounding the interval does not allow the claim"
 SKEW = "the differences are skewed: an interval without a normal distribution does not allow it"
@@ -189,6 +190,33 @@ def block_means(out: AnalysisOutcome) -> Array:
     return np.asarray(out.y[0] + np.bincount(block, out.y - out.y[0]) / np.bincount(block))
 
 
+def rivals_over_groups(
+    out: AnalysisOutcome,
+    fit: Factored,
+    added: Array,
+    groups: Sequence[Ints],
+    sample: Sample,
+    y: Array,
+) -> list[Rival]:
+    """Rivals where each effect is tested over blocks, which may lie in groups.
+
+    ``added`` is what each block adds to the coefficients.
+
+    Shapes: added (p, b); y (cells, b).
+    """
+    alpha, seed = out.request.alpha, out.request.interval_seed
+    rivals = []
+    reading = reading_error(out)
+    if not out.request.records and out.replicates == "runs":
+        rivals.append(Rival(NO_SCATTER, _with_scatter(sample, float(np.abs(y).max()))))
+    if reading and out.replicates == "runs":
+        rivals.append(Rival(COARSE, over_groups(fit, added, groups, alpha, seed, reading)))
+    if out.replicates != "noise":
+        rivals.append(any_shape(out, sample, lambda rows: rows @ added, groups, y))
+        rivals += limit_rivals(out, sample, y.mean(axis=0))
+    return rivals
+
+
 def rivals_over_blocks(
     out: AnalysisOutcome, cells: CellLayout, y: Array, fit: Factored, sample: Sample
 ) -> tuple[list[Rival], list[str]]:
@@ -196,45 +224,27 @@ def rivals_over_blocks(
 
     Shapes: y (cells, b).
     """
-    alpha, seed = out.request.alpha, out.request.interval_seed
-    coefficients = fit.model.inverse @ (fit.q.T @ (y - y[0, 0]))
-    rivals, notes = [], []
-    reading = reading_error(out)
-    if not out.request.records and out.replicates == "runs":
-        rivals.append(Rival(NO_SCATTER, _with_scatter(sample, float(np.abs(y).max()))))
-        if reading:
-            coarse = over_blocks(fit, coefficients, alpha, seed, reading)
-            rivals.append(Rival(COARSE, coarse))
-    if out.replicates != "noise":
-        added, blocks = coefficients / y.shape[1], [np.arange(y.shape[1])]
-        rivals.append(any_shape(out, sample, lambda rows: rows @ added, blocks, y))
-        rivals += limit_rivals(out, sample, y.mean(axis=0))
+    blocks = [np.arange(y.shape[1])]
+    rivals = rivals_over_groups(out, fit, per_block(fit, y), blocks, sample, y)
+    notes = []
     full = every_term(out, cells)
     if full is not None:
         whole = factor(model_matrix(cells, full), y.mean(axis=1))
         p, note = _lack_of_fit_over_blocks(fit, whole, y)
         notes += [note] if note else []
         if p < DOUBT:
-            inner = whole.model.inverse @ (whole.q.T @ (y - y[0, 0]))
-            other = over_blocks(whole, inner, alpha, seed)
+            alpha, seed = out.request.alpha, out.request.interval_seed
+            other = over_groups(whole, per_block(whole, y), blocks, alpha, seed)
             rivals.append(Rival(f"{LACK_OF_FIT} ({note})", other, matrix=whole.matrix))
     return rivals, notes
 
 
-def rivals_over_groups(
-    out: AnalysisOutcome, fit: Factored, added: Array, groups: Sequence[Ints], sample: Sample
-) -> list[Rival]:
-    """Rivals where blocks lie in groups with variances of their own.
+def per_block(fit: Factored, y: Array) -> Array:
+    """Find what each block adds to the mean coefficients of a fit of its cells.
 
-    Shapes: added (p, b).
+    Shapes: y (cells, b); returns (p, b).
     """
-    alpha, seed = out.request.alpha, out.request.interval_seed
-    rivals = []
-    reading = reading_error(out)
-    if reading:
-        rivals.append(Rival(COARSE, over_groups(fit, added, groups, alpha, seed, reading)))
-    rivals.append(any_shape(out, sample, lambda rows: rows @ added, groups, out.y))
-    return rivals
+    return np.asarray(fit.model.inverse @ (fit.q.T @ (y - fit.shift)) / y.shape[1])
 
 
 def rivals_of_rows(
@@ -248,6 +258,12 @@ def rivals_of_rows(
         rivals.append(Rival(COARSE, with_pooled_error(fit, df * reading**2, df, alpha, seed)))
     if out.data.block is None and out.replicates in ("runs", "mesh-seeds"):
         rivals += _rivals_of_cells(out, fit, sample, reading)
+    elif out.data.block is not None and not out.request.records and out.y.size <= _MOST_PAIRS:
+        index = np.unique(out.data.cell, return_inverse=True)[1]
+        if variances := volatile_beside_blocks(fit, index):
+            rows = np.arange(out.y.size)
+            unequal = cell_welch(fit, index, variances, alpha, reading, rows)
+            rivals.append(Rival(UNEQUAL, unequal))
     blocks = [(name,) for name in out.data.blocks]
     means = out.y.mean() + fit.residual if out.data.block is None else block_means(out)
     if out.replicates != "noise" and not out.request.records:

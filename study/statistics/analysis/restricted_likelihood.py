@@ -475,7 +475,6 @@ class FTest:
     f: float
     df: float
     p: float
-    scaling: float
 
 
 @dataclass(frozen=True)
@@ -535,7 +534,7 @@ class RestrictedFit:
         value = basis.T @ m.beta
         wald = float(value @ np.linalg.solve(basis.T @ self.adjusted @ basis, value)) / count
         f = scaling * wald
-        return FTest(count, f, df, float(fdtrc(count, df, f)), scaling)
+        return FTest(count, f, df, float(fdtrc(count, df, f)))
 
     def interval(self, which: int, alpha: float) -> tuple[float, float]:
         """Interval of a standard deviation by the profile of the restricted likelihood."""

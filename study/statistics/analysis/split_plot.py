@@ -19,7 +19,13 @@ from study.statistics.analysis.analysis_request import AnalysisOutcome, kind_of
 from study.statistics.analysis.anova_table import Anova, ErrorTerm, Row
 from study.statistics.analysis.comparisons import bonferroni
 from study.statistics.analysis.data import Data
-from study.statistics.analysis.effects import pooled_estimate, sampled_estimate, size, t_quantile
+from study.statistics.analysis.effects import (
+    by_components,
+    pooled_estimate,
+    sampled_estimate,
+    size,
+    t_quantile,
+)
 from study.statistics.analysis.gate import (
     COARSE,
     Rival,
@@ -189,15 +195,10 @@ def _over_strata(
         parts[known.index(True) if any(known) else 0] += grand
         length = np.array(parts).T
         length[length < 1e-12 * length.sum(axis=1, keepdims=True)] = 0.0
-        with np.errstate(invalid="ignore"):
-            variance = np.where(length == 0, 0.0, length * ms)
-            total = variance.sum(axis=1)
-            free = np.where(
-                np.isfinite(total) & (total > 0), total**2 / np.sum(variance**2 / df, axis=1), 1.0
-            )
+        error, free = by_components(length, ms, df)
         value = np.where(whole.estimable(rows), rows @ coefficients, np.nan)
         wide = bonferroni(max(len(value), 1), free, alpha)
-        return Estimates(value, np.sqrt(total), t_quantile(alpha / 2, free), wide)
+        return Estimates(value, error, t_quantile(alpha / 2, free), wide)
 
     return estimate
 

@@ -30,7 +30,6 @@ from study.statistics.analysis.anova_table import (
 from study.statistics.analysis.data import Crossed, crossed, prepare
 from study.statistics.analysis.effects import (
     TermEstimate,
-    over_blocks,
     over_groups,
     own_critical,
     pooled_estimate,
@@ -42,6 +41,7 @@ from study.statistics.analysis.effects import (
 from study.statistics.analysis.gate import (
     every_term,
     judge_factors,
+    per_block,
     refusal,
     rival_of_every_term,
     rivals_over_blocks,
@@ -256,7 +256,7 @@ def _effects(
         rivals = [refusal(_LONE_BLOCK)]
         sample = with_pooled_error(fit, fit.rss, fit.df_residual, asked.alpha, seed)
     else:
-        rivals = rivals_over_groups(out, fit, added, groups, sample)
+        rivals = rivals_over_groups(out, fit, added, groups, sample, table.y)
         if (full := every_term(out, layout)) is not None:
             whole, parts = fitted(full)
             more, notes = rival_of_every_term(
@@ -462,8 +462,8 @@ def own(out: AnalysisOutcome) -> AnalysisOutcome | None:
     df = {t.row.term: float(t.error.df) for t in tests}
     judged = cell_fit(table, out.structure.asked) if out.structure.asked else fit
     alpha = out.request.alpha
-    coefficients = judged.model.inverse @ (judged.q.T @ (table.y - judged.shift))
-    own_errors = over_blocks(judged, coefficients, alpha, None)
+    added, blocks = per_block(judged, table.y), [np.arange(b)]
+    own_errors = over_groups(judged, added, blocks, alpha, None)
     estimates = []
     for t in tests:
         levels = int(np.prod([len(table.layout.levels[name]) for name in t.sums.term]))
@@ -472,7 +472,7 @@ def own(out: AnalysisOutcome) -> AnalysisOutcome | None:
         estimates.append(
             sampled_estimate(table.layout, judged, t.sums.term, p, own_errors, critical)
         )
-    sample = over_blocks(judged, coefficients, alpha, out.request.interval_seed)
+    sample = over_groups(judged, added, blocks, alpha, out.request.interval_seed)
     rivals, notes = rivals_over_blocks(out, table.layout, table.y, judged, sample)
     out = out.warn(*notes)
     simple = judge_factors(out, table.layout, judged, sample, rivals)

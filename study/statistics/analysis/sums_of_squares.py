@@ -500,40 +500,24 @@ def _mauchly_p(chi2: float, d: int, n: int, rho: float) -> float:
 
 @dataclass(frozen=True)
 class Influence:
-    """Leverage, internally studentized residual, Cook's distance, PRESS residual of every row."""
+    """Leverage, Cook's distance and PRESS residual of every row."""
 
     leverage: Array
-    studentized: Array
     cook: Array
     press: Array
 
 
 def influence(fit: Factored | TwoWayFit) -> Influence:
-    """Leverage, studentized and PRESS residuals, and Cook's distance (Cook 1977) of a fit.
+    """Leverage, Cook's distance (Cook 1977) and PRESS residuals of a fit.
 
     Shapes: returns (n,).
     """
-    from statsmodels.stats.outliers_influence import OLSInfluence
-
     # a row of leverage one, or a saturated fit, has 0 / 0 here
     with np.errstate(divide="ignore", invalid="ignore"):
-        if isinstance(fit, TwoWayFit):
-            return _without_columns(fit)
-        found = OLSInfluence(least_squares(fit))
-        return Influence(
-            found.hat_matrix_diag,
-            found.resid_studentized_internal,
-            found.cooks_distance[0],
-            found.resid_press,
-        )
-
-
-def _without_columns(fit: TwoWayFit) -> Influence:
-    """Influence from the leverage of every row: statsmodels asks for the columns themselves."""
-    left = 1 - fit.leverage
-    studentized = fit.residual / np.sqrt(fit.rss / np.float64(fit.df_residual) * left)
-    cook = studentized**2 * fit.leverage / left / fit.rank
-    return Influence(fit.leverage, studentized, cook, fit.residual / left)
+        left = 1 - fit.leverage
+        variance = fit.rss / np.float64(fit.df_residual)
+        cook = fit.residual**2 / variance * fit.leverage / left**2 / fit.rank
+        return Influence(fit.leverage, cook, fit.residual / left)
 
 
 def least_squares(fit: Factored, cov_type: str = "nonrobust") -> OLSResults:

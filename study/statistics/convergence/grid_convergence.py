@@ -53,10 +53,6 @@ _HIGHEST_ORDER = 4.0
 RESOLVED_ORDER = 0.05
 #: Changes that grow are noise of the meshes below this share of the value.
 NOISE_SHARE = 0.01
-#: Half-width over standard uncertainty where factor 1.25 applies: the error is a bias there, the
-#: shifted Gaussian of ASME V&V 20-2009. Simulated rms(error / U) is 0.70 to 0.79, so U/2 would
-#: be too small.
-_BIAS_COVERAGE = 1.15
 #: Distance of the finest from the extrapolated value, over the latter, that is told.
 FAR = 0.05
 _MIN_RATIO = 1.3
@@ -292,19 +288,6 @@ class ConvergenceResult:
     gci_coarse: float | None = None
     order_interval: tuple[float, float] | None = None
     warnings: tuple[str, ...] = ()
-
-    @property
-    def standard_uncertainty(self) -> float | None:
-        """Standard uncertainty for a comparison with measurements, in the unit of the value.
-
-        U/1.15 with factor 1.25, U/2 with a larger one; a range and a tolerance are limits of a
-        uniform distribution, over sqrt(3).
-        """
-        if self.u_num is None:
-            return None
-        if self.factor_of_safety is None:
-            return self.u_num / math.sqrt(3)
-        return self.u_num / (_BIAS_COVERAGE if self.factor_of_safety == SAFE else 2)
 
     def to_json(self) -> dict[str, object]:
         """JSON document."""
