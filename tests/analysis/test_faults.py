@@ -236,11 +236,6 @@ def test_f23_levels_are_checked_with_row_and_column(tmp_path: Path, text: str, m
         anova(read_csv(path, "y", ["a"]), "y", ["a"])
 
 
-def test_f23_a_number_and_its_text_are_no_two_levels() -> None:
-    with pytest.raises(InputError, match="look the same"):
-        anova(pd.DataFrame({"a": [1, "1", 2, 2], "y": [1.0, 2, 3, 4]}), "y", ["a"])
-
-
 def test_copies_end_the_program_with_code_three_and_what_to_do(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -33,12 +33,6 @@ LAYOUT = grid(
 TERMS = terms_of(NAMES)
 
 
-@pytest.fixture(autouse=True)
-def _no_collection(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Skip the full garbage collection of statsmodels' multipletests, 0.09 s a call."""
-    monkeypatch.setattr("gc.collect", lambda *_: 0)
-
-
 def draw(kind: str, rng: np.random.Generator, n: int, blocks: int) -> Array:
     """Responses of 16 cells, shape (n, 16, blocks)."""
     z = rng.standard_normal((n, 16, blocks))

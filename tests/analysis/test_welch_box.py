@@ -22,12 +22,6 @@ from study.statistics.analysis.sums_of_squares import epsilon_gg
 DIFFERENCE = np.array([1.0, -1.0])
 
 
-@pytest.fixture(autouse=True)
-def _no_collection(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Skip the full garbage collection of statsmodels' multipletests, 0.09 s a call."""
-    monkeypatch.setattr("gc.collect", lambda *_: 0)
-
-
 def p_of_one_group(rows: Array) -> float:
     """P of one group of blocks."""
     f, df1, df2 = welch_box([rows], np.ones(1))

@@ -231,15 +231,15 @@ def pooled(out: AnalysisOutcome, untested: str = "") -> AnalysisOutcome:
     rows.append(Row("residual", fit.df_residual, fit.rss if df or untested else 0.0, ms))
     by_name = {row.term: row for row in rows}
     # what the runs do not tell apart is left out of the sums, not of what can be estimated
-    asked = out.structure.asked
-    judged = factor(model_matrix(data.layout, asked, extra=extra), out.y) if asked else fit
+    declared = out.structure.asked
+    judged = factor(model_matrix(data.layout, declared, extra=extra), out.y) if declared else fit
 
     def estimated(term: Term) -> TermEstimate:
         p, alpha = by_name[term_name(term)].p, out.request.alpha
-        found = pooled_estimate(data.layout, judged, term, df, p, alpha, error_rss)
-        if judged is not fit and np.isnan(found.component).any():
+        estimate = pooled_estimate(data.layout, judged, term, df, p, alpha, error_rss)
+        if judged is not fit and np.isnan(estimate.component).any():
             return pooled_estimate(data.layout, fit, term, df, p, alpha, error_rss)
-        return found
+        return estimate
 
     estimates = [estimated(term) for term in out.terms]
     two_levels = all(len(data.layout.levels[f]) == 2 for f in data.factors)
@@ -357,8 +357,8 @@ def _with_margin(estimate: TermEstimate, lenth: LenthResult) -> TermEstimate:
     effect; contrasts of other designs are in another scale, and get no interval.
     """
     size = np.abs(estimate.component)
-    one = term_name(estimate.term) in lenth.names and size.min() > 0
-    if not one or float(np.ptp(size)) > 1e-9 * float(size.max()):
+    is_contrast = term_name(estimate.term) in lenth.names and size.min() > 0
+    if not is_contrast or float(np.ptp(size)) > 1e-9 * float(size.max()):
         return estimate
     side = np.sign(estimate.component) / 2
     return replace(estimate, half=lenth.sme * np.abs(np.subtract.outer(side, side)))

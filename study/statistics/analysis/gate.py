@@ -97,8 +97,10 @@ class Rival:
 def refusal(why: str) -> Rival:
     """Rival that makes no claim: no analysis of these rows is defensible enough."""
 
-    def estimate(asked: Differences) -> Estimates:
-        return Estimates(np.zeros(len(asked.first)), np.full(len(asked.first), np.inf), 1.0, 1.0)
+    def estimate(differences: Differences) -> Estimates:
+        return Estimates(
+            np.zeros(len(differences.first)), np.full(len(differences.first), np.inf), 1.0, 1.0
+        )
 
     return Rival(why, estimate)
 
@@ -107,14 +109,14 @@ def judge_factors(
     out: AnalysisOutcome, layout: CellLayout, fit: Factored, sample: Sample, rivals: Sequence[Rival]
 ) -> dict[str, SimpleEffects]:
     """Judge every factor of a model by its simple effects, and let the rivals withdraw claims."""
-    found = {}
+    judged_factors = {}
     scale = out.scale
     for (name,) in (term for term in out.terms if len(term) == 1):
         judged = partial(simple_effects, name, layout, bound=scale.bound, only=scale.only)
         printed = judged(fit.matrix, sample, practical=scale.practical)
         if printed is None:
             if out.structure.undecided:
-                found[name] = SimpleEffects(name, CANNOT_TELL, out.structure.undecided, ())
+                judged_factors[name] = SimpleEffects(name, CANNOT_TELL, out.structure.undecided, ())
             continue
         for rival in rivals:
             if not {e.verdict for e in printed.effects} & set(CLAIMS) & set(rival.claims):
@@ -122,8 +124,8 @@ def judge_factors(
             limit = rival.practical or scale.practical
             other = judged(rival.matrix or fit.matrix, rival.sample, practical=limit)
             printed = _agreed(printed, other, rival)
-        found[name] = printed
-    return found
+        judged_factors[name] = printed
+    return judged_factors
 
 
 def _agreed(printed: SimpleEffects, other: SimpleEffects | None, rival: Rival) -> SimpleEffects:
@@ -305,11 +307,15 @@ def rival_of_every_term(
     columns = np.concatenate([np.arange(p.start, p.stop) for p in places])
     rows = np.vstack([np.zeros(whole.columns.shape[1]), np.eye(whole.columns.shape[1])[columns]])
     m = len(columns)
-    found = at(DOUBT / m)(Differences(rows, np.arange(1, m + 1), np.zeros(m, dtype=np.int64)))
-    if found.error is None:
+    left_out_estimates = at(DOUBT / m)(
+        Differences(rows, np.arange(1, m + 1), np.zeros(m, dtype=np.int64))
+    )
+    if left_out_estimates.error is None:
         return [], []
     with np.errstate(invalid="ignore"):
-        seen = np.abs(found.value) > found.error * found.single
+        seen = (
+            np.abs(left_out_estimates.value) > left_out_estimates.error * left_out_estimates.single
+        )
     if not seen.any():
         return [], []
     note = f"lack of fit of the declared model: {int(seen.sum())} of {m} coefficients that it "
@@ -368,9 +374,9 @@ def _lack_of_fit_of_rows(
     names, contrasts = orthonormal_contrasts(out.data.layout, left_out)
     if len(names) < LEAST_CONTRASTS:
         return 1.0, "", None
-    found = lenth(contrasts.T @ (out.y - out.y[0]), names, seed=out.request.seed)
-    p = min(found.p) * len(names)
-    largest = names[int(np.argmin(found.p))]
+    sparse = lenth(contrasts.T @ (out.y - out.y[0]), names, seed=out.request.seed)
+    p = min(sparse.p) * len(names)
+    largest = names[int(np.argmin(sparse.p))]
     note = f"of the interactions declared negligible, {largest} stands out: p = {min(1.0, p):.2g}"
     every = orthonormal_contrasts(out.data.layout, full)[1]
     return p, note, with_pseudo_error(whole, every, alpha, seed, out.y)
@@ -398,11 +404,11 @@ def _with_scatter(sample: Sample, largest: float) -> Sample:
     """Return the same estimates; a difference that does not scatter at all tells nothing."""
     floor = 16 * float(np.spacing(largest))
 
-    def estimate(asked: Differences) -> Estimates:
-        known = sample(asked)
-        if known.error is None:
-            return known
-        return replace(known, error=np.where(known.error <= floor, np.inf, known.error))
+    def estimate(differences: Differences) -> Estimates:
+        estimates = sample(differences)
+        if estimates.error is None:
+            return estimates
+        return replace(estimates, error=np.where(estimates.error <= floor, np.inf, estimates.error))
 
     return estimate
 
@@ -426,11 +432,11 @@ def any_shape(
     alpha, seed = out.request.alpha, out.request.interval_seed
     rounding = _ROUNDING * float(np.abs(y).max())
 
-    def estimate(asked: Differences) -> Estimates:
-        known = sample(asked)
-        if known.error is None or len(known.value) * y.size > _MOST_VALUES:
-            return known
-        value = values(asked.rows)
+    def estimate(differences: Differences) -> Estimates:
+        estimates = sample(differences)
+        if estimates.error is None or len(estimates.value) * y.size > _MOST_VALUES:
+            return estimates
+        value = values(differences.rows)
         m = len(value)
         # equal but for rounding: the last digits of what was subtracted have no distribution
         differs = np.abs(value).sum(axis=1) > rounding
@@ -446,10 +452,10 @@ def any_shape(
                 low, high, wide = ends.get(i, (end, end, 0.0))
                 ends[i] = (min(low, end), max(high, end), wide)
         if not ends:
-            return known
+            return estimates
         single, every = (np.broadcast_to(np.asarray(k, dtype=float), m).copy()
-                         for k in (known.single, known.simultaneous))  # fmt: skip
-        centre, error = known.value.copy(), known.error.copy()
+                         for k in (estimates.single, estimates.simultaneous))  # fmt: skip
+        centre, error = estimates.value.copy(), estimates.error.copy()
         for i, (low, high, widest) in ends.items():
             farthest = _FARTHEST * b * float(np.abs(value[i]).max())
             low, high, widest = max(low, -farthest), min(high, farthest), min(widest, farthest)
@@ -465,7 +471,7 @@ def any_shape(
 
 def _skewed(value: Array, groups: Sequence[Ints]) -> Array:
     """Whether the values of a contrast in a group are skewed beyond chance, shape (m,)."""
-    found = np.zeros(len(value), dtype=bool)
+    skewed = np.zeros(len(value), dtype=bool)
     m = len(value) * len(groups)
     for group in groups:
         n = len(group)
@@ -475,8 +481,8 @@ def _skewed(value: Array, groups: Sequence[Ints]) -> Array:
         size = np.abs(value[:, group]).max(axis=1, initial=1e-60)
         varies = np.mean(centred**2, axis=1) > (_ROUNDING * size) ** 2
         centred[~varies] = 1.0
-        found |= varies & (_skewness(centred) > _limit_of_skewness(n, min(m, 1000)))
-    return found
+        skewed |= varies & (_skewness(centred) > _limit_of_skewness(n, min(m, 1000)))
+    return skewed
 
 
 def _skewness(centred: Array) -> Array:

@@ -66,9 +66,9 @@ def incomplete_blocks(out: AnalysisOutcome) -> AnalysisOutcome | None:
     lacking = int((cells < cell.max() + 1).sum())
     if not lacking or out.replicates in ("noise", "mesh-seeds"):
         return None
-    asked = out.request
+    request = out.request
     model, sandwich, sources = mixed_cells(
-        data.layout, out.terms, block, out.y, asked.alpha, asked.interval_seed
+        data.layout, out.terms, block, out.y, request.alpha, request.interval_seed
     )
     if model is None or sandwich is None:
         return None
@@ -123,11 +123,11 @@ def _rivals(
     notes: list[str] = []
     if reading := reading_error(out):
 
-        def coarse(asked: Differences) -> Estimates:
-            known = model.sample(asked)
-            least = reading * np.linalg.norm(model.along(asked.rows), axis=1)
-            error = least if known.error is None else np.maximum(known.error, least)
-            return replace(known, error=error)
+        def coarse(differences: Differences) -> Estimates:
+            estimates = model.sample(differences)
+            least = reading * np.linalg.norm(model.along(differences.rows), axis=1)
+            error = least if estimates.error is None else np.maximum(estimates.error, least)
+            return replace(estimates, error=error)
 
         rivals.insert(0, Rival(COARSE, coarse))
 
@@ -141,9 +141,9 @@ def _rivals(
     full = every_term(out, out.data.layout)
     if full is None:
         return rivals, notes
-    asked, block = out.request, str(out.data.block)
+    request, block = out.request, str(out.data.block)
     whole, its_own, _ = mixed_cells(
-        out.data.layout, full, block, out.y, asked.alpha, asked.interval_seed
+        out.data.layout, full, block, out.y, request.alpha, request.interval_seed
     )
     if whole is None or its_own is None:
         return rivals, notes
@@ -230,7 +230,7 @@ class Sandwich:
         Shapes: rows (n_k,), the others (n_k, p).
         """
         x, phi, v = self.fixed.q, self.fit.covariance, self.fit.v
-        found = []
+        weighted = []
         for k in range(int(self.block.max()) + 1):
             here = np.flatnonzero(self.block == k)
             cov = v[-1] * np.eye(here.size)
@@ -242,8 +242,8 @@ class Sandwich:
             ok = values > 1e-9 * max(values.max(), 0.0)
             inverse = (vectors[:, ok] / np.sqrt(values[ok])) @ vectors[:, ok].T
             weight = upper.T @ (inverse @ (upper @ np.linalg.solve(cov, x[here])))
-            found.append((here, weight, cov @ weight))
-        return found
+            weighted.append((here, weight, cov @ weight))
+        return weighted
 
     def parts(self, rows: Array) -> tuple[Array, Array]:
         """Find what each block adds, squared, to the variances; and their degrees of freedom."""

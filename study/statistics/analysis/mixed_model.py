@@ -317,31 +317,31 @@ class MixedCells:
         values, vectors = np.linalg.eigh(self.fit.adjusted)
         return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
-    def sample(self, asked: Differences) -> Estimates:
+    def sample(self, differences: Differences) -> Estimates:
         """Differences of settings with the multipliers of their intervals."""
-        settings = self.along(asked.settings)
-        rows = asked.of(settings)
-        found = self.fit.estimate(rows)
-        ok = self.fixed.estimable(self._padded(asked.rows)) & (found.error > 0)
-        value = np.where(ok, found.value, np.nan)
-        single = t_quantile(self.alpha / 2, found.df)
+        settings = self.along(differences.settings)
+        rows = differences.of(settings)
+        estimates = self.fit.estimate(rows)
+        ok = self.fixed.estimable(self._padded(differences.rows)) & (estimates.error > 0)
+        value = np.where(ok, estimates.value, np.nan)
+        single = t_quantile(self.alpha / 2, estimates.df)
         if not ok.any():
-            return Estimates(value, found.error, single, single)
-        some = Differences(settings @ self._root, asked.first[ok], asked.second[ok])
-        df = float(found.df[ok].min())  # the least sure contrast decides for all
-        wide = pooled_multiplier(some, found.error[ok], df, self.alpha, self.seed)
+            return Estimates(value, estimates.error, single, single)
+        some = Differences(settings @ self._root, differences.first[ok], differences.second[ok])
+        df = float(estimates.df[ok].min())  # the least sure contrast decides for all
+        wide = pooled_multiplier(some, estimates.error[ok], df, self.alpha, self.seed)
         every = np.full(value.size, wide)
         if self.robust is not None:
             error, df_own = self.robust(rows)
-            ratio = np.divide(error, found.error, out=np.zeros_like(error), where=ok)
+            ratio = np.divide(error, estimates.error, out=np.zeros_like(error), where=ok)
             single = np.maximum(single, ratio * t_quantile(self.alpha / 2, df_own))
             # at the error probability that each interval has among all of them
             every = np.maximum(every, ratio * t_quantile(float(stdtr(df, -wide)), df_own))
-        return Estimates(value, found.error, single, every)
+        return Estimates(value, estimates.error, single, every)
 
     def judged(self, terms: Sequence[Term], scale: Scale) -> dict[str, SimpleEffects]:
         """Verdicts of the factors by their simple effects."""
-        found = {
+        judged = {
             term[0]: simple_effects(
                 term[0], self.layout, self.factors, self.sample,
                 practical=scale.practical, bound=scale.bound, only=scale.only,
@@ -349,7 +349,7 @@ class MixedCells:
             for term in terms
             if len(term) == 1
         }  # fmt: skip
-        return {name: effects for name, effects in found.items() if effects is not None}
+        return {name: effects for name, effects in judged.items() if effects is not None}
 
     def effects(
         self,
@@ -368,9 +368,9 @@ class MixedCells:
     def slope(self, covariate: str) -> Slope:
         """Slope of a covariate with its interval."""
         at = self.fixed.matrix.of((covariate,)).start
-        found = self.fit.estimate(self.fixed.model.inverse[at : at + 1])
-        value = float(found.value[0])
-        half = t_quantile(self.alpha / 2, float(found.df[0])) * float(found.error[0])
+        estimate = self.fit.estimate(self.fixed.model.inverse[at : at + 1])
+        value = float(estimate.value[0])
+        half = t_quantile(self.alpha / 2, float(estimate.df[0])) * float(estimate.error[0])
         return Slope(covariate, value, value - half, value + half)
 
     def between(self, first: Setting, second: Setting) -> tuple[float, float, float]:
@@ -387,15 +387,15 @@ class MixedCells:
         row = (sides[0] - sides[1])[None]
         if not self.fixed.estimable(self._padded(row)).all():
             raise InputError(Fault("contrast", "a cell that it needs has no row"))
-        found = self.fit.estimate(self.along(row))
-        value, error, df = (float(a[0]) for a in (found.value, found.error, found.df))
+        estimate = self.fit.estimate(self.along(row))
+        value, error, df = (float(a[0]) for a in (estimate.value, estimate.error, estimate.df))
         if self.robust is not None:
             wide, few = (float(a[0]) for a in self.robust(self.along(row)))
             if t_quantile(self.alpha / 2, few) * wide > t_quantile(self.alpha / 2, df) * error:
                 error, df = wide, few
         return value, error, df
 
-    def contrasts(self, asked: Sequence[str], scale: Scale) -> tuple[Contrast, ...]:
+    def contrasts(self, texts: Sequence[str], scale: Scale) -> tuple[Contrast, ...]:
         """Differences by name."""
         import pandas as pd
 
@@ -403,7 +403,7 @@ class MixedCells:
         levels = {name: self.layout.levels[name] for name in names}
         seed = self.seed or 0
         cells = Cells(pd.DataFrame(), levels, scale, self.alpha, seed, estimate=self.between)
-        return contrasts_of(cells, asked)
+        return contrasts_of(cells, texts)
 
 
 def _with_covariates(

@@ -334,8 +334,8 @@ class Likelihood:
             mixed = fine * np.einsum("bi,bit->t", np.einsum("bij,bji->bi", he, h), of)
             traces[i, others] += mixed
             traces[others, i] += mixed
-            own = np.einsum("bij,bji->", he, he) - 2 * np.einsum("bij,bji->", h, third)
-            traces[i, i] += fine**2 * float(own)
+            within = np.einsum("bij,bji->", he, he) - 2 * np.einsum("bij,bji->", h, third)
+            traces[i, i] += fine**2 * float(within)
 
     def _parts(self, u: Array, mean: Array, theta: Array, w: Array, fine: float) -> list[Array]:
         """sqrt(v_i) Z_i' V^-1 [X, residual] of every random factor, times v_0."""
@@ -356,11 +356,11 @@ class Likelihood:
         r, m, z = self.x.shape[1], len(self.codes), self._z
 
         def times(matrices: Sequence[Array], values: Array) -> Array:
-            made = [
+            products = [
                 (a @ b.rows(values)).reshape(-1, r)
                 for a, b in zip(matrices, z.batches, strict=True)
             ]
-            return np.concatenate(made) if made else values
+            return np.concatenate(products) if products else values
 
         q = np.zeros((m + 1, m + 1, r, r))
         fixed = [part[:, :r] for part in parts]
@@ -508,8 +508,8 @@ class RestrictedFit:
         fp = m.f @ m.p
         inner = np.einsum("ij,ijab->ab", self._spread, m.q)
         inner -= np.einsum("ij,iab,jbc->ac", self._spread, m.p, fp, optimize=True)
-        made = m.f + 2 * m.f @ inner @ m.f
-        return np.asarray(0.5 * (made + made.T) * self.v[-1])
+        adjusted = m.f + 2 * m.f @ inner @ m.f
+        return np.asarray(0.5 * (adjusted + adjusted.T) * self.v[-1])
 
     def estimate(self, rows: Array) -> Estimated:
         """Estimate ``rows`` @ beta, rows of shape (k, r), each with its own degrees of freedom."""

@@ -144,8 +144,8 @@ def _table(
     block = str(data.block)
     table = crossed(replace(data, factors=within), out.y)
     index = {name: i for i, name in enumerate(data.layout.levels[block])}
-    kept = [index[name] for name in table.blocks]
-    first = np.array([int(np.flatnonzero(data.layout.codes[block] == k)[0]) for k in kept])
+    blocks = [index[name] for name in table.blocks]
+    first = np.array([int(np.flatnonzero(data.layout.codes[block] == k)[0]) for k in blocks])
     codes = {f: data.layout.codes[f][first] for f in plots.between}
     return table, CellLayout({f: data.layout.levels[f] for f in plots.between}, codes)
 
@@ -172,14 +172,14 @@ def _parts(
 
 def _directions(fit: Factored, kind: str, part: Term) -> list[tuple[Term, Array]]:
     """Orthonormal directions over blocks of the mean and of every term between blocks."""
-    found: list[tuple[Term, Array]] = []
+    directions: list[tuple[Term, Array]] = []
     if part:
         n = fit.q.shape[0]
         mean = np.ones((n, 1)) / np.sqrt(n)
         if kind == "III":
             mean = fit.q @ complement(fit.r[:, 1:], fit.r[:, :1])
-        found.append(((), mean))
-    return found + [(s.term, fit.q @ s.basis) for s in term_sums(fit, kind)]
+        directions.append(((), mean))
+    return directions + [(s.term, fit.q @ s.basis) for s in term_sums(fit, kind)]
 
 
 def _row(
@@ -201,9 +201,9 @@ def _row(
     sums = (df, ss), (part.name, part.df, ss_error)
     if groups:
         weights = np.array([direction[group].sum(axis=0) for group in groups]).T
-        found = welch_box([part.values[:, group] for group in groups], weights)
-        if found is not None:
-            f, df1, df2 = found
+        test = welch_box([part.values[:, group] for group in groups], weights)
+        if test is not None:
+            f, df1, df2 = test
             epsilon = df1 / df
             return row_of_test(name, *sums, total, epsilon, (f, df2 / epsilon))
     return row_of_test(name, *sums, total, epsilon_gg(part.residual @ part.residual.T))
@@ -235,26 +235,26 @@ def _effects(
 
     Where a group has two blocks, sizes have the pooled error of their stratum.
     """
-    data, asked = out.data, out.request
+    data, request = out.data, out.request
     index = {name: i for i, name in enumerate(table.blocks)}
     names = data.layout.levels[str(data.block)]
     of_row = np.array([index.get(names[c], -1) for c in data.layout.codes[str(data.block)]])
-    kept = of_row >= 0
-    layout = CellLayout(data.layout.levels, {f: c[kept] for f, c in data.layout.codes.items()})
+    complete = of_row >= 0
+    layout = CellLayout(data.layout.levels, {f: c[complete] for f, c in data.layout.codes.items()})
     fewest = min(len(group) for group in groups)
-    seed = asked.interval_seed if fewest >= LEAST_OWN else None
+    seed = request.interval_seed if fewest >= LEAST_OWN else None
 
     def fitted(terms: Sequence[Term]) -> tuple[Factored, Array]:
-        fit = factor(model_matrix(layout, terms), out.y[kept])
-        per_row = (fit.model.inverse @ fit.q.T) * (out.y[kept] - fit.shift)
-        return fit, per_row @ np.eye(len(table.blocks))[of_row[kept]]
+        fit = factor(model_matrix(layout, terms), out.y[complete])
+        per_row = (fit.model.inverse @ fit.q.T) * (out.y[complete] - fit.shift)
+        return fit, per_row @ np.eye(len(table.blocks))[of_row[complete]]
 
     fit, added = fitted(out.terms)
-    sample = over_groups(fit, added, groups, asked.alpha, seed)
+    sample = over_groups(fit, added, groups, request.alpha, seed)
     notes: list[str] = []
     if fewest < _FEWEST_IN_GROUP:
         rivals = [refusal(_LONE_BLOCK)]
-        sample = with_pooled_error(fit, fit.rss, fit.df_residual, asked.alpha, seed)
+        sample = with_pooled_error(fit, fit.rss, fit.df_residual, request.alpha, seed)
     else:
         rivals = rivals_over_groups(out, fit, added, groups, sample, table.y)
         if (full := every_term(out, layout)) is not None:
@@ -265,12 +265,12 @@ def _effects(
             rivals += more
     simple = judge_factors(out, layout, fit, sample, rivals)
     if fewest >= LEAST_OWN:
-        own_errors = over_groups(fit, added, groups, asked.alpha, None)
+        own_errors = over_groups(fit, added, groups, request.alpha, None)
         p = {term: row.p_deciding for term, row in rows.items()}
         estimates = [sampled_estimate(data.layout, fit, t, p.get(t), own_errors) for t in out.terms]
     else:
         estimates = _pooled_estimates(out, rows, errors)
-    return tuple(size(one, out.scale, simple) for one in estimates), notes
+    return tuple(size(estimate, out.scale, simple) for estimate in estimates), notes
 
 
 def _pooled_estimates(
@@ -279,7 +279,7 @@ def _pooled_estimates(
     """Estimates with the pooled error of their stratum."""
     whole = factor(model_matrix(out.data.layout, out.terms), out.y)
     by_error = {row.term: row for row in errors}
-    found = []
+    estimates = []
     for term in out.terms:
         row = rows.get(term, Row(term_name(term), 0, 0.0))
         against = by_error.get(row.error or "")
@@ -288,8 +288,8 @@ def _pooled_estimates(
         estimate = pooled_estimate(
             out.data.layout, whole, term, df, row.p_deciding, out.request.alpha, rss
         )
-        found.append(replace(estimate, mean_half=None))
-    return found
+        estimates.append(replace(estimate, mean_half=None))
+    return estimates
 
 
 # -------------------------------------------------------------------------------------------------
@@ -592,14 +592,14 @@ def _naive_size(
 
 
 def _terms(nested: Anova, naive: Anova) -> tuple[NaiveTerm, ...]:
-    found = []
+    terms = []
     for row in nested.rows:
         if row.f is None or row.df_error is None or row.p is None:
             continue
         other = naive.row(row.term)
         if other.f is None or other.df_error is None or other.p is None:
             continue
-        found.append(
+        terms.append(
             NaiveTerm(
                 row.term,
                 row.f,
@@ -610,21 +610,21 @@ def _terms(nested: Anova, naive: Anova) -> tuple[NaiveTerm, ...]:
                 other.p,
             )
         )
-    return tuple(found)
+    return tuple(terms)
 
 
-def sentences(found: NestedUnits, alpha: float) -> list[str]:
+def sentences(nested: NestedUnits, alpha: float) -> list[str]:
     """Sentences that say how far the analysis of all rows would have misled."""
-    unit = found.unit
+    unit = nested.unit
     out = [
-        f"{found.rows} rows are averaged into {found.units} levels of {unit} within the cells: "
+        f"{nested.rows} rows are averaged into {nested.units} levels of {unit} within the cells: "
         f"repeats on one {unit} are nested in it",
-        f"two rows on one {unit} correlate by {found.correlation:.2f}: {found.rows} rows tell as "
-        f"much as {found.effective_rows:.0f} independent ones; taking them as independent would "
-        f"give intervals {found.too_narrow:.2g} times too narrow and reject a true null in "
-        f"{100 * found.naive_size:.0f} % of studies instead of 5 %",
+        f"two rows on one {unit} correlate by {nested.correlation:.2f}: {nested.rows} rows tell as "
+        f"much as {nested.effective_rows:.0f} independent ones; taking them as independent would "
+        f"give intervals {nested.too_narrow:.2g} times too narrow and reject a true null in "
+        f"{100 * nested.naive_size:.0f} % of studies instead of 5 %",
     ]
-    for t in found.terms:
+    for t in nested.terms:
         changed = " (the conclusion changes)" if (t.p < alpha) != (t.naive_p < alpha) else ""
         out.append(
             f"{t.term}: F({t.df[0]:g}, {t.df[1]:g}) = {t.f:.4g}; taking the rows as independent "

@@ -334,9 +334,9 @@ class _Equations:
         """Pseudo-inverse of the reduced equations, and its rank."""
         reduced = np.diag(self.counts.sum(axis=0)) - self.counts.T @ self.share
         values, vectors = np.linalg.eigh(reduced)
-        kept = values > _SINGULAR * values.max(initial=0.0)
-        root = vectors[:, kept] / np.sqrt(values[kept])
-        return root @ root.T, int(kept.sum())
+        connected = values > _SINGULAR * values.max(initial=0.0)
+        root = vectors[:, connected] / np.sqrt(values[connected])
+        return root @ root.T, int(connected.sum())
 
     @property
     def inverse(self) -> Array:
@@ -356,8 +356,8 @@ class _Equations:
     def leverage(self) -> Array:
         inverse = self.inverse
         across = self.share @ inverse
-        own = np.einsum("ab,ab->a", across, self.share)
-        by_pair = (np.diag(inverse) - 2 * across) + (own + 1 / self.rows_first)[:, None]
+        within = np.einsum("ab,ab->a", across, self.share)
+        by_pair = (np.diag(inverse) - 2 * across) + (within + 1 / self.rows_first)[:, None]
         return np.asarray(by_pair[self.first, self.second])
 
 
@@ -541,12 +541,14 @@ def influential(fit: Factored | TwoWayFit) -> Influential | None:
 
     if fit.df_residual < 1 or fit.rss <= 0:
         return None
-    found = influence(fit)
-    known = np.isfinite(found.cook) & (found.leverage < 1 - 1e-10)
+    of_rows = influence(fit)
+    judged = np.isfinite(of_rows.cook) & (of_rows.leverage < 1 - 1e-10)
     limit = float(fdtri(fit.rank, fit.df_residual, 0.5))
-    rows = np.flatnonzero(known & (np.where(known, found.cook, 0.0) > limit))
-    largest = float(found.cook[known].max()) if known.any() else None
-    return Influential(float(found.leverage.max()), largest, limit, tuple(int(i) + 1 for i in rows))
+    rows = np.flatnonzero(judged & (np.where(judged, of_rows.cook, 0.0) > limit))
+    largest = float(of_rows.cook[judged].max()) if judged.any() else None
+    return Influential(
+        float(of_rows.leverage.max()), largest, limit, tuple(int(i) + 1 for i in rows)
+    )
 
 
 def summary_of(fit: Factored) -> ModelSummary | None:

@@ -88,8 +88,8 @@ def response_bounds(
 
     Shapes: value (..., n); noise (...); returns (...).
     """
-    found = _finest(value, mesh_size, formal, noise)
-    return np.where(found.kind == "divergent", np.inf, found.u)
+    bounds = _finest(value, mesh_size, formal, noise)
+    return np.where(bounds.kind == "divergent", np.inf, bounds.u)
 
 
 def difference_bounds(value: Array, mesh_size: Sequence[float], formal: float | None) -> Array:
@@ -97,9 +97,9 @@ def difference_bounds(value: Array, mesh_size: Sequence[float], formal: float | 
 
     Shapes: value (..., n); returns (...).
     """
-    found = _finest(value, mesh_size, formal, None)
-    short = (found.factor == SAFE) | np.isnan(found.order_used)
-    return np.asarray(np.where(short, DIFFERENCE_SHARE, 1.0) * found.u)
+    bounds = _finest(value, mesh_size, formal, None)
+    short = (bounds.factor == SAFE) | np.isnan(bounds.order_used)
+    return np.asarray(np.where(short, DIFFERENCE_SHARE, 1.0) * bounds.u)
 
 
 def contrast_uncertainty(weights: Mapping[Cell, float], series: Mapping[Cell, CellSeries]) -> Bound:
@@ -122,9 +122,9 @@ def contrast_uncertainty(weights: Mapping[Cell, float], series: Mapping[Cell, Ce
     orders = [cell.formal_order for cell in cells]
     formal = None if None in orders else min(o for o in orders if o is not None)
     if not alike:  # refined by different ratios, each cell knows its own error alone
-        own = [response_bounds(np.array(c.value), c.mesh_size, c.formal_order, c.noise)
+        alone = [response_bounds(np.array(c.value), c.mesh_size, c.formal_order, c.noise)
                for c in cells]  # fmt: skip
-        u = float(np.abs(w) @ own)
+        u = float(np.abs(w) @ alone)
         return u + moved if math.isfinite(u) else None
     value = np.array([cell.value[:meshes] for cell in cells])
     size, noise = cells[0].mesh_size[:meshes], np.array([cell.noise for cell in cells])
@@ -271,16 +271,16 @@ class SeriesBounds:
         key = (*sides, (str(on_one_mesh), str(pure)))
         if key not in self._known:
             weights = self._component if pure else self._weights
-            found = _difference(weights(plus), weights(minus))
-            self._known[key] = self._bound(found, on_one_mesh=on_one_mesh)
+            weights_of_cells = _difference(weights(plus), weights(minus))
+            self._known[key] = self._bound(weights_of_cells, on_one_mesh=on_one_mesh)
         return self._known[key]
 
     def _component(self, side: Levels) -> dict[tuple[str, ...], float]:
         total: dict[tuple[str, ...], float] = {}
         for k in range(len(side) + 1):
-            for kept in combinations(side, k):
+            for names in combinations(side, k):
                 sign = (-1) ** (len(side) - k)
-                for cell, w in self._weights({name: side[name] for name in kept}).items():
+                for cell, w in self._weights({name: side[name] for name in names}).items():
                     total[cell] = total.get(cell, 0.0) + sign * w
         return total
 
@@ -303,10 +303,12 @@ class SeriesBounds:
             by_element.setdefault(self.discretization[cell], {})[cell] = w
         series = self.series
         if on_one_mesh:
-            series = {cell: replace(own, studied=None) for cell, own in series.items()}
+            series = {
+                cell: replace(cell_series, studied=None) for cell, cell_series in series.items()
+            }
         parts = [self._part(name, part, series) for name, part in by_element.items()]
-        known = [part for part in parts if part is not None]
-        return sum(known) + 2 * self.more if len(known) == len(parts) else None
+        bounds = [part for part in parts if part is not None]
+        return sum(bounds) + 2 * self.more if len(bounds) == len(parts) else None
 
     def _part(
         self,
@@ -319,13 +321,13 @@ class SeriesBounds:
             return contrast_uncertainty(weights, series)
         refined = [s for c, s in series.items() if self.discretization.get(c) == element]
         limits = [limit_of(s) for s in refined]
-        known = [found for found in limits if found is not None]
-        if not known or len(known) < len(limits):
+        bounded = [limit for limit in limits if limit is not None]
+        if not bounded or len(bounded) < len(limits):
             return None
         return inherited_uncertainty(
             np.array(list(weights.values())),
-            np.array([error for error, _ in known]),
-            np.array([bound for _, bound in known]),
+            np.array([error for error, _ in bounded]),
+            np.array([bound for _, bound in bounded]),
         )
 
 

@@ -225,10 +225,10 @@ def _weighted_fit(h: Array, f: Array, weight: Array) -> tuple[float, float, floa
     orders = np.geomspace(_LOWEST, _HIGHEST, 120)
     best = int(np.argmin([solve(p)[1] for p in orders]))
     low, high = orders[max(best - 1, 0)], orders[min(best + 1, orders.size - 1)]
-    found = minimize_scalar(
+    minimum = minimize_scalar(
         lambda p: solve(p)[1], bounds=(low, high), method="bounded", options={"xatol": 1e-13}
     )
-    p = float(settled(found, "order of a refinement series").x)
+    p = float(settled(minimum, "order of a refinement series").x)
     (limit, slope), rss = solve(p)
     scatter = math.sqrt(rss * h.size / (h.size - 3))
     return p, float(limit + f[0]), float(slope / h[-1] ** p), scatter
@@ -656,10 +656,18 @@ def compare(
     d, s, m = (np.atleast_1d(np.asarray(v, float)) for v in (displacement_mm, simulated_N,
                                                             measured_N))  # fmt: skip
     parts = {"numerics": u_num_N, "inputs": u_input_N, "data": u_data_N}
-    known = [np.broadcast_to(np.asarray(0.0 if v is None else v, float), d.shape)
+    uncertainties = [np.broadcast_to(np.asarray(0.0 if v is None else v, float), d.shape)
              for v in parts.values()]  # fmt: skip
-    total = np.sqrt(sum(u**2 for u in known))
+    total = np.sqrt(sum(u**2 for u in uncertainties))
     unknown = tuple(name for name, v in parts.items() if v is None)
     return ValidationComparison(
-        d, s, m, s - m, known[0], known[1], known[2], np.asarray(total), unknown
+        d,
+        s,
+        m,
+        s - m,
+        uncertainties[0],
+        uncertainties[1],
+        uncertainties[2],
+        np.asarray(total),
+        unknown,
     )
