@@ -16,7 +16,7 @@ from study.ground.arrays import Array, Ints
 from study.ground.errors import Fault, InputError, nearest
 from study.statistics.analysis import error_ledger
 from study.statistics.analysis.analysis_request import AnalysisOutcome, kind_of
-from study.statistics.analysis.anova_table import Anova, ErrorTerm, Row
+from study.statistics.analysis.anova_table import Anova, Row
 from study.statistics.analysis.comparisons import bonferroni
 from study.statistics.analysis.data import Data
 from study.statistics.analysis.effects import (
@@ -138,12 +138,11 @@ def split_plot(out: AnalysisOutcome, plots: Plots) -> AnalysisOutcome:
         of_means = sampled_estimate(data.layout, whole, term, None, sample)
         estimate = replace(estimate, mean=of_means.mean, mean_half=of_means.mean_half)
         effects.append(size(estimate, out.scale, simple))
-    choice = error_ledger.strata_choice(
-        str(data.block), plots.name, plots.between, error_ledger.POOLED
-    )
+    within = "the pooled scatter within whole plots"
+    error = error_ledger.error_of_strata(str(data.block), plots.name, plots.between, within, df)
     return replace(
         out,
-        error=ErrorTerm(choice.source, choice.question, df, choice.reason),
+        error=error,
         anova=Anova(kind, with_shares(rows, whole.tss), out.y.size - 1, whole.tss),
         effects=tuple(effects),
         fit=error_ledger.within_fit(data, out.y, plots=plots.code),

@@ -74,6 +74,10 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
+_COVARIANCES = "every group of blocks has a covariance of its own (Welch-Box)"
+_ONE_COVARIANCE = "a group has two blocks only, so one covariance serves all groups"
+
+
 @dataclass(frozen=True)
 class _Part:
     """One within-block term: its contrasts in every block and their error."""
@@ -112,22 +116,17 @@ def own_groups(out: AnalysisOutcome, plots: Plots) -> AnalysisOutcome | None:
             term = tuple(f for f in out.data.factors if f in (*part_term, *group_term))
             if term in out.terms:
                 rows[term] = _row(term, part, direction, apart, total, floor)
-    choice = error_ledger.strata_choice(
-        block, plots.name, plots.between, error_ledger.OWN, "own" if apart else "pooled"
-    )
-    if out.request.error == "own":
-        choice = replace(choice, reason="asked for")
     effects, notes = _effects(out, rows, errors, table, members)
     out = out.warn(*notes)
     listed = [rows[t] for t in out.terms if t in rows]
+    df = {r.term: float(r.df_error or 0) for r in listed}
+    error = error_ledger.error_of_strata(block, plots.name, plots.between, "own interactions", df)
+    covariances = _COVARIANCES if apart else _ONE_COVARIANCE
+    reason = "asked for" if out.request.error == "own" else f"{error.reason}; {covariances}"
+    error = replace(error, reason=reason)
     return replace(
         out,
-        error=ErrorTerm(
-            choice.source,
-            choice.question,
-            {r.term: float(r.df_error or 0) for r in listed},
-            choice.reason,
-        ),
+        error=error,
         anova=Anova(kind, with_shares([*listed, *errors], total), out.y.size - 1, total),
         effects=effects,
         sphericity=spheres,
@@ -300,41 +299,35 @@ def _pooled_estimates(
 # pooled, so cells that differ only in discretization add no degrees of freedom.
 
 
-def seed_choice(seeds: int) -> error_ledger.Choice:
-    """E3 with seeds that every cell has: each effect against its own interaction with them."""
-    few = (f"{seeds} mesh seeds: ask for 8 or more",) if seeds < error_ledger.ENOUGH_SEEDS else ()
-    return error_ledger.Choice(
-        "E3",
-        error_ledger.OWN,
-        "would another mesh of this size change the effect? (each effect against its own "
-        f"interaction with {seeds} mesh seeds, Greenhouse-Geisser deciding)",
-        "every cell has the same mesh seeds, so they are blocks",
-        (error_ledger.BIAS, *few),
+def _own_error(
+    out: AnalysisOutcome, blocks: int, df: dict[str, float]
+) -> tuple[ErrorTerm, tuple[str, ...]]:
+    """Error of effects against their own interaction with the blocks, and what to beware of."""
+    decides = "Greenhouse-Geisser deciding)"
+    if out.replicates == "noise":
+        question = (
+            f"{error_ledger.NOISE_QUESTION} (each effect against its own scatter over {blocks} "
+            f"refits to resampled residuals, {decides}"
+        )
+        why = "cells hold refits to resampled measurement noise, the same for all cells of a curve"
+        return ErrorTerm("E2", question, df, why), (error_ledger.ONE_CURVE,)
+    against = "(each effect against its own interaction with"
+    if out.replicates == "mesh-seeds":
+        question = (
+            f"would another mesh of this size change the effect? {against} {blocks} mesh seeds, "
+            f"{decides}"
+        )
+        few = blocks < error_ledger.ENOUGH_SEEDS
+        cautions = (f"{blocks} mesh seeds: ask for 8 or more",) if few else ()
+        why = "every cell has the same mesh seeds, so they are blocks"
+        return ErrorTerm("E3", question, df, why), (error_ledger.BIAS, *cautions)
+    block = str(out.data.block)
+    question = (
+        f"would the ranking change with another {block}? {against} {blocks} levels of {block}, "
+        f"{decides}"
     )
-
-
-def own_choice(block: str, blocks: int, error: str) -> error_ledger.Choice:
-    """E1 with every effect against its own interaction."""
-    why = "asked for" if error == "own" else "every cell is seen in the same blocks"
-    return error_ledger.Choice(
-        "E1",
-        error_ledger.OWN,
-        f"would the ranking change with another {block}? (each effect against its own "
-        f"interaction with {blocks} levels of {block}, Greenhouse-Geisser deciding)",
-        why,
-    )
-
-
-def noise_choice(resamples: int) -> error_ledger.Choice:
-    """E2 where cells fitted to one curve share its resampled noise."""
-    return error_ledger.Choice(
-        "E2",
-        error_ledger.OWN,
-        f"{error_ledger.NOISE_QUESTION} (each effect against its own scatter over {resamples} "
-        "refits to resampled residuals, Greenhouse-Geisser deciding)",
-        "cells hold refits to resampled measurement noise, the same for all cells of a curve",
-        (error_ledger.ONE_CURVE,),
-    )
+    why = "asked for" if out.request.error == "own" else "every cell is seen in the same blocks"
+    return ErrorTerm("E1", question, df, why), ()
 
 
 @dataclass(frozen=True)
@@ -455,11 +448,8 @@ def own(out: AnalysisOutcome) -> AnalysisOutcome | None:
     rest = n_cells - 1 - sum(t.sums.df for t in tests)
     if rest > 0:
         out = out.warn(f"{rest} treatment degrees of freedom are outside the model")
-    choice = own_choice(block, b, out.request.error)
-    if out.replicates in ("noise", "mesh-seeds"):
-        choice = noise_choice(b) if out.replicates == "noise" else seed_choice(b)
-        out = out.warn(*choice.cautions)
-    df = {t.row.term: float(t.error.df) for t in tests}
+    error, cautions = _own_error(out, b, {t.row.term: float(t.error.df) for t in tests})
+    out = out.warn(*cautions)
     judged = cell_fit(table, out.structure.asked) if out.structure.asked else fit
     alpha = out.request.alpha
     added, blocks = per_block(judged, table.y), [np.arange(b)]
@@ -478,7 +468,7 @@ def own(out: AnalysisOutcome) -> AnalysisOutcome | None:
     simple = judge_factors(out, table.layout, judged, sample, rivals)
     return replace(
         out,
-        error=ErrorTerm(choice.source, choice.question, df, choice.reason),
+        error=error,
         anova=Anova(kind, with_shares(rows, total), table.y.size - 1, total),
         effects=tuple(size(e, out.scale, simple) for e in estimates),
         sphericity={t.row.term: t.sphericity for t in tests if t.sums.df > 1},
