@@ -388,7 +388,7 @@ def sensitivity_of(
         },
     }
     if data.y.min() > 0:
-        p["F of the log"] = _ordinary(fitted(fit.model, np.log(data.y)))
+        p["F of the log"] = _ordinary(fitted(fit, np.log(data.y)))
     return side_by_side([term_name(t) for t in terms], p, alpha)
 
 
@@ -426,7 +426,7 @@ def add_robustness(out: AnalysisOutcome) -> AnalysisOutcome:
         return out
     if not isinstance(out.fit, Factored):
         return out
-    fit = out.fit if not out.request.scale.is_log else fitted(out.fit.model, out.data.y)
+    fit = out.fit if not out.request.scale.is_log else fitted(out.fit, out.data.y)
     table = sensitivity_of(out.data, out.terms, fit, out.request.alpha)
     if out.data.y.min() <= 0:
         return replace(out, robustness=table)

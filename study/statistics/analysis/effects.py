@@ -133,7 +133,7 @@ def pooled_estimate(
         component = np.full_like(component, np.nan)
     if df <= 0 or rss <= 0:
         return TermEstimate(term, levels, component, mean, None, None, p, settings)
-    covariance = fit.unscaled_covariance() * rss / df
+    covariance = fit.unscaled_covariance * rss / df
     spread = np.einsum("ij,ij->i", mean_rows @ covariance, mean_rows)
     df_term = int(np.prod([len(layout.levels[name]) - 1 for name in term]))
     critical = pooled_critical(len(levels), df_term, df, len(term) == 1, alpha)
@@ -259,7 +259,7 @@ def over_groups(
         value = np.where(fit.estimable(rows)[:, None], rows @ added, np.nan)
         error, df = group_errors(value, groups)
         if reading:
-            error = np.maximum(error, reading * np.linalg.norm(rows @ fit.model.inverse, axis=1))
+            error = np.maximum(error, reading * np.linalg.norm(rows @ fit.inverse, axis=1))
         estimable = np.isfinite(value).all(axis=1)
         wide = np.zeros(len(value))
         if estimable.any():
@@ -288,7 +288,7 @@ def with_pooled_error(
 ) -> Sample:
     """Estimate combinations with one error variance, ``rss / df``; none where ``df`` is 0."""
     coefficients = fit.coefficients()
-    inverse = fit.model.inverse
+    inverse = fit.inverse
 
     def estimate(differences: Differences) -> Estimates:
         rows = differences.rows
@@ -350,7 +350,7 @@ def cell_welch(
     def estimate(differences: Differences) -> Estimates:
         rows = differences.rows
         value = np.where(fit.estimable(rows), rows @ coefficients, np.nan)
-        weight = (rows @ fit.model.inverse) @ fit.q[first].T
+        weight = (rows @ fit.inverse) @ fit.q[first].T
         weight[np.abs(weight) < 1e-12 * np.abs(weight).max(initial=0.0)] = 0.0
         error, df = by_components((weight**2 * count) @ member, variance, variances[1])
         every = games_howell_multiplier(differences, df, alpha)
@@ -393,7 +393,7 @@ def with_pseudo_error(
     pse = float(pseudo_standard_error(values))
 
     def estimate(differences: Differences) -> Estimates:
-        weight = (differences.rows @ fit.model.inverse) @ (fit.q.T @ contrasts)
+        weight = (differences.rows @ fit.inverse) @ (fit.q.T @ contrasts)
         length = np.linalg.norm(weight, axis=1)
         estimable = fit.estimable(differences.rows) & (length > 0)
         single, largest = np.full(len(weight), np.inf), np.zeros(PSEUDO_DRAWS)

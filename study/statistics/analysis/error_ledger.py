@@ -153,7 +153,7 @@ def pooled(out: AnalysisOutcome, untested: str = "") -> AnalysisOutcome:
     extra: list[Term] = [(name,) for name in data.blocks]
     matrix = model_matrix(data.layout, out.terms, extra=extra)
     fit = factor(matrix, out.y)
-    even = balanced(data.layout, [*data.factors, *data.blocks]) or fit.model.is_orthogonal()
+    even = balanced(data.layout, [*data.factors, *data.blocks]) or fit.is_orthogonal()
     if out.request.sums == "auto" and nested_in(out.terms):
         # a factor given what is nested in it is nothing, so Type III would be empty
         kind, out = "II", out if even else out.warn("unbalanced and nested: Type II")
@@ -300,9 +300,7 @@ def _sparse_ready(out: AnalysisOutcome, fit: Factored) -> bool:
     copied = len(out.copies.groups) < np.unique(data.cell).size
     if copied or int(np.bincount(data.cell).max()) > 1:
         return False
-    return balanced(data.layout, data.factors) or (
-        fit.df_residual == 0 and fit.model.is_orthogonal()
-    )
+    return balanced(data.layout, data.factors) or (fit.df_residual == 0 and fit.is_orthogonal())
 
 
 def _with_margin(estimate: TermEstimate, lenth: LenthResult) -> TermEstimate:

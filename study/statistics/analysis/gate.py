@@ -246,7 +246,7 @@ def per_block(fit: Factored, y: Array) -> Array:
 
     Shapes: y (cells, b); returns (p, b).
     """
-    return np.asarray(fit.model.inverse @ (fit.q.T @ (y - fit.shift)) / y.shape[1])
+    return np.asarray(fit.inverse @ (fit.q.T @ (y - fit.shift)) / y.shape[1])
 
 
 def rivals_of_rows(
@@ -395,7 +395,7 @@ def _rivals_of_cells(
     if counts.max() >= FEWEST_FOR_SHAPE and fit.q.shape[0] * fit.matrix.columns.shape[1] < 2e6:
         groups = np.split(np.argsort(index, kind="stable"), np.cumsum(counts)[:-1])
         if counts.min() >= 2:
-            added = (fit.model.inverse @ fit.q.T) * (out.y - fit.shift)
+            added = (fit.inverse @ fit.q.T) * (out.y - fit.shift)
             rivals.append(any_shape(out, sample, lambda rows: rows @ added, groups, out.y))
     return rivals
 

@@ -320,14 +320,29 @@ class Factorization:
     r: Array
     #: shape (p,); length of each column.
     scale: Array
-    _spaces: dict[tuple[str, int], TermSpace] = field(
-        default_factory=dict, repr=False, compare=False
+    #: What is known of the terms by now.
+    spaces: dict[tuple[str, int], TermSpace] = field(
+        default_factory=dict, repr=False, compare=False, kw_only=True
     )
 
     @property
     def rank(self) -> int:
         """Rank of the model."""
         return int(self.r.shape[0])
+
+    @property
+    def df_residual(self) -> int:
+        """Residual degrees of freedom."""
+        return int(self.q.shape[0] - self.rank)
+
+    @property
+    def columns(self) -> Array:
+        """Columns of the model, shape (n, p)."""
+        return self.matrix.columns
+
+    def projected(self, y: Array) -> Array:
+        """Part of values that the model describes, shape (n,)."""
+        return np.asarray(self.q @ (self.q.T @ y))
 
     @property
     def is_full(self) -> bool:
@@ -373,13 +388,13 @@ class Factorization:
 
     def space(self, i: int, kind: str) -> TermSpace:
         """Directions of term ``i`` given the terms that a type of sums of squares names."""
-        if (kind, i) not in self._spaces:
+        if (kind, i) not in self.spaces:
             others = _others(self.matrix.terms, i, kind)
             basis = self._basis_of_full(i, others, kind) if self.is_triangular else None
-            self._spaces[kind, i] = (
+            self.spaces[kind, i] = (
                 self._space(i, others) if basis is None else TermSpace(basis, basis.shape[1])
             )
-        return self._spaces[kind, i]
+        return self.spaces[kind, i]
 
     @cached_property
     def _is_block_diagonal(self) -> bool:

@@ -303,14 +303,14 @@ class MixedCells:
     @cached_property
     def of_factors(self) -> Factored:
         """The fit as combinations of the factors' columns see it."""
-        return replace(self.fixed, model=replace(self.fixed.model, matrix=self.factors))
+        return replace(self.fixed, matrix=self.factors)
 
     def _padded(self, rows: Array) -> Array:
         return np.pad(rows, ((0, 0), (0, self.fixed.columns.shape[1] - rows.shape[1])))
 
     def along(self, rows: Array) -> Array:
         """Turn combinations of the factors' coefficients to the orthonormal columns."""
-        return np.asarray(self._padded(rows) @ self.fixed.model.inverse)
+        return np.asarray(self._padded(rows) @ self.fixed.inverse)
 
     @cached_property
     def _root(self) -> Array:
@@ -368,7 +368,7 @@ class MixedCells:
     def slope(self, covariate: str) -> Slope:
         """Slope of a covariate with its interval."""
         at = self.fixed.matrix.of((covariate,)).start
-        estimate = self.fit.estimate(self.fixed.model.inverse[at : at + 1])
+        estimate = self.fit.estimate(self.fixed.inverse[at : at + 1])
         value = float(estimate.value[0])
         half = t_quantile(self.alpha / 2, float(estimate.df[0])) * float(estimate.error[0])
         return Slope(covariate, value, value - half, value + half)

@@ -122,11 +122,11 @@ def _pooled(analysis: AnalysisResult, names: tuple[str, ...]) -> CoefficientTabl
         return CoefficientTable(reason="nothing is left over to estimate an error from")
     y = _working(analysis, analysis.data.residuals["response"].to_numpy(float))
     fit = factor(ModelMatrix(matrix, ((),), (slice(0, matrix.shape[1]),)), y)
-    if not fit.model.is_full:
+    if not fit.is_full:
         return CoefficientTable(reason="some terms are aliased with others")
     beta = fit.coefficients()
     beta[0] += fit.shift
-    spread = np.diag(fit.unscaled_covariance())
+    spread = np.diag(fit.unscaled_covariance)
     # blocks stand between the constant and the factors, and are no coefficients of interest
     of_factors = np.r_[0, matrix.shape[1] - len(names) + 1 : matrix.shape[1]]
     error = np.sqrt(spread * residual.ms)

@@ -38,7 +38,6 @@ from study.statistics.analysis.gate import (
 )
 from study.statistics.analysis.linear_model import (
     ALIAS_TOLERANCE,
-    Factorization,
     ModelMatrix,
     Term,
     model_matrix,
@@ -112,7 +111,7 @@ def split_plot(out: AnalysisOutcome, plots: Plots) -> AnalysisOutcome:
     whole = factor(matrix, out.y)
     bases = _even(whole, data, plots)
     strata = _strata(out, matrix, plots, bases)
-    kind, out = kind_of(out, all(s.fit.model.is_orthogonal() for s in strata))
+    kind, out = kind_of(out, all(s.fit.is_orthogonal() for s in strata))
     strata = [replace(s, sums=tuple(term_sums(s.fit, kind))) for s in strata]
     place = _place(out.terms, strata, whole)
     rows, df = _rows(strata, place, whole.tss)
@@ -186,7 +185,7 @@ def _over_strata(
 
     def estimate(differences: Differences) -> Estimates:
         rows = differences.rows
-        weight = (rows @ whole.model.inverse) @ whole.q.T
+        weight = (rows @ whole.inverse) @ whole.q.T
         parts = [np.sum((weight @ basis) ** 2, axis=1) for basis in bases]
         parts.append(np.sum(weight**2, axis=1) - np.sum(parts, axis=0))
         grand = np.sum((weight @ mean) ** 2, axis=1)
@@ -258,7 +257,10 @@ def _projected(
     z = q.T @ y
     residual = y - q @ z
     return Factored(
-        Factorization(matrix, q, q.T @ x, scale),
+        matrix,
+        q,
+        q.T @ x,
+        scale,
         z,
         q @ z,
         residual,

@@ -245,7 +245,7 @@ def _effects(
 
     def fitted(terms: Sequence[Term]) -> tuple[Factored, Array]:
         fit = factor(model_matrix(layout, terms), out.y[complete])
-        per_row = (fit.model.inverse @ fit.q.T) * (out.y[complete] - fit.shift)
+        per_row = (fit.inverse @ fit.q.T) * (out.y[complete] - fit.shift)
         return fit, per_row @ np.eye(len(table.blocks))[of_row[complete]]
 
     fit, added = fitted(out.terms)
@@ -474,7 +474,7 @@ def own(out: AnalysisOutcome) -> AnalysisOutcome | None:
         sphericity={t.row.term: t.sphericity for t in tests if t.sums.df > 1},
         fit=error_ledger.within_fit(data, out.y),
         crossed=table,
-        cell_model=fit.model,
+        cell_model=fit,
     )
 
 
