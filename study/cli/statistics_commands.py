@@ -59,7 +59,7 @@ Random = Annotated[
     str, typer.Option(help="With --error reml: factors whose effect differs between blocks.")
 ]
 Covariates = Annotated[
-    str, typer.Option(help="With --error reml: columns of numbers that the response follows.")
+    str, typer.Option(help="Columns of numbers that the response follows; with --block add --error reml.")
 ]
 ContrastsAsked = Annotated[
     list[str] | None,
@@ -176,7 +176,7 @@ def analyze(
     if numeric and surface != "none":
         surface_tables.show(source, names(numeric), surface, flags, as_json)
         return
-    if error == "reml":
+    if error == "reml" or (flags["--covariates"] and not (error or flags["--block"])):
         mixed: MixedOptions = {"contrasts": contrast or ()}
         if alpha is not None:
             mixed["alpha"] = alpha

@@ -18,10 +18,9 @@ from study.statistics.analysis.analysis_request import (
     Threshold,
 )
 from study.statistics.analysis.anova import effects
-from study.statistics.analysis.incomplete_blocks import Sandwich
 from study.statistics.analysis.linear_model import CellLayout as Layout
 from study.statistics.analysis.linear_model import model_matrix
-from study.statistics.analysis.restricted_likelihood import fit_restricted
+from study.statistics.analysis.restricted_likelihood import Sandwich, fit_restricted
 from study.statistics.analysis.sums_of_squares import factor
 
 

@@ -19,6 +19,7 @@ from study.statistics.analysis.analysis_request import AnalysisOutcome
 from study.statistics.analysis.effects import (
     DOUBT,
     UNEQUAL,
+    Scale,
     cell_welch,
     over_groups,
     t_quantile,
@@ -108,21 +109,34 @@ def refusal(why: str) -> Rival:
 def judge_factors(
     out: AnalysisOutcome, layout: CellLayout, fit: Factored, sample: Sample, rivals: Sequence[Rival]
 ) -> dict[str, SimpleEffects]:
+    """Judge every factor of an analysis by its simple effects."""
+    undecided = out.structure.undecided
+    return judge_terms(out.terms, out.scale, layout, fit.matrix, sample, rivals, undecided)
+
+
+def judge_terms(
+    terms: Sequence[Term],
+    scale: Scale,
+    layout: CellLayout,
+    matrix: ModelMatrix,
+    sample: Sample,
+    rivals: Sequence[Rival],
+    undecided: str = "",
+) -> dict[str, SimpleEffects]:
     """Judge every factor of a model by its simple effects, and let the rivals withdraw claims."""
     judged_factors = {}
-    scale = out.scale
-    for (name,) in (term for term in out.terms if len(term) == 1):
+    for (name,) in (term for term in terms if len(term) == 1):
         judged = partial(simple_effects, name, layout, bound=scale.bound, only=scale.only)
-        printed = judged(fit.matrix, sample, practical=scale.practical)
+        printed = judged(matrix, sample, practical=scale.practical)
         if printed is None:
-            if out.structure.undecided:
-                judged_factors[name] = SimpleEffects(name, CANNOT_TELL, out.structure.undecided, ())
+            if undecided:
+                judged_factors[name] = SimpleEffects(name, CANNOT_TELL, undecided, ())
             continue
         for rival in rivals:
             if not {e.verdict for e in printed.effects} & set(CLAIMS) & set(rival.claims):
                 continue
             limit = rival.practical or scale.practical
-            other = judged(rival.matrix or fit.matrix, rival.sample, practical=limit)
+            other = judged(rival.matrix or matrix, rival.sample, practical=limit)
             printed = _agreed(printed, other, rival)
         judged_factors[name] = printed
     return judged_factors

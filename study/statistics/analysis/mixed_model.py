@@ -21,15 +21,17 @@ from study.ground.contrast import Setting
 from study.ground.errors import Fault, InputError, nearest
 from study.ground.tabular import names_of
 from study.statistics.analysis.analysis_request import Practical, alpha_faults, threshold
-from study.statistics.analysis.comparisons import pooled_multiplier
+from study.statistics.analysis.comparisons import bonferroni, pooled_multiplier
 from study.statistics.analysis.data import Data, prepare
 from study.statistics.analysis.effects import (
+    UNEQUAL,
     Scale,
     holm,
     sampled_estimate,
     size,
     t_quantile,
 )
+from study.statistics.analysis.gate import Rival, judge_terms
 from study.statistics.analysis.linear_contrast import Cells, Contrast
 from study.statistics.analysis.linear_contrast import contrasts as contrasts_of
 from study.statistics.analysis.linear_model import (
@@ -46,6 +48,7 @@ from study.statistics.analysis.restricted_likelihood import (
     MOST_CROSSED,
     Likelihood,
     RestrictedFit,
+    Sandwich,
     SingularError,
     fit_restricted,
 )
@@ -53,7 +56,6 @@ from study.statistics.analysis.simple_effects import (
     Differences,
     Estimates,
     SimpleEffects,
-    simple_effects,
 )
 from study.statistics.analysis.sums_of_squares import Factored, factor, one_thread, term_sums
 
@@ -66,6 +68,8 @@ if TYPE_CHECKING:
 WITHIN = "within"
 #: Levels of a random factor that its scatter needs.
 _FEWEST_LEVELS = 3
+#: Rows without random factors whose pairs are weighed to judge unequal scatter.
+_MOST_ROWS = 1000
 
 
 @dataclass(frozen=True)
@@ -145,7 +149,8 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
     factors : sequence of str
         Columns of the fixed factors; without any, the mean is the only fixed effect.
     block : str or sequence of str, optional
-        Columns of blocks, which are random; several cross.
+        Columns of blocks, which are random; several cross. With covariates alone nothing has to
+        be random: the analysis of covariance by least squares.
     random : sequence of str
         A fixed factor (its interaction with the blocks is random too), any other column
         (``"day"``), or an interaction of columns (``"day:run"``, runs within days).
@@ -177,7 +182,7 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
     if faults := alpha_faults(alpha):
         raise InputError(faults)
     blocks = names_of(block)
-    sources = random_terms(factors, blocks, random)
+    sources = random_terms(factors, blocks, random, covariates)
     columns = list(dict.fromkeys(name for term in sources for name in term if name not in factors))
     fixed_columns, others = (list(factors), columns) if factors else (columns[:1], columns[1:])
     data = prepare(table, response, fixed_columns, others)
@@ -198,6 +203,8 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
         specimens=len(data.layout.levels[blocks[0]]) if blocks else None,
     )
     names = [term_name(term) for term in sources]
+    few = not sources and data.y.size <= _MOST_ROWS
+    rivals = [_unequal_rows(cells, data.y - shift)] if few else []
     return MixedModel(
         components(fit, [*names, WITHIN], alpha),
         tuple(MixedTerm(term_name(t), s.count, s.f, s.df, s.p) for t, s in tests.items()),
@@ -206,17 +213,39 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
         tuple(cells.slope(name) for name in covariates),
         holm(
             cells.effects(
-                terms, {t: s.p for t, s in tests.items()}, scale, cells.judged(terms, scale)
+                terms,
+                {t: s.p for t, s in tests.items()},
+                scale,
+                judge_terms(terms, scale, data.layout, bare, cells.sample, rivals),
             )
         ),
         cells.contrasts(contrasts, scale),
     )
 
 
+def _unequal_rows(cells: MixedCells, y: Array) -> Rival:
+    """Rival without random factors, whose rows may scatter unequally (CR2 of single rows, HC2)."""
+    sandwich = Sandwich(cells.fit, cells.fixed, y, np.arange(y.size))
+
+    def estimate(differences: Differences) -> Estimates:
+        estimates = cells.sample(differences)
+        error, df = sandwich.errors(cells.along(differences.rows))
+        every = bonferroni(max(len(df), 1), df, cells.alpha)
+        return Estimates(estimates.value, error, t_quantile(cells.alpha / 2, df), every)
+
+    return Rival(UNEQUAL, estimate)
+
+
 def random_terms(
-    factors: Sequence[str], blocks: Sequence[str], random: Sequence[str]
+    factors: Sequence[str],
+    blocks: Sequence[str],
+    random: Sequence[str],
+    covariates: Sequence[str] = (),
 ) -> tuple[Term, ...]:
-    """Random terms: the blocks, interactions of fixed factors with them, and other columns."""
+    """Random terms: the blocks, interactions of fixed factors with them, and other columns.
+
+    With covariates there may be none.
+    """
     terms: list[Term] = [(name,) for name in blocks]
     faults = []
     for text in random:
@@ -229,7 +258,7 @@ def random_terms(
             rule = f"{text!r} is a fixed factor, whose effect cannot be random without blocks"
             mend = f"name the blocks, or leave {text!r} out of the factors"
             faults.append(Fault("random", rule, mend))
-    if not terms:
+    if not terms and not covariates:
         mend = "name the blocks, or the random factors: --random day,day:run"
         faults.append(Fault("random", "no random factor is named", mend))
     if faults:
@@ -338,18 +367,6 @@ class MixedCells:
             # at the error probability that each interval has among all of them
             every = np.maximum(every, ratio * t_quantile(float(stdtr(df, -wide)), df_own))
         return Estimates(value, estimates.error, single, every)
-
-    def judged(self, terms: Sequence[Term], scale: Scale) -> dict[str, SimpleEffects]:
-        """Verdicts of the factors by their simple effects."""
-        judged = {
-            term[0]: simple_effects(
-                term[0], self.layout, self.factors, self.sample,
-                practical=scale.practical, bound=scale.bound, only=scale.only,
-            )
-            for term in terms
-            if len(term) == 1
-        }  # fmt: skip
-        return {name: effects for name, effects in judged.items() if effects is not None}
 
     def effects(
         self,
