@@ -59,7 +59,10 @@ Random = Annotated[
     str, typer.Option(help="With --error reml: factors whose effect differs between blocks.")
 ]
 Covariates = Annotated[
-    str, typer.Option(help="Columns of numbers that the response follows; with --block add --error reml.")
+    str,
+    typer.Option(
+        help="Columns of numbers that the response follows; with --block add --error reml."
+    ),
 ]
 ContrastsAsked = Annotated[
     list[str] | None,
