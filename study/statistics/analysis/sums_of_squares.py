@@ -321,7 +321,7 @@ class TwoWayFit:
         shifted = self.y - self.y[0]
         residual = shifted - self.projected(shifted)
         # a second projection removes what rounding left of the model in the residual
-        return residual - self.projected(residual)
+        return np.asarray(residual - self.projected(residual))
 
     @property
     def fitted(self) -> Array:
