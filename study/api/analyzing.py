@@ -707,11 +707,10 @@ def fit_mixed_model(
         if response is None:
             raise InputError(Fault("--response", "is missing", "name the column of the response"))
         blocks = names_of(options.get("block"))
-        covariates = options.get("covariates", ())
-        terms = random_terms(factors, blocks, options.get("random", ()), covariates)
+        terms = random_terms(factors, blocks, options.get("random", ()))
         random = [n for n in dict.fromkeys(n for t in terms for n in t) if n not in factors]
         labels = (factors, random) if factors else (random[:1], random[1:])
-        table = read_tidy_csv(path, response, *labels, None, decimal, covariates)
+        table = read_tidy_csv(path, response, *labels, None, decimal, options.get("covariates", ()))
         return mixed_model(table, response, factors, **options)
     study = api.load(source, results)
     if options.get("covariates"):

@@ -58,12 +58,7 @@ Error = Annotated[
 Random = Annotated[
     str, typer.Option(help="With --error reml: factors whose effect differs between blocks.")
 ]
-Covariates = Annotated[
-    str,
-    typer.Option(
-        help="Columns of numbers that the response follows; with --block add --error reml."
-    ),
-]
+Covariates = Annotated[str, typer.Option(help="Columns of numbers that the response follows.")]
 ContrastsAsked = Annotated[
     list[str] | None,
     typer.Option(

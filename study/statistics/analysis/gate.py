@@ -256,10 +256,7 @@ def rivals_over_blocks(
 
 
 def per_block(fit: Factored, y: Array) -> Array:
-    """Find what each block adds to the mean coefficients of a fit of its cells.
-
-    Shapes: y (cells, b); returns (p, b).
-    """
+    """Find what each block of y (cells, b) adds to the mean coefficients of a fit, shape (p, b)."""
     return np.asarray(fit.inverse @ (fit.q.T @ (y - fit.shift)) / y.shape[1])
 
 

@@ -68,6 +68,11 @@ if TYPE_CHECKING:
 WITHIN = "within"
 #: Levels of a random factor that its scatter needs.
 _FEWEST_LEVELS = 3
+_NOTHING_RANDOM = Fault(
+    "random",
+    "no random factor is named",
+    "name the blocks, or the random factors: --random day,day:run",
+)
 #: Rows without random factors whose pairs are weighed to judge unequal scatter.
 _MOST_ROWS = 1000
 
@@ -182,7 +187,9 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
     if faults := alpha_faults(alpha):
         raise InputError(faults)
     blocks = names_of(block)
-    sources = random_terms(factors, blocks, random, covariates)
+    sources = random_terms(factors, blocks, random)
+    if not (sources or covariates):
+        raise InputError([_NOTHING_RANDOM])
     columns = list(dict.fromkeys(name for term in sources for name in term if name not in factors))
     fixed_columns, others = (list(factors), columns) if factors else (columns[:1], columns[1:])
     data = prepare(table, response, fixed_columns, others)
@@ -237,15 +244,9 @@ def _unequal_rows(cells: MixedCells, y: Array) -> Rival:
 
 
 def random_terms(
-    factors: Sequence[str],
-    blocks: Sequence[str],
-    random: Sequence[str],
-    covariates: Sequence[str] = (),
+    factors: Sequence[str], blocks: Sequence[str], random: Sequence[str]
 ) -> tuple[Term, ...]:
-    """Random terms: the blocks, interactions of fixed factors with them, and other columns.
-
-    With covariates there may be none.
-    """
+    """Random terms: the blocks, interactions of fixed factors with them, and other columns."""
     terms: list[Term] = [(name,) for name in blocks]
     faults = []
     for text in random:
@@ -258,9 +259,8 @@ def random_terms(
             rule = f"{text!r} is a fixed factor, whose effect cannot be random without blocks"
             mend = f"name the blocks, or leave {text!r} out of the factors"
             faults.append(Fault("random", rule, mend))
-    if not terms and not covariates:
-        mend = "name the blocks, or the random factors: --random day,day:run"
-        faults.append(Fault("random", "no random factor is named", mend))
+    if not (terms or factors):
+        faults.append(_NOTHING_RANDOM)
     if faults:
         raise InputError(faults)
     return tuple(dict.fromkeys(terms))

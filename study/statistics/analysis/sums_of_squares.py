@@ -349,16 +349,7 @@ class TwoWayFit:
 
 
 def two_way(first: Ints, second: Ints, y: Array) -> TwoWayFit:
-    """Fit the levels of two factors, unbalanced or not.
-
-    Shapes: first, second (n,); y (n,).
-
-    Examples
-    --------
-    >>> fit = two_way(np.array([0, 0, 1, 1]), np.array([0, 1, 0, 1]), np.array([1.0, 2, 3, 5]))
-    >>> fit.residual.round(6).tolist(), fit.leverage.round(6).tolist()
-    ([0.25, -0.25, -0.25, 0.25], [0.75, 0.75, 0.75, 0.75])
-    """
+    """Fit the levels of two factors, unbalanced or not; all arrays have the shape (n,)."""
     a, b = int(first.max()) + 1, int(second.max()) + 1
     if a < b:
         first, second, a, b = second, first, b, a
