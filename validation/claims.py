@@ -156,6 +156,20 @@ def gaps(b: int, noise: Callable[[np.random.Generator, int], Array], step: float
     return draw
 
 
+def latin(k: int, sds: tuple[float, float], shift: float) -> Draw:
+    """Treatments in rows and columns; the last one is shifted and scatters by the second sd."""
+
+    def draw(random: np.random.Generator) -> pd.DataFrame:
+        table = crossed({"r": k, "c": k})
+        table["a"] = random.permutation(k)[(table["r"] + table["c"]) % k]
+        last = table["a"] == k - 1
+        base = random.normal(0, 1, k)[table["r"]] + random.normal(0, 1, k)[table["c"]]
+        sd = np.where(last, sds[1], sds[0])
+        return table.assign(y=base + sd * random.normal(size=k * k) + shift * last)
+
+    return draw
+
+
 def share(b: int) -> Draw:
     """Two levels that differ by 5 % of a mean that the blocks leave unsure."""
 
@@ -214,6 +228,11 @@ def tables() -> Iterator[Table]:
         yield Table(f"skewed, {b} blocks", blocks(b, skewed), ("a",), 1.0, block=("s",))
     for b, k in ((5, 3), (5, 4), (6, 4), (8, 4)):
         yield Table(f"skewed, {b} blocks of {k}", many(b, k), ("a",), 1.0, block=("s",))
+    for k, sds, limit in ((5, (0.2, 1.5), 1.5), (5, (0.3, 0.6), 0.7), (6, (0.2, 1.5), 1.5)):
+        yield Table(f"Latin square of {k}, scatter {sds}", latin(k, sds, limit), ("a",), limit,
+                    block=("r", "c"))  # fmt: skip
+    yield Table("power, Latin square of 5", latin(5, (0.35, 0.35), 0.0), ("a",), 1.0,
+                ("no practical difference",), ("r", "c"), power=True)  # fmt: skip
     yield Table("rows copied", repeated, ("a",), 0.2)
     for b in (3, 5, 9):
         yield Table(f"share of the mean, {b} blocks", share(b), ("a",), "5 % of mean", block=("s",))

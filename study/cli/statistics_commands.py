@@ -70,9 +70,7 @@ Error = Annotated[
 Random = Annotated[
     str, typer.Option(help="With --error reml: factors whose effect differs between blocks.")
 ]
-Covariates = Annotated[
-    str, typer.Option(help="With --error reml: columns of numbers that the response follows.")
-]
+Covariates = Annotated[str, typer.Option(help="Columns of numbers that the response follows.")]
 ContrastsAsked = Annotated[
     list[str] | None,
     typer.Option(
@@ -188,7 +186,7 @@ def analyze(
     if numeric and surface != "none":
         _show_surfaces(source, names(numeric), surface, flags, as_json)
         return
-    if error == "reml":
+    if error == "reml" or (flags["--covariates"] and not (error or flags["--block"])):
         mixed: MixedOptions = {"contrasts": contrast or ()}
         if alpha is not None:
             mixed["alpha"] = alpha

@@ -106,7 +106,7 @@ def composed(values: Array, weights: Array, h: Array, formal: float | None, nois
     sizes = h.tolist()
     cells = np.moveaxis(values, -1, -2)
     ceiling = response_bounds(cells, sizes, formal, noise) @ np.abs(weights)
-    bound, _ = difference_bounds(values @ weights, sizes, formal)
+    bound = difference_bounds(values @ weights, sizes, formal)
     with np.errstate(invalid="ignore"):
         return np.minimum(np.maximum(bound, FLOOR * ceiling), ceiling)
 
@@ -120,7 +120,7 @@ def _inherited(
     refined = np.moveaxis(values[..., 2:], -1, -2)
     error, bound = limits(refined, h, formal[0], place)
     u = [
-        inherited_uncertainty(WEIGHTS, e, b).u if np.isfinite(b).all() else np.inf
+        inherited_uncertainty(WEIGHTS, e, b) if np.isfinite(b).all() else np.inf
         for e, b in zip(error, bound, strict=True)
     ]
     return values[:, place, :2] @ WEIGHTS, np.array(u)

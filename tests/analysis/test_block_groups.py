@@ -14,12 +14,6 @@ from study.statistics.analysis.anova import anova
 FULL = [pytest.mark.slow, pytest.mark.verify]
 
 
-@pytest.fixture(autouse=True)
-def _no_collection(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Skip the full garbage collection of statsmodels' multipletests, 0.09 s a call."""
-    monkeypatch.setattr("gc.collect", lambda *_: 0)
-
-
 def two_mixes(sizes: tuple[int, ...] = (4, 7), seed: int = 3) -> pd.DataFrame:
     """Two models scored on specimens of mixes that scatter differently."""
     rng = np.random.default_rng(seed)

@@ -187,18 +187,3 @@ def test_agreeing_triples_far_from_the_formal_order_are_not_asymptotic() -> None
     h = np.array([1.0, 2, 4, 8])
     result = grid_convergence(h, 3 + 0.01 * h**1.2, formal_order=2)
     assert "asymptotic" not in result.verdict
-
-
-@pytest.mark.parametrize(
-    ("values", "formal", "ratio"),
-    [
-        ([1.01, 1.04, 1.16], 2.0, 1 / 1.15),
-        ([1.01, 1.04, 1.16], None, 1 / 2),
-        ([1.0, 1.1, 0.9, 1.2], None, 1 / np.sqrt(3)),
-        ([1.0, 1.1, 0.9], None, 1 / np.sqrt(3)),
-    ],
-)
-def test_standard_uncertainty(values, formal, ratio) -> None:
-    h = 2.0 ** np.arange(len(values))
-    result = grid_convergence(h, values, formal_order=formal)
-    assert result.standard_uncertainty == pytest.approx(ratio * result.u_num)

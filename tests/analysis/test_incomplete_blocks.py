@@ -18,10 +18,9 @@ from study.statistics.analysis.analysis_request import (
     Threshold,
 )
 from study.statistics.analysis.anova import effects
-from study.statistics.analysis.incomplete_blocks import Sandwich
 from study.statistics.analysis.linear_model import CellLayout as Layout
 from study.statistics.analysis.linear_model import model_matrix
-from study.statistics.analysis.restricted_likelihood import fit_restricted
+from study.statistics.analysis.restricted_likelihood import Sandwich, fit_restricted
 from study.statistics.analysis.sums_of_squares import factor
 
 
@@ -94,14 +93,14 @@ def test_of_complete_blocks_the_sandwich_is_the_paired_difference() -> None:
     robust = sandwich(values.ravel(), code, layout)
     pairs = list(combinations(range(4), 2))
     columns = model_matrix(Layout(layout.levels, {"a": np.arange(4)}), [("a",)]).columns
-    rows = np.array([columns[i] - columns[j] for i, j in pairs]) @ robust.fixed.model.inverse
+    rows = np.array([columns[i] - columns[j] for i, j in pairs]) @ robust.fixed.inverse
     error, df = robust.errors(rows)
     paired = [stats.sem(values[:, i] - values[:, j]) for i, j in pairs]
     assert error == pytest.approx(paired, rel=1e-9)
     assert df == pytest.approx(np.full(6, 7.0), rel=1e-9)
     table = pd.DataFrame({"s": code, "a": cell, "y": values.ravel()})
     row = study.anova(table, "y", ["a"], block="s", exact=False).anova.row("a")
-    epsilon, p = robust.test(robust.fixed.model.space(1, "III").basis)
+    epsilon, p = robust.test(robust.fixed.space(1, "III").basis)
     assert (epsilon, p) == pytest.approx((row.epsilon_gg, row.p_gg), rel=1e-9)
 
 

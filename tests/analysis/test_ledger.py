@@ -49,7 +49,8 @@ def test_every_source_is_taken_and_says_what_its_p_answers(
     tested = [row.p is not None for row in result.anova.rows if row.term in ("a", "b", "a:b")]
     # Lenth's method is no F, but has its p; E4 and E7 have none
     assert any(tested) == (source not in ("E4", "E7"))
-    assert (REMEDIES in result.notes) == (source in ("E4", "E6", "E7"))
+    without_error = any(note.startswith(REMEDIES.split("{")[0]) for note in result.notes)
+    assert without_error == (source in ("E4", "E6", "E7"))
 
 
 def test_the_override_is_obeyed_and_reported() -> None:

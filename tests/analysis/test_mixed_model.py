@@ -519,3 +519,34 @@ def test_intervals_of_variances_cover_what_they_promise() -> None:
             inside[i] += low <= sd[i] <= high
     error = 2 * np.sqrt(0.05 * 0.95 / data_sets)
     assert np.all(np.abs(inside / data_sets - 0.95) < 0.02 + error), inside / data_sets
+
+
+def test_covariates_need_no_random_factor() -> None:
+    """Analysis of covariance by least squares, as statsmodels has it."""
+    random = np.random.default_rng(11)
+    table = pd.DataFrame({"a": np.repeat(list("xyz"), 8), "t": random.normal(20, 3, 24)})
+    table["y"] = 0.4 * table["t"] + (table["a"] == "z") + random.normal(0, 0.2, 24)
+    found = study.mixed_model(table, "y", ["a"], covariates=["t"], practical=0.4)
+    other = smf.ols("y ~ C(a) + t", table).fit()
+    (slope,) = found.slopes
+    low, high = other.conf_int().loc["t"]
+    assert (slope.value, slope.low, slope.high) == pytest.approx((other.params["t"], low, high))
+    term, covariate = found.terms
+    f = other.f_test("C(a)[T.y] = 0, C(a)[T.z] = 0")
+    assert (term.f, term.df_error, term.p) == pytest.approx((f.fvalue, 20, f.pvalue))
+    assert covariate.f == pytest.approx(other.tvalues["t"] ** 2)
+    (within,) = found.components
+    assert within.sd**2 == pytest.approx(other.scale)
+    assert found.effects[0].verdict == "matters"
+
+
+def test_unequal_scatter_withdraws_what_a_covariance_analysis_claims() -> None:
+    """Three rows that scatter widely, among forty that do not, are not pooled with them."""
+    random = np.random.default_rng(5)
+    code = np.repeat([0, 1, 2], [20, 20, 3])
+    table = pd.DataFrame({"a": np.array(list("xyz"))[code], "t": random.normal(0, 1, 43)})
+    table["y"] = table["t"] + random.normal(size=43) * np.array([0.2, 0.2, 1.2])[code]
+    found = study.mixed_model(table, "y", ["a"], covariates=["t"], practical=1.3)
+    (effect,) = found.effects
+    assert effect.verdict == "cannot tell"
+    assert "scatter unequally" in effect.why

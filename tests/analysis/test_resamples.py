@@ -40,12 +40,6 @@ def resampled(
     )  # fmt: skip
 
 
-@pytest.fixture(autouse=True)
-def _no_collection(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Skip the full garbage collection of statsmodels' multipletests, 0.09 s a call."""
-    monkeypatch.setattr("gc.collect", lambda *_: 0)
-
-
 @pytest.mark.slow
 @pytest.mark.verify
 def test_the_test_has_its_size_whatever_cells_have_in_common() -> None:

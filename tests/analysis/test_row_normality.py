@@ -6,7 +6,6 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from scipy.stats import rankdata
 
 from study.ground.arrays import Array
 from study.ground.errors import InputError
@@ -15,7 +14,6 @@ from study.statistics.analysis.linear_model import CellLayout as Layout
 from study.statistics.analysis.linear_model import grid, terms_of
 from study.statistics.analysis.normality import (
     block_share,
-    helmert,
     helmert_contrasts,
     row_normality,
     ryan_joiner,
@@ -31,12 +29,6 @@ LAYOUT = grid(
     NAMES,
 )
 TERMS = terms_of(NAMES)
-
-
-@pytest.fixture(autouse=True)
-def _no_collection(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Skip the full garbage collection of statsmodels' multipletests, 0.09 s a call."""
-    monkeypatch.setattr("gc.collect", lambda *_: 0)
 
 
 def draw(kind: str, rng: np.random.Generator, n: int, blocks: int) -> Array:
@@ -56,13 +48,6 @@ def rejections(kind: str, blocks: int, n: int, seed: int) -> float:
         for y in draw(kind, rng, n, blocks)
     ]
     return float(np.mean(found))
-
-
-@pytest.mark.parametrize("k", [2, 3, 5])
-def test_helmert_contrasts_are_orthonormal(k: int) -> None:
-    code = helmert(k)
-    assert code.T @ code == pytest.approx(np.eye(k - 1), abs=1e-12)
-    assert code.sum(axis=0) == pytest.approx(np.zeros(k - 1), abs=1e-12)
 
 
 def test_contrasts_of_all_terms_are_one_rotation() -> None:
@@ -166,18 +151,12 @@ def test_levene_by_monte_carlo_is_the_tools_own() -> None:
     assert found.p_monte_carlo == pytest.approx((1 + count) / (null.size + 1))
 
 
-@pytest.mark.parametrize("each", [5, 6, 10])
+@pytest.mark.parametrize("each", [3, 5, 6, 10])
 def test_levene_by_monte_carlo_has_the_size_it_claims(each: int) -> None:
     """Bar 7: 20,000 data sets."""
     size = levene_size(each, 20_000, 81)
     print(f"Levene, {each} a group: {size:.4f}")
     assert 0.043 <= size <= 0.057
-
-
-def test_scores_of_rows_need_no_ranks_without_ties() -> None:
-    row = np.random.default_rng(9).standard_normal(8)
-    assert np.unique(rankdata(row)).size == 8
-    assert row_normality({"A": row[None]}).rows[0].rj == pytest.approx(statistic(row))
 
 
 def test_the_share_of_a_block_among_thousands_takes_little_memory() -> None:

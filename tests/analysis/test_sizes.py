@@ -27,7 +27,6 @@ from study.statistics.analysis.normality import (
     simulated_rj,
 )
 from study.statistics.analysis.strata import Crossed, cell_fit, own_terms
-from study.statistics.analysis.unreplicated import lenth, pseudo_standard_error
 
 pytestmark = [pytest.mark.slow, pytest.mark.verify]
 CROSSED = Path(__file__).resolve().parents[2] / "validation" / "statistics" / "crossed.csv"
@@ -77,20 +76,6 @@ def test_exact_ryan_joiner_holds_its_size(name: str) -> None:
     size = 100 * float(np.mean(p <= 0.05))
     report(f"Ryan-Joiner p_exact, {name}, {observed.size} null designs", 5, size)
     assert size == pytest.approx(5, abs=0.3)
-
-
-@pytest.mark.parametrize("m", [3, 7, 15])
-def test_lenth_limits_hold_their_size(m: int) -> None:
-    """100,000 null studies; the simulated limits themselves have an sd of 0.1 to 0.15 %."""
-    z = np.random.default_rng(5).standard_normal((100_000, m))
-    ratio = np.abs(z) / pseudo_standard_error(z)[:, None]
-    limits = lenth(z[0])
-    single = 100 * float(np.mean(ratio > limits.me / limits.pse))
-    together = 100 * float(np.mean(ratio.max(axis=1) > limits.sme / limits.pse))
-    report(f"Lenth ME, m = {m}", 5, single)
-    report(f"Lenth SME, m = {m}", 5, together)
-    assert single == pytest.approx(5, abs=0.3)
-    assert together == pytest.approx(5, abs=0.6)
 
 
 # How the four materials scatter over specimens beyond the specimen itself: a poor model most,

@@ -11,7 +11,7 @@ from scipy.stats import ttest_ind
 
 from study.ground.arrays import Array
 from study.ground.errors import InputError
-from study.statistics.analysis.comparisons import holm, holm_family
+from study.statistics.analysis.comparisons import holm_family
 from study.statistics.analysis.linear_model import CellLayout as Layout
 from study.statistics.analysis.linear_model import grid, terms_of
 from study.statistics.analysis.normality import helmert, helmert_contrasts
@@ -20,12 +20,6 @@ from study.statistics.analysis.strata import common_seeds
 from study.statistics.analysis.sums_of_squares import epsilon_gg
 
 DIFFERENCE = np.array([1.0, -1.0])
-
-
-@pytest.fixture(autouse=True)
-def _no_collection(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Skip the full garbage collection of statsmodels' multipletests, 0.09 s a call."""
-    monkeypatch.setattr("gc.collect", lambda *_: 0)
 
 
 def p_of_one_group(rows: Array) -> float:
@@ -175,13 +169,6 @@ def table_rates(spherical: bool, n: int, seed: int) -> tuple[float, float]:
         family = holm_family({"y": p})
         familywise += any(t.p_holm is not None and t.p_holm < 0.05 for t in family)
     return float(raw.max() / n), familywise / n
-
-
-def test_holm_is_its_definition() -> None:
-    p = np.random.default_rng(61).uniform(size=7) ** 3
-    order = np.argsort(p)
-    steps = np.minimum(1, np.maximum.accumulate((7 - np.arange(7)) * p[order]))
-    assert holm(p)[order] == pytest.approx(steps, abs=1e-12)
 
 
 def test_a_table_holds_its_familywise_error() -> None:

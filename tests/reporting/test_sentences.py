@@ -27,7 +27,7 @@ from study.statistics.analysis.analysis_result import (
 )
 from study.statistics.analysis.anova_table import Anova, Effect, ErrorTerm, SimpleEffect
 from study.statistics.analysis.assumptions import Assumptions
-from study.statistics.analysis.equal_variance import BartlettResult, LeveneResult
+from study.statistics.analysis.equal_variance import SpreadTest
 from study.statistics.analysis.normality import RyanJoinerResult
 from study.statistics.analysis.simple_effects import (
     CANNOT_TELL,
@@ -146,7 +146,7 @@ def test_normality_is_rejected_or_not_rejected(exact, printed, rejected):
 
 
 def test_tests_that_do_not_apply_say_why():
-    missing = BartlettResult(None, None, None, False, "group a has zero variance")
+    missing = SpreadTest(None, None, None, False, "group a has zero variance")
     tested = replace(with_result(error(), Assumptions(bartlett=missing)), terms=(effect(MATTERS),))
     found = {check.name: check for check in analysis_content.all_checks(EMPTY, (tested,))}
     normal, spread = (
@@ -163,7 +163,7 @@ def test_tests_that_do_not_apply_say_why():
 
 
 def test_monte_carlo_p_decides_the_spread():
-    found = LeveneResult(9.0, (3, 20), 0.03, True, p_monte_carlo=0.2)
+    found = SpreadTest(9.0, (3, 20), 0.03, True, p_monte_carlo=0.2)
     assert not verdicts.rejects(found)
     tested = replace(with_result(error(), Assumptions(levene=found)), terms=(effect(MATTERS),))
     (check,) = [
@@ -173,8 +173,8 @@ def test_monte_carlo_p_decides_the_spread():
 
 
 def test_methods_name_the_tests_that_ran_and_no_other():
-    levene = LeveneResult(9.0, (3, 20), 0.03, True, p_monte_carlo=0.2)
-    missing = BartlettResult(None, None, None, False, "group a has zero variance")
+    levene = SpreadTest(9.0, (3, 20), 0.03, True, p_monte_carlo=0.2)
+    missing = SpreadTest(None, None, None, False, "group a has zero variance")
     tests = Assumptions(bartlett=missing, levene=levene)
     one = replace(with_result(error(), tests), terms=(effect(MATTERS),))
     none = replace(with_result(modulus(), Assumptions()), terms=(effect(MATTERS),))

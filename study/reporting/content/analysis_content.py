@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from study.statistics.analysis.analysis_result import AnalysisResult
     from study.statistics.analysis.anova_table import NestedUnits
     from study.statistics.analysis.comparisons import Comparisons
+    from study.statistics.analysis.equal_variance import SpreadTest
     from study.statistics.analysis.linear_contrast import Contrast
     from study.statistics.analysis.mixed_model import MixedModel
     from study.statistics.analysis.post_hoc import (
@@ -664,7 +665,7 @@ def _normality(facts: Facts, alpha: float) -> Check:
     )
 
 
-def _untested(tests: Mapping[str, verdicts.SpreadTest]) -> str:
+def _untested(tests: Mapping[str, SpreadTest]) -> str:
     """Why neither test of the spread applies."""
     reasons = [reason for reason in dict.fromkeys(test.reason for test in tests.values()) if reason]
     why = listing(reasons) if reasons else "they were not run"

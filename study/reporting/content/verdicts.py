@@ -32,7 +32,7 @@ from study.reporting.content.report_facts import Facts, cells, practical_of
 from study.reporting.content.text import clean, count, listing, name_of, sentence, term_name
 from study.reporting.results.study_result import ReportData
 from study.statistics.analysis.anova_table import Effect, SimpleEffect
-from study.statistics.analysis.equal_variance import BartlettResult, LeveneResult
+from study.statistics.analysis.equal_variance import SpreadTest
 from study.statistics.analysis.simple_effects import (
     CANNOT_TELL,
     MATTERS,
@@ -41,7 +41,6 @@ from study.statistics.analysis.simple_effects import (
 )
 
 Labels = Mapping[str, str] | None
-SpreadTest = BartlettResult | LeveneResult
 
 #: *matters* where the average over the other factors does not
 MATTERS_AT_SETTINGS = "matters at some settings"

@@ -84,16 +84,16 @@ def threshold(practical: Practical) -> Threshold | None:
     if practical is None or isinstance(practical, Threshold):
         return practical
     if isinstance(practical, str):
-        found = _parse(practical)
+        difference = _parse(practical)
     elif isinstance(practical, int | float):
-        found = Threshold(float(practical))
+        difference = Threshold(float(practical))
     else:
         relative, value = bool(practical.relative), float(practical.value)
         percent = relative and "%" in practical.unit
-        found = Threshold(value / 100 if percent else value, relative)
-    if not (math.isfinite(found.value) and found.value > 0):
+        difference = Threshold(value / 100 if percent else value, relative)
+    if not (math.isfinite(difference.value) and difference.value > 0):
         raise InputError(Fault("practical", f"must be a positive difference, got {practical!r}"))
-    return found
+    return difference
 
 
 def _parse(text: str) -> Threshold:
@@ -157,12 +157,12 @@ class Blocking:
 
     def faults(self) -> list[Fault]:
         """List every breach of the rules."""
-        found = _not_one_of("replicates", self.replicates, ("auto", "runs", "mesh-seeds", "noise"))
-        found += _not_one_of("copies", self.copies, ("refuse", "independent"))
+        faults = _not_one_of("replicates", self.replicates, ("auto", "runs", "mesh-seeds", "noise"))
+        faults += _not_one_of("copies", self.copies, ("refuse", "independent"))
         if self.whole_plot and len(self.block) != 1:
             rule = "needs the block in which the plots lie, one column"
-            found.append(Fault("whole plot", rule))
-        return found
+            faults.append(Fault("whole plot", rule))
+        return faults
 
 
 @dataclass(frozen=True)
@@ -184,22 +184,22 @@ class ResponseScale:
 
     def faults(self) -> list[Fault]:
         """List every breach of the rules."""
-        found = _not_one_of("transform", self.transform, ("none", "log"))
+        faults = _not_one_of("transform", self.transform, ("none", "log"))
         if isinstance(self.u_num, Mapping):
-            found += [f for name, u in self.u_num.items() for f in _unusable(f"u_num {name}", u)]
+            faults += [f for name, u in self.u_num.items() for f in _unusable(f"u_num {name}", u)]
         elif isinstance(self.u_num, int | float):
-            found += _unusable("u_num", self.u_num)
-        return found
+            faults += _unusable("u_num", self.u_num)
+        return faults
 
     def bound(self, terms: Iterable[str], unit: float) -> NumericalBound | None:
         """Numerical uncertainty of every difference, on the working scale."""
         if not isinstance(self.u_num, Mapping):
             return bound_of(self.u_num, unit)
-        known = list(terms)
-        strange = [name for name in self.u_num if name not in known]
+        names = list(terms)
+        strange = [name for name in self.u_num if name not in names]
         if strange:
             raise InputError(
-                [Fault("u_num", f"{n!r} is no term", nearest(n, known)) for n in strange]
+                [Fault("u_num", f"{n!r} is no term", nearest(n, names)) for n in strange]
             )
         return bound_of({n: float(u) for n, u in self.u_num.items() if u is not None}, unit)
 
@@ -252,6 +252,13 @@ class AnalysisRequest:
     def interval_seed(self) -> int | None:
         """Seed of simultaneous intervals; None where they are not simulated."""
         return self.seed if self.simulated else None
+
+    @property
+    def lower_order(self) -> int:
+        """Highest order of a smaller model, at most two; 0 where none of fewer terms has a name."""
+        order = self.model if isinstance(self.model, int) else len(self.factors)
+        ordered = self.model == "full" or isinstance(self.model, int)
+        return min(2, order - 1, len(self.factors) - 1) if ordered else 0
 
     def __post_init__(self) -> None:
         faults = [
@@ -374,18 +381,18 @@ def scale_of(out: AnalysisOutcome, y: Array) -> Scale:
 
     Shapes: y (n,).
     """
-    asked = out.request.scale
-    mean = float(np.exp(y.mean())) if asked.is_log else float(y.mean())
-    limit = asked.practical
-    practical = None if limit is None else limit.on_scale(mean, asked.transform)
-    unit = 1 / mean if asked.is_log else 1.0
-    bound = asked.bound(map(term_name, out.terms), unit)
+    scale = out.request.scale
+    mean = float(np.exp(y.mean())) if scale.is_log else float(y.mean())
+    limit = scale.practical
+    practical = None if limit is None else limit.on_scale(mean, scale.transform)
+    unit = 1 / mean if scale.is_log else 1.0
+    bound = scale.bound(map(term_name, out.terms), unit)
     specimens = out.request.specimens
     measured = out.replicates not in ("mesh-seeds", "noise")
     if specimens is None and out.data.block is not None and measured:
         specimens = len(out.data.layout.levels[out.data.block])
     return Scale(
-        asked.transform,
+        scale.transform,
         practical,
         bound,
         out.request.records and out.data.block is None,
@@ -407,7 +414,7 @@ def range_of_bounds(out: AnalysisOutcome, scale: Scale) -> tuple[float | None, f
         for (name,) in (term for term in out.terms if len(term) == 1)
         for first, second in combinations(out.data.layout.levels[name][:MOST_LEVELS], 2)
     )
-    known = [u for pair in pairs if (u := scale.bound.of(*pair))]
-    if not known:
+    bounds = [u for pair in pairs if (u := scale.bound.of(*pair))]
+    if not bounds:
         return None, None
-    return min(known) / scale.unit, max(known) / scale.unit
+    return min(bounds) / scale.unit, max(bounds) / scale.unit

@@ -111,20 +111,6 @@ class AnalysisResult:
         """Effect of a term."""
         return next(item for item in self.effects if item.term == term)
 
-    def effects_frame(self) -> pd.DataFrame:
-        """Effects as a frame, one row a level or combination: mean, interval, letters."""
-        import pandas as pd
-
-        rows = []
-        for effect in self.effects:
-            for i, (level, mean) in enumerate(zip(effect.levels, effect.mean, strict=True)):
-                low, high = (None, None) if effect.mean_ci95 is None else effect.mean_ci95[i]
-                letters = effect.letters[i] if effect.letters else None
-                values = (effect.term, level, mean, low, high, letters, effect.verdict)
-                rows.append(values)
-        columns = ["term", "level", "mean", "low", "high", "letters", "verdict"]
-        return pd.DataFrame(rows, columns=columns)
-
     def to_json(self) -> dict[str, object]:
         """Document of ``study analyze --json``: JSON types only, never a bare NaN."""
         lenth = self.variation.lenth

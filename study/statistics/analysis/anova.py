@@ -34,7 +34,6 @@ from study.statistics.analysis.anova_table import Effect
 from study.statistics.analysis.assumptions import (
     add_robustness,
     assumptions_of,
-    diagnose,
     is_representative,
 )
 from study.statistics.analysis.data import (
@@ -80,8 +79,8 @@ if TYPE_CHECKING:
 
 def assemble(out: AnalysisOutcome) -> AnalysisResult:
     """Check assumptions and freeze the result."""
-    found = diagnose(out)
-    out = out.warn(*found.warnings, *_inestimable(out.effects))
+    assumptions, warnings = assumptions_of(out)
+    out = replace(out, warnings=warnings).warn(*_inestimable(out.effects))
     fit = out.fit if out.fit is not None and out.fit.df_residual > 0 else None
     groups_of = out.copies.groups
     if len(groups_of) < sum(len(g) for g in groups_of) and out.error is not _NO_ERROR:
@@ -102,7 +101,7 @@ def assemble(out: AnalysisOutcome) -> AnalysisResult:
             out.scale.bound is not None and not isinstance(out.scale.bound, OneBound),
             _power(out),
         ),
-        assumptions_of(out, found),
+        assumptions,
         _summary_of_data(out, None if fit is None else fit.columns),
         tuple(dict.fromkeys(out.warnings)),
     )
@@ -126,15 +125,17 @@ def _summary_of_data(out: AnalysisOutcome, model_matrix: Array | None) -> DataSu
 
 def _inestimable(effects: Sequence[Effect]) -> list[str]:
     """One sentence for every term some of whose means cannot be estimated."""
-    found = []
+    sentences = []
     for effect in effects:
         lost = [
             level for level, mean in zip(effect.levels, effect.mean, strict=True) if mean is None
         ]
         if lost:
             more = f" and {len(lost) - 5} more" if len(lost) > 5 else ""
-            found.append(f"{effect.term}: the mean is not estimable at {', '.join(lost[:5])}{more}")
-    return found
+            sentences.append(
+                f"{effect.term}: the mean is not estimable at {', '.join(lost[:5])}{more}"
+            )
+    return sentences
 
 
 def _power(out: AnalysisOutcome) -> dict[str, tuple[PowerRow, ...]]:
@@ -150,9 +151,9 @@ def _power(out: AnalysisOutcome) -> dict[str, tuple[PowerRow, ...]]:
     n = round(float(cells.mean())) if blocks is None else blocks
     names = [f for f in out.data.factors if (f,) in out.terms]
     terms = {f: (out.anova.row(f), len(out.data.layout.levels[f])) for f in names}
-    asked, blocked = out.request, blocks is not None
-    ratio = asked.scale.is_log
-    return planned(terms, n, cells.size, blocked=blocked, alpha=asked.alpha, ratio=ratio)
+    request, blocked = out.request, blocks is not None
+    ratio = request.scale.is_log
+    return planned(terms, n, cells.size, blocked=blocked, alpha=request.alpha, ratio=ratio)
 
 
 def _shares(out: AnalysisOutcome) -> dict[str, float]:
@@ -215,8 +216,8 @@ def _residual_frame(out: AnalysisOutcome) -> pd.DataFrame:
         frame["block"] = [labels[c] for c in data.layout.codes[data.block]]
     if out.fit is not None:
         frame["fitted"], frame["residual"] = out.fit.fitted, out.fit.residual
-        found = influence(out.fit)
-        frame["leverage"], frame["cook"] = found.leverage, found.cook
+        of_rows = influence(out.fit)
+        frame["leverage"], frame["cook"] = of_rows.leverage, of_rows.cook
     for f in data.factors:
         if f not in frame:
             frame[f] = [data.layout.levels[f][c] for c in data.layout.codes[f]]
@@ -239,10 +240,10 @@ def analyze(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisResult:
     if inner is not None:
         return _with_nested(table, request, *inner)
     if request.layout.unit is not None:
-        found = _with_units(table, request, request.layout.unit)
+        result = _with_units(table, request, request.layout.unit)
     else:
-        found = _complete(table, request)
-    return found.noted(note) if note else found
+        result = _complete(table, request)
+    return result.noted(note) if note else result
 
 
 @one_thread
@@ -430,9 +431,9 @@ def _complete(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisResult:
     if not out.data.missing:
         return result
 
-    found = failures.bounds(table, request, out.effects, refound)
-    notes = failures.sentences(found, out.data.missing)
-    return replace(result, data=replace(result.data, bounds=found)).noted(*notes)
+    failure_bounds = failures.bounds(table, request, out.effects, refound)
+    notes = failures.sentences(failure_bounds, out.data.missing)
+    return replace(result, data=replace(result.data, bounds=failure_bounds)).noted(*notes)
 
 
 def _nested_factor(table: pd.DataFrame, request: AnalysisRequest) -> tuple[str, str] | None:
@@ -449,9 +450,9 @@ def _nested_factor(table: pd.DataFrame, request: AnalysisRequest) -> tuple[str, 
     depth = {name: sum(inner == name for inner, _ in pairs) for name in request.factors}
     chain = sorted(request.factors, key=lambda name: depth[name])
     terms = ",".join(":".join(chain[: k + 1]) for k in range(len(chain)))
-    said = ", ".join(f"{inner} lies within {outer}" for inner, outer in pairs)
+    nesting = ", ".join(f"{inner} lies within {outer}" for inner, outer in pairs)
     raise RefusedError(
-        f"{said}: name the strata. --model {terms} tests each against the rows within; "
+        f"{nesting}: name the strata. --model {terms} tests each against the rows within; "
         f"--factors {chain[0]} --unit {chain[1]} tests {chain[0]} against {chain[1]}"
     )
 
@@ -465,8 +466,8 @@ def _with_nested(
     terms = tuple(t for t in terms_of(request.factors) if inner not in t or outer in t)
     within = replace(request, model=[list(t) for t in terms], sums="auto")
     rows = _found(table, within)
-    found = _with_units(table, upper, inner)
-    tested = {row.term: row for row in found.anova.rows}
+    result = _with_units(table, upper, inner)
+    tested = {row.term: row for row in result.anova.rows}
     error = f"{outer}:{inner}"
     listed = []
     for row in rows.anova.rows:
@@ -483,7 +484,7 @@ def _with_nested(
         f"{inner} lies within {outer} (levels with names of their own): {outer} is tested against "
         f"{inner}, and {inner} against the rows within, as --model {outer},{error}"
     )
-    return replace(found, anova=replace(rows.anova, rows=tuple(listed))).noted(note)
+    return replace(result, anova=replace(rows.anova, rows=tuple(listed))).noted(note)
 
 
 def _with_units(table: pd.DataFrame, request: AnalysisRequest, unit: str) -> AnalysisResult:
@@ -491,22 +492,22 @@ def _with_units(table: pd.DataFrame, request: AnalysisRequest, unit: str) -> Ana
     means = strata.average_units(table, request, unit, request.layout.block)
     result = _complete(means, request)
     if result.error_term.source == "E0":
-        asked = replace(
+        between_units = replace(
             result.error_term,
             question=f"would the effect show with other levels of {unit}? (scatter between them "
             "within a cell)",
             reason=f"cells hold several levels of {unit}; the rows of each are averaged",
         )
-        result = replace(result, error_term=asked)
+        result = replace(result, error_term=between_units)
     rows = _found(table, request)
     if rows.data.missing:
         lost = tuple(w for w in rows.data.warnings if w not in result.notes)
         result = replace(result, notes=(*lost, *result.notes))
-    found = strata.compare_naive(table, request, unit, result.anova, rows.anova)
-    if found is None:
+    nested = strata.compare_naive(table, request, unit, result.anova, rows.anova)
+    if nested is None:
         return result
-    notes = strata.sentences(found, request.alpha)
-    return replace(result, data=replace(result.data, nested=found)).noted(*notes)
+    notes = strata.sentences(nested, request.alpha)
+    return replace(result, data=replace(result.data, nested=nested)).noted(*notes)
 
 
 def _found(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisOutcome:
@@ -538,8 +539,8 @@ def _found(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisOutcome:
     computed = request.records or out.tolerance > 0
     out = replace(out, copies=copies_of(data, within, computed=computed))
     declared = data.also or (request.layout.whole_plot and request.error == "auto")
-    how = error_ledger.method(request.error, None if declared else data.block)
-    if how == error_ledger.OWN:
+    # pooled over unequal variances the test of a true null rejects in up to .48 of cases
+    if data.block is not None and not declared and request.error != "pooled":
         mixed = incomplete_blocks(out) if plots is None else None
         if mixed is not None:
             return mixed
@@ -603,22 +604,24 @@ def _with_empty_cells(
     model = factorize(model_matrix(data.layout.take(cells), terms))
     if model.is_full or nested_in(terms):
         return replace(structure, empty_cells=0), terms
-    kept = tuple(
+    told_apart = tuple(
         t for i, t in enumerate(model.matrix.terms) if t and model.space(i, "I").basis.shape[1]
     )
-    reduced = factorize(model_matrix(data.layout.take(cells), kept))
-    if len(kept) < len(terms) and reduced.is_full and reduced.is_orthogonal():
+    reduced = factorize(model_matrix(data.layout.take(cells), told_apart))
+    if len(told_apart) < len(terms) and reduced.is_full and reduced.is_orthogonal():
         return replace(structure, empty_cells=0), terms
     ordered = request.model == "full" or isinstance(request.model, int)
-    if len(kept) == len(terms) or not ordered or not request.any_type:
+    if len(told_apart) == len(terms) or not ordered or not request.any_type:
         return structure, terms
-    lost = [term_name(t) for t in terms if t not in kept]
+    lost = [term_name(t) for t in terms if t not in told_apart]
     listed = ", ".join(lost[:8]) + (f" and {len(lost) - 8} more" if len(lost) > 8 else "")
-    said = (
+    order = request.lower_order
+    smaller = f"--model {order}, or the terms" if order else "--model with the terms"
+    reason = (
         f"{listed}: left out, for these runs cannot tell them from the terms before them; declare "
-        "which are negligible to have the others judged (--model 2, or the terms)"
+        f"which are negligible to have the others judged ({smaller})"
     )
-    return replace(structure, undecided=said, asked=terms), kept
+    return replace(structure, undecided=reason, asked=terms), told_apart
 
 
 def _replicates(table: pd.DataFrame, data: Data, request: AnalysisRequest) -> str:

@@ -227,8 +227,8 @@ class Effect:
         pairs = list(zip(self.levels, self.mean, strict=False))
         if self.largest is not None and any(mean is None for _, mean in pairs):
             return self.largest[side]
-        known = [(level, mean) for level, mean in pairs if mean is not None]
-        return (min if side else max)(known, key=lambda pair: pair[1])[0]
+        estimated = [(level, mean) for level, mean in pairs if mean is not None]
+        return (min if side else max)(estimated, key=lambda pair: pair[1])[0]
 
     @property
     def largest_simple(self) -> SimpleEffect | None:
@@ -256,9 +256,11 @@ class Effect:
             return math.log(self.low) - u > math.log(self.practical)
         return self.low - u > self.practical
 
-    def distance(self, one: SimpleEffect) -> float:
+    def distance(self, simple_effect: SimpleEffect) -> float:
         """How far a simple effect is from no difference, on the scale of the analysis."""
-        return abs(math.log(one.difference) if self.is_ratio else one.difference)
+        return abs(
+            math.log(simple_effect.difference) if self.is_ratio else simple_effect.difference
+        )
 
 
 @dataclass(frozen=True)

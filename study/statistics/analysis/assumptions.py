@@ -18,9 +18,8 @@ from study.statistics.analysis.analysis_request import AnalysisOutcome
 from study.statistics.analysis.anova_table import AnalysisSensitivity, BoxCoxResult, WaldTest
 from study.statistics.analysis.data import Crossed, Data
 from study.statistics.analysis.equal_variance import (
-    BartlettResult,
-    LeveneResult,
     ResidualDesign,
+    SpreadTest,
     bartlett,
     fligner,
     levene,
@@ -72,8 +71,8 @@ class Assumptions:
 
     normality: RyanJoinerResult | None = None
     normality_rows: tuple[RowTest, ...] = ()
-    bartlett: BartlettResult | None = None
-    levene: LeveneResult | None = None
+    bartlett: SpreadTest | None = None
+    levene: SpreadTest | None = None
     #: Statistic and p of Fligner and Killeen's test.
     fligner: tuple[float, float] | None = None
     sphericity: dict[str, SphericityResult] = field(default_factory=dict)
@@ -86,7 +85,7 @@ class Assumptions:
     box_cox: BoxCoxResult | None = None
 
     @property
-    def spread(self) -> dict[str, BartlettResult | LeveneResult]:
+    def spread(self) -> dict[str, SpreadTest]:
         """Tests of equal spread that were run, by name."""
         tests = {"bartlett": self.bartlett, "levene": self.levene}
         return {name: test for name, test in tests.items() if test is not None}
@@ -109,24 +108,22 @@ class Assumptions:
         }
 
 
-def assumptions_of(out: AnalysisOutcome, found: Diagnostics) -> Assumptions:
-    """Gather what the analysis assumes and how it was tested."""
+def assumptions_of(out: AnalysisOutcome) -> tuple[Assumptions, tuple[str, ...]]:
+    """Run the tests of what an analysis assumes; its warnings come with theirs."""
+    tests, warnings = _normality_and_spread(out)
     fit = out.fit if out.fit is not None and out.fit.df_residual > 0 else None
-    residual = None if fit is None else fit.residual
-    return Assumptions(
-        normality=found.normality,
-        normality_rows=found.rows,
-        bartlett=found.bartlett,
-        levene=found.levene,
-        fligner=found.fligner,
-        sphericity=out.sphericity,
-        non_additivity=None if fit is None else non_additivity(fit),
-        anderson_darling=None if residual is None else anderson_darling(residual),
-        shapiro_wilk=None if residual is None else shapiro_wilk(residual),
-        influence=None if fit is None else influential(fit),
-        robustness=out.robustness,
-        box_cox=out.box_cox,
+    if fit is not None:
+        tests = replace(
+            tests,
+            non_additivity=non_additivity(fit),
+            anderson_darling=anderson_darling(fit.residual),
+            shapiro_wilk=shapiro_wilk(fit.residual),
+            influence=influential(fit),
+        )
+    tests = replace(
+        tests, sphericity=out.sphericity, robustness=out.robustness, box_cox=out.box_cox
     )
+    return tests, warnings
 
 
 # -------------------------------------------------------------------------------------------------
@@ -146,63 +143,48 @@ SHARE_P = 0.05
 _OWN = "each effect is tested against its own interaction with the blocks, whose spreads may differ"
 
 
-@dataclass(frozen=True)
-class Diagnostics:
-    """Tests of the assumptions; ``rows`` holds those of single contrasts over blocks."""
-
-    normality: RyanJoinerResult | None
-    bartlett: BartlettResult | None
-    levene: LeveneResult | None
-    warnings: tuple[str, ...]
-    rows: tuple[RowTest, ...] = ()
-    fligner: tuple[float, float] | None = None
-
-
-def diagnose(out: AnalysisOutcome) -> Diagnostics:
-    """Check the assumptions that the tests of an analysis rest on."""
+def _normality_and_spread(out: AnalysisOutcome) -> tuple[Assumptions, tuple[str, ...]]:
+    """Check normality and equal spread; the warnings come with theirs."""
     if out.crossed is not None and out.replicates != "noise":
-        return _by_contrast(out, out.crossed)
+        tests, warnings = _by_contrast(out, out.crossed)
+        return tests, (*out.warnings, *warnings)
     out, normality, groups = _of_residuals(out)
     equal, spread = _spread_tests(out, groups)
     warnings = (*out.warnings, *_inapplicable(bartlett=equal, levene=spread))
     rank = None if groups is None or groups.approximate else fligner(groups.groups)
-    return Diagnostics(normality, equal, spread, warnings, fligner=rank)
+    return Assumptions(normality, bartlett=equal, levene=spread, fligner=rank), warnings
 
 
-def _by_contrast(out: AnalysisOutcome, table: Crossed) -> Diagnostics:
+def _by_contrast(out: AnalysisOutcome, table: Crossed) -> tuple[Assumptions, tuple[str, ...]]:
     """Test each contrast over the blocks, and find the block that carries most of them."""
-    unequal = (
-        BartlettResult(None, None, None, False, _OWN),
-        LeveneResult(None, None, None, False, _OWN),
-    )
-    warnings = _inapplicable(bartlett=unequal[0], levene=unequal[1])
+    none = SpreadTest(None, None, None, False, _OWN)
+    unequal = Assumptions(bartlett=none, levene=none)
+    warnings = _inapplicable(bartlett=none, levene=none)
     try:
         contrasts = helmert_contrasts(table.layout, out.terms, table.y)
     except InputError:
         why = "normality: not applicable: a combination of levels is missing"
-        return Diagnostics(None, *unequal, (*warnings, why))
+        return unequal, (*warnings, why)
     tolerance = out.working_tolerance() / 10
-    found = row_normality(
+    tested = row_normality(
         contrasts, tolerance=tolerance, alpha=out.request.alpha, seed=out.request.seed
     )
-    if found.p is None:
-        return Diagnostics(
-            None, *unequal, (*warnings, f"normality: not applicable: {found.warning}")
-        )
-    if found.warning:
-        warnings.append(f"Ryan-Joiner over blocks: {found.warning}")
+    if tested.p is None:
+        return unequal, (*warnings, f"normality: not applicable: {tested.warning}")
+    if tested.warning:
+        warnings.append(f"Ryan-Joiner over blocks: {tested.warning}")
     warnings += _heavy_block(contrasts, tolerance, table.blocks, out)
-    worst = min(found.rows, key=lambda row: row.p)
+    worst = min(tested.rows, key=lambda row: row.p)
     values = contrasts[worst.term][worst.contrast]
-    one = ryan_joiner(values, seed=out.request.seed, exact=False, alpha=out.request.alpha)
-    decision = f"{'rejected' if found.rejected else 'not rejected'} at {out.request.alpha:g}"
+    of_worst = ryan_joiner(values, seed=out.request.seed, exact=False, alpha=out.request.alpha)
+    decision = f"{'rejected' if tested.rejected else 'not rejected'} at {out.request.alpha:g}"
     summary = replace(
-        one,
-        p_exact=found.p,
-        decision=f"normality {decision}: the smallest of {len(found.rows)} "
-        f"contrasts over {found.blocks} blocks, {worst.term}, p times their number {found.p:.3g}",
+        of_worst,
+        p_exact=tested.p,
+        decision=f"normality {decision}: the smallest of {len(tested.rows)} "
+        f"contrasts over {tested.blocks} blocks, {worst.term}, p times their number {tested.p:.3g}",
     )
-    return Diagnostics(summary, *unequal, tuple(warnings), found.rows)
+    return replace(unequal, normality=summary, normality_rows=tested.rows), tuple(warnings)
 
 
 def _heavy_block(
@@ -225,7 +207,7 @@ def is_representative(out: AnalysisOutcome) -> Flags:
     return np.isin(out.data.cell, out.copies.representatives)
 
 
-def _inapplicable(**tests: BartlettResult | LeveneResult | None) -> list[str]:
+def _inapplicable(**tests: SpreadTest | None) -> list[str]:
     return [
         f"{name}: not applicable: {test.reason}"
         for name, test in tests.items()
@@ -235,7 +217,7 @@ def _inapplicable(**tests: BartlettResult | LeveneResult | None) -> list[str]:
 
 def _spread_tests(
     out: AnalysisOutcome, groups: error_ledger.CellGroups | None
-) -> tuple[BartlettResult | None, LeveneResult | None]:
+) -> tuple[SpreadTest | None, SpreadTest | None]:
     if groups is None:
         return None, None
     # residuals of a blocked fit are correlated: their own design is simulated
@@ -262,19 +244,19 @@ def _ryan_joiner(
     out: AnalysisOutcome, fit: Factored | TwoWayFit
 ) -> tuple[AnalysisOutcome, RyanJoinerResult]:
     """Ryan-Joiner of the residuals; of many a random sample, which is said."""
-    asked, n = out.request, fit.residual.size
+    request, n = out.request, fit.residual.size
     if n <= MOST_TESTED:
         return out, ryan_joiner(
             fit.residual,
             model_matrix=fit.columns,
-            seed=asked.seed,
-            exact=asked.exact,
-            alpha=asked.alpha,
+            seed=request.seed,
+            exact=request.exact,
+            alpha=request.alpha,
         )
     # among so many rows a few residuals are as independent as a plain sample
-    chosen = np.random.default_rng(asked.seed).choice(n, MOST_TESTED, replace=False)
+    chosen = np.random.default_rng(request.seed).choice(n, MOST_TESTED, replace=False)
     sample = fit.residual[np.sort(chosen)]
-    result = ryan_joiner(sample, seed=asked.seed, exact=asked.exact, alpha=asked.alpha)
+    result = ryan_joiner(sample, seed=request.seed, exact=request.exact, alpha=request.alpha)
     note = (
         f"Ryan-Joiner tests a random {MOST_TESTED:,} of the {n:,} residuals: with more, departures "
         "from normality that change no conclusion are found as well"
@@ -398,7 +380,7 @@ def sensitivity_of(
     Ordinary F (Type III), HC3 Wald, Welch-James, and the F of the log response where it is
     positive.
     """
-    found: dict[str, Mapping[str, float | None]] = {
+    p: dict[str, Mapping[str, float | None]] = {
         "ordinary F": _ordinary(fit),
         "HC3 Wald": {k: w.p for k, w in hc3(fit).items()},
         "Welch-James": {
@@ -406,8 +388,8 @@ def sensitivity_of(
         },
     }
     if data.y.min() > 0:
-        found["F of the log"] = _ordinary(fitted(fit.model, np.log(data.y)))
-    return side_by_side([term_name(t) for t in terms], found, alpha)
+        p["F of the log"] = _ordinary(fitted(fit, np.log(data.y)))
+    return side_by_side([term_name(t) for t in terms], p, alpha)
 
 
 def side_by_side(
@@ -417,9 +399,9 @@ def side_by_side(
     p = {term: {method: ps.get(term) for method, ps in found.items()} for term in terms}
     agreement = {}
     for term, row in p.items():
-        known = [value for value in row.values() if value is not None]
-        below = sum(value < alpha for value in known)
-        agreement[term] = f"p < {alpha:g} in {below} of {len(known)} analyses"
+        values = [value for value in row.values() if value is not None]
+        below = sum(value < alpha for value in values)
+        agreement[term] = f"p < {alpha:g} in {below} of {len(values)} analyses"
     return AnalysisSensitivity(p, agreement)
 
 
@@ -444,7 +426,7 @@ def add_robustness(out: AnalysisOutcome) -> AnalysisOutcome:
         return out
     if not isinstance(out.fit, Factored):
         return out
-    fit = out.fit if not out.request.scale.is_log else fitted(out.fit.model, out.data.y)
+    fit = out.fit if not out.request.scale.is_log else fitted(out.fit, out.data.y)
     table = sensitivity_of(out.data, out.terms, fit, out.request.alpha)
     if out.data.y.min() <= 0:
         return replace(out, robustness=table)
@@ -462,15 +444,15 @@ def _blocked(out: AnalysisOutcome, table: Crossed) -> AnalysisSensitivity:
     kind = out.anova.type
     model = out.cell_model or factorize(model_matrix(table.layout, out.terms))
     tests = _tests(out, model, table, kind)
-    found: dict[str, Mapping[str, float | None]] = {
+    p: dict[str, Mapping[str, float | None]] = {
         "own interaction, Greenhouse-Geisser": _p(tests, "gg"),
         "own interaction, Huynh-Feldt": _p(tests, "hf"),
         "interactions pooled": _additive(model, table.y, kind),
     }
     if not out.request.scale.is_log and table.y.min() > 0:
         logged = _tests(out, model, replace(table, y=np.log(table.y)), kind)
-        found["own interaction of the log"] = _p(logged, "gg")
-    return side_by_side([term_name(t) for t in out.terms], found, out.request.alpha)
+        p["own interaction of the log"] = _p(logged, "gg")
+    return side_by_side([term_name(t) for t in out.terms], p, out.request.alpha)
 
 
 def _tests(out: AnalysisOutcome, model: Factorization, table: Crossed, kind: str) -> list[OwnTerm]:
@@ -484,14 +466,14 @@ def _tests(out: AnalysisOutcome, model: Factorization, table: Crossed, kind: str
 def _p(tests: Sequence[OwnTerm], how: str) -> dict[str, float | None]:
     from scipy.special import fdtrc
 
-    found: dict[str, float | None] = {}
+    p: dict[str, float | None] = {}
     for test in tests:
         row = test.row
-        found[row.term] = row.p_gg
+        p[row.term] = row.p_gg
         if how == "hf" and row.f is not None and row.df_error is not None:
             epsilon = max(test.sphericity.epsilon_hf, test.sphericity.epsilon_gg)
-            found[row.term] = float(fdtrc(row.df * epsilon, row.df_error * epsilon, row.f))
-    return found
+            p[row.term] = float(fdtrc(row.df * epsilon, row.df_error * epsilon, row.f))
+    return p
 
 
 def _additive(model: Factorization, y: Array, kind: str) -> dict[str, float | None]:

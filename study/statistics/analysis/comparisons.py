@@ -56,12 +56,12 @@ class Comparisons:
         """Copy with differences of logarithms as ratios."""
         pairs = tuple(
             replace(
-                one,
-                difference=math.exp(one.difference),
-                lower=math.exp(one.lower),
-                upper=math.exp(one.upper),
+                pair,
+                difference=math.exp(pair.difference),
+                lower=math.exp(pair.lower),
+                upper=math.exp(pair.upper),
             )
-            for one in self.pairs
+            for pair in self.pairs
         )
         return replace(self, pairs=pairs, is_ratio=True)
 
@@ -133,7 +133,7 @@ class GroupMoments:
         """All pairs by the studentized range: Tukey and Kramer's, or Games and Howell's."""
         ms, total = self.pooled
         share = (np.full(len(self.n), ms) if equal else self.variance) / self.n
-        found = []
+        pairs = []
         for i, j in combinations(range(len(self.names)), 2):
             square = float(share[i] + share[j])
             df = total
@@ -144,11 +144,11 @@ class GroupMoments:
             d, k = float(self.mean[i] - self.mean[j]), len(self.names)
             half = studentized_range_quantile(1 - alpha, k, df) * error
             p = 1 - studentized_range_cdf(abs(d) / error, k, df)
-            found.append(LevelPair(self.names[i], self.names[j], d, d - half, d + half, p))
+            pairs.append(LevelPair(self.names[i], self.names[j], d, d - half, d + half, p))
         method = "Tukey-Kramer" if equal else "Games-Howell"
-        different = {frozenset((x.first, x.second)) for x in found if x.p < alpha}
+        different = {frozenset((x.first, x.second)) for x in pairs if x.p < alpha}
         ordered = [self.names[i] for i in np.argsort(-self.mean, kind="stable")]
-        return Comparisons(method, alpha, tuple(found), letters(ordered, different))
+        return Comparisons(method, alpha, tuple(pairs), letters(ordered, different))
 
 
 def dunnett(
@@ -158,10 +158,6 @@ def dunnett(
 
     Shapes: groups (n_i,).
     """
-    if control not in groups:
-        raise InputError(
-            Fault("control", f"{control!r} is no group", nearest(control, map(str, groups)))
-        )
     _checked(groups)
     others = [str(k) for k in groups if k != control]
     p, interval = _dunnett(
@@ -199,14 +195,14 @@ def _dunnett(
 
     for number in range(_DUNNETT_SEEDS):
         rng = np.random.default_rng(seed + number)
-        found = scipy_dunnett(*samples, control=reference, random_state=rng)
-        with warnings.catch_warnings(record=True) as told:
+        test = scipy_dunnett(*samples, control=reference, random_state=rng)
+        with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            interval = found.confidence_interval(1 - alpha)
-        if not told:
-            return np.asarray(found.pvalue), interval
+            interval = test.confidence_interval(1 - alpha)
+        if not caught:
+            return np.asarray(test.pvalue), interval
     rule = f"Dunnett's intervals have not reached their level in {_DUNNETT_SEEDS} integrations"
-    raise RefusedError(f"{rule}: {told[-1].message}")
+    raise RefusedError(f"{rule}: {caught[-1].message}")
 
 
 def holm(p: ArrayLike) -> Array:
@@ -364,8 +360,8 @@ def bonferroni(contrasts: int, df: float | Array, alpha: float) -> float | Array
     """
     from scipy.special import stdtrit
 
-    found = stdtrit(df, 1 - alpha / (2 * contrasts))
-    return np.asarray(found) if np.ndim(found) else float(found)
+    quantile = stdtrit(df, 1 - alpha / (2 * contrasts))
+    return np.asarray(quantile) if np.ndim(quantile) else float(quantile)
 
 
 @overload
@@ -402,8 +398,8 @@ def block_multiplier(
         largest = _largest_of_many(z, b, seed)
     else:
         largest = _largest_t(np.split(z, ends, axis=1), [len(part) for part in parts], seed)
-    found = float(np.quantile(largest, 1 - SHARPER * alpha))
-    return np.minimum(safe, found) if isinstance(safe, np.ndarray) else min(safe, found)
+    simulated = float(np.quantile(largest, 1 - SHARPER * alpha))
+    return np.minimum(safe, simulated) if isinstance(safe, np.ndarray) else min(safe, simulated)
 
 
 def _centred(values: Array) -> Array:
@@ -419,7 +415,7 @@ def _largest_t(roots: Sequence[Array], blocks: Sequence[int], seed: int) -> Arra
     over the blocks need not be made contrast by contrast.
     """
     random = np.random.default_rng(seed)
-    found = np.empty(DRAWS)
+    largest = np.empty(DRAWS)
     short = [_short(z) for z in roots]
     # products of all pairs of columns, each once: z'Sz of a symmetric S is linear in them
     upper = [np.triu_indices(z.shape[1]) for z in short]
@@ -439,8 +435,8 @@ def _largest_t(roots: Sequence[Array], blocks: Sequence[int], seed: int) -> Arra
             variance += pairs @ scatter.T * (b / (b - 1))
         np.multiply(total, total, out=total)
         total /= np.maximum(variance, 1e-300, out=variance)
-        found[start : start + n] = np.sqrt(total.max(axis=0))
-    return found
+        largest[start : start + n] = np.sqrt(total.max(axis=0))
+    return largest
 
 
 def _largest_of_many(z: Array, blocks: int, seed: int) -> Array:
@@ -453,13 +449,13 @@ def _largest_of_many(z: Array, blocks: int, seed: int) -> Array:
 
     random = np.random.default_rng(seed)
     short = _short(z)
-    found = np.empty(DRAWS)
+    largest = np.empty(DRAWS)
     step = max(1, min(DRAWS, _AT_ONCE // len(short)))
     for start in range(0, DRAWS, step):
         n = min(step, DRAWS - start)
         normal = short @ random.standard_normal((n, short.shape[1])).T
-        found[start : start + n] = np.abs(normal).max(axis=0)
-    return np.asarray(-stdtrit(blocks - 1, ndtr(-found)))
+        largest[start : start + n] = np.abs(normal).max(axis=0)
+    return np.asarray(-stdtrit(blocks - 1, ndtr(-largest)))
 
 
 def _short(z: Array) -> Array:
@@ -471,35 +467,37 @@ def _short(z: Array) -> Array:
 
 
 def pooled_multiplier(
-    asked: Differences, length: Array, df: float, alpha: float, seed: int | None
+    differences: Differences, length: Array, df: float, alpha: float, seed: int | None
 ) -> float:
     """Multiplier where one error variance with ``df`` degrees of freedom serves all contrasts.
 
     Shapes: length (m,); returns Quantile of the largest |t| of a multivariate t (Hothorn, Bretz and
     Westfall 2008), simulated; never above Bonferroni's.
     """
-    kept = np.flatnonzero(length > 1e-12 * length.max(initial=0.0))
-    safe = bonferroni(max(len(kept), 1), df, alpha)
-    if len(kept) <= 1 or seed is None:
+    estimated = np.flatnonzero(length > 1e-12 * length.max(initial=0.0))
+    safe = bonferroni(max(len(estimated), 1), df, alpha)
+    if len(estimated) <= 1 or seed is None:
         return safe
-    kept = kept[_once(asked, length, kept)]
-    few = Differences(asked.settings, asked.first[kept], asked.second[kept])
+    estimated = estimated[_once(differences, length, estimated)]
+    few = Differences(
+        differences.settings, differences.first[estimated], differences.second[estimated]
+    )
     random = np.random.default_rng(seed)
-    found = np.empty(DRAWS)
-    step = max(1, min(DRAWS, _AT_ONCE // len(kept)))
+    largest = np.empty(DRAWS)
+    step = max(1, min(DRAWS, _AT_ONCE // len(estimated)))
     for start in range(0, DRAWS, step):
         n = min(step, DRAWS - start)
-        values = asked.settings @ random.standard_normal((asked.settings.shape[1], n))
-        normal = (np.abs(few.of(values)) / length[kept, None]).max(axis=0)
-        found[start : start + n] = normal / np.sqrt(random.chisquare(df, n) / df)
-    return min(safe, float(np.quantile(found, 1 - alpha)))
+        values = differences.settings @ random.standard_normal((differences.settings.shape[1], n))
+        normal = (np.abs(few.of(values)) / length[estimated, None]).max(axis=0)
+        largest[start : start + n] = normal / np.sqrt(random.chisquare(df, n) / df)
+    return min(safe, float(np.quantile(largest, 1 - alpha)))
 
 
-def _once(asked: Differences, length: Array, kept: Ints) -> Ints:
+def _once(differences: Differences, length: Array, estimated: Ints) -> Ints:
     """First of every set of contrasts that are one but for their unit."""
     # what is equal has the same product with any numbers; two of nine digits tell others apart
-    drawn = np.random.default_rng(0).standard_normal((asked.settings.shape[1], 2))
-    product = asked.of(asked.settings @ drawn)[kept] / length[kept, None]
+    drawn = np.random.default_rng(0).standard_normal((differences.settings.shape[1], 2))
+    product = differences.of(differences.settings @ drawn)[estimated] / length[estimated, None]
     return np.asarray(np.unique(product.round(9), axis=0, return_index=True)[1])
 
 
@@ -587,7 +585,9 @@ def blocked_dunnett(
     Shapes: levels (b,).
     """
     values = {str(name): np.asarray(v, dtype=float) for name, v in levels.items()}
-    _blocked_dunnett_check(values, reference)
+    if values[reference].size < 2:
+        rule = "two blocks at least need a value at every level"
+        raise InputError(Fault("blocks", rule, "leave incomplete levels out"))
     others = [name for name in values if name != reference]
     contrasts = np.array([values[name] - values[reference] for name in others])
     centre = contrasts.mean(axis=1)
@@ -610,20 +610,3 @@ def _p(contrasts: Array, centre: float, error: float, seed: int) -> float:
         beyond = abs(centre) > block_multiplier(contrasts, math.exp(level), seed) * error
         low, high = (low, level) if beyond else (level, high)
     return math.exp(high)
-
-
-def _blocked_dunnett_check(values: Mapping[str, Array], reference: str) -> None:
-    faults = []
-    if reference not in values:
-        rule = f"{reference!r} is no level"
-        faults.append(Fault("reference", rule, nearest(reference, values)))
-    elif len(values) < 2:
-        faults.append(Fault("levels", "at least two levels are needed"))
-    shapes = {v.shape for v in values.values()}
-    if len(shapes) != 1 or any(len(s) != 1 or s[0] < 2 for s in shapes):
-        rule = "every level needs one value in each of the same blocks, two blocks at least"
-        faults.append(Fault("blocks", rule, "leave incomplete blocks out"))
-    elif not all(np.isfinite(v).all() for v in values.values()):
-        faults.append(Fault("blocks", "a value is missing", "leave incomplete blocks out"))
-    if faults:
-        raise InputError(faults)

@@ -82,7 +82,11 @@ def prepare(
         order = [level for level in order if level in present]
         if len(order) < 2:
             kind = "block" if name in blocks else "factor"
-            mend = f"leave the {kind} out, or add rows with another level"
+            others = [other for other in factors if other != name]
+            option = f" (--factors {','.join(others)})" if kind == "factor" and others else ""
+            mend = f"leave the {kind} out{option}, or add rows with another level"
+            if lost:
+                mend = f"level {', '.join(lost)} has no response: {mend}"
             faults.append(
                 Fault(f"{kind} {name!r}", f"needs at least two levels, got {order}", mend)
             )
@@ -128,16 +132,16 @@ SMALLEST = 1e-60
 
 def _check_range(values: Array, response: str) -> None:
     """Refuse numbers whose powers overflow or vanish."""
-    known = values[np.isfinite(values)]
-    if known.size == 0:
+    finite = values[np.isfinite(values)]
+    if finite.size == 0:
         return
-    size = float(np.abs(known).max())
+    size = float(np.abs(finite).max())
     if size > LARGEST:
         row = int(np.flatnonzero(np.abs(values) == size)[0]) + 1
         rule = f"{size:.3g} is too large: the squares of such numbers overflow"
         mend = f"write {response!r} in a larger unit, or correct the value"
         raise InputError(Fault(f"row {row}, column {response!r}", rule, mend))
-    spread = float(np.ptp(known))
+    spread = float(np.ptp(finite))
     if 0 < spread < SMALLEST:
         rule = f"the values differ by {spread:.3g} at most, and the squares of that vanish"
         mend = f"write {response!r} in a smaller unit"
@@ -195,8 +199,8 @@ def _label(value: object) -> str:
 def _level_order(column: pd.Series, labels: Texts) -> list[str]:
     """Order of the levels: of the categories, numeric where all are numbers, else as met."""
     if hasattr(column, "cat"):
-        found = set(labels)
-        return [_label(c) for c in column.cat.categories if _label(c) in found]
+        present = set(labels)
+        return [_label(c) for c in column.cat.categories if _label(c) in present]
     unique = list(dict.fromkeys(labels))
     if all(_NUMBER.fullmatch(label) for label in unique):
         return sorted(unique, key=float)
@@ -241,7 +245,7 @@ def crossed(data: Data, y: Array) -> Crossed:
         lost = [labels[c] for c in cells[~keep_cells]]
         warnings.append(f"cells missing in half of the blocks are left out: {', '.join(lost)}")
     if not keep_blocks.all():
-        gone = [n for n, kept in zip(names, keep_blocks, strict=True) if not kept]
+        gone = [n for n, complete in zip(names, keep_blocks, strict=True) if not complete]
         warnings.append(f"incomplete blocks are left out: {', '.join(gone)}")
     first = start[keep_cells]
     layout = data.layout.take(first) if first.size else data.layout
@@ -255,7 +259,7 @@ def crossed(data: Data, y: Array) -> Crossed:
         mean[np.ix_(keep_cells, keep_blocks)],
         cells[keep_cells],
         only,
-        tuple(n for n, kept in zip(names, keep_blocks, strict=True) if kept),
+        tuple(n for n, complete in zip(names, keep_blocks, strict=True) if complete),
         tuple(warnings),
     )
 
@@ -328,24 +332,24 @@ def resolution(y: Array) -> float:
 
 def _nested(data: Data) -> tuple[tuple[str, str], ...]:
     """Pairs of factors of which the first is nested in the second, with names of its own."""
-    found = []
+    pairs_of_factors = []
     for inner, outer in permutations(data.factors, 2):
         code, parent = data.layout.codes[inner], data.layout.codes[outer]
         levels, parents = len(data.layout.levels[inner]), len(data.layout.levels[outer])
         pairs = np.unique(code * parents + parent).size
         if pairs == levels > parents:
-            found.append((inner, outer))
-    return tuple(found)
+            pairs_of_factors.append((inner, outer))
+    return tuple(pairs_of_factors)
 
 
 def refuse_copied_rows(data: Data) -> None:
     """Refuse rows that repeat others in every digit, more often than their resolution explains."""
     mend = "; where every one of them was measured, say --copies independent"
     if data.block is None:
-        said = _copied_rows(data)
-        if said:
+        copies = _copied_rows(data)
+        if copies:
             raise RefusedError(
-                f"copied rows: {said}. Copies tell nothing new: leave them out{mend}"
+                f"copied rows: {copies}. Copies tell nothing new: leave them out{mend}"
             )
     elif not data.also:
         twins = _copied_blocks(data, data.layout.codes[data.block])
@@ -415,10 +419,10 @@ def _copied_blocks(data: Data, block: Ints) -> list[tuple[int, int]]:
         centred = table - np.nanmean(table, axis=0)
     sd = float(np.sqrt(np.nanmean(centred**2)))
     chance = blocks * (blocks - 1) / 2
-    found = []
+    twins = []
     for i, j in combinations(range(blocks), 2):
         both = np.isfinite(table[i]) & np.isfinite(table[j])
         rare = chance * (3 * _tie(data.y, sd)) ** int(both.sum()) < _CHANCE
         if rare and both.sum() >= 2 and np.array_equal(table[i][both], table[j][both]):
-            found.append((i, j))
-    return found
+            twins.append((i, j))
+    return twins

@@ -133,7 +133,7 @@ def pooled_estimate(
         component = np.full_like(component, np.nan)
     if df <= 0 or rss <= 0:
         return TermEstimate(term, levels, component, mean, None, None, p, settings)
-    covariance = fit.unscaled_covariance() * rss / df
+    covariance = fit.unscaled_covariance * rss / df
     spread = np.einsum("ij,ij->i", mean_rows @ covariance, mean_rows)
     df_term = int(np.prod([len(layout.levels[name]) - 1 for name in term]))
     critical = pooled_critical(len(levels), df_term, df, len(term) == 1, alpha)
@@ -200,8 +200,8 @@ def t_quantile(upper: float, df: float | Array) -> float | Array:
     """Upper quantile of Student's t."""
     from scipy.special import stdtrit
 
-    found = stdtrit(df, 1 - upper)
-    return np.asarray(found) if np.ndim(found) else float(found)
+    quantile = stdtrit(df, 1 - upper)
+    return np.asarray(quantile) if np.ndim(quantile) else float(quantile)
 
 
 def pooled_critical(k: int, df_term: int, df: float, main: bool, alpha: float) -> float:
@@ -241,32 +241,6 @@ def own_critical(k: int, df_term: int, blocks: int, alpha: float) -> float:
 # What is known of combinations of coefficients: over blocks, with a pooled error, or exactly.
 
 
-def over_blocks(
-    fit: Factored, coefficients: Array, alpha: float, seed: int | None, reading: float = 0.0
-) -> Sample:
-    """Estimate combinations by their own variance over the blocks.
-
-    Shapes: coefficients (p, b).
-    """
-
-    def estimate(asked: Differences) -> Estimates:
-        rows = asked.rows
-        value = np.where(fit.estimable(rows)[:, None], rows @ coefficients, np.nan)
-        known = value[np.isfinite(value).all(axis=1)]
-        b = value.shape[1]
-        spread = value.std(axis=1, ddof=1)
-        if reading:
-            spread = np.maximum(spread, reading * np.linalg.norm(rows @ fit.model.inverse, axis=1))
-        return Estimates(
-            value.mean(axis=1),
-            spread / np.sqrt(b),
-            t_quantile(alpha / 2, b - 1),
-            block_multiplier(known, alpha, seed) if len(known) else 0.0,
-        )
-
-    return estimate
-
-
 def over_groups(
     fit: Factored,
     added: Array,
@@ -280,16 +254,16 @@ def over_groups(
     Shapes: added (p, b).
     """
 
-    def estimate(asked: Differences) -> Estimates:
-        rows = asked.rows
+    def estimate(differences: Differences) -> Estimates:
+        rows = differences.rows
         value = np.where(fit.estimable(rows)[:, None], rows @ added, np.nan)
         error, df = group_errors(value, groups)
         if reading:
-            error = np.maximum(error, reading * np.linalg.norm(rows @ fit.model.inverse, axis=1))
-        known = np.isfinite(value).all(axis=1)
+            error = np.maximum(error, reading * np.linalg.norm(rows @ fit.inverse, axis=1))
+        estimable = np.isfinite(value).all(axis=1)
         wide = np.zeros(len(value))
-        if known.any():
-            wide[known] = block_multiplier(value[known], alpha, seed, groups, df[known])
+        if estimable.any():
+            wide[estimable] = block_multiplier(value[estimable], alpha, seed, groups, df[estimable])
         return Estimates(value.sum(axis=1), error, t_quantile(alpha / 2, df), wide)
 
     return estimate
@@ -314,66 +288,85 @@ def with_pooled_error(
 ) -> Sample:
     """Estimate combinations with one error variance, ``rss / df``; none where ``df`` is 0."""
     coefficients = fit.coefficients()
-    inverse = fit.model.inverse
+    inverse = fit.inverse
 
-    def estimate(asked: Differences) -> Estimates:
-        rows = asked.rows
+    def estimate(differences: Differences) -> Estimates:
+        rows = differences.rows
         value = np.where(fit.estimable(rows), rows @ coefficients, np.nan)
         if df <= 0 or rss <= 0:
             return Estimates(value, None)
-        known = np.isfinite(value)
-        roots = asked.settings @ inverse
-        square = asked.of(roots)
+        estimable = np.isfinite(value)
+        roots = differences.settings @ inverse
+        square = differences.of(roots)
         length = np.sqrt(np.einsum("ij,ij->i", square, square))
-        kept = Differences(roots, asked.first[known], asked.second[known])
-        wide = pooled_multiplier(kept, length[known], df, alpha, seed) if known.any() else 0.0
+        some = Differences(roots, differences.first[estimable], differences.second[estimable])
+        wide = (
+            pooled_multiplier(some, length[estimable], df, alpha, seed) if estimable.any() else 0.0
+        )
         error = length * math.sqrt(rss / df)
         return Estimates(value, error, t_quantile(alpha / 2, df), wide)
 
     return estimate
 
 
+def by_components(share: Array, variance: Array, free: Array) -> tuple[Array, Array]:
+    """Find standard errors of combinations of independent sources, and Satterthwaite's df.
+
+    The error is infinite where a source that counts has an infinite variance or none does.
+
+    Shapes: share (m, k); variance, free (k,); returns (m,).
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        part = np.where(share == 0, 0.0, share * variance)
+        square = part.sum(axis=1)
+        df = square**2 / np.sum(part**2 / free, axis=1)
+    finite = np.isfinite(square) & np.isfinite(df)
+    return np.where(finite, np.sqrt(square), np.inf), np.where(finite, df, 1.0)
+
+
 def cell_welch(
-    fit: Factored, cell: Ints, variances: tuple[Array, Array], alpha: float, reading: float
+    fit: Factored,
+    cell: Ints,
+    variances: tuple[Array, Array],
+    alpha: float,
+    reading: float,
+    rows_alike: Ints | None = None,
 ) -> Sample:
     """Estimate combinations with a variance of its own in each cell (Welch, Satterthwaite).
 
     Of one factor the simultaneous intervals are those of Games and Howell (1976); a contrast that
-    needs a cell with an infinite variance has no interval.
+    needs a cell with an infinite variance has no interval. Rows that the model describes alike
+    have one number in ``rows_alike``: those of a cell where there are no blocks.
 
-    Shapes: cell (n,); variances and their degrees of freedom (cells,).
+    Shapes: cell, rows_alike (n,); variances and their degrees of freedom (cells,).
     """
-    count = np.bincount(cell)
-    first = np.unique(cell, return_index=True)[1]
-    variance, free = np.maximum(variances[0], reading**2), variances[1]
+    _, first, count = np.unique(
+        cell if rows_alike is None else rows_alike, return_index=True, return_counts=True
+    )
+    variance = np.maximum(variances[0], reading**2)
+    member = np.eye(len(variance))[cell[first]]
     coefficients = fit.coefficients()
 
-    def estimate(asked: Differences) -> Estimates:
-        rows = asked.rows
+    def estimate(differences: Differences) -> Estimates:
+        rows = differences.rows
         value = np.where(fit.estimable(rows), rows @ coefficients, np.nan)
-        weight = (rows @ fit.model.inverse) @ fit.q[first].T
+        weight = (rows @ fit.inverse) @ fit.q[first].T
         weight[np.abs(weight) < 1e-12 * np.abs(weight).max(initial=0.0)] = 0.0
-        with np.errstate(invalid="ignore"):
-            part = np.where(weight == 0, 0.0, weight**2 * count * variance)
-            square = part.sum(axis=1)
-            df = square**2 / np.sum(part**2 / free, axis=1)
-        known = np.isfinite(square) & np.isfinite(df)
-        error = np.where(known, np.sqrt(square), np.inf)
-        df = np.where(known, df, 1.0)
-        every = games_howell_multiplier(asked, df, alpha)
+        error, df = by_components((weight**2 * count) @ member, variance, variances[1])
+        every = games_howell_multiplier(differences, df, alpha)
         return Estimates(value, error, t_quantile(alpha / 2, df), every)
 
     return estimate
 
 
-def games_howell_multiplier(asked: Differences, df: Array, alpha: float) -> Array:
+def games_howell_multiplier(differences: Differences, df: Array, alpha: float) -> Array:
     """Multiplier of each standard error: Games and Howell's at each setting, or Bonferroni's.
 
     Shapes: df (m,).
     """
     m = len(df)
     safe = np.asarray(bonferroni(max(m, 1), df, alpha))
-    levels = len(asked.settings)
+    levels = len(differences.settings)
     if m > MOST_RANGES or m != levels * (levels - 1) // 2:
         return safe
     ranges = [studentized_range_quantile(1 - alpha, levels, d) / math.sqrt(2) for d in df.tolist()]
@@ -399,18 +392,18 @@ def with_pseudo_error(
     values = contrasts.T @ (y - y[0])
     pse = float(pseudo_standard_error(values))
 
-    def estimate(asked: Differences) -> Estimates:
-        weight = (asked.rows @ fit.model.inverse) @ (fit.q.T @ contrasts)
+    def estimate(differences: Differences) -> Estimates:
+        weight = (differences.rows @ fit.inverse) @ (fit.q.T @ contrasts)
         length = np.linalg.norm(weight, axis=1)
-        known = fit.estimable(asked.rows) & (length > 0)
+        estimable = fit.estimable(differences.rows) & (length > 0)
         single, largest = np.full(len(weight), np.inf), np.zeros(PSEUDO_DRAWS)
         z = np.random.default_rng(seed or 0).standard_normal((PSEUDO_DRAWS, len(values)))
         null = pseudo_standard_error(z)
-        for i in np.flatnonzero(known):
+        for i in np.flatnonzero(estimable):
             t = np.abs(z @ weight[i]) / length[i] / null
             largest = np.maximum(largest, t)
             single[i] = np.quantile(t, 1 - alpha)
-        value = np.where(known, weight @ values, np.nan)
+        value = np.where(estimable, weight @ values, np.nan)
         every = float(np.quantile(largest, 1 - alpha))
         return Estimates(value, pse * length, single, every)
 
@@ -468,8 +461,8 @@ class Scale:
         sides = [
             dict(zip(estimate.term, estimate.settings[i], strict=True)) for i in (first, second)
         ]
-        known = self.bound.of if len(estimate.term) == 1 else self.bound.of_component
-        return known(*sides)
+        bound_between = self.bound.of if len(estimate.term) == 1 else self.bound.of_component
+        return bound_between(*sides)
 
 
 # -------------------------------------------------------------------------------------------------
@@ -489,7 +482,7 @@ def size(
     estimate: TermEstimate, scale: Scale, simple: Mapping[str, SimpleEffects] | None = None
 ) -> Effect:
     """Turn an estimate into the reported effect with its verdict."""
-    own = (simple or {}).get(term_name(estimate.term))
+    simple_effects = (simple or {}).get(term_name(estimate.term))
     back = scale.back
     mean = tuple(None if math.isnan(m) else back(float(m)) for m in estimate.mean)
     effect = Effect(
@@ -516,28 +509,30 @@ def size(
     if estimate.mean_half is not None and not np.isnan(estimate.mean).any():
         around = zip(estimate.mean, estimate.mean_half, strict=True)
         mean_ci95 = tuple((back(float(m - h)), back(float(m + h))) for m, h in around)
-    found = _judged(estimate, half, scale, own)
+    judgement = _judged(estimate, half, scale, simple_effects)
     main = len(estimate.term) == 1
     pairs, tags = _pairs(estimate, half, back)
     return replace(
         effect,
         ci95=None if interval is None else (back(interval[0]), back(interval[1])),
         range=back(largest),
-        verdict=found.verdict if main else SEE_SIMPLE,
-        of_components="" if main else found.verdict,
+        verdict=judgement.verdict if main else SEE_SIMPLE,
+        of_components="" if main else judgement.verdict,
         largest=(estimate.levels[top], estimate.levels[bottom]),
         mean_ci95=mean_ci95,
         u_num=None if u is None else u / scale.unit,
         effect_over_u_num=largest / u if u else None,
         resolved=_resolved(largest / u) if u else None,
-        why=found.why if main else "an interaction is read from the simple effects of its factors",
+        why=judgement.why
+        if main
+        else "an interaction is read from the simple effects of its factors",
         pairs=pairs,
         letters=tags,
-        u_needed=None if found.u_needed is None else found.u_needed / scale.unit,
+        u_needed=None if judgement.u_needed is None else judgement.u_needed / scale.unit,
         u_unit=scale.unit,
-        simple_effects=() if own is None else _listed(own, scale),
-        always=() if own is None else own.always,
-        withdrawn=() if own is None else own.withdrawn,
+        simple_effects=() if simple_effects is None else _listed(simple_effects, scale),
+        always=() if simple_effects is None else simple_effects.always,
+        withdrawn=() if simple_effects is None else simple_effects.withdrawn,
     )
 
 
@@ -552,15 +547,17 @@ def _judged(
     if half is None and not scale.deterministic:
         return Judgement(CANNOT_TELL, "there is no error to judge the effect against")
     if simple is not None:
-        found = _of_settings(simple, scale)
+        judgement = _of_settings(simple, scale)
     else:
-        found = _of_components(estimate, half, scale)
-    if found.verdict not in (MATTERS, NO_DIFFERENCE):
-        return found
-    beside = [] if half is not None else ["no p"]
+        judgement = _of_components(estimate, half, scale)
+    if judgement.verdict not in (MATTERS, NO_DIFFERENCE):
+        return judgement
+    remarks = [] if half is not None else ["no p"]
     if scale.specimens == 2:
-        beside.append("2 specimens")
-    return replace(found, why=f"{found.why} ({', '.join(beside)})") if beside else found
+        remarks.append("2 specimens")
+    return (
+        replace(judgement, why=f"{judgement.why} ({', '.join(remarks)})") if remarks else judgement
+    )
 
 
 def _of_settings(simple: SimpleEffects, scale: Scale) -> Judgement:
@@ -586,9 +583,9 @@ def _of_components(estimate: TermEstimate, half: Array | None, scale: Scale) -> 
         pairs = list(zip(first.tolist(), second.tolist(), strict=True))
         if k > MOST_LEVELS:
             pairs = [(int(np.argmax(estimate.component)), int(np.argmin(estimate.component)))]
-        known = [scale.between(estimate, i, j) for i, j in pairs]
+        bounds = [scale.between(estimate, i, j) for i, j in pairs]
         # nothing bounds the numerical error of a quantity that diverges
-        u = np.array([math.inf if v is None else v for v in known])
+        u = np.array([math.inf if v is None else v for v in bounds])
         u = u if u.size == d.size else np.full(d.size, u.max(initial=0.0))
     w = wide[first, second]
     return judge_all(d - w, d + w, scale.practical or 0.0, u)
@@ -596,9 +593,9 @@ def _of_components(estimate: TermEstimate, half: Array | None, scale: Scale) -> 
 
 def _listed(simple: SimpleEffects, scale: Scale) -> tuple[SimpleEffect, ...]:
     """List simple effects on the scale of the report, the largest ones where there are many."""
-    kept = simple.effects
-    if len(kept) > LISTED:
-        kept = tuple(sorted(kept, key=lambda e: -abs(e.difference))[:LISTED])
+    largest = simple.effects
+    if len(largest) > LISTED:
+        largest = tuple(sorted(largest, key=lambda e: -abs(e.difference))[:LISTED])
     return tuple(
         replace(
             e,
@@ -607,7 +604,7 @@ def _listed(simple: SimpleEffects, scale: Scale) -> tuple[SimpleEffect, ...]:
             ci_simultaneous=_ends(e.ci_simultaneous, scale.back),
             u=None if e.u is None else e.u / scale.unit,
         )
-        for e in kept
+        for e in largest
     )
 
 
@@ -638,12 +635,12 @@ def _pairs(
     k = len(estimate.levels)
     if half is None or len(estimate.term) != 1 or k > MOST_LEVELS:
         return (), ()
-    found = []
+    pairs = []
     for i, j in combinations(range(k), 2):
         d, h = float(estimate.component[i] - estimate.component[j]), float(half[i, j])
         names = estimate.levels[i], estimate.levels[j]
-        found.append(PairDifference(*names, back(d), back(d - h), back(d + h), abs(d) > h))
-    apart = {frozenset((pair.first, pair.second)) for pair in found if pair.different}
+        pairs.append(PairDifference(*names, back(d), back(d - h), back(d + h), abs(d) > h))
+    apart = {frozenset((pair.first, pair.second)) for pair in pairs if pair.different}
     order = np.argsort(-estimate.component, kind="stable")
     by_level = letters([estimate.levels[i] for i in order], apart)
-    return tuple(found), tuple(by_level[level] for level in estimate.levels)
+    return tuple(pairs), tuple(by_level[level] for level in estimate.levels)

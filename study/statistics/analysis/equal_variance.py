@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from study.ground.arrays import Array, Ints
 from study.statistics.analysis.anova_table import WaldTest
 from study.statistics.analysis.linear_model import CellLayout, Term, model_matrix, term_name
-from study.statistics.analysis.sums_of_squares import factor, term_sums
+from study.statistics.analysis.sums_of_squares import Factored, factor, term_sums
 
 Groups = Mapping[str, ArrayLike] | Sequence[ArrayLike]
 
@@ -26,51 +26,36 @@ ASYMPTOTIC = 100
 
 
 @dataclass(frozen=True)
-class BartlettResult:
-    """Bartlett's test; where it does not apply the numbers are None and ``reason`` says why."""
+class SpreadTest:
+    """Bartlett's or Levene's test; where it does not apply ``reason`` says why."""
 
     statistic: float | None
-    df: int | None
+    #: Of chi-squared; a pair of F's.
+    df: int | tuple[int, int] | None
     p: float | None
     applicable: bool
     reason: str = ""
+    #: What deviations are taken from, "median" (Brown-Forsythe) or "mean"; empty of Bartlett's.
+    center: str = ""
     p_monte_carlo: float | None = None
     approximate: bool = False
 
     def to_json(self) -> dict[str, object] | None:
         """JSON document; None where the test does not apply."""
-        return _document(self, df=self.df)
+        if not self.applicable:
+            return None
+        return {
+            "statistic": self.statistic,
+            "df": list(self.df) if isinstance(self.df, tuple) else self.df,
+            **({"center": self.center} if self.center else {}),
+            "p": self.p,
+            "p_monte_carlo": self.p_monte_carlo,
+            "approximate": self.approximate,
+        }
 
 
-@dataclass(frozen=True)
-class LeveneResult:
-    """Levene's test about the median (Brown-Forsythe) or the mean."""
-
-    statistic: float | None
-    df: tuple[int, int] | None
-    p: float | None
-    applicable: bool
-    reason: str = ""
-    center: str = "median"
-    p_monte_carlo: float | None = None
-    approximate: bool = False
-
-    def to_json(self) -> dict[str, object] | None:
-        """JSON document; None where the test does not apply."""
-        return _document(self, df=list(self.df or ()), center=self.center)
-
-
-def _document(test: BartlettResult | LeveneResult, **own: object) -> dict[str, object] | None:
-    """JSON document of either test, with what is its own."""
-    if not test.applicable:
-        return None
-    return {
-        "statistic": test.statistic,
-        **own,
-        "p": test.p,
-        "p_monte_carlo": test.p_monte_carlo,
-        "approximate": test.approximate,
-    }
+def _inapplicable(reason: str, *, approximate: bool) -> SpreadTest:
+    return SpreadTest(None, None, None, False, reason, approximate=approximate)
 
 
 def _named(groups: Groups) -> dict[str, Array]:
@@ -91,8 +76,8 @@ def _fault(named: Mapping[str, Array], least: int, design: ResidualDesign | None
     floor = 16 * float(np.spacing(largest))
     for name, values in named.items():
         if values.size < least:
-            one = "one value" if values.size == 1 else f"{values.size} values"
-            return f"group {name} has {one}" + ("" if least <= 2 else f", {least} are needed")
+            number = "one value" if values.size == 1 else f"{values.size} values"
+            return f"group {name} has {number}" + ("" if least <= 2 else f", {least} are needed")
         if not np.all(np.isfinite(values)):
             return f"group {name} has a missing value"
         if float(np.ptp(values)) <= floor:
@@ -133,7 +118,7 @@ def bartlett(
     seed: int = 2011,
     approximate: bool = False,
     design: ResidualDesign | None = None,
-) -> BartlettResult:
+) -> SpreadTest:
     """Bartlett's test of equal variances (Bartlett 1937; NIST e-Handbook 1.3.5.7).
 
     Parameters
@@ -151,7 +136,7 @@ def bartlett(
 
     Returns
     -------
-    BartlettResult
+    SpreadTest
         Statistic, degrees of freedom, p; or the reason why there is none.
 
     Examples
@@ -162,7 +147,7 @@ def bartlett(
     named = _named(groups)
     reason = _fault(named, 2, design)
     if reason:
-        return BartlettResult(None, None, None, False, reason, approximate=approximate)
+        return _inapplicable(reason, approximate=approximate)
     from scipy.special import chdtrc
 
     df = np.array([v.size - 1 for v in named.values()], dtype=float)
@@ -172,7 +157,7 @@ def bartlett(
     p_mc = None
     if simulations:
         p_mc = _monte_carlo_p(_simulated_bartlett(df, design, simulations, seed), t)
-    return BartlettResult(t, k, float(chdtrc(k, t)), True, "", p_mc, approximate)
+    return SpreadTest(t, k, float(chdtrc(k, t)), True, "", "", p_mc, approximate)
 
 
 def _simulated_bartlett(
@@ -209,12 +194,12 @@ def levene(
     seed: int = 2011,
     approximate: bool = False,
     design: ResidualDesign | None = None,
-) -> LeveneResult:
+) -> SpreadTest:
     """Levene's test of equal spreads (Levene 1960; Brown and Forsythe 1974)."""
     named = _named(groups)
     reason = _fault(named, 3, design)
     if reason:
-        return LeveneResult(None, None, None, False, reason, approximate=approximate)
+        return _inapplicable(reason, approximate=approximate)
     smallest = min(v.size for v in named.values())
     if center == "auto":
         center = "median"
@@ -227,7 +212,7 @@ def levene(
     df = (len(named) - 1, int(sizes.sum()) - len(named))
     if not math.isfinite(w):
         reason = "every deviation within each group is equal"
-        return LeveneResult(None, None, None, False, reason, center, approximate=approximate)
+        return _inapplicable(reason, approximate=approximate)
     from scipy.special import fdtrc
 
     p_mc = None
@@ -236,7 +221,7 @@ def levene(
         if design is not None:
             drawn = design.draws(simulations, seed)
         p_mc = _monte_carlo_p(np.concatenate([_levene_statistic(d, center) for d in drawn]), w)
-    return LeveneResult(w, df, float(fdtrc(*df, w)), True, "", center, p_mc, approximate)
+    return SpreadTest(w, df, float(fdtrc(*df, w)), True, "", center, p_mc, approximate)
 
 
 def _levene_statistic(groups: Sequence[Array], center: str) -> Array:
@@ -322,6 +307,47 @@ def own_variances(y: Array, cell: Ints, shrinkage: float = 0.0) -> tuple[Array, 
     return variance, np.where(count > 1, (1 + shrinkage) * df, total)
 
 
+#: part of the pooled variance below which one that is estimated beside blocks is not believed
+_LEAST_PART = 0.01
+#: p below which a cell beside blocks is taken to scatter more than the others
+VOLATILE = 0.10
+
+
+def variances_beside_blocks(fit: Factored, cell: Ints) -> tuple[Array, Array]:
+    """Unbiased variance of each cell from residuals of a fit, and its degrees of freedom.
+
+    MINQUE (Rao 1970, J. Amer. Statist. Assoc. 65, 161-172): sums of squared residuals by cell are
+    solved for the variances. Without blocks they are the variances of the cells.
+
+    Shapes: cell (n,); returns (cells,).
+    """
+    member = np.eye(int(cell.max()) + 1)[cell]
+    gram = np.einsum("ni,nj,nc->cij", fit.q, fit.q, member, optimize=True)
+    leverage = member.T @ fit.leverage
+    expected = np.einsum("cij,dij->cd", gram, gram)
+    expected += np.diag(member.sum(axis=0) - 2 * leverage)
+    inverse = np.linalg.pinv(expected, rcond=1e-9)
+    variance = inverse @ (member.T @ fit.residual**2)
+    pooled = fit.rss / fit.df_residual
+    return np.maximum(variance, _LEAST_PART * pooled), 1 / np.maximum(np.diag(inverse), 1e-9)
+
+
+def volatile_beside_blocks(fit: Factored, cell: Ints) -> tuple[Array, Array] | None:
+    """Variances of the cells beside blocks, where one scatters more than all others together.
+
+    Each variance is tested against that of the rest (F, Bonferroni over the cells).
+
+    Shapes: cell (n,); returns (cells,).
+    """
+    from scipy.special import fdtrc
+
+    variance, df = variances_beside_blocks(fit, cell)
+    rest = np.maximum(fit.df_residual - df, 1.0)
+    of_rest = np.maximum(fit.rss - df * variance, _LEAST_PART * fit.rss) / rest
+    p = fdtrc(df, rest, variance / of_rest)
+    return (variance, df) if p.min() * p.size < VOLATILE else None
+
+
 def doubted_variances(y: Array, cell: Ints) -> tuple[Array, Array] | None:
     """Variances of cells by which a claim from a pooled one must be made as well, if any.
 
@@ -335,8 +361,11 @@ def doubted_variances(y: Array, cell: Ints) -> tuple[Array, Array] | None:
         return variance, df
     several = counts > 1
     if several.sum() >= 2:
-        known, free = variance[several], df[several]
-        if known.min() <= 0 or chdtrc(free.size - 1, _bartlett_statistic(known, free)) < UNEVEN:
+        variances, free = variance[several], df[several]
+        if (
+            variances.min() <= 0
+            or chdtrc(free.size - 1, _bartlett_statistic(variances, free)) < UNEVEN
+        ):
             return variance, df
     return own_variances(y, cell, SHRUNK) if counts.max() > 2 else None
 

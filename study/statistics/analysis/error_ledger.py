@@ -52,14 +52,10 @@ from study.statistics.analysis.sums_of_squares import (
 )
 from study.statistics.analysis.unreplicated import LenthResult
 
-POOLED = "pooled"
-OWN = "own"
-NONE = "none"
 REMEDIES = (
     "no residual degrees of freedom, so no F: replicate runs that are set up anew (E0), score "
     "every cell on several measured specimens as blocks (E1), repeat with mesh seeds or "
-    "resampled noise (E3, E2), or declare before looking that high-order interactions are "
-    "negligible (E5: model = 2)"
+    "resampled noise (E3, E2), or declare before looking which terms are negligible (E5: {})"
 )
 NOISE_QUESTION = "is the effect larger than the noise in the measured data alone would give?"
 ONE_CURVE = "one measured curve stands behind all resamples: nothing is said of specimens"
@@ -71,51 +67,26 @@ ENOUGH_SEEDS = 8
 BIAS = "the bias of this mesh size is common to all seeds: read the effect over U"
 
 
-@dataclass(frozen=True)
-class Choice:
-    """Source in the ledger, how it is computed, what its p answers, and what to beware of."""
-
-    source: str
-    how: str
-    question: str
-    reason: str
-    cautions: tuple[str, ...] = ()
-
-
-def method(error: str, block: str | None) -> str:
-    """Tell how effects are tested: against "own" interactions with the blocks, or "pooled"."""
-    if block is None or error == "pooled":
-        return POOLED
-    # pooled over unequal variances the test of a true null rejects in up to .48 of cases
-    return OWN
-
-
-_GROUPS = {
-    "": "",
-    "own": "; every group of blocks has a covariance of its own (Welch-Box)",
-    "pooled": "; a group has two blocks only, so one covariance serves all groups",
-}
-
-
-def strata_choice(
-    block: str, plots: str, between: tuple[str, ...], how: str, groups: str = ""
-) -> Choice:
+def error_of_strata(
+    block: str, plots: str, between: tuple[str, ...], others: str, df: dict[str, float]
+) -> ErrorTerm:
     """E1 of a split plot: some factors vary between whole plots, the others within."""
     named = ", ".join(between)
-    rest = "own interactions" if how == OWN else "the pooled scatter within whole plots"
-    return Choice(
+    return ErrorTerm(
         "E1",
-        how,
         f"would the ranking change with another {block}? ({named} against whole plots "
-        f"({plots}), the others against {rest})",
-        f"split plot: {named} is the same on the whole of a {plots}{_GROUPS[groups]}",
+        f"({plots}), the others against {others})",
+        df,
+        f"split plot: {named} is the same on the whole of a {plots}",
     )
 
 
-def choose(out: AnalysisOutcome, fit: Factored, sums: Sequence[TermSum]) -> Choice:
-    """Best available source where effects are not tested against own interactions."""
-    records, full = out.request.records, out.request.model == "full"
-    if fit.df_residual > 0 and out.data.block is not None:
+def best_source(
+    out: AnalysisOutcome, fit: Factored, sums: Sequence[TermSum]
+) -> tuple[ErrorTerm, tuple[str, ...]]:
+    """Best available error where none is an own interaction, and what to beware of."""
+    records, df = out.request.records, float(fit.df_residual)
+    if df > 0 and out.data.block is not None:
         why = "asked for" if out.request.error == "pooled" else "independently run trials"
         blocks = " and ".join(out.data.blocks)
         cautions: tuple[str, ...] = ()
@@ -126,71 +97,54 @@ def choose(out: AnalysisOutcome, fit: Factored, sums: Sequence[TermSum]) -> Choi
                 "degrees of freedom and no variance, so p is far too small (use --error own)",
             )
         question = f"would the ranking change with another {blocks}? (interactions with {blocks} "
-        return Choice("E1", POOLED, f"{question}pooled)", why, cautions)
-    if fit.df_residual > 0 and int(np.bincount(out.data.cell).max()) > 1:
-        return _replicates(out)
-    if records and out.u_raw is not None and full:
-        return Choice(
-            "E4",
-            NONE,
-            "no p: is the effect resolved by the discretization? (effect over numerical "
-            "uncertainty: resolved from 3, marginal from 1)",
-            "no replicates and no blocks; the numerical uncertainty is known",
-        )
-    if fit.df_residual > 0:
-        return Choice(
-            "E5",
-            POOLED,
-            "is the effect larger than the interactions declared negligible?",
-            "assumption: the interactions left out of the model are zero",
-        )
+        return ErrorTerm("E1", f"{question}pooled)", df, why), cautions
+    if df > 0 and int(np.bincount(out.data.cell).max()) > 1:
+        return _replicates(out, df)
     contrasts = sum(s.df for s in sums)
-    if _sparse_ready(out, fit) and contrasts >= LEAST_CONTRASTS:
-        return Choice(
-            "E6",
-            NONE,
-            "is the effect an outlier among the effects (effect sparsity)?",
-            f"no replicates and no blocks; Lenth's method on {contrasts} contrasts",
+    if records and out.u_raw is not None and out.request.model == "full":
+        source, df = "E4", 0.0
+        question = (
+            "no p: is the effect resolved by the discretization? (effect over numerical "
+            "uncertainty: resolved from 3, marginal from 1)"
         )
-    return Choice(
-        "E7",
-        NONE,
-        "no p: shares of variation and effects against the practical threshold",
-        "no replicates, no blocks and nothing declared negligible",
-    )
+        reason = "no replicates and no blocks; the numerical uncertainty is known"
+    elif df > 0:
+        source = "E5"
+        question = "is the effect larger than the interactions declared negligible?"
+        reason = "assumption: the interactions left out of the model are zero"
+    elif _sparse_ready(out, fit) and contrasts >= LEAST_CONTRASTS:
+        source = "E6"
+        question = "is the effect an outlier among the effects (effect sparsity)?"
+        reason = f"no replicates and no blocks; Lenth's method on {contrasts} contrasts"
+    else:
+        source = "E7"
+        question = "no p: shares of variation and effects against the practical threshold"
+        reason = "no replicates, no blocks and nothing declared negligible"
+    return ErrorTerm(source, question, df, reason), ()
 
 
-def _replicates(out: AnalysisOutcome) -> Choice:
-    full = out.request.model == "full"
-    extra = "" if full else "; interactions left out of the model are pooled with it"
+def _replicates(
+    out: AnalysisOutcome, df: float | dict[str, float]
+) -> tuple[ErrorTerm, tuple[str, ...]]:
+    """Error of the rows within cells, and what to beware of."""
+    largest, cautions = int(np.bincount(out.data.cell).max()), []
+    source, rows = "E0", "replicates"
+    question = "is the effect larger than the run-to-run scatter within a cell?"
     if out.replicates == "mesh-seeds":
-        cautions, largest = [BIAS], int(np.bincount(out.data.cell).max())
+        source, rows = "E3", "repeats with other mesh seeds"
+        question = "is the effect larger than the mesh noise at this mesh size?"
+        cautions = [BIAS]
         if largest < _SEEDS:
             cautions.append(
                 f"{largest} mesh seeds a cell: the scatter of the mesh needs {_SEEDS} or "
                 "more to be known"
             )
-        return Choice(
-            "E3",
-            POOLED,
-            "is the effect larger than the mesh noise at this mesh size?",
-            f"cells hold repeats with other mesh seeds{extra}",
-            tuple(cautions),
-        )
-    if out.replicates == "noise":
-        return Choice(
-            "E2",
-            POOLED,
-            NOISE_QUESTION,
-            f"cells hold refits to resampled measurement noise{extra}",
-            (ONE_CURVE,),
-        )
-    return Choice(
-        "E0",
-        POOLED,
-        "is the effect larger than the run-to-run scatter within a cell?",
-        f"cells hold replicates{extra}",
-    )
+    elif out.replicates == "noise":
+        source, rows = "E2", "refits to resampled measurement noise"
+        question, cautions = NOISE_QUESTION, [ONE_CURVE]
+    full = out.request.model == "full"
+    extra = "" if full else "; interactions left out of the model are pooled with it"
+    return ErrorTerm(source, question, df, f"cells hold {rows}{extra}"), tuple(cautions)
 
 
 def pooled(out: AnalysisOutcome, untested: str = "") -> AnalysisOutcome:
@@ -199,7 +153,7 @@ def pooled(out: AnalysisOutcome, untested: str = "") -> AnalysisOutcome:
     extra: list[Term] = [(name,) for name in data.blocks]
     matrix = model_matrix(data.layout, out.terms, extra=extra)
     fit = factor(matrix, out.y)
-    even = balanced(data.layout, [*data.factors, *data.blocks]) or fit.model.is_orthogonal()
+    even = balanced(data.layout, [*data.factors, *data.blocks]) or fit.is_orthogonal()
     if out.request.sums == "auto" and nested_in(out.terms):
         # a factor given what is nested in it is nothing, so Type III would be empty
         kind, out = "II", out if even else out.warn("unbalanced and nested: Type II")
@@ -210,41 +164,44 @@ def pooled(out: AnalysisOutcome, untested: str = "") -> AnalysisOutcome:
     out = out.warn(*alias_warnings(sums, partial=partial))
     if sums and all(s.df == 0 for s in sums):
         out = out.warn("every term is aliased with others: name those wanted, model = 1 say")
-    choice = choose(out, fit, sums)
+    error, cautions = best_source(out, fit, sums)
     if untested and len(data.factors) > 1:
         # with one factor the residual is its own interaction with the blocks
-        choice = replace(choice, how=NONE, question="no p: sizes of effects alone", cautions=())
+        error = replace(error, df=0.0, question="no p: sizes of effects alone")
+        cautions = ()
     if untested:
-        choice = replace(choice, reason=untested)
-    df = fit.df_residual if choice.how == POOLED else 0
+        error = replace(error, reason=untested)
+    df = fit.df_residual if error.df else 0
     if untested or df == 0:
-        out = out.warn(untested or REMEDIES)
-    out = out.warn(*choice.cautions)
-    ready = choice.source in ("E4", "E6") and _sparse_ready(out, fit)
+        order = out.request.lower_order
+        fewer_terms = f"model = {order}" if order else "name the terms of the model"
+        out = out.warn(untested or REMEDIES.format(fewer_terms))
+    out = out.warn(*cautions)
+    ready = error.source in ("E4", "E6") and _sparse_ready(out, fit)
     lenth = unreplicated.lenth_of(data, out.y, out.terms, out.request.seed) if ready else None
     error_rss = fit.rss * _resamples(out)
     rows = [term_row(s, df, error_rss, fit.tss, partial=partial) for s in sums]
-    if lenth is not None and choice.source == "E6":
+    if lenth is not None and error.source == "E6":
         rows = [_lenth_row(row, lenth) for row in rows]
     ms = error_rss / df if df else None
     rows.append(Row("residual", fit.df_residual, fit.rss if df or untested else 0.0, ms))
     by_name = {row.term: row for row in rows}
     # what the runs do not tell apart is left out of the sums, not of what can be estimated
-    asked = out.structure.asked
-    judged = factor(model_matrix(data.layout, asked, extra=extra), out.y) if asked else fit
+    declared = out.structure.asked
+    judged = factor(model_matrix(data.layout, declared, extra=extra), out.y) if declared else fit
 
     def estimated(term: Term) -> TermEstimate:
         p, alpha = by_name[term_name(term)].p, out.request.alpha
-        found = pooled_estimate(data.layout, judged, term, df, p, alpha, error_rss)
-        if judged is not fit and np.isnan(found.component).any():
+        estimate = pooled_estimate(data.layout, judged, term, df, p, alpha, error_rss)
+        if judged is not fit and np.isnan(estimate.component).any():
             return pooled_estimate(data.layout, fit, term, df, p, alpha, error_rss)
-        return found
+        return estimate
 
     estimates = [estimated(term) for term in out.terms]
     two_levels = all(len(data.layout.levels[f]) == 2 for f in data.factors)
     alpha, seed = out.request.alpha, out.request.interval_seed
     simple = {}
-    if lenth is not None and choice.source == "E6" and two_levels and not out.request.records:
+    if lenth is not None and error.source == "E6" and two_levels and not out.request.records:
         estimates = [_with_margin(e, lenth) for e in estimates]
         every = terms_of(data.factors) if balanced(data.layout, data.factors) else out.terms
         contrasts = unreplicated.orthonormal_contrasts(data.layout, every)[1]
@@ -261,7 +218,7 @@ def pooled(out: AnalysisOutcome, untested: str = "") -> AnalysisOutcome:
         effects = [replace(e, why=untested) if e.is_main and df == 0 else e for e in effects]
     return replace(
         out,
-        error=ErrorTerm(choice.source, choice.question, float(df), choice.reason),
+        error=error,
         anova=Anova(kind, with_shares(rows, fit.tss), out.y.size - 1, fit.tss),
         effects=tuple(effects),
         fit=fit if df else None,
@@ -282,8 +239,8 @@ def welch(out: AnalysisOutcome) -> AnalysisOutcome:
         raise InputError(Fault("--welch", rule, "leave it out"))
     fit = factor(model_matrix(data.layout, out.terms), out.y)
     sums = term_sums(fit, "III")
-    choice = _replicates(out)
-    out = out.warn(*alias_warnings(sums), *choice.cautions)
+    error, cautions = _replicates(out, {})
+    out = out.warn(*alias_warnings(sums), *cautions)
     tests = welch_tests(data.layout, data.cell, out.y, out.terms)
     rows = []
     for s in sums:
@@ -300,12 +257,11 @@ def welch(out: AnalysisOutcome) -> AnalysisOutcome:
         sampled_estimate(data.layout, fit, term, tests[term_name(term)].p, sample)
         for term in out.terms
     ]
-    error = ErrorTerm(
-        choice.source,
-        choice.question,
-        {row.term: row.df_error for row in rows if row.df_error is not None},
-        "as asked for: every cell has a variance of its own (Welch, Johansen 1980; intervals of "
-        "one factor by Games and Howell)",
+    error = replace(
+        error,
+        df={row.term: row.df_error for row in rows if row.df_error is not None},
+        reason="as asked for: every cell has a variance of its own (Welch, Johansen 1980; "
+        "intervals of one factor by Games and Howell)",
     )
     return replace(
         out.warn(*notes),
@@ -344,9 +300,7 @@ def _sparse_ready(out: AnalysisOutcome, fit: Factored) -> bool:
     copied = len(out.copies.groups) < np.unique(data.cell).size
     if copied or int(np.bincount(data.cell).max()) > 1:
         return False
-    return balanced(data.layout, data.factors) or (
-        fit.df_residual == 0 and fit.model.is_orthogonal()
-    )
+    return balanced(data.layout, data.factors) or (fit.df_residual == 0 and fit.is_orthogonal())
 
 
 def _with_margin(estimate: TermEstimate, lenth: LenthResult) -> TermEstimate:
@@ -356,8 +310,8 @@ def _with_margin(estimate: TermEstimate, lenth: LenthResult) -> TermEstimate:
     effect; contrasts of other designs are in another scale, and get no interval.
     """
     size = np.abs(estimate.component)
-    one = term_name(estimate.term) in lenth.names and size.min() > 0
-    if not one or float(np.ptp(size)) > 1e-9 * float(size.max()):
+    is_contrast = term_name(estimate.term) in lenth.names and size.min() > 0
+    if not is_contrast or float(np.ptp(size)) > 1e-9 * float(size.max()):
         return estimate
     side = np.sign(estimate.component) / 2
     return replace(estimate, half=lenth.sme * np.abs(np.subtract.outer(side, side)))

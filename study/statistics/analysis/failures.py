@@ -127,10 +127,10 @@ def cause(status: str, message: str) -> str:
     >>> cause("not-converged", "stopped at 1.25 mm of 6 mm: no step was found; press less deep")
     'not-converged: stopped at … mm of … mm: no step was found'
     """
-    said = _NUMBER.sub("…", re.split(r"\n|; ", message)[0]).strip()
-    if len(said) > LONGEST_CAUSE:  # cut between words, and say that it is cut
-        said = said[:LONGEST_CAUSE].rpartition(" ")[0].rstrip(" ,;:") + " …"
-    return f"{status}: {said}" if said else status
+    first_words = _NUMBER.sub("…", re.split(r"\n|; ", message)[0]).strip()
+    if len(first_words) > LONGEST_CAUSE:  # cut between words, and say that it is cut
+        first_words = first_words[:LONGEST_CAUSE].rpartition(" ")[0].rstrip(" ,;:") + " …"
+    return f"{status}: {first_words}" if first_words else status
 
 
 def failure_pattern(
@@ -163,27 +163,27 @@ def _tests(cases: Sequence[CaseFate], block: str, seed: int) -> tuple[FailureTes
     settings = [_settings(case, block) for case in cases]
     failed = np.array([case.failed for case in cases], dtype=float)
     cells = _codes([tuple(sorted(case.levels.items())) for case in cases])
-    found = []
+    raw_tests = []
     for factor in settings[0]:
-        labels = [one.get(factor, "") for one in settings]
+        labels = [levels.get(factor, "") for levels in settings]
         if len(set(labels)) > 1:
             is_block = factor not in cases[0].levels
             p, method = _p(failed, _codes(labels), cells, is_block, rng)
-            found.append((factor, _counts(labels, failed), p, method))
-    if not found:
+            raw_tests.append((factor, _counts(labels, failed), p, method))
+    if not raw_tests:
         return ()
-    adjusted = holm([p for _, _, p, _ in found])
+    adjusted = holm([p for _, _, p, _ in raw_tests])
     tests = [
         FailureTest(factor, counts, p, float(q), method)
-        for (factor, counts, p, method), q in zip(found, adjusted, strict=True)
+        for (factor, counts, p, method), q in zip(raw_tests, adjusted, strict=True)
     ]
     return tuple(sorted(tests, key=lambda test: test.p))
 
 
 def _codes(labels: Sequence[object]) -> Ints:
     """Give every label a number, in the order of first appearance."""
-    known = {label: k for k, label in enumerate(dict.fromkeys(labels))}
-    return np.array([known[label] for label in labels])
+    number = {label: k for k, label in enumerate(dict.fromkeys(labels))}
+    return np.array([number[label] for label in labels])
 
 
 def _counts(labels: Sequence[str], failed: Array) -> dict[str, tuple[int, int]]:
@@ -250,9 +250,9 @@ def _by_order(failed: Array, levels: Ints, cells: Ints, rng: np.random.Generator
     total = member.sum(axis=0)
     drawn = np.zeros((SAMPLES, total.size))
     for cell in np.unique(cells[failed > 0]):  # where none failed there is nothing to permute
-        own = cells == cell
-        shuffled = rng.permuted(np.tile(failed[own], (SAMPLES, 1)), axis=1)
-        drawn += shuffled @ member[own]
+        of_cell = cells == cell
+        shuffled = rng.permuted(np.tile(failed[of_cell], (SAMPLES, 1)), axis=1)
+        drawn += shuffled @ member[of_cell]
     return _tail(_weight(failed @ member, total), _weight(drawn, total))
 
 
@@ -272,9 +272,9 @@ def _weight(bad: Array, total: Array) -> Array:
     )
 
 
-def _tail(found: Array, drawn: Array) -> float:
+def _tail(observed: Array, drawn: Array) -> float:
     """Share of tables no more probable than the one found, which counts itself."""
-    return float((1 + np.sum(drawn <= found + TIE)) / (1 + drawn.size))
+    return float((1 + np.sum(drawn <= observed + TIE)) / (1 + drawn.size))
 
 
 def _rules(
@@ -282,15 +282,15 @@ def _rules(
 ) -> tuple[tuple[FailureRule, ...], tuple[int, int]]:
     """Decision list of the failures, and what it leaves."""
     left = [(_settings(case, block), case.failed) for case in cases]
-    found: list[FailureRule] = []
-    while len(found) < MOST_RULES and any(f for _, f in left) and not all(f for _, f in left):
-        best = max(_candidates(left), key=lambda one: one[0], default=None)
+    rules: list[FailureRule] = []
+    while len(rules) < MOST_RULES and any(f for _, f in left) and not all(f for _, f in left):
+        best = max(_candidates(left), key=lambda candidate: candidate[0], default=None)
         if best is None or best[0] <= 0:
             break
-        found.append(best[1])
-        wanted = best[1].settings.items()
-        left = [one for one in left if not wanted <= one[0].items()]
-    return tuple(found), (sum(f for _, f in left), len(left))
+        rules.append(best[1])
+        settings = best[1].settings.items()
+        left = [(levels, failed) for levels, failed in left if not settings <= levels.items()]
+    return tuple(rules), (sum(f for _, f in left), len(left))
 
 
 def _candidates(
@@ -298,9 +298,11 @@ def _candidates(
 ) -> Iterator[tuple[float, FailureRule]]:
     """Every rule that could come next, with what it saves."""
     bad, total = sum(failed for _, failed in left), len(left)
-    failures = Counter(rule for one, failed in left if failed for rule in _conjunctions(one))
-    every = Counter(rule for one, _ in left for rule in _conjunctions(one) if rule in failures)
-    names = _names([one for one, _ in left])
+    failures = Counter(rule for levels, failed in left if failed for rule in _conjunctions(levels))
+    every = Counter(
+        rule for levels, _ in left for rule in _conjunctions(levels) if rule in failures
+    )
+    names = _names([levels for levels, _ in left])
     whole = _information(bad, total)
     for rule, n in every.items():
         f = failures[rule]
@@ -319,7 +321,7 @@ def _conjunctions(settings: Mapping[str, str]) -> Iterator[tuple[tuple[str, str]
 
 def _names(settings: Sequence[Mapping[str, str]]) -> dict[int, int]:
     """Count the conjunctions of every length that could be named."""
-    levels = [len({one.get(factor) for one in settings}) for factor in settings[0]]
+    levels = [len({case.get(factor) for case in settings}) for factor in settings[0]]
     lengths = range(1, LONGEST_RULE + 1)
     return {k: sum(map(math.prod, itertools.combinations(levels, k))) for k in lengths}
 
@@ -356,18 +358,23 @@ def bounds(
     if not missing.any() or missing.all() or len(table) > _MOST_ROWS or levels > _MOST_LEVELS:
         return ()
     low, high = float(y[~missing].min()), float(y[~missing].max())
-    found: list[Sequence[Effect]] = []
+    filled_effects: list[Sequence[Effect]] = []
     for filled in _fillings(table, factors, missing, low, high):
         completed = table.copy()
         completed[response] = np.where(missing, filled, y)
         try:
-            found.append(analyze(completed))
+            filled_effects.append(analyze(completed))
         except StudyError:
             # a filling that makes copies of cells is no possible outcome
             continue
-    if not found:
+    if not filled_effects:
         return ()
-    return tuple(_bound(e.term, [*effects], found, request.alpha) for e in found[0])
+    analyzed = {e.term for e in effects}
+    return tuple(
+        _bound(e.term, effects, filled_effects, request.alpha)
+        for e in filled_effects[0]
+        if e.term in analyzed
+    )
 
 
 def _fillings(
@@ -388,9 +395,9 @@ def _fillings(
 
 
 def _bound(
-    term: str, now: Sequence[Effect], found: Sequence[Sequence[Effect]], alpha: float
+    term: str, now: Sequence[Effect], filled_effects: Sequence[Sequence[Effect]], alpha: float
 ) -> FailureBound:
-    filled = [effect for effects in found for effect in effects if effect.term == term]
+    filled = [effect for effects in filled_effects for effect in effects if effect.term == term]
     every = [*(e for e in now if e.term == term), *filled]
     verdicts = tuple(dict.fromkeys(e.strength for e in every))
     sizes = [e.range for e in every if e.range is not None]
@@ -425,24 +432,25 @@ def _lowest(filled: Sequence[Effect], smallest: float | None) -> float | None:
     return float(np.exp(least)) if ratio else least
 
 
-def sentences(found: Sequence[FailureBound], missing: int) -> list[str]:
+def sentences(failure_bounds: Sequence[FailureBound], missing: int) -> list[str]:
     """Give one sentence per conclusion that the missing responses could overturn."""
-    if not found:
+    if not failure_bounds:
         return []
     runs = f"{missing} missing response" + ("s" if missing > 1 else "")
-    kept = [b.term for b in found if b.holds]
+    # of a term without a p and a claim nothing is said that could be overturned
+    certain = [b.term for b in failure_bounds if b.holds and (b.p or b.verdicts != (CANNOT_TELL,))]
     # interactions have no verdict; one sentence serves them all
-    open_ones = [b.term for b in found if not b.holds and ":" in b.term]
+    open_ones = [b.term for b in failure_bounds if not b.holds and ":" in b.term]
     out = [
         f"{b.term}: with the {runs} anywhere between the worst and the best observed value, its "
         f"largest difference lies between {b.low:.3g} and {b.high:.3g}{_why(b)}"
-        for b in found
+        for b in failure_bounds
         if not b.holds and b.low is not None and b.high is not None and ":" not in b.term
     ]
     if open_ones:
         out.append(f"the {runs} could change what is seen of {', '.join(open_ones)}")
-    if kept:
-        out.append(f"the {runs} cannot overturn what is said of {', '.join(kept)}")
+    if certain:
+        out.append(f"the {runs} cannot overturn what is said of {', '.join(certain)}")
     return out
 
 

@@ -19,14 +19,14 @@ from study.statistics.analysis.analysis_request import AnalysisOutcome
 from study.statistics.analysis.effects import (
     DOUBT,
     UNEQUAL,
+    Scale,
     cell_welch,
-    over_blocks,
     over_groups,
     t_quantile,
     with_pooled_error,
     with_pseudo_error,
 )
-from study.statistics.analysis.equal_variance import doubted_variances
+from study.statistics.analysis.equal_variance import doubted_variances, volatile_beside_blocks
 from study.statistics.analysis.linear_model import (
     CellLayout,
     ModelMatrix,
@@ -73,6 +73,8 @@ _DRAWS = 2000
 _MANY, _SMALL_SPREAD = 500, 0.06
 #: contrasts times rows that a rival keeps at once: 160 MB
 _MOST_VALUES = 20_000_000
+#: rows whose pairs are weighed to tell the variances of cells beside crossing blocks
+_MOST_PAIRS = 2000
 
 COARSE = "the readings are too coarse: with their rounding the interval does not allow the claim"
 SKEW = "the differences are skewed: an interval without a normal distribution does not allow it"
@@ -99,8 +101,10 @@ class Rival:
 def refusal(why: str) -> Rival:
     """Rival that makes no claim: no analysis of these rows is defensible enough."""
 
-    def estimate(asked: Differences) -> Estimates:
-        return Estimates(np.zeros(len(asked.first)), np.full(len(asked.first), np.inf), 1.0, 1.0)
+    def estimate(differences: Differences) -> Estimates:
+        return Estimates(
+            np.zeros(len(differences.first)), np.full(len(differences.first), np.inf), 1.0, 1.0
+        )
 
     return Rival(why, estimate)
 
@@ -108,24 +112,37 @@ def refusal(why: str) -> Rival:
 def judge_factors(
     out: AnalysisOutcome, layout: CellLayout, fit: Factored, sample: Sample, rivals: Sequence[Rival]
 ) -> dict[str, SimpleEffects]:
+    """Judge every factor of an analysis by its simple effects."""
+    undecided = out.structure.undecided
+    return judge_terms(out.terms, out.scale, layout, fit.matrix, sample, rivals, undecided)
+
+
+def judge_terms(
+    terms: Sequence[Term],
+    scale: Scale,
+    layout: CellLayout,
+    matrix: ModelMatrix,
+    sample: Sample,
+    rivals: Sequence[Rival],
+    undecided: str = "",
+) -> dict[str, SimpleEffects]:
     """Judge every factor of a model by its simple effects, and let the rivals withdraw claims."""
-    found = {}
-    scale = out.scale
-    for (name,) in (term for term in out.terms if len(term) == 1):
+    judged_factors = {}
+    for (name,) in (term for term in terms if len(term) == 1):
         judged = partial(simple_effects, name, layout, bound=scale.bound, only=scale.only)
-        printed = judged(fit.matrix, sample, practical=scale.practical)
+        printed = judged(matrix, sample, practical=scale.practical)
         if printed is None:
-            if out.structure.undecided:
-                found[name] = SimpleEffects(name, CANNOT_TELL, out.structure.undecided, ())
+            if undecided:
+                judged_factors[name] = SimpleEffects(name, CANNOT_TELL, undecided, ())
             continue
         for rival in rivals:
             if not {e.verdict for e in printed.effects} & set(CLAIMS) & set(rival.claims):
                 continue
             limit = rival.practical or scale.practical
-            other = judged(rival.matrix or fit.matrix, rival.sample, practical=limit)
+            other = judged(rival.matrix or matrix, rival.sample, practical=limit)
             printed = _agreed(printed, other, rival)
-        found[name] = printed
-    return found
+        judged_factors[name] = printed
+    return judged_factors
 
 
 def _agreed(printed: SimpleEffects, other: SimpleEffects | None, rival: Rival) -> SimpleEffects:
@@ -192,6 +209,33 @@ def block_means(out: AnalysisOutcome) -> Array:
     return np.asarray(out.y[0] + np.bincount(block, out.y - out.y[0]) / np.bincount(block))
 
 
+def rivals_over_groups(
+    out: AnalysisOutcome,
+    fit: Factored,
+    added: Array,
+    groups: Sequence[Ints],
+    sample: Sample,
+    y: Array,
+) -> list[Rival]:
+    """Rivals where each effect is tested over blocks, which may lie in groups.
+
+    ``added`` is what each block adds to the coefficients.
+
+    Shapes: added (p, b); y (cells, b).
+    """
+    alpha, seed = out.request.alpha, out.request.interval_seed
+    rivals = []
+    reading = reading_error(out)
+    if not out.request.records and out.replicates == "runs":
+        rivals.append(Rival(NO_SCATTER, _with_scatter(sample, float(np.abs(y).max()))))
+    if reading and out.replicates == "runs":
+        rivals.append(Rival(COARSE, over_groups(fit, added, groups, alpha, seed, reading)))
+    if out.replicates != "noise":
+        rivals.append(any_shape(out, sample, lambda rows: rows @ added, groups, y))
+        rivals += limit_rivals(out, sample, y.mean(axis=0))
+    return rivals
+
+
 def rivals_over_blocks(
     out: AnalysisOutcome, cells: CellLayout, y: Array, fit: Factored, sample: Sample
 ) -> tuple[list[Rival], list[str]]:
@@ -199,45 +243,24 @@ def rivals_over_blocks(
 
     Shapes: y (cells, b).
     """
-    alpha, seed = out.request.alpha, out.request.interval_seed
-    coefficients = fit.model.inverse @ (fit.q.T @ (y - y[0, 0]))
-    rivals, notes = [], []
-    reading = reading_error(out)
-    if not out.request.records and out.replicates == "runs":
-        rivals.append(Rival(NO_SCATTER, _with_scatter(sample, float(np.abs(y).max()))))
-        if reading:
-            coarse = over_blocks(fit, coefficients, alpha, seed, reading)
-            rivals.append(Rival(COARSE, coarse))
-    if out.replicates != "noise":
-        added, blocks = coefficients / y.shape[1], [np.arange(y.shape[1])]
-        rivals.append(any_shape(out, sample, lambda rows: rows @ added, blocks, y))
-        rivals += limit_rivals(out, sample, y.mean(axis=0))
+    blocks = [np.arange(y.shape[1])]
+    rivals = rivals_over_groups(out, fit, per_block(fit, y), blocks, sample, y)
+    notes = []
     full = every_term(out, cells)
     if full is not None:
         whole = factor(model_matrix(cells, full), y.mean(axis=1))
         p, note = _lack_of_fit_over_blocks(fit, whole, y)
         notes += [note] if note else []
         if p < DOUBT:
-            inner = whole.model.inverse @ (whole.q.T @ (y - y[0, 0]))
-            other = over_blocks(whole, inner, alpha, seed)
+            alpha, seed = out.request.alpha, out.request.interval_seed
+            other = over_groups(whole, per_block(whole, y), blocks, alpha, seed)
             rivals.append(Rival(f"{LACK_OF_FIT} ({note})", other, matrix=whole.matrix))
     return rivals, notes
 
 
-def rivals_over_groups(
-    out: AnalysisOutcome, fit: Factored, added: Array, groups: Sequence[Ints], sample: Sample
-) -> list[Rival]:
-    """Rivals where blocks lie in groups with variances of their own.
-
-    Shapes: added (p, b).
-    """
-    alpha, seed = out.request.alpha, out.request.interval_seed
-    rivals = []
-    reading = reading_error(out)
-    if reading:
-        rivals.append(Rival(COARSE, over_groups(fit, added, groups, alpha, seed, reading)))
-    rivals.append(any_shape(out, sample, lambda rows: rows @ added, groups, out.y))
-    return rivals
+def per_block(fit: Factored, y: Array) -> Array:
+    """Find what each block of y (cells, b) adds to the mean coefficients of a fit, shape (p, b)."""
+    return np.asarray(fit.inverse @ (fit.q.T @ (y - fit.shift)) / y.shape[1])
 
 
 def rivals_of_rows(
@@ -251,6 +274,12 @@ def rivals_of_rows(
         rivals.append(Rival(COARSE, with_pooled_error(fit, df * reading**2, df, alpha, seed)))
     if out.data.block is None and out.replicates in ("runs", "mesh-seeds"):
         rivals += _rivals_of_cells(out, fit, sample, reading)
+    elif out.data.block is not None and not out.request.records and out.y.size <= _MOST_PAIRS:
+        index = np.unique(out.data.cell, return_inverse=True)[1]
+        if variances := volatile_beside_blocks(fit, index):
+            rows = np.arange(out.y.size)
+            unequal = cell_welch(fit, index, variances, alpha, reading, rows)
+            rivals.append(Rival(UNEQUAL, unequal))
     blocks = [(name,) for name in out.data.blocks]
     means = out.y.mean() + fit.residual if out.data.block is None else block_means(out)
     if out.replicates != "noise" and not out.request.records:
@@ -292,11 +321,15 @@ def rival_of_every_term(
     columns = np.concatenate([np.arange(p.start, p.stop) for p in places])
     rows = np.vstack([np.zeros(whole.columns.shape[1]), np.eye(whole.columns.shape[1])[columns]])
     m = len(columns)
-    found = at(DOUBT / m)(Differences(rows, np.arange(1, m + 1), np.zeros(m, dtype=np.int64)))
-    if found.error is None:
+    left_out_estimates = at(DOUBT / m)(
+        Differences(rows, np.arange(1, m + 1), np.zeros(m, dtype=np.int64))
+    )
+    if left_out_estimates.error is None:
         return [], []
     with np.errstate(invalid="ignore"):
-        seen = np.abs(found.value) > found.error * found.single
+        seen = (
+            np.abs(left_out_estimates.value) > left_out_estimates.error * left_out_estimates.single
+        )
     if not seen.any():
         return [], []
     note = f"lack of fit of the declared model: {int(seen.sum())} of {m} coefficients that it "
@@ -355,9 +388,9 @@ def _lack_of_fit_of_rows(
     names, contrasts = orthonormal_contrasts(out.data.layout, left_out)
     if len(names) < LEAST_CONTRASTS:
         return 1.0, "", None
-    found = lenth(contrasts.T @ (out.y - out.y[0]), names, seed=out.request.seed)
-    p = min(found.p) * len(names)
-    largest = names[int(np.argmin(found.p))]
+    sparse = lenth(contrasts.T @ (out.y - out.y[0]), names, seed=out.request.seed)
+    p = min(sparse.p) * len(names)
+    largest = names[int(np.argmin(sparse.p))]
     note = f"of the interactions declared negligible, {largest} stands out: p = {min(1.0, p):.2g}"
     every = orthonormal_contrasts(out.data.layout, full)[1]
     return p, note, with_pseudo_error(whole, every, alpha, seed, out.y)
@@ -376,7 +409,7 @@ def _rivals_of_cells(
     if counts.max() >= FEWEST_FOR_SHAPE and fit.q.shape[0] * fit.matrix.columns.shape[1] < 2e6:
         groups = np.split(np.argsort(index, kind="stable"), np.cumsum(counts)[:-1])
         if counts.min() >= 2:
-            added = (fit.model.inverse @ fit.q.T) * (out.y - fit.shift)
+            added = (fit.inverse @ fit.q.T) * (out.y - fit.shift)
             rivals.append(any_shape(out, sample, lambda rows: rows @ added, groups, out.y))
     return rivals
 
@@ -385,11 +418,11 @@ def _with_scatter(sample: Sample, largest: float) -> Sample:
     """Return the same estimates; a difference that does not scatter at all tells nothing."""
     floor = 16 * float(np.spacing(largest))
 
-    def estimate(asked: Differences) -> Estimates:
-        known = sample(asked)
-        if known.error is None:
-            return known
-        return replace(known, error=np.where(known.error <= floor, np.inf, known.error))
+    def estimate(differences: Differences) -> Estimates:
+        estimates = sample(differences)
+        if estimates.error is None:
+            return estimates
+        return replace(estimates, error=np.where(estimates.error <= floor, np.inf, estimates.error))
 
     return estimate
 
@@ -413,11 +446,11 @@ def any_shape(
     alpha, seed = out.request.alpha, out.request.interval_seed
     rounding = _ROUNDING * float(np.abs(y).max())
 
-    def estimate(asked: Differences) -> Estimates:
-        known = sample(asked)
-        if known.error is None or len(known.value) * y.size > _MOST_VALUES:
-            return known
-        value = values(asked.rows)
+    def estimate(differences: Differences) -> Estimates:
+        estimates = sample(differences)
+        if estimates.error is None or len(estimates.value) * y.size > _MOST_VALUES:
+            return estimates
+        value = values(differences.rows)
         m = len(value)
         # equal but for rounding: the last digits of what was subtracted have no distribution
         differs = np.abs(value).sum(axis=1) > rounding
@@ -433,10 +466,10 @@ def any_shape(
                 low, high, wide = ends.get(i, (end, end, 0.0))
                 ends[i] = (min(low, end), max(high, end), wide)
         if not ends:
-            return known
+            return estimates
         single, every = (np.broadcast_to(np.asarray(k, dtype=float), m).copy()
-                         for k in (known.single, known.simultaneous))  # fmt: skip
-        centre, error = known.value.copy(), known.error.copy()
+                         for k in (estimates.single, estimates.simultaneous))  # fmt: skip
+        centre, error = estimates.value.copy(), estimates.error.copy()
         for i, (low, high, widest) in ends.items():
             farthest = _FARTHEST * b * float(np.abs(value[i]).max())
             low, high, widest = max(low, -farthest), min(high, farthest), min(widest, farthest)
@@ -452,7 +485,7 @@ def any_shape(
 
 def _skewed(value: Array, groups: Sequence[Ints]) -> Array:
     """Whether the values of a contrast in a group are skewed beyond chance, shape (m,)."""
-    found = np.zeros(len(value), dtype=bool)
+    skewed = np.zeros(len(value), dtype=bool)
     m = len(value) * len(groups)
     for group in groups:
         n = len(group)
@@ -462,8 +495,8 @@ def _skewed(value: Array, groups: Sequence[Ints]) -> Array:
         size = np.abs(value[:, group]).max(axis=1, initial=1e-60)
         varies = np.mean(centred**2, axis=1) > (_ROUNDING * size) ** 2
         centred[~varies] = 1.0
-        found |= varies & (_skewness(centred) > _limit_of_skewness(n, min(m, 1000)))
-    return found
+        skewed |= varies & (_skewness(centred) > _limit_of_skewness(n, min(m, 1000)))
+    return skewed
 
 
 def _skewness(centred: Array) -> Array:

@@ -12,13 +12,11 @@ differences where blocks are complete.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 
 import numpy as np
-from scipy.special import fdtrc
 
-from study.ground.arrays import Array, Ints
+from study.ground.arrays import Array
 from study.statistics.analysis import error_ledger
 from study.statistics.analysis.analysis_request import AnalysisOutcome
 from study.statistics.analysis.anova_table import Anova, ErrorTerm
@@ -37,13 +35,12 @@ from study.statistics.analysis.gate import (
 from study.statistics.analysis.linear_model import CellLayout, Term, model_matrix, term_name
 from study.statistics.analysis.mixed_model import MixedCells
 from study.statistics.analysis.restricted_likelihood import (
-    RestrictedFit,
+    Sandwich,
     SingularError,
     fit_restricted,
 )
 from study.statistics.analysis.simple_effects import Differences, Estimates
 from study.statistics.analysis.sums_of_squares import (
-    Factored,
     alias_warnings,
     factor,
     term_row,
@@ -51,8 +48,6 @@ from study.statistics.analysis.sums_of_squares import (
     with_shares,
 )
 
-#: numbers that the products of blocks of several contrasts may take at once: 40 MB
-_AT_ONCE = 5_000_000
 #: numbers in the products of all pairs of variances and of fixed effects: 160 MB
 _MOST_PRODUCTS = 20_000_000
 
@@ -66,9 +61,9 @@ def incomplete_blocks(out: AnalysisOutcome) -> AnalysisOutcome | None:
     lacking = int((cells < cell.max() + 1).sum())
     if not lacking or out.replicates in ("noise", "mesh-seeds"):
         return None
-    asked = out.request
+    request = out.request
     model, sandwich, sources = mixed_cells(
-        data.layout, out.terms, block, out.y, asked.alpha, asked.interval_seed
+        data.layout, out.terms, block, out.y, request.alpha, request.interval_seed
     )
     if model is None or sandwich is None:
         return None
@@ -123,11 +118,11 @@ def _rivals(
     notes: list[str] = []
     if reading := reading_error(out):
 
-        def coarse(asked: Differences) -> Estimates:
-            known = model.sample(asked)
-            least = reading * np.linalg.norm(model.along(asked.rows), axis=1)
-            error = least if known.error is None else np.maximum(known.error, least)
-            return replace(known, error=error)
+        def coarse(differences: Differences) -> Estimates:
+            estimates = model.sample(differences)
+            least = reading * np.linalg.norm(model.along(differences.rows), axis=1)
+            error = least if estimates.error is None else np.maximum(estimates.error, least)
+            return replace(estimates, error=error)
 
         rivals.insert(0, Rival(COARSE, coarse))
 
@@ -141,9 +136,9 @@ def _rivals(
     full = every_term(out, out.data.layout)
     if full is None:
         return rivals, notes
-    asked, block = out.request, str(out.data.block)
+    request, block = out.request, str(out.data.block)
     whole, its_own, _ = mixed_cells(
-        out.data.layout, full, block, out.y, asked.alpha, asked.interval_seed
+        out.data.layout, full, block, out.y, request.alpha, request.interval_seed
     )
     if whole is None or its_own is None:
         return rivals, notes
@@ -192,81 +187,3 @@ def mixed_cells(
         model = MixedCells(fit, fixed, bare, layout, shift, alpha, seed, sandwich.errors)
         return model, sandwich, random
     return None, None, []
-
-
-@dataclass(frozen=True)
-class Sandwich:
-    """Variances of combinations of fixed effects by their scatter over independent blocks."""
-
-    fit: RestrictedFit
-    fixed: Factored
-    y: Array
-    block: Ints
-
-    def errors(self, rows: Array) -> tuple[Array, Array]:
-        """Find standard errors of ``rows`` @ beta, shape (m, r), and Satterthwaite's df."""
-        parts, df = self.parts(rows)
-        return np.sqrt(np.sum(parts**2, axis=0)), df
-
-    def test(self, basis: Array) -> tuple[float, float]:
-        """Epsilon and p of orthonormal directions, shape (r, l), by Box's approximation.
-
-        Where blocks are complete these are the epsilon and p of Greenhouse and Geisser.
-        """
-        parts, df = self.parts(basis.T)
-        value = basis.T @ self.fit.moments.beta
-        covariance = parts.T @ parts
-        trace = float(np.trace(covariance))
-        if trace <= 0:
-            return 1.0, 1.0
-        df1 = trace**2 / float(np.sum(covariance**2))
-        df2 = df1 * float(np.diag(covariance) @ df) / trace
-        return df1 / basis.shape[1], float(fdtrc(df1, df2, float(value @ value) / trace))
-
-    @cached_property
-    def _blocks(self) -> list[tuple[Ints, Array, Array]]:
-        """Rows of each block, CR2's weights of its residuals, and these times the covariance.
-
-        Shapes: rows (n_k,), the others (n_k, p).
-        """
-        x, phi, v = self.fixed.q, self.fit.covariance, self.fit.v
-        found = []
-        for k in range(int(self.block.max()) + 1):
-            here = np.flatnonzero(self.block == k)
-            cov = v[-1] * np.eye(here.size)
-            for variance, code in zip(v, self.fit.likelihood.codes, strict=False):
-                cov += variance * (code[here][:, None] == code[here])
-            upper = np.linalg.cholesky(cov).T
-            left = cov - x[here] @ phi @ x[here].T
-            values, vectors = np.linalg.eigh(upper @ left @ upper.T)
-            ok = values > 1e-9 * max(values.max(), 0.0)
-            inverse = (vectors[:, ok] / np.sqrt(values[ok])) @ vectors[:, ok].T
-            weight = upper.T @ (inverse @ (upper @ np.linalg.solve(cov, x[here])))
-            found.append((here, weight, cov @ weight))
-        return found
-
-    def parts(self, rows: Array) -> tuple[Array, Array]:
-        """Find what each block adds, squared, to the variances; and their degrees of freedom."""
-        x, phi, blocks = self.fixed.q, self.fit.covariance, len(self._blocks)
-        residual = self.y - x @ self.fit.moments.beta
-        root = np.linalg.cholesky(phi)
-        lever = phi @ rows.T
-        parts = np.zeros((blocks, len(rows)))
-        diagonal = np.zeros((blocks, len(rows)))
-        inner = np.zeros((blocks, phi.shape[0], len(rows)))
-        for k, (here, weight, spread) in enumerate(self._blocks):
-            g = weight @ lever
-            parts[k] = residual[here] @ g
-            diagonal[k] = np.einsum("im,im->m", g, spread @ lever)
-            inner[k] = root.T @ (x[here].T @ g)
-        df = np.ones(len(rows))
-        step = max(1, _AT_ONCE // blocks**2)
-        for start in range(0, len(rows), step):
-            part = inner[:, :, start : start + step]
-            gram = -np.einsum("krm,lrm->mkl", part, part, optimize=True)
-            at = np.arange(blocks)
-            gram[:, at, at] += diagonal[:, start : start + step].T
-            trace = np.einsum("mkk->m", gram)
-            below = np.einsum("mkl,mkl->m", gram, gram)
-            df[start : start + step] = trace**2 / np.maximum(below, 1e-300)
-        return parts, np.maximum(df, 0.1)

@@ -85,21 +85,21 @@ class Cells:
     estimate: Callable[[Setting, Setting], tuple[float, float, float]] | None = None
 
 
-def contrasts(cells: Cells, asked: Sequence[str]) -> tuple[Contrast, ...]:
+def contrasts(cells: Cells, texts: Sequence[str]) -> tuple[Contrast, ...]:
     """Estimate differences of sets of cells."""
-    found, faults = possible_contrasts(cells, asked)
+    estimated, faults = possible_contrasts(cells, texts)
     if faults:
         raise InputError(faults)
-    return found
+    return estimated
 
 
 def possible_contrasts(
-    cells: Cells, asked: Sequence[str]
+    cells: Cells, texts: Sequence[str]
 ) -> tuple[tuple[Contrast, ...], list[Fault]]:
     """Estimate those differences of sets of cells that can be, and say what keeps the others."""
     sides, estimates, names = [], [], []
     faults: list[Fault] = []
-    for text in asked:
+    for text in texts:
         try:
             pair = sides_of(text, cells.levels)
             if cells.estimate is None:
@@ -112,17 +112,20 @@ def possible_contrasts(
         sides.append(pair)
         names.append(text)
     wide = _multipliers(estimates, cells.alpha, cells.seed)
-    found = [
-        _judged(text, pair, one, (factor, len(estimates)), cells)
-        for text, pair, one, factor in zip(names, sides, estimates, wide, strict=True)
+    judged = [
+        _judged(text, pair, estimate, (factor, len(estimates)), cells)
+        for text, pair, estimate, factor in zip(names, sides, estimates, wide, strict=True)
     ]
-    return _adjusted(found), faults
+    return _adjusted(judged), faults
 
 
-def _adjusted(found: Sequence[Contrast]) -> tuple[Contrast, ...]:
+def _adjusted(contrasts: Sequence[Contrast]) -> tuple[Contrast, ...]:
     """Contrasts with Holm's p of all of them that have one."""
-    adjusted = iter(holm([one.p for one in found if one.p is not None]).tolist())
-    return tuple(one if one.p is None else replace(one, p_holm=next(adjusted)) for one in found)
+    adjusted = iter(holm([contrast.p for contrast in contrasts if contrast.p is not None]).tolist())
+    return tuple(
+        contrast if contrast.p is None else replace(contrast, p_holm=next(adjusted))
+        for contrast in contrasts
+    )
 
 
 def _estimate(cells: Cells, first: Setting, second: Setting, text: str) -> _Estimate:
@@ -130,8 +133,8 @@ def _estimate(cells: Cells, first: Setting, second: Setting, text: str) -> _Esti
     sides = [rows[_holds(rows, setting)] for setting in (first, second)]
     for side, setting in zip(sides, (first, second), strict=True):
         if side.empty:
-            said = ", ".join(f"{name}={level}" for name, level in setting.items())
-            raise InputError(Fault(f"contrast {text!r}", f"no row has {said}"))
+            setting_text = ", ".join(f"{name}={level}" for name, level in setting.items())
+            raise InputError(Fault(f"contrast {text!r}", f"no row has {setting_text}"))
     if "block" not in rows:
         return _of_cells(rows, *sides, resampled=cells.resampled)
     # every cell counts once, whatever its repeats
@@ -143,10 +146,10 @@ def _estimate(cells: Cells, first: Setting, second: Setting, text: str) -> _Esti
 
 
 def _holds(rows: pd.DataFrame, setting: Setting) -> Array:
-    kept = np.ones(len(rows), dtype=bool)
+    holds = np.ones(len(rows), dtype=bool)
     for name, level in setting.items():
-        kept &= (rows[name].astype(str) == level).to_numpy()
-    return kept
+        holds &= (rows[name].astype(str) == level).to_numpy()
+    return holds
 
 
 def _within(differences: Array, resampled: bool) -> _Estimate:
@@ -200,18 +203,25 @@ def _of_cells(
     return _Estimate(value, float(np.sqrt(squares / df * share)), df, welch=welch)
 
 
-def _multipliers(found: Sequence[_Estimate], alpha: float, seed: int) -> list[float]:
+def _multipliers(estimates: Sequence[_Estimate], alpha: float, seed: int) -> list[float]:
     """Multipliers of the standard errors for intervals of all contrasts together."""
-    blocks = [one.by_block for one in found if one.by_block is not None and one.error]
-    if len(blocks) == len(found) > 1 and len({b.size for b in blocks}) == 1:
-        return [block_multiplier(np.array(blocks), alpha, seed)] * len(found)
-    return [0.0 if one.df is None else bonferroni(len(found), one.df, alpha) for one in found]
+    blocks = [
+        estimate.by_block
+        for estimate in estimates
+        if estimate.by_block is not None and estimate.error
+    ]
+    if len(blocks) == len(estimates) > 1 and len({b.size for b in blocks}) == 1:
+        return [block_multiplier(np.array(blocks), alpha, seed)] * len(estimates)
+    return [
+        0.0 if estimate.df is None else bonferroni(len(estimates), estimate.df, alpha)
+        for estimate in estimates
+    ]
 
 
 def _judged(
     text: str,
     sides: tuple[Setting, Setting],
-    one: _Estimate,
+    estimate: _Estimate,
     together: tuple[float, int],
     cells: Cells,
 ) -> Contrast:
@@ -220,21 +230,41 @@ def _judged(
     scale, back = cells.scale, cells.scale.back
     u = 0.0 if scale.bound is None else scale.bound.of(*map(dict, sides))
     shown = None if u is None or scale.bound is None else u / scale.unit
-    if one.error is None or one.df is None:
+    if estimate.error is None or estimate.df is None:
         why = "nothing scatters, so there is no interval"
-        return Contrast(text, back(one.value), None, None, one.df, None, shown, CANNOT_TELL, why)
-    own, every = t_quantile(cells.alpha / 2, one.df) * one.error, multiplier * one.error
-    ci, wide = (one.value - own, one.value + own), (one.value - every, one.value + every)
+        return Contrast(
+            text, back(estimate.value), None, None, estimate.df, None, shown, CANNOT_TELL, why
+        )
+    alone, every = (
+        t_quantile(cells.alpha / 2, estimate.df) * estimate.error,
+        multiplier * estimate.error,
+    )
+    ci, wide = (
+        (estimate.value - alone, estimate.value + alone),
+        (estimate.value - every, estimate.value + every),
+    )
     verdict, why = _verdict(ci, wide, u, scale)
-    if one.welch is not None and verdict in CLAIMS:
-        error, df = one.welch
+    if estimate.welch is not None and verdict in CLAIMS:
+        error, df = estimate.welch
         halves = [t_quantile(cells.alpha / (2 * m), df) * error for m in (1, number)]
-        ends = [(one.value - half, one.value + half) for half in halves]
+        ends = [(estimate.value - half, estimate.value + half) for half in halves]
         if _verdict(ends[0], ends[1], u, scale)[0] != verdict:
             verdict, why = CANNOT_TELL, UNEQUAL
-    p = 2 * float(stdtr(one.df, -abs(one.value) / one.error)) if one.error else None
+    p = (
+        2 * float(stdtr(estimate.df, -abs(estimate.value) / estimate.error))
+        if estimate.error
+        else None
+    )
     return Contrast(
-        text, back(one.value), _on(back, ci), _on(back, wide), one.df, p, shown, verdict, why
+        text,
+        back(estimate.value),
+        _on(back, ci),
+        _on(back, wide),
+        estimate.df,
+        p,
+        shown,
+        verdict,
+        why,
     )
 
 
@@ -246,10 +276,10 @@ def _verdict(
         return CANNOT_TELL, "no practical threshold was given"
     if scale.specimens == 1:
         return CANNOT_TELL, ONE_SPECIMEN
-    found = verdict_of(ci, wide, np.nan if u is None else u, scale.practical)
-    if found == NOT_RESOLVED and u is None:
-        return found, UNBOUNDED
-    return found, "2 specimens" if scale.specimens == 2 and found in CLAIMS else ""
+    verdict = verdict_of(ci, wide, np.nan if u is None else u, scale.practical)
+    if verdict == NOT_RESOLVED and u is None:
+        return verdict, UNBOUNDED
+    return verdict, "2 specimens" if scale.specimens == 2 and verdict in CLAIMS else ""
 
 
 def _on(back: Callable[[float], float], ends: tuple[float, float]) -> tuple[float, float]:

@@ -127,7 +127,8 @@ class Formula:
 
 
 _STRATUM = re.compile(r"\+?\s*(?:Error\s*\(([^()]*)\)|\(\s*1\s*\|([^()]*)\))")
-_TOKEN = re.compile(r"\s*(`[^`]+`|[^\W\d][\w.]*|\d+|\*\*|[-+*/:^()])")
+_NAME = re.compile(r"[^\W\d][\w.]*")
+_POWER = re.compile(r"(?:\*\*|\^)\s*(\d+)")
 
 
 def read_formula(text: str) -> Formula:
@@ -151,7 +152,7 @@ def read_formula(text: str) -> Formula:
     strata = [a or b for a, b in _STRATUM.findall(right)]
     outer = [part.split("/") for text in strata for part in text.replace(":", "/").split("+")]
     names = [[name.strip().strip("`") for name in part] for part in outer]
-    terms = _Terms(_STRATUM.sub(" ", right).strip()).all()
+    terms = _terms_of_formula(_STRATUM.sub(" ", right).strip())
     factors = tuple(dict.fromkeys(name for term in terms for name in term))
     plots = tuple(name for part in names for name in part[1:] if name in factors)
     blocks = tuple(dict.fromkeys(part[0] for part in names))
@@ -159,96 +160,38 @@ def read_formula(text: str) -> Formula:
     return Formula(response, transform, factors, ordered, blocks, plots)
 
 
-class _Terms:
-    """Terms of the right side of a formula, read from left to right."""
+def _terms_of_formula(text: str) -> list[Term]:
+    """List the terms of the right side of a formula: patsy reads it, nobody evaluates it."""
+    from patsy import ModelDesc, PatsyError
 
-    def __init__(self, text: str) -> None:
-        self.text, self.tokens, end = text, [], 0
-        while end < len(text):
-            match = _TOKEN.match(text, end)
-            if match is None:
-                raise self._unreadable(text[end:])
-            self.tokens.append(match[1])
-            end = match.end()
+    quoted: dict[str, str] = {}
 
-    def _unreadable(self, at: str) -> InputError:
-        mend = "names, numbers and + - : * / ^ ( ) can be read; names with spaces in `backticks`"
-        return InputError(Fault("formula", f"cannot read {at.strip()[:20]!r}", mend))
+    def placeholder(match: re.Match[str]) -> str:
+        name = f"quoted_name_{len(quoted)}"
+        quoted[name] = match[1]
+        return name
 
-    def _take(self, *wanted: str) -> str:
-        return self.tokens.pop(0) if self.tokens and self.tokens[0] in wanted else ""
-
-    def all(self) -> list[Term]:
-        """Return the terms in the order in which they appear, each once."""
-        terms = self._sum()
-        if self.tokens or not terms:
-            raise self._unreadable(self.tokens[0] if self.tokens else self.text or "~")
-        return terms
-
-    def _sum(self) -> list[Term]:
-        terms = self._product()
-        while sign := self._take("+", "-"):
-            if (sign, *self.tokens[:1]) in (("-", "1"), ("+", "0")):
-                rule = f"'{sign} {self.tokens[0]}' leaves out the mean, which every model here has"
-                mend = "leave it out: means and differences of the levels are the same with it"
-                raise InputError(Fault("formula", rule, mend))
-            more = self._product()
-            gone = {frozenset(term) for term in more}
-            kept = [term for term in terms if frozenset(term) not in gone]
-            terms = [*terms, *_new(terms, more)] if sign == "+" else kept
-        return terms
-
-    def _product(self) -> list[Term]:
-        terms = self._interaction()
-        while sign := self._take("*", "/"):
-            more = self._interaction()
-            if sign == "*":
-                terms = [*terms, *_new(terms, more), *_joined(terms, more)]
-            else:
-                every = tuple(dict.fromkeys(name for term in terms for name in term))
-                terms = [*terms, *_joined([every], more)]
-        return terms
-
-    def _interaction(self) -> list[Term]:
-        terms = self._power()
-        while self._take(":"):
-            terms = _joined(terms, self._power())
-        return terms
-
-    def _power(self) -> list[Term]:
-        terms = self._atom()
-        if self._take("^", "**"):
-            order = self.tokens.pop(0) if self.tokens else ""
-            if not order.isdigit() or not 1 <= int(order) <= len(terms):
-                raise self._unreadable(f"^{order}")
-            base = terms
-            for _ in range(int(order) - 1):
-                terms = [*terms, *_new(terms, _joined(terms, base))]
-        return terms
-
-    def _atom(self) -> list[Term]:
-        if self._take("("):
-            terms = self._sum()
-            if not self._take(")"):
-                raise self._unreadable(self.tokens[0] if self.tokens else "(")
-            return terms
-        token = self.tokens.pop(0) if self.tokens else ""
-        if token == "1":
-            return []
-        if not token or not (token[0] == "`" or token[0].isalpha() or token[0] == "_"):
-            raise self._unreadable(token or self.text)
-        return [(token.strip("`"),)]
+    bare = re.sub(r"`([^`]+)`", placeholder, text)
+    try:
+        read = ModelDesc.from_formula(f"~ {bare.replace('^', '**')}").rhs_termlist
+    except PatsyError as error:
+        raise _unreadable(text) from error
+    terms = [tuple(factor.name() for factor in term.factors) for term in read]
+    names = {name for term in terms for name in term}
+    if strange := [name for name in names if not _NAME.fullmatch(name)]:
+        raise _unreadable(strange[0])
+    if not names or any(not 1 <= int(order) <= len(names) for order in _POWER.findall(bare)):
+        raise _unreadable(text)
+    if () not in terms:
+        rule = f"{text!r} leaves out the mean, which every model here has"
+        mend = "leave '- 1' out: means and differences of the levels are the same without it"
+        raise InputError(Fault("formula", rule, mend))
+    return [tuple(quoted.get(name, name) for name in term) for term in terms if term]
 
 
-def _new(terms: Sequence[Term], more: Sequence[Term]) -> list[Term]:
-    """Terms of the second list that the first has not, whatever the order of their factors."""
-    present = {frozenset(term) for term in terms}
-    return list({frozenset(t): t for t in more if frozenset(t) not in present}.values())
-
-
-def _joined(terms: Sequence[Term], more: Sequence[Term]) -> list[Term]:
-    """Interactions of every term of one list with every one of the other."""
-    return _new([], [tuple(dict.fromkeys((*a, *b))) for a in terms for b in more])
+def _unreadable(at: str) -> InputError:
+    mend = "names, numbers and + - : * / ^ ( ) can be read; names with spaces in `backticks`"
+    return InputError(Fault("formula", f"cannot read {at.strip()[:20] or '~'!r}", mend))
 
 
 def _parse_term(item: str | Sequence[str], factors: Sequence[str]) -> Term:
@@ -288,14 +231,14 @@ def nested_in(terms: Sequence[Term]) -> dict[str, tuple[str, ...]]:
     {'specimen': ('mix',)}
     """
     present = {frozenset(t) for t in terms}
-    found: dict[str, tuple[str, ...]] = {}
+    outer: dict[str, tuple[str, ...]] = {}
     for term in sorted(terms, key=len):
         for name in term:
             parents = tuple(other for other in term if other != name)
             alone = any(name in t and not set(parents) & set(t) for t in present)
             if parents and frozenset(parents) in present and not alone:
-                found.setdefault(name, parents)
-    return {name: parents for name, parents in found.items() if not set(parents) & set(found)}
+                outer.setdefault(name, parents)
+    return {name: parents for name, parents in outer.items() if not set(parents) & set(outer)}
 
 
 def number_within(layout: CellLayout, nested: Mapping[str, tuple[str, ...]]) -> CellLayout:
@@ -377,14 +320,29 @@ class Factorization:
     r: Array
     #: shape (p,); length of each column.
     scale: Array
-    _spaces: dict[tuple[str, int], TermSpace] = field(
-        default_factory=dict, repr=False, compare=False
+    #: What is known of the terms by now.
+    spaces: dict[tuple[str, int], TermSpace] = field(
+        default_factory=dict, repr=False, compare=False, kw_only=True
     )
 
     @property
     def rank(self) -> int:
         """Rank of the model."""
         return int(self.r.shape[0])
+
+    @property
+    def df_residual(self) -> int:
+        """Residual degrees of freedom."""
+        return int(self.q.shape[0] - self.rank)
+
+    @property
+    def columns(self) -> Array:
+        """Columns of the model, shape (n, p)."""
+        return self.matrix.columns
+
+    def projected(self, y: Array) -> Array:
+        """Part of values that the model describes, shape (n,)."""
+        return np.asarray(self.q @ (self.q.T @ y))
 
     @property
     def is_full(self) -> bool:
@@ -405,8 +363,8 @@ class Factorization:
     def inverse(self) -> Array:
         """Coefficients from coordinates along ``q``, of minimum norm, shape (p, r)."""
         exact = _inverse(self.r) if self.is_triangular else None
-        found = np.linalg.pinv(self.r, rcond=ALIAS_TOLERANCE) if exact is None else exact
-        return np.asarray(found / self.scale[:, None])
+        inverse = np.linalg.pinv(self.r, rcond=ALIAS_TOLERANCE) if exact is None else exact
+        return np.asarray(inverse / self.scale[:, None])
 
     @cached_property
     def unscaled_covariance(self) -> Array:
@@ -430,13 +388,13 @@ class Factorization:
 
     def space(self, i: int, kind: str) -> TermSpace:
         """Directions of term ``i`` given the terms that a type of sums of squares names."""
-        if (kind, i) not in self._spaces:
+        if (kind, i) not in self.spaces:
             others = _others(self.matrix.terms, i, kind)
             basis = self._basis_of_full(i, others, kind) if self.is_triangular else None
-            self._spaces[kind, i] = (
+            self.spaces[kind, i] = (
                 self._space(i, others) if basis is None else TermSpace(basis, basis.shape[1])
             )
-        return self._spaces[kind, i]
+        return self.spaces[kind, i]
 
     @cached_property
     def _is_block_diagonal(self) -> bool:
@@ -447,34 +405,34 @@ class Factorization:
 
     def _basis_of_full(self, i: int, others: list[int], kind: str) -> Array:
         """Directions of a term where nothing is aliased, without factoring all columns again."""
-        own = self.matrix.blocks[i]
+        columns = self.matrix.blocks[i]
         if kind == "I" or self._is_block_diagonal:
-            return np.eye(self.rank)[:, own]
+            return np.eye(self.rank)[:, columns]
         if kind == "III":
             # R^-1 R = 1: these rows of the inverse are orthogonal to the columns of all others
-            rows = self.inverse[own] * self.scale[own, None]
+            rows = self.inverse[columns] * self.scale[columns, None]
             return np.asarray(np.linalg.qr((rows / np.linalg.norm(rows, axis=1)[:, None]).T)[0])
         blocks = [self.r[:, self.matrix.blocks[j]] for j in others]
-        q = np.linalg.qr(np.hstack([*blocks, self.r[:, own]]))[0]
-        return np.asarray(q[:, q.shape[1] - (own.stop - own.start) :])
+        q = np.linalg.qr(np.hstack([*blocks, self.r[:, columns]]))[0]
+        return np.asarray(q[:, q.shape[1] - (columns.stop - columns.start) :])
 
     def _space(self, i: int, others: list[int]) -> TermSpace:
-        own = self.r[:, self.matrix.blocks[i]]
+        columns = self.r[:, self.matrix.blocks[i]]
         rest = np.hstack([self.r[:, self.matrix.blocks[j]] for j in others])
-        basis = complement(rest, own)
-        nominal = int(span(own).shape[1])
+        basis = complement(rest, columns)
+        nominal = int(span(columns).shape[1])
         aliases = self._aliases(i, others) if basis.shape[1] < nominal else ()
         return TermSpace(basis, nominal, aliases)
 
     def _aliases(self, i: int, others: list[int]) -> tuple[str, ...]:
         """Terms that hold, alone, a direction of term ``i``."""
-        own = span(self.r[:, self.matrix.blocks[i]])
-        found = []
+        directions = span(self.r[:, self.matrix.blocks[i]])
+        names = []
         for j in others:
-            overlap = span(self.r[:, self.matrix.blocks[j]]).T @ own
+            overlap = span(self.r[:, self.matrix.blocks[j]]).T @ directions
             if overlap.size and np.linalg.norm(overlap, 2) > 1 - 1e-9:
-                found.append(term_name(self.matrix.terms[j]) or "mean")
-        return tuple(found)
+                names.append(term_name(self.matrix.terms[j]) or "mean")
+        return tuple(names)
 
     def is_orthogonal(self) -> bool:
         """Whether the terms span orthogonal spaces, so that all types of sums agree."""
@@ -518,8 +476,8 @@ def _is_regular(r: Array) -> bool:
 
 def _inverse(r: Array) -> Array | None:
     """Inverse of an upper triangle; None where a number on its diagonal is zero."""
-    found, info = linalg.lapack.dtrtri(r)
-    return np.asarray(found) if info == 0 and np.isfinite(found).all() else None
+    inverse, info = linalg.lapack.dtrtri(r)
+    return np.asarray(inverse) if info == 0 and np.isfinite(inverse).all() else None
 
 
 def _others(terms: Sequence[Term], i: int, kind: str) -> list[int]:
@@ -588,14 +546,14 @@ def distinct_rows(columns: Array) -> DistinctRows | None:
     return DistinctRows(columns[first] * weight[:, None], index, weight)
 
 
-def complement(rest: Array, own: Array) -> Array:
+def complement(rest: Array, columns: Array) -> Array:
     """Orthonormal basis of what ``own`` adds to ``rest``, shape (r, df).
 
     Shapes: rest, own (r, m).
     """
     base = span(rest)
-    left = own - base @ (base.T @ own)
+    left = columns - base @ (base.T @ columns)
     left = left - base @ (base.T @ left)
-    length = np.linalg.norm(own, axis=0)
+    length = np.linalg.norm(columns, axis=0)
     length[length == 0] = 1.0
     return span(left / length)

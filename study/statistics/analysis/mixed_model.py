@@ -21,15 +21,17 @@ from study.ground.contrast import Setting
 from study.ground.errors import Fault, InputError, nearest
 from study.ground.tabular import names_of
 from study.statistics.analysis.analysis_request import Practical, alpha_faults, threshold
-from study.statistics.analysis.comparisons import pooled_multiplier
+from study.statistics.analysis.comparisons import bonferroni, pooled_multiplier
 from study.statistics.analysis.data import Data, prepare
 from study.statistics.analysis.effects import (
+    UNEQUAL,
     Scale,
     holm,
     sampled_estimate,
     size,
     t_quantile,
 )
+from study.statistics.analysis.gate import Rival, judge_terms
 from study.statistics.analysis.linear_contrast import Cells, Contrast
 from study.statistics.analysis.linear_contrast import contrasts as contrasts_of
 from study.statistics.analysis.linear_model import (
@@ -46,6 +48,7 @@ from study.statistics.analysis.restricted_likelihood import (
     MOST_CROSSED,
     Likelihood,
     RestrictedFit,
+    Sandwich,
     SingularError,
     fit_restricted,
 )
@@ -53,7 +56,6 @@ from study.statistics.analysis.simple_effects import (
     Differences,
     Estimates,
     SimpleEffects,
-    simple_effects,
 )
 from study.statistics.analysis.sums_of_squares import Factored, factor, one_thread, term_sums
 
@@ -66,6 +68,13 @@ if TYPE_CHECKING:
 WITHIN = "within"
 #: Levels of a random factor that its scatter needs.
 _FEWEST_LEVELS = 3
+_NOTHING_RANDOM = Fault(
+    "random",
+    "no random factor is named",
+    "name the blocks, or the random factors: --random day,day:run",
+)
+#: Rows without random factors whose pairs are weighed to judge unequal scatter.
+_MOST_ROWS = 1000
 
 
 @dataclass(frozen=True)
@@ -145,7 +154,8 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
     factors : sequence of str
         Columns of the fixed factors; without any, the mean is the only fixed effect.
     block : str or sequence of str, optional
-        Columns of blocks, which are random; several cross.
+        Columns of blocks, which are random; several cross. With covariates alone nothing has to
+        be random: the analysis of covariance by least squares.
     random : sequence of str
         A fixed factor (its interaction with the blocks is random too), any other column
         (``"day"``), or an interaction of columns (``"day:run"``, runs within days).
@@ -178,6 +188,8 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
         raise InputError(faults)
     blocks = names_of(block)
     sources = random_terms(factors, blocks, random)
+    if not (sources or covariates):
+        raise InputError([_NOTHING_RANDOM])
     columns = list(dict.fromkeys(name for term in sources for name in term if name not in factors))
     fixed_columns, others = (list(factors), columns) if factors else (columns[:1], columns[1:])
     data = prepare(table, response, fixed_columns, others)
@@ -198,6 +210,8 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
         specimens=len(data.layout.levels[blocks[0]]) if blocks else None,
     )
     names = [term_name(term) for term in sources]
+    few = not sources and data.y.size <= _MOST_ROWS
+    rivals = [_unequal_rows(cells, data.y - shift)] if few else []
     return MixedModel(
         components(fit, [*names, WITHIN], alpha),
         tuple(MixedTerm(term_name(t), s.count, s.f, s.df, s.p) for t, s in tests.items()),
@@ -206,11 +220,27 @@ def mixed_model(  # noqa: PLR0913  # the public face: one keyword for each thing
         tuple(cells.slope(name) for name in covariates),
         holm(
             cells.effects(
-                terms, {t: s.p for t, s in tests.items()}, scale, cells.judged(terms, scale)
+                terms,
+                {t: s.p for t, s in tests.items()},
+                scale,
+                judge_terms(terms, scale, data.layout, bare, cells.sample, rivals),
             )
         ),
         cells.contrasts(contrasts, scale),
     )
+
+
+def _unequal_rows(cells: MixedCells, y: Array) -> Rival:
+    """Rival without random factors, whose rows may scatter unequally (CR2 of single rows, HC2)."""
+    sandwich = Sandwich(cells.fit, cells.fixed, y, np.arange(y.size))
+
+    def estimate(differences: Differences) -> Estimates:
+        estimates = cells.sample(differences)
+        error, df = sandwich.errors(cells.along(differences.rows))
+        every = bonferroni(max(len(df), 1), df, cells.alpha)
+        return Estimates(estimates.value, error, t_quantile(cells.alpha / 2, df), every)
+
+    return Rival(UNEQUAL, estimate)
 
 
 def random_terms(
@@ -229,9 +259,8 @@ def random_terms(
             rule = f"{text!r} is a fixed factor, whose effect cannot be random without blocks"
             mend = f"name the blocks, or leave {text!r} out of the factors"
             faults.append(Fault("random", rule, mend))
-    if not terms:
-        mend = "name the blocks, or the random factors: --random day,day:run"
-        faults.append(Fault("random", "no random factor is named", mend))
+    if not (terms or factors):
+        faults.append(_NOTHING_RANDOM)
     if faults:
         raise InputError(faults)
     return tuple(dict.fromkeys(terms))
@@ -303,53 +332,41 @@ class MixedCells:
     @cached_property
     def of_factors(self) -> Factored:
         """The fit as combinations of the factors' columns see it."""
-        return replace(self.fixed, model=replace(self.fixed.model, matrix=self.factors))
+        return replace(self.fixed, matrix=self.factors)
 
     def _padded(self, rows: Array) -> Array:
         return np.pad(rows, ((0, 0), (0, self.fixed.columns.shape[1] - rows.shape[1])))
 
     def along(self, rows: Array) -> Array:
         """Turn combinations of the factors' coefficients to the orthonormal columns."""
-        return np.asarray(self._padded(rows) @ self.fixed.model.inverse)
+        return np.asarray(self._padded(rows) @ self.fixed.inverse)
 
     @cached_property
     def _root(self) -> Array:
         values, vectors = np.linalg.eigh(self.fit.adjusted)
         return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
-    def sample(self, asked: Differences) -> Estimates:
+    def sample(self, differences: Differences) -> Estimates:
         """Differences of settings with the multipliers of their intervals."""
-        settings = self.along(asked.settings)
-        rows = asked.of(settings)
-        found = self.fit.estimate(rows)
-        ok = self.fixed.estimable(self._padded(asked.rows)) & (found.error > 0)
-        value = np.where(ok, found.value, np.nan)
-        single = t_quantile(self.alpha / 2, found.df)
+        settings = self.along(differences.settings)
+        rows = differences.of(settings)
+        estimates = self.fit.estimate(rows)
+        ok = self.fixed.estimable(self._padded(differences.rows)) & (estimates.error > 0)
+        value = np.where(ok, estimates.value, np.nan)
+        single = t_quantile(self.alpha / 2, estimates.df)
         if not ok.any():
-            return Estimates(value, found.error, single, single)
-        some = Differences(settings @ self._root, asked.first[ok], asked.second[ok])
-        df = float(found.df[ok].min())  # the least sure contrast decides for all
-        wide = pooled_multiplier(some, found.error[ok], df, self.alpha, self.seed)
+            return Estimates(value, estimates.error, single, single)
+        some = Differences(settings @ self._root, differences.first[ok], differences.second[ok])
+        df = float(estimates.df[ok].min())  # the least sure contrast decides for all
+        wide = pooled_multiplier(some, estimates.error[ok], df, self.alpha, self.seed)
         every = np.full(value.size, wide)
         if self.robust is not None:
             error, df_own = self.robust(rows)
-            ratio = np.divide(error, found.error, out=np.zeros_like(error), where=ok)
+            ratio = np.divide(error, estimates.error, out=np.zeros_like(error), where=ok)
             single = np.maximum(single, ratio * t_quantile(self.alpha / 2, df_own))
             # at the error probability that each interval has among all of them
             every = np.maximum(every, ratio * t_quantile(float(stdtr(df, -wide)), df_own))
-        return Estimates(value, found.error, single, every)
-
-    def judged(self, terms: Sequence[Term], scale: Scale) -> dict[str, SimpleEffects]:
-        """Verdicts of the factors by their simple effects."""
-        found = {
-            term[0]: simple_effects(
-                term[0], self.layout, self.factors, self.sample,
-                practical=scale.practical, bound=scale.bound, only=scale.only,
-            )
-            for term in terms
-            if len(term) == 1
-        }  # fmt: skip
-        return {name: effects for name, effects in found.items() if effects is not None}
+        return Estimates(value, estimates.error, single, every)
 
     def effects(
         self,
@@ -368,9 +385,9 @@ class MixedCells:
     def slope(self, covariate: str) -> Slope:
         """Slope of a covariate with its interval."""
         at = self.fixed.matrix.of((covariate,)).start
-        found = self.fit.estimate(self.fixed.model.inverse[at : at + 1])
-        value = float(found.value[0])
-        half = t_quantile(self.alpha / 2, float(found.df[0])) * float(found.error[0])
+        estimate = self.fit.estimate(self.fixed.inverse[at : at + 1])
+        value = float(estimate.value[0])
+        half = t_quantile(self.alpha / 2, float(estimate.df[0])) * float(estimate.error[0])
         return Slope(covariate, value, value - half, value + half)
 
     def between(self, first: Setting, second: Setting) -> tuple[float, float, float]:
@@ -387,15 +404,15 @@ class MixedCells:
         row = (sides[0] - sides[1])[None]
         if not self.fixed.estimable(self._padded(row)).all():
             raise InputError(Fault("contrast", "a cell that it needs has no row"))
-        found = self.fit.estimate(self.along(row))
-        value, error, df = (float(a[0]) for a in (found.value, found.error, found.df))
+        estimate = self.fit.estimate(self.along(row))
+        value, error, df = (float(a[0]) for a in (estimate.value, estimate.error, estimate.df))
         if self.robust is not None:
             wide, few = (float(a[0]) for a in self.robust(self.along(row)))
             if t_quantile(self.alpha / 2, few) * wide > t_quantile(self.alpha / 2, df) * error:
                 error, df = wide, few
         return value, error, df
 
-    def contrasts(self, asked: Sequence[str], scale: Scale) -> tuple[Contrast, ...]:
+    def contrasts(self, texts: Sequence[str], scale: Scale) -> tuple[Contrast, ...]:
         """Differences by name."""
         import pandas as pd
 
@@ -403,7 +420,7 @@ class MixedCells:
         levels = {name: self.layout.levels[name] for name in names}
         seed = self.seed or 0
         cells = Cells(pd.DataFrame(), levels, scale, self.alpha, seed, estimate=self.between)
-        return contrasts_of(cells, asked)
+        return contrasts_of(cells, texts)
 
 
 def _with_covariates(

@@ -405,7 +405,7 @@ def helmert_contrasts(layout: CellLayout, terms: Sequence[Term], y: Array) -> di
     if not balanced(layout, factors) or layout.n != y.shape[0]:
         rule = "every combination of levels is needed once"
         raise InputError(Fault("cells", rule, "average repeats, leave out incomplete levels"))
-    found = {}
+    contrasts = {}
     for term in terms:
         columns = np.ones((layout.n, 1))
         for name in factors:
@@ -413,8 +413,8 @@ def helmert_contrasts(layout: CellLayout, terms: Sequence[Term], y: Array) -> di
             code = helmert(k) if name in term else np.full((k, 1), k**-0.5)
             part = code[layout.codes[name]]
             columns = (columns[:, :, None] * part[:, None, :]).reshape(layout.n, -1)
-        found[term_name(term)] = columns.T @ (y - y[0, 0])
-    return found
+        contrasts[term_name(term)] = columns.T @ (y - y[0, 0])
+    return contrasts
 
 
 def row_normality(
@@ -495,17 +495,17 @@ def _shares(rows: Array) -> Array:
 def _rows(contrasts: Mapping[str, Array], tolerance: float) -> tuple[list[tuple[str, int]], Array]:
     """Rows about their means that vary, each once, with their term and number."""
     names: list[tuple[str, int]] = []
-    kept: list[Array] = []
+    varying: list[Array] = []
     for term, values in contrasts.items():
         basis = _mean_basis(values.shape[1])
         floor = max(10 * tolerance, 1e-12 * float(np.abs(values).max(initial=0.0)))
         rows = values - (values @ basis) @ basis.T
         for index in np.flatnonzero(np.linalg.norm(rows, axis=1) > floor):
             names.append((term, int(index)))
-            kept.append(rows[index])
-    if not kept:
+            varying.append(rows[index])
+    if not varying:
         return names, np.zeros((0, 0))
-    rows = np.array(kept)
+    rows = np.array(varying)
     once = _once(rows / np.linalg.norm(rows, axis=1, keepdims=True))
     return [names[i] for i in once], rows[once]
 

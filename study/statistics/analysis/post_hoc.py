@@ -62,32 +62,32 @@ class CoefficientTable:
     reason: str = ""
 
 
-def coefficient_table(found: AnalysisResult) -> CoefficientTable:
+def coefficient_table(analysis: AnalysisResult) -> CoefficientTable:
     """Give the coefficients of the model that an analysis fitted.
 
     With a pooled error they are those of least squares. Where effects are tested against their
     own interactions with the blocks, the model is fitted to each block alone, and a standard
     error is that of the mean of the blocks' coefficients: no sphericity is assumed.
     """
-    tested = {row.error for row in found.anova.rows if row.f is not None}
-    terms = terms_of(found.request.factors, found.request.model)
+    tested = {row.error for row in analysis.anova.rows if row.f is not None}
+    terms = terms_of(analysis.request.factors, analysis.request.model)
     if not tested:
         return CoefficientTable(reason="there is no error term to judge a coefficient by")
     if nested_in(terms):
         return CoefficientTable(
             reason="the levels of a nested factor have no contrasts of their own"
         )
-    layout = _layout(found)
+    layout = _layout(analysis)
     if layout is None:
         return CoefficientTable(reason="a level of a factor has no row")
     names = column_names(layout, terms)
     if len(names) > MOST_COEFFICIENTS:
         return CoefficientTable(reason=f"{len(names)} coefficients are more than anyone reads")
-    block = found.data.block
-    if found.data.model_matrix is not None and all(":" not in str(error) for error in tested):
-        return _pooled(found, names)
+    block = analysis.data.block
+    if analysis.data.model_matrix is not None and all(":" not in str(error) for error in tested):
+        return _pooled(analysis, names)
     if block is not None and all(str(error).startswith(f"{block}:") for error in tested):
-        return _own(found, layout, terms, names)
+        return _own(analysis, layout, terms, names)
     return CoefficientTable(reason="the strata of the table have different errors")
 
 
@@ -100,46 +100,46 @@ def column_names(layout: CellLayout, terms: tuple[Term, ...]) -> tuple[str, ...]
     return tuple(names)
 
 
-def _layout(found: AnalysisResult) -> CellLayout | None:
+def _layout(analysis: AnalysisResult) -> CellLayout | None:
     """Levels of every row that was fitted; None where a factor has no effect to list them."""
-    rows = found.data.residuals
+    rows = analysis.data.residuals
     levels: dict[str, tuple[str, ...]] = {}
     codes = {}
-    for name in found.request.factors:
-        own = next((e.levels for e in found.effects if e.term == name), ())
-        index = {level: i for i, level in enumerate(own)}
+    for name in analysis.request.factors:
+        of_factor = next((e.levels for e in analysis.effects if e.term == name), ())
+        index = {level: i for i, level in enumerate(of_factor)}
         labels = rows[name].astype(str).tolist()
-        if len(own) < 2 or not set(labels) <= set(own):
+        if len(of_factor) < 2 or not set(labels) <= set(of_factor):
             return None
-        levels[name] = own
+        levels[name] = of_factor
         codes[name] = np.array([index[label] for label in labels], dtype=np.int64)
     return CellLayout(levels, codes)
 
 
-def _pooled(found: AnalysisResult, names: tuple[str, ...]) -> CoefficientTable:
-    matrix, residual = found.data.model_matrix, found.anova.row("residual")
+def _pooled(analysis: AnalysisResult, names: tuple[str, ...]) -> CoefficientTable:
+    matrix, residual = analysis.data.model_matrix, analysis.anova.row("residual")
     if matrix is None or not residual.ms:
         return CoefficientTable(reason="nothing is left over to estimate an error from")
-    y = _working(found, found.data.residuals["response"].to_numpy(float))
+    y = _working(analysis, analysis.data.residuals["response"].to_numpy(float))
     fit = factor(ModelMatrix(matrix, ((),), (slice(0, matrix.shape[1]),)), y)
-    if not fit.model.is_full:
+    if not fit.is_full:
         return CoefficientTable(reason="some terms are aliased with others")
     beta = fit.coefficients()
     beta[0] += fit.shift
-    spread = np.diag(fit.unscaled_covariance())
+    spread = np.diag(fit.unscaled_covariance)
     # blocks stand between the constant and the factors, and are no coefficients of interest
-    kept = np.r_[0, matrix.shape[1] - len(names) + 1 : matrix.shape[1]]
+    of_factors = np.r_[0, matrix.shape[1] - len(names) + 1 : matrix.shape[1]]
     error = np.sqrt(spread * residual.ms)
     # variance over that without the other columns (Marquardt 1970)
     inflation = spread * np.sum((matrix - matrix.mean(axis=0)) ** 2, axis=0)
-    return _table(names, beta[kept], error[kept], residual.df, inflation[kept])
+    return _table(names, beta[of_factors], error[of_factors], residual.df, inflation[of_factors])
 
 
 def _own(
-    found: AnalysisResult, layout: CellLayout, terms: tuple[Term, ...], names: tuple[str, ...]
+    analysis: AnalysisResult, layout: CellLayout, terms: tuple[Term, ...], names: tuple[str, ...]
 ) -> CoefficientTable:
     """Mean of the blocks' own coefficients, and its standard error."""
-    cells, values = _by_block(found, layout)
+    cells, values = _by_block(analysis, layout)
     if values.shape[1] < 2:
         return CoefficientTable(reason="fewer than two blocks have every cell")
     matrix = model_matrix(cells, terms).columns
@@ -153,15 +153,15 @@ def _own(
     return _table(names, beta.mean(axis=1), error, blocks - 1.0, None)
 
 
-def _by_block(found: AnalysisResult, layout: CellLayout) -> tuple[CellLayout, Array]:
+def _by_block(analysis: AnalysisResult, layout: CellLayout) -> tuple[CellLayout, Array]:
     """Means of the cells in every complete block, shape (cells, blocks), and their levels."""
-    rows = found.data.residuals
+    rows = analysis.data.residuals
     names = tuple(layout.levels)
     index = layout.cell(names)
-    wide = _wide(index, rows, _working(found, rows["response"].to_numpy(float)))
-    kept = wide[wide.notna().mean(axis=1) > 0.5].dropna(axis=1)
-    first = np.array([int(np.flatnonzero(index == cell)[0]) for cell in kept.index])
-    return layout.take(first), kept.to_numpy(float)
+    wide = _wide(index, rows, _working(analysis, rows["response"].to_numpy(float)))
+    complete = wide[wide.notna().mean(axis=1) > 0.5].dropna(axis=1)
+    first = np.array([int(np.flatnonzero(index == cell)[0]) for cell in complete.index])
+    return layout.take(first), complete.to_numpy(float)
 
 
 def _wide(index: Ints, rows: pd.DataFrame, y: Array) -> pd.DataFrame:
@@ -171,8 +171,8 @@ def _wide(index: Ints, rows: pd.DataFrame, y: Array) -> pd.DataFrame:
     return frame.pivot_table("y", "cell", "block", aggfunc="mean")
 
 
-def _working(found: AnalysisResult, y: Array) -> Array:
-    return np.log(y) if found.request.scale.is_log else y
+def _working(analysis: AnalysisResult, y: Array) -> Array:
+    return np.log(y) if analysis.request.scale.is_log else y
 
 
 def _table(
@@ -183,11 +183,11 @@ def _table(
     rows = []
     for i, name in enumerate(names):
         se = float(error[i])
-        known = np.isfinite(se) and se > 0
-        t = float(beta[i]) / se if known else None
+        has_error = np.isfinite(se) and se > 0
+        t = float(beta[i]) / se if has_error else None
         p = None if t is None else 2 * float(stdtr(df, -abs(t)))
         vif = None if inflation is None or i == 0 else float(inflation[i])
-        rows.append(Coefficient(name, float(beta[i]), se if known else None, t, p, df, vif))
+        rows.append(Coefficient(name, float(beta[i]), se if has_error else None, t, p, df, vif))
     return CoefficientTable(tuple(rows))
 
 
@@ -210,36 +210,40 @@ def dunnett_of_model(
     the largest absolute t is simulated.
     """
     others = [level for level in effect.levels if level != reference]
-    known = {frozenset((p.first, p.second)): p for p in effect.pairs}
+    pairs_by_levels = {frozenset((p.first, p.second)): p for p in effect.pairs}
     critical = pooled_critical(len(effect.levels), len(effect.levels) - 1, df, True, alpha)
-    sizes = {key: _distances(pair, effect.is_ratio) for key, pair in known.items()}
+    sizes = {key: _distances(pair, effect.is_ratio) for key, pair in pairs_by_levels.items()}
     error = {key: half / critical for key, (_, half) in sizes.items()}
-    of_reference = [(name, known[frozenset((name, reference))]) for name in others]
+    of_reference = [(name, pairs_by_levels[frozenset((name, reference))]) for name in others]
     means = np.array([sizes[frozenset((name, reference))][0] * (1 if pair.first == name else -1)
                       for name, pair in of_reference])  # fmt: skip
-    own = np.array([error[frozenset((name, reference))] for name in others])
-    largest = _largest_t(_correlation(others, own, error), df, seed)
-    half = float(np.quantile(largest, 1 - alpha)) * own
-    p = [(1 + int(np.sum(largest >= abs(t)))) / (largest.size + 1) for t in means / own]
+    standard_error = np.array([error[frozenset((name, reference))] for name in others])
+    largest = _largest_t(_correlation(others, standard_error, error), df, seed)
+    half = float(np.quantile(largest, 1 - alpha)) * standard_error
+    p = [(1 + int(np.sum(largest >= abs(t)))) / (largest.size + 1) for t in means / standard_error]
     ends = zip(means, means - half, means + half, strict=True)
     pairs = tuple(
-        LevelPair(name, reference, float(d), float(low), float(high), float(one))
-        for name, (d, low, high), one in zip(others, ends, p, strict=True)
+        LevelPair(name, reference, float(d), float(low), float(high), float(p_of_pair))
+        for name, (d, low, high), p_of_pair in zip(others, ends, p, strict=True)
     )
     compared = Comparisons("Dunnett", alpha, pairs, {})
     return compared.as_ratios() if effect.is_ratio else compared
 
 
-def _correlation(others: Sequence[str], own: Array, error: dict[frozenset[str], float]) -> Array:
+def _correlation(
+    others: Sequence[str], standard_error: Array, error: dict[frozenset[str], float]
+) -> Array:
     """Correlations of the differences from the reference: 2 cov = var + var - var of the pair."""
     k = len(others)
-    found = np.eye(k)
+    correlation = np.eye(k)
     for i in range(k):
         for j in range(i):
             between = error[frozenset((others[i], others[j]))]
-            found[i, j] = (own[i] ** 2 + own[j] ** 2 - between**2) / (2 * own[i] * own[j])
-            found[j, i] = found[i, j]
-    return found
+            correlation[i, j] = (standard_error[i] ** 2 + standard_error[j] ** 2 - between**2) / (
+                2 * standard_error[i] * standard_error[j]
+            )
+            correlation[j, i] = correlation[i, j]
+    return correlation
 
 
 def _largest_t(correlation: Array, df: float, seed: int) -> Array:
@@ -282,41 +286,41 @@ class PairwiseDifference:
     method: str
 
 
-def pairwise(found: AnalysisResult) -> tuple[PairwiseDifference, ...]:
+def pairwise(analysis: AnalysisResult) -> tuple[PairwiseDifference, ...]:
     """Give all pairwise comparisons of an analysis, factor after factor.
 
     With one pooled error they are Tukey's (Kramer's where unbalanced). Where effects are tested
     against their own interactions with the blocks, each difference has its own variance, and
     Bonferroni's or Hotelling's multiplier serves, whichever is smaller.
     """
-    rows = {row.term: row for row in found.anova.rows}
+    rows = {row.term: row for row in analysis.anova.rows}
     return tuple(
-        _one(effect, pair, rows.get(effect.term), found)
-        for effect in found.effects
+        _one(effect, pair, rows.get(effect.term), analysis)
+        for effect in analysis.effects
         if effect.is_main
         for pair in effect.pairs
     )
 
 
 def _one(
-    effect: Effect, pair: PairDifference, row: Row | None, found: AnalysisResult
+    effect: Effect, pair: PairDifference, row: Row | None, analysis: AnalysisResult
 ) -> PairwiseDifference:
-    method, p = _adjusted(effect, pair, row, found)
+    method, p = _adjusted(effect, pair, row, analysis)
     ends = pair.difference, pair.lower, pair.upper
     return PairwiseDifference(effect.term, pair.first, pair.second, *ends, p, method)
 
 
 def _adjusted(
-    effect: Effect, pair: PairDifference, row: Row | None, found: AnalysisResult
+    effect: Effect, pair: PairDifference, row: Row | None, analysis: AnalysisResult
 ) -> tuple[str, float | None]:
     if row is None or row.error is None or row.df_error is None or row.df_error <= 0:
         return "", None
-    k, alpha = len(effect.levels), found.request.alpha
+    k, alpha = len(effect.levels), analysis.request.alpha
     size, half = _distances(pair, effect.is_ratio)
     if row.error == "residual":
         critical = pooled_critical(k, k - 1, row.df_error, True, alpha)
         return _of_range(size, half, critical, k, row.df_error)
-    if row.error == f"{found.data.block}:{effect.term}" and row.df:
+    if row.error == f"{analysis.data.block}:{effect.term}" and row.df:
         blocks = round(row.df_error / row.df) + 1
         return _of_blocks(size, half, own_critical(k, k - 1, blocks, alpha), k, blocks, alpha)
     return "", None
@@ -393,9 +397,9 @@ class UnusualObservations:
     cook_limit: float | None
 
 
-def diagnosed_rows(found: AnalysisResult) -> pd.DataFrame | None:
+def diagnosed_rows(analysis: AnalysisResult) -> pd.DataFrame | None:
     """Every row with its standardized and PRESS residual; None where nothing was left over."""
-    rows = found.data.residuals
+    rows = analysis.data.residuals
     if "leverage" not in rows:
         return None
     leverage = rows["leverage"].to_numpy(float)
@@ -415,18 +419,18 @@ def diagnosed_rows(found: AnalysisResult) -> pd.DataFrame | None:
     )
 
 
-def unusual_observations(found: AnalysisResult) -> UnusualObservations | None:
+def unusual_observations(analysis: AnalysisResult) -> UnusualObservations | None:
     """List the rows with a large residual, leverage or Cook's distance."""
-    rows = diagnosed_rows(found)
+    rows = diagnosed_rows(analysis)
     if rows is None:
         return None
-    limit = None if found.assumptions.influence is None else found.assumptions.influence.limit
+    limit = None if analysis.assumptions.influence is None else analysis.assumptions.influence.limit
     leverage = rows["leverage"]
     why = _reasons(rows, min(LARGE_LEVERAGE * float(leverage.mean()), 0.99), limit)
-    known = ("row", "response", "fitted", "residual", "standardized", "leverage", "cook", "press")
-    listed = rows[list(known)].assign(why=why)[np.array([bool(text) for text in why])]
+    columns = ("row", "response", "fitted", "residual", "standardized", "leverage", "cook", "press")
+    listed = rows[list(columns)].assign(why=why)[np.array([bool(text) for text in why])]
     order = listed["standardized"].abs().sort_values(ascending=False, kind="stable").index
-    summary = found.variation.summary
+    summary = analysis.variation.summary
     press = float(np.sum(rows["press"].to_numpy(float) ** 2))
     return UnusualObservations(
         listed.loc[order].reset_index(drop=True),

@@ -41,7 +41,7 @@ def planned(
     the error mean square over that number.
     """
     counts = sorted({max(2, math.ceil(n / 2)), n, 2 * n, 4 * n} - {1})
-    found = {}
+    by_factor = {}
     for name, (row, levels) in terms.items():
         if row.f is None or not row.f > 0 or row.ms is None:
             continue
@@ -53,8 +53,8 @@ def planned(
             size = detectable(sd, count, (levels - 1, df2), alpha, 0.8)
             value = math.exp(size) if ratio else size
             rows.append(PowerRow(count, value, (levels - 1, df2)))
-        found[name] = tuple(rows)
-    return found
+        by_factor[name] = tuple(rows)
+    return by_factor
 
 
 #: differences over the scatter that no number of runs has to find: beyond, powers overflow
@@ -75,8 +75,8 @@ def detectable(sd: float, n: int, df: tuple[int, int], alpha: float, power: floa
         high *= 2
         if high > _LARGEST:
             return math.inf
-    found: float = brentq(gap, 0.0, high)
-    return found * sd
+    difference: float = brentq(gap, 0.0, high)
+    return difference * sd
 
 
 def power_of(noncentrality: float, df: tuple[int, int], alpha: float) -> float:
@@ -216,11 +216,11 @@ def fewest_blocks(
     >>> fewest_blocks(0.3, 1.0)
     (4, 4)
     """
-    found: list[int | None] = []
+    fewest: list[int | None] = []
     for level in wanted:
         rows = (planned_verdicts([b], sd, practical, u=u)[0] for b in range(2, MOST_BLOCKS + 1))
-        found.append(next((row.blocks for row in rows if row.right >= level), None))
-    return tuple(found)
+        fewest.append(next((row.blocks for row in rows if row.right >= level), None))
+    return tuple(fewest)
 
 
 def _verdict_power_check(blocks: int, sd: float, practical: float, u: float) -> None:

@@ -25,6 +25,7 @@ from scipy.special import chdtri, fdtrc
 
 from study.ground.arrays import Array, Flags, Ints
 from study.ground.errors import RefusedError
+from study.statistics.analysis.sums_of_squares import Factored
 
 #: Ratio of a variance to that of the residual at which derivatives are taken where it is zero:
 #: far below every other rounding, and a square root of it is still a number.
@@ -49,6 +50,8 @@ _SMALLEST = 1e-4
 _LARGEST = 1e3
 #: Part of the total variance below which a residual is rounding, so that no ratio to it exists.
 _ROUNDING = 1e-13
+#: Numbers that the products of blocks of several contrasts may take at once: 40 MB
+_AT_ONCE = 5_000_000
 #: Information on a ratio, relative to that of a balanced design, below which rows say nothing.
 _UNINFORMED = 1e-9
 
@@ -334,8 +337,8 @@ class Likelihood:
             mixed = fine * np.einsum("bi,bit->t", np.einsum("bij,bji->bi", he, h), of)
             traces[i, others] += mixed
             traces[others, i] += mixed
-            own = np.einsum("bij,bji->", he, he) - 2 * np.einsum("bij,bji->", h, third)
-            traces[i, i] += fine**2 * float(own)
+            within = np.einsum("bij,bji->", he, he) - 2 * np.einsum("bij,bji->", h, third)
+            traces[i, i] += fine**2 * float(within)
 
     def _parts(self, u: Array, mean: Array, theta: Array, w: Array, fine: float) -> list[Array]:
         """sqrt(v_i) Z_i' V^-1 [X, residual] of every random factor, times v_0."""
@@ -356,11 +359,11 @@ class Likelihood:
         r, m, z = self.x.shape[1], len(self.codes), self._z
 
         def times(matrices: Sequence[Array], values: Array) -> Array:
-            made = [
+            products = [
                 (a @ b.rows(values)).reshape(-1, r)
                 for a, b in zip(matrices, z.batches, strict=True)
             ]
-            return np.concatenate(made) if made else values
+            return np.concatenate(products) if products else values
 
         q = np.zeros((m + 1, m + 1, r, r))
         fixed = [part[:, :r] for part in parts]
@@ -475,7 +478,6 @@ class FTest:
     f: float
     df: float
     p: float
-    scaling: float
 
 
 @dataclass(frozen=True)
@@ -509,8 +511,8 @@ class RestrictedFit:
         fp = m.f @ m.p
         inner = np.einsum("ij,ijab->ab", self._spread, m.q)
         inner -= np.einsum("ij,iab,jbc->ac", self._spread, m.p, fp, optimize=True)
-        made = m.f + 2 * m.f @ inner @ m.f
-        return np.asarray(0.5 * (made + made.T) * self.v[-1])
+        adjusted = m.f + 2 * m.f @ inner @ m.f
+        return np.asarray(0.5 * (adjusted + adjusted.T) * self.v[-1])
 
     def estimate(self, rows: Array) -> Estimated:
         """Estimate ``rows`` @ beta, rows of shape (k, r), each with its own degrees of freedom."""
@@ -535,7 +537,7 @@ class RestrictedFit:
         value = basis.T @ m.beta
         wald = float(value @ np.linalg.solve(basis.T @ self.adjusted @ basis, value)) / count
         f = scaling * wald
-        return FTest(count, f, df, float(fdtrc(count, df, f)), scaling)
+        return FTest(count, f, df, float(fdtrc(count, df, f)))
 
     def interval(self, which: int, alpha: float) -> tuple[float, float]:
         """Interval of a standard deviation by the profile of the restricted likelihood."""
@@ -587,3 +589,85 @@ def fit_restricted(x: Array, y: Array, codes: Sequence[Ints]) -> RestrictedFit:
     likelihood = Likelihood(x, y, tuple(codes))
     likelihood.check()
     return RestrictedFit(likelihood, *likelihood.fit())
+
+
+# -------------------------------------------------------------------------------------------------
+# Variances that do not rest on the model's: by the scatter over blocks, or over single rows.
+
+
+@dataclass(frozen=True)
+class Sandwich:
+    """Variances of combinations of fixed effects by their scatter over independent blocks."""
+
+    fit: RestrictedFit
+    fixed: Factored
+    y: Array
+    block: Ints
+
+    def errors(self, rows: Array) -> tuple[Array, Array]:
+        """Find standard errors of ``rows`` @ beta, shape (m, r), and Satterthwaite's df."""
+        parts, df = self.parts(rows)
+        return np.sqrt(np.sum(parts**2, axis=0)), df
+
+    def test(self, basis: Array) -> tuple[float, float]:
+        """Epsilon and p of orthonormal directions, shape (r, l), by Box's approximation.
+
+        Where blocks are complete these are the epsilon and p of Greenhouse and Geisser.
+        """
+        parts, df = self.parts(basis.T)
+        value = basis.T @ self.fit.moments.beta
+        covariance = parts.T @ parts
+        trace = float(np.trace(covariance))
+        if trace <= 0:
+            return 1.0, 1.0
+        df1 = trace**2 / float(np.sum(covariance**2))
+        df2 = df1 * float(np.diag(covariance) @ df) / trace
+        return df1 / basis.shape[1], float(fdtrc(df1, df2, float(value @ value) / trace))
+
+    @cached_property
+    def _blocks(self) -> list[tuple[Ints, Array, Array]]:
+        """Rows of each block, CR2's weights of its residuals, and these times the covariance.
+
+        Shapes: rows (n_k,), the others (n_k, p).
+        """
+        x, phi, v = self.fixed.q, self.fit.covariance, self.fit.v
+        weighted = []
+        for k in range(int(self.block.max()) + 1):
+            here = np.flatnonzero(self.block == k)
+            cov = v[-1] * np.eye(here.size)
+            for variance, code in zip(v, self.fit.likelihood.codes, strict=False):
+                cov += variance * (code[here][:, None] == code[here])
+            upper = np.linalg.cholesky(cov).T
+            left = cov - x[here] @ phi @ x[here].T
+            values, vectors = np.linalg.eigh(upper @ left @ upper.T)
+            ok = values > 1e-9 * max(values.max(), 0.0)
+            inverse = (vectors[:, ok] / np.sqrt(values[ok])) @ vectors[:, ok].T
+            weight = upper.T @ (inverse @ (upper @ np.linalg.solve(cov, x[here])))
+            weighted.append((here, weight, cov @ weight))
+        return weighted
+
+    def parts(self, rows: Array) -> tuple[Array, Array]:
+        """Find what each block adds, squared, to the variances; and their degrees of freedom."""
+        x, phi, blocks = self.fixed.q, self.fit.covariance, len(self._blocks)
+        residual = self.y - x @ self.fit.moments.beta
+        root = np.linalg.cholesky(phi)
+        lever = phi @ rows.T
+        parts = np.zeros((blocks, len(rows)))
+        diagonal = np.zeros((blocks, len(rows)))
+        inner = np.zeros((blocks, phi.shape[0], len(rows)))
+        for k, (here, weight, spread) in enumerate(self._blocks):
+            g = weight @ lever
+            parts[k] = residual[here] @ g
+            diagonal[k] = np.einsum("im,im->m", g, spread @ lever)
+            inner[k] = root.T @ (x[here].T @ g)
+        df = np.ones(len(rows))
+        step = max(1, _AT_ONCE // blocks**2)
+        for start in range(0, len(rows), step):
+            part = inner[:, :, start : start + step]
+            gram = -np.einsum("krm,lrm->mkl", part, part, optimize=True)
+            at = np.arange(blocks)
+            gram[:, at, at] += diagonal[:, start : start + step].T
+            trace = np.einsum("mkk->m", gram)
+            below = np.einsum("mkl,mkl->m", gram, gram)
+            df[start : start + step] = trace**2 / np.maximum(below, 1e-300)
+        return parts, np.maximum(df, 0.1)

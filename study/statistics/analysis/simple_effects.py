@@ -144,7 +144,7 @@ class Differences:
 class Sample(Protocol):
     """What is known of linear combinations of the coefficients of the model."""
 
-    def __call__(self, asked: Differences) -> Estimates:
+    def __call__(self, differences: Differences) -> Estimates:
         """Estimate some differences."""
         ...
 
@@ -180,8 +180,8 @@ def partners(factor: str, terms: Sequence[Term]) -> tuple[str, ...]:
     >>> partners("A", [("A",), ("B",), ("C",), ("A", "B")])
     ('B',)
     """
-    found = (name for term in terms if factor in term for name in term)
-    return tuple(dict.fromkeys(name for name in found if name != factor))
+    names = (name for term in terms if factor in term for name in term)
+    return tuple(dict.fromkeys(name for name in names if name != factor))
 
 
 def simple_effects(
@@ -199,16 +199,16 @@ def simple_effects(
     pairs = list(combinations(range(len(layout.levels[factor])), 2))
     if not pairs or len(settings) * len(pairs) > MOST:
         return None
-    found = sample(_differences(factor, layout, matrix, others, settings, pairs))
-    effects = tuple(_effects(factor, layout, others, settings, pairs, found, bound, practical))
+    estimates = sample(_differences(factor, layout, matrix, others, settings, pairs))
+    effects = tuple(_effects(factor, layout, others, settings, pairs, estimates, bound, practical))
     if not effects:
         return None
-    lost = len(found.value) - len(effects)
+    lost = len(estimates.value) - len(effects)
     judged = _together(factor, effects, practical)
     if not lost:
         return judged
     where = "has an empty cell" if lost == 1 else "have an empty cell"
-    return replace(judged, why=f"{judged.why}; {lost} of {len(found.value)} {where}")
+    return replace(judged, why=f"{judged.why}; {lost} of {len(estimates.value)} {where}")
 
 
 def _settings(
@@ -269,32 +269,32 @@ def _effects(
     others: Sequence[str],
     settings: Sequence[tuple[int, ...]],
     pairs: Sequence[tuple[int, int]],
-    found: Estimates,
+    estimates: Estimates,
     bound: NumericalBound | None,
     practical: float | None,
 ) -> Iterator[SimpleEffect]:
     levels = layout.levels[factor]
-    zero = np.zeros_like(found.value)
-    error = zero if found.error is None else found.error
-    one = (error * found.single).tolist()
-    every = (error * found.simultaneous).tolist()
+    zero = np.zeros_like(estimates.value)
+    error = zero if estimates.error is None else estimates.error
+    alone = (error * estimates.single).tolist()
+    every = (error * estimates.simultaneous).tolist()
     for n, ((i, j), setting) in enumerate(product(pairs, settings)):
         at = {name: layout.levels[name][c] for name, c in zip(others, setting, strict=True)}
         u = 0.0
         if bound is not None:
-            known = bound.of({**at, factor: levels[i]}, {**at, factor: levels[j]})
-            u = np.nan if known is None else known
-        d = float(found.value[n])
+            bounded = bound.of({**at, factor: levels[i]}, {**at, factor: levels[j]})
+            u = np.nan if bounded is None else bounded
+        d = float(estimates.value[n])
         if math.isnan(d):  # cells are missing: this difference cannot be estimated
             continue
-        ci, wide = ((d - h, d + h) for h in (one[n], every[n]))
+        ci, wide = ((d - h, d + h) for h in (alone[n], every[n]))
         yield SimpleEffect(
             levels[i],
             levels[j],
             tuple(at.items()),
             d,
-            None if found.error is None else ci,
-            None if found.error is None else wide,
+            None if estimates.error is None else ci,
+            None if estimates.error is None else wide,
             None if math.isnan(u) else float(u),
             verdict_of(ci, wide, u, practical),
         )
@@ -352,14 +352,14 @@ def _needed(effects: Sequence[SimpleEffect], practical: float) -> float | None:
 
 def _always(effects: Sequence[SimpleEffect], practical: float) -> tuple[tuple[str, str], ...]:
     """Pairs whose difference lies beyond the practical one, on the same side, at all settings."""
-    found: dict[tuple[str, str], set[int]] = {}
+    sides: dict[tuple[str, str], set[int]] = {}
     for e in effects:
         low, high = e.ci or (e.difference, e.difference)
         u = e.u or 0.0
         sign = 1 if low - u > practical else -1 if high + u < -practical else 0
-        found.setdefault((e.first, e.second), set()).add(sign)
-    up = [pair for pair, signs in found.items() if signs == {1}]
-    return (*up, *((b, a) for (a, b), signs in found.items() if signs == {-1}))
+        sides.setdefault((e.first, e.second), set()).add(sign)
+    up = [pair for pair, signs in sides.items() if signs == {1}]
+    return (*up, *((b, a) for (a, b), signs in sides.items() if signs == {-1}))
 
 
 # -------------------------------------------------------------------------------------------------
@@ -407,8 +407,8 @@ def _lost(claims: Mapping[str, str], rows: pd.DataFrame, analyses: Sequence[Anal
     """Terms of which some rows do not make the claim, by the last analysis that has to be asked."""
     gone = list(claims)
     for analyze in analyses:
-        found = {e.term: e.verdict for e in analyze(rows)}
-        gone = [term for term in gone if found.get(term) != claims[term]]
+        verdicts = {e.term: e.verdict for e in analyze(rows)}
+        gone = [term for term in gone if verdicts.get(term) != claims[term]]
         if not gone:
             break
     return gone

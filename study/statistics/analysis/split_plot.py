@@ -16,10 +16,16 @@ from study.ground.arrays import Array, Ints
 from study.ground.errors import Fault, InputError, nearest
 from study.statistics.analysis import error_ledger
 from study.statistics.analysis.analysis_request import AnalysisOutcome, kind_of
-from study.statistics.analysis.anova_table import Anova, ErrorTerm, Row
+from study.statistics.analysis.anova_table import Anova, Row
 from study.statistics.analysis.comparisons import bonferroni
 from study.statistics.analysis.data import Data
-from study.statistics.analysis.effects import pooled_estimate, sampled_estimate, size, t_quantile
+from study.statistics.analysis.effects import (
+    by_components,
+    pooled_estimate,
+    sampled_estimate,
+    size,
+    t_quantile,
+)
 from study.statistics.analysis.gate import (
     COARSE,
     Rival,
@@ -32,7 +38,6 @@ from study.statistics.analysis.gate import (
 )
 from study.statistics.analysis.linear_model import (
     ALIAS_TOLERANCE,
-    Factorization,
     ModelMatrix,
     Term,
     model_matrix,
@@ -74,19 +79,19 @@ class Stratum:
     df: int
 
 
-def whole_plots(data: Data, asked: Sequence[str]) -> Plots | None:
+def whole_plots(data: Data, named: Sequence[str]) -> Plots | None:
     """Whole plots of a design: the blocks, where factors are constant in them, or as asked."""
     if data.block is None or data.also:
         return None
     block = data.layout.codes[data.block]
-    if asked:
-        for name in asked:
+    if named:
+        for name in named:
             if name not in data.factors:
                 mend = nearest(name, data.factors)
                 raise InputError(Fault("whole plot", f"{name!r} is no factor", mend))
-        pair = data.layout.cell([data.block, *asked])
-        name = ":".join([data.block, *asked])
-        return Plots(tuple(asked), np.unique(pair, return_inverse=True)[1], name, False)
+        pair = data.layout.cell([data.block, *named])
+        name = ":".join([data.block, *named])
+        return Plots(tuple(named), np.unique(pair, return_inverse=True)[1], name, False)
     constant = [f for f in data.factors if _constant(data.layout.codes[f], block)]
     if not constant:
         return None
@@ -106,7 +111,7 @@ def split_plot(out: AnalysisOutcome, plots: Plots) -> AnalysisOutcome:
     whole = factor(matrix, out.y)
     bases = _even(whole, data, plots)
     strata = _strata(out, matrix, plots, bases)
-    kind, out = kind_of(out, all(s.fit.model.is_orthogonal() for s in strata))
+    kind, out = kind_of(out, all(s.fit.is_orthogonal() for s in strata))
     strata = [replace(s, sums=tuple(term_sums(s.fit, kind))) for s in strata]
     place = _place(out.terms, strata, whole)
     rows, df = _rows(strata, place, whole.tss)
@@ -132,12 +137,11 @@ def split_plot(out: AnalysisOutcome, plots: Plots) -> AnalysisOutcome:
         of_means = sampled_estimate(data.layout, whole, term, None, sample)
         estimate = replace(estimate, mean=of_means.mean, mean_half=of_means.mean_half)
         effects.append(size(estimate, out.scale, simple))
-    choice = error_ledger.strata_choice(
-        str(data.block), plots.name, plots.between, error_ledger.POOLED
-    )
+    within = "the pooled scatter within whole plots"
+    error = error_ledger.error_of_strata(str(data.block), plots.name, plots.between, within, df)
     return replace(
         out,
-        error=ErrorTerm(choice.source, choice.question, df, choice.reason),
+        error=error,
         anova=Anova(kind, with_shares(rows, whole.tss), out.y.size - 1, whole.tss),
         effects=tuple(effects),
         fit=error_ledger.within_fit(data, out.y, plots=plots.code),
@@ -154,8 +158,8 @@ def _rival_of_every_term(
     strata = _strata(replace(out, terms=tuple(full)), matrix, plots, bases)
 
     def at(alpha: float) -> Sample:
-        asked = replace(out, request=replace(out.request, alpha=alpha))
-        return _over_strata(asked, whole, [basis for _, basis in bases], strata, reading=0.0)
+        at_level = replace(out, request=replace(out.request, alpha=alpha))
+        return _over_strata(at_level, whole, [basis for _, basis in bases], strata, reading=0.0)
 
     return rival_of_every_term(out, whole, at)
 
@@ -175,29 +179,24 @@ def _over_strata(
     """
     mean = np.ones((out.y.size, 1)) / np.sqrt(out.y.size)
     coefficients, alpha = whole.coefficients(), out.request.alpha
-    known = [s.df > 0 for s in strata]
+    has_error = [s.df > 0 for s in strata]
     ms = np.array([max(s.fit.rss / s.df, reading**2) if s.df else np.inf for s in strata])
     df = np.array([float(max(s.df, 1)) for s in strata])
 
-    def estimate(asked: Differences) -> Estimates:
-        rows = asked.rows
-        weight = (rows @ whole.model.inverse) @ whole.q.T
+    def estimate(differences: Differences) -> Estimates:
+        rows = differences.rows
+        weight = (rows @ whole.inverse) @ whole.q.T
         parts = [np.sum((weight @ basis) ** 2, axis=1) for basis in bases]
         parts.append(np.sum(weight**2, axis=1) - np.sum(parts, axis=0))
         grand = np.sum((weight @ mean) ** 2, axis=1)
         parts[-1] = np.maximum(parts[-1] - grand, 0.0)
-        parts[known.index(True) if any(known) else 0] += grand
+        parts[has_error.index(True) if any(has_error) else 0] += grand
         length = np.array(parts).T
         length[length < 1e-12 * length.sum(axis=1, keepdims=True)] = 0.0
-        with np.errstate(invalid="ignore"):
-            variance = np.where(length == 0, 0.0, length * ms)
-            total = variance.sum(axis=1)
-            free = np.where(
-                np.isfinite(total) & (total > 0), total**2 / np.sum(variance**2 / df, axis=1), 1.0
-            )
+        error, free = by_components(length, ms, df)
         value = np.where(whole.estimable(rows), rows @ coefficients, np.nan)
         wide = bonferroni(max(len(value), 1), free, alpha)
-        return Estimates(value, np.sqrt(total), t_quantile(alpha / 2, free), wide)
+        return Estimates(value, error, t_quantile(alpha / 2, free), wide)
 
     return estimate
 
@@ -206,12 +205,12 @@ def _even(whole: Factored, data: Data, plots: Plots) -> list[tuple[str, Array]]:
     """Names and orthonormal bases of the strata, the last one (within) left to the caller."""
     mean = np.ones((data.y.size, 1)) / np.sqrt(data.y.size)
     parts = [] if plots.nested else [(str(data.block), data.layout.codes[str(data.block)])]
-    found, before = [], mean
+    bases, before = [], mean
     for name, code in [*parts, (plots.name, plots.code)]:
         basis = _beyond(before, np.eye(int(code.max()) + 1)[code])
-        found.append((name, basis))
+        bases.append((name, basis))
         before = np.hstack([before, basis])
-    return found
+    return bases
 
 
 def _beyond(before: Array, columns: Array) -> Array:
@@ -258,7 +257,10 @@ def _projected(
     z = q.T @ y
     residual = y - q @ z
     return Factored(
-        Factorization(matrix, q, q.T @ x, scale),
+        matrix,
+        q,
+        q.T @ x,
+        scale,
         z,
         q @ z,
         residual,
@@ -275,8 +277,8 @@ def _place(
     full = {s.term: s.df for s in term_sums(whole, "III")}
     place: dict[Term, Stratum | None] = {}
     for term in terms:
-        found = [s for s in strata if any(t.term == term and t.df == full[term] for t in s.sums)]
-        place[term] = found[-1] if found and full[term] else None
+        holding = [s for s in strata if any(t.term == term and t.df == full[term] for t in s.sums)]
+        place[term] = holding[-1] if holding and full[term] else None
     return place
 
 

@@ -30,7 +30,6 @@ from study.statistics.analysis.anova_table import (
 from study.statistics.analysis.data import Crossed, crossed, prepare
 from study.statistics.analysis.effects import (
     TermEstimate,
-    over_blocks,
     over_groups,
     own_critical,
     pooled_estimate,
@@ -42,6 +41,7 @@ from study.statistics.analysis.effects import (
 from study.statistics.analysis.gate import (
     every_term,
     judge_factors,
+    per_block,
     refusal,
     rival_of_every_term,
     rivals_over_blocks,
@@ -72,6 +72,10 @@ from study.statistics.analysis.unreplicated import ulp_floor
 
 if TYPE_CHECKING:
     import pandas as pd
+
+
+_COVARIANCES = "every group of blocks has a covariance of its own (Welch-Box)"
+_ONE_COVARIANCE = "a group has two blocks only, so one covariance serves all groups"
 
 
 @dataclass(frozen=True)
@@ -112,22 +116,17 @@ def own_groups(out: AnalysisOutcome, plots: Plots) -> AnalysisOutcome | None:
             term = tuple(f for f in out.data.factors if f in (*part_term, *group_term))
             if term in out.terms:
                 rows[term] = _row(term, part, direction, apart, total, floor)
-    choice = error_ledger.strata_choice(
-        block, plots.name, plots.between, error_ledger.OWN, "own" if apart else "pooled"
-    )
-    if out.request.error == "own":
-        choice = replace(choice, reason="asked for")
     effects, notes = _effects(out, rows, errors, table, members)
     out = out.warn(*notes)
     listed = [rows[t] for t in out.terms if t in rows]
+    df = {r.term: float(r.df_error or 0) for r in listed}
+    error = error_ledger.error_of_strata(block, plots.name, plots.between, "own interactions", df)
+    covariances = _COVARIANCES if apart else _ONE_COVARIANCE
+    reason = "asked for" if out.request.error == "own" else f"{error.reason}; {covariances}"
+    error = replace(error, reason=reason)
     return replace(
         out,
-        error=ErrorTerm(
-            choice.source,
-            choice.question,
-            {r.term: float(r.df_error or 0) for r in listed},
-            choice.reason,
-        ),
+        error=error,
         anova=Anova(kind, with_shares([*listed, *errors], total), out.y.size - 1, total),
         effects=effects,
         sphericity=spheres,
@@ -144,8 +143,8 @@ def _table(
     block = str(data.block)
     table = crossed(replace(data, factors=within), out.y)
     index = {name: i for i, name in enumerate(data.layout.levels[block])}
-    kept = [index[name] for name in table.blocks]
-    first = np.array([int(np.flatnonzero(data.layout.codes[block] == k)[0]) for k in kept])
+    blocks = [index[name] for name in table.blocks]
+    first = np.array([int(np.flatnonzero(data.layout.codes[block] == k)[0]) for k in blocks])
     codes = {f: data.layout.codes[f][first] for f in plots.between}
     return table, CellLayout({f: data.layout.levels[f] for f in plots.between}, codes)
 
@@ -172,14 +171,14 @@ def _parts(
 
 def _directions(fit: Factored, kind: str, part: Term) -> list[tuple[Term, Array]]:
     """Orthonormal directions over blocks of the mean and of every term between blocks."""
-    found: list[tuple[Term, Array]] = []
+    directions: list[tuple[Term, Array]] = []
     if part:
         n = fit.q.shape[0]
         mean = np.ones((n, 1)) / np.sqrt(n)
         if kind == "III":
             mean = fit.q @ complement(fit.r[:, 1:], fit.r[:, :1])
-        found.append(((), mean))
-    return found + [(s.term, fit.q @ s.basis) for s in term_sums(fit, kind)]
+        directions.append(((), mean))
+    return directions + [(s.term, fit.q @ s.basis) for s in term_sums(fit, kind)]
 
 
 def _row(
@@ -201,9 +200,9 @@ def _row(
     sums = (df, ss), (part.name, part.df, ss_error)
     if groups:
         weights = np.array([direction[group].sum(axis=0) for group in groups]).T
-        found = welch_box([part.values[:, group] for group in groups], weights)
-        if found is not None:
-            f, df1, df2 = found
+        test = welch_box([part.values[:, group] for group in groups], weights)
+        if test is not None:
+            f, df1, df2 = test
             epsilon = df1 / df
             return row_of_test(name, *sums, total, epsilon, (f, df2 / epsilon))
     return row_of_test(name, *sums, total, epsilon_gg(part.residual @ part.residual.T))
@@ -235,28 +234,28 @@ def _effects(
 
     Where a group has two blocks, sizes have the pooled error of their stratum.
     """
-    data, asked = out.data, out.request
+    data, request = out.data, out.request
     index = {name: i for i, name in enumerate(table.blocks)}
     names = data.layout.levels[str(data.block)]
     of_row = np.array([index.get(names[c], -1) for c in data.layout.codes[str(data.block)]])
-    kept = of_row >= 0
-    layout = CellLayout(data.layout.levels, {f: c[kept] for f, c in data.layout.codes.items()})
+    complete = of_row >= 0
+    layout = CellLayout(data.layout.levels, {f: c[complete] for f, c in data.layout.codes.items()})
     fewest = min(len(group) for group in groups)
-    seed = asked.interval_seed if fewest >= LEAST_OWN else None
+    seed = request.interval_seed if fewest >= LEAST_OWN else None
 
     def fitted(terms: Sequence[Term]) -> tuple[Factored, Array]:
-        fit = factor(model_matrix(layout, terms), out.y[kept])
-        per_row = (fit.model.inverse @ fit.q.T) * (out.y[kept] - fit.shift)
-        return fit, per_row @ np.eye(len(table.blocks))[of_row[kept]]
+        fit = factor(model_matrix(layout, terms), out.y[complete])
+        per_row = (fit.inverse @ fit.q.T) * (out.y[complete] - fit.shift)
+        return fit, per_row @ np.eye(len(table.blocks))[of_row[complete]]
 
     fit, added = fitted(out.terms)
-    sample = over_groups(fit, added, groups, asked.alpha, seed)
+    sample = over_groups(fit, added, groups, request.alpha, seed)
     notes: list[str] = []
     if fewest < _FEWEST_IN_GROUP:
         rivals = [refusal(_LONE_BLOCK)]
-        sample = with_pooled_error(fit, fit.rss, fit.df_residual, asked.alpha, seed)
+        sample = with_pooled_error(fit, fit.rss, fit.df_residual, request.alpha, seed)
     else:
-        rivals = rivals_over_groups(out, fit, added, groups, sample)
+        rivals = rivals_over_groups(out, fit, added, groups, sample, table.y)
         if (full := every_term(out, layout)) is not None:
             whole, parts = fitted(full)
             more, notes = rival_of_every_term(
@@ -265,12 +264,12 @@ def _effects(
             rivals += more
     simple = judge_factors(out, layout, fit, sample, rivals)
     if fewest >= LEAST_OWN:
-        own_errors = over_groups(fit, added, groups, asked.alpha, None)
+        own_errors = over_groups(fit, added, groups, request.alpha, None)
         p = {term: row.p_deciding for term, row in rows.items()}
         estimates = [sampled_estimate(data.layout, fit, t, p.get(t), own_errors) for t in out.terms]
     else:
         estimates = _pooled_estimates(out, rows, errors)
-    return tuple(size(one, out.scale, simple) for one in estimates), notes
+    return tuple(size(estimate, out.scale, simple) for estimate in estimates), notes
 
 
 def _pooled_estimates(
@@ -279,7 +278,7 @@ def _pooled_estimates(
     """Estimates with the pooled error of their stratum."""
     whole = factor(model_matrix(out.data.layout, out.terms), out.y)
     by_error = {row.term: row for row in errors}
-    found = []
+    estimates = []
     for term in out.terms:
         row = rows.get(term, Row(term_name(term), 0, 0.0))
         against = by_error.get(row.error or "")
@@ -288,8 +287,8 @@ def _pooled_estimates(
         estimate = pooled_estimate(
             out.data.layout, whole, term, df, row.p_deciding, out.request.alpha, rss
         )
-        found.append(replace(estimate, mean_half=None))
-    return found
+        estimates.append(replace(estimate, mean_half=None))
+    return estimates
 
 
 # -------------------------------------------------------------------------------------------------
@@ -300,41 +299,35 @@ def _pooled_estimates(
 # pooled, so cells that differ only in discretization add no degrees of freedom.
 
 
-def seed_choice(seeds: int) -> error_ledger.Choice:
-    """E3 with seeds that every cell has: each effect against its own interaction with them."""
-    few = (f"{seeds} mesh seeds: ask for 8 or more",) if seeds < error_ledger.ENOUGH_SEEDS else ()
-    return error_ledger.Choice(
-        "E3",
-        error_ledger.OWN,
-        "would another mesh of this size change the effect? (each effect against its own "
-        f"interaction with {seeds} mesh seeds, Greenhouse-Geisser deciding)",
-        "every cell has the same mesh seeds, so they are blocks",
-        (error_ledger.BIAS, *few),
+def _own_error(
+    out: AnalysisOutcome, blocks: int, df: dict[str, float]
+) -> tuple[ErrorTerm, tuple[str, ...]]:
+    """Error of effects against their own interaction with the blocks, and what to beware of."""
+    decides = "Greenhouse-Geisser deciding)"
+    if out.replicates == "noise":
+        question = (
+            f"{error_ledger.NOISE_QUESTION} (each effect against its own scatter over {blocks} "
+            f"refits to resampled residuals, {decides}"
+        )
+        why = "cells hold refits to resampled measurement noise, the same for all cells of a curve"
+        return ErrorTerm("E2", question, df, why), (error_ledger.ONE_CURVE,)
+    against = "(each effect against its own interaction with"
+    if out.replicates == "mesh-seeds":
+        question = (
+            f"would another mesh of this size change the effect? {against} {blocks} mesh seeds, "
+            f"{decides}"
+        )
+        few = blocks < error_ledger.ENOUGH_SEEDS
+        cautions = (f"{blocks} mesh seeds: ask for 8 or more",) if few else ()
+        why = "every cell has the same mesh seeds, so they are blocks"
+        return ErrorTerm("E3", question, df, why), (error_ledger.BIAS, *cautions)
+    block = str(out.data.block)
+    question = (
+        f"would the ranking change with another {block}? {against} {blocks} levels of {block}, "
+        f"{decides}"
     )
-
-
-def own_choice(block: str, blocks: int, error: str) -> error_ledger.Choice:
-    """E1 with every effect against its own interaction."""
-    why = "asked for" if error == "own" else "every cell is seen in the same blocks"
-    return error_ledger.Choice(
-        "E1",
-        error_ledger.OWN,
-        f"would the ranking change with another {block}? (each effect against its own "
-        f"interaction with {blocks} levels of {block}, Greenhouse-Geisser deciding)",
-        why,
-    )
-
-
-def noise_choice(resamples: int) -> error_ledger.Choice:
-    """E2 where cells fitted to one curve share its resampled noise."""
-    return error_ledger.Choice(
-        "E2",
-        error_ledger.OWN,
-        f"{error_ledger.NOISE_QUESTION} (each effect against its own scatter over {resamples} "
-        "refits to resampled residuals, Greenhouse-Geisser deciding)",
-        "cells hold refits to resampled measurement noise, the same for all cells of a curve",
-        (error_ledger.ONE_CURVE,),
-    )
+    why = "asked for" if out.request.error == "own" else "every cell is seen in the same blocks"
+    return ErrorTerm("E1", question, df, why), ()
 
 
 @dataclass(frozen=True)
@@ -455,15 +448,12 @@ def own(out: AnalysisOutcome) -> AnalysisOutcome | None:
     rest = n_cells - 1 - sum(t.sums.df for t in tests)
     if rest > 0:
         out = out.warn(f"{rest} treatment degrees of freedom are outside the model")
-    choice = own_choice(block, b, out.request.error)
-    if out.replicates in ("noise", "mesh-seeds"):
-        choice = noise_choice(b) if out.replicates == "noise" else seed_choice(b)
-        out = out.warn(*choice.cautions)
-    df = {t.row.term: float(t.error.df) for t in tests}
+    error, cautions = _own_error(out, b, {t.row.term: float(t.error.df) for t in tests})
+    out = out.warn(*cautions)
     judged = cell_fit(table, out.structure.asked) if out.structure.asked else fit
     alpha = out.request.alpha
-    coefficients = judged.model.inverse @ (judged.q.T @ (table.y - judged.shift))
-    own_errors = over_blocks(judged, coefficients, alpha, None)
+    added, blocks = per_block(judged, table.y), [np.arange(b)]
+    own_errors = over_groups(judged, added, blocks, alpha, None)
     estimates = []
     for t in tests:
         levels = int(np.prod([len(table.layout.levels[name]) for name in t.sums.term]))
@@ -472,19 +462,19 @@ def own(out: AnalysisOutcome) -> AnalysisOutcome | None:
         estimates.append(
             sampled_estimate(table.layout, judged, t.sums.term, p, own_errors, critical)
         )
-    sample = over_blocks(judged, coefficients, alpha, out.request.interval_seed)
+    sample = over_groups(judged, added, blocks, alpha, out.request.interval_seed)
     rivals, notes = rivals_over_blocks(out, table.layout, table.y, judged, sample)
     out = out.warn(*notes)
     simple = judge_factors(out, table.layout, judged, sample, rivals)
     return replace(
         out,
-        error=ErrorTerm(choice.source, choice.question, df, choice.reason),
+        error=error,
         anova=Anova(kind, with_shares(rows, total), table.y.size - 1, total),
         effects=tuple(size(e, out.scale, simple) for e in estimates),
         sphericity={t.row.term: t.sphericity for t in tests if t.sums.df > 1},
         fit=error_ledger.within_fit(data, out.y),
         crossed=table,
-        cell_model=fit.model,
+        cell_model=fit,
     )
 
 
@@ -592,14 +582,14 @@ def _naive_size(
 
 
 def _terms(nested: Anova, naive: Anova) -> tuple[NaiveTerm, ...]:
-    found = []
+    terms = []
     for row in nested.rows:
         if row.f is None or row.df_error is None or row.p is None:
             continue
         other = naive.row(row.term)
         if other.f is None or other.df_error is None or other.p is None:
             continue
-        found.append(
+        terms.append(
             NaiveTerm(
                 row.term,
                 row.f,
@@ -610,21 +600,21 @@ def _terms(nested: Anova, naive: Anova) -> tuple[NaiveTerm, ...]:
                 other.p,
             )
         )
-    return tuple(found)
+    return tuple(terms)
 
 
-def sentences(found: NestedUnits, alpha: float) -> list[str]:
+def sentences(nested: NestedUnits, alpha: float) -> list[str]:
     """Sentences that say how far the analysis of all rows would have misled."""
-    unit = found.unit
+    unit = nested.unit
     out = [
-        f"{found.rows} rows are averaged into {found.units} levels of {unit} within the cells: "
+        f"{nested.rows} rows are averaged into {nested.units} levels of {unit} within the cells: "
         f"repeats on one {unit} are nested in it",
-        f"two rows on one {unit} correlate by {found.correlation:.2f}: {found.rows} rows tell as "
-        f"much as {found.effective_rows:.0f} independent ones; taking them as independent would "
-        f"give intervals {found.too_narrow:.2g} times too narrow and reject a true null in "
-        f"{100 * found.naive_size:.0f} % of studies instead of 5 %",
+        f"two rows on one {unit} correlate by {nested.correlation:.2f}: {nested.rows} rows tell as "
+        f"much as {nested.effective_rows:.0f} independent ones; taking them as independent would "
+        f"give intervals {nested.too_narrow:.2g} times too narrow and reject a true null in "
+        f"{100 * nested.naive_size:.0f} % of studies instead of 5 %",
     ]
-    for t in found.terms:
+    for t in nested.terms:
         changed = " (the conclusion changes)" if (t.p < alpha) != (t.naive_p < alpha) else ""
         out.append(
             f"{t.term}: F({t.df[0]:g}, {t.df[1]:g}) = {t.f:.4g}; taking the rows as independent "

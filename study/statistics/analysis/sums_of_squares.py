@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
 import numpy as np
 
-from study.ground.arrays import Array, Flags, Ints
+from study.ground.arrays import Array, Ints
 from study.ground.noncentral_f import noncentral_f_cdf
 from study.statistics.analysis.anova_table import Influential, ModelSummary, Row
 from study.statistics.analysis.linear_model import (
@@ -31,10 +31,9 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Factored:
-    """A least-squares problem after the orthogonal factorization of its model."""
+class Factored(Factorization):
+    """A least-squares fit on the orthogonal factorization of its model."""
 
-    model: Factorization
     #: shape (r,); ``q.T @ (y - shift)``.
     z: Array
     #: shape (n,); fit and residual in the units of y.
@@ -45,56 +44,9 @@ class Factored:
     tss: float
     shift: float
 
-    @property
-    def matrix(self) -> ModelMatrix:
-        """Columns of the model, with the term that each belongs to."""
-        return self.model.matrix
-
-    @property
-    def q(self) -> Array:
-        """Orthonormal columns that span the model, shape (n, r)."""
-        return self.model.q
-
-    @property
-    def r(self) -> Array:
-        """``columns / scale = q @ r``, shape (r, p)."""
-        return self.model.r
-
-    @property
-    def rank(self) -> int:
-        """Rank of the model."""
-        return self.model.rank
-
-    @property
-    def df_residual(self) -> int:
-        """Residual degrees of freedom."""
-        return int(self.q.shape[0] - self.rank)
-
-    @property
-    def leverage(self) -> Array:
-        """Leverage of every row: the diagonal of the hat matrix, shape (n,)."""
-        return self.model.leverage
-
-    @property
-    def columns(self) -> Array:
-        """Columns of the model, shape (n, p)."""
-        return self.matrix.columns
-
-    def projected(self, y: Array) -> Array:
-        """Part of other values that the model describes, shape (n,)."""
-        return np.asarray(self.q @ (self.q.T @ y))
-
     def coefficients(self) -> Array:
         """Minimum-norm coefficients of the shifted response, shape (p,)."""
-        return np.asarray(self.model.inverse @ self.z)
-
-    def unscaled_covariance(self) -> Array:
-        """(X'X)^+, shape (p, p)."""
-        return self.model.unscaled_covariance
-
-    def estimable(self, rows: Array) -> Flags:
-        """Whether each linear combination of coefficients can be estimated, shape (m,)."""
-        return self.model.estimable(rows)
+        return np.asarray(self.inverse @ self.z)
 
 
 @dataclass(frozen=True)
@@ -133,13 +85,17 @@ def fitted(model: Factorization, y: Array) -> Factored:
     z = z + correction
     centered = shifted - shifted.mean()
     return Factored(
-        model,
+        model.matrix,
+        q,
+        model.r,
+        model.scale,
         z,
         y - residual,
         residual,
         float(residual @ residual),
         float(centered @ centered),
         shift,
+        spaces=model.spaces,
     )
 
 
@@ -149,7 +105,7 @@ def term_sums(fit: Factored, kind: str) -> list[TermSum]:
 
 
 def _term_sum(fit: Factored, i: int, kind: str) -> TermSum:
-    space = fit.model.space(i, kind)
+    space = fit.space(i, kind)
     part = space.basis.T @ fit.z
     return TermSum(
         fit.matrix.terms[i],
@@ -313,77 +269,78 @@ _SINGULAR = 1e-10
 
 
 @dataclass(frozen=True)
-class _Equations:
-    """Normal equations after the first factor is eliminated."""
+class TwoWayFit:
+    """Fit of two factors without interaction; the first is eliminated from the equations."""
 
+    #: shape (n,); level of each factor in each row.
     first: Ints
     second: Ints
+    #: shape (a, b); rows of each pair of levels.
     counts: Array
+    #: shape (n,); response.
+    y: Array
 
     @cached_property
-    def rows_first(self) -> Array:
+    def _rows_first(self) -> Array:
         return np.asarray(self.counts.sum(axis=1))
 
     @cached_property
-    def share(self) -> Array:
+    def _share(self) -> Array:
         """Part of each level of the second factor in the rows of each level of the first."""
-        return np.asarray(self.counts / self.rows_first[:, None])
+        return np.asarray(self.counts / self._rows_first[:, None])
 
     @cached_property
     def _solved(self) -> tuple[Array, int]:
         """Pseudo-inverse of the reduced equations, and its rank."""
-        reduced = np.diag(self.counts.sum(axis=0)) - self.counts.T @ self.share
+        reduced = np.diag(self.counts.sum(axis=0)) - self.counts.T @ self._share
         values, vectors = np.linalg.eigh(reduced)
-        kept = values > _SINGULAR * values.max(initial=0.0)
-        root = vectors[:, kept] / np.sqrt(values[kept])
-        return root @ root.T, int(kept.sum())
-
-    @property
-    def inverse(self) -> Array:
-        return self._solved[0]
+        connected = values > _SINGULAR * values.max(initial=0.0)
+        root = vectors[:, connected] / np.sqrt(values[connected])
+        return root @ root.T, int(connected.sum())
 
     @property
     def rank(self) -> int:
+        """Rank of the model."""
         return int(self.counts.shape[0]) + self._solved[1]
-
-    def project(self, y: Array) -> Array:
-        """Part of ``y`` that the two factors describe."""
-        means = np.bincount(self.first, y, self.counts.shape[0]) / self.rows_first
-        left = np.bincount(self.second, y, self.counts.shape[1]) - self.counts.T @ means
-        effect = self.inverse @ left
-        return np.asarray((means - self.share @ effect)[self.first] + effect[self.second])
-
-    def leverage(self) -> Array:
-        inverse = self.inverse
-        across = self.share @ inverse
-        own = np.einsum("ab,ab->a", across, self.share)
-        by_pair = (np.diag(inverse) - 2 * across) + (own + 1 / self.rows_first)[:, None]
-        return np.asarray(by_pair[self.first, self.second])
-
-
-@dataclass(frozen=True)
-class TwoWayFit:
-    """Fit of two factors without interaction."""
-
-    equations: _Equations
-    #: shape (n,); in the units of the response.
-    fitted: Array
-    residual: Array
-    #: shape (n,); diagonal of the hat matrix.
-    leverage: Array
-    rank: int
-    #: Residual and corrected total sums of squares.
-    rss: float
-    tss: float
 
     @property
     def df_residual(self) -> int:
         """Residual degrees of freedom."""
-        return int(self.residual.size - self.rank)
+        return int(self.y.size - self.rank)
 
     def projected(self, y: Array) -> Array:
-        """Part of other values that the model describes, shape (n,)."""
-        return self.equations.project(y)
+        """Part of values that the two factors describe, shape (n,)."""
+        means = np.bincount(self.first, y, self.counts.shape[0]) / self._rows_first
+        left = np.bincount(self.second, y, self.counts.shape[1]) - self.counts.T @ means
+        effect = self._solved[0] @ left
+        return np.asarray((means - self._share @ effect)[self.first] + effect[self.second])
+
+    @cached_property
+    def residual(self) -> Array:
+        """Residual in the units of the response, shape (n,)."""
+        shifted = self.y - self.y[0]
+        residual = shifted - self.projected(shifted)
+        # a second projection removes what rounding left of the model in the residual
+        return np.asarray(residual - self.projected(residual))
+
+    @property
+    def fitted(self) -> Array:
+        """Fit in the units of the response, shape (n,)."""
+        return self.y - self.residual
+
+    @property
+    def rss(self) -> float:
+        """Residual sum of squares."""
+        return float(self.residual @ self.residual)
+
+    @cached_property
+    def leverage(self) -> Array:
+        """Diagonal of the hat matrix, shape (n,)."""
+        inverse = self._solved[0]
+        across = self._share @ inverse
+        within = np.einsum("ab,ab->a", across, self._share)
+        by_pair = (np.diag(inverse) - 2 * across) + (within + 1 / self._rows_first)[:, None]
+        return np.asarray(by_pair[self.first, self.second])
 
     @property
     def columns(self) -> None:
@@ -392,35 +349,12 @@ class TwoWayFit:
 
 
 def two_way(first: Ints, second: Ints, y: Array) -> TwoWayFit:
-    """Fit the levels of two factors, unbalanced or not.
-
-    Shapes: first, second (n,); y (n,).
-
-    Examples
-    --------
-    >>> fit = two_way(np.array([0, 0, 1, 1]), np.array([0, 1, 0, 1]), np.array([1.0, 2, 3, 5]))
-    >>> fit.residual.round(6).tolist(), fit.leverage.round(6).tolist()
-    ([0.25, -0.25, -0.25, 0.25], [0.75, 0.75, 0.75, 0.75])
-    """
+    """Fit the levels of two factors, unbalanced or not; all arrays have the shape (n,)."""
     a, b = int(first.max()) + 1, int(second.max()) + 1
     if a < b:
         first, second, a, b = second, first, b, a
     counts = np.bincount(first * b + second, minlength=a * b).reshape(a, b).astype(float)
-    equations = _Equations(first, second, counts)
-    shifted = y - y[0]
-    residual = shifted - equations.project(shifted)
-    # a second projection removes what rounding left of the model in the residual
-    residual = residual - equations.project(residual)
-    centered = shifted - shifted.mean()
-    return TwoWayFit(
-        equations,
-        y - residual,
-        residual,
-        equations.leverage(),
-        equations.rank,
-        float(residual @ residual),
-        float(centered @ centered),
-    )
+    return TwoWayFit(first, second, counts, y)
 
 
 # -------------------------------------------------------------------------------------------------
@@ -500,40 +434,24 @@ def _mauchly_p(chi2: float, d: int, n: int, rho: float) -> float:
 
 @dataclass(frozen=True)
 class Influence:
-    """Leverage, internally studentized residual, Cook's distance, PRESS residual of every row."""
+    """Leverage, Cook's distance and PRESS residual of every row."""
 
     leverage: Array
-    studentized: Array
     cook: Array
     press: Array
 
 
 def influence(fit: Factored | TwoWayFit) -> Influence:
-    """Leverage, studentized and PRESS residuals, and Cook's distance (Cook 1977) of a fit.
+    """Leverage, Cook's distance (Cook 1977) and PRESS residuals of a fit.
 
     Shapes: returns (n,).
     """
-    from statsmodels.stats.outliers_influence import OLSInfluence
-
     # a row of leverage one, or a saturated fit, has 0 / 0 here
     with np.errstate(divide="ignore", invalid="ignore"):
-        if isinstance(fit, TwoWayFit):
-            return _without_columns(fit)
-        found = OLSInfluence(least_squares(fit))
-        return Influence(
-            found.hat_matrix_diag,
-            found.resid_studentized_internal,
-            found.cooks_distance[0],
-            found.resid_press,
-        )
-
-
-def _without_columns(fit: TwoWayFit) -> Influence:
-    """Influence from the leverage of every row: statsmodels asks for the columns themselves."""
-    left = 1 - fit.leverage
-    studentized = fit.residual / np.sqrt(fit.rss / np.float64(fit.df_residual) * left)
-    cook = studentized**2 * fit.leverage / left / fit.rank
-    return Influence(fit.leverage, studentized, cook, fit.residual / left)
+        left = 1 - fit.leverage
+        variance = fit.rss / np.float64(fit.df_residual)
+        cook = fit.residual**2 / variance * fit.leverage / left**2 / fit.rank
+        return Influence(fit.leverage, cook, fit.residual / left)
 
 
 def least_squares(fit: Factored, cov_type: str = "nonrobust") -> OLSResults:
@@ -557,12 +475,14 @@ def influential(fit: Factored | TwoWayFit) -> Influential | None:
 
     if fit.df_residual < 1 or fit.rss <= 0:
         return None
-    found = influence(fit)
-    known = np.isfinite(found.cook) & (found.leverage < 1 - 1e-10)
+    of_rows = influence(fit)
+    judged = np.isfinite(of_rows.cook) & (of_rows.leverage < 1 - 1e-10)
     limit = float(fdtri(fit.rank, fit.df_residual, 0.5))
-    rows = np.flatnonzero(known & (np.where(known, found.cook, 0.0) > limit))
-    largest = float(found.cook[known].max()) if known.any() else None
-    return Influential(float(found.leverage.max()), largest, limit, tuple(int(i) + 1 for i in rows))
+    rows = np.flatnonzero(judged & (np.where(judged, of_rows.cook, 0.0) > limit))
+    largest = float(of_rows.cook[judged].max()) if judged.any() else None
+    return Influential(
+        float(of_rows.leverage.max()), largest, limit, tuple(int(i) + 1 for i in rows)
+    )
 
 
 def summary_of(fit: Factored) -> ModelSummary | None:

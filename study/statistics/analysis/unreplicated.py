@@ -82,11 +82,11 @@ def pseudo_standard_error(contrasts: ArrayLike) -> Array:
     """
     size = np.abs(np.asarray(contrasts, dtype=float))
     s0 = 1.5 * np.median(size, axis=-1, keepdims=True)
-    kept = np.where(size < 2.5 * s0, size, np.nan)
+    inert = np.where(size < 2.5 * s0, size, np.nan)
     # a contrast vector of zeros keeps nothing: its PSE is zero
-    empty = np.all(np.isnan(kept), axis=-1)
-    kept[empty] = 0.0
-    return np.asarray(1.5 * np.nanmedian(kept, axis=-1))
+    empty = np.all(np.isnan(inert), axis=-1)
+    inert[empty] = 0.0
+    return np.asarray(1.5 * np.nanmedian(inert, axis=-1))
 
 
 @lru_cache(maxsize=32)
@@ -346,5 +346,5 @@ def copies_of(data: Data, within: float, *, computed: bool) -> CopyGroups:
     table = np.full((cells.size, blocks), np.nan)
     column = 0 if data.block is None else data.layout.codes[data.block]
     table[np.searchsorted(cells, data.cell), column] = data.y
-    found = group_cells(table, max(within, ulp_floor(data.y)))
-    return CopyGroups(tuple(tuple(int(cells[i]) for i in g) for g in found.groups))
+    copies = group_cells(table, max(within, ulp_floor(data.y)))
+    return CopyGroups(tuple(tuple(int(cells[i]) for i in g) for g in copies.groups))

@@ -43,8 +43,8 @@ def cost_to_accuracy(
     >>> round(found.seconds, 6), round(found.mesh_size, 6), found.how
     (2.0, 0.707107, 'between meshes')
     """
-    found = [_one(name, points, accuracy) for name, points in fronts.items()]
-    return sorted(found, key=lambda row: math.inf if row.seconds is None else row.seconds)
+    costs = [_one(name, points, accuracy) for name, points in fronts.items()]
+    return sorted(costs, key=lambda row: math.inf if row.seconds is None else row.seconds)
 
 
 def _one(name: str, points: Sequence[CostPoint], accuracy: float) -> CostToAccuracy:
@@ -78,8 +78,8 @@ def reference_value(
     candidates: Sequence[tuple[float | None, float | None]],
 ) -> tuple[float | None, float | None]:
     """Best limit of several series of one quantity: that with the smallest uncertainty."""
-    known = [(u, limit) for limit, u in candidates if limit is not None and u is not None]
-    if not known:
+    bounded = [(u, limit) for limit, u in candidates if limit is not None and u is not None]
+    if not bounded:
         return None, None
-    u, limit = min(known)
+    u, limit = min(bounded)
     return float(limit), float(u)

@@ -16,14 +16,13 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 
 from study.ground.arrays import Array
 from study.statistics.convergence.grid_convergence import (
     CAUTIOUS,
-    NO_ORDER,
     NOISE_SHARE,
     SAFE,
     MeshBounds,
@@ -38,6 +37,11 @@ DIFFERENCE_SHARE = 1.6
 FLOOR = 0.1
 #: Share of the refined cells' mean bound that a difference of other cells inherits.
 INHERITED_SHARE = 0.2
+
+#: Name of a cell: a text, or its levels.
+Cell = TypeVar("Cell", str, tuple[str, ...])
+#: Half-width around a contrast in the unit of the response; None where nothing bounds its error.
+Bound = float | None
 
 
 @dataclass(frozen=True)
@@ -69,25 +73,6 @@ class CellSeries:
         return self.value[0] if self.studied is None else self.studied
 
 
-@dataclass(frozen=True)
-class ContrastUncertainty:
-    """Bound of the numerical error of a contrast on its finest mesh."""
-
-    #: Half-width around the contrast on the finest mesh, in the unit of the response.
-    u: float
-    #: Distance of the contrast on the mesh of the study from that on the finest mesh.
-    moved: float
-    #: Order by which ``u`` falls with the mesh size.
-    order: float
-    #: {"three meshes", "two meshes", "other cells", "one other cell"}: where it comes from.
-    method: str
-
-    @property
-    def effective(self) -> float:
-        """Half-width around the contrast on the mesh of the study."""
-        return self.u + self.moved
-
-
 def _finest(
     value: Array, mesh_size: Sequence[float], formal: float | None, noise: float | Array | None
 ) -> MeshBounds:
@@ -103,89 +88,51 @@ def response_bounds(
 
     Shapes: value (..., n); noise (...); returns (...).
     """
-    found = _finest(value, mesh_size, formal, noise)
-    return np.where(found.kind == "divergent", np.inf, found.u)
+    bounds = _finest(value, mesh_size, formal, noise)
+    return np.where(bounds.kind == "divergent", np.inf, bounds.u)
 
 
-def difference_bounds(
-    value: Array, mesh_size: Sequence[float], formal: float | None
-) -> tuple[Array, Array]:
-    """Bound of differences within one discretization, and the order by which it falls.
+def difference_bounds(value: Array, mesh_size: Sequence[float], formal: float | None) -> Array:
+    """Bound of differences within one discretization.
 
     Shapes: value (..., n); returns (...).
     """
-    found = _finest(value, mesh_size, formal, None)
-    top = min(NO_ORDER if formal is None else formal, 1.0)
-    order = np.where(np.isnan(found.order_used), top, found.order_used)
-    short = (found.factor == SAFE) | np.isnan(found.order_used)
-    return np.where(short, DIFFERENCE_SHARE, 1.0) * found.u, order
+    bounds = _finest(value, mesh_size, formal, None)
+    short = (bounds.factor == SAFE) | np.isnan(bounds.order_used)
+    return np.asarray(np.where(short, DIFFERENCE_SHARE, 1.0) * bounds.u)
 
 
-def contrast_uncertainty(
-    weights: Mapping[str, float], series: Mapping[str, CellSeries]
-) -> ContrastUncertainty | None:
-    """Bound the numerical error of a contrast of cells that were all refined."""
+def contrast_uncertainty(weights: Mapping[Cell, float], series: Mapping[Cell, CellSeries]) -> Bound:
+    """Bound the error, on the mesh of the study, of a contrast of cells of one discretization.
+
+    None where a cell was not refined, or where nothing bounds its error.
+    """
     used = {cell: w for cell, w in weights.items() if w}
-    if not used or any(cell not in series for cell in used):
+    if not used or any(len(series[c].value) < 2 if c in series else True for c in used):
         return None
-    by_element: dict[str, list[str]] = {}
-    for cell in used:
-        by_element.setdefault(series[cell].discretization, []).append(cell)
-    parts = [_within(cells, used, series) for cells in by_element.values()]
-    known = [part for part in parts if part is not None]
-    if len(known) < len(parts):
-        return None
-    moved = sum(w * (series[c].on_the_studied_mesh - series[c].value[0]) for c, w in used.items())
-    return ContrastUncertainty(
-        math.fsum(part.u for part in known),
-        abs(moved),
-        min(part.order for part in known),
-        "two meshes" if any(part.method == "two meshes" for part in known) else "three meshes",
-    )
-
-
-def _within(
-    cells: Sequence[str], weights: Mapping[str, float], series: Mapping[str, CellSeries]
-) -> ContrastUncertainty | None:
-    """Bound of the part of a contrast that lies in one discretization."""
-    first = series[cells[0]]
-    meshes = min(len(series[cell].value) for cell in cells)
-    sizes = np.array([series[cell].mesh_size[:meshes] for cell in cells])
+    cells = [series[cell] for cell in used]
+    w = np.array(list(used.values()))
+    meshes = min(len(cell.value) for cell in cells)
+    sizes = np.array([cell.mesh_size[:meshes] for cell in cells])
     ratios = sizes[:, 1:] / sizes[:, :-1]
-    if meshes < 2:
-        return None
-    method = "two meshes" if meshes == 2 else "three meshes"
-    if any(not np.allclose(r, ratios[0], rtol=0.05) for r in ratios):
-        return _by_cell(cells, weights, series, method)
-    w = np.array([weights[cell] for cell in cells])
-    value = np.array([series[cell].value[:meshes] for cell in cells])
-    size = first.mesh_size[:meshes]
-    orders = [series[cell].formal_order for cell in cells]
+    alike = np.allclose(ratios, ratios[0], rtol=0.05)
+    moved = abs(
+        sum(k * (c.on_the_studied_mesh - c.value[0]) for k, c in zip(w, cells, strict=True))
+    )
+    orders = [cell.formal_order for cell in cells]
     formal = None if None in orders else min(o for o in orders if o is not None)
-    noise = np.array([series[cell].noise for cell in cells])
+    if not alike:  # refined by different ratios, each cell knows its own error alone
+        alone = [response_bounds(np.array(c.value), c.mesh_size, c.formal_order, c.noise)
+               for c in cells]  # fmt: skip
+        u = float(np.abs(w) @ alone)
+        return u + moved if math.isfinite(u) else None
+    value = np.array([cell.value[:meshes] for cell in cells])
+    size, noise = cells[0].mesh_size[:meshes], np.array([cell.noise for cell in cells])
     ceiling = float(np.abs(w) @ response_bounds(value, size, formal, noise))
     if not math.isfinite(ceiling):
         return None
-    difference = w @ value
-    bound, order = difference_bounds(difference, size, formal)
-    u = min(max(float(bound), FLOOR * ceiling), ceiling)
-    return ContrastUncertainty(u, 0.0, float(order), method)
-
-
-def _by_cell(
-    cells: Sequence[str],
-    weights: Mapping[str, float],
-    series: Mapping[str, CellSeries],
-    method: str,
-) -> ContrastUncertainty | None:
-    """Sum of the bounds of single cells, whose meshes are refined by different ratios."""
-    u = math.fsum(
-        abs(weights[cell])
-        * float(response_bounds(np.array(s.value), s.mesh_size, s.formal_order, s.noise))
-        for cell in cells
-        for s in (series[cell],)
-    )
-    return ContrastUncertainty(u, 0.0, NO_ORDER, method) if math.isfinite(u) else None
+    u = float(difference_bounds(w @ value, size, formal))
+    return float(min(max(u, FLOOR * ceiling), ceiling) + moved)
 
 
 def limit_of(series: CellSeries) -> tuple[float, float] | None:
@@ -202,9 +149,7 @@ def limit_of(series: CellSeries) -> tuple[float, float] | None:
     return series.on_the_studied_mesh - limit, bound + abs(series.on_the_studied_mesh - value[0])
 
 
-def inherited_uncertainty(
-    weights: Array, error: Array, bound: Array, order: float = NO_ORDER
-) -> ContrastUncertainty:
+def inherited_uncertainty(weights: Array, error: Array, bound: Array) -> float:
     """Bound the error of a contrast by that of other cells of the same discretization.
 
     Shapes: weights (k,); error (m,); bound (m,).
@@ -217,7 +162,7 @@ def inherited_uncertainty(
     """
     size = float(np.abs(weights).sum())
     if error.size == 1:
-        return ContrastUncertainty(CAUTIOUS * size * float(bound[0]), 0.0, order, "one other cell")
+        return CAUTIOUS * size * float(bound[0])
     from scipy.special import stdtrit
 
     scatter = float(stdtrit(error.size - 1, 0.975)) * float(error.std(ddof=1))
@@ -225,7 +170,7 @@ def inherited_uncertainty(
     rest = abs(float(weights.sum()))
     if rest > 1e-12 * size:
         u += rest * (abs(float(error.mean())) + float(bound.mean()))
-    return ContrastUncertainty(u, 0.0, order, "other cells")
+    return u
 
 
 # -------------------------------------------------------------------------------------------------
@@ -326,16 +271,16 @@ class SeriesBounds:
         key = (*sides, (str(on_one_mesh), str(pure)))
         if key not in self._known:
             weights = self._component if pure else self._weights
-            found = _difference(weights(plus), weights(minus))
-            self._known[key] = self._bound(found, on_one_mesh=on_one_mesh)
+            weights_of_cells = _difference(weights(plus), weights(minus))
+            self._known[key] = self._bound(weights_of_cells, on_one_mesh=on_one_mesh)
         return self._known[key]
 
     def _component(self, side: Levels) -> dict[tuple[str, ...], float]:
         total: dict[tuple[str, ...], float] = {}
         for k in range(len(side) + 1):
-            for kept in combinations(side, k):
+            for names in combinations(side, k):
                 sign = (-1) ** (len(side) - k)
-                for cell, w in self._weights({name: side[name] for name in kept}).items():
+                for cell, w in self._weights({name: side[name] for name in names}).items():
                     total[cell] = total.get(cell, 0.0) + sign * w
         return total
 
@@ -358,33 +303,31 @@ class SeriesBounds:
             by_element.setdefault(self.discretization[cell], {})[cell] = w
         series = self.series
         if on_one_mesh:
-            series = {cell: replace(own, studied=None) for cell, own in series.items()}
+            series = {
+                cell: replace(cell_series, studied=None) for cell, cell_series in series.items()
+            }
         parts = [self._part(name, part, series) for name, part in by_element.items()]
-        if any(part is None for part in parts):
-            return None
-        return sum(part.effective for part in parts if part is not None) + 2 * self.more
+        bounds = [part for part in parts if part is not None]
+        return sum(bounds) + 2 * self.more if len(bounds) == len(parts) else None
 
     def _part(
         self,
         element: str,
         weights: Mapping[tuple[str, ...], float],
         series: Mapping[tuple[str, ...], CellSeries],
-    ) -> ContrastUncertainty | None:
+    ) -> Bound:
         """Bound of the part that lies in one discretization."""
         if all(cell in series for cell in weights):
-            return contrast_uncertainty(
-                {"/".join(c): w for c, w in weights.items()},
-                {"/".join(c): series[c] for c in weights},
-            )
+            return contrast_uncertainty(weights, series)
         refined = [s for c, s in series.items() if self.discretization.get(c) == element]
         limits = [limit_of(s) for s in refined]
-        known = [found for found in limits if found is not None]
-        if not known or len(known) < len(limits):
+        bounded = [limit for limit in limits if limit is not None]
+        if not bounded or len(bounded) < len(limits):
             return None
         return inherited_uncertainty(
             np.array(list(weights.values())),
-            np.array([error for error, _ in known]),
-            np.array([bound for _, bound in known]),
+            np.array([error for error, _ in bounded]),
+            np.array([bound for _, bound in bounded]),
         )
 
 

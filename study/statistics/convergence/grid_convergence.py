@@ -53,10 +53,6 @@ _HIGHEST_ORDER = 4.0
 RESOLVED_ORDER = 0.05
 #: Changes that grow are noise of the meshes below this share of the value.
 NOISE_SHARE = 0.01
-#: Half-width over standard uncertainty where factor 1.25 applies: the error is a bias there, the
-#: shifted Gaussian of ASME V&V 20-2009. Simulated rms(error / U) is 0.70 to 0.79, so U/2 would
-#: be too small.
-_BIAS_COVERAGE = 1.15
 #: Distance of the finest from the extrapolated value, over the latter, that is told.
 FAR = 0.05
 _MIN_RATIO = 1.3
@@ -229,10 +225,10 @@ def _weighted_fit(h: Array, f: Array, weight: Array) -> tuple[float, float, floa
     orders = np.geomspace(_LOWEST, _HIGHEST, 120)
     best = int(np.argmin([solve(p)[1] for p in orders]))
     low, high = orders[max(best - 1, 0)], orders[min(best + 1, orders.size - 1)]
-    found = minimize_scalar(
+    minimum = minimize_scalar(
         lambda p: solve(p)[1], bounds=(low, high), method="bounded", options={"xatol": 1e-13}
     )
-    p = float(settled(found, "order of a refinement series").x)
+    p = float(settled(minimum, "order of a refinement series").x)
     (limit, slope), rss = solve(p)
     scatter = math.sqrt(rss * h.size / (h.size - 3))
     return p, float(limit + f[0]), float(slope / h[-1] ** p), scatter
@@ -292,19 +288,6 @@ class ConvergenceResult:
     gci_coarse: float | None = None
     order_interval: tuple[float, float] | None = None
     warnings: tuple[str, ...] = ()
-
-    @property
-    def standard_uncertainty(self) -> float | None:
-        """Standard uncertainty for a comparison with measurements, in the unit of the value.
-
-        U/1.15 with factor 1.25, U/2 with a larger one; a range and a tolerance are limits of a
-        uniform distribution, over sqrt(3).
-        """
-        if self.u_num is None:
-            return None
-        if self.factor_of_safety is None:
-            return self.u_num / math.sqrt(3)
-        return self.u_num / (_BIAS_COVERAGE if self.factor_of_safety == SAFE else 2)
 
     def to_json(self) -> dict[str, object]:
         """JSON document."""
@@ -673,10 +656,18 @@ def compare(
     d, s, m = (np.atleast_1d(np.asarray(v, float)) for v in (displacement_mm, simulated_N,
                                                             measured_N))  # fmt: skip
     parts = {"numerics": u_num_N, "inputs": u_input_N, "data": u_data_N}
-    known = [np.broadcast_to(np.asarray(0.0 if v is None else v, float), d.shape)
+    uncertainties = [np.broadcast_to(np.asarray(0.0 if v is None else v, float), d.shape)
              for v in parts.values()]  # fmt: skip
-    total = np.sqrt(sum(u**2 for u in known))
+    total = np.sqrt(sum(u**2 for u in uncertainties))
     unknown = tuple(name for name, v in parts.items() if v is None)
     return ValidationComparison(
-        d, s, m, s - m, known[0], known[1], known[2], np.asarray(total), unknown
+        d,
+        s,
+        m,
+        s - m,
+        uncertainties[0],
+        uncertainties[1],
+        uncertainties[2],
+        np.asarray(total),
+        unknown,
     )
