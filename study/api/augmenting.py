@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -13,9 +12,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from study.api.fitting_surfaces import coded_settings, fit_runs, ranges_of, runs_at
+from study.api.fitting_surfaces import (
+    at_levels,
+    coded_settings,
+    difference_of,
+    labels_of,
+    ranges_of,
+    runs_at,
+    told,
+)
 from study.ground.arrays import Array
-from study.ground.errors import Fault, InputError, RefusedError, StudyError
+from study.ground.errors import Fault, InputError, StudyError
 from study.harness.design.generators import d_optimal, efficiency
 from study.harness.design.layout_kinds import share_of, words_of
 from study.harness.design.load import dump, load, loads
@@ -25,19 +32,15 @@ from study.harness.record.document import AdaptiveStep
 from study.harness.runner.expansion import relabeled
 from study.harness.runner.provenance import code_version
 from study.mechanics.setup.declaration import Bad
-from study.statistics.analysis.analysis_request import threshold
 from study.statistics.surfaces.emulator import (
     REFERENCES,
     BlockedEmulator,
     Emulator,
     Unsure,
     candidates,
-    fit_blocks,
-    fit_emulator,
+    fit_own,
     next_run,
 )
-from study.statistics.surfaces.gaussian_process import GaussianProcess
-from study.statistics.surfaces.surface_factors import Runs
 
 if TYPE_CHECKING:
     from study.harness.record.record import Record
@@ -145,9 +148,7 @@ def next_cells(design: Design, records: Sequence[Record]) -> tuple[list[list[flo
     rule = design.scheme.sequential
     if rule is None:
         raise ValueError("the design is not adaptive")
-    others = [factor for factor in design.factors if factor.span is None]
-    every = itertools.product(*(factor.labels for factor in others))
-    places = [dict(zip([f.name for f in others], labels, strict=True)) for labels in every]
+    places = labels_of(design)
     fitted = [_fit(design, rule, labels, records) for labels in places]
     size = len(design.treatments)
     errors: dict[str, float] = {}
@@ -181,17 +182,12 @@ def _fit(
         if response.name in _COSTS:
             continue
         try:
-            here = [
-                r for r in records if all(r.levels[name] == label for name, label in labels.items())
-            ]
-            if not any(record.value(response.name) is not None for record in here):
-                raise RefusedError("no cell has an answer")
             runs = runs_at(design, response.name, labels, records)
             if np.ptp(runs.response) <= 1e-12 * float(np.abs(runs.response).max()):
                 continue  # the same in every run: known
-            model = fit_blocks(runs) if len(set(runs.blocks)) > 1 else fit_emulator(runs)
-            models[response.name] = model
-            is_good = _is_known(design, response.name, runs, model, rule)
+            model = models[response.name] = fit_own(runs)
+            practical = difference_of(response.practical, runs.response)
+            is_good = _is_known(model, practical, rule)
         except StudyError:  # without a surface it is not known
             is_good = False
         if not is_good:
@@ -199,26 +195,11 @@ def _fit(
     return _Fitted(models, tuple(still))
 
 
-def _is_known(
-    design: Design,
-    response: str,
-    runs: Runs,
-    model: Emulator | BlockedEmulator,
-    rule: Sequential,
-) -> bool:
+def _is_known(model: Emulator | BlockedEmulator, practical: float | None, rule: Sequential) -> bool:
     """Whether a response is known as well as the design asks for."""
-    if rule.until == "q2":
+    if rule.until == "q2" or practical is None:
         return bool(model.q2 >= rule.q2)
-    matters_from = next(
-        response_spec.practical
-        for response_spec in design.responses
-        if response_spec.name == response
-    )
-    limit = threshold(matters_from)
-    if limit is None:
-        return bool(model.q2 >= rule.q2)
-    practical = limit.on_scale(float(runs.response.mean()), "none")
-    sensitivity = fit_runs(runs, "emulator", practical).sensitivity
+    sensitivity = told(model, practical, 0.0).sensitivity
     verdicts = [None if item.range is None else item.range.verdict for item in sensitivity]
     return bool(verdicts) and all(v not in (None, "cannot tell") for v in verdicts)
 
@@ -236,8 +217,8 @@ def _chosen(
     ranges = [factor for factor in design.factors if factor.span is not None]
     power = 1.0 if rule.until == "q2" else _SEARCHING
     unsure = [
-        [Unsure(p, power) for name in place.open if name in place.responses
-         for p in _processes(place.responses[name])]
+        [Unsure(model.process, power) for name in place.open if name in place.responses
+         for model in place.responses[name].each]
         for place in fitted
     ]  # fmt: skip
     made = [_made(design, labels) for labels in places]
@@ -257,15 +238,9 @@ def _chosen(
     return chosen
 
 
-def _processes(model: Emulator | BlockedEmulator) -> list[GaussianProcess]:
-    each = model.each if isinstance(model, BlockedEmulator) else (model,)
-    return [stage.process for stage in each]
-
-
 def _made(design: Design, labels: Mapping[str, str]) -> Array:
     """Cells of one combination of levels, in the unit box, those without an answer too."""
-    levels_made = [treatment.levels for treatment in design.treatments
-           if all(treatment.levels[name] == label for name, label in labels.items())]  # fmt: skip
+    levels_made = [cell.levels for cell in at_levels(design.treatments, labels)]
     return 0.5 * (coded_settings(design, ranges_of(design), levels_made) + 1.0)
 
 

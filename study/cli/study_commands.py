@@ -306,7 +306,8 @@ def predict(
     predictions = api.predict(path, surface_tables.settings(at), response=response, results=results)
     document = {"predictions": [prediction.to_json() for prediction in predictions]}
     printed = surface_tables.print_predictions
-    output.show(document, as_json, lambda _: printed(predictions))
+    notes = [note for prediction in predictions for note in prediction.notes]
+    output.show(document, as_json, lambda _: printed(predictions), notes)
 
 
 def _running(runner: Document | None, seconds_left: float | None) -> str:

@@ -11,9 +11,9 @@ from study.ground.errors import Fault, InputError
 
 if TYPE_CHECKING:
     from study.api.fitting_surfaces import Surface
-    from study.api.predicting import PredictedAnswer
     from study.reporting.results.study_answers import Checked, Inverted, Recommendation
     from study.reporting.results.study_result import ReportData
+    from study.statistics.surfaces.surface_result import SurfacePrediction
 
 
 #: flags of `study analyze` that a surface has a use for
@@ -111,7 +111,7 @@ def settings(text: str) -> dict[str, str]:
     return settings_typed
 
 
-def print_predictions(predictions: Sequence[PredictedAnswer]) -> None:
+def print_predictions(predictions: Sequence[SurfacePrediction]) -> None:
     """Print a row for every response."""
     rows = [["Response", "Prediction", "95 % interval"]]
     for prediction in predictions:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -120,6 +119,24 @@ def effect_range(
     return EffectRange(value, bound, small.verdict(value, bound), 2.0 * ends - 1.0)
 
 
+def effect_ranges(
+    value: Callable[[Array], Array],
+    runs: Runs,
+    bounds: Sequence[float],
+    practical: float | None,
+    u: float,
+) -> tuple[EffectRange, ...]:
+    """Range along every factor of a surface over coded points, with its bound, judged."""
+    small = Small(practical, float(np.ptp(runs.response)))
+    return tuple(
+        replace(
+            effect_range(lambda x: value(2.0 * x - 1.0), len(bounds), j, bound, small),
+            confirmed=practical is not None and is_confirmed(runs, j, practical + u),
+        )
+        for j, bound in enumerate(bounds)
+    )
+
+
 @dataclass(frozen=True)
 class Small:
     """What is too small to matter."""
@@ -158,6 +175,27 @@ class SobolIndex:
     total: float
     total_interval: tuple[float, float]
 
+    @classmethod
+    def of(
+        cls, first: float, first_ends: Array, total: float, total_ends: Array, margin: float
+    ) -> SobolIndex:
+        """Make indices of which the intervals are wider by a margin at each end; all are shares."""
+        outside = np.array([-margin, margin])
+        low, high, from_total, to_total = np.clip(
+            [*(first_ends + outside), *(total_ends + outside)], 0.0, 1.0
+        )
+        own = float(np.clip(first, 0.0, 1.0)), float(np.clip(total, 0.0, 1.0))
+        return cls(own[0], (float(low), float(high)), own[1], (float(from_total), float(to_total)))
+
+    def to_json(self) -> dict[str, object]:
+        """Plain values."""
+        first, total = list(self.first_interval), list(self.total_interval)
+        return {"S": self.first, "S_interval": first, "T": self.total, "T_interval": total}
+
+
+#: what is told of a factor without an index
+NO_INDEX = dict.fromkeys(("S", "S_interval", "T", "T_interval"))
+
 
 def jansen(values: Callable[[Array], Array], k: int, seed: int) -> tuple[Array, Array]:
     """First-order and total indices by Jansen's estimators (Saltelli et al. 2010, table 2)."""
@@ -189,24 +227,11 @@ def sobol_indices(
     # Shapes: values (m, 1 + paths).
     first, total = jansen(values, k, seed)
     margin = 1.0 - q2 + SAMPLE_ERROR
+    shares = [0.025, 0.975]
     return tuple(
-        SobolIndex(
-            _cut(s[0]),
-            _sobol_indices_interval(s[1:], margin),
-            _cut(t[0]),
-            _sobol_indices_interval(t[1:], margin),
-        )
+        SobolIndex.of(s[0], np.quantile(s[1:], shares), t[0], np.quantile(t[1:], shares), margin)
         for s, t in zip(first, total, strict=True)
     )
-
-
-def _sobol_indices_interval(paths: Array, margin: float) -> tuple[float, float]:
-    low, high = np.quantile(paths, [0.025, 0.975])
-    return _cut(low - margin), _cut(high + margin)
-
-
-def _cut(value: float) -> float:
-    return float(np.clip(value, 0.0, 1.0))
 
 
 #: Q2 at which indices and effects are given, and at which factors are at least ranked
@@ -246,6 +271,11 @@ class Emulator:
     combination: int | None = None
     #: The same runs with the other kernel: where runs are far, the two part.
     rival: GaussianProcess | None = None
+
+    @property
+    def each(self) -> tuple[Emulator, ...]:
+        """The emulator itself, as of blocks those of each."""
+        return (self,)
 
     @cached_property
     def loo_errors(self) -> Array:
@@ -321,16 +351,7 @@ class Emulator:
     def ranges(self, practical: float | None, u: float = 0.0) -> tuple[EffectRange, ...]:
         """Range of the response along every factor."""
         bound = ERRORS * float(np.abs(self.loo_errors).max()) + u
-        small = Small(practical, float(np.ptp(self.runs.response)))
-        k = len(self.runs.factors)
-        least = math.inf if practical is None else practical + u
-        return tuple(
-            replace(
-                effect_range(lambda x: self.value(2.0 * x - 1.0), k, j, bound, small),
-                confirmed=is_confirmed(self.runs, j, least),
-            )
-            for j in range(k)
-        )
+        return effect_ranges(self.value, self.runs, [bound] * len(self.runs.factors), practical, u)
 
 
 def expected_seconds(n: int) -> float:
@@ -481,9 +502,17 @@ class BlockedEmulator:
         """Sobol indices, averaged over blocks, with t intervals widened by 1 - Q2."""
         told = [found.indices() for found in self.each]
         margin = 1.0 - self.q2 + SAMPLE_ERROR
-        return tuple(
-            _blocked_averaged(own, self._scatter, margin) for own in zip(*told, strict=True)
-        )
+        return tuple(self._averaged(own, margin) for own in zip(*told, strict=True))
+
+    def _averaged(self, own: tuple[SobolIndex, ...], margin: float) -> SobolIndex:
+        """Mean of the blocks' indices of a factor, with its t interval."""
+        parts = [np.array([[i.first, i.total] for i in own])[:, k] for k in (0, 1)]
+        means = [float(part.mean()) for part in parts]
+        ends = [
+            np.array([mean - half, mean + half])
+            for mean, half in zip(means, map(self._scatter, parts), strict=True)
+        ]
+        return SobolIndex.of(means[0], ends[0], means[1], ends[1], margin)
 
     def ranges(self, practical: float | None, u: float = 0.0) -> tuple[EffectRange, ...]:
         """Range along every factor, averaged over blocks; arguments as for one emulator."""
@@ -510,28 +539,15 @@ class BlockedEmulator:
         return np.asarray(t * values.std(axis=0, ddof=1) / np.sqrt(b))
 
 
-def _blocked_averaged(
-    own: tuple[SobolIndex, ...], scatter: Callable[[Array], Array], margin: float
-) -> SobolIndex:
-    first = np.array([index.first for index in own])
-    total = np.array([index.total for index in own])
-    return SobolIndex(
-        float(first.mean()),
-        _blocked_interval(first, float(scatter(first)) + margin),
-        float(total.mean()),
-        _blocked_interval(total, float(scatter(total)) + margin),
-    )
-
-
-def _blocked_interval(values: Array, half: float) -> tuple[float, float]:
-    low, high = np.clip([values.mean() - half, values.mean() + half], 0.0, 1.0)
-    return float(low), float(high)
-
-
 def fit_blocks(runs: Runs, seed: int = 0) -> BlockedEmulator:
     """Fit an emulator to the runs of each block."""
     found = {name: fit_emulator(_of_block(runs, name), seed) for name in _blocks(runs)}
     return BlockedEmulator(runs, found)
+
+
+def fit_own(runs: Runs) -> Emulator | BlockedEmulator:
+    """Fit an emulator to runs, one for each block where there are several."""
+    return fit_blocks(runs) if len(set(runs.blocks)) > 1 else fit_emulator(runs)
 
 
 def fit_blocks_together(

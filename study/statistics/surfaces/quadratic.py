@@ -12,7 +12,7 @@ from scipy import linalg
 
 from study.ground.arrays import Array, Flags, Ints
 from study.ground.errors import Fault, RefusedError
-from study.statistics.surfaces.emulator import EffectRange, Small, effect_range, is_confirmed
+from study.statistics.surfaces.emulator import EffectRange, effect_ranges
 from study.statistics.surfaces.surface_factors import (
     Extreme,
     Runs,
@@ -442,23 +442,17 @@ class QuadraticSurface:
             return None
         if self.error == "none" and not self.loo.q2 >= CARRIED:
             return None
-        small, ranges = Small(practical, float(np.ptp(self.runs.response))), []
-        for j in range(self.polynomial.k):
-            exact = self.error == "none"
-            bound = u + (2.0 * self.loo.largest if exact else self._scatter(j, self.covariance))
-            sure = practical is not None and is_confirmed(self.runs, j, practical + u)
-            ranges.append(replace(self.range_along(j, bound, small), confirmed=sure))
-        return tuple(ranges)
+        bounds = [
+            u + (2.0 * self.loo.largest if self.error == "none" else self._scatter(j))
+            for j in range(self.polynomial.k)
+        ]
+        return effect_ranges(self.value, self.runs, bounds, practical, u)
 
-    def range_along(self, j: int, bound: float = 0.0, small: Small | None = None) -> EffectRange:
-        """Range along factor j, judged where a bound and what is too small are given."""
-        value, small = self.polynomial.value, small or Small(None, 0.0)
-        return effect_range(lambda x: value(2.0 * x - 1.0), self.polynomial.k, j, bound, small)
-
-    def _scatter(self, j: int, covariance: Array) -> float:
+    def _scatter(self, j: int) -> float:
         """Half width of every difference of two settings of one factor together."""
         from scipy import stats
 
+        covariance = np.asarray(self.covariance)
         own = [i for i, term in enumerate(self.polynomial.terms) if j in term.factors]
         p, spread = len(own), covariance[np.ix_(own, own)]
         points = box_points(self.polynomial.k, 256)
@@ -489,9 +483,13 @@ class QuadraticSurface:
         """Twice the rms leave-one-out error, in the response's unit; NaN if it is not known."""
         return self.smallest.half_width
 
+    def value(self, coded: Array) -> Array:
+        """Predictions, shape (n,), at coded points of shape (n, k)."""
+        return self.polynomial.value(coded)
+
     def predict(self, coded: Array) -> tuple[Array, Array]:
         """Predictions and half widths of their intervals, shape (n,) each, at coded points."""
-        values = self.polynomial.value(coded)
+        values = self.value(coded)
         return values, np.full(values.shape, self.half_width)
 
 

@@ -169,12 +169,19 @@ def change_together(runs: Runs) -> tuple[str, ...]:
 QUARTER = 0.1
 
 
-def never_run(runs: Runs) -> list[str]:
-    """Name the quarters of the ranges of two factors in which no run lies."""
+def never_run(runs: Runs, at: Array | None = None) -> list[str]:
+    """Name the quarters of the ranges of two factors in which no run lies.
+
+    Where coded points are given, shape (m, k), only the quarters that hold one of them.
+    """
     found = []
     for i, j in combinations(range(len(runs.factors)), 2):
         for side in product((1.0, -1.0), repeat=2):
-            if not ((runs.coded[:, [i, j]] * side) > QUARTER).all(axis=1).any():
+            inside = [
+                bool((points[:, [i, j]] * side > QUARTER).all(axis=1).any())
+                for points in (runs.coded, *([] if at is None else [at]))
+            ]
+            if not inside[0] and all(inside[1:]):
                 ends = [
                     f"{runs.factors[m].name} {'above' if end > 0 else 'below'} "
                     f"{runs.factors[m].setting(0.0):.4g}"

@@ -153,7 +153,7 @@ def _searched(
     """Best free settings, shape (f,), that keep the limits; None where none do."""
     sample = space.sample()
     rooms = _rooms(limits, space.whole(sample), share)
-    order = np.lexsort((sign * _value(model, space.whole(sample)), -np.minimum(rooms, 0.0)))
+    order = np.lexsort((sign * model.value(space.whole(sample)), -np.minimum(rooms, 0.0)))
     starts = sample[order[:STARTS]]
     if limits:  # a narrow set may lie between the points: begin from where it is nearest, too
         starts = np.vstack([starts, sample[np.argsort(-rooms)[:STARTS]]])
@@ -165,7 +165,7 @@ def _searched(
     if not kept.any():
         return None
     good = np.flatnonzero(kept)
-    best = int(good[np.argmin(sign * _value(model, space.whole(points[good])))])
+    best = int(good[np.argmin(sign * model.value(space.whole(points[good])))])
     if best >= len(starts) and searches[best - len(starts)][1]:
         rule = f"the search for the best setting has not converged in {STEPS} steps"
         mend = "hold a factor, or move a limit that hardly any setting keeps"
@@ -193,18 +193,12 @@ def _polished(
         return {"type": "ineq", "fun": each(lambda p: one.room(p, share) - 0.1 * ROUNDING)}
 
     found = scipy.optimize.minimize(
-        each(lambda p: sign * _value(model, p)), start, method="SLSQP",
+        each(lambda p: sign * model.value(p)), start, method="SLSQP",
         constraints=[rule(one) for one in limits],
         bounds=list(zip(space.low, space.high, strict=True)),
         options={"ftol": 1e-13, "maxiter": STEPS},
     )  # fmt: skip
     return np.asarray(found.x, dtype=np.float64), found.status == BY_COUNT
-
-
-def _value(model: Model, coded: Array) -> Array:
-    if isinstance(model, QuadraticSurface):
-        return model.polynomial.value(coded)
-    return model.value(coded)
 
 
 def _rooms(limits: Sequence[ResponseLimit], coded: Array, share: float) -> Array:
@@ -261,6 +255,6 @@ def spread_over(
     held[list(others)] = np.nan
     space = _Space.of([model, *(one.model for one in limits)], held)
     points = space.whole(space.sample())
-    value = _value(model, points)
+    value = model.value(points)
     kept = float((_rooms(limits, points, 0.0) >= -ROUNDING).mean())
     return ResponseSpread(float(value.min()), float(value.max()), kept)

@@ -9,7 +9,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from study.ground.arrays import Array
-from study.statistics.surfaces.emulator import BlockedEmulator, EffectRange, Emulator, SobolIndex
+from study.statistics.surfaces.emulator import (
+    NO_INDEX,
+    BlockedEmulator,
+    EffectRange,
+    Emulator,
+    SobolIndex,
+    effect_ranges,
+)
 from study.statistics.surfaces.quadratic import QuadraticSurface, StationaryPoint, SurfaceFTest
 from study.statistics.surfaces.surface_factors import Extreme, Runs, extremes, never_run
 
@@ -23,6 +30,16 @@ class SurfacePrediction:
     value: Array
     low: Array
     high: Array
+    response: str = ""
+    unit: str = ""
+    #: Such as that no run lies in the part of the ranges that was asked about.
+    notes: tuple[str, ...] = ()
+
+    def to_json(self) -> Document:
+        """Plain values; a single point gives numbers, several give lists."""
+        ends = {"value": self.value, "low": self.low, "high": self.high}
+        values = {k: float(v[0]) if v.size == 1 else v.tolist() for k, v in ends.items()}
+        return {"response": self.response, "unit": self.unit, **values}
 
 
 @dataclass(frozen=True)
@@ -62,8 +79,10 @@ class SurfaceAnalysis:
 
     def predict(self, at: Mapping[str, ArrayLike]) -> SurfacePrediction:
         """Predict at settings that were not run, inside those that were. Shapes: at (m,)."""
-        value, half = self.model.predict(self.runs.points(at))
-        return SurfacePrediction(value, value - half, value + half)
+        points = self.runs.points(at)
+        value, half = self.model.predict(points)
+        notes = tuple(never_run(self.runs, points))
+        return SurfacePrediction(value, value - half, value + half, self.runs.name, "", notes)
 
     def to_json(self) -> Document:
         """Plain values, with the keys ``surface`` and ``sensitivity``."""
@@ -166,10 +185,7 @@ class SurfaceAnalysis:
         return {
             "factor": item.factor,
             "rank": item.rank,
-            "S": None if index is None else index.first,
-            "S_interval": _pair(None if index is None else index.first_interval),
-            "T": None if index is None else index.total,
-            "T_interval": _pair(None if index is None else index.total_interval),
+            **(NO_INDEX if index is None else index.to_json()),
             "range": None if effect is None else effect.value,
             "range_bound": None if effect is None else effect.bound,
             "verdict": "cannot tell" if effect is None else effect.told,
@@ -198,7 +214,8 @@ def analysis_of_quadratic(
     if practical is not None:
         names = found.runs.names
         ranges = found.ranges(practical, u)
-        sizes = [found.range_along(j).value for j in range(len(names))]
+        unjudged = effect_ranges(found.value, found.runs, [0.0] * len(names), None, 0.0)
+        sizes = [item.value for item in unjudged]
         ranks = np.argsort(np.argsort([-size for size in sizes])).tolist()
         every = zip(names, ranks, ranges or [None] * len(names), strict=True)
         judged = tuple(Sensitivity(name, rank + 1, None, item) for name, rank, item in every)
