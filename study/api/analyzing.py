@@ -8,19 +8,19 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING, TypedDict, Unpack, cast
+from typing import TYPE_CHECKING, TypedDict, Unpack
 
 import numpy as np
 
 import study
 from study import api
-from study.api.records import effects_of_records, rows_for, specimens_of
-from study.api.uncertainty import numerical_bound
+from study.api.records import analyze_records, effects_of_records
 from study.ground.bounded_file import sha256_of
 from study.ground.canonical import plain
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, StudyError, nearest
 from study.ground.tabular import NUMBER, names_of, read_csv, read_tidy_csv
+from study.harness.design.spec import ResponseSpec
 from study.harness.design.study_file import SCORED
 from study.harness.runner.expansion import held_out
 from study.harness.runner.response import CURVE_RESPONSES
@@ -61,14 +61,13 @@ from study.statistics.analysis.simple_effects import CANNOT_TELL, claim
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.harness.design.spec import Design, ResponseSpec
+    from study.harness.design.spec import Design
     from study.harness.design.study_file import Analysis as analysis_Analysis
     from study.harness.record.record import Record
     from study.reporting.figures.axes import Drawing
     from study.reporting.results.study_result import StudyResult
     from study.statistics.analysis.analysis_request import AnovaOptions, Practical
     from study.statistics.analysis.linear_model import Model
-    from study.statistics.convergence.contrast_bound import NumericalBound
 
 
 # Levels of a factor compared with one of them.
@@ -367,41 +366,8 @@ def _study(
     responses = list(study.records[0].responses)
     if name not in responses:
         raise InputError(Fault("--response", f"there is no {name!r}", nearest(name, responses)))
-    given = cast("AnovaOptions", {key: v for key, v in options.items() if v is not None})
-    declared, spec = by_name.get(name), study.design.analysis
-    blocked = options.get("block") or ("block" if len(study.manifest["blocks"]) > 1 else None)
-    merged: AnovaOptions = {
-        "type": spec.type,
-        "model": spec.model if isinstance(spec.model, (str, int)) else list(spec.model),
-        "alpha": spec.alpha,
-        "seed": study.design.seed,
-        "practical": None if declared is None else declared.practical,
-        "transform": "none" if declared is None else declared.transform,
-        "records": True,
-        "specimens": specimens_of(study.design, study.records),
-    }
-    merged.update(given)
-    names = list(factors) or [f.name for f in study.design.factors if len(f.levels) > 1]
-
-    def u_num(frame: pd.DataFrame) -> NumericalBound | None:
-        return numerical_bound(
-            study.design, study.numerical, study.records, frame, name, merged["transform"]
-        )
-
-    if not isinstance(blocked, (str, type(None))):
-        crossing: AnovaOptions = {"u_num": u_num(study.table), **merged, "block": blocked}
-        return anova(study.table, name, names, **crossing)
-    every = [f.name for f in study.design.factors]
-    rows = rows_for(study.table, name, every, given.get("error", spec.error), blocked)
-    own_options: AnovaOptions = {
-        "u_num": u_num(rows.table),
-        "replicates": rows.replicates,
-        **merged,
-        "error": rows.error,
-        "block": rows.block,
-    }
-    analysis = anova(rows.table, name, names, **own_options)
-    return analysis.noted(*rows.notes)
+    declared = by_name.get(name) or ResponseSpec(name, "")
+    return analyze_records(study.design, study.records, declared, study.numerical, factors, options)
 
 
 def analyze(
