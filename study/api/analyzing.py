@@ -184,39 +184,50 @@ def check_taken(factors: Sequence[str]) -> None:
 
 def report_data(analysis: AnalysisResult, source: AnalysisSource) -> ReportData:
     """Gather what a report shows of one analysis: levels, rows, provenance."""
-    request = analysis.request
-    rows = analysis.data.residuals
-    block = analysis.data.block
-    labels = {name: name for name in (request.response, *request.factors)}
-    named = ", ".join(analysis.request.factors)
+    request, limit = analysis.request, analysis.request.scale.practical
+    rows, block = analysis.data.residuals, analysis.data.block
+    of_response = ResponseAnalysis(
+        request.response,
+        "",
+        analysis,
+        practical=None if limit is None else limit.value,
+        relative=bool(limit and limit.relative),
+        transform=request.scale.transform,
+        title=request.response,
+    )
+    data = data_of_table(
+        source,
+        of_response,
+        f"What does {request.response} depend on: {', '.join(request.factors)}?",
+        _levels(analysis),
+        _report_table(analysis),
+        len(analysis.data.cell_means),
+    )
+    blocks = () if block is None else tuple(rows["block"].astype(str).unique())
+    return replace(data, block=block or "", blocks=blocks, seed=request.seed, alpha=request.alpha)
+
+
+def data_of_table(
+    source: AnalysisSource,
+    response: ResponseAnalysis,
+    question: str,
+    factors: Mapping[str, tuple[str, ...]],
+    table: pd.DataFrame,
+    cells: int,
+) -> ReportData:
+    """Gather what a report shows of a table, whatever was asked of it."""
     return ReportData(
         name=source.name,
-        question=f"What does {analysis.request.response} depend on: {named}?",
-        factors=_levels(analysis),
-        table=_report_table(analysis),
-        responses=(
-            ResponseAnalysis(
-                request.response,
-                "",
-                analysis,
-                practical=None
-                if request.scale.practical is None
-                else request.scale.practical.value,
-                relative=bool(request.scale.practical and request.scale.practical.relative),
-                transform=request.scale.transform,
-                title=request.response,
-            ),
-        ),
-        block=block or "",
-        blocks=() if block is None else tuple(rows["block"].astype(str).unique()),
+        question=question,
+        factors=factors,
+        table=table,
+        responses=(response,),
         citation="" if source.path is None else source.path.name,
-        seed=request.seed,
-        alpha=request.alpha,
         provenance=provenance(source),
         commands=source.commands(),
-        scheme=f"a table of {len(rows):,} rows was analyzed",
-        cells=len(analysis.data.cell_means),
-        labels=labels,
+        scheme=f"a table of {len(table):,} rows was analyzed",
+        cells=cells,
+        labels={name: name for name in (response.name, *factors)},
         is_table=True,
     )
 

@@ -21,11 +21,12 @@ from study.api.fitting_surfaces import (
     runs_at,
     told,
 )
+from study.api.folders import load_design
 from study.ground.arrays import Array
 from study.ground.errors import Fault, InputError, StudyError
 from study.harness.design.generators import d_optimal, efficiency
 from study.harness.design.layout_kinds import share_of, words_of
-from study.harness.design.load import dump, load, loads
+from study.harness.design.load import dump, loads
 from study.harness.design.spec import Design
 from study.harness.design.study_file import Sequential
 from study.harness.record.document import AdaptiveStep
@@ -303,7 +304,7 @@ def augment(
 
     A design that runs every combination or samples ranges has none, and is refused.
     """
-    loaded = design if isinstance(design, Design) else load(design)
+    loaded = load_design(design)
     rows = loaded.scheme.rows
     factors = loaded.factors
     sizes = [len(factor.levels) for factor in factors]

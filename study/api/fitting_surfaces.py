@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Literal, Protocol, TypeVar, get_args
 
 import numpy as np
 
-from study.api.analyzing import AnalysisSource, check_taken, provenance
+from study.api.analyzing import AnalysisSource, check_taken, data_of_table
 from study.ground import tabular
 from study.ground.arrays import Array, Flags
 from study.ground.errors import Fault, InputError, RefusedError, StudyError, nearest
@@ -700,40 +700,26 @@ def table_data(fits: Sequence[FittedSurface], source: AnalysisSource) -> ReportD
     """Gather what a report shows of the surfaces of one response of a table."""
     import pandas as pd
 
-    runs = next(fitted.found for fitted in fits if fitted.found is not None).runs
-    parts = [_rows(fitted.found.runs, fitted.labels) for fitted in fits if fitted.found is not None]
-    table = pd.concat(parts, ignore_index=True)
+    good = [(fitted.found.runs, fitted.labels) for fitted in fits if fitted.found is not None]
+    table = pd.concat([_rows(runs, labels) for runs, labels in good], ignore_index=True)
     table.insert(0, "case_id", [str(n + 1) for n in range(len(table))])
-    ends = {f.name: (f.low, f.high) for f in runs.factors}
-    labels = list(fits[0].labels)
-    return ReportData(
-        name=source.name,
-        question=f"How does {runs.name} depend on {', '.join([*labels, *runs.names])}?",
-        factors={name: tuple(table[name].unique()) for name in (*labels, *runs.names)},
-        table=table,
-        responses=(
-            ResponseAnalysis(
-                runs.name,
-                "",
-                None,
-                practical=fits[0].practical,
-                title=runs.name,
-                refused=SEE_SURFACE,
-            ),
+    runs, names = good[0][0], [*fits[0].labels, *good[0][0].names]
+    data = data_of_table(
+        source,
+        ResponseAnalysis(
+            runs.name, "", None, practical=fits[0].practical, title=runs.name, refused=SEE_SURFACE
         ),
+        f"How does {runs.name} depend on {', '.join(names)}?",
+        {name: tuple(table[name].unique()) for name in names},
+        table,
+        sum(len(one.distinct()[0]) for one, _ in good),
+    )
+    return replace(
+        data,
         block="block" if runs.blocks else "",
         blocks=tuple(table["block"].unique()) if runs.blocks else (),
-        citation="" if source.path is None else source.path.name,
-        provenance=provenance(source),
-        commands=source.commands(),
-        scheme=f"a table of {len(table):,} rows was analyzed",
-        cells=sum(
-            len(fitted.found.runs.distinct()[0]) for fitted in fits if fitted.found is not None
-        ),
-        labels={name: name for name in (runs.name, *labels, *runs.names)},
         surfaces=tuple(fits),
-        ranges={name: f"{low:g} to {high:g}" for name, (low, high) in ends.items()},
-        is_table=True,
+        ranges={f.name: f"{f.low:g} to {f.high:g}" for f in runs.factors},
     )
 
 
