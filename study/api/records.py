@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, cast
 
-from study.api.uncertainty import finest_mesh, numerical_bound
 from study.ground.errors import InputError
 from study.ground.tabular import names_of
 from study.harness.design.load import is_constant
 from study.harness.record.record import answered_often, table
+from study.harness.runner.study_uncertainty import finest_mesh, numerical_bound
 from study.statistics.analysis.analysis_request import (
     AnalysisRequest,
     Blocking,

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from study.api import uncertainty
 from study.api.analyzing import effects_by_depth
 from study.api.assemble import report_data
 from study.api.augmenting import continued, run_adaptive
@@ -27,7 +26,6 @@ from study.api.opened_study import Study, count_cases
 from study.api.opened_study import load as load_study
 from study.api.planning import noted_progress
 from study.api.predicting import Permission, confirm_claims
-from study.api.uncertainty import validate
 from study.ground.errors import InputError, RefusedError, StoppedError, StudyError, WriteError
 from study.ground.memory import uncollected
 from study.harness.design.spec import Design
@@ -41,6 +39,8 @@ from study.harness.runner.batch import run_batch
 from study.harness.runner.expansion import expand
 from study.harness.runner.fit_problem import Allowed, externals
 from study.harness.runner.provenance import surface_files, versions
+from study.harness.runner.study_uncertainty import compare_spaces, validate
+from study.harness.runner.study_uncertainty import refine as refine_study
 from study.harness.runner.tasks import computing_on, default_jobs, memory_of, processes
 from study.harness.runner.virtual_specimens import usual_generator, write_virtual
 from study.reporting.figures.axes import load_libraries
@@ -230,8 +230,8 @@ def _compute(
     clock.mark("simulation" if work.design.is_alone else "calibration and simulation")
     if not refine:
         return work, summary
-    uncertainty.refine(plain, store, jobs, noted, timeout_s, executor)
-    uncertainty.compare_spaces(plain, store, jobs, noted, executor)
+    refine_study(plain, store, jobs, noted, timeout_s, executor)
+    compare_spaces(plain, store, jobs, noted, executor)
     clock.mark("mesh refinement")
     if work.design.uncertainty and work.design.is_measured:
         validate(plain, store, jobs, progress, timeout_s, executor)
