@@ -14,7 +14,6 @@ import numpy as np
 
 import study
 from study import api
-from study.api.records import analyze_records, effects_of_records
 from study.ground.bounded_file import sha256_of
 from study.ground.canonical import plain
 from study.ground.curve import Curve
@@ -23,6 +22,7 @@ from study.ground.tabular import NUMBER, names_of, read_csv, read_tidy_csv
 from study.harness.design.spec import ResponseSpec
 from study.harness.design.study_file import SCORED
 from study.harness.runner.expansion import held_out
+from study.harness.runner.record_analysis import analyze_records, effects_of_records
 from study.harness.runner.response import CURVE_RESPONSES
 from study.reporting.content.report_facts import facts
 from study.reporting.figures.effect_figures import shown_effect_sizes

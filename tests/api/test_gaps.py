@@ -11,9 +11,9 @@ import pandas as pd
 import pytest
 
 from study import api
-from study.api.records import without_gaps
 from study.harness.design.load import loads
 from study.harness.design.spec import Design
+from study.harness.runner.record_analysis import without_gaps
 
 DESIGN = Path(__file__).parents[2] / "designs" / "conical-indentation.toml"
 Lost = Callable[[dict[str, str], int], bool]

@@ -1,4 +1,4 @@
-"""Statistics alone: on the records of a study, on any tidy CSV, or a single test."""
+"""Statistics on the records of a study: rows and question of each response, as its design says."""
 
 from __future__ import annotations
 
