@@ -25,7 +25,7 @@ from study.ground.errors import Fault, InputError, RefusedError
 from study.harness.record.record import is_repeat
 from study.harness.record.store import Store
 from study.mechanics.calibration.serial_correlation import effective_rows
-from study.reporting.results.study_answers import Checked, Determined, InputSet, Inverted
+from study.reporting.results.study_answers import Checked, InputSet, Inverted
 from study.statistics.surfaces.surface_factors import Runs
 from study.statistics.surfaces.surface_inversion import InversionAgreement, agreeing
 from study.statistics.surfaces.surface_profile import CurveEmulator, fit_curves
@@ -280,16 +280,9 @@ class _Question:
                      bool(result.open_low[j]), bool(result.open_high[j]))
             for j, n in enumerate(coded.names) if n not in self.numbers
         )  # fmt: skip
-        combinations = tuple(
-            Determined(
-                {n: float(e) for n, e in zip(coded.names, pair.exponents, strict=True) if e},
-                pair.value, pair.ratio,
-            )
-            for pair in result.combinations
-        )  # fmt: skip
         disagree = "a run of the true model does not agree: add runs to the study"
         return Inverted(
-            inputs, combinations, {**self.labels, **self.numbers}, units_of, result.rms,
+            inputs, result.combinations, {**self.labels, **self.numbers}, units_of, result.rms,
             result.limit, result.rms / self.size, self.curve.force_N.size, answer.model.q2,
             tuple(coded.settings(point) for point in result.points),
             runs[0] if runs else None, tuple(runs[1:]),

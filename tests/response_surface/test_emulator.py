@@ -20,10 +20,10 @@ from study.statistics.surfaces import gaussian_process
 from study.statistics.surfaces.emulator import (
     SAMPLE,
     Emulator,
-    Small,
     fit_emulator,
     fit_together,
     jansen,
+    verdict_of,
 )
 from study.statistics.surfaces.gaussian_process import (
     FAMILIES,
@@ -249,13 +249,20 @@ def test_few_runs_of_ishigami_refuse_indices() -> None:
         found.indices()
 
 
-def test_verdict_of_a_range() -> None:
-    small = Small(practical=1.0, response_range=10.0)
-    assert small.verdict(1.5, 0.4) == "matters"
-    assert small.verdict(1.3, 0.4) == "cannot tell"
-    assert small.verdict(0.5, 0.2) == "no practical difference"
-    assert small.verdict(0.7, 0.2) == "cannot tell"  # 2 % of 10 is added
-    assert Small(None, 10.0).verdict(5.0, 0.1) == "cannot tell"
+@pytest.mark.parametrize(
+    ("value", "bound", "practical", "verdict"),
+    [
+        (1.5, 0.4, 1.0, "matters"),
+        (1.3, 0.4, 1.0, "cannot tell"),
+        (0.5, 0.2, 1.0, "no practical difference"),
+        (0.7, 0.2, 1.0, "cannot tell"),  # 2 % of 10 is added
+        (5.0, 0.1, None, "cannot tell"),
+    ],
+)
+def test_verdict_of_a_range(
+    value: float, bound: float, practical: float | None, verdict: str
+) -> None:
+    assert verdict_of(value, bound, practical, 10.0) == verdict
 
 
 def test_copies_are_no_test_of_themselves() -> None:

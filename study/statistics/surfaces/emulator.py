@@ -102,7 +102,7 @@ def is_confirmed(runs: Runs, j: int, least: float) -> bool:
 
 
 def effect_range(
-    mean: Callable[[Array], Array], k: int, j: int, bound: float, small: Small
+    mean: Callable[[Array], Array], k: int, j: int, bound: float, small: tuple[float | None, float]
 ) -> EffectRange:
     """Range along factor j. Shapes: mean (m,)."""
     from scipy.stats import qmc
@@ -116,7 +116,7 @@ def effect_range(
     value = float(np.quantile(ranges, SHARE))
     at = int(np.abs(ranges - value).argmin())
     ends = points[at, [int(values[at].argmin()), int(values[at].argmax())]]
-    return EffectRange(value, bound, small.verdict(value, bound), 2.0 * ends - 1.0)
+    return EffectRange(value, bound, verdict_of(value, bound, *small), 2.0 * ends - 1.0)
 
 
 def effect_ranges(
@@ -127,7 +127,7 @@ def effect_ranges(
     u: float,
 ) -> tuple[EffectRange, ...]:
     """Range along every factor of a surface over coded points, with its bound, judged."""
-    small = Small(practical, float(np.ptp(runs.response)))
+    small = practical, float(np.ptp(runs.response))
     return tuple(
         replace(
             effect_range(lambda x: value(2.0 * x - 1.0), len(bounds), j, bound, small),
@@ -137,24 +137,16 @@ def effect_ranges(
     )
 
 
-@dataclass(frozen=True)
-class Small:
-    """What is too small to matter."""
-
-    #: Smallest difference that matters, in the response's unit; None if nobody has said.
-    practical: float | None
-    #: Largest minus smallest response that was run, in the same unit.
-    response_range: float
-
-    def verdict(self, value: float, bound: float) -> Verdict:
-        """Judge a range with its bound."""
-        if self.practical is None:
-            return "cannot tell"
-        if value - bound > self.practical:
-            return "matters"
-        if value + bound + MISS * self.response_range < self.practical:
-            return "no practical difference"
+def verdict_of(
+    value: float, bound: float, practical: float | None, response_range: float
+) -> Verdict:
+    """Judge a range with its bound; what is too small to matter is told from the runs' range."""
+    if practical is None:
         return "cannot tell"
+    if value - bound > practical:
+        return "matters"
+    small = value + bound + MISS * response_range < practical
+    return "no practical difference" if small else "cannot tell"
 
 
 # Shares of the response's variance that factors explain, with all factors uniform on the box.
@@ -517,18 +509,20 @@ class BlockedEmulator:
     def ranges(self, practical: float | None, u: float = 0.0) -> tuple[EffectRange, ...]:
         """Range along every factor, averaged over blocks; arguments as for one emulator."""
         told = [found.ranges(practical, u) for found in self.each]
-        small = Small(practical, float(np.ptp(self.runs.response)))
         each = enumerate(zip(*told, strict=True))
-        return tuple(self._range(j, own, small, u) for j, own in each)
+        return tuple(self._range(j, own, practical, u) for j, own in each)
 
-    def _range(self, j: int, own: tuple[EffectRange, ...], small: Small, u: float) -> EffectRange:
+    def _range(
+        self, j: int, own: tuple[EffectRange, ...], practical: float | None, u: float
+    ) -> EffectRange:
         values = np.array([effect.value for effect in own])
         bound = float(self._scatter(values) + np.mean([effect.bound for effect in own]))
         value = float(values.mean())
         # where the block nearest to the mean has its extremes
         nearest = own[int(np.abs(values - value).argmin())]
-        sure = small.practical is not None and is_confirmed(self.runs, j, small.practical + u)
-        return EffectRange(value, bound, small.verdict(value, bound), nearest.confirm, sure)
+        sure = practical is not None and is_confirmed(self.runs, j, practical + u)
+        verdict = verdict_of(value, bound, practical, float(np.ptp(self.runs.response)))
+        return EffectRange(value, bound, verdict, nearest.confirm, sure)
 
     def _scatter(self, values: Array) -> Array:
         """Half width of the 95 % interval of a mean over blocks, the first axis of the values."""
