@@ -14,6 +14,7 @@ import numpy as np
 
 import study
 from study import api
+from study.api.folders import is_table
 from study.ground.bounded_file import sha256_of
 from study.ground.canonical import plain
 from study.ground.curve import Curve
@@ -308,12 +309,6 @@ class TableAnalysis(Shown, AnalysisResult):
 FEWEST_NUMBERS = 3
 
 
-def _is_csv(path: Path) -> bool:
-    if path.suffix == ".toml" or path.is_dir():
-        return False
-    return path.is_file() or path.suffix in (".csv", ".gz", ".txt", ".tsv")
-
-
 def _analysis_table(
     frame: pd.DataFrame, response: str | None, factors: Sequence[str], options: AnovaOptions
 ) -> AnalysisResult:
@@ -428,7 +423,7 @@ def analyze(
         options = {**asked_of(asked), **options}
     if not isinstance(source, (str, Path)):
         return TableAnalysis.of(_analysis_table(source, response, factors, options))
-    if _is_csv(Path(source)):
+    if is_table(source):
         _check_named(response, factors)
         blocks, unit = options.get("block"), options.get("unit")
         frame = read_tidy_csv(Path(source), str(response), list(factors), blocks, unit, decimal)
@@ -680,7 +675,7 @@ def fit_mixed_model(
     A study lends its first response, its factors and its specimens as blocks where none are named.
     """
     path = Path(source)
-    if path.is_file() and path.suffix != ".toml":
+    if is_table(source):
         if response is None:
             raise InputError(Fault("--response", "is missing", "name the column of the response"))
         blocks = names_of(options.get("block"))

@@ -46,6 +46,8 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
     """Everything that the report of a study shows but its analyses by depth, which take longest."""
     design, manifest = study.design, study.manifest
     blocks, spec = tuple(manifest["blocks"]), design.measurements
+    markers = design.config.get("markers")
+    marked = markers if isinstance(markers, Mapping) else {}
     return ReportData(
         name=design.name,
         question=design.question,
@@ -57,7 +59,7 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
         blocks=blocks,
         inputs=_inputs(design),
         assumed=_assumed(design),
-        citation=_citation(design),
+        citation=str(marked.get("citation") or "") if spec is None else spec.citation,
         exclusions=tuple((cell.label, why) for cell, why in design.excluded),
         curves=tuple(_curves(study.plain)),
         fits=tuple(_fits(design, study.plain)),
@@ -100,7 +102,10 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
         beside=study.beside,
         surfaces=study.surfaces,
         ranges=_ranges(study),
-        is_measured=_is_measured(design),
+        # a curve, a fitted test or markers stand beside the simulation
+        is_measured=design.calibration.problem is not None
+        or spec is not None
+        or "markers" in design.config,
     )
 
 
@@ -114,20 +119,6 @@ def _scheme(study: StudyResult) -> str:
     why = f": {last['stopped']}" if last["stopped"] else ", and is not finished"
     q2_text = f" (Q2: {listing(reached)})" if reached else ""
     return f"{summary}; it ended with {last['cells']} cells{why}{q2_text}"
-
-
-def _is_measured(design: Design) -> bool:
-    """Whether anything stands beside the simulation: a curve, a fitted test, markers."""
-    fitted = design.calibration.problem is not None
-    return fitted or design.measurements is not None or "markers" in design.config
-
-
-def _citation(design: Design) -> str:
-    """Source of what was measured."""
-    marked = design.config.get("markers")
-    if design.measurements is None:
-        return str(marked.get("citation") or "") if isinstance(marked, Mapping) else ""
-    return design.measurements.citation
 
 
 def _ranges(study: StudyResult) -> dict[str, str]:
@@ -215,7 +206,7 @@ def _fits(design: Design, records: tuple[Record, ...]) -> Iterator[FittedConstan
             if fit["key"] in seen:
                 continue
             seen.add(fit["key"])
-            levels = shared[fit["key"]]
+            levels, n = shared[fit["key"]], fit.get("n")
             for name, value in fit["values"].items():
                 plain = is_dimensionless(name)
                 scale = 1.0 if plain else 1000.0
@@ -233,7 +224,7 @@ def _fits(design: Design, records: tuple[Record, ...]) -> Iterator[FittedConstan
                     str(fit.get("reason") or ""),
                     "" if specimen == "all" else specimen,
                     _correlated(name, fit),
-                    _rms(fit.get("rss"), fit.get("n")),
+                    float((fit["rss"] / n) ** 0.5) if n and fit.get("rss") is not None else None,
                     fit.get("r_squared"),
                 )
 
@@ -257,10 +248,6 @@ def _levels_of_fits(
         }
         for key, levels in levels_seen.items()
     }
-
-
-def _rms(rss: float | None, n: int | None) -> float | None:
-    return None if rss is None or not n else float((rss / n) ** 0.5)
 
 
 def _correlated(name: str, fit: Mapping[str, Any]) -> dict[str, float]:
@@ -290,21 +277,17 @@ def _checks(study: StudyResult) -> Iterator[Check]:
         f"{done} of {study.total} cases converged, {study.failed} failed, {missing} missing",
         consequence,
     )
-    if study.design.scheme.aliases and not study.surfaces:
-        yield _told_apart(study.design)
+    scheme = study.design.scheme
+    if scheme.aliases and not study.surfaces:
+        mixed = "; ".join(scheme.aliases[:ALIASES])
+        if len(scheme.aliases) > ALIASES:
+            mixed += f"; and {len(scheme.aliases) - ALIASES} more, which `study plan` lists"
+        yield Check("what the chosen cells tell apart", "caution", scheme.summary, mixed)
     fits = {f["key"]: f for r in study.plain for f in (r.fit or {}).values()}
     if fits:
         yield _identifiability(fits)
         yield _stability(fits)
     yield from checks_of_paths(study.plain, [r.name for r in study.design.responses])
-
-
-def _told_apart(design: Design) -> Check:
-    """Say what a part of the full factorial leaves mixed."""
-    aliases = design.scheme.aliases
-    more = f"; and {len(aliases) - ALIASES} more, which `study plan` lists"
-    consequence = "; ".join(aliases[:ALIASES]) + (more if len(aliases) > ALIASES else "")
-    return Check("what the chosen cells tell apart", "caution", design.scheme.summary, consequence)
 
 
 def _identifiability(fits: Mapping[str, Mapping[str, Any]]) -> Check:

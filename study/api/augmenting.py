@@ -19,7 +19,6 @@ from study.api.fitting_surfaces import (
     labels_of,
     ranges_of,
     runs_at,
-    told,
 )
 from study.api.folders import load_design
 from study.ground.arrays import Array
@@ -42,6 +41,7 @@ from study.statistics.surfaces.emulator import (
     fit_own,
     next_run,
 )
+from study.statistics.surfaces.surface_result import analysis_of
 
 if TYPE_CHECKING:
     from study.harness.record.record import Record
@@ -200,7 +200,7 @@ def _is_known(model: Emulator | BlockedEmulator, practical: float | None, rule: 
     """Whether a response is known as well as the design asks for."""
     if rule.until == "q2" or practical is None:
         return bool(model.q2 >= rule.q2)
-    sensitivity = told(model, practical, 0.0).sensitivity
+    sensitivity = analysis_of(model, practical).sensitivity
     verdicts = [None if item.range is None else item.range.verdict for item in sensitivity]
     return bool(verdicts) and all(v not in (None, "cannot tell") for v in verdicts)
 
@@ -222,7 +222,9 @@ def _chosen(
          for model in place.responses[name].each]
         for place in fitted
     ]  # fmt: skip
-    made = [_made(design, labels) for labels in places]
+    # cells of each combination in the unit box, those without an answer too
+    cells = [[cell.levels for cell in at_levels(design.treatments, labels)] for labels in places]
+    made = [0.5 * (coded_settings(design, ranges_of(design), some) + 1.0) for some in cells]
     points = [candidates(len(ranges), rule.seed + n) for n in range(len(places))]
     at = qmc.Sobol(len(ranges), seed=rule.seed + len(places)).random_base2(REFERENCES)
     # where nothing could be fitted comes first: it needs runs most
@@ -237,12 +239,6 @@ def _chosen(
         made[n] = np.vstack([made[n], points[n][best]])
         chosen.append(_cell(design, places[n], points[n][best]))
     return chosen
-
-
-def _made(design: Design, labels: Mapping[str, str]) -> Array:
-    """Cells of one combination of levels, in the unit box, those without an answer too."""
-    levels_made = [cell.levels for cell in at_levels(design.treatments, labels)]
-    return 0.5 * (coded_settings(design, ranges_of(design), levels_made) + 1.0)
 
 
 def _cell(design: Design, labels: Mapping[str, str], point: Array) -> list[float]:
@@ -286,15 +282,16 @@ class Augmentation:
 
     def table(self) -> str:
         """Write the table ``[design]`` with all cells: records of those that are done are kept."""
+
+        def key(name: str) -> str:
+            bare = name.replace("_", "").replace("-", "").isalnum()
+            return name if bare else json.dumps(name)
+
         lines = [
-            "    { " + ", ".join(f"{_key(k)} = {json.dumps(v)}" for k, v in cell.items()) + " },"
+            "    { " + ", ".join(f"{key(k)} = {json.dumps(v)}" for k, v in cell.items()) + " },"
             for cell in (*self.own, *self.cells)
         ]
         return "\n".join(["[design]", 'kind = "listed"', "treatments = [", *lines, "]"])
-
-
-def _key(name: str) -> str:
-    return name if name.replace("_", "").replace("-", "").isalnum() else json.dumps(name)
 
 
 def augment(

@@ -49,8 +49,7 @@ from study.statistics.surfaces.surface_profile import (
 from study.statistics.surfaces.surface_propagation import propagate
 from study.statistics.surfaces.surface_result import (
     SurfaceAnalysis,
-    analysis_of_emulator,
-    analysis_of_quadratic,
+    analysis_of,
 )
 
 if TYPE_CHECKING:
@@ -94,15 +93,6 @@ def check_kind(surface: str) -> None:
 def fitted(runs: Runs, surface: str = "auto") -> QuadraticSurface | Emulator | BlockedEmulator:
     """Fit runs by the surface that is asked for, or by the one that suits them."""
     return fit_quadratic(runs) if kind_of(runs, surface) == "quadratic" else fit_own(runs)
-
-
-def told(
-    model: QuadraticSurface | Emulator | BlockedEmulator, practical: float | None, u: float
-) -> SurfaceAnalysis:
-    """Say what a model means."""
-    if isinstance(model, QuadraticSurface):
-        return analysis_of_quadratic(model, practical, u)
-    return analysis_of_emulator(model, practical, u)
 
 
 def fitted_together(
@@ -419,7 +409,7 @@ def _surfaces_at(
                 raise runs
             fitted_here = replace(fitted_here, practical=difference_of(practical, runs.response))
             model = fitted(runs, surface) if together is None else together[k]
-            made = told(model, fitted_here.practical, blank.bound or 0.0)
+            made = analysis_of(model, fitted_here.practical, blank.bound or 0.0)
             each.append(replace(fitted_here, found=made))
         except StudyError as error:
             if not labels and not blank.units:

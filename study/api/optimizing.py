@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from study.api.fitting_surfaces import fit_surface
-from study.api.folders import RESULTS
+from study.api.folders import RESULTS, is_table
 from study.api.predicting import (
     Permission,
     confirm,
@@ -124,7 +124,7 @@ def optimize(  # noqa: PLR0913  # the public face: one keyword for each thing th
     goal: Goal = "minimize" if minimize is not None else "maximize"
     name = str(minimize if minimize is not None else maximize)
     limits_typed = [subject_to] if isinstance(subject_to, str) else [*subject_to]
-    if isinstance(path, str | Path) and Path(path).suffix in (".csv", ".gz"):
+    if isinstance(path, str | Path) and is_table(path):
         table = _Table(Path(path), tuple(numeric), surface, decimal)
         return (_of_table(table, goal, name, limits_typed, dict(at or {})),)
     if numeric:

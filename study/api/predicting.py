@@ -74,8 +74,18 @@ def predict(
     study = opened(path, results)
     surfaces = surfaces_of(study, response)
     numbers, labels = given(study.design, at, [factor.name for factor in study.design.factors])
+    here = [fitted for fitted in surfaces if dict(fitted.labels) == labels]
+    faults = [
+        Fault("predict", f"{one.response} has no surface: {one.refused}",
+              "add runs, or ask another --response")
+        for one in here if one.found is None
+    ]  # fmt: skip
+    if faults:
+        raise InputError(faults)
     return tuple(
-        _predicted(fitted, numbers) for fitted in surfaces if dict(fitted.labels) == labels
+        replace(one.found.predict(numbers), response=one.response, unit=one.unit)
+        for one in here
+        if one.found is not None
     )
 
 
@@ -134,13 +144,6 @@ def number_in_unit(factor: Factor, setting: Setting) -> Array:
         if kind is None or not unit:
             return np.array([units.parse_number(setting)])
         return np.array([units.parse(setting, kind) / units.parse(f"1 {unit}", kind)])
-
-
-def _predicted(fitted: FittedSurface, at: Mapping[str, Array]) -> SurfacePrediction:
-    if fitted.found is None:
-        rule = f"{fitted.response} has no surface: {fitted.refused}"
-        raise InputError(Fault("predict", rule, "add runs, or ask another --response"))
-    return replace(fitted.found.predict(at), response=fitted.response, unit=fitted.unit)
 
 
 # Runs of the true model at settings that a surface has named; they join the study's surfaces.

@@ -19,7 +19,7 @@ from study.statistics.surfaces.quadratic import (
     second_order,
 )
 from study.statistics.surfaces.surface_factors import NumericFactor, Runs, box_points, never_run
-from study.statistics.surfaces.surface_result import analysis_of_quadratic
+from study.statistics.surfaces.surface_result import analysis_of
 
 
 def unit_runs(coded: Array, response: Array, blocks: tuple[str, ...] = ()) -> Runs:
@@ -139,7 +139,8 @@ def test_incomplete_blocks_are_left_out_or_refused() -> None:
 
 def test_best_point_on_the_boundary() -> None:
     coded = face_centred(2)
-    found = fit_quadratic(unit_runs(coded, 1.0 + 2.0 * coded[:, 0] - (coded[:, 1] - 0.5) ** 2))
+    response = 1.0 + 2.0 * coded[:, 0] - (coded[:, 1] - 0.5) ** 2
+    found = analysis_of(fit_quadratic(unit_runs(coded, response)))
     assert found.largest.on_boundary
     assert found.largest.at == pytest.approx([1.0, 0.5], abs=1e-4)
     assert found.largest.value == pytest.approx(3.0, abs=1e-8)
@@ -257,9 +258,9 @@ def test_blocks_of_a_composite_design_shift_the_response() -> None:
     assert lack is not None
     assert (lack.f, lack.df, lack.df_error) == pytest.approx((0.53071, 3, 4), abs=1e-5)
     assert lack.p == pytest.approx(0.68509, abs=1e-5)
-    told = analysis_of_quadratic(found, practical=1.0)
+    told = analysis_of(found, practical=1.0)
     assert [item.range.verdict for item in told.sensitivity] == ["matters", "matters"]
-    assert {i.range.verdict for i in analysis_of_quadratic(found, 9.0).sensitivity} == {
+    assert {i.range.verdict for i in analysis_of(found, 9.0).sensitivity} == {
         "no practical difference"
     }
 
@@ -289,7 +290,7 @@ def test_quarters_of_the_box_without_a_run_are_named() -> None:
 def test_a_surface_that_judges_no_factor_ranks_them_by_what_they_change() -> None:
     """As many runs as terms leave no error; the second factor changes three times as much."""
     coded = np.array([[-1.0, -1], [1, -1], [-1, 1], [1, 1], [0, 0], [0, 1]])
-    analysis = analysis_of_quadratic(fit_quadratic(unit_runs(coded, coded @ [1.0, 3.0])), 0.5)
+    analysis = analysis_of(fit_quadratic(unit_runs(coded, coded @ [1.0, 3.0])), 0.5)
     assert any("no factor is judged" in note for note in analysis.notes)
     assert [(i.factor, i.rank, i.range) for i in analysis.sensitivity] == [
         ("x1", 2, None), ("x2", 1, None)

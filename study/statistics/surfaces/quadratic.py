@@ -14,11 +14,9 @@ from study.ground.arrays import Array, Flags, Ints
 from study.ground.errors import Fault, RefusedError
 from study.statistics.surfaces.emulator import EffectRange, effect_ranges
 from study.statistics.surfaces.surface_factors import (
-    Extreme,
     Runs,
     box_points,
     change_together,
-    extremes,
 )
 
 # A polynomial of second order in coded factors.
@@ -420,9 +418,6 @@ class QuadraticSurface:
     lack_of_fit: SurfaceFTest | None
     #: None where the surface is level nowhere.
     stationary: StationaryPoint | None
-    #: In the box, with twice the rms leave-one-out error around.
-    smallest: Extreme
-    largest: Extreme
     #: Terms that the settings cannot tell from others.
     aliases: tuple[str, ...]
     notes: tuple[str, ...]
@@ -481,7 +476,7 @@ class QuadraticSurface:
     @property
     def half_width(self) -> float:
         """Twice the rms leave-one-out error, in the response's unit; NaN if it is not known."""
-        return self.smallest.half_width
+        return float("nan") if self.loo is None else 2.0 * self.loo.rms
 
     def value(self, coded: Array) -> Array:
         """Predictions, shape (n,), at coded points of shape (n, k)."""
@@ -650,8 +645,6 @@ def _surface(
         columns.terms, columns.coefficients(response)[:count], len(runs.factors)
     )
     loo = leave_one_out(columns, response)
-    half_width = float("nan") if loo is None else 2.0 * loo.rms
-    smallest, largest = extremes(polynomial.value, polynomial.k, half_width)
     linear = [n for n, count in zip(runs.names, runs.levels(), strict=True) if count == 2]
     said = [f"{name} has two settings: linear only" for name in linear]
     together = change_together(runs)
@@ -676,7 +669,7 @@ def _surface(
         covariance = columns.inverse()[:count, :count] * residual / df
         point = _with_region(point, level_by_residual(polynomial, covariance, df))
     return QuadraticSurface(
-        runs, polynomial, terms, {}, error, loo, lack, point, smallest, largest,
+        runs, polynomial, terms, {}, error, loo, lack, point,
         _alias_list(runs, columns), (*notes, *said), covariance, df,
     )  # fmt: skip
 

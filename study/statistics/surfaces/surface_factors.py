@@ -227,20 +227,17 @@ def box_points(k: int, n: int, seed: int = 0) -> Array:
     return np.asarray(2.0 * qmc.Sobol(k, seed=seed).random(n) - 1.0)
 
 
-def extremes(value: Callable[[Array], Array], k: int, half_width: float) -> tuple[Extreme, Extreme]:
-    """Smallest and largest prediction in the box. Shapes: value (n,)."""
+def extremes(value: Callable[[Array], Array], k: int) -> tuple[Array, Array]:
+    """Coded settings, shape (k,), of the smallest and the largest value (n,) in the box."""
     points = box_points(k, 4096)
     if k <= CORNERS:
         points = np.vstack([points, np.array(list(product((-1.0, 1.0), repeat=k)))])
     values = value(points)
-    low = _polished(value, points[np.argsort(values)[:STARTS]], 1.0, half_width)
-    high = _polished(value, points[np.argsort(-values)[:STARTS]], -1.0, half_width)
-    return low, high
+    low = _polished(value, points[np.argsort(values)[:STARTS]], 1.0)
+    return low, _polished(value, points[np.argsort(-values)[:STARTS]], -1.0)
 
 
-def _polished(
-    value: Callable[[Array], Array], starts: Array, sign: float, half_width: float
-) -> Extreme:
+def _polished(value: Callable[[Array], Array], starts: Array, sign: float) -> Array:
     scale = float(np.abs(value(starts)).max()) or 1.0
 
     def goal(x: Array) -> float:
@@ -249,5 +246,4 @@ def _polished(
     bounds = [(-1.0, 1.0)] * starts.shape[1]
     searches = (scipy.optimize.minimize(goal, x, method="L-BFGS-B", bounds=bounds) for x in starts)
     ends = [settled(one, "extreme of a surface", by_lines=True).x for one in searches]
-    best = min([*ends, *starts], key=goal)
-    return Extreme(np.asarray(best), float(value(best[None, :])[0]), half_width)
+    return np.asarray(min([*ends, *starts], key=goal))

@@ -199,10 +199,27 @@ class SurfaceAnalysis:
 FAR = 100.0
 
 
-def analysis_of_quadratic(
-    found: QuadraticSurface, practical: float | None = None, u: float = 0.0
+def analysis_of(
+    model: QuadraticSurface | Emulator | BlockedEmulator,
+    practical: float | None = None,
+    u: float = 0.0,
 ) -> SurfaceAnalysis:
-    """Say what a quadratic surface means; factors are judged where a practical difference is."""
+    """Say what a surface means; of an emulator all that its Q2 allows."""
+    quadratic = isinstance(model, QuadraticSurface)
+    judged, said = (
+        _of_quadratic(model, practical, u) if quadratic else _of_emulator(model, practical, u)
+    )
+    low, high = (
+        Extreme(at, *(float(part[0]) for part in model.predict(at[None, :])))
+        for at in extremes(model.value, len(model.runs.factors))
+    )
+    return SurfaceAnalysis(model, judged, low, high, tuple(said))
+
+
+def _of_quadratic(
+    found: QuadraticSurface, practical: float | None, u: float
+) -> tuple[tuple[Sensitivity, ...], list[str]]:
+    """Judge the factors of a quadratic where a practical difference is given, with notes."""
     said = [*found.notes, *never_run(found.runs)]
     point = found.stationary
     if point is None or not point.established:
@@ -210,51 +227,44 @@ def analysis_of_quadratic(
             "no stationary point established inside the region; confirm the best predicted "
             "setting by a run there"
         )
-    judged: tuple[Sensitivity, ...] = ()
-    if practical is not None:
-        names = found.runs.names
-        ranges = found.ranges(practical, u)
-        unjudged = effect_ranges(found.value, found.runs, [0.0] * len(names), None, 0.0)
-        sizes = [item.value for item in unjudged]
-        ranks = np.argsort(np.argsort([-size for size in sizes])).tolist()
-        every = zip(names, ranks, ranges or [None] * len(names), strict=True)
-        judged = tuple(Sensitivity(name, rank + 1, None, item) for name, rank, item in every)
-        if ranges is None:
-            rule = "no factor is judged: a quadratic does not carry these runs, or fits them all"
-            said.append(rule)
-    return SurfaceAnalysis(found, judged, found.smallest, found.largest, tuple(said))
+    if practical is None:
+        return (), said
+    names = found.runs.names
+    ranges = found.ranges(practical, u)
+    sizes = [i.value for i in effect_ranges(found.value, found.runs, [0.0] * len(names), None, 0.0)]
+    ranks = np.argsort(np.argsort([-size for size in sizes])).tolist()
+    if ranges is None:
+        said.append("no factor is judged: a quadratic does not carry these runs, or fits them all")
+    every = zip(names, ranks, ranges or [None] * len(names), strict=True)
+    return tuple(Sensitivity(name, rank + 1, None, item) for name, rank, item in every), said
 
 
-def analysis_of_emulator(
-    found: Emulator | BlockedEmulator, practical: float | None, u: float = 0.0
-) -> SurfaceAnalysis:
-    """Ask an emulator for all that its Q2 allows."""
-    k, unrun = len(found.runs.factors), never_run(found.runs)
-    low, high = (
-        replace(extreme, half_width=float(found.predict(extreme.at[None, :])[1][0]))
-        for extreme in extremes(found.value, k, 0.0)
-    )
+def _of_emulator(
+    found: Emulator | BlockedEmulator, practical: float | None, u: float
+) -> tuple[tuple[Sensitivity, ...], list[str]]:
+    """Ask an emulator for all that its Q2 allows, with notes."""
+    names, unrun = found.runs.names, never_run(found.runs)
     twice = 2 * found.runs.response.size
     if found.gate == "refused":
-        note = f"Q2 {found.q2:.2f} is below .7: no indices; add runs, {twice} in all"
-        return SurfaceAnalysis(found, (), low, high, (note, *unrun))
+        return (), [f"Q2 {found.q2:.2f} is below .7: no indices; add runs, {twice} in all", *unrun]
     indices = found.indices()
     order = np.argsort([-index.total for index in indices]).tolist()
     ranks = {j: rank for rank, j in enumerate(order, 1)}
-    names = found.runs.names
     if found.gate == "ranking only":
         note = f"Q2 {found.q2:.2f} is below .9: ranking only; add runs, {twice} in all"
-        ranked = tuple(Sensitivity(names[j], ranks[j], None, None) for j in range(k))
-        return SurfaceAnalysis(found, ranked, low, high, (note, *unrun))
+        ranked = tuple(Sensitivity(name, ranks[j], None, None) for j, name in enumerate(names))
+        return ranked, [note, *unrun]
     ranges = found.ranges(practical, u)
-    told = tuple(Sensitivity(names[j], ranks[j], indices[j], ranges[j]) for j in range(k))
+    judged = tuple(
+        Sensitivity(name, ranks[j], indices[j], ranges[j]) for j, name in enumerate(names)
+    )
     notes = [
         *unrun,
         "indices are of factors uniform over their ranges; ranges hold at 95 % of the settings",
     ]
     if any(item.claims for item in ranges):
         notes.append("matters holds once the two predicted extremes were run: see confirm")
-    return SurfaceAnalysis(found, told, low, high, tuple(notes))
+    return judged, notes
 
 
 def _test(test: SurfaceFTest | None) -> Document | None:
