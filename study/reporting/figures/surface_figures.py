@@ -66,14 +66,12 @@ def _profiles(surface: SurfaceAnalysis, fitted: FittedSurface, data: ReportData)
     import pandas as pd
 
     order = strongest(surface)
-    by_factor = {p.factor: p for p in profiles(surface)}
+    by_factor = profiles(surface)
     frame = pd.concat(
-        pd.DataFrame(
-            {"factor": n, "setting": p.setting, "value": p.value, "low": p.low, "high": p.high}
-        )
-        for n, p in ((name, by_factor[name]) for name in order)
+        pd.DataFrame({"factor": n, "setting": at, "value": p.value, "low": p.low, "high": p.high})
+        for n, (at, p) in ((name, by_factor[name]) for name in order)
     )
-    sizes = [quantity(by_factor[name].range, clean(fitted.unit)) for name in order]
+    sizes = [quantity(float(np.ptp(by_factor[n][1].value)), clean(fitted.unit)) for n in order]
     named = [name_of(name, data.labels) for name in order]
     caption = sentence(
         f"{title(fitted, data)} along each factor with the others in the middle of their "
@@ -198,8 +196,8 @@ def _left_out(surface: SurfaceAnalysis, fitted: FittedSurface, data: ReportData)
     errors = left_out(surface)
     if errors is None:
         raise ValueError("no run can be left out")
-    frame = pd.DataFrame({"simulated": errors.observed, "predicted": errors.predicted})
-    worst = float(np.abs(errors.observed - errors.predicted).max())
+    frame = pd.DataFrame(dict(zip(("simulated", "predicted"), errors, strict=True)))
+    worst = float(np.abs(errors[0] - errors[1]).max())
     caption = (
         f"Each run of {title(fitted, data)} against what a surface fitted to all the others "
         f"predicts; the worst is off by {quantity(worst, clean(fitted.unit))}, and Q2 is "
