@@ -26,7 +26,7 @@ from study.harness.record.record import is_repeat
 from study.harness.record.store import Store
 from study.mechanics.calibration.serial_correlation import effective_rows
 from study.reporting.results.study_answers import Checked, InputSet, Inverted
-from study.statistics.surfaces.surface_factors import Runs
+from study.statistics.surfaces.surface_factors import Runs, never_run
 from study.statistics.surfaces.surface_inversion import InversionAgreement, agreeing
 from study.statistics.surfaces.surface_profile import CurveEmulator, fit_curves
 
@@ -286,7 +286,8 @@ class _Question:
             result.limit, result.rms / self.size, self.curve.force_N.size, answer.model.q2,
             tuple(coded.settings(point) for point in result.points),
             runs[0] if runs else None, tuple(runs[1:]),
-            (*notes, *([] if all(run.agrees for run in runs) else [disagree])),
+            (*notes, *never_run(coded, result.points),
+             *([] if all(run.agrees for run in runs) else [disagree])),
         )  # fmt: skip
 
 

@@ -87,22 +87,18 @@ def test_a_cell_counts_that_most_specimens_answer(
 
 
 def test_the_verb_analyze_leaves_out_what_the_report_leaves_out(tmp_path: Path) -> None:
-    """Of material c one of two cells has an answer."""
+    """No run with level c has an answer."""
     cells = product(("a", "b", "c"), ("flat", "full"), range(3))
     lines = [
-        f"{m},{s},"
-        + ("" if (m, s) == ("c", "full") else f"{ord(m) - 90 + 0.1 * n + (s == 'full')}")
-        for m, s, n in cells
+        f"{m},{s},{'' if m == 'c' else ord(m) - 90 + 0.1 * n + (s == 'full')}" for m, s, n in cells
     ]
-    (tmp_path / "t.csv").write_text("\n".join(["material,space,y", *lines]))
+    (tmp_path / "t.csv").write_text("\n".join(["gel,plates,y", *lines]))
     study = api.import_runs(
-        tmp_path / "t.csv", "material,space", "y=N", practical="y=1 N", results=tmp_path / "results"
+        tmp_path / "t.csv", "gel,plates", "y=N", practical="y=1 N", results=tmp_path / "results"
     )
     reported = study.analyses[0].result
     assert reported is not None, study.analyses[0].refused
     found = api.analyze(study.folder, "y")
-    assert (
-        "c (material) has an answer in 1 of 2 cells: it is left out of this analysis" in found.notes
-    )
+    assert "c (gel) has an answer in 0 of 2 cells: it is left out of this analysis" in found.notes
     assert found.effects == reported.effects
-    assert found.effect("material").range == pytest.approx(1.0)
+    assert found.effect("gel").range == pytest.approx(1.0)

@@ -72,15 +72,18 @@ class Optimum:
 def check_carries(model: Model) -> None:
     """Refuse a surface that does not predict runs it has not seen."""
     quadratic = isinstance(model, QuadraticSurface)
-    least = CARRIED if quadratic else GIVEN
-    twice = 2 * model.runs.response.size
+    name, twice = model.runs.name, 2 * model.runs.response.size
     if isinstance(model, QuadraticSurface) and model.loo is None:
-        rule = f"the surface of {model.runs.name} has as many coefficients as runs: no error"
+        rule = f"the surface of {name} has as many coefficients as runs: no error"
         raise RefusedError(str(Fault("optimize", rule, "add runs")))
+    least = CARRIED if quadratic else GIVEN
     if not model.q2 >= least:
-        rule = f"the surface of {model.runs.name} has a Q2 of {model.q2:.2f}, below {least}"
+        rule = f"the surface of {name} has a Q2 of {model.q2:.2f}, below {least}"
         mend = f"add runs: {twice} in all" + (", or --surface emulator" if quadratic else "")
         raise RefusedError(str(Fault("optimize", rule, mend)))
+    if isinstance(model, QuadraticSurface) and not model.carries:
+        rule = f"the surface of {name} has one run more than coefficients: its Q2 may be chance"
+        raise RefusedError(str(Fault("optimize", rule, f"add runs: {twice} in all")))
 
 
 def run_box(runs: Runs) -> tuple[Array, Array]:
