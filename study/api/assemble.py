@@ -206,7 +206,7 @@ def _fits(design: Design, records: tuple[Record, ...]) -> Iterator[FittedConstan
             if fit["key"] in seen:
                 continue
             seen.add(fit["key"])
-            levels, n = shared[fit["key"]], fit.get("n")
+            levels, rss, n = shared[fit["key"]], fit.get("rss"), fit.get("n")
             for name, value in fit["values"].items():
                 plain = is_dimensionless(name)
                 scale = 1.0 if plain else 1000.0
@@ -224,7 +224,7 @@ def _fits(design: Design, records: tuple[Record, ...]) -> Iterator[FittedConstan
                     str(fit.get("reason") or ""),
                     "" if specimen == "all" else specimen,
                     _correlated(name, fit),
-                    float((fit["rss"] / n) ** 0.5) if n and fit.get("rss") is not None else None,
+                    float((rss / n) ** 0.5) if n and rss is not None else None,
                     fit.get("r_squared"),
                 )
 

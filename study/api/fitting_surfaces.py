@@ -57,6 +57,7 @@ if TYPE_CHECKING:
 
     from study.harness.design.spec import Design
     from study.harness.record.record import Record
+    from study.statistics.analysis.analysis_request import Practical
     from study.statistics.convergence.grid_convergence import NumericalUncertainty
     from study.statistics.surfaces.surface_propagation import Propagated
 
@@ -129,7 +130,7 @@ def announce_cost(runs: Runs, announce: Callable[[str], None] | None) -> None:
         announce(f"an emulator of {runs.response.size} runs takes about {seconds:.0f} s")
 
 
-def difference_of(practical: float | str | None, response: Array) -> float | None:
+def difference_of(practical: Practical, response: Array) -> float | None:
     """Read the smallest difference that matters, in the unit of a response.
 
     Shapes: response (n,).
@@ -371,7 +372,7 @@ def fit_surfaces(  # noqa: PLR0913  # the public face: one keyword for each thin
     sizes = [len({place[name] for place in places}) for name in factors]
     each = _surfaces_at(
         FittedSurface(runs.name, "", None, practical=difference), places, sizes, surface,
-        lambda k: _some(runs, rows[k]), difference,
+        [partial(_some, runs, here) for here in rows], difference,
     )  # fmt: skip
     if all(fitted.found is None for fitted in each):
         raise RefusedError(f"no combination carries a surface: {each[0].refused}")
@@ -383,17 +384,17 @@ def _surfaces_at(
     places: Sequence[Mapping[str, str]],
     sizes: Sequence[int],
     surface: str,
-    runs_at: Callable[[int], Runs],
-    practical: float | str | None,
+    makers: Sequence[Callable[[], Runs]],
+    practical: Practical,
 ) -> list[FittedSurface]:
     """Surface at every combination of labels, or why there is none.
 
     Where there are no labels a table is alone, and what keeps its surface is raised.
     """
     every: list[Runs | StudyError] = []
-    for k in range(len(places)):
+    for made_of in makers:
         try:
-            every.append(runs_at(k))
+            every.append(made_of())
         except StudyError as error:
             every.append(error)
     good, together = [one for one in every if isinstance(one, Runs)], None
@@ -529,7 +530,8 @@ def surfaces(
         each = _surfaces_at(
             FittedSurface(response.name, response.unit, None, bound=bound, units=units_of),
             places, sizes, design.analysis.surface,
-            partial(_runs_of_records, design, response.name, good, half_width, factors),
+            [partial(_runs_of_records, design, response.name, some, half_width, factors)
+             for some in good],
             response.practical,
         )  # fmt: skip
         lost = [len(some) - len(answered) for some, answered in zip(here, good, strict=True)]
@@ -565,7 +567,7 @@ def runs_at(
     """Return the runs of a response that have an answer, at one combination of other levels."""
     good = [r for r in at_levels(records, labels)
             if not is_repeat(r.extra) and r.value(response) is not None]  # fmt: skip
-    return _runs_of_records(design, response, [good], None, ranges_of(design), 0)
+    return _runs_of_records(design, response, good, None, ranges_of(design))
 
 
 def _half_width(
@@ -661,17 +663,15 @@ def _end(name: str, side: str, value: float) -> str:
 def _runs_of_records(
     design: Design,
     response: str,
-    records: Sequence[Sequence[Record]],
+    records: Sequence[Record],
     half_width: float | None,
     factors: tuple[NumericFactor, ...],
-    place: int,
 ) -> Runs:
     """Coded settings and responses; a numerical half-width is two standard uncertainties."""
-    here = records[place]
-    values = np.array([record.value(response) for record in here], dtype=np.float64)
-    blocks = tuple(str(record.block) for record in here if record.block is not None)
+    values = np.array([record.value(response) for record in records], dtype=np.float64)
+    blocks = tuple(str(record.block) for record in records if record.block is not None)
     u = None if half_width is None else np.full(values.size, half_width / 2.0)
-    coded = coded_settings(design, factors, [record.levels for record in here])
+    coded = coded_settings(design, factors, [record.levels for record in records])
     return Runs(response, factors, coded, values, blocks, u)
 
 

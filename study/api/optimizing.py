@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -125,8 +126,9 @@ def optimize(  # noqa: PLR0913  # the public face: one keyword for each thing th
     name = str(minimize if minimize is not None else maximize)
     limits_typed = [subject_to] if isinstance(subject_to, str) else [*subject_to]
     if isinstance(path, str | Path) and is_table(path):
-        table = _Table(Path(path), tuple(numeric), surface, decimal)
-        return (_of_table(table, goal, name, limits_typed, dict(at or {})),)
+        table = Path(path)
+        fit = cache(lambda y: fit_surface(table, y, numeric, surface=surface, decimal=decimal))
+        return (_of_table(fit, goal, name, limits_typed, dict(at or {})),)
     if numeric:
         rule = "names columns of a table: the factors of a study are known"
         raise InputError(Fault("--numeric", rule, "leave it out"))
@@ -177,29 +179,14 @@ def _in_unit(text: str, unit: str) -> float:
     return value
 
 
-@dataclass(frozen=True)
-class _Table:
-    """A table and how it is read."""
-
-    source: Path
-    numeric: tuple[str, ...]
-    surface: Surface
-    decimal: str
-    fitted: dict[str, SurfaceAnalysis] = field(default_factory=dict)
-
-    def of(self, response: str) -> SurfaceAnalysis:
-        """Fit a response, once."""
-        if response not in self.fitted:
-            self.fitted[response] = fit_surface(
-                self.source, response, self.numeric, surface=self.surface, decimal=self.decimal
-            )
-        return self.fitted[response]
-
-
 def _of_table(
-    table: _Table, goal: Goal, name: str, limits_typed: Sequence[str], at: Mapping[str, Setting]
+    fit: Callable[[str], SurfaceAnalysis],
+    goal: Goal,
+    name: str,
+    limits_typed: Sequence[str],
+    at: Mapping[str, Setting],
 ) -> Recommendation:
-    surface_of_goal = table.of(name)
+    surface_of_goal = fit(name)
     names = surface_of_goal.runs.names
     if faults := unknown_factors(at, names):
         raise InputError(faults)
@@ -213,9 +200,7 @@ def _of_table(
     units_of = {column["name"]: "" for column in columns if column is not None}
     bounds = tuple(_bound(text, units_of) for text in limits_typed)
     question = _Question(goal, name, bounds, dict.fromkeys(names, ""), held)
-    models = {bound.response: table.of(bound.response) for bound in bounds} | {
-        name: surface_of_goal
-    }
+    models = {response: fit(response) for response in (name, *(b.response for b in bounds))}
     recommended = _best(models, question, "", {}, {})
     run = ", ".join(
         f"{n} = {v:.4g}" for n, v in recommended.settings.items() if not isinstance(v, str)

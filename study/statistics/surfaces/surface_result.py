@@ -205,10 +205,10 @@ def analysis_of(
     u: float = 0.0,
 ) -> SurfaceAnalysis:
     """Say what a surface means; of an emulator all that its Q2 allows."""
-    quadratic = isinstance(model, QuadraticSurface)
-    judged, said = (
-        _of_quadratic(model, practical, u) if quadratic else _of_emulator(model, practical, u)
-    )
+    if isinstance(model, QuadraticSurface):
+        judged, said = _of_quadratic(model, practical, u)
+    else:
+        judged, said = _of_emulator(model, practical, u)
     low, high = (
         Extreme(at, *(float(part[0]) for part in model.predict(at[None, :])))
         for at in extremes(model.value, len(model.runs.factors))
