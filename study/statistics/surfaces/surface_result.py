@@ -86,7 +86,10 @@ class SurfaceAnalysis:
 
     def to_json(self) -> Document:
         """Plain values, with the keys ``surface`` and ``sensitivity``."""
-        shape = self._quadratic() if isinstance(self.model, QuadraticSurface) else self._emulator()
+        model = self.model
+        shape = (
+            self._quadratic(model) if isinstance(model, QuadraticSurface) else self._emulator(model)
+        )
         best = {"smallest": self._extreme(self.smallest), "largest": self._extreme(self.largest)}
         surface: Document = {"kind": self.kind, **shape, "best": best}
         factors = {
@@ -102,15 +105,17 @@ class SurfaceAnalysis:
             "notes": list(self.notes),
         }
 
-    def _quadratic(self) -> Document:
-        found = self.model
-        if not isinstance(found, QuadraticSurface):
-            return {}
+    def _quadratic(self, found: QuadraticSurface) -> Document:
         loo = found.loo
         return {
             "error": found.error,
             "terms": [
-                {"term": t.term, "coefficient": t.coefficient, "ci95": _pair(t.interval), "p": t.p}
+                {
+                    "term": t.term,
+                    "coefficient": t.coefficient,
+                    "ci95": t.interval and list(t.interval),
+                    "p": t.p,
+                }
                 for t in found.terms
             ],
             "factor_tests": {name: _test(test) for name, test in found.factor_tests.items()},
@@ -122,10 +127,7 @@ class SurfaceAnalysis:
             "stationary": self._stationary(found.stationary),
         }
 
-    def _emulator(self) -> Document:
-        found = self.model
-        if isinstance(found, QuadraticSurface):
-            return {}
+    def _emulator(self, found: Emulator | BlockedEmulator) -> Document:
         own: Document
         if isinstance(found, Emulator):
             own = self._process(found)
@@ -271,10 +273,6 @@ def _test(test: SurfaceFTest | None) -> Document | None:
     if test is None:
         return None
     return {"F": test.f, "df": test.df, "df_error": test.df_error, "p": test.p}
-
-
-def _pair(interval: tuple[float, float] | None) -> list[float] | None:
-    return None if interval is None else list(interval)
 
 
 def _finite(value: float) -> float | None:
