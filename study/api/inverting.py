@@ -110,7 +110,7 @@ def invert(  # noqa: PLR0913  # the public face: one keyword for each thing that
         if record.converged and not is_repeat(record.extra) and record.first_prediction()
     ]
     curve, notes = _covered(whole, records, Path(to))
-    question = _Question(study, numbers, labels, curve, _share(within))
+    question = _Inversion(study, numbers, labels, curve, _share(within))
     if not confirming:
         return question.told(question.checked(question.fitted(records)), (), notes)
     return _confirmed(question, records, permission or Permission(), notes)
@@ -204,7 +204,7 @@ def _covered(curve: Curve, records: Sequence[Record], source: Path) -> tuple[Cur
 
 
 @dataclass(frozen=True)
-class _Question:
+class _Inversion:
     """A measured curve, and the study whose inputs are to be found."""
 
     study: StudyResult
@@ -292,7 +292,7 @@ class _Question:
 
 
 def _confirmed(
-    question: _Question, records: list[Record], permission: Permission, notes: Sequence[str]
+    question: _Inversion, records: list[Record], permission: Permission, notes: Sequence[str]
 ) -> Inverted:
     """Let the true model run at the best setting until the emulator says the same there."""
     answer, run, notes = question.fitted(records), None, [*notes]

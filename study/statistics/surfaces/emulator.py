@@ -16,7 +16,6 @@ from study.ground.errors import Fault, RefusedError
 from study.statistics.surfaces.gaussian_process import (
     FAMILIES,
     GaussianProcess,
-    Kernel,
     draw_paths,
     fit_process,
 )
@@ -172,12 +171,13 @@ class SobolIndex:
         cls, first: float, first_ends: Array, total: float, total_ends: Array, margin: float
     ) -> SobolIndex:
         """Make indices of which the intervals are wider by a margin at each end; all are shares."""
-        outside = np.array([-margin, margin])
-        low, high, from_total, to_total = np.clip(
-            [*(first_ends + outside), *(total_ends + outside)], 0.0, 1.0
-        )
+
+        def wide(ends: Array) -> tuple[float, float]:
+            low, high = np.clip([ends[0] - margin, ends[1] + margin], 0.0, 1.0)
+            return float(low), float(high)
+
         own = float(np.clip(first, 0.0, 1.0)), float(np.clip(total, 0.0, 1.0))
-        return cls(own[0], (float(low), float(high)), own[1], (float(from_total), float(to_total)))
+        return cls(own[0], wide(first_ends), own[1], wide(total_ends))
 
     def to_json(self) -> dict[str, object]:
         """Plain values."""
@@ -387,7 +387,9 @@ def _fitted(runs: Sequence[Runs], sizes: Sequence[int], seed: int) -> tuple[Emul
         for (one, u), centre, scale, number in zip(singles, centres, scales, numbers, strict=True)
     ), strict=True))  # fmt: skip
     fits = [fit_process(x, y, noise, family, seed, sizes) for family in FAMILIES]
-    rival, best = sorted(fits, key=_q2)
+    rival, best = sorted(
+        fits, key=lambda p: 1.0 - float((p.loo_errors**2).sum() / (y**2).sum())
+    )
     return tuple(
         Emulator(one, best, centre, scale, seed, number, rival)
         for (one, _), centre, scale, number in zip(singles, centres, scales, numbers, strict=True)
@@ -399,10 +401,6 @@ def _among(unit: Array, combination: int | None) -> Array:
     if combination is None:
         return unit
     return np.column_stack([unit, np.full(len(unit), float(combination))])
-
-
-def _q2(process: GaussianProcess) -> float:
-    return 1.0 - float((process.loo_errors**2).sum() / (process.y**2).sum())
 
 
 def _emulator_averaged(runs: Runs) -> tuple[Runs, Array]:
@@ -498,13 +496,11 @@ class BlockedEmulator:
 
     def _averaged(self, own: tuple[SobolIndex, ...], margin: float) -> SobolIndex:
         """Mean of the blocks' indices of a factor, with its t interval."""
-        parts = [np.array([[i.first, i.total] for i in own])[:, k] for k in (0, 1)]
-        means = [float(part.mean()) for part in parts]
-        ends = [
-            np.array([mean - half, mean + half])
-            for mean, half in zip(means, map(self._scatter, parts), strict=True)
-        ]
-        return SobolIndex.of(means[0], ends[0], means[1], ends[1], margin)
+        parts = [np.array([i.first for i in own]), np.array([i.total for i in own])]
+        sides = np.array([-1.0, 1.0])
+        first, total = (float(part.mean()) for part in parts)
+        ends = [part.mean() + self._scatter(part) * sides for part in parts]
+        return SobolIndex.of(first, ends[0], total, ends[1], margin)
 
     def ranges(self, practical: float | None, u: float = 0.0) -> tuple[EffectRange, ...]:
         """Range along every factor, averaged over blocks; arguments as for one emulator."""
@@ -615,16 +611,13 @@ class Unsure:
         half_at = linalg.solve_triangular(factor, kernel.correlation(made, at), lower=True)
         shared = kernel.correlation(x, at) - half_x.T @ half_at
         own = np.maximum(1.0 - (half_x**2).sum(axis=0), 0.0) + max(nugget, 1e-10)
-        gains = (shared**2) @ self._weights(at, kernel) / own
-        return np.asarray(found.variance * gains / at.shape[0])
-
-    def _weights(self, at: Array, kernel: Kernel) -> Array:
-        """Square of the misfit of the runs near each point, over that which the process expects."""
+        # square of the misfit of the runs near each point, over that which the process expects
         ratios = (self.process.loo_errors / self.process.loo_deviations) ** 2
         near = kernel.correlation(at, self.process.x)
-        mean = float(ratios.mean())
-        local = (near @ ratios + PRIOR_RUNS * mean) / (near.sum(axis=1) + PRIOR_RUNS)
-        return np.asarray(local**self.power)
+        local = near @ ratios + PRIOR_RUNS * float(ratios.mean())
+        local /= near.sum(axis=1) + PRIOR_RUNS
+        gains = (shared**2) @ local**self.power / own
+        return np.asarray(found.variance * gains / at.shape[0])
 
 
 def next_run(unsure: Sequence[Unsure], x: Array, at: Array, made: Array) -> tuple[int, float]:
