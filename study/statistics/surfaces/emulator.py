@@ -387,9 +387,7 @@ def _fitted(runs: Sequence[Runs], sizes: Sequence[int], seed: int) -> tuple[Emul
         for (one, u), centre, scale, number in zip(singles, centres, scales, numbers, strict=True)
     ), strict=True))  # fmt: skip
     fits = [fit_process(x, y, noise, family, seed, sizes) for family in FAMILIES]
-    rival, best = sorted(
-        fits, key=lambda p: 1.0 - float((p.loo_errors**2).sum() / (y**2).sum())
-    )
+    rival, best = sorted(fits, key=lambda p: 1.0 - float((p.loo_errors**2).sum() / (y**2).sum()))
     return tuple(
         Emulator(one, best, centre, scale, seed, number, rival)
         for (one, _), centre, scale, number in zip(singles, centres, scales, numbers, strict=True)
