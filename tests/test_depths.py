@@ -10,8 +10,8 @@ import pytest
 
 import study
 from study.api.analyzing import effects_by_depth
-from study.api.records import effects_of_records
 from study.ground.curve import Curve
+from study.harness.runner.record_analysis import effects_of_records
 from study.reporting.results.study_result import StudyResult
 from study.statistics.analysis.anova_table import Effect
 from study.statistics.convergence.grid_convergence import NumericalUncertainty

@@ -10,7 +10,7 @@ from typing import Any
 
 #: module of every name
 _HOME = {
-    "load_design": "study.api.study",
+    "load_design": "study.api.folders",
     "run": "study.api.study",
     "demo": "study.api.study",
     "import_runs": "study.api.importing",

@@ -8,21 +8,22 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING, TypedDict, Unpack, cast
+from typing import TYPE_CHECKING, TypedDict, Unpack
 
 import numpy as np
 
 import study
 from study import api
-from study.api.records import effects_of_records, rows_for, specimens_of
-from study.api.uncertainty import numerical_bound
+from study.api.folders import is_table
 from study.ground.bounded_file import sha256_of
 from study.ground.canonical import plain
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, StudyError, nearest
 from study.ground.tabular import NUMBER, names_of, read_csv, read_tidy_csv
+from study.harness.design.spec import ResponseSpec
 from study.harness.design.study_file import SCORED
 from study.harness.runner.expansion import held_out
+from study.harness.runner.record_analysis import analyze_records, effects_of_records
 from study.harness.runner.response import CURVE_RESPONSES
 from study.reporting.content.report_facts import facts
 from study.reporting.figures.effect_figures import shown_effect_sizes
@@ -61,14 +62,13 @@ from study.statistics.analysis.simple_effects import CANNOT_TELL, claim
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.harness.design.spec import Design, ResponseSpec
+    from study.harness.design.spec import Design
     from study.harness.design.study_file import Analysis as analysis_Analysis
     from study.harness.record.record import Record
     from study.reporting.figures.axes import Drawing
     from study.reporting.results.study_result import StudyResult
     from study.statistics.analysis.analysis_request import AnovaOptions, Practical
     from study.statistics.analysis.linear_model import Model
-    from study.statistics.convergence.contrast_bound import NumericalBound
 
 
 # Levels of a factor compared with one of them.
@@ -185,39 +185,50 @@ def check_taken(factors: Sequence[str]) -> None:
 
 def report_data(analysis: AnalysisResult, source: AnalysisSource) -> ReportData:
     """Gather what a report shows of one analysis: levels, rows, provenance."""
-    request = analysis.request
-    rows = analysis.data.residuals
-    block = analysis.data.block
-    labels = {name: name for name in (request.response, *request.factors)}
-    named = ", ".join(analysis.request.factors)
+    request, limit = analysis.request, analysis.request.scale.practical
+    rows, block = analysis.data.residuals, analysis.data.block
+    of_response = ResponseAnalysis(
+        request.response,
+        "",
+        analysis,
+        practical=None if limit is None else limit.value,
+        relative=bool(limit and limit.relative),
+        transform=request.scale.transform,
+        title=request.response,
+    )
+    data = data_of_table(
+        source,
+        of_response,
+        f"What does {request.response} depend on: {', '.join(request.factors)}?",
+        _levels(analysis),
+        _report_table(analysis),
+        len(analysis.data.cell_means),
+    )
+    blocks = () if block is None else tuple(rows["block"].astype(str).unique())
+    return replace(data, block=block or "", blocks=blocks, seed=request.seed, alpha=request.alpha)
+
+
+def data_of_table(
+    source: AnalysisSource,
+    response: ResponseAnalysis,
+    question: str,
+    factors: Mapping[str, tuple[str, ...]],
+    table: pd.DataFrame,
+    cells: int,
+) -> ReportData:
+    """Gather what a report shows of a table, whatever was asked of it."""
     return ReportData(
         name=source.name,
-        question=f"What does {analysis.request.response} depend on: {named}?",
-        factors=_levels(analysis),
-        table=_report_table(analysis),
-        responses=(
-            ResponseAnalysis(
-                request.response,
-                "",
-                analysis,
-                practical=None
-                if request.scale.practical is None
-                else request.scale.practical.value,
-                relative=bool(request.scale.practical and request.scale.practical.relative),
-                transform=request.scale.transform,
-                title=request.response,
-            ),
-        ),
-        block=block or "",
-        blocks=() if block is None else tuple(rows["block"].astype(str).unique()),
+        question=question,
+        factors=factors,
+        table=table,
+        responses=(response,),
         citation="" if source.path is None else source.path.name,
-        seed=request.seed,
-        alpha=request.alpha,
         provenance=provenance(source),
         commands=source.commands(),
-        scheme=f"a table of {len(rows):,} rows was analyzed",
-        cells=len(analysis.data.cell_means),
-        labels=labels,
+        scheme=f"a table of {len(table):,} rows was analyzed",
+        cells=cells,
+        labels={name: name for name in (response.name, *factors)},
         is_table=True,
     )
 
@@ -298,12 +309,6 @@ class TableAnalysis(Shown, AnalysisResult):
 FEWEST_NUMBERS = 3
 
 
-def _is_csv(path: Path) -> bool:
-    if path.suffix == ".toml" or path.is_dir():
-        return False
-    return path.is_file() or path.suffix in (".csv", ".gz", ".txt", ".tsv")
-
-
 def _analysis_table(
     frame: pd.DataFrame, response: str | None, factors: Sequence[str], options: AnovaOptions
 ) -> AnalysisResult:
@@ -367,41 +372,8 @@ def _study(
     responses = list(study.records[0].responses)
     if name not in responses:
         raise InputError(Fault("--response", f"there is no {name!r}", nearest(name, responses)))
-    given = cast("AnovaOptions", {key: v for key, v in options.items() if v is not None})
-    declared, spec = by_name.get(name), study.design.analysis
-    blocked = options.get("block") or ("block" if len(study.manifest["blocks"]) > 1 else None)
-    merged: AnovaOptions = {
-        "type": spec.type,
-        "model": spec.model if isinstance(spec.model, (str, int)) else list(spec.model),
-        "alpha": spec.alpha,
-        "seed": study.design.seed,
-        "practical": None if declared is None else declared.practical,
-        "transform": "none" if declared is None else declared.transform,
-        "records": True,
-        "specimens": specimens_of(study.design, study.records),
-    }
-    merged.update(given)
-    names = list(factors) or [f.name for f in study.design.factors if len(f.levels) > 1]
-
-    def u_num(frame: pd.DataFrame) -> NumericalBound | None:
-        return numerical_bound(
-            study.design, study.numerical, study.records, frame, name, merged["transform"]
-        )
-
-    if not isinstance(blocked, (str, type(None))):
-        crossing: AnovaOptions = {"u_num": u_num(study.table), **merged, "block": blocked}
-        return anova(study.table, name, names, **crossing)
-    every = [f.name for f in study.design.factors]
-    rows = rows_for(study.table, name, every, given.get("error", spec.error), blocked)
-    own_options: AnovaOptions = {
-        "u_num": u_num(rows.table),
-        "replicates": rows.replicates,
-        **merged,
-        "error": rows.error,
-        "block": rows.block,
-    }
-    analysis = anova(rows.table, name, names, **own_options)
-    return analysis.noted(*rows.notes)
+    declared = by_name.get(name) or ResponseSpec(name, "")
+    return analyze_records(study.design, study.records, declared, study.numerical, factors, options)
 
 
 def analyze(
@@ -451,7 +423,7 @@ def analyze(
         options = {**asked_of(asked), **options}
     if not isinstance(source, (str, Path)):
         return TableAnalysis.of(_analysis_table(source, response, factors, options))
-    if _is_csv(Path(source)):
+    if is_table(source):
         _check_named(response, factors)
         blocks, unit = options.get("block"), options.get("unit")
         frame = read_tidy_csv(Path(source), str(response), list(factors), blocks, unit, decimal)
@@ -703,7 +675,7 @@ def fit_mixed_model(
     A study lends its first response, its factors and its specimens as blocks where none are named.
     """
     path = Path(source)
-    if path.is_file() and path.suffix != ".toml":
+    if is_table(source):
         if response is None:
             raise InputError(Fault("--response", "is missing", "name the column of the response"))
         blocks = names_of(options.get("block"))

@@ -6,13 +6,13 @@ import platform
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from study.api.uncertainty import checks_of_paths, checks_of_spaces
 from study.ground.curve import Curve
 from study.harness.design.overview import calibration_factors, equivalent_groups
 from study.harness.runner.batch import notes_of
 from study.harness.runner.case_series import stored_convergence
 from study.mechanics.material.material import is_dimensionless
-from study.reporting.content.text import listing, name_of
+from study.reporting.content.numbers import percent, quantity
+from study.reporting.content.text import count, listing, name_of
 from study.reporting.results.study_result import (
     ANY,
     Check,
@@ -46,6 +46,8 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
     """Everything that the report of a study shows but its analyses by depth, which take longest."""
     design, manifest = study.design, study.manifest
     blocks, spec = tuple(manifest["blocks"]), design.measurements
+    markers = design.config.get("markers")
+    marked = markers if isinstance(markers, Mapping) else {}
     return ReportData(
         name=design.name,
         question=design.question,
@@ -57,7 +59,7 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
         blocks=blocks,
         inputs=_inputs(design),
         assumed=_assumed(design),
-        citation=_citation(design),
+        citation=str(marked.get("citation") or "") if spec is None else spec.citation,
         exclusions=tuple((cell.label, why) for cell, why in design.excluded),
         curves=tuple(_curves(study.plain)),
         fits=tuple(_fits(design, study.plain)),
@@ -100,7 +102,10 @@ def report_data(study: StudyResult, timings: Mapping[str, float]) -> ReportData:
         beside=study.beside,
         surfaces=study.surfaces,
         ranges=_ranges(study),
-        is_measured=_is_measured(design),
+        # a curve, a fitted test or markers stand beside the simulation
+        is_measured=design.calibration.problem is not None
+        or spec is not None
+        or "markers" in design.config,
     )
 
 
@@ -114,20 +119,6 @@ def _scheme(study: StudyResult) -> str:
     why = f": {last['stopped']}" if last["stopped"] else ", and is not finished"
     q2_text = f" (Q2: {listing(reached)})" if reached else ""
     return f"{summary}; it ended with {last['cells']} cells{why}{q2_text}"
-
-
-def _is_measured(design: Design) -> bool:
-    """Whether anything stands beside the simulation: a curve, a fitted test, markers."""
-    fitted = design.calibration.problem is not None
-    return fitted or design.measurements is not None or "markers" in design.config
-
-
-def _citation(design: Design) -> str:
-    """Source of what was measured."""
-    marked = design.config.get("markers")
-    if design.measurements is None:
-        return str(marked.get("citation") or "") if isinstance(marked, Mapping) else ""
-    return design.measurements.citation
 
 
 def _ranges(study: StudyResult) -> dict[str, str]:
@@ -215,7 +206,7 @@ def _fits(design: Design, records: tuple[Record, ...]) -> Iterator[FittedConstan
             if fit["key"] in seen:
                 continue
             seen.add(fit["key"])
-            levels = shared[fit["key"]]
+            levels, rss, n = shared[fit["key"]], fit.get("rss"), fit.get("n")
             for name, value in fit["values"].items():
                 plain = is_dimensionless(name)
                 scale = 1.0 if plain else 1000.0
@@ -233,7 +224,7 @@ def _fits(design: Design, records: tuple[Record, ...]) -> Iterator[FittedConstan
                     str(fit.get("reason") or ""),
                     "" if specimen == "all" else specimen,
                     _correlated(name, fit),
-                    _rms(fit.get("rss"), fit.get("n")),
+                    float((rss / n) ** 0.5) if n and rss is not None else None,
                     fit.get("r_squared"),
                 )
 
@@ -257,10 +248,6 @@ def _levels_of_fits(
         }
         for key, levels in levels_seen.items()
     }
-
-
-def _rms(rss: float | None, n: int | None) -> float | None:
-    return None if rss is None or not n else float((rss / n) ** 0.5)
 
 
 def _correlated(name: str, fit: Mapping[str, Any]) -> dict[str, float]:
@@ -290,21 +277,17 @@ def _checks(study: StudyResult) -> Iterator[Check]:
         f"{done} of {study.total} cases converged, {study.failed} failed, {missing} missing",
         consequence,
     )
-    if study.design.scheme.aliases and not study.surfaces:
-        yield _told_apart(study.design)
+    scheme = study.design.scheme
+    if scheme.aliases and not study.surfaces:
+        mixed = "; ".join(scheme.aliases[:ALIASES])
+        if len(scheme.aliases) > ALIASES:
+            mixed += f"; and {len(scheme.aliases) - ALIASES} more, which `study plan` lists"
+        yield Check("what the chosen cells tell apart", "caution", scheme.summary, mixed)
     fits = {f["key"]: f for r in study.plain for f in (r.fit or {}).values()}
     if fits:
         yield _identifiability(fits)
         yield _stability(fits)
     yield from checks_of_paths(study.plain, [r.name for r in study.design.responses])
-
-
-def _told_apart(design: Design) -> Check:
-    """Say what a part of the full factorial leaves mixed."""
-    aliases = design.scheme.aliases
-    more = f"; and {len(aliases) - ALIASES} more, which `study plan` lists"
-    consequence = "; ".join(aliases[:ALIASES]) + (more if len(aliases) > ALIASES else "")
-    return Check("what the chosen cells tell apart", "caution", design.scheme.summary, consequence)
 
 
 def _identifiability(fits: Mapping[str, Mapping[str, Any]]) -> Check:
@@ -380,3 +363,123 @@ def _provenance(study: StudyResult) -> dict[str, str]:
     out["threads per worker"] = "1"
     out["machine"] = f"{platform.system()} {platform.machine()}"
     return out
+
+
+# Checks of spaces: one cylinder in both.
+
+#: 3D and axisymmetric space on one cylinder may differ by so much
+SPACES_TOLERANCE = 0.005
+
+
+def checks_of_spaces(rows: tuple[Mapping[str, Any], ...]) -> Iterator[Check]:
+    """One check for every kind of element: 3D equals axisymmetric space on a cylinder."""
+    for row in rows:
+        kind = listing(list(row["levels"].values())) or "the study's elements"
+        name = f"3D equals axisymmetric space on a cylinder ({kind})"
+        if row["at_end"] is None or row["largest"] is None:
+            yield Check(name, "caution", f"it could not be looked at: {row['message']}")
+            continue
+        flat, solid = row["unknowns"]
+        worst = max(abs(row["at_end"]), abs(row["largest"]))
+        good = worst <= SPACES_TOLERANCE
+        text = (
+            f"the forces on the cylinder of the same cross-section differ by "
+            f"{percent(row['at_end'], 2)} at {row['depth_mm']:g} mm and by at most "
+            f"{percent(abs(row['largest']), 2)} beyond half the depth "
+            f"({solid:,} against {flat:,} unknowns)"
+        )
+        mend = "an effect of the space is none of the discretization"
+        if not good:
+            mend = "so much of the effect of the space is that of the discretization"
+        yield Check(name, "pass" if good else "caution", text, mend)
+
+
+# Checks of what lies between the load steps: energy, and the interpolation of the curve.
+
+#: Largest share of the stored energy by which the work of a test may be off without a snap.
+MISMATCH = 0.002
+
+#: Largest change of a response in per cent where every other load step is left out, in
+#: percentage points; a difference that matters to anybody is ten times larger.
+STEP_CHANGE_PP = 0.05
+
+#: Below this a change is one of rounding, in the unit of the response.
+NOTHING = 1e-12
+
+
+def checks_of_paths(records: Sequence[Record], responses: Sequence[str]) -> Iterator[Check]:
+    """Check energy balance and load steps of every case that was simulated."""
+    solved = [r for r in records if r.converged and "energy_mismatch" in r.solver]
+    if solved:
+        yield _energy(solved)
+    steps = [
+        (name, u, entry["unit"])
+        for record in solved
+        for name, entry in record.responses.items()
+        if (u := entry.get("u_steps")) is not None and name in responses
+    ]
+    if steps:
+        yield _load_steps(steps)
+
+
+def _energy(solved: Sequence[Record]) -> Check:
+    """Compare the work of the test with the energy stored."""
+    name = "work of the test equals stored energy"
+    snapped = [r for r in solved if r.solver.get("snaps_mm")]
+    smooth = [r.solver["energy_mismatch"] for r in solved if not r.solver.get("snaps_mm")]
+    worst = max(smooth, default=0.0)
+    held = max(r.solver.get("stabilization_share", 0.0) for r in solved)
+    finding = (
+        f"the two differ by {_at_most(worst)} of the largest energy where nothing snaps; the "
+        f"stabilization of the elements holds {_at_most(held)} of it"
+    )
+    if not snapped:
+        good = worst <= MISMATCH
+        mend = "the load path is followed closely enough"
+        if not good:
+            mend = "raise test.steps: the force between the load steps is not certain"
+        return Check(name, "pass" if good else "caution", finding, mend)
+    first = snapped[0]
+    place = ", ".join(f"{d:.3g}" for d in first.solver["snaps_mm"])
+    finding += (
+        f"; in {count(len(snapped), 'case')} the surface snaps to another equilibrium, for "
+        f"example past {place} mm in {' / '.join(first.levels.values())}"
+    )
+    return Check(
+        name, "caution", finding,
+        "beyond a snap the force depends on the mesh; see whether a finer mesh snaps as well",
+    )  # fmt: skip
+
+
+def _at_most(fraction: float) -> str:
+    r"""Write an upper bound of a share.
+
+    Examples
+    --------
+    >>> [_at_most(share).replace("\xa0", " ") for share in (0.004, 0.0001, 0.0)]
+    ['at most 0.40 %', 'less than 0.1 %', 'none']
+    """
+    if fraction == 0:
+        return "none"
+    shown = percent(fraction, 2)
+    return shown.replace("< ", "less than ") if shown.startswith("<") else f"at most {shown}"
+
+
+def _load_steps(steps: Sequence[tuple[str, float, str]]) -> Check:
+    """Say what every other load step changes, response by response."""
+    worst: dict[str, tuple[float, str]] = {}
+    for name, u, unit in steps:
+        if u >= worst.get(name, (0.0, ""))[0]:
+            worst[name] = u, "pp" if unit == "%" else unit
+    parts = [
+        f"{name_of(name)} {quantity(u if u > NOTHING else 0.0, unit, 2)}"
+        for name, (u, unit) in worst.items()
+    ]
+    finding = (
+        "with every other load step left out, each response changes by no more than this: "
+        f"{listing(parts)}; it is part of the numerical uncertainty"
+    )
+    name = "responses do not depend on the load steps"
+    if all(u <= STEP_CHANGE_PP for u, unit in worst.values() if unit == "pp"):
+        return Check(name, "pass", finding, "more load steps would change nothing that counts")
+    return Check(name, "caution", finding, "raise test.steps")

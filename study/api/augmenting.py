@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -13,31 +12,36 @@ from typing import TYPE_CHECKING
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from study.api.fitting_surfaces import coded_settings, fit_runs, ranges_of, runs_at
+from study.api.fitting_surfaces import (
+    at_levels,
+    coded_settings,
+    difference_of,
+    labels_of,
+    ranges_of,
+    runs_at,
+)
+from study.api.folders import load_design
 from study.ground.arrays import Array
-from study.ground.errors import Fault, InputError, RefusedError, StudyError
+from study.ground.errors import Fault, InputError, StudyError
 from study.harness.design.generators import d_optimal, efficiency
 from study.harness.design.layout_kinds import share_of, words_of
-from study.harness.design.load import dump, load, loads
+from study.harness.design.load import dump, loads
 from study.harness.design.spec import Design
 from study.harness.design.study_file import Sequential
 from study.harness.record.document import AdaptiveStep
 from study.harness.runner.expansion import relabeled
 from study.harness.runner.provenance import code_version
 from study.mechanics.setup.declaration import Bad
-from study.statistics.analysis.analysis_request import threshold
 from study.statistics.surfaces.emulator import (
     REFERENCES,
     BlockedEmulator,
     Emulator,
     Unsure,
     candidates,
-    fit_blocks,
-    fit_emulator,
+    fit_own,
     next_run,
 )
-from study.statistics.surfaces.gaussian_process import GaussianProcess
-from study.statistics.surfaces.surface_factors import Runs
+from study.statistics.surfaces.surface_result import analysis_of
 
 if TYPE_CHECKING:
     from study.harness.record.record import Record
@@ -145,9 +149,7 @@ def next_cells(design: Design, records: Sequence[Record]) -> tuple[list[list[flo
     rule = design.scheme.sequential
     if rule is None:
         raise ValueError("the design is not adaptive")
-    others = [factor for factor in design.factors if factor.span is None]
-    every = itertools.product(*(factor.labels for factor in others))
-    places = [dict(zip([f.name for f in others], labels, strict=True)) for labels in every]
+    places = labels_of(design)
     fitted = [_fit(design, rule, labels, records) for labels in places]
     size = len(design.treatments)
     errors: dict[str, float] = {}
@@ -181,17 +183,12 @@ def _fit(
         if response.name in _COSTS:
             continue
         try:
-            here = [
-                r for r in records if all(r.levels[name] == label for name, label in labels.items())
-            ]
-            if not any(record.value(response.name) is not None for record in here):
-                raise RefusedError("no cell has an answer")
             runs = runs_at(design, response.name, labels, records)
             if np.ptp(runs.response) <= 1e-12 * float(np.abs(runs.response).max()):
                 continue  # the same in every run: known
-            model = fit_blocks(runs) if len(set(runs.blocks)) > 1 else fit_emulator(runs)
-            models[response.name] = model
-            is_good = _is_known(design, response.name, runs, model, rule)
+            model = models[response.name] = fit_own(runs)
+            practical = difference_of(response.practical, runs.response)
+            is_good = _is_known(model, practical, rule)
         except StudyError:  # without a surface it is not known
             is_good = False
         if not is_good:
@@ -199,26 +196,11 @@ def _fit(
     return _Fitted(models, tuple(still))
 
 
-def _is_known(
-    design: Design,
-    response: str,
-    runs: Runs,
-    model: Emulator | BlockedEmulator,
-    rule: Sequential,
-) -> bool:
+def _is_known(model: Emulator | BlockedEmulator, practical: float | None, rule: Sequential) -> bool:
     """Whether a response is known as well as the design asks for."""
-    if rule.until == "q2":
+    if rule.until == "q2" or practical is None:
         return bool(model.q2 >= rule.q2)
-    matters_from = next(
-        response_spec.practical
-        for response_spec in design.responses
-        if response_spec.name == response
-    )
-    limit = threshold(matters_from)
-    if limit is None:
-        return bool(model.q2 >= rule.q2)
-    practical = limit.on_scale(float(runs.response.mean()), "none")
-    sensitivity = fit_runs(runs, "emulator", practical).sensitivity
+    sensitivity = analysis_of(model, practical).sensitivity
     verdicts = [None if item.range is None else item.range.verdict for item in sensitivity]
     return bool(verdicts) and all(v not in (None, "cannot tell") for v in verdicts)
 
@@ -236,11 +218,13 @@ def _chosen(
     ranges = [factor for factor in design.factors if factor.span is not None]
     power = 1.0 if rule.until == "q2" else _SEARCHING
     unsure = [
-        [Unsure(p, power) for name in place.open if name in place.responses
-         for p in _processes(place.responses[name])]
+        [Unsure(model.process, power) for name in place.open if name in place.responses
+         for model in place.responses[name].each]
         for place in fitted
     ]  # fmt: skip
-    made = [_made(design, labels) for labels in places]
+    # cells of each combination in the unit box, those without an answer too
+    cells = [[cell.levels for cell in at_levels(design.treatments, labels)] for labels in places]
+    made = [0.5 * (coded_settings(design, ranges_of(design), some) + 1.0) for some in cells]
     points = [candidates(len(ranges), rule.seed + n) for n in range(len(places))]
     at = qmc.Sobol(len(ranges), seed=rule.seed + len(places)).random_base2(REFERENCES)
     # where nothing could be fitted comes first: it needs runs most
@@ -255,18 +239,6 @@ def _chosen(
         made[n] = np.vstack([made[n], points[n][best]])
         chosen.append(_cell(design, places[n], points[n][best]))
     return chosen
-
-
-def _processes(model: Emulator | BlockedEmulator) -> list[GaussianProcess]:
-    each = model.each if isinstance(model, BlockedEmulator) else (model,)
-    return [stage.process for stage in each]
-
-
-def _made(design: Design, labels: Mapping[str, str]) -> Array:
-    """Cells of one combination of levels, in the unit box, those without an answer too."""
-    levels_made = [treatment.levels for treatment in design.treatments
-           if all(treatment.levels[name] == label for name, label in labels.items())]  # fmt: skip
-    return 0.5 * (coded_settings(design, ranges_of(design), levels_made) + 1.0)
 
 
 def _cell(design: Design, labels: Mapping[str, str], point: Array) -> list[float]:
@@ -310,15 +282,16 @@ class Augmentation:
 
     def table(self) -> str:
         """Write the table ``[design]`` with all cells: records of those that are done are kept."""
+
+        def key(name: str) -> str:
+            bare = name.replace("_", "").replace("-", "").isalnum()
+            return name if bare else json.dumps(name)
+
         lines = [
-            "    { " + ", ".join(f"{_key(k)} = {json.dumps(v)}" for k, v in cell.items()) + " },"
+            "    { " + ", ".join(f"{key(k)} = {json.dumps(v)}" for k, v in cell.items()) + " },"
             for cell in (*self.own, *self.cells)
         ]
         return "\n".join(["[design]", 'kind = "listed"', "treatments = [", *lines, "]"])
-
-
-def _key(name: str) -> str:
-    return name if name.replace("_", "").replace("-", "").isalnum() else json.dumps(name)
 
 
 def augment(
@@ -328,7 +301,7 @@ def augment(
 
     A design that runs every combination or samples ranges has none, and is refused.
     """
-    loaded = design if isinstance(design, Design) else load(design)
+    loaded = load_design(design)
     rows = loaded.scheme.rows
     factors = loaded.factors
     sizes = [len(factor.levels) for factor in factors]

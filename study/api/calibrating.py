@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from study.api.folders import calibration_root
+from study.api.folders import calibration_root, demo_design
 from study.ground.errors import Fault, InputError
 from study.harness.calibration.calibrate_tests import calibrate as run_calibration
 from study.harness.calibration.calibration_bound import numerical_bound, with_numerical
 from study.harness.calibration.calibration_result import CalibrationResult
 from study.harness.calibration.model_comparison import choose, compare
-from study.harness.design.load import load, load_calibration, loads, template
+from study.harness.design.load import load, load_calibration, template
 from study.harness.record.atomic_files import write_atomic, write_new
 from study.harness.record.folder import own_folder
 from study.harness.runner import provenance
@@ -323,22 +323,12 @@ def virtual(
     ``truth`` is the material behind the specimens (yeoh, ogden or humphrey), of which there are
     ``blocks``, 6 by default; the files get the names that the design gives them below ``out``.
     """
-    from importlib import resources
-
     if source is not None and is_tracking(source):
         if overrides or blocks is not None:
             mend = "leave -s and --specimens out; a tracker has neither"
             raise InputError(Fault(str(source), "is a file of `study tracking`, no design", mend))
         return write_recording(load_tracking(source), Path(out))
-    if source is None:
-        text = (
-            resources.files("study.harness.runner")
-            .joinpath("demo.toml")
-            .read_text(encoding="utf-8")
-        )
-        design = loads(text, "demo.toml", overrides)
-    else:
-        design = load(source, overrides)
+    design = demo_design(overrides) if source is None else load(source, overrides)
     return write_virtual(
         design, Path(out), usual_generator(design, truth_name=truth, blocks=blocks)
     )

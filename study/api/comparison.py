@@ -82,14 +82,15 @@ def compare(first: StudyResult, second: StudyResult) -> Beside:
     names = first.design.name, second.design.name
     if names[0] == names[1]:  # told apart by their folders
         names = f"{names[0]} in {first.folder.parent}", f"{names[1]} in {second.folder.parent}"
-    pairs = _pairs(studies)
+    analyzed = _analyzed(first), _analyzed(second)
+    pairs = [(one, analyzed[1][name]) for name, one in analyzed[0].items() if name in analyzed[1]]
     only = [*_only_responses(studies), *(o for pair in pairs for o in _only_terms(pair))]
     conclusions = tuple(
-        _conclusion(pair.responses[0], (effect, second[key]), names)
-        for pair in pairs
-        for second in (pair.effects(1),)
-        for key, effect in pair.effects(0).items()
-        if key in second
+        _conclusion(response, (effect, others[key]), names)
+        for (response, result), (_, other) in pairs
+        for others in (_effects(other),)
+        for key, effect in _effects(result).items()
+        if key in others
     )
     if not conclusions:
         raise InputError(_nothing(studies, names))
@@ -99,7 +100,7 @@ def compare(first: StudyResult, second: StudyResult) -> Beside:
         conclusions,
         tuple(dict.fromkeys(only)),
         tuple(_warnings(studies, names, pairs)),
-        alphas=(pairs[0].results[0].request.alpha, pairs[0].results[1].request.alpha),
+        alphas=(pairs[0][0][1].request.alpha, pairs[0][1][1].request.alpha),
     )
     return replace(comparison, summary=summary(comparison))
 
@@ -107,21 +108,9 @@ def compare(first: StudyResult, second: StudyResult) -> Beside:
 _Studies = tuple["StudyResult", "StudyResult"]
 
 
-@dataclass(frozen=True)
-class _Pair:
-    """One response that both studies analyzed."""
-
-    responses: tuple[ResponseAnalysis, ResponseAnalysis]
-    results: tuple[AnalysisResult, AnalysisResult]
-
-    @property
-    def name(self) -> str:
-        return self.responses[0].name
-
-    def effects(self, which: int) -> dict[str, Effect]:
-        """Effects by term, whatever the order in which a study names its factors."""
-        estimates = self.results[which].effects
-        return {":".join(sorted(effect.term.split(":"))): effect for effect in estimates}
+#: a response and its analysis, and those of one response in both studies
+_Analyzed = tuple["ResponseAnalysis", "AnalysisResult"]
+_Pair = tuple[_Analyzed, _Analyzed]
 
 
 def _refuse_same(first: Path, second: Path) -> None:
@@ -130,18 +119,15 @@ def _refuse_same(first: Path, second: Path) -> None:
         raise InputError(Fault(str(second), "is the same study as the other one", mend))
 
 
-def _analyzed(study: StudyResult) -> dict[str, ResponseAnalysis]:
-    return {a.name: a for a in study.analyses if a.result is not None and a.result.effects}
+def _analyzed(study: StudyResult) -> dict[str, _Analyzed]:
+    return {
+        a.name: (a, a.result) for a in study.analyses if a.result is not None and a.result.effects
+    }
 
 
-def _pairs(studies: _Studies) -> list[_Pair]:
-    first, second = (_analyzed(study) for study in studies)
-    pairs = []
-    for name in first:
-        result, other = first[name].result, second[name].result if name in second else None
-        if result is not None and other is not None:
-            pairs.append(_Pair((first[name], second[name]), (result, other)))
-    return pairs
+def _effects(result: AnalysisResult) -> dict[str, Effect]:
+    """Effects by term, whatever the order in which a study names its factors."""
+    return {":".join(sorted(effect.term.split(":"))): effect for effect in result.effects}
 
 
 def _only_responses(studies: _Studies) -> Iterator[OnlyInOne]:
@@ -167,7 +153,7 @@ def _reason(analysis: ResponseAnalysis) -> str:
 def _only_terms(pair: _Pair) -> list[OnlyInOne]:
     """Terms of one study alone, and levels of the factors that both have."""
     missing = []
-    effects = first, second = pair.effects(0), pair.effects(1)
+    effects = first, second = _effects(pair[0][1]), _effects(pair[1][1])
     shared = [key for key in first if key in second and ":" not in key]
     for which in (0, 1):
         for key, effect in effects[which].items():
@@ -259,16 +245,15 @@ def _warnings(studies: _Studies, names: tuple[str, str], pairs: Sequence[_Pair])
         if study.failed:
             cases = "1 case" if study.failed == 1 else f"{study.failed} cases"
             yield f"{cases} of {name} failed: its conclusions leave out what failed"
-    for pair in pairs:
-        first, second = pair.responses
+    for (first, _), (second, _) in pairs:
         if first.transform != second.transform:
             yield (
-                f"{pair.name}: transform is {first.transform!r} under {names[0]} and "
+                f"{first.name}: transform is {first.transform!r} under {names[0]} and "
                 f"{second.transform!r} under {names[1]}, so its effects are on different scales"
             )
         if (first.practical, first.relative) != (second.practical, second.relative):
             yield (
-                f"{pair.name}: the smallest difference that matters is not the same in both, so "
+                f"{first.name}: the smallest difference that matters is not the same in both, so "
                 "verdicts may differ without any change of the numbers"
             )
 

@@ -11,9 +11,8 @@ import numpy as np
 import pandas as pd
 
 from study.api.analyzing import analyze
-from study.api.folders import RESULTS, design_root
+from study.api.folders import RESULTS, design_root, load_design
 from study.ground.errors import Fault, InputError, MissingDataError, StudyError
-from study.harness.design.load import load
 from study.harness.design.spec import Design, ResponseSpec
 from study.harness.runner.cost import Costs
 from study.harness.runner.expansion import expand
@@ -172,7 +171,7 @@ def power(
     InputError
         For a faulty design, or a design none of whose responses says what matters.
     """
-    loaded = design if isinstance(design, Design) else load(design, overrides)
+    loaded = load_design(design, overrides)
     if sd is not None and not (math.isfinite(sd) and sd > 0):
         raise InputError(Fault("--sd", f"must be a positive number, got {sd!r}"))
     warnings: list[str] = []

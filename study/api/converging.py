@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from study.api.folders import RESULTS, data_root, design_root, problem_tables
 from study.api.opened_study import load as load_study
-from study.api.uncertainty import uncertainties
 from study.ground.arrays import Array
 from study.ground.canonical import digest, plain
 from study.ground.errors import Fault, InputError
@@ -43,6 +42,7 @@ from study.harness.runner.refinement import (
 )
 from study.harness.runner.refinement import formal_order as promised
 from study.harness.runner.solve_task import SolveTask, by_workers, in_process, kept, slug, store_of
+from study.harness.runner.study_uncertainty import uncertainties
 from study.harness.runner.tasks import default_jobs
 from study.mechanics.forward.closed_form import height_and_area
 from study.mechanics.setup.setup import Setup, Tables, problem_of

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
+import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Literal, Protocol, TypeVar, get_args
 
 import numpy as np
 
-from study.api.analyzing import AnalysisSource, check_taken, provenance
+from study.api.analyzing import AnalysisSource, check_taken, data_of_table
 from study.ground import tabular
 from study.ground.arrays import Array, Flags
 from study.ground.errors import Fault, InputError, RefusedError, StudyError, nearest
@@ -32,9 +35,8 @@ from study.statistics.surfaces.emulator import (
     BlockedEmulator,
     Emulator,
     expected_seconds,
-    fit_blocks,
     fit_blocks_together,
-    fit_emulator,
+    fit_own,
     fit_together,
 )
 from study.statistics.surfaces.quadratic import QuadraticSurface, fit_quadratic
@@ -47,15 +49,15 @@ from study.statistics.surfaces.surface_profile import (
 from study.statistics.surfaces.surface_propagation import propagate
 from study.statistics.surfaces.surface_result import (
     SurfaceAnalysis,
-    analysis_of_emulator,
-    analysis_of_quadratic,
+    analysis_of,
 )
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from study.harness.design.spec import Design, ResponseSpec
+    from study.harness.design.spec import Design
     from study.harness.record.record import Record
+    from study.statistics.analysis.analysis_request import Practical
     from study.statistics.convergence.grid_convergence import NumericalUncertainty
     from study.statistics.surfaces.surface_propagation import Propagated
 
@@ -89,27 +91,9 @@ def check_kind(surface: str) -> None:
         raise InputError(Fault("--surface", f"{surface!r} asks for no surface", mend))
 
 
-def fit_runs(
-    runs: Runs, surface: str = "auto", practical: float | None = None, u: float = 0.0
-) -> SurfaceAnalysis:
-    """Fit runs by the surface that is asked for, or by the one that suits them."""
-    return told(fitted(runs, surface), practical, u)
-
-
 def fitted(runs: Runs, surface: str = "auto") -> QuadraticSurface | Emulator | BlockedEmulator:
-    """Fit runs; errors as for `fit_runs`."""
-    if kind_of(runs, surface) == "quadratic":
-        return fit_quadratic(runs)
-    return fit_blocks(runs) if len(set(runs.blocks)) > 1 else fit_emulator(runs)
-
-
-def told(
-    model: QuadraticSurface | Emulator | BlockedEmulator, practical: float | None, u: float
-) -> SurfaceAnalysis:
-    """Say what a model means."""
-    if isinstance(model, QuadraticSurface):
-        return analysis_of_quadratic(model, practical, u)
-    return analysis_of_emulator(model, practical, u)
+    """Fit runs by the surface that is asked for, or by the one that suits them."""
+    return fit_quadratic(runs) if kind_of(runs, surface) == "quadratic" else fit_own(runs)
 
 
 def fitted_together(
@@ -125,13 +109,13 @@ def fitted_together(
     few = min(len(runs.distinct()[0]) for runs in every) < enough
     if len(every) < 2 or kinds != {"emulator"} or not few:
         return None
-    blocked = len(set(every[0].blocks)) > 1
+    together = fit_blocks_together if len(set(every[0].blocks)) > 1 else fit_together
     try:
-        common = (fit_blocks_together if blocked else fit_together)(every, sizes)
+        common = together(every, sizes)
     except RefusedError:
         return None
     try:
-        apart = [(fit_blocks if blocked else fit_emulator)(runs) for runs in every]
+        apart = [fit_own(runs) for runs in every]
     except RefusedError:
         return common
     worst = [min(model.q2 for model in models) for models in (common, apart)]
@@ -146,7 +130,7 @@ def announce_cost(runs: Runs, announce: Callable[[str], None] | None) -> None:
         announce(f"an emulator of {runs.response.size} runs takes about {seconds:.0f} s")
 
 
-def difference_of(practical: float | str | None, response: Array) -> float | None:
+def difference_of(practical: Practical, response: Array) -> float | None:
     """Read the smallest difference that matters, in the unit of a response.
 
     Shapes: response (n,).
@@ -386,23 +370,53 @@ def fit_surfaces(  # noqa: PLR0913  # the public face: one keyword for each thin
         announce_cost(runs, announce)
     difference = difference_of(practical, runs.response)
     sizes = [len({place[name] for place in places}) for name in factors]
-    common = (
-        _level_surfaces_together(runs, rows, sizes, surface)
-        if len(rows) == np.prod(sizes)
-        else None
-    )
-    each = [
-        _level_surfaces_fitted(
-            runs, here, place, surface, difference, None if common is None else common[k]
-        )
-        for k, (place, here) in enumerate(zip(places, rows, strict=True))
-    ]
+    each = _surfaces_at(
+        FittedSurface(runs.name, "", None, practical=difference), places, sizes, surface,
+        [partial(_some, runs, here) for here in rows], difference,
+    )  # fmt: skip
     if all(fitted.found is None for fitted in each):
         raise RefusedError(f"no combination carries a surface: {each[0].refused}")
-    each = _noted(each, (*table.notes, *notes), surface)
-    return tuple(
-        replace(fitted, differences=differences(fitted, each, places[0])) for fitted in each
-    )
+    return _compared(_noted(each, (*table.notes, *notes), surface))
+
+
+def _surfaces_at(
+    blank: FittedSurface,
+    places: Sequence[Mapping[str, str]],
+    sizes: Sequence[int],
+    surface: str,
+    makers: Sequence[Callable[[], Runs]],
+    practical: Practical,
+) -> list[FittedSurface]:
+    """Surface at every combination of labels, or why there is none.
+
+    Where there are no labels a table is alone, and what keeps its surface is raised.
+    """
+    every: list[Runs | StudyError] = []
+    for made_of in makers:
+        try:
+            every.append(made_of())
+        except StudyError as error:
+            every.append(error)
+    good, together = [one for one in every if isinstance(one, Runs)], None
+    if len(good) == len(places) == math.prod(sizes):
+        # what is wrong with a combination is said where it is fitted
+        with contextlib.suppress(StudyError):
+            together = fitted_together(good, sizes, surface)
+    each = []
+    for k, (labels, runs) in enumerate(zip(places, every, strict=True)):
+        fitted_here = replace(blank, labels=labels)
+        try:
+            if not isinstance(runs, Runs):
+                raise runs
+            fitted_here = replace(fitted_here, practical=difference_of(practical, runs.response))
+            model = fitted(runs, surface) if together is None else together[k]
+            made = analysis_of(model, fitted_here.practical, blank.bound or 0.0)
+            each.append(replace(fitted_here, found=made))
+        except StudyError as error:
+            if not labels and not blank.units:
+                raise
+            each.append(replace(fitted_here, refused=str(error)))
+    return each
 
 
 def _places(
@@ -434,35 +448,6 @@ def _some(runs: Runs, here: Flags) -> Runs:
     return replace(runs, coded=runs.coded[here], response=runs.response[here], blocks=blocks)
 
 
-def _level_surfaces_together(
-    runs: Runs, rows: Sequence[Flags], sizes: Sequence[int], surface: str
-) -> tuple[Emulator | BlockedEmulator, ...] | None:
-    """Models of all combinations by one emulator, where that is the better one."""
-    try:
-        return fitted_together([_some(runs, here) for here in rows], sizes, surface)
-    except StudyError:
-        return None  # what is wrong with a combination is said where it is fitted
-
-
-def _level_surfaces_fitted(
-    runs: Runs,
-    here: Flags,
-    place: Mapping[str, str],
-    surface: str,
-    practical: float | None,
-    model: Emulator | BlockedEmulator | None,
-) -> FittedSurface:
-    """Surface at one combination, or why there is none: raised where there are no labels."""
-    try:
-        fitted_model = fitted(_some(runs, here), surface) if model is None else model
-        made = told(fitted_model, practical, 0.0)
-    except StudyError as error:
-        if not place:
-            raise
-        return FittedSurface(runs.name, "", None, str(error), place, practical)
-    return FittedSurface(runs.name, "", made, "", place, practical)
-
-
 def _noted(
     each: Sequence[FittedSurface], of_table: Sequence[str], surface: str
 ) -> list[FittedSurface]:
@@ -478,7 +463,14 @@ def _noted(
     return noted
 
 
-def differences(
+def _compared(each: Sequence[FittedSurface]) -> tuple[FittedSurface, ...]:
+    """Surfaces with their differences from those at the first levels."""
+    return tuple(
+        replace(fitted, differences=_differences(fitted, each, each[0].labels)) for fitted in each
+    )
+
+
+def _differences(
     fitted: FittedSurface, each: Sequence[FittedSurface], first: Mapping[str, str]
 ) -> tuple[LevelDifference, ...]:
     """Compare a surface with those at the first levels of the other factors, one at a time."""
@@ -524,73 +516,58 @@ def surfaces(
     """
     if not is_numeric(design):
         return ()
-    others = [factor for factor in design.factors if factor.span is None]
     originals = [record for record in records if not is_repeat(record.extra)]
-    combinations = itertools.product(*(factor.labels for factor in others))
-    places = [dict(zip([f.name for f in others], labels, strict=True)) for labels in combinations]
-    fitted_all: list[FittedSurface] = []
+    places, sizes = labels_of(design), [len(f.labels) for f in design.factors if f.span is None]
+    units_of = {f.name: f.span.unit for f in design.factors if f.span is not None}
+    surfaces_fitted: list[FittedSurface] = []
     for response in design.responses:
         half_width = _half_width(response.name, records, numerical)
-        question = _Asked(
-            design, response, half_width, *_answered(design, response.name, originals)
+        factors, ends = _answered(design, response.name, originals)
+        here = [at_levels(originals, labels) for labels in places]
+        good = [[r for r in some if r.value(response.name) is not None] for some in here]
+        # each of two settings may be off by its own bound
+        bound = None if half_width is None else 2.0 * half_width
+        each = _surfaces_at(
+            FittedSurface(response.name, response.unit, None, bound=bound, units=units_of),
+            places, sizes, design.analysis.surface,
+            [partial(_runs_of_records, design, response.name, some, half_width, factors)
+             for some in good],
+            response.practical,
+        )  # fmt: skip
+        lost = [len(some) - len(answered) for some, answered in zip(here, good, strict=True)]
+        surfaces_fitted += _compared(
+            [_finished(design, one, n, ends) for one, n in zip(each, lost, strict=True)]
         )
-        together = _study_surface_together(question, places, originals)
-        each = [_study_surface_fitted(question, labels, originals, together.get(place))
-                for place, labels in enumerate(places)]  # fmt: skip
-        first = {factor.name: factor.labels[0] for factor in others}
-        fitted_all += [
-            replace(fitted, differences=differences(fitted, each, first)) for fitted in each
-        ]
-    return tuple(fitted_all)
+    return tuple(surfaces_fitted)
 
 
-@dataclass(frozen=True)
-class _Asked:
-    """A response of a design, and the largest numerical half-width of its runs.
-
-    Its factors have the ranges over which runs have answers, and ``ends`` says which are cut.
-    """
-
-    design: Design
-    response: ResponseSpec
-    half_width: float | None
-    factors: tuple[NumericFactor, ...]
-    ends: tuple[str, ...]
-
-    def good(
-        self, labels: Mapping[str, str], records: Sequence[Record]
-    ) -> tuple[list[Record], int]:
-        """Collect the runs with an answer at some levels, and count those without."""
-        here = [r for r in records if all(r.levels[n] == label for n, label in labels.items())]
-        answered = [record for record in here if record.value(self.response.name) is not None]
-        return answered, len(here) - len(answered)
-
-    def runs(self, records: Sequence[Record]) -> Runs:
-        """Code the settings of runs."""
-        return _runs(self.design, self.response.name, records, self.half_width, self.factors)
+def labels_of(design: Design) -> list[dict[str, str]]:
+    """Every combination of labels of the factors that are no numbers."""
+    others = {factor.name: factor.labels for factor in design.factors if factor.span is None}
+    combinations = itertools.product(*others.values())
+    return [dict(zip(others, labels, strict=True)) for labels in combinations]
 
 
-def _study_surface_together(
-    question: _Asked, places: Sequence[Mapping[str, str]], records: Sequence[Record]
-) -> Mapping[int, Emulator | BlockedEmulator]:
-    """Fit the runs at all combinations of levels together, where that predicts better."""
-    design = question.design
-    sizes = [len(f.labels) for f in design.factors if f.span is None]
-    try:
-        every = [question.runs(question.good(labels, records)[0]) for labels in places]
-        models = fitted_together(every, sizes, design.analysis.surface)
-    except StudyError:
-        return {}
-    return {} if models is None else dict(enumerate(models))
+class _AtLevels(Protocol):
+    @property
+    def levels(self) -> Mapping[str, str]: ...
+
+
+T = TypeVar("T", bound=_AtLevels)
+
+
+def at_levels(records: Sequence[T], labels: Mapping[str, str]) -> list[T]:
+    """Choose the records, or the cells, at a combination of labels."""
+    return [r for r in records if all(r.levels[name] == label for name, label in labels.items())]
 
 
 def runs_at(
     design: Design, response: str, labels: Mapping[str, str], records: Sequence[Record]
 ) -> Runs:
     """Return the runs of a response that have an answer, at one combination of other levels."""
-    here = [r for r in records if all(r.levels[name] == label for name, label in labels.items())]
-    good = [r for r in here if not is_repeat(r.extra) and r.value(response) is not None]
-    return _runs(design, response, good, None, ranges_of(design))
+    good = [r for r in at_levels(records, labels)
+            if not is_repeat(r.extra) and r.value(response) is not None]  # fmt: skip
+    return _runs_of_records(design, response, good, None, ranges_of(design))
 
 
 def _half_width(
@@ -605,37 +582,18 @@ def _half_width(
     return max(meshes) + max(steps, default=0.0)
 
 
-def _study_surface_fitted(
-    question: _Asked,
-    labels: Mapping[str, str],
-    records: Sequence[Record],
-    model: Emulator | BlockedEmulator | None,
+def _finished(
+    design: Design, fitted: FittedSurface, lost: int, ends: Sequence[str]
 ) -> FittedSurface:
-    design, response = question.design, question.response
-    good, lost = question.good(labels, records)
-    rule = f"{count(lost, 'run')} without an answer left out; nothing is put in the place"
-    left_out = (rule,) if lost else ()
-    # each of two settings may be off by its own bound
-    bound = None if question.half_width is None else 2.0 * question.half_width
-    practical = None
-    units_of = {f.name: f.span.unit for f in design.factors if f.span is not None}
-    try:
-        runs = question.runs(good)
-        limit = threshold(response.practical)
-        if limit is not None:
-            practical = limit.on_scale(float(runs.response.mean()), "none")
-        fitted_model = fitted(runs, design.analysis.surface) if model is None else model
-        made = told(fitted_model, practical, bound or 0.0).noted(*left_out, *question.ends)
-        uncertain, refused = _propagated(design, made)
-        made = made.noted(refused) if refused else made
-    except StudyError as error:
-        return FittedSurface(
-            response.name, response.unit, None, str(error), labels, practical, bound, units_of
-        )
-    words = {name: span.words(units_of[name]) for name, span in design.inputs.items()}
-    return FittedSurface(
-        response.name, response.unit, made, "", labels, practical, bound, units_of, uncertain,
-        words,
+    """Add what is to be said of the runs, and what uncertain inputs do."""
+    if fitted.found is None:
+        return fitted
+    left_out = f"{count(lost, 'run')} without an answer left out; nothing is put in the place"
+    uncertain, refused = _propagated(design, fitted.found)
+    notes = [*([refused] if refused else []), *([left_out] if lost else []), *ends]
+    return replace(
+        fitted, found=fitted.found.noted(*notes), uncertain=uncertain,
+        inputs={name: span.words(fitted.units[name]) for name, span in design.inputs.items()},
     )  # fmt: skip
 
 
@@ -702,7 +660,7 @@ def _end(name: str, side: str, value: float) -> str:
     return f"no run with {name} {side} {value:.4g} has an answer: nothing is said there"
 
 
-def _runs(
+def _runs_of_records(
     design: Design,
     response: str,
     records: Sequence[Record],
@@ -732,40 +690,26 @@ def table_data(fits: Sequence[FittedSurface], source: AnalysisSource) -> ReportD
     """Gather what a report shows of the surfaces of one response of a table."""
     import pandas as pd
 
-    runs = next(fitted.found for fitted in fits if fitted.found is not None).runs
-    parts = [_rows(fitted.found.runs, fitted.labels) for fitted in fits if fitted.found is not None]
-    table = pd.concat(parts, ignore_index=True)
+    good = [(fitted.found.runs, fitted.labels) for fitted in fits if fitted.found is not None]
+    table = pd.concat([_rows(runs, labels) for runs, labels in good], ignore_index=True)
     table.insert(0, "case_id", [str(n + 1) for n in range(len(table))])
-    ends = {f.name: (f.low, f.high) for f in runs.factors}
-    labels = list(fits[0].labels)
-    return ReportData(
-        name=source.name,
-        question=f"How does {runs.name} depend on {', '.join([*labels, *runs.names])}?",
-        factors={name: tuple(table[name].unique()) for name in (*labels, *runs.names)},
-        table=table,
-        responses=(
-            ResponseAnalysis(
-                runs.name,
-                "",
-                None,
-                practical=fits[0].practical,
-                title=runs.name,
-                refused=SEE_SURFACE,
-            ),
+    runs, names = good[0][0], [*fits[0].labels, *good[0][0].names]
+    data = data_of_table(
+        source,
+        ResponseAnalysis(
+            runs.name, "", None, practical=fits[0].practical, title=runs.name, refused=SEE_SURFACE
         ),
+        f"How does {runs.name} depend on {', '.join(names)}?",
+        {name: tuple(table[name].unique()) for name in names},
+        table,
+        sum(len(one.distinct()[0]) for one, _ in good),
+    )
+    return replace(
+        data,
         block="block" if runs.blocks else "",
         blocks=tuple(table["block"].unique()) if runs.blocks else (),
-        citation="" if source.path is None else source.path.name,
-        provenance=provenance(source),
-        commands=source.commands(),
-        scheme=f"a table of {len(table):,} rows was analyzed",
-        cells=sum(
-            len(fitted.found.runs.distinct()[0]) for fitted in fits if fitted.found is not None
-        ),
-        labels={name: name for name in (runs.name, *labels, *runs.names)},
         surfaces=tuple(fits),
-        ranges={name: f"{low:g} to {high:g}" for name, (low, high) in ends.items()},
-        is_table=True,
+        ranges={f.name: f"{f.low:g} to {f.high:g}" for f in runs.factors},
     )
 
 

@@ -9,7 +9,13 @@ from pathlib import Path
 from study.ground.errors import Fault, InputError
 from study.harness.design.calibration_section import CalibrationDesign
 from study.harness.design.cell import Config
-from study.harness.design.load import from_tables, load, load_problem, loads_problem
+from study.harness.design.load import (
+    from_tables,
+    load,
+    load_problem,
+    loads,
+    loads_problem,
+)
 from study.harness.design.spec import Design
 from study.harness.record.document import ManifestDocument
 from study.harness.record.store import Store
@@ -21,6 +27,51 @@ from study.mechanics.setup.setup import Tables
 
 RESULTS = Path("results")
 REPORTS = Path("reports")
+
+
+def load_design(
+    design: Design | Mapping[str, object] | str | Path, overrides: Sequence[str] = ()
+) -> Design:
+    """Load a design from its file, or make it of the tables that a file would have.
+
+    Parameters
+    ----------
+    design : Design, mapping, str or Path
+        A file; or its keys, with texts that have a unit or numbers in mm, N, MPa and deg.
+    overrides : sequence of str
+        ``key=value`` each, laid over the file before it is validated.
+
+    Returns
+    -------
+    Design
+        The validated study.
+
+    Raises
+    ------
+    InputError
+        With every fault of the file.
+    """
+    if isinstance(design, Design):
+        return design
+    if isinstance(design, Mapping):
+        return loads(from_tables(design), "design", overrides)
+    return load(design, overrides)
+
+
+def is_table(source: str | Path) -> bool:
+    """Whether a table is named, not a study: a file of runs, there or not."""
+    path = Path(source)
+    if path.suffix == ".toml" or path.is_dir():
+        return False
+    return path.is_file() or path.suffix in (".csv", ".gz", ".txt", ".tsv")
+
+
+def demo_design(overrides: Sequence[str] = ()) -> Design:
+    """Design of the embedded study."""
+    from importlib import resources
+
+    text = resources.files("study.harness.runner").joinpath("demo.toml").read_text(encoding="utf-8")
+    return loads(text, "demo.toml", overrides)
 
 
 def data_root(

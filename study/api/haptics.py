@@ -11,8 +11,7 @@ import numpy as np
 
 from study.api.comparison import why
 from study.api.folders import REPORTS, RESULTS, data_root, finished_manifest, results_folder
-from study.api.opened_study import load as load_study
-from study.api.predicting import surfaces_of
+from study.api.predicting import opened, surfaces_of
 from study.api.solving import solve
 from study.ground.arrays import Array
 from study.ground.bounded_file import UnreadableError, read_json
@@ -463,7 +462,7 @@ def export_surface(
     InputError
         If the study has no surface, or not that response; nothing is written.
     """
-    study = load_study(path, results) if isinstance(path, str | Path) else path
+    study = opened(path, results)
     chosen = surfaces_of(study, response)
     good = [fitted for fitted in chosen if fitted.found is not None]
     if not good:

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study import api
-from study.api.fitting_surfaces import coded_settings, ranges_of
+from study.api.fitting_surfaces import at_levels, coded_settings, ranges_of
 from study.api.folders import RESULTS
 from study.api.predicting import (
     Permission,
     confirm,
+    given,
     joined,
-    number_in_unit,
+    opened,
     unknown_factors,
 )
 from study.ground import tabular, units
@@ -25,8 +25,8 @@ from study.ground.errors import Fault, InputError, RefusedError
 from study.harness.record.record import is_repeat
 from study.harness.record.store import Store
 from study.mechanics.calibration.serial_correlation import effective_rows
-from study.reporting.results.study_answers import Checked, Determined, InputSet, Inverted
-from study.statistics.surfaces.surface_factors import Runs
+from study.reporting.results.study_answers import Checked, InputSet, Inverted
+from study.statistics.surfaces.surface_factors import Runs, never_run
 from study.statistics.surfaces.surface_inversion import InversionAgreement, agreeing
 from study.statistics.surfaces.surface_profile import CurveEmulator, fit_curves
 
@@ -100,42 +100,32 @@ def invert(  # noqa: PLR0913  # the public face: one keyword for each thing that
     RefusedError
         If the emulator does not predict left-out curves (a Q2 below .9), or no curve agrees.
     """
-    study = api.load(path, results) if isinstance(path, str | Path) else path
-    given = _known(study, dict(at or {}))
-    curve, notes = _read(Path(to), columns, in_units, decimal), []
+    study = opened(path, results)
+    numbers, labels = _known(study, dict(at or {}))
+    whole = _read(Path(to), columns, in_units, decimal)
     more = joined(study.design, Store(study.folder), study.manifest)
-    every = [*study.records, *more.records]
-    here = [
-        record for record in every if all(record.levels[n] == v for n, v in given.labels.items())
-    ]
     records = [
         record
-        for record in here
+        for record in at_levels([*study.records, *more.records], labels)
         if record.converged and not is_repeat(record.extra) and record.first_prediction()
     ]
-    curve, cut = _covered(curve, records, Path(to))
-    notes += cut
-    answer, runs, said = _solved(
-        study, given, curve, records, _share(within), confirming, permission
-    )
-    return _told(study, given, curve, answer, runs, [*notes, *said])
+    curve, notes = _covered(whole, records, Path(to))
+    question = _Inversion(study, numbers, labels, curve, _share(within))
+    if not confirming:
+        return question.told(question.checked(question.fitted(records)), (), notes)
+    return _confirmed(question, records, permission or Permission(), notes)
 
 
 @dataclass(frozen=True)
-class _Known:
-    """Inputs that are known: ranges in their units, labels of the others."""
-
-    numbers: Mapping[str, float]
-    labels: Mapping[str, str]
-
-
-@dataclass(frozen=True)
-class _Found:
+class _Answer:
     """A set, and the emulator that it comes from."""
 
     model: CurveEmulator
     set: InversionAgreement
-    residual: Array
+
+    def judged(self, run: Checked) -> Checked:
+        """Say whether a run agrees; its settings are rounded to a ten-thousandth of their range."""
+        return replace(run, agrees=bool(run.rms <= 1.02 * self.set.limit))
 
 
 def _share(within: str | None) -> float | None:
@@ -148,7 +138,9 @@ def _share(within: str | None) -> float | None:
     return share
 
 
-def _known(study: StudyResult, at: Mapping[str, Setting]) -> _Known:
+def _known(
+    study: StudyResult, at: Mapping[str, Setting]
+) -> tuple[dict[str, float], dict[str, str]]:
     """Read the inputs that are known, and check that something is asked for."""
     design, factors = study.design, {factor.name: factor for factor in study.design.factors}
     ranges = [n for n, f in factors.items() if f.span is not None]
@@ -161,15 +153,15 @@ def _known(study: StudyResult, at: Mapping[str, Setting]) -> _Known:
         if factor.span is None and str(at.get(name, "")) not in factor.labels:
             rule = "is no number: say at which of its levels the test was made"
             faults.append(Fault(name, rule, f"--at {name}={factor.labels[0]}"))
-    if len([n for n in ranges if n not in at]) == 0:
+    if all(n in at for n in ranges):
         faults.append(Fault("--at", "holds every number", "leave those out that are asked for"))
     if any(record.block is not None for record in study.records):
         rule = "is a study with measurements: its constants come from fits"
         faults.append(Fault(design.name, rule, "use study calibrate, or a study of simulations"))
     if faults:
         raise InputError(faults)
-    numbers = {n: float(number_in_unit(factors[n], at[n])[0]) for n in ranges if n in at}
-    return _Known(numbers, {n: str(at[n]) for n, f in factors.items() if f.span is None})
+    numbers, labels = given(design, at)
+    return {n: float(values[0]) for n, values in numbers.items()}, labels
 
 
 def _read(source: Path, columns: Sequence[str], in_units: Sequence[str], decimal: str) -> Curve:
@@ -211,66 +203,108 @@ def _covered(curve: Curve, records: Sequence[Record], source: Path) -> tuple[Cur
     return Curve(curve.displacement_mm[inside], curve.force_N[inside]), lines if lost else []
 
 
-def _runs(study: StudyResult, records: Sequence[Record]) -> Runs:
-    """Coded settings of runs."""
-    more = joined(study.design, Store(study.folder), study.manifest)
-    factors = ranges_of(more.design)
-    coded = coded_settings(more.design, factors, [record.levels for record in records])
-    return Runs("force", factors, coded, np.zeros(len(records)))
+@dataclass(frozen=True)
+class _Inversion:
+    """A measured curve, and the study whose inputs are to be found."""
 
+    study: StudyResult
+    #: Known inputs: ranges in their units, labels of the others.
+    numbers: Mapping[str, float]
+    labels: Mapping[str, str]
+    curve: Curve
+    #: What an agreeing curve may miss, over the measured one; None for the region of least squares.
+    share: float | None
 
-def _fitted(
-    study: StudyResult,
-    given: _Known,
-    curve: Curve,
-    records: Sequence[Record],
-    share: float | None,
-) -> _Found:
-    """Emulate the curves, and find the set."""
-    runs = _runs(study, records)
-    curves = np.array([c.force_at(curve.displacement_mm) for r in records
-                       if (c := r.first_prediction())])  # fmt: skip
-    model = fit_curves(runs, curves, study.design.seed)
-    held = np.array([runs.coded_inside(n, given.numbers[n]) if n in given.numbers else np.nan
-                     for n in runs.names])  # fmt: skip
-    size = float(np.sqrt(np.mean(curve.force_N**2)))
-    largest = None if share is None else share * size
-    solutions = agreeing(model, curve.force_N, held, largest=largest)
-    residual = np.asarray(curve.force_N - model.value(solutions.at[None, :])[0])
-    if share is None and residual.size >= _TOO_FEW:
-        square = float(residual @ residual)
-        worth = effective_rows(
-            residual.size, float(residual[1:] @ residual[:-1]) / square if square > 0 else 0.0
+    def runs(self, records: Sequence[Record]) -> Runs:
+        """Coded settings of runs."""
+        study = self.study
+        design = joined(study.design, Store(study.folder), study.manifest).design
+        factors = ranges_of(design)
+        coded = coded_settings(design, factors, [record.levels for record in records])
+        return Runs("force", factors, coded, np.zeros(len(records)))
+
+    @property
+    def size(self) -> float:
+        """Root mean square of the measured force in N."""
+        return float(np.sqrt(np.mean(self.curve.force_N**2)))
+
+    def fitted(self, records: Sequence[Record]) -> _Answer:
+        """Emulate the curves, and find the set."""
+        runs, curve = self.runs(records), self.curve
+        curves = np.array([c.force_at(curve.displacement_mm) for r in records
+                           if (c := r.first_prediction())])  # fmt: skip
+        model = fit_curves(runs, curves, self.study.design.seed)
+        held = np.array([runs.coded_inside(n, self.numbers[n]) if n in self.numbers else np.nan
+                         for n in runs.names])  # fmt: skip
+        largest = None if self.share is None else self.share * self.size
+        solutions = agreeing(model, curve.force_N, held, largest=largest)
+        residual = np.asarray(curve.force_N - model.value(solutions.at[None, :])[0])
+        if self.share is None and residual.size >= _TOO_FEW:
+            square = float(residual @ residual)
+            worth = effective_rows(
+                residual.size, float(residual[1:] @ residual[:-1]) / square if square > 0 else 0.0
+            )
+            solutions = agreeing(model, curve.force_N, held, rows_worth=worth)
+        return _Answer(model, solutions)
+
+    def checked(self, answer: _Answer) -> _Answer:
+        """Refuse an answer whose best curve misses more than it may."""
+        if self.share is None or answer.set.rms <= answer.set.limit:
+            return answer
+        rule = (
+            f"no curve inside of what was run agrees within {100 * self.share:.3g} %: the best "
+            f"misses {100 * answer.set.rms / self.size:.3g} %"
         )
-        solutions = agreeing(model, curve.force_N, held, rows_worth=worth)
-    return _Found(model, solutions, residual)
+        mend = "widen the ranges, ask for less, or look for what the model lacks"
+        raise RefusedError(str(Fault("invert", rule, mend)))
+
+    def run(
+        self, answer: _Answer, at: Array, permission: Permission
+    ) -> tuple[Checked, Record | None]:
+        """Run the true model at a setting."""
+        settings = answer.model.runs.settings(at)
+        records = confirm(self.study, settings, self.labels, permission)
+        levels = dict(records[0].levels) if records else {}
+        if not records or not records[0].converged:
+            return Checked(levels, float("nan"), False), None
+        missed = _force(records[0], self.curve) - self.curve.force_N
+        return Checked(levels, float(np.sqrt(np.mean(missed**2))), False), records[0]
+
+    def told(self, answer: _Answer, runs: Sequence[Checked], notes: Sequence[str]) -> Inverted:
+        """Say the answer in the units of the inputs."""
+        coded, result = answer.model.runs, answer.set
+        units_of = {f.name: f.span.unit for f in self.study.design.factors if f.span is not None}
+        best, low, high = (coded.settings(point) for point in (result.at, result.low, result.high))
+        inputs = tuple(
+            InputSet(n, units_of[n], best[n], low[n], high[n],
+                     bool(result.open_low[j]), bool(result.open_high[j]))
+            for j, n in enumerate(coded.names) if n not in self.numbers
+        )  # fmt: skip
+        disagree = "a run of the true model does not agree: add runs to the study"
+        return Inverted(
+            inputs, result.combinations, {**self.labels, **self.numbers}, units_of, result.rms,
+            result.limit, result.rms / self.size, self.curve.force_N.size, answer.model.q2,
+            tuple(coded.settings(point) for point in result.points),
+            runs[0] if runs else None, tuple(runs[1:]),
+            (*notes, *never_run(coded, result.points),
+             *([] if all(run.agrees for run in runs) else [disagree])),
+        )  # fmt: skip
 
 
-def _solved(
-    study: StudyResult,
-    given: _Known,
-    curve: Curve,
-    records: list[Record],
-    share: float | None,
-    confirming: bool,
-    permission: Permission | None,
-) -> tuple[_Found, tuple[Checked, ...], list[str]]:
+def _confirmed(
+    question: _Inversion, records: list[Record], permission: Permission, notes: Sequence[str]
+) -> Inverted:
     """Let the true model run at the best setting until the emulator says the same there."""
-    allowed = permission or Permission()
-    answer = _fitted(study, given, curve, records, share)
-    if not confirming:
-        _check_agrees(answer, curve, share)
-        return answer, (), []
-    run, notes = None, list[str]()
+    answer, run, notes = question.fitted(records), None, [*notes]
     for _ in range(ROUNDS):
-        run, record = _run(study, given, curve, answer, answer.set.at, allowed)
+        run, record = question.run(answer, answer.set.at, permission)
         if record is None:
             break
-        force = _force(record, curve)
-        missed = force - answer.model.value(_runs(study, [*records, record]).coded[-1:])[0]
+        emulated = answer.model.value(question.runs([*records, record]).coded[-1:])[0]
+        missed = _force(record, question.curve) - emulated
         if record.case_id not in {earlier.case_id for earlier in records}:
             records.append(record)
-            answer = _fitted(study, given, curve, records, share)
+            answer = question.fitted(records)
         if (apart := float(np.sqrt(np.mean(missed**2)))) <= answer.model.loo_rms:
             break
     else:
@@ -279,45 +313,12 @@ def _solved(
             f"there by {apart:.3g} N, more than its own error of {answer.model.loo_rms:.3g} N: add "
             "runs near that setting to the study"
         )
-    _check_agrees(answer, curve, share)
+    found = question.checked(answer).set
     ends = []
-    if answer.set.combinations or answer.set.open_low.any() or answer.set.open_high.any():
-        ends = [_run(study, given, curve, answer, at_end, allowed)[0] for at_end in answer.set.ends]
-    first = [] if run is None else [_judged(run, answer)]
-    return answer, (*first, *(_judged(checked, answer) for checked in ends)), notes
-
-
-def _judged(run: Checked, answer: _Found) -> Checked:
-    # settings of a run are rounded to a ten-thousandth of their range
-    return Checked(run.settings, run.rms, bool(run.rms <= 1.02 * answer.set.limit))
-
-
-def _check_agrees(answer: _Found, curve: Curve, share: float | None) -> None:
-    if share is None or answer.set.rms <= answer.set.limit:
-        return
-    best = answer.set.rms / float(np.sqrt(np.mean(curve.force_N**2)))
-    rule = f"no curve inside of what was run agrees within {100 * share:.3g} %: the best misses"
-    mend = "widen the ranges, ask for less, or look for what the model lacks"
-    raise RefusedError(str(Fault("invert", f"{rule} {100 * best:.3g} %", mend)))
-
-
-def _run(
-    study: StudyResult,
-    given: _Known,
-    curve: Curve,
-    answer: _Found,
-    at: Array,
-    permission: Permission,
-) -> tuple[Checked, Record | None]:
-    """Run the true model at a setting."""
-    settings = answer.model.runs.settings(at)
-    records = confirm(study, settings, given.labels, permission)
-    record = records[0] if records and records[0].converged else None
-    levels = dict(records[0].levels) if records else {}
-    if record is None:
-        return Checked(levels, float("nan"), False), None
-    rms = float(np.sqrt(np.mean((_force(record, curve) - curve.force_N) ** 2)))
-    return Checked(levels, rms, False), record
+    if found.combinations or found.open_low.any() or found.open_high.any():
+        ends = [question.run(answer, at_end, permission)[0] for at_end in found.ends]
+    runs = [] if run is None else [answer.judged(one) for one in (run, *ends)]
+    return question.told(answer, runs, notes)
 
 
 def _force(record: Record, curve: Curve) -> Array:
@@ -325,36 +326,3 @@ def _force(record: Record, curve: Curve) -> Array:
     if predicted is None:
         raise RefusedError("a confirming run has no curve")
     return predicted.force_at(curve.displacement_mm)
-
-
-def _told(
-    study: StudyResult,
-    given: _Known,
-    curve: Curve,
-    answer: _Found,
-    runs: Sequence[Checked],
-    notes: Sequence[str],
-) -> Inverted:
-    own, result = answer.model.runs, answer.set
-    units_of = {f.name: f.span.unit for f in study.design.factors if f.span is not None}
-    ends = [own.settings(point) for point in (result.at, result.low, result.high)]
-    inputs = tuple(
-        InputSet(n, units_of[n], ends[0][n], ends[1][n], ends[2][n],
-                 bool(result.open_low[j]), bool(result.open_high[j]))
-        for j, n in enumerate(own.names) if n not in given.numbers
-    )  # fmt: skip
-    combinations = tuple(
-        Determined({n: float(e) for n, e in zip(own.names, pair.exponents, strict=True) if e},
-                   pair.value, pair.ratio)
-        for pair in result.combinations
-    )  # fmt: skip
-    notes_of = [*notes]
-    if runs and not all(run.agrees for run in runs):
-        notes_of.append("a run of the true model does not agree: add runs to the study")
-    size = float(np.sqrt(np.mean(curve.force_N**2)))
-    members = tuple(own.settings(point) for point in result.points)
-    return Inverted(
-        inputs, combinations, {**given.labels, **given.numbers}, units_of, result.rms, result.limit,
-        result.rms / size, curve.force_N.size, answer.model.q2, members,
-        runs[0] if runs else None, tuple(runs[1:]), tuple(notes_of),
-    )  # fmt: skip

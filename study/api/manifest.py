@@ -37,11 +37,18 @@ def changes(first: StudyResult, second: StudyResult) -> tuple[Change, ...]:
     studies = (first, second)
     return (
         *_differing("design", *(_named_keys(study.design.config) for study in studies)),
-        *_differing("extent", *(_extent(study) for study in studies)),
-        *_differing("measurements", *(_files(study) for study in studies)),
+        *_differing("extent", *(
+            {"cases": str(study.total), "blocks": f"{len(blocks)} ({', '.join(map(str, blocks))})"}
+            for study in studies for blocks in [study.manifest["blocks"]]
+        )),
+        *_differing("measurements", *(
+            _sums(study.manifest.get("files", {}))
+            | {"kind": "virtual specimens" if study.manifest["virtual"] else "measured"}
+            for study in studies
+        )),
         *_truths(first, second),
         *_differing("code", *(_code(study.manifest.get("versions", {})) for study in studies)),
-    )
+    )  # fmt: skip
 
 
 def run_changes(first: ManifestDocument, second: ManifestDocument) -> tuple[Change, ...]:
@@ -86,18 +93,6 @@ def _text(value: Any) -> str:
     if isinstance(value, Mapping):
         return ", ".join(f"{k} = {_text(v)}" for k, v in value.items())
     return str(value).lower() if isinstance(value, bool) else str(value)
-
-
-def _extent(study: StudyResult) -> dict[str, str]:
-    """How much was computed: cases and blocks."""
-    blocks = study.manifest["blocks"]
-    return {"cases": str(study.total), "blocks": f"{len(blocks)} ({', '.join(map(str, blocks))})"}
-
-
-def _files(study: StudyResult) -> dict[str, str]:
-    return _sums(study.manifest.get("files", {})) | {
-        "kind": "virtual specimens" if study.manifest["virtual"] else "measured"
-    }
 
 
 def _sums(files: Mapping[str, str]) -> dict[str, str]:

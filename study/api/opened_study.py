@@ -13,8 +13,6 @@ from study.api.contrast_power import with_contrasts
 from study.api.fitting_surfaces import SEE_SURFACE, is_numeric, surfaces
 from study.api.folders import RESULTS, finished_manifest, results_folder
 from study.api.predicting import joined
-from study.api.records import analyze_records
-from study.api.uncertainty import stored_numerical
 from study.ground.errors import Fault, InputError, StudyError, nearest
 from study.harness.design.load import loads
 from study.harness.design.overview import duplicates
@@ -30,6 +28,8 @@ from study.harness.record.document import (
 from study.harness.record.record import Record
 from study.harness.record.store import Store
 from study.harness.runner.expansion import cases_by_id, relabeled
+from study.harness.runner.record_analysis import analyze_records
+from study.harness.runner.study_uncertainty import stored_numerical
 from study.mechanics.measurement.conditioning import is_caution
 from study.reporting.content import sentences
 from study.reporting.content.numbers import THIN

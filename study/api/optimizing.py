@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study import api
 from study.api.fitting_surfaces import fit_surface
-from study.api.folders import RESULTS
+from study.api.folders import RESULTS, is_table
 from study.api.predicting import (
     Permission,
     confirm,
-    number_in_unit,
+    given,
+    opened,
     surfaces_of,
     unknown_factors,
 )
@@ -26,11 +27,10 @@ from study.ground.errors import Fault, InputError, RefusedError, UnitError, near
 from study.harness.design import overlay
 from study.harness.design.questions import usual_value
 from study.reporting.results.study_answers import Bound, Confirmed, Recommendation
+from study.statistics.surfaces.surface_factors import never_run
 from study.statistics.surfaces.surface_optimum import (
     Goal,
-    Optimum,
     ResponseLimit,
-    ResponseSpread,
     check_carries,
     optimum,
     spread_over,
@@ -125,13 +125,14 @@ def optimize(  # noqa: PLR0913  # the public face: one keyword for each thing th
     goal: Goal = "minimize" if minimize is not None else "maximize"
     name = str(minimize if minimize is not None else maximize)
     limits_typed = [subject_to] if isinstance(subject_to, str) else [*subject_to]
-    if isinstance(path, str | Path) and Path(path).suffix in (".csv", ".gz"):
-        table = _Table(Path(path), tuple(numeric), surface, decimal)
-        return (_of_table(table, goal, name, limits_typed, dict(at or {})),)
+    if isinstance(path, str | Path) and is_table(path):
+        table = Path(path)
+        fit = cache(lambda y: fit_surface(table, y, numeric, surface=surface, decimal=decimal))
+        return (_of_table(fit, goal, name, limits_typed, dict(at or {})),)
     if numeric:
         rule = "names columns of a table: the factors of a study are known"
         raise InputError(Fault("--numeric", rule, "leave it out"))
-    study = api.load(path, results) if isinstance(path, str | Path) else path
+    study = opened(path, results)
     recommendations = _of_study(study, goal, name, limits_typed, dict(at or {}))
     if not confirming:
         return recommendations
@@ -178,29 +179,14 @@ def _in_unit(text: str, unit: str) -> float:
     return value
 
 
-@dataclass(frozen=True)
-class _Table:
-    """A table and how it is read."""
-
-    source: Path
-    numeric: tuple[str, ...]
-    surface: Surface
-    decimal: str
-    fitted: dict[str, SurfaceAnalysis] = field(default_factory=dict)
-
-    def of(self, response: str) -> SurfaceAnalysis:
-        """Fit a response, once."""
-        if response not in self.fitted:
-            self.fitted[response] = fit_surface(
-                self.source, response, self.numeric, surface=self.surface, decimal=self.decimal
-            )
-        return self.fitted[response]
-
-
 def _of_table(
-    table: _Table, goal: Goal, name: str, limits_typed: Sequence[str], at: Mapping[str, Setting]
+    fit: Callable[[str], SurfaceAnalysis],
+    goal: Goal,
+    name: str,
+    limits_typed: Sequence[str],
+    at: Mapping[str, Setting],
 ) -> Recommendation:
-    surface_of_goal = table.of(name)
+    surface_of_goal = fit(name)
     names = surface_of_goal.runs.names
     if faults := unknown_factors(at, names):
         raise InputError(faults)
@@ -214,22 +200,24 @@ def _of_table(
     units_of = {column["name"]: "" for column in columns if column is not None}
     bounds = tuple(_bound(text, units_of) for text in limits_typed)
     question = _Question(goal, name, bounds, dict.fromkeys(names, ""), held)
-    models = {bound.response: table.of(bound.response) for bound in bounds} | {
-        name: surface_of_goal
-    }
-    best, spread = _best(models, question)
-    recommended = _recommendation(models, question, best, spread, "", {}, {})
+    models = {response: fit(response) for response in (name, *(b.response for b in bounds))}
+    recommended = _best(models, question, "", {}, {})
     run = ", ".join(
         f"{n} = {v:.4g}" for n, v in recommended.settings.items() if not isinstance(v, str)
     )
     note = f"confirm it by a run at {run}, and add the run to the table"
-    return replace(recommended, notes=(*surface_of_goal.notes, note))
+    notes = dict.fromkeys([*surface_of_goal.notes, *recommended.notes, note])
+    return replace(recommended, notes=tuple(notes))
 
 
 def _best(
-    models: Mapping[str, SurfaceAnalysis], question: _Question
-) -> tuple[Optimum, ResponseSpread | None]:
-    """Optimize over the ranges that are free."""
+    models: Mapping[str, SurfaceAnalysis],
+    question: _Question,
+    unit: str,
+    chosen: Mapping[str, str],
+    fixed: Mapping[str, str],
+) -> Recommendation:
+    """Optimize over the ranges that are free, at labels that are chosen or fixed."""
     goal_surface = models[question.response]
     runs = goal_surface.runs
     every = [goal_surface, *(models[bound.response] for bound in question.bounds)]
@@ -249,26 +237,12 @@ def _best(
                 held[j] = runs.coded_inside(factor.name, setting)
     best = optimum(goal_surface.model, question.goal, limits, held)
     others = [runs.names.index(name) for name in question.open_numbers]
-    return best, spread_over(goal_surface.model, limits, best, others)
-
-
-def _recommendation(
-    models: Mapping[str, SurfaceAnalysis],
-    question: _Question,
-    best: Optimum,
-    spread: ResponseSpread | None,
-    unit: str,
-    chosen: Mapping[str, str],
-    fixed: Mapping[str, str],
-) -> Recommendation:
-    runs = models[question.response].runs
     settings = runs.settings(best.at)
-    free = {n: v for n, v in settings.items() if n not in question.held}
     return Recommendation(
         question.goal,
         question.response,
         unit,
-        {**chosen, **free},
+        {**chosen, **{n: v for n, v in settings.items() if n not in question.held}},
         {**fixed, **{n: settings[n] for n in question.held}},
         question.units,
         best.value,
@@ -278,7 +252,8 @@ def _recommendation(
         tuple((v, v - h, v + h) for v, h in best.limited),
         best.assurance,
         tuple(runs.names[j] for j in best.on_boundary),
-        spread,
+        spread_over(goal_surface.model, limits, best, others),
+        notes=tuple(never_run(runs, best.at[None, :])),
     )
 
 
@@ -295,8 +270,7 @@ def _of_study(
     name = _named(word, list(units_of), f"--{goal}")
     bounds = tuple(_bound(text, units_of) for text in limits_typed)
     factors = {factor.name: factor for factor in design.factors}
-    if faults := unknown_factors(at, list(factors)):
-        raise InputError(faults)
+    numbers, labels = given(design, at)
     free = [n for n in factors if design.roles[n] == "choice" and n not in at]
     if not free:
         roles = ", ".join(f"{n}: {role}" for n, role in design.roles.items())
@@ -305,18 +279,14 @@ def _of_study(
         raise InputError(Fault("optimize", rule, mend))
     ranges = {n: f.span for n, f in factors.items() if f.span is not None}
     open_numbers = tuple(n for n in ranges if n not in free and n not in at)
-    held = {n: float(number_in_unit(factors[n], at[n])[0]) for n in ranges if n in at}
+    held = {n: float(values[0]) for n, values in numbers.items()}
     held |= {n: usual_value(n, overlay.dimension(n) or "number", ranges[n], design.config)
              for n in open_numbers}  # fmt: skip
     span_units = {n: span.unit for n, span in ranges.items()}
     question = _Question(goal, name, bounds, span_units, held, open_numbers)
     lists = [n for n, f in factors.items() if f.span is None]
-    settled = {n: (str(at[n]),) for n in lists if n in at}
-    wrong = [Fault(n, f"has no level {pair[0]!r}", nearest(pair[0], factors[n].labels))
-             for n, pair in settled.items() if pair[0] not in factors[n].labels]  # fmt: skip
-    if wrong:
-        raise InputError(wrong)
-    open_labels = {n: settled.get(n, factors[n].labels) for n in lists if n not in free}
+    open_labels = {n: (labels[n],) if n in labels else factors[n].labels
+                   for n in lists if n not in free}  # fmt: skip
     places = [
         dict(zip(open_labels, combination, strict=True))
         for combination in itertools.product(*open_labels.values())
@@ -337,13 +307,11 @@ def _at(
         labels_here = dict(zip(chosen, levels, strict=True))
         try:
             models, unit = _models(study, question, {**fixed, **labels_here})
-            best, spread = _best(models, question)
+            candidates.append(_best(models, question, unit, labels_here, fixed))
         except RefusedError as error:
             refused = error
             at = ", ".join(f"{n} = {label}" for n, label in labels_here.items())
             notes += [f"not considered, {at}: {error}"] if at else []
-            continue
-        candidates.append(_recommendation(models, question, best, spread, unit, labels_here, fixed))
     if not candidates:
         raise refused or RefusedError("no combination of levels has a surface")
     sign = 1.0 if question.goal == "minimize" else -1.0
@@ -356,7 +324,7 @@ def _at(
         ({n: str(candidate.settings[n]) for n in chosen}, candidate.value)
         for candidate in ranked[1:]
     )
-    return replace(ranked[0], rivals=rivals, notes=tuple(notes))
+    return replace(ranked[0], rivals=rivals, notes=(*ranked[0].notes, *notes))
 
 
 def _models(

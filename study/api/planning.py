@@ -14,10 +14,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from study.api.augmenting import continued
-from study.api.folders import RESULTS, design_root, finished_manifest, results_folder
+from study.api.folders import (
+    RESULTS,
+    design_root,
+    finished_manifest,
+    load_design,
+    results_folder,
+)
 from study.api.manifest import run_changes
 from study.ground.errors import Fault, InputError, MissingDataError
-from study.harness.design.load import load
 from study.harness.design.overview import Overview, overview
 from study.harness.design.spec import Design
 from study.harness.external.command import common_digest
@@ -191,7 +196,7 @@ def plan(
 
     Data that are not there yet do not stop a plan: it then counts cells, not cases, and no time.
     """
-    loaded = design if isinstance(design, Design) else load(design, overrides)
+    loaded = load_design(design, overrides)
     loaded = continued(loaded, Store(Path(results) / loaded.name, warn=lambda _: None))
     described = overview(loaded)
     warnings = list(described.warnings)
@@ -320,7 +325,7 @@ def run_sheet(
     """
     import pandas as pd
 
-    loaded = design if isinstance(design, Design) else load(design)
+    loaded = load_design(design)
     if specimens < 1:
         raise InputError(Fault("specimens", f"must be at least 1, got {specimens}"))
     physical = [

@@ -32,29 +32,11 @@ if TYPE_CHECKING:
     from study.harness.record.record import Record
     from study.reporting.results.study_result import StudyResult
     from study.statistics.surfaces.surface_profile import FittedSurface
+    from study.statistics.surfaces.surface_result import SurfacePrediction
 
 
 #: setting of a factor: with its unit, a number or numbers in the unit of the design, or a label
 Setting = str | ArrayLike
-
-
-@dataclass(frozen=True)
-class PredictedAnswer:
-    """A response at settings that were not run."""
-
-    response: str
-    unit: str
-    #: shape (m,); prediction and ends of its 95 % interval, in that unit.
-    value: Array
-    low: Array
-    high: Array
-
-    def to_json(self) -> dict[str, object]:
-        """Plain values; a single point gives numbers, several give lists."""
-        single = self.value.size == 1
-        ends = {"value": self.value, "low": self.low, "high": self.high}
-        values = {k: float(v[0]) if single else v.tolist() for k, v in ends.items()}
-        return {"response": self.response, "unit": self.unit, **values}
 
 
 def predict(
@@ -63,7 +45,7 @@ def predict(
     *,
     response: str | None = None,
     results: str | Path = RESULTS,
-) -> tuple[PredictedAnswer, ...]:
+) -> tuple[SurfacePrediction, ...]:
     """Predict the responses of a study with numeric factors.
 
     Parameters
@@ -80,7 +62,7 @@ def predict(
 
     Returns
     -------
-    tuple of Predicted
+    tuple of SurfacePrediction
         One for every response.
 
     Raises
@@ -89,24 +71,46 @@ def predict(
         If a factor is missing or unknown, a setting has another dimension, a point would have to
         be extrapolated, or the study has no surface.
     """
-    study = api.load(path, results) if isinstance(path, str | Path) else path
+    study = opened(path, results)
     surfaces = surfaces_of(study, response)
-    factors = {factor.name: factor for factor in study.design.factors}
-    unknown = unknown_factors(at, list(factors))
-    unknown += [Fault(n, "has no setting", "give every factor one") for n in factors if n not in at]
-    if unknown:
-        raise InputError(unknown)
-    labels = {n: str(at[n]) for n, f in factors.items() if f.span is None}
-    if wrong := [
+    numbers, labels = given(study.design, at, [factor.name for factor in study.design.factors])
+    here = [fitted for fitted in surfaces if dict(fitted.labels) == labels]
+    faults = [
+        Fault("predict", f"{one.response} has no surface: {one.refused}",
+              "add runs, or ask another --response")
+        for one in here if one.found is None
+    ]  # fmt: skip
+    if faults:
+        raise InputError(faults)
+    return tuple(
+        replace(one.found.predict(numbers), response=one.response, unit=one.unit)
+        for one in here
+        if one.found is not None
+    )
+
+
+def opened(path: str | Path | StudyResult, results: str | Path) -> StudyResult:
+    """Study that a verb is asked about, whether by its place or by itself."""
+    return api.load(path, results) if isinstance(path, str | Path) else path
+
+
+def given(
+    design: Design, at: Mapping[str, Setting], needed: Iterable[str] = ()
+) -> tuple[dict[str, Array], dict[str, str]]:
+    """Read settings of ranges in their units, and labels of the others; all faults at once."""
+    factors = {factor.name: factor for factor in design.factors}
+    labels = {n: str(at[n]) for n, f in factors.items() if f.span is None and n in at}
+    faults = unknown_factors(at, list(factors))
+    faults += [Fault(n, "has no setting", "give every factor one") for n in needed if n not in at]
+    faults += [
         Fault(n, f"has no level {label!r}", nearest(label, factors[n].labels))
         for n, label in labels.items()
         if label not in factors[n].labels
-    ]:
-        raise InputError(wrong)
-    numbers = {n: number_in_unit(f, at[n]) for n, f in factors.items() if f.span is not None}
-    return tuple(
-        _predicted(fitted, numbers) for fitted in surfaces if dict(fitted.labels) == labels
-    )
+    ]
+    if faults:
+        raise InputError(faults)
+    ranges = {n: f for n, f in factors.items() if f.span is not None and n in at}
+    return {n: number_in_unit(f, at[n]) for n, f in ranges.items()}, labels
 
 
 def surfaces_of(study: StudyResult, response: str | None = None) -> tuple[FittedSurface, ...]:
@@ -140,16 +144,6 @@ def number_in_unit(factor: Factor, setting: Setting) -> Array:
         if kind is None or not unit:
             return np.array([units.parse_number(setting)])
         return np.array([units.parse(setting, kind) / units.parse(f"1 {unit}", kind)])
-
-
-def _predicted(fitted: FittedSurface, at: Mapping[str, Array]) -> PredictedAnswer:
-    if fitted.found is None:
-        rule = f"{fitted.response} has no surface: {fitted.refused}"
-        raise InputError(Fault("predict", rule, "add runs, or ask another --response"))
-    prediction = fitted.found.predict(at)
-    return PredictedAnswer(
-        fitted.response, fitted.unit, prediction.value, prediction.low, prediction.high
-    )
 
 
 # Runs of the true model at settings that a surface has named; they join the study's surfaces.

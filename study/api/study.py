@@ -9,21 +9,25 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from study.api import uncertainty
 from study.api.analyzing import effects_by_depth
 from study.api.assemble import report_data
 from study.api.augmenting import continued, run_adaptive
 from study.api.comparison import compare
-from study.api.folders import REPORTS, RESULTS, design_root, results_folder
+from study.api.folders import (
+    REPORTS,
+    RESULTS,
+    demo_design,
+    design_root,
+    load_design,
+    results_folder,
+)
 from study.api.manifest import WARN, check_choice, check_stale, manifest_of, mixed_meshes
 from study.api.opened_study import Study, count_cases
 from study.api.opened_study import load as load_study
 from study.api.planning import noted_progress
 from study.api.predicting import Permission, confirm_claims
-from study.api.uncertainty import validate
 from study.ground.errors import InputError, RefusedError, StoppedError, StudyError, WriteError
 from study.ground.memory import uncollected
-from study.harness.design.load import from_tables, load, loads
 from study.harness.design.spec import Design
 from study.harness.execution.local import Worker
 from study.harness.execution.task import check_limit
@@ -35,6 +39,8 @@ from study.harness.runner.batch import run_batch
 from study.harness.runner.expansion import expand
 from study.harness.runner.fit_problem import Allowed, externals
 from study.harness.runner.provenance import surface_files, versions
+from study.harness.runner.study_uncertainty import compare_spaces, validate
+from study.harness.runner.study_uncertainty import refine as refine_study
 from study.harness.runner.tasks import computing_on, default_jobs, memory_of, processes
 from study.harness.runner.virtual_specimens import usual_generator, write_virtual
 from study.reporting.figures.axes import load_libraries
@@ -47,35 +53,6 @@ if TYPE_CHECKING:
     from study.harness.runner.batch import Progress, Summary
     from study.harness.runner.job import Work
     from study.harness.runner.tasks import Engine
-
-
-def load_design(
-    design: Design | Mapping[str, object] | str | Path, overrides: Sequence[str] = ()
-) -> Design:
-    """Load a design from its file, or make it of the tables that a file would have.
-
-    Parameters
-    ----------
-    design : Design, mapping, str or Path
-        A file; or its keys, with texts that have a unit or numbers in mm, N, MPa and deg.
-    overrides : sequence of str
-        ``key=value`` each, laid over the file before it is validated.
-
-    Returns
-    -------
-    Design
-        The validated study.
-
-    Raises
-    ------
-    InputError
-        With every fault of the file.
-    """
-    if isinstance(design, Design):
-        return design
-    if isinstance(design, Mapping):
-        return loads(from_tables(design), "design", overrides)
-    return load(design, overrides)
 
 
 #: cases from which on a second process draws a part of the figures
@@ -253,8 +230,8 @@ def _compute(
     clock.mark("simulation" if work.design.is_alone else "calibration and simulation")
     if not refine:
         return work, summary
-    uncertainty.refine(plain, store, jobs, noted, timeout_s, executor)
-    uncertainty.compare_spaces(plain, store, jobs, noted, executor)
+    refine_study(plain, store, jobs, noted, timeout_s, executor)
+    compare_spaces(plain, store, jobs, noted, executor)
     clock.mark("mesh refinement")
     if work.design.uncertainty and work.design.is_measured:
         validate(plain, store, jobs, progress, timeout_s, executor)
@@ -381,10 +358,7 @@ def demo(
     progress: Callable[[Progress], None] | None = None,
 ) -> Study:
     """Run the embedded study on virtual specimens, from generated data to the report."""
-    from importlib import resources
-
-    text = resources.files("study.harness.runner").joinpath("demo.toml").read_text(encoding="utf-8")
-    design = loads(text, "demo.toml")
+    design = demo_design()
     folder = Path(results) / design.name / "measurements"
     spec = design.measurements
     if spec is None or spec.file is None:

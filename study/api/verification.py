@@ -41,6 +41,9 @@ SOLVED_AGAIN = 1e-5
 #: bytes that a file of a report may have besides twice those of the one that is written again
 _SPARE_BYTES = 65_536
 
+#: kinds of files of a report by the beginning of their names
+_KINDS = {"figures": "figure-", "curves": "curves"}
+
 #: differences that are told one by one
 TOLD = 50
 
@@ -200,17 +203,11 @@ def _lines(text: str) -> list[str]:
     return [_PLACE.sub("", line) for line in lines]
 
 
-def _kind(name: str) -> str:
-    file = Path(name).name
-    if file.startswith("figure-"):
-        return "figures"
-    if file.startswith("curves"):
-        return "curves"
-    return "page" if file.endswith((".html", ".tex")) else "tables"
-
-
 def _compare(name: str, old: Sequence[str], new: Sequence[str], verification: Verification) -> None:
-    kind = _kind(name)
+    file = Path(name).name
+    kind = next((kind for kind, begin in _KINDS.items() if file.startswith(begin)), "tables")
+    if kind == "tables" and file.endswith((".html", ".tex")):
+        kind = "page"
     for number, (first, second) in enumerate(itertools.zip_longest(old, new, fillvalue=""), 1):
         numbers = _NUMBER.findall(second)
         verification.numbers[kind] += len(numbers)

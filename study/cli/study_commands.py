@@ -16,9 +16,9 @@ from study.reporting.content.numbers import between, general
 if TYPE_CHECKING:
     from study.api.comparison import CaseState
     from study.api.opened_study import Study as OpenedStudy
-    from study.api.predicting import PredictedAnswer
     from study.api.verification import Verification
     from study.reporting.content.blocks import Block, Document
+    from study.statistics.surfaces.surface_result import SurfacePrediction
 
 
 Json = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")]
@@ -342,10 +342,11 @@ def predict(
 
     predictions = api.predict(path, settings(at), response=response, results=results)
     document = {"predictions": [prediction.to_json() for prediction in predictions]}
-    output.show(document, as_json, lambda _: _predictions(predictions))
+    notes = [note for prediction in predictions for note in prediction.notes]
+    output.show(document, as_json, lambda _: _predictions(predictions), notes)
 
 
-def _predictions(predictions: Sequence[PredictedAnswer]) -> Iterator[Block]:
+def _predictions(predictions: Sequence[SurfacePrediction]) -> Iterator[Block]:
     yield Table.of(
         "",
         predictions,

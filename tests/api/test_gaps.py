@@ -10,9 +10,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from study.api.records import without_gaps
+from study import api
 from study.harness.design.load import loads
 from study.harness.design.spec import Design
+from study.harness.runner.record_analysis import without_gaps
 
 DESIGN = Path(__file__).parents[2] / "designs" / "conical-indentation.toml"
 Lost = Callable[[dict[str, str], int], bool]
@@ -45,9 +46,25 @@ def quadratic_ogden(levels: dict[str, str], _: int) -> bool:
     return levels["material"] == "ogden-1" and levels["model.element_order"] == "quadratic"
 
 
-def test_nothing_is_left_out_of_a_complete_study(design: Design) -> None:
-    table = rows(design, lambda *_: False)
-    kept, notes = whole(design, table)
+def nothing(_: dict[str, str], __: int) -> bool:
+    return False
+
+
+def quadratic_3d(levels: dict[str, str], _: int) -> bool:
+    return levels["model.space"] == "3d" and levels["model.element_order"] == "quadratic"
+
+
+@pytest.mark.parametrize(
+    ("lost", "model"),
+    [
+        (nothing, 2),
+        (quadratic_ogden, 1),  # main effects alone need no combinations
+        (quadratic_3d, 2),  # a factor keeps two levels
+    ],
+)
+def test_nothing_is_left_out(design: Design, lost: Lost, model: int) -> None:
+    table = rows(design, lost)
+    kept, notes = whole(design, table, model)
     assert kept is table
     assert notes == ()
 
@@ -61,13 +78,6 @@ def test_a_level_that_leaves_a_combination_empty_goes(design: Design) -> None:
     assert notes[0].startswith("ogden-1 (material) has an answer in 6 of 12 cells")
 
 
-def test_main_effects_alone_need_no_combinations(design: Design) -> None:
-    table = rows(design, quadratic_ogden)
-    kept, notes = whole(design, table, 1)
-    assert kept is table
-    assert notes == ()
-
-
 @pytest.mark.parametrize(("failed", "left_out"), [(1, 0), (2, 1)])
 def test_a_cell_counts_that_most_specimens_answer(
     design: Design, failed: int, left_out: int
@@ -76,11 +86,19 @@ def test_a_cell_counts_that_most_specimens_answer(
     assert len(whole(design, table)[1]) == left_out
 
 
-def test_a_factor_keeps_two_levels(design: Design) -> None:
-    def lost(levels: dict[str, str], _: int) -> bool:
-        return levels["model.space"] == "3d" and levels["model.element_order"] == "quadratic"
-
-    kept, notes = whole(design, rows(design, lost))
-    assert kept["model.space"].nunique() == 2
-    assert kept["model.element_order"].nunique() == 2
-    assert notes == ()
+def test_the_verb_analyze_leaves_out_what_the_report_leaves_out(tmp_path: Path) -> None:
+    """No run with level c has an answer."""
+    cells = product(("a", "b", "c"), ("flat", "full"), range(3))
+    lines = [
+        f"{m},{s},{'' if m == 'c' else ord(m) - 90 + 0.1 * n + (s == 'full')}" for m, s, n in cells
+    ]
+    (tmp_path / "t.csv").write_text("\n".join(["gel,plates,y", *lines]))
+    study = api.import_runs(
+        tmp_path / "t.csv", "gel,plates", "y=N", practical="y=1 N", results=tmp_path / "results"
+    )
+    reported = study.analyses[0].result
+    assert reported is not None, study.analyses[0].refused
+    found = api.analyze(study.folder, "y")
+    assert "c (gel) has an answer in 0 of 2 cells: it is left out of this analysis" in found.notes
+    assert found.effects == reported.effects
+    assert found.effect("gel").range == pytest.approx(1.0)

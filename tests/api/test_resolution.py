@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from study.api.records import analyze_records
-from study.api.uncertainty import numerical_bound
 from study.harness.design.load import loads
 from study.harness.design.spec import Design, Practical
 from study.harness.design.spec import ResponseSpec as Response
 from study.harness.record.record import Record, table
 from study.harness.runner.case_series import half_width
+from study.harness.runner.record_analysis import analyze_records
+from study.harness.runner.study_uncertainty import numerical_bound
 from study.statistics.analysis.analysis_result import AnalysisResult
 from study.statistics.convergence.contrast_bound import NumericalBound, SeriesBounds
 from study.statistics.convergence.grid_convergence import NumericalUncertainty

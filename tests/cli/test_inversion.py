@@ -146,5 +146,5 @@ def test_every_branch_of_a_set_is_traced() -> None:
     for rule in found.combinations:
         logs = np.log([[f.setting(float(x)) for f, x in zip(factors, one, strict=True)]
                        for one in members])  # fmt: skip
-        off = np.abs(logs @ rule.exponents - np.log(rule.value))
+        off = np.abs(logs @ [rule.exponents[f.name] for f in factors] - np.log(rule.value))
         assert off.max() <= np.log(rule.ratio) * (1 + 1e-9)

@@ -96,16 +96,6 @@ def test_sensitivity_through_the_verb(
         assert told[3] / told[4] == pytest.approx(4.0, rel=0.1)
 
 
-def test_intervals_of_sobols_function_hold_the_closed_form(tmp_path: Path) -> None:
-    path = table(tmp_path / "t.csv", functions.sobol_g, 4, 60)
-    found = analyze(path, "x1,x2,x3,x4", "--json").json["sensitivity"]
-    parts = 1.0 / (3.0 * (1.0 + np.array([0.0, 1.0, 4.5, 9.0])) ** 2)
-    truth = parts / (np.prod(1.0 + parts) - 1.0)
-    for item, s in zip(found, truth, strict=True):
-        low, high = item["S_interval"]
-        assert low <= s <= high
-
-
 def test_few_runs_give_no_indices(tmp_path: Path) -> None:
     answer = analyze(table(tmp_path / "t.csv", functions.ishigami, 3, 50), "x1,x2,x3", "--json")
     assert answer.json["sensitivity"] == []
@@ -193,6 +183,18 @@ def test_prediction_from_python() -> None:
     assert (at.low < at.value).all()
     with pytest.raises(InputError, match=r"lies outside.*77.93 to 92.07"):
         found.predict({"time_min": 95.0, "temperature_F": 175.0})
+
+
+def test_a_prediction_where_nothing_was_run_says_so(tmp_path: Path) -> None:
+    """Runs fill three quarters of the box; the exponential rises steepest in the fourth."""
+    x = np.array([[a, b] for a in range(7) for b in range(7) if a <= 3 or b <= 3])
+    path = write(tmp_path / "t.csv", {"a": x[:, 0], "b": x[:, 1], "y": np.exp(x.sum(axis=1) / 6)})
+    found = public.fit_surface(path, "y", ["a", "b"], surface="quadratic")
+    (said,) = found.predict({"a": [1.0, 6.0], "b": [1.0, 6.0]}).notes
+    assert "never run: a above 3 with b above 3" in said
+    assert found.predict({"a": 6.0, "b": 1.0}).notes == ()
+    (best,) = public.optimize(path, maximize="y", numeric=["a", "b"], surface="quadratic")
+    assert best.notes.count(said) == 1
 
 
 def test_failed_runs_are_left_out_and_said(tmp_path: Path) -> None:

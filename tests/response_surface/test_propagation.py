@@ -15,8 +15,7 @@ from study.statistics.surfaces.quadratic import fit_quadratic
 from study.statistics.surfaces.surface_propagation import propagate
 from study.statistics.surfaces.surface_result import (
     SurfaceAnalysis,
-    analysis_of_emulator,
-    analysis_of_quadratic,
+    analysis_of,
 )
 from tests.response_surface import functions
 from tests.response_surface.functions import Array
@@ -28,7 +27,7 @@ def of(kind: str, *numbers: float) -> InputDistribution:
 
 def emulated(function, k: int, n: int, seed: int = 1) -> SurfaceAnalysis:  # type: ignore[no-untyped-def]
     x = functions.hypercube(k, n, seed)
-    return analysis_of_emulator(fit_emulator(functions.unit_runs(x, function(x))), None)
+    return analysis_of(fit_emulator(functions.unit_runs(x, function(x))))
 
 
 @pytest.mark.parametrize(
@@ -92,7 +91,7 @@ def test_a_square_of_a_normal_input_is_a_shifted_chi_square(kind: str) -> None:
         found = emulated(square, 2, 30)
     else:
         grid = np.array([[a, b] for a in (0.0, 0.5, 1.0) for b in (0.0, 0.5, 1.0)])
-        found = analysis_of_quadratic(fit_quadratic(functions.unit_runs(grid, square(grid))))
+        found = analysis_of(fit_quadratic(functions.unit_runs(grid, square(grid))))
     told = propagate(found, {"x1": of("normal", 0.5, 0.08)}, {"x2": 0.25})
     s, m = 0.08, 0.3  # of x1 - .2: mean and variance of its square by hand
     assert told.mean.value == pytest.approx(4 * (m**2 + s**2) + 0.25, rel=1e-3)

@@ -11,7 +11,6 @@ from study.api.analyzing import analyze
 from study.api.manifest import manifest_of
 from study.api.opened_study import load as open_study
 from study.api.study import report
-from study.api.uncertainty import refine
 from study.harness.design.load import loads
 from study.harness.design.spec import Design
 from study.harness.record.record import Record
@@ -20,6 +19,7 @@ from study.harness.runner.expansion import expand
 from study.harness.runner.job import Work
 from study.harness.runner.refinement import base_size_mm
 from study.harness.runner.study_refinement import own_series
+from study.harness.runner.study_uncertainty import refine
 from study.harness.runner.virtual_specimens import usual_generator, write_virtual
 from study.statistics.convergence.contrast_bound import response_bounds
 from tests.forward.test_finite_element import DESIGN, finished

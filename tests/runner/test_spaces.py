@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from study.api.assemble import checks_of_spaces
 from study.api.planning import plan
-from study.api.uncertainty import checks_of_spaces, compare_spaces
 from study.ground.curve import Curve
 from study.harness.design.load import loads
 from study.harness.record.record import Record
@@ -21,6 +21,7 @@ from study.harness.runner.expansion import expand
 from study.harness.runner.job import Work
 from study.harness.runner.solve_task import SolveResult, in_process, kept, solutions
 from study.harness.runner.study_refinement import compared, pairs, refinement_work, upcoming
+from study.harness.runner.study_uncertainty import compare_spaces
 from study.harness.runner.virtual_specimens import usual_generator, write_virtual
 from tests.forward.test_finite_element import finished
 

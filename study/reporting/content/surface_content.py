@@ -364,7 +364,7 @@ def _ranges(found: SurfaceAnalysis) -> dict[str, float]:
     order = strongest(found)
     told = {i.factor: i.range.value for i in found.sensitivity if i.range is not None}
     if not told and found.kind == "quadratic":
-        told = {p.factor: p.range for p in profiles(found)}
+        told = {n: float(p.value.max() - p.value.min()) for n, (_, p) in profiles(found).items()}
     return {name: told[name] for name in order if name in told}
 
 

@@ -56,7 +56,7 @@ def drawings(fitted: FittedSurface, data: ReportData) -> dict[str, Plot]:
             "Along each factor",
             lambda: _profiles(surface),
             lambda frame: _draw_profiles(frame, fitted, data),
-            lambda _: _profiles_caption(surface, fitted, data),
+            lambda frame: _profiles_caption(frame, fitted, data),
         ),
         "contours": (
             "Over the two strongest factors",
@@ -82,18 +82,18 @@ def drawings(fitted: FittedSurface, data: ReportData) -> dict[str, Plot]:
 def _profiles(surface: SurfaceAnalysis) -> pd.DataFrame:
     import pandas as pd
 
-    by_factor = {p.factor: p for p in profiles(surface)}
+    by_factor = profiles(surface)
     return pd.concat(
-        pd.DataFrame(
-            {"factor": n, "setting": p.setting, "value": p.value, "low": p.low, "high": p.high}
-        )
-        for n, p in ((name, by_factor[name]) for name in strongest(surface))
+        pd.DataFrame({"factor": n, "setting": at, "value": p.value, "low": p.low, "high": p.high})
+        for n, (at, p) in ((name, by_factor[name]) for name in strongest(surface))
     )
 
 
-def _profiles_caption(surface: SurfaceAnalysis, fitted: FittedSurface, data: ReportData) -> str:
-    size = {p.factor: quantity(p.range, clean(fitted.unit)) for p in profiles(surface)}
-    named = [f"{size[name]} ({name_of(name, data.labels)})" for name in strongest(surface)]
+def _profiles_caption(frame: pd.DataFrame, fitted: FittedSurface, data: ReportData) -> str:
+    named = []
+    for name, values in frame.groupby("factor", sort=False)["value"]:
+        size = quantity(float(np.ptp(values)), clean(fitted.unit))
+        named.append(f"{size} ({name_of(str(name), data.labels)})")
     return sentence(
         f"{title(fitted, data)} along each factor with the others in the middle of their "
         f"ranges; bands are 95 % intervals of the prediction. It changes by up to {listing(named)}."
@@ -205,7 +205,7 @@ def _left_out(surface: SurfaceAnalysis) -> pd.DataFrame:
     errors = left_out(surface)
     if errors is None:
         raise ValueError("no run can be left out")
-    return pd.DataFrame({"simulated": errors.observed, "predicted": errors.predicted})
+    return pd.DataFrame(dict(zip(("simulated", "predicted"), errors, strict=True)))
 
 
 def _left_out_caption(frame: pd.DataFrame, fitted: FittedSurface, data: ReportData) -> str:

@@ -12,6 +12,7 @@ from study.harness.design.spec import Design, Factor
 from study.harness.record.record import Record
 from study.statistics.analysis.anova_table import Effect
 from study.statistics.analysis.failures import CaseFate, cause
+from study.statistics.surfaces.surface_inversion import FactorCombination
 from study.statistics.surfaces.surface_optimum import Goal, ResponseSpread
 
 
@@ -306,24 +307,6 @@ class InputSet:
 
 
 @dataclass(frozen=True)
-class Determined:
-    """A product of powers that the curve determines, where inputs by themselves are not."""
-
-    exponents: Mapping[str, float]
-    #: Of the product, in the inputs' units.
-    value: float
-    #: Factor by which it may be larger or smaller.
-    ratio: float
-
-    @property
-    def words(self) -> str:
-        """The product as it is written; powers that are next to nothing are left out."""
-        parts = [name if abs(e - 1.0) < 0.005 else f"{name}^{e:.3g}"
-                 for name, e in self.exponents.items() if abs(e) >= 0.01]  # fmt: skip
-        return " * ".join(parts)
-
-
-@dataclass(frozen=True)
 class Checked:
     """A run of the true model at a setting of the set."""
 
@@ -341,7 +324,7 @@ class Inverted:
     #: One for every input that is asked for.
     inputs: tuple[InputSet, ...]
     #: What is determined where inputs by themselves are not.
-    combinations: tuple[Determined, ...]
+    combinations: tuple[FactorCombination, ...]
     #: Known inputs, in the units of ``units``.
     held: Mapping[str, float | str]
     #: Units of the inputs that are numbers.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -17,7 +16,6 @@ from study.ground.errors import Fault, RefusedError
 from study.statistics.surfaces.gaussian_process import (
     FAMILIES,
     GaussianProcess,
-    Kernel,
     draw_paths,
     fit_process,
 )
@@ -103,7 +101,7 @@ def is_confirmed(runs: Runs, j: int, least: float) -> bool:
 
 
 def effect_range(
-    mean: Callable[[Array], Array], k: int, j: int, bound: float, small: Small
+    mean: Callable[[Array], Array], k: int, j: int, bound: float, small: tuple[float | None, float]
 ) -> EffectRange:
     """Range along factor j. Shapes: mean (m,)."""
     from scipy.stats import qmc
@@ -117,27 +115,37 @@ def effect_range(
     value = float(np.quantile(ranges, SHARE))
     at = int(np.abs(ranges - value).argmin())
     ends = points[at, [int(values[at].argmin()), int(values[at].argmax())]]
-    return EffectRange(value, bound, small.verdict(value, bound), 2.0 * ends - 1.0)
+    return EffectRange(value, bound, verdict_of(value, bound, *small), 2.0 * ends - 1.0)
 
 
-@dataclass(frozen=True)
-class Small:
-    """What is too small to matter."""
+def effect_ranges(
+    value: Callable[[Array], Array],
+    runs: Runs,
+    bounds: Sequence[float],
+    practical: float | None,
+    u: float,
+) -> tuple[EffectRange, ...]:
+    """Range along every factor of a surface over coded points, with its bound, judged."""
+    small = practical, float(np.ptp(runs.response))
+    return tuple(
+        replace(
+            effect_range(lambda x: value(2.0 * x - 1.0), len(bounds), j, bound, small),
+            confirmed=practical is not None and is_confirmed(runs, j, practical + u),
+        )
+        for j, bound in enumerate(bounds)
+    )
 
-    #: Smallest difference that matters, in the response's unit; None if nobody has said.
-    practical: float | None
-    #: Largest minus smallest response that was run, in the same unit.
-    response_range: float
 
-    def verdict(self, value: float, bound: float) -> Verdict:
-        """Judge a range with its bound."""
-        if self.practical is None:
-            return "cannot tell"
-        if value - bound > self.practical:
-            return "matters"
-        if value + bound + MISS * self.response_range < self.practical:
-            return "no practical difference"
+def verdict_of(
+    value: float, bound: float, practical: float | None, response_range: float
+) -> Verdict:
+    """Judge a range with its bound; what is too small to matter is told from the runs' range."""
+    if practical is None:
         return "cannot tell"
+    if value - bound > practical:
+        return "matters"
+    small = value + bound + MISS * response_range < practical
+    return "no practical difference" if small else "cannot tell"
 
 
 # Shares of the response's variance that factors explain, with all factors uniform on the box.
@@ -157,6 +165,28 @@ class SobolIndex:
     first_interval: tuple[float, float]
     total: float
     total_interval: tuple[float, float]
+
+    @classmethod
+    def of(
+        cls, first: float, first_ends: Array, total: float, total_ends: Array, margin: float
+    ) -> SobolIndex:
+        """Make indices of which the intervals are wider by a margin at each end; all are shares."""
+
+        def wide(ends: Array) -> tuple[float, float]:
+            low, high = np.clip([ends[0] - margin, ends[1] + margin], 0.0, 1.0)
+            return float(low), float(high)
+
+        own = float(np.clip(first, 0.0, 1.0)), float(np.clip(total, 0.0, 1.0))
+        return cls(own[0], wide(first_ends), own[1], wide(total_ends))
+
+    def to_json(self) -> dict[str, object]:
+        """Plain values."""
+        first, total = list(self.first_interval), list(self.total_interval)
+        return {"S": self.first, "S_interval": first, "T": self.total, "T_interval": total}
+
+
+#: what is told of a factor without an index
+NO_INDEX = dict.fromkeys(("S", "S_interval", "T", "T_interval"))
 
 
 def jansen(values: Callable[[Array], Array], k: int, seed: int) -> tuple[Array, Array]:
@@ -189,24 +219,11 @@ def sobol_indices(
     # Shapes: values (m, 1 + paths).
     first, total = jansen(values, k, seed)
     margin = 1.0 - q2 + SAMPLE_ERROR
+    shares = [0.025, 0.975]
     return tuple(
-        SobolIndex(
-            _cut(s[0]),
-            _sobol_indices_interval(s[1:], margin),
-            _cut(t[0]),
-            _sobol_indices_interval(t[1:], margin),
-        )
+        SobolIndex.of(s[0], np.quantile(s[1:], shares), t[0], np.quantile(t[1:], shares), margin)
         for s, t in zip(first, total, strict=True)
     )
-
-
-def _sobol_indices_interval(paths: Array, margin: float) -> tuple[float, float]:
-    low, high = np.quantile(paths, [0.025, 0.975])
-    return _cut(low - margin), _cut(high + margin)
-
-
-def _cut(value: float) -> float:
-    return float(np.clip(value, 0.0, 1.0))
 
 
 #: Q2 at which indices and effects are given, and at which factors are at least ranked
@@ -246,6 +263,11 @@ class Emulator:
     combination: int | None = None
     #: The same runs with the other kernel: where runs are far, the two part.
     rival: GaussianProcess | None = None
+
+    @property
+    def each(self) -> tuple[Emulator, ...]:
+        """The emulator itself, as of blocks those of each."""
+        return (self,)
 
     @cached_property
     def loo_errors(self) -> Array:
@@ -321,16 +343,7 @@ class Emulator:
     def ranges(self, practical: float | None, u: float = 0.0) -> tuple[EffectRange, ...]:
         """Range of the response along every factor."""
         bound = ERRORS * float(np.abs(self.loo_errors).max()) + u
-        small = Small(practical, float(np.ptp(self.runs.response)))
-        k = len(self.runs.factors)
-        least = math.inf if practical is None else practical + u
-        return tuple(
-            replace(
-                effect_range(lambda x: self.value(2.0 * x - 1.0), k, j, bound, small),
-                confirmed=is_confirmed(self.runs, j, least),
-            )
-            for j in range(k)
-        )
+        return effect_ranges(self.value, self.runs, [bound] * len(self.runs.factors), practical, u)
 
 
 def expected_seconds(n: int) -> float:
@@ -374,7 +387,7 @@ def _fitted(runs: Sequence[Runs], sizes: Sequence[int], seed: int) -> tuple[Emul
         for (one, u), centre, scale, number in zip(singles, centres, scales, numbers, strict=True)
     ), strict=True))  # fmt: skip
     fits = [fit_process(x, y, noise, family, seed, sizes) for family in FAMILIES]
-    rival, best = sorted(fits, key=_q2)
+    rival, best = sorted(fits, key=lambda p: 1.0 - float((p.loo_errors**2).sum() / (y**2).sum()))
     return tuple(
         Emulator(one, best, centre, scale, seed, number, rival)
         for (one, _), centre, scale, number in zip(singles, centres, scales, numbers, strict=True)
@@ -386,10 +399,6 @@ def _among(unit: Array, combination: int | None) -> Array:
     if combination is None:
         return unit
     return np.column_stack([unit, np.full(len(unit), float(combination))])
-
-
-def _q2(process: GaussianProcess) -> float:
-    return 1.0 - float((process.loo_errors**2).sum() / (process.y**2).sum())
 
 
 def _emulator_averaged(runs: Runs) -> tuple[Runs, Array]:
@@ -481,25 +490,33 @@ class BlockedEmulator:
         """Sobol indices, averaged over blocks, with t intervals widened by 1 - Q2."""
         told = [found.indices() for found in self.each]
         margin = 1.0 - self.q2 + SAMPLE_ERROR
-        return tuple(
-            _blocked_averaged(own, self._scatter, margin) for own in zip(*told, strict=True)
-        )
+        return tuple(self._averaged(own, margin) for own in zip(*told, strict=True))
+
+    def _averaged(self, own: tuple[SobolIndex, ...], margin: float) -> SobolIndex:
+        """Mean of the blocks' indices of a factor, with its t interval."""
+        parts = [np.array([i.first for i in own]), np.array([i.total for i in own])]
+        sides = np.array([-1.0, 1.0])
+        first, total = (float(part.mean()) for part in parts)
+        ends = [part.mean() + self._scatter(part) * sides for part in parts]
+        return SobolIndex.of(first, ends[0], total, ends[1], margin)
 
     def ranges(self, practical: float | None, u: float = 0.0) -> tuple[EffectRange, ...]:
         """Range along every factor, averaged over blocks; arguments as for one emulator."""
         told = [found.ranges(practical, u) for found in self.each]
-        small = Small(practical, float(np.ptp(self.runs.response)))
         each = enumerate(zip(*told, strict=True))
-        return tuple(self._range(j, own, small, u) for j, own in each)
+        return tuple(self._range(j, own, practical, u) for j, own in each)
 
-    def _range(self, j: int, own: tuple[EffectRange, ...], small: Small, u: float) -> EffectRange:
+    def _range(
+        self, j: int, own: tuple[EffectRange, ...], practical: float | None, u: float
+    ) -> EffectRange:
         values = np.array([effect.value for effect in own])
         bound = float(self._scatter(values) + np.mean([effect.bound for effect in own]))
         value = float(values.mean())
         # where the block nearest to the mean has its extremes
         nearest = own[int(np.abs(values - value).argmin())]
-        sure = small.practical is not None and is_confirmed(self.runs, j, small.practical + u)
-        return EffectRange(value, bound, small.verdict(value, bound), nearest.confirm, sure)
+        sure = practical is not None and is_confirmed(self.runs, j, practical + u)
+        verdict = verdict_of(value, bound, practical, float(np.ptp(self.runs.response)))
+        return EffectRange(value, bound, verdict, nearest.confirm, sure)
 
     def _scatter(self, values: Array) -> Array:
         """Half width of the 95 % interval of a mean over blocks, the first axis of the values."""
@@ -510,28 +527,15 @@ class BlockedEmulator:
         return np.asarray(t * values.std(axis=0, ddof=1) / np.sqrt(b))
 
 
-def _blocked_averaged(
-    own: tuple[SobolIndex, ...], scatter: Callable[[Array], Array], margin: float
-) -> SobolIndex:
-    first = np.array([index.first for index in own])
-    total = np.array([index.total for index in own])
-    return SobolIndex(
-        float(first.mean()),
-        _blocked_interval(first, float(scatter(first)) + margin),
-        float(total.mean()),
-        _blocked_interval(total, float(scatter(total)) + margin),
-    )
-
-
-def _blocked_interval(values: Array, half: float) -> tuple[float, float]:
-    low, high = np.clip([values.mean() - half, values.mean() + half], 0.0, 1.0)
-    return float(low), float(high)
-
-
 def fit_blocks(runs: Runs, seed: int = 0) -> BlockedEmulator:
     """Fit an emulator to the runs of each block."""
     found = {name: fit_emulator(_of_block(runs, name), seed) for name in _blocks(runs)}
     return BlockedEmulator(runs, found)
+
+
+def fit_own(runs: Runs) -> Emulator | BlockedEmulator:
+    """Fit an emulator to runs, one for each block where there are several."""
+    return fit_blocks(runs) if len(set(runs.blocks)) > 1 else fit_emulator(runs)
 
 
 def fit_blocks_together(
@@ -605,16 +609,13 @@ class Unsure:
         half_at = linalg.solve_triangular(factor, kernel.correlation(made, at), lower=True)
         shared = kernel.correlation(x, at) - half_x.T @ half_at
         own = np.maximum(1.0 - (half_x**2).sum(axis=0), 0.0) + max(nugget, 1e-10)
-        gains = (shared**2) @ self._weights(at, kernel) / own
-        return np.asarray(found.variance * gains / at.shape[0])
-
-    def _weights(self, at: Array, kernel: Kernel) -> Array:
-        """Square of the misfit of the runs near each point, over that which the process expects."""
+        # square of the misfit of the runs near each point, over that which the process expects
         ratios = (self.process.loo_errors / self.process.loo_deviations) ** 2
         near = kernel.correlation(at, self.process.x)
-        mean = float(ratios.mean())
-        local = (near @ ratios + PRIOR_RUNS * mean) / (near.sum(axis=1) + PRIOR_RUNS)
-        return np.asarray(local**self.power)
+        local = near @ ratios + PRIOR_RUNS * float(ratios.mean())
+        local /= near.sum(axis=1) + PRIOR_RUNS
+        gains = (shared**2) @ local**self.power / own
+        return np.asarray(found.variance * gains / at.shape[0])
 
 
 def next_run(unsure: Sequence[Unsure], x: Array, at: Array, made: Array) -> tuple[int, float]:

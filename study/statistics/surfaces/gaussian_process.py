@@ -339,8 +339,9 @@ def condition(x: Array, y: Array, noise: Array, found: Hyperparameters) -> Gauss
 
 def _projected(factor: Array, constants: Array) -> Array:
     """K^-1 with the columns of the constant means projected out, shape (n, n)."""
-    inverse, _ = linalg.lapack.dpotri(factor, lower=1)
-    inverse = np.tril(inverse) + np.tril(inverse, -1).T
+    lower, _ = linalg.lapack.dpotri(factor, lower=1)
+    inverse = lower + lower.T  # the factor has zeros above its diagonal, and so has the inverse
+    inverse[np.diag_indices_from(inverse)] = np.diag(lower)
     known = inverse @ constants
     return np.asarray(inverse - known @ linalg.solve(constants.T @ known, known.T, assume_a="pos"))
 

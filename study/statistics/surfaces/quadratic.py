@@ -12,13 +12,11 @@ from scipy import linalg
 
 from study.ground.arrays import Array, Flags, Ints
 from study.ground.errors import Fault, RefusedError
-from study.statistics.surfaces.emulator import EffectRange, Small, effect_range, is_confirmed
+from study.statistics.surfaces.emulator import EffectRange, effect_ranges
 from study.statistics.surfaces.surface_factors import (
-    Extreme,
     Runs,
     box_points,
     change_together,
-    extremes,
 )
 
 # A polynomial of second order in coded factors.
@@ -382,6 +380,9 @@ def region_of(member: Member, at: Array) -> Region:
 
 #: smallest Q2 at which effects are carried by a quadratic
 CARRIED = 0.8
+#: fewest runs beside those that the coefficients take: with one, 7 to 10 % of pure noise has a Q2
+#: of .8 and more, with two 1 to 3 %
+SPARE = 2
 #: p of the lack of fit below which a quadratic carries none
 UNFIT = 0.05
 #: share of the settings that blocks may have in common where each holds a part of the design:
@@ -420,9 +421,6 @@ class QuadraticSurface:
     lack_of_fit: SurfaceFTest | None
     #: None where the surface is level nowhere.
     stationary: StationaryPoint | None
-    #: In the box, with twice the rms leave-one-out error around.
-    smallest: Extreme
-    largest: Extreme
     #: Terms that the settings cannot tell from others.
     aliases: tuple[str, ...]
     notes: tuple[str, ...]
@@ -440,25 +438,19 @@ class QuadraticSurface:
         unfit = self.lack_of_fit is not None and self.lack_of_fit.p < UNFIT
         if self.covariance is None or self.loo is None or unfit:
             return None
-        if self.error == "none" and not self.loo.q2 >= CARRIED:
+        if self.error == "none" and not self.carries:
             return None
-        small, ranges = Small(practical, float(np.ptp(self.runs.response))), []
-        for j in range(self.polynomial.k):
-            exact = self.error == "none"
-            bound = u + (2.0 * self.loo.largest if exact else self._scatter(j, self.covariance))
-            sure = practical is not None and is_confirmed(self.runs, j, practical + u)
-            ranges.append(replace(self.range_along(j, bound, small), confirmed=sure))
-        return tuple(ranges)
+        bounds = [
+            u + (2.0 * self.loo.largest if self.error == "none" else self._scatter(j))
+            for j in range(self.polynomial.k)
+        ]
+        return effect_ranges(self.value, self.runs, bounds, practical, u)
 
-    def range_along(self, j: int, bound: float = 0.0, small: Small | None = None) -> EffectRange:
-        """Range along factor j, judged where a bound and what is too small are given."""
-        value, small = self.polynomial.value, small or Small(None, 0.0)
-        return effect_range(lambda x: value(2.0 * x - 1.0), self.polynomial.k, j, bound, small)
-
-    def _scatter(self, j: int, covariance: Array) -> float:
+    def _scatter(self, j: int) -> float:
         """Half width of every difference of two settings of one factor together."""
         from scipy import stats
 
+        covariance = np.asarray(self.covariance)
         own = [i for i, term in enumerate(self.polynomial.terms) if j in term.factors]
         p, spread = len(own), covariance[np.ix_(own, own)]
         points = box_points(self.polynomial.k, 256)
@@ -485,13 +477,22 @@ class QuadraticSurface:
         return float("nan") if self.loo is None else self.loo.q2
 
     @property
+    def carries(self) -> bool:
+        """Whether left-out runs are predicted well enough for effects and a best setting."""
+        return self.q2 >= CARRIED and (self.error == "blocks" or self.df >= SPARE)
+
+    @property
     def half_width(self) -> float:
         """Twice the rms leave-one-out error, in the response's unit; NaN if it is not known."""
-        return self.smallest.half_width
+        return float("nan") if self.loo is None else 2.0 * self.loo.rms
+
+    def value(self, coded: Array) -> Array:
+        """Predictions, shape (n,), at coded points of shape (n, k)."""
+        return self.polynomial.value(coded)
 
     def predict(self, coded: Array) -> tuple[Array, Array]:
         """Predictions and half widths of their intervals, shape (n,) each, at coded points."""
-        values = self.polynomial.value(coded)
+        values = self.value(coded)
         return values, np.full(values.shape, self.half_width)
 
 
@@ -652,8 +653,6 @@ def _surface(
         columns.terms, columns.coefficients(response)[:count], len(runs.factors)
     )
     loo = leave_one_out(columns, response)
-    half_width = float("nan") if loo is None else 2.0 * loo.rms
-    smallest, largest = extremes(polynomial.value, polynomial.k, half_width)
     linear = [n for n, count in zip(runs.names, runs.levels(), strict=True) if count == 2]
     said = [f"{name} has two settings: linear only" for name in linear]
     together = change_together(runs)
@@ -666,6 +665,8 @@ def _surface(
         said.append("as many coefficients as runs: no error of the surface can be told; add runs")
     elif not loo.q2 >= CARRIED:
         said.append(f"Q2 {loo.q2:.2f} is below .8: effects are not carried by a quadratic")
+    elif error != "blocks" and response.size - columns.matrix.shape[1] < SPARE:
+        said.append(f"one run more than coefficients: a Q2 of {loo.q2:.2f} may be chance; add runs")
     # a stationary point needs every square
     squares = sum(len(t.factors) == 2 and t.factors[0] == t.factors[1] for t in columns.terms)
     point = stationary_point(polynomial) if squares == polynomial.k else None
@@ -678,7 +679,7 @@ def _surface(
         covariance = columns.inverse()[:count, :count] * residual / df
         point = _with_region(point, level_by_residual(polynomial, covariance, df))
     return QuadraticSurface(
-        runs, polynomial, terms, {}, error, loo, lack, point, smallest, largest,
+        runs, polynomial, terms, {}, error, loo, lack, point,
         _alias_list(runs, columns), (*notes, *said), covariance, df,
     )  # fmt: skip
 

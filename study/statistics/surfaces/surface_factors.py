@@ -169,12 +169,19 @@ def change_together(runs: Runs) -> tuple[str, ...]:
 QUARTER = 0.1
 
 
-def never_run(runs: Runs) -> list[str]:
-    """Name the quarters of the ranges of two factors in which no run lies."""
+def never_run(runs: Runs, at: Array | None = None) -> list[str]:
+    """Name the quarters of the ranges of two factors in which no run lies.
+
+    Where coded points are given, shape (m, k), only the quarters that hold one of them.
+    """
     found = []
     for i, j in combinations(range(len(runs.factors)), 2):
         for side in product((1.0, -1.0), repeat=2):
-            if not ((runs.coded[:, [i, j]] * side) > QUARTER).all(axis=1).any():
+            inside = [
+                bool((points[:, [i, j]] * side > QUARTER).all(axis=1).any())
+                for points in (runs.coded, *([] if at is None else [at]))
+            ]
+            if not inside[0] and all(inside[1:]):
                 ends = [
                     f"{runs.factors[m].name} {'above' if end > 0 else 'below'} "
                     f"{runs.factors[m].setting(0.0):.4g}"
@@ -220,20 +227,17 @@ def box_points(k: int, n: int, seed: int = 0) -> Array:
     return np.asarray(2.0 * qmc.Sobol(k, seed=seed).random(n) - 1.0)
 
 
-def extremes(value: Callable[[Array], Array], k: int, half_width: float) -> tuple[Extreme, Extreme]:
-    """Smallest and largest prediction in the box. Shapes: value (n,)."""
+def extremes(value: Callable[[Array], Array], k: int) -> tuple[Array, Array]:
+    """Coded settings, shape (k,), of the smallest and the largest value (n,) in the box."""
     points = box_points(k, 4096)
     if k <= CORNERS:
         points = np.vstack([points, np.array(list(product((-1.0, 1.0), repeat=k)))])
     values = value(points)
-    low = _polished(value, points[np.argsort(values)[:STARTS]], 1.0, half_width)
-    high = _polished(value, points[np.argsort(-values)[:STARTS]], -1.0, half_width)
-    return low, high
+    low = _polished(value, points[np.argsort(values)[:STARTS]], 1.0)
+    return low, _polished(value, points[np.argsort(-values)[:STARTS]], -1.0)
 
 
-def _polished(
-    value: Callable[[Array], Array], starts: Array, sign: float, half_width: float
-) -> Extreme:
+def _polished(value: Callable[[Array], Array], starts: Array, sign: float) -> Array:
     scale = float(np.abs(value(starts)).max()) or 1.0
 
     def goal(x: Array) -> float:
@@ -242,5 +246,4 @@ def _polished(
     bounds = [(-1.0, 1.0)] * starts.shape[1]
     searches = (scipy.optimize.minimize(goal, x, method="L-BFGS-B", bounds=bounds) for x in starts)
     ends = [settled(one, "extreme of a surface", by_lines=True).x for one in searches]
-    best = min([*ends, *starts], key=goal)
-    return Extreme(np.asarray(best), float(value(best[None, :])[0]), half_width)
+    return np.asarray(min([*ends, *starts], key=goal))

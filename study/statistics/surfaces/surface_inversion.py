@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -40,15 +41,21 @@ LEVEL = 0.95
 
 @dataclass(frozen=True)
 class FactorCombination:
-    """A product of powers of the inputs that a curve determines."""
+    """A product of powers of the inputs that a curve determines, where inputs alone are not."""
 
-    #: shape (k,); powers, the first one that counts is 1; 0 for an input that was held or is
-    #: determined.
-    exponents: Array
+    #: Powers of the inputs that count, by name; the first one is 1.
+    exponents: Mapping[str, float]
     #: Of the product, in the inputs' units.
     value: float
     #: Factor by which the product may be larger or smaller.
     ratio: float
+
+    @property
+    def words(self) -> str:
+        """The product as it is written; powers that are next to nothing are left out."""
+        parts = [name if abs(e - 1.0) < 0.005 else f"{name}^{e:.3g}"
+                 for name, e in self.exponents.items() if abs(e) >= 0.01]  # fmt: skip
+        return " * ".join(parts)
 
 
 @dataclass(frozen=True)
@@ -283,14 +290,15 @@ class _Search:
 
     def holding(self, rule: FactorCombination, members: Array) -> FactorCombination | None:
         """Widen a rule until every member of the set keeps it; None where it says little then."""
-        used = np.flatnonzero(rule.exponents)
+        names, powers = self.model.runs.names, np.array([*rule.exponents.values()])
+        used = [names.index(name) for name in rule.exponents]
         factors = [self.model.runs.factors[j] for j in used]
         logs = np.log([[f.setting(float(x)) for f, x in zip(factors, one[used], strict=True)]
                        for one in members])  # fmt: skip
-        worst = float(np.abs(logs @ rule.exponents[used] - np.log(rule.value)).max())
+        worst = float(np.abs(logs @ powers - np.log(rule.value)).max())
         half = max(worst, float(np.log(rule.ratio)))
         room = np.log([f.high / f.low for f in factors])
-        if half >= NARROW * 0.5 * float(np.abs(rule.exponents[used]) @ room):
+        if half >= NARROW * 0.5 * float(np.abs(powers) @ room):
             return None
         return replace(rule, ratio=float(np.exp(half)))
 
@@ -300,7 +308,7 @@ class _Search:
         counts = np.abs(direction) >= COUNTS * float(np.abs(direction).max())
         unit = direction[int(np.flatnonzero(counts)[0])]
         own = np.where(counts, direction / unit, 0.0)
-        exponents = np.zeros(self.held.size)
-        exponents[loose] = own
         value = float(np.prod(settings**own))
+        names = (self.model.runs.names[j] for j in loose)
+        exponents = {n: float(e) for n, e in zip(names, own, strict=True) if e}
         return FactorCombination(exponents, value, float(np.exp(half / abs(unit))))

@@ -72,15 +72,18 @@ class Optimum:
 def check_carries(model: Model) -> None:
     """Refuse a surface that does not predict runs it has not seen."""
     quadratic = isinstance(model, QuadraticSurface)
-    least = CARRIED if quadratic else GIVEN
-    twice = 2 * model.runs.response.size
+    name, twice = model.runs.name, 2 * model.runs.response.size
     if isinstance(model, QuadraticSurface) and model.loo is None:
-        rule = f"the surface of {model.runs.name} has as many coefficients as runs: no error"
+        rule = f"the surface of {name} has as many coefficients as runs: no error"
         raise RefusedError(str(Fault("optimize", rule, "add runs")))
+    least = CARRIED if quadratic else GIVEN
     if not model.q2 >= least:
-        rule = f"the surface of {model.runs.name} has a Q2 of {model.q2:.2f}, below {least}"
+        rule = f"the surface of {name} has a Q2 of {model.q2:.2f}, below {least}"
         mend = f"add runs: {twice} in all" + (", or --surface emulator" if quadratic else "")
         raise RefusedError(str(Fault("optimize", rule, mend)))
+    if isinstance(model, QuadraticSurface) and not model.carries:
+        rule = f"the surface of {name} has one run more than coefficients: its Q2 may be chance"
+        raise RefusedError(str(Fault("optimize", rule, f"add runs: {twice} in all")))
 
 
 def run_box(runs: Runs) -> tuple[Array, Array]:
@@ -153,7 +156,7 @@ def _searched(
     """Best free settings, shape (f,), that keep the limits; None where none do."""
     sample = space.sample()
     rooms = _rooms(limits, space.whole(sample), share)
-    order = np.lexsort((sign * _value(model, space.whole(sample)), -np.minimum(rooms, 0.0)))
+    order = np.lexsort((sign * model.value(space.whole(sample)), -np.minimum(rooms, 0.0)))
     starts = sample[order[:STARTS]]
     if limits:  # a narrow set may lie between the points: begin from where it is nearest, too
         starts = np.vstack([starts, sample[np.argsort(-rooms)[:STARTS]]])
@@ -165,7 +168,7 @@ def _searched(
     if not kept.any():
         return None
     good = np.flatnonzero(kept)
-    best = int(good[np.argmin(sign * _value(model, space.whole(points[good])))])
+    best = int(good[np.argmin(sign * model.value(space.whole(points[good])))])
     if best >= len(starts) and searches[best - len(starts)][1]:
         rule = f"the search for the best setting has not converged in {STEPS} steps"
         mend = "hold a factor, or move a limit that hardly any setting keeps"
@@ -193,18 +196,12 @@ def _polished(
         return {"type": "ineq", "fun": each(lambda p: one.room(p, share) - 0.1 * ROUNDING)}
 
     found = scipy.optimize.minimize(
-        each(lambda p: sign * _value(model, p)), start, method="SLSQP",
+        each(lambda p: sign * model.value(p)), start, method="SLSQP",
         constraints=[rule(one) for one in limits],
         bounds=list(zip(space.low, space.high, strict=True)),
         options={"ftol": 1e-13, "maxiter": STEPS},
     )  # fmt: skip
     return np.asarray(found.x, dtype=np.float64), found.status == BY_COUNT
-
-
-def _value(model: Model, coded: Array) -> Array:
-    if isinstance(model, QuadraticSurface):
-        return model.polynomial.value(coded)
-    return model.value(coded)
 
 
 def _rooms(limits: Sequence[ResponseLimit], coded: Array, share: float) -> Array:
@@ -261,6 +258,6 @@ def spread_over(
     held[list(others)] = np.nan
     space = _Space.of([model, *(one.model for one in limits)], held)
     points = space.whole(space.sample())
-    value = _value(model, points)
+    value = model.value(points)
     kept = float((_rooms(limits, points, 0.0) >= -ROUNDING).mean())
     return ResponseSpread(float(value.min()), float(value.max()), kept)

@@ -22,7 +22,7 @@ from study.statistics.surfaces.emulator import (
 )
 from study.statistics.surfaces.quadratic import QuadraticSurface
 from study.statistics.surfaces.surface_factors import Runs, box_points
-from study.statistics.surfaces.surface_result import SurfaceAnalysis
+from study.statistics.surfaces.surface_result import SurfaceAnalysis, SurfacePrediction
 
 if TYPE_CHECKING:
     from study.statistics.surfaces.surface_propagation import Propagated
@@ -32,24 +32,6 @@ if TYPE_CHECKING:
 #: points of a profile, and along each side of a contour
 POINTS = 41
 GRID = 31
-
-
-@dataclass(frozen=True)
-class SurfaceProfile:
-    """The response along one factor, the others in the middle of their ranges."""
-
-    factor: str
-    #: shape (m,); settings that were run, from the lowest to the highest, in the factor's unit.
-    setting: Array
-    #: shape (m,); predictions with their 95 % intervals, in the response's unit.
-    value: Array
-    low: Array
-    high: Array
-
-    @property
-    def range(self) -> float:
-        """Largest minus smallest prediction."""
-        return float(np.ptp(self.value))
 
 
 @dataclass(frozen=True)
@@ -66,24 +48,27 @@ class Contour:
     runs: Array
 
 
-@dataclass(frozen=True)
-class LeftOutRun:
-    """Every run, and what all the others predict of it; shape (n,) each."""
+def profiles(found: SurfaceAnalysis) -> dict[str, tuple[Array, SurfacePrediction]]:
+    """Predict along each factor, the others in the middle of their ranges.
 
-    observed: Array
-    predicted: Array
-
-
-def profiles(found: SurfaceAnalysis) -> tuple[SurfaceProfile, ...]:
-    """Profile of every factor, in the order of the factors."""
-    return tuple(_profile(found, j) for j in range(len(found.runs.factors)))
+    Settings are those that were run, from the lowest to the highest, in the factor's unit.
+    """
+    made = {}
+    for j, (factor, column) in enumerate(zip(found.runs.factors, found.runs.coded.T, strict=True)):
+        coded = np.zeros((POINTS, len(found.runs.factors)))
+        coded[:, j] = _coded(column, POINTS)
+        value, half = found.model.predict(coded)
+        setting = np.array([factor.setting(float(x)) for x in coded[:, j]])
+        made[factor.name] = setting, SurfacePrediction(value, value - half, value + half)
+    return made
 
 
 def strongest(found: SurfaceAnalysis) -> tuple[str, ...]:
     """Names of the factors, the one that moves the response most first."""
     if found.sensitivity:
         return tuple(i.factor for i in sorted(found.sensitivity, key=lambda i: i.rank))
-    return tuple(p.factor for p in sorted(profiles(found), key=lambda p: -p.range))
+    sizes = {name: np.ptp(along.value) for name, (_, along) in profiles(found).items()}
+    return tuple(sorted(sizes, key=lambda name: -sizes[name]))
 
 
 def contour(found: SurfaceAnalysis, factors: Sequence[str]) -> Contour:
@@ -107,28 +92,16 @@ def contour(found: SurfaceAnalysis, factors: Sequence[str]) -> Contour:
     )
 
 
-def left_out(found: SurfaceAnalysis) -> LeftOutRun | None:
-    """Leave-one-out predictions; None where no run can be left out."""
+def left_out(found: SurfaceAnalysis) -> tuple[Array, Array] | None:
+    """Every run and what all the others predict of it; None where no run can be left out."""
     model = found.model
     if isinstance(model, QuadraticSurface):
         if model.loo is None:
             return None
         known = np.isfinite(model.loo.errors)
-        observed = model.loo.observed[known]
-        return LeftOutRun(observed, observed - model.loo.errors[known])
-    each = model.each if isinstance(model, BlockedEmulator) else (model,)
-    observed = np.concatenate([one.runs.response for one in each])
-    return LeftOutRun(observed, observed - model.loo_errors)
-
-
-def _profile(found: SurfaceAnalysis, j: int) -> SurfaceProfile:
-    runs = found.runs
-    coded = np.zeros((POINTS, len(runs.factors)))
-    coded[:, j] = _coded(runs.coded[:, j], POINTS)
-    value, half = found.model.predict(coded)
-    factor = runs.factors[j]
-    setting = np.array([factor.setting(float(x)) for x in coded[:, j]])
-    return SurfaceProfile(factor.name, setting, value, value - half, value + half)
+        return model.loo.observed[known], (model.loo.observed - model.loo.errors)[known]
+    observed = np.concatenate([one.runs.response for one in model.each])
+    return observed, observed - model.loo_errors
 
 
 def _coded(column: Array, points: int) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -13,6 +13,7 @@ from study.ground.arrays import Array
 from study.ground.errors import Fault, RefusedError
 from study.statistics.surfaces.emulator import (
     GIVEN,
+    NO_INDEX,
     RANKED,
     SAMPLE_ERROR,
     BlockedEmulator,
@@ -93,10 +94,7 @@ class Propagated:
         rows = [
             {
                 "input": one.name,
-                "S": None if one.index is None else one.index.first,
-                "S_interval": None if one.index is None else list(one.index.first_interval),
-                "T": None if one.index is None else one.index.total,
-                "T_interval": None if one.index is None else list(one.index.total_interval),
+                **(NO_INDEX if one.index is None else one.index.to_json()),
                 "sd_if_halved": one.halved,
                 "gain": self.gain(one),
             }
@@ -125,12 +123,14 @@ def propagate(
         raise RefusedError(str(Fault("uncertainty", rule, "add runs")))
     own = _Inputs(found.runs, dict(inputs), dict(fixed))
     u = qmc.Sobol(len(inputs), seed=seed).random_base2(SAMPLE)
-    values = _value(model, own.coded(u))
+    values = model.value(own.coded(u))
     told, errors = _numbers(values[:, None])[:, 0], _own(model, own, seed)
     each = [Told(float(v), float(e)) for v, e in zip(told, errors, strict=True)]
-    shares = _shares(model, own, q2, seed) if q2 >= GIVEN else [None] * len(inputs)
+    shares: Sequence[SobolIndex | None] = [None] * len(inputs)
+    if q2 >= GIVEN:
+        shares = _shares(model, own, q2, seed)
     rows = [
-        InputShare(name, share, float(_value(model, own.halved(name).coded(u)).std()))
+        InputShare(name, share, float(model.value(own.halved(name).coded(u)).std()))
         for name, share in zip(inputs, shares, strict=True)
     ]
     return Propagated(
@@ -172,12 +172,6 @@ class _Inputs:
         return _Inputs(self.runs, spreads, self.fixed)
 
 
-def _value(model: Model, coded: Array) -> Array:
-    if isinstance(model, QuadraticSurface):
-        return model.polynomial.value(coded)
-    return model.value(coded)
-
-
 def _numbers(values: Array) -> Array:
     """Mean, standard deviation and percentiles, shape (2 + percentiles, p), of values (n, p)."""
     middle = np.percentile(values, PERCENTILES, axis=0)
@@ -208,25 +202,17 @@ def _own(model: Model, inputs: _Inputs, seed: int) -> Array:
     return np.asarray(1.96 * np.maximum(model.widening * scatter, least))
 
 
-def _shares(model: Model, inputs: _Inputs, q2: float, seed: int) -> list[SobolIndex | None]:
+def _shares(model: Model, inputs: _Inputs, q2: float, seed: int) -> Sequence[SobolIndex]:
     """Sobol indices of the uncertain inputs."""
     k = len(inputs.spreads)
     if isinstance(model, Emulator):
         paths = model.paths(seed)
-        return [*sobol_indices(lambda u: paths(inputs.unit(u)), k, q2, seed)]
-
-    def value(u: Array) -> Array:
-        return _value(model, inputs.coded(u))[:, None]
-
+        return sobol_indices(lambda u: paths(inputs.unit(u)), k, q2, seed)
+    # without paths the ends of an interval are the estimate's own, but for what Q2 leaves open
+    indices = jansen(lambda u: model.value(inputs.coded(u))[:, None], k, seed)
     margin = 1.0 - q2 + SAMPLE_ERROR
-    first, total = (np.clip(found[:, 0], 0.0, 1.0) for found in jansen(value, k, seed))
     return [
-        *[
-            SobolIndex(float(s), _around(s, margin), float(t), _around(t, margin))
-            for s, t in zip(first, total, strict=True)
-        ]
-    ]
-
-
-def _around(value: float, margin: float) -> tuple[float, float]:
-    return max(0.0, float(value) - margin), min(1.0, float(value) + margin)
+        SobolIndex.of(s[0], np.repeat(np.clip(s, 0, 1), 2), t[0], np.repeat(np.clip(t, 0, 1), 2),
+                      margin)
+        for s, t in zip(*indices, strict=True)
+    ]  # fmt: skip

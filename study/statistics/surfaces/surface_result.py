@@ -9,7 +9,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from study.ground.arrays import Array
-from study.statistics.surfaces.emulator import BlockedEmulator, EffectRange, Emulator, SobolIndex
+from study.statistics.surfaces.emulator import (
+    NO_INDEX,
+    BlockedEmulator,
+    EffectRange,
+    Emulator,
+    SobolIndex,
+    effect_ranges,
+)
 from study.statistics.surfaces.quadratic import QuadraticSurface, StationaryPoint, SurfaceFTest
 from study.statistics.surfaces.surface_factors import Extreme, Runs, extremes, never_run
 
@@ -23,6 +30,16 @@ class SurfacePrediction:
     value: Array
     low: Array
     high: Array
+    response: str = ""
+    unit: str = ""
+    #: Such as that no run lies in the part of the ranges that was asked about.
+    notes: tuple[str, ...] = ()
+
+    def to_json(self) -> Document:
+        """Plain values; a single point gives numbers, several give lists."""
+        ends = {"value": self.value, "low": self.low, "high": self.high}
+        values = {k: float(v[0]) if v.size == 1 else v.tolist() for k, v in ends.items()}
+        return {"response": self.response, "unit": self.unit, **values}
 
 
 @dataclass(frozen=True)
@@ -62,12 +79,17 @@ class SurfaceAnalysis:
 
     def predict(self, at: Mapping[str, ArrayLike]) -> SurfacePrediction:
         """Predict at settings that were not run, inside those that were. Shapes: at (m,)."""
-        value, half = self.model.predict(self.runs.points(at))
-        return SurfacePrediction(value, value - half, value + half)
+        points = self.runs.points(at)
+        value, half = self.model.predict(points)
+        notes = tuple(never_run(self.runs, points))
+        return SurfacePrediction(value, value - half, value + half, self.runs.name, "", notes)
 
     def to_json(self) -> Document:
         """Plain values, with the keys ``surface`` and ``sensitivity``."""
-        shape = self._quadratic() if isinstance(self.model, QuadraticSurface) else self._emulator()
+        model = self.model
+        shape = (
+            self._quadratic(model) if isinstance(model, QuadraticSurface) else self._emulator(model)
+        )
         best = {"smallest": self._extreme(self.smallest), "largest": self._extreme(self.largest)}
         surface: Document = {"kind": self.kind, **shape, "best": best}
         factors = {
@@ -83,15 +105,17 @@ class SurfaceAnalysis:
             "notes": list(self.notes),
         }
 
-    def _quadratic(self) -> Document:
-        found = self.model
-        if not isinstance(found, QuadraticSurface):
-            return {}
+    def _quadratic(self, found: QuadraticSurface) -> Document:
         loo = found.loo
         return {
             "error": found.error,
             "terms": [
-                {"term": t.term, "coefficient": t.coefficient, "ci95": _pair(t.interval), "p": t.p}
+                {
+                    "term": t.term,
+                    "coefficient": t.coefficient,
+                    "ci95": t.interval and list(t.interval),
+                    "p": t.p,
+                }
                 for t in found.terms
             ],
             "factor_tests": {name: _test(test) for name, test in found.factor_tests.items()},
@@ -103,10 +127,7 @@ class SurfaceAnalysis:
             "stationary": self._stationary(found.stationary),
         }
 
-    def _emulator(self) -> Document:
-        found = self.model
-        if isinstance(found, QuadraticSurface):
-            return {}
+    def _emulator(self, found: Emulator | BlockedEmulator) -> Document:
         own: Document
         if isinstance(found, Emulator):
             own = self._process(found)
@@ -166,10 +187,7 @@ class SurfaceAnalysis:
         return {
             "factor": item.factor,
             "rank": item.rank,
-            "S": None if index is None else index.first,
-            "S_interval": _pair(None if index is None else index.first_interval),
-            "T": None if index is None else index.total,
-            "T_interval": _pair(None if index is None else index.total_interval),
+            **(NO_INDEX if index is None else index.to_json()),
             "range": None if effect is None else effect.value,
             "range_bound": None if effect is None else effect.bound,
             "verdict": "cannot tell" if effect is None else effect.told,
@@ -183,10 +201,27 @@ class SurfaceAnalysis:
 FAR = 100.0
 
 
-def analysis_of_quadratic(
-    found: QuadraticSurface, practical: float | None = None, u: float = 0.0
+def analysis_of(
+    model: QuadraticSurface | Emulator | BlockedEmulator,
+    practical: float | None = None,
+    u: float = 0.0,
 ) -> SurfaceAnalysis:
-    """Say what a quadratic surface means; factors are judged where a practical difference is."""
+    """Say what a surface means; of an emulator all that its Q2 allows."""
+    if isinstance(model, QuadraticSurface):
+        judged, said = _of_quadratic(model, practical, u)
+    else:
+        judged, said = _of_emulator(model, practical, u)
+    low, high = (
+        Extreme(at, *(float(part[0]) for part in model.predict(at[None, :])))
+        for at in extremes(model.value, len(model.runs.factors))
+    )
+    return SurfaceAnalysis(model, judged, low, high, tuple(said))
+
+
+def _of_quadratic(
+    found: QuadraticSurface, practical: float | None, u: float
+) -> tuple[tuple[Sensitivity, ...], list[str]]:
+    """Judge the factors of a quadratic where a practical difference is given, with notes."""
     said = [*found.notes, *never_run(found.runs)]
     point = found.stationary
     if point is None or not point.established:
@@ -194,60 +229,50 @@ def analysis_of_quadratic(
             "no stationary point established inside the region; confirm the best predicted "
             "setting by a run there"
         )
-    judged: tuple[Sensitivity, ...] = ()
-    if practical is not None:
-        names = found.runs.names
-        ranges = found.ranges(practical, u)
-        sizes = [found.range_along(j).value for j in range(len(names))]
-        ranks = np.argsort(np.argsort([-size for size in sizes])).tolist()
-        every = zip(names, ranks, ranges or [None] * len(names), strict=True)
-        judged = tuple(Sensitivity(name, rank + 1, None, item) for name, rank, item in every)
-        if ranges is None:
-            rule = "no factor is judged: a quadratic does not carry these runs, or fits them all"
-            said.append(rule)
-    return SurfaceAnalysis(found, judged, found.smallest, found.largest, tuple(said))
+    if practical is None:
+        return (), said
+    names = found.runs.names
+    ranges = found.ranges(practical, u)
+    sizes = [i.value for i in effect_ranges(found.value, found.runs, [0.0] * len(names), None, 0.0)]
+    ranks = np.argsort(np.argsort([-size for size in sizes])).tolist()
+    if ranges is None:
+        said.append("no factor is judged: a quadratic does not carry these runs, or fits them all")
+    every = zip(names, ranks, ranges or [None] * len(names), strict=True)
+    return tuple(Sensitivity(name, rank + 1, None, item) for name, rank, item in every), said
 
 
-def analysis_of_emulator(
-    found: Emulator | BlockedEmulator, practical: float | None, u: float = 0.0
-) -> SurfaceAnalysis:
-    """Ask an emulator for all that its Q2 allows."""
-    k, unrun = len(found.runs.factors), never_run(found.runs)
-    low, high = (
-        replace(extreme, half_width=float(found.predict(extreme.at[None, :])[1][0]))
-        for extreme in extremes(found.value, k, 0.0)
-    )
+def _of_emulator(
+    found: Emulator | BlockedEmulator, practical: float | None, u: float
+) -> tuple[tuple[Sensitivity, ...], list[str]]:
+    """Ask an emulator for all that its Q2 allows, with notes."""
+    names, unrun = found.runs.names, never_run(found.runs)
     twice = 2 * found.runs.response.size
     if found.gate == "refused":
-        note = f"Q2 {found.q2:.2f} is below .7: no indices; add runs, {twice} in all"
-        return SurfaceAnalysis(found, (), low, high, (note, *unrun))
+        return (), [f"Q2 {found.q2:.2f} is below .7: no indices; add runs, {twice} in all", *unrun]
     indices = found.indices()
     order = np.argsort([-index.total for index in indices]).tolist()
     ranks = {j: rank for rank, j in enumerate(order, 1)}
-    names = found.runs.names
     if found.gate == "ranking only":
         note = f"Q2 {found.q2:.2f} is below .9: ranking only; add runs, {twice} in all"
-        ranked = tuple(Sensitivity(names[j], ranks[j], None, None) for j in range(k))
-        return SurfaceAnalysis(found, ranked, low, high, (note, *unrun))
+        ranked = tuple(Sensitivity(name, ranks[j], None, None) for j, name in enumerate(names))
+        return ranked, [note, *unrun]
     ranges = found.ranges(practical, u)
-    told = tuple(Sensitivity(names[j], ranks[j], indices[j], ranges[j]) for j in range(k))
+    judged = tuple(
+        Sensitivity(name, ranks[j], indices[j], ranges[j]) for j, name in enumerate(names)
+    )
     notes = [
         *unrun,
         "indices are of factors uniform over their ranges; ranges hold at 95 % of the settings",
     ]
     if any(item.claims for item in ranges):
         notes.append("matters holds once the two predicted extremes were run: see confirm")
-    return SurfaceAnalysis(found, told, low, high, tuple(notes))
+    return judged, notes
 
 
 def _test(test: SurfaceFTest | None) -> Document | None:
     if test is None:
         return None
     return {"F": test.f, "df": test.df, "df_error": test.df_error, "p": test.p}
-
-
-def _pair(interval: tuple[float, float] | None) -> list[float] | None:
-    return None if interval is None else list(interval)
 
 
 def _finite(value: float) -> float | None:

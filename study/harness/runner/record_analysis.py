@@ -1,16 +1,16 @@
-"""Statistics alone: on the records of a study, on any tidy CSV, or a single test."""
+"""Statistics on the records of a study: rows and question of each response, as its design says."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
-from study.api.uncertainty import finest_mesh, numerical_bound
 from study.ground.errors import InputError
 from study.ground.tabular import names_of
 from study.harness.design.load import is_constant
 from study.harness.record.record import answered_often, table
+from study.harness.runner.study_uncertainty import finest_mesh, numerical_bound
 from study.statistics.analysis.analysis_request import (
     AnalysisRequest,
     Blocking,
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from study.harness.design.spec import Design, ResponseSpec
     from study.harness.record.record import Record
+    from study.statistics.analysis.analysis_request import AnovaOptions
     from study.statistics.analysis.analysis_result import AnalysisResult
     from study.statistics.analysis.anova_table import Effect
     from study.statistics.convergence.grid_convergence import NumericalUncertainty
@@ -36,9 +37,11 @@ def analyze_records(
     records: Sequence[Record],
     response: ResponseSpec,
     numerical: Sequence[NumericalUncertainty] = (),
+    factors: Sequence[str] = (),
+    options: AnovaOptions | None = None,
 ) -> AnalysisResult:
-    """Analyze one response of a study as its design says."""
-    rows, request, notes = _asked(design, records, response, numerical)
+    """Analyze one response of a study as its design says, but for options that are given."""
+    rows, request, notes = _asked(design, records, response, numerical, factors, options or {})
     return analyze(rows, request).noted(*notes)
 
 
@@ -52,7 +55,7 @@ def effects_of_records(
 
     Nothing is checked of the assumptions, and no block is left out in turn.
     """
-    rows, request, _ = _asked(design, records, response, numerical)
+    rows, request, _ = _asked(design, records, response, numerical, (), {})
     return effects(rows, request)
 
 
@@ -61,34 +64,57 @@ def _asked(
     records: Sequence[Record],
     response: ResponseSpec,
     numerical: Sequence[NumericalUncertainty],
+    factors: Sequence[str],
+    options: AnovaOptions,
 ) -> tuple[pd.DataFrame, AnalysisRequest, tuple[str, ...]]:
     """Rows to analyze, what is asked of them, and what was left out of them."""
     if not any(record.converged for record in records):
         raise InputError(f"no case has an answer for {response.name}")
     spec = design.analysis
-    blocks = {record.block for record in records} - {None}
-    block, names = "block" if len(blocks) > 1 else None, [f.name for f in design.factors]
-    rows = rows_for(table(list(records)), response.name, names, spec.error, block)
-    factors = [factor.name for factor in design.factors if len(factor.levels) > 1]
-    model = spec.model if isinstance(spec.model, (str, int)) else list(spec.model)
-    finest = finest_mesh(design, records)
-    whole, gaps = without_gaps(
-        design, rows.table, response.name, factors, rows.block, model, finest
-    )
-    u_num = numerical_bound(design, numerical, records, whole, response.name, response.transform)
+    given: AnovaOptions = {
+        "type": spec.type,
+        "model": spec.model if isinstance(spec.model, (str, int)) else list(spec.model),
+        "error": spec.error,
+        "alpha": spec.alpha,
+        "seed": design.seed,
+        "practical": response.practical,
+        "transform": response.transform,
+        "specimens": specimens_of(design, records),
+    }
+    given.update(cast("AnovaOptions", {k: v for k, v in options.items() if v is not None}))
+    several = len({record.block for record in records} - {None}) > 1
+    block = given.get("block") or ("block" if several else None)
+    names = [f.name for f in design.factors]
+    factors = list(factors) or [f.name for f in design.factors if len(f.levels) > 1]
+    whole, gaps = table(list(records)), tuple[str, ...]()
+    if isinstance(block, str | None):
+        rows = rows_for(whole, response.name, names, given["error"], block)
+        whole, gaps = without_gaps(
+            design, rows.table, response.name, factors, rows.block, given["model"],
+            finest_mesh(design, records),
+        )  # fmt: skip
+        block = rows.block
+    else:  # blocks that cross, as in a Latin square
+        rows = RecordRows(whole, None, options.get("error") or "auto")
+    u_num = numerical_bound(design, numerical, records, whole, response.name, given["transform"])
     request = AnalysisRequest(
         response.name,
         tuple(factors),
-        Blocking(names_of(rows.block), replicates=rows.replicates),
-        model,
-        spec.type,
+        Blocking(
+            names_of(block), given.get("unit"), names_of(given.get("whole_plot")),
+            given.get("replicates", rows.replicates), given.get("copies", "refuse"),
+        ),
+        given["model"],
+        given["type"],
         rows.error,
-        ResponseScale(response.transform, threshold(response.practical), u_num),
+        ResponseScale(given["transform"], threshold(given["practical"]),
+                      given.get("u_num", u_num), given.get("tolerance")),
         records=True,
-        specimens=specimens_of(design, records),
-        alpha=spec.alpha,
-        seed=design.seed,
-    )
+        specimens=given["specimens"],
+        alpha=given["alpha"],
+        seed=given["seed"],
+        exact=given.get("exact", True),
+    )  # fmt: skip
     return whole, request, (*rows.notes, *gaps)
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,9 +21,6 @@ from study.harness.runner.cost import Costs
 from study.harness.runner.solve_task import SolveResult, by_workers, is_kept, kept
 from study.harness.runner.study_refinement import input_shares, input_work, physics_of
 from study.harness.runner.tasks import default_jobs
-from study.reporting.content.numbers import percent, quantity
-from study.reporting.content.text import count, listing, name_of
-from study.reporting.results.study_result import Check
 from study.statistics.convergence.contrast_bound import CellSeries, NumericalBound, SeriesBounds
 from study.statistics.convergence.grid_convergence import NumericalUncertainty, compare
 
@@ -36,10 +33,6 @@ if TYPE_CHECKING:
     from study.harness.record.record import Record
     from study.harness.record.store import Store
     from study.harness.runner.job import CaseJob, Work
-
-
-#: 3D and axisymmetric space on one cylinder may differ by so much
-SPACES_TOLERANCE = 0.005
 
 
 def refine(
@@ -104,120 +97,6 @@ def compare_spaces(
     ]
     with store.lock():
         store.write_rows("spaces", [asdict(row) for row in rows])
-
-
-def checks_of_spaces(rows: tuple[Mapping[str, Any], ...]) -> Iterator[Check]:
-    """One check for every kind of element: 3D equals axisymmetric space on a cylinder."""
-    for row in rows:
-        kind = listing(list(row["levels"].values())) or "the study's elements"
-        name = f"3D equals axisymmetric space on a cylinder ({kind})"
-        if row["at_end"] is None or row["largest"] is None:
-            yield Check(name, "caution", f"it could not be looked at: {row['message']}")
-            continue
-        flat, solid = row["unknowns"]
-        worst = max(abs(row["at_end"]), abs(row["largest"]))
-        good = worst <= SPACES_TOLERANCE
-        text = (
-            f"the forces on the cylinder of the same cross-section differ by "
-            f"{percent(row['at_end'], 2)} at {row['depth_mm']:g} mm and by at most "
-            f"{percent(abs(row['largest']), 2)} beyond half the depth "
-            f"({solid:,} against {flat:,} unknowns)"
-        )
-        mend = "an effect of the space is none of the discretization"
-        if not good:
-            mend = "so much of the effect of the space is that of the discretization"
-        yield Check(name, "pass" if good else "caution", text, mend)
-
-
-# Checks of what lies between the load steps: energy, and the interpolation of the curve.
-
-#: Largest share of the stored energy by which the work of a test may be off without a snap.
-MISMATCH = 0.002
-
-#: Largest change of a response in per cent where every other load step is left out, in
-#: percentage points; a difference that matters to anybody is ten times larger.
-STEP_CHANGE_PP = 0.05
-
-#: Below this a change is one of rounding, in the unit of the response.
-NOTHING = 1e-12
-
-
-def checks_of_paths(records: Sequence[Record], responses: Sequence[str]) -> Iterator[Check]:
-    """Check energy balance and load steps of every case that was simulated."""
-    solved = [r for r in records if r.converged and "energy_mismatch" in r.solver]
-    if solved:
-        yield _energy(solved)
-    steps = [
-        (name, u, entry["unit"])
-        for record in solved
-        for name, entry in record.responses.items()
-        if (u := entry.get("u_steps")) is not None and name in responses
-    ]
-    if steps:
-        yield _load_steps(steps)
-
-
-def _energy(solved: Sequence[Record]) -> Check:
-    """Compare the work of the test with the energy stored."""
-    name = "work of the test equals stored energy"
-    snapped = [r for r in solved if r.solver.get("snaps_mm")]
-    smooth = [r.solver["energy_mismatch"] for r in solved if not r.solver.get("snaps_mm")]
-    worst = max(smooth, default=0.0)
-    held = max(r.solver.get("stabilization_share", 0.0) for r in solved)
-    finding = (
-        f"the two differ by {_at_most(worst)} of the largest energy where nothing snaps; the "
-        f"stabilization of the elements holds {_at_most(held)} of it"
-    )
-    if not snapped:
-        good = worst <= MISMATCH
-        mend = "the load path is followed closely enough"
-        if not good:
-            mend = "raise test.steps: the force between the load steps is not certain"
-        return Check(name, "pass" if good else "caution", finding, mend)
-    first = snapped[0]
-    place = ", ".join(f"{d:.3g}" for d in first.solver["snaps_mm"])
-    finding += (
-        f"; in {count(len(snapped), 'case')} the surface snaps to another equilibrium, for "
-        f"example past {place} mm in {' / '.join(first.levels.values())}"
-    )
-    return Check(
-        name, "caution", finding,
-        "beyond a snap the force depends on the mesh; see whether a finer mesh snaps as well",
-    )  # fmt: skip
-
-
-def _at_most(fraction: float) -> str:
-    r"""Write an upper bound of a share.
-
-    Examples
-    --------
-    >>> [_at_most(share).replace("\xa0", " ") for share in (0.004, 0.0001, 0.0)]
-    ['at most 0.40 %', 'less than 0.1 %', 'none']
-    """
-    if fraction == 0:
-        return "none"
-    shown = percent(fraction, 2)
-    return shown.replace("< ", "less than ") if shown.startswith("<") else f"at most {shown}"
-
-
-def _load_steps(steps: Sequence[tuple[str, float, str]]) -> Check:
-    """Say what every other load step changes, response by response."""
-    worst: dict[str, tuple[float, str]] = {}
-    for name, u, unit in steps:
-        if u >= worst.get(name, (0.0, ""))[0]:
-            worst[name] = u, "pp" if unit == "%" else unit
-    parts = [
-        f"{name_of(name)} {quantity(u if u > NOTHING else 0.0, unit, 2)}"
-        for name, (u, unit) in worst.items()
-    ]
-    finding = (
-        "with every other load step left out, each response changes by no more than this: "
-        f"{listing(parts)}; it is part of the numerical uncertainty"
-    )
-    name = "responses do not depend on the load steps"
-    if all(u <= STEP_CHANGE_PP for u, unit in worst.values() if unit == "pp"):
-        return Check(name, "pass", finding, "more load steps would change nothing that counts")
-    return Check(name, "caution", finding, "raise test.steps")
 
 
 # Numerical uncertainty of the effects of a study: what the verdicts are held against.
