@@ -314,23 +314,7 @@ def _analysis_table(
 ) -> AnalysisResult:
     _check_named(response, factors)
     analysis = anova(frame, str(response), list(factors), **options)
-    return analysis.noted(*twin_levels(frame, factors), *number_levels(frame, factors))
-
-
-def twin_levels(frame: pd.DataFrame, columns: Sequence[str]) -> list[str]:
-    """Sentences about labels of a column that differ in case or spaces alone: likely one level."""
-    twins = []
-    for name in columns:
-        alike: dict[str, dict[str, None]] = {}
-        for label in dict.fromkeys(map(str, frame[name].unique())):
-            alike.setdefault("".join(label.split()).casefold(), {})[label] = None
-        twins += [
-            f"column {name!r} holds {' and '.join(map(repr, labels))} as different levels: "
-            "did you mean one?"
-            for labels in alike.values()
-            if len(labels) > 1
-        ]
-    return twins
+    return analysis.noted(*number_levels(frame, factors))
 
 
 def number_levels(frame: pd.DataFrame, columns: Sequence[str]) -> list[str]:

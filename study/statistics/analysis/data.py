@@ -157,13 +157,13 @@ def _missing_warning(keep: Flags, response: str) -> list[str]:
 
 
 def _alike(levels: Sequence[str], name: str) -> list[str]:
-    """Say which levels differ in capitals alone: they may be one level, written in two ways."""
+    """Say which levels differ in capitals or spaces alone: perhaps one level, written twice."""
     by_letters: dict[str, list[str]] = {}
     for level in levels:
-        by_letters.setdefault(level.casefold(), []).append(level)
+        by_letters.setdefault("".join(level.split()).casefold(), []).append(level)
     return [
-        f"{name}: the levels {' and '.join(map(repr, same))} differ in capitals alone and are "
-        "taken for two: write them the same way if they are one"
+        f"{name}: the levels {' and '.join(map(repr, same))} differ in capitals or spaces alone "
+        "and are taken for different ones: write them the same way if they are one"
         for same in by_letters.values()
         if len(same) > 1
     ]
