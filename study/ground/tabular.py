@@ -406,6 +406,7 @@ def _plain(cells: Sequence[str], decimal: str, thousands: str = "") -> list[str]
     groups = _GROUPS[decimal]
     plain = []
     for cell in cells:
+        cell = cell.replace("\u2212", "-")
         match = groups.fullmatch(cell)
         if match and (match[1] != other or shown or cell.count(other) > 1):
             cell = cell.replace(match[1], "")
