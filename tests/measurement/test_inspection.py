@@ -7,6 +7,7 @@ import json
 import re
 
 import numpy as np
+import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
@@ -170,6 +171,36 @@ def test_a_unit_that_is_open_is_left_to_the_user(tmp_path, content, rule):
         calibrated(tmp_path, content.encode(), "tension")
 
 
+def test_both_directions_of_a_biaxial_test_are_known(tmp_path):
+    one, other = 1 + 0.6 * np.linspace(0.02, 1, 30), 1 + 0.3 * np.linspace(0.02, 1, 30)
+    stresses = [2e3 * C10 * (a - 1 / (a**3 * b**2)) for a, b in ((one, other), (other, one))]
+    content = written("stretch x,stretch y,stress x (kPa),stress y (kPa)\n", one, other, *stresses)
+    made = calibrated(tmp_path, content.encode(), "biaxial")
+    assert made["parameters"]["C10"]["value"] == pytest.approx(1e3 * C10, rel=1e-4)
+    assert made["rows"]["used"] == 30
+
+
+def test_a_shear_to_both_sides_and_back_is_one_test(tmp_path):
+    """To the right, back, to the left: stress is even in the amount, and so is its constant."""
+    shear = 0.5 * np.sin(np.linspace(0, 2 * np.pi, 81))
+    content = written("strain,stress_kPa\n", shear, 2e3 * C10 * shear)
+    (tmp_path / "a.csv").write_text(content)
+    table = inspect(tmp_path / "a.csv").toml.replace('"loading"', '"all"')
+    (tmp_path / "c.toml").write_text(calibration(table, "simple-shear"))
+    made = study.calibrate(tmp_path / "c.toml", data=tmp_path).to_json()
+    assert made["parameters"]["C10"]["value"] == pytest.approx(1e3 * C10, rel=1e-6)
+    assert made["rows"]["used"] == 81
+
+
+def test_a_range_may_begin_below_zero(tmp_path):
+    (tmp_path / "a.csv").write_text(written("d_mm,f_N\n", BOTH, force(BOTH)))
+    table = inspect(tmp_path / "a.csv").toml + '\nrange = ["-3 mm", "5 mm"]'
+    (tmp_path / "c.toml").write_text(calibration(table, "tension"))
+    made = study.calibrate(tmp_path / "c.toml", data=tmp_path).to_json()
+    assert made["parameters"]["C10"]["value"] == pytest.approx(1e3 * C10, rel=1e-5)
+    assert made["rows"]["used"] == int(((BOTH >= -3) & (BOTH <= 5)).sum())
+
+
 def test_a_slow_tear_is_refused(tmp_path):
     torn = force(UP) * np.where(UP > 5, 1 - 0.9 * np.clip((UP - 5) / 0.4, 0, 1), 1)
     with pytest.raises(InputError, match="the specimen tore"):
@@ -260,3 +291,16 @@ def test_several_sheets_are_named(tmp_path):
         read_measurements(spec, tmp_path)
     spec = Spec(file="a.xlsx", columns={"displacement": "Weg", "force": "Kraft"}, sheet="two")
     assert np.isfinite(read_measurements(spec, tmp_path).curve().curve.force_N).all()
+
+
+def test_a_sheet_of_a_workbook_is_analyzed(tmp_path):
+    rows = [["group", "y"]] + [[g, float(v)] for g in "abc" for v in (1, 2, 4, "abc".index(g))]
+    book = layouts.workbook({"notes": [["nothing"]], "Run 3": rows})
+    (tmp_path / "b.xlsx").write_bytes(book)
+    by_hand = study.analyze(pd.DataFrame(rows[1:], columns=rows[0]), "y", ["group"])
+    sheet = study.analyze(tmp_path / "b.xlsx", "y", ["group"], sheet="Run 3")
+    assert sheet.to_json()["anova"] == by_hand.to_json()["anova"]
+    asked = ["analyze", str(tmp_path / "b.xlsx"), "--response", "y", "--factors", "group", "--json"]
+    assert CliRunner().invoke(app, [*asked, "--sheet", "Run 3"]).exit_code == 0
+    with pytest.raises(InputError, match="holds several sheets"):
+        study.analyze(tmp_path / "b.xlsx", "y", ["group"])

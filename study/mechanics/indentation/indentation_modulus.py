@@ -338,6 +338,8 @@ class IndentationModulus:
     #: Median over units; None where no curve could be fitted.
     estimate: MedianEstimate | None
     warnings: tuple[str, ...]
+    #: Depth that the user asked for in place of the limits.
+    depth_limit_mm: float | None = None
 
     @property
     def rows(self) -> int:
@@ -364,6 +366,7 @@ class IndentationModulus:
             "poisson_ratio": self.poisson_ratio,
             "height_mm": self.height_mm,
             "limits": [limit.to_json() for limit in self.limits],
+            **({} if self.depth_limit_mm is None else {"depth_limit_mm": self.depth_limit_mm}),
             "youngs_modulus": self._estimate(1.0),
             "shear_modulus": self._estimate(1 / (2 * (1 + self.poisson_ratio))),
             "block": self.block,
@@ -445,6 +448,12 @@ class IndentationTest:
     paraboloid: bool = False
     #: Whether the displacement at contact is fitted.
     find_contact: bool = False
+    #: Depth up to which rows are fitted; None where the assumptions say it.
+    depth_limit_mm: float | None = None
+
+    def deepest_mm(self, validity: Sequence[ValidityLimit]) -> float:
+        """Depth up to which rows are fitted."""
+        return validity[0].depth_mm if self.depth_limit_mm is None else self.depth_limit_mm
 
 
 def indentation_modulus(
@@ -479,6 +488,7 @@ def indentation_modulus(
         unit_moduli_MPa=units,
         estimate=_estimate(fitted, units),
         warnings=tuple(_warnings(test, fitted, validity, law, deepest)),
+        depth_limit_mm=test.depth_limit_mm,
     )
     return result, notes
 
@@ -496,7 +506,7 @@ def _fitted(
         curve.force_N,
         law,
         poisson_ratio=test.layer.poisson_ratio,
-        deepest_mm=validity[0].depth_mm,
+        deepest_mm=test.deepest_mm(validity),
         find_contact=test.find_contact,
     )
 
@@ -520,10 +530,18 @@ def _warnings(
     lines = []
     rows = sum(curve.found.rows for curve in fitted)
     outside = sum(curve.found.rows_outside for curve in fitted)
+    limit_mm, first = test.deepest_mm(validity), validity[0]
     if outside:
+        what = first.what if test.depth_limit_mm is None else "calibration.depth_limit"
         lines.append(
             f"{100 * outside / rows:.3g} % of the rows in contact ({outside} of {rows}) lie deeper "
-            f"than {validity[0].depth_mm:.4g} mm ({validity[0].what}) and are not fitted"
+            f"than {limit_mm:.4g} mm ({what}) and are not fitted"
+        )
+    if limit_mm > first.depth_mm and deepest_mm > first.depth_mm:
+        broken = ", ".join(v.what for v in validity if v.depth_mm < min(limit_mm, deepest_mm))
+        lines.append(
+            f"calibration.depth_limit lifts the limit from {first.depth_mm:.4g} to {limit_mm:.4g} "
+            f"mm: the moduli rest on rows where the closed form does not hold ({broken})"
         )
     for status, count in Counter(curve.found.status for curve in fitted).items():
         if status != "fitted":
@@ -532,7 +550,7 @@ def _warnings(
                         f"{first.found.message}")  # fmt: skip
     if words := caution(test.indenter):
         lines.append(words)
-    return [*lines, *_support(test, law, min(validity[0].depth_mm, deepest_mm))]
+    return [*lines, *_support(test, law, min(limit_mm, deepest_mm))]
 
 
 def _support(test: IndentationTest, law: ContactForceLaw, depth_mm: float) -> list[str]:

@@ -25,7 +25,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from study.ground.arrays import Array
+from study.ground.arrays import Array, Ints
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
 from study.mechanics.material.homogeneous import LOADINGS
@@ -229,7 +229,8 @@ def condition(displacement_mm: Array, force_N: Array, rules: Rules, where: str) 
     far = int(np.argmax(np.abs(displacement_mm)))
     way_in = math.copysign(1.0, float(displacement_mm[far] * every_d[far]))
     _check_begin(*before, way_in, rules, where)
-    rules = replace(rules, low_mm=-np.inf) if _is_through_zero(*before, rules) else rules
+    if rules.low_mm >= 0 and _is_through_zero(*before, rules):
+        rules = replace(rules, low_mm=-np.inf)
     d, f = _rows_of(chosen, every_d, every_f)
     if len(chosen) == 1 and (chosen[0].kind == "unloading" or (np.diff(d) < 0).all()):
         d, f = d[::-1], f[::-1]
@@ -606,7 +607,7 @@ def _sorted_unique(d: Array, f: Array, counts: Counter[str]) -> tuple[Array, Arr
     return d, f
 
 
-def _say_relaxed(f: Array, order: Array, repeats: Array, counts: Counter[str]) -> None:
+def _say_relaxed(f: Array, order: Ints, repeats: Ints, counts: Counter[str]) -> None:
     """Count rows at one displacement over which the force falls: a specimen that was held."""
     several = repeats > 1
     ends = np.cumsum(repeats)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from study.ground.arrays import Array
+from study.ground.arrays import Array, Ints
 from study.ground.bounded_file import (
     is_workbook,
     read_bytes,
@@ -33,7 +33,9 @@ _BLOCK = 3
 #: lines from which delimiter and decimal mark are found
 _LOOKED_AT = 3000
 #: dimension of every quantity that a column may hold
-DIMENSIONS: Mapping[str, str] = {**KINEMATIC, **KINETIC, "time": "time"}
+DIMENSIONS: Mapping[str, str] = {
+    **KINEMATIC, **KINETIC, "stretch_2": "ratio", "stress_2": "pressure", "time": "time"
+}  # fmt: skip
 #: words of column names (English, German, French) by quantity, the surest first
 _WORDS: Mapping[str, tuple[str, ...]] = {
     "true_strain": ("true strain", "log strain", "hencky"),
@@ -226,7 +228,9 @@ def inspect(path: Path, sheet: str = "") -> Inspection:
     kinematic = next((q for q in KINEMATIC if q in chosen), None)
     kinetic = next((q for q in KINETIC if q in chosen), None)
     placed: list[InspectedPhase] = []
-    if kinematic and kinetic:
+    if "stretch_1" in chosen:
+        notes.append("two stretches and two stresses: one biaxial test, first direction first")
+    elif kinematic and kinetic:
         d, f = numbers_of[chosen[kinematic]], numbers_of[chosen[kinetic]]
         first = _first_test(columns, block, groups)
         d, f, at = d[first], f[first], [block.at[k] for k in first]
@@ -445,6 +449,12 @@ def _quantity(name: str, dimension: str) -> str:
 
 def _pair(columns: Sequence[InspectedColumn], notes: list[str]) -> dict[str, int]:
     """Column of how far and of how hard, the surest of each; displacement and force go first."""
+    two = [
+        (quantity, [k for k, column in enumerate(columns) if column.quantity == quantity])
+        for quantity in ("stretch", "stress")
+    ]
+    if all(len(places) == 2 for _, places in two):
+        return {f"{what}_{n}": k for what, places in two for n, k in enumerate(places, 1)}
     chosen: dict[str, int] = {}
     for quantities in (KINEMATIC, KINETIC):
         for quantity in quantities:
@@ -650,7 +660,7 @@ def _zero_of(
         notes.append(f"the unloaded specimen is at {begins:.6g}: displacement counts from there")
 
 
-def _first_rows(moved: Array, f: Array) -> Array:
+def _first_rows(moved: Array, f: Array) -> Ints:
     """Rows in the first tenth of the travel to the largest force, at least two."""
     peak = max(int(np.argmax(np.abs(f - f[0]))), _BLOCK)
     end = moved[0] + TURN * float(moved[:peak].max() - moved[0])
@@ -658,7 +668,7 @@ def _first_rows(moved: Array, f: Array) -> Array:
     return rows if rows.size >= _BLOCK else np.arange(_BLOCK)
 
 
-def _approach(moved: Array, f: Array, rows: Array) -> bool:
+def _approach(moved: Array, f: Array, rows: Ints) -> bool:
     """Whether the first tenth of the travel to the largest force carries none."""
     peak = int(np.argmax(np.abs(f - f[0])))
     y = f[rows] - f[0]

@@ -134,9 +134,8 @@ class Range:
 
     #: What ``low`` and ``high`` count.
     kind: Literal["percent", "mm"]
-    #: Ends of the range, 0 <= low < high.
+    #: Ends of the range, low < high; low is below 0 for a test that was loaded both ways.
     low: float
-    #: Ends of the range, 0 <= low < high.
     high: float
 
     def in_mm(self, height_mm: float | None = None) -> tuple[float, float]:
@@ -199,9 +198,9 @@ def read_range(value: object) -> Range:
         )
     except UnitError as error:
         raise Bad(error.faults[0].rule, mend) from error
-    if not 0 <= low < high:
+    if not low < high or high <= 0:
         raise Bad(f"must rise from 0 or more, got {shown(value)}", mend)
-    if percent[0] and high >= 100:
+    if percent[0] and max(high, -low) >= 100:
         raise Bad(f"must stay below 100 % of the height, got {shown(value)}", mend)
     return Range("percent" if percent[0] else "mm", low, high)
 

@@ -60,10 +60,11 @@ def read_measurements(
 
     With ``own_rows``, raw rows of each test may lie at other displacements.
     """
-    rules = usual = rules_of(spec, height_mm, displacement_mm)
+    both_ways = gauge is not None and gauge.is_homogeneous
+    rules = usual = rules_of(spec, height_mm, displacement_mm, both_ways=both_ways)
     recorded = recordings or read_recordings(spec, Path(root))
     test_notes: list[str] = []
-    if gauge is not None and gauge.is_homogeneous and spec.range is None:
+    if both_ways and (spec.range is None or rules.low_mm < 0):
         rules = usual = replace(rules, is_signed=True)
     if spec.range is None and not rules.is_raw:
         rules = _begun(rules, spec, recorded, gauge)
@@ -243,9 +244,16 @@ def _same_mm(course: Curve) -> float:
 
 
 def rules_of(
-    spec: MeasurementSpec, height_mm: float | None, displacement_mm: float | None
+    spec: MeasurementSpec,
+    height_mm: float | None,
+    displacement_mm: float | None,
+    *,
+    both_ways: bool = False,
 ) -> Rules:
-    """How rows become the curve of a specimen, as a table says."""
+    """How rows become the curve of a specimen, as a table says.
+
+    A range may begin below 0 where the specimen deforms the same everywhere (``both_ways``).
+    """
     sign, zero = spec.sign or "positive", spec.zero or "none"
     points = 0 if spec.points == "raw" else int(spec.points or 200)
     faults = []
@@ -258,10 +266,10 @@ def rules_of(
     if points < 2 and spec.points != "raw":
         faults.append(Fault("measurements.points", f"must be at least 2, got {points}"))
     low, high = _range(spec, height_mm, displacement_mm, points)
-    if not 0 <= low < high:
-        faults.append(
-            Fault("measurements.range", f"must rise from 0 or more, got {low:.4g} to {high:.4g} mm")
-        )
+    if not low < high or (low < 0 and not both_ways):
+        rule = f"must rise from 0 or more, got {low:.4g} to {high:.4g} mm"
+        mend = "rows below 0 belong to a specimen that deforms the same everywhere"
+        faults.append(Fault("measurements.range", rule, mend))
     if faults:
         raise InputError(faults)
     is_displacement = spec.columns.kinematic == "displacement"
