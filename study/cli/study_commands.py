@@ -286,6 +286,8 @@ def _print_case(state: CaseState) -> None:
     for specimen, fit in (record.fit or {}).items():
         ended = fit.get("message", "how it ended is not known")
         print(f"calibration on {specimen}: {ended}; {fit.get('reason') or 'identifiable'}")
+        if "misfit" in fit:
+            print(f"  {fit['misfit']}")
         if "stability" in fit:  # a fit to resampled residuals is not judged
             print(f"  {fit['stability']}")
     if "traceback" in record.extra:

@@ -545,9 +545,9 @@ def _warnings(
         )
     for status, count in Counter(curve.found.status for curve in fitted).items():
         if status != "fitted":
-            first = next(curve for curve in fitted if curve.found.status == status)
-            lines.append(f"{count} of {len(fitted)} curves are {status}: {first.label}: "
-                        f"{first.found.message}")  # fmt: skip
+            one = next(curve for curve in fitted if curve.found.status == status)
+            lines.append(f"{count} of {len(fitted)} curves are {status}: {one.label}: "
+                        f"{one.found.message}")  # fmt: skip
     if words := caution(test.indenter):
         lines.append(words)
     return [*lines, *_support(test, law, min(limit_mm, deepest_mm))]
