@@ -21,6 +21,7 @@ from study.ground.bounded_file import (
     table_text,
     unzipped,
 )
+from study.ground.canonical import plain
 from study.ground.errors import Fault, InputError, UnitError
 from study.ground.tabular import MAX_ROWS, UNIT_CELL, is_number, parsed_numbers
 from study.ground.units import unit_factor
@@ -157,34 +158,15 @@ class Inspection:
 
     def to_json(self) -> dict[str, object]:
         """Document of ``study inspect --json``."""
-        return {
-            "file": self.file,
-            "encoding": self.encoding,
-            "sheets": list(self.sheets),
-            "delimiter": self.delimiter,
-            "decimal": self.decimal,
-            "preamble": list(self.preamble),
-            "header_line": self.header_line,
-            "unit_line": self.unit_line,
-            "first_line": self.lines[0],
-            "last_line": self.lines[1],
-            "rows": self.rows,
-            "columns": [{**vars(column), "labels": list(column.labels)} for column in self.columns],
-            "phases": [
-                {
-                    "phase": phase.phase,
-                    "cycle": phase.cycle,
-                    "lines": list(phase.lines),
-                    "from": list(phase.start),
-                    "to": list(phase.end),
-                }
-                for phase in self.phases
-            ],
-            "cycles": self.cycles,
-            "measurements": dict(self.measurements),
-            "toml": self.toml,
-            "notes": list(self.notes),
-        }
+        document = plain({**vars(self), "toml": self.toml})
+        document["first_line"], document["last_line"] = self.lines
+        del document["lines"]
+        document["phases"] = [
+            {"phase": p.phase, "cycle": p.cycle, "lines": list(p.lines),
+             "from": list(p.start), "to": list(p.end)}
+            for p in self.phases
+        ]  # fmt: skip
+        return dict(document)
 
 
 def _toml(value: object) -> str:

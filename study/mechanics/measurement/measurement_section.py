@@ -451,21 +451,6 @@ class MeasurementSpec:
                 del values[key]
         return {k: v for k, v in values.items() if k not in _LAYOUT or v}
 
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> MeasurementSpec:
-        """Inverse of :meth:`as_dict`, also after a way through JSON."""
-        names = {key.name for key in keys_of(cls)}
-        values = {k: v for k, v in data.items() if k in names}
-        values["average"] = tuple(values.get("average") or ())
-        if values.get("range") is not None:
-            values["range"] = Range(**values["range"])
-        for key in ("fit", "score"):
-            if values.get(key) is not None:
-                values[key] = {
-                    k: tuple(v) if isinstance(v, list) else v for k, v in values[key].items()
-                }
-        return cls(**values)
-
 
 # -------------------------------------------------------------------------------------------------
 # The table ``[markers]``: marked points inside a specimen, at rest and in the states of a test.
