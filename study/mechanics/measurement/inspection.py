@@ -73,8 +73,10 @@ _USUAL = {
 }
 #: strain up to which a column without a unit is a ratio, and from which it is in per cent
 _NOT_PERCENT, _PERCENT = 1.0, 5.0
-_NAMED_UNIT = re.compile(r"^(?P<name>.*?)[\s_]*(?:[\[(/]\s*(?P<in>[^\[\]()]{1,12})\s*[\])]?|"
-                         r"[_\s](?P<after>[A-Za-zµμ%-]{1,14}))$")  # fmt: skip
+_NAMED_UNIT = re.compile(
+    r"^(?P<name>.*?)[\s_]*(?:[\[(/]\s*(?P<in>[^\[\]()]{1,12})\s*[\])]?"
+    r"|_(?P<after>[A-Za-zµμ%-]{1,14})|\s(?P<apart>[A-Za-zµμ%]{1,4}))$"
+)
 _RATES = re.compile(r"rate|speed|velocity")
 _GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(\.\d{3})+")
 #: share of the largest force at both ends of a test that runs through zero at another place
@@ -402,7 +404,12 @@ def _columns(
         in_row = UNIT_CELL.fullmatch(block.unit_cells[k]) if k < len(block.unit_cells) else None
         match = _NAMED_UNIT.fullmatch(name)
         in_name = match["in"] if match else ""
-        word = (in_row[1] if in_row else "") or in_name or (match["after"] if match else "") or ""
+        word = (
+            (in_row[1] if in_row else "")
+            or in_name
+            or (match and (match["after"] or match["apart"]))
+            or ""
+        )
         unit = _known_unit(word) if word else None
         words.append("" if unit else (in_row[1] if in_row else in_name) or "")
         plain = name if unit is None or match is None or in_row else match["name"]
