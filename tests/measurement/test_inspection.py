@@ -167,6 +167,9 @@ def test_a_unit_that_is_open_is_left_to_the_user(tmp_path, content, rule):
     (tmp_path / "a.csv").write_text(content)
     table = inspect(tmp_path / "a.csv").toml
     assert re.search(rf"# .*{rule}", table)
+    printed = CliRunner().invoke(app, ["inspect", str(tmp_path / "a.csv")])
+    assert printed.exit_code == 0
+    assert table in printed.stdout
     with pytest.raises(InputError, match="is missing|has no unit|V"):
         calibrated(tmp_path, content.encode(), "tension")
 

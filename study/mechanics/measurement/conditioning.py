@@ -127,8 +127,6 @@ def _in_words(modulus_MPa: float) -> str:  # noqa: N803
     return f"{modulus_MPa * 1e3:.3g} kPa" if modulus_MPa >= 1e-4 else f"{modulus_MPa * 1e6:.3g} Pa"
 
 
-ZERO_RULES = ("none", "first", "fit")
-SIGNS = ("positive", "negative")
 ZERO_FIT_SHARE = 0.1
 MIN_ROWS = 3
 EQUAL_MM = 1e-9

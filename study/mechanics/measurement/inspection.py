@@ -154,9 +154,11 @@ class Inspection:
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Units of the columns that are read."""
-        table = self.measurements["units"]
-        return tuple(table.values()) if isinstance(table, Mapping) else ()
+        """Units of the columns that are read; a question mark where one is open."""
+        columns, units = self.measurements["columns"], self.measurements["units"]
+        if not isinstance(columns, Mapping) or not isinstance(units, Mapping):
+            return ()
+        return tuple(str(units.get(quantity, "?")) for quantity in columns)
 
     def to_json(self) -> dict[str, object]:
         """Document of ``study inspect --json``."""
