@@ -143,8 +143,10 @@ SORTED = "rows out of order sorted by displacement"
 UNLOADED = "rows after the first loading left out: the loading branch is used"
 #: a specimen that was held at every displacement
 RELAXED = "test whose force falls by"
-#: share of the displacements at which it falls, and of the force by which, at least
-_MOSTLY, _RELAXED = 0.8, 0.02
+#: share of the displacements at which it falls, at least
+_MOSTLY = 0.8
+#: share of the force by which it falls, at least
+_RELAXED = 0.02
 #: and one that asks for a rule
 OFFSET = "a load-cell offset?"
 #: and one that asks for a unit

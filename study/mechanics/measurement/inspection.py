@@ -71,13 +71,16 @@ _USUAL = {
     "ratio": "1",
     "time": "s",
 }
-#: strain up to which a column without a unit is a ratio, and from which it is in per cent
-_NOT_PERCENT, _PERCENT = 1.0, 5.0
+#: strain up to which a column without a unit is a ratio
+_NOT_PERCENT = 1.0
+#: strain beyond which it is in per cent; in between either may be meant
+_PERCENT = 5.0
 _NAMED_UNIT = re.compile(
     r"^(?P<name>.*?)[\s_]*(?:[\[(/]\s*(?P<in>[^\[\]()]{1,12})\s*[\])]?"
     r"|_(?P<after>[A-Za-zµμ%-]{1,14})|\s(?P<apart>[A-Za-zµμ%]{1,4}))$"
 )
 _RATES = re.compile(r"rate|speed|velocity")
+#: digits in groups of three with points between them
 _GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(\.\d{3})+")
 #: share of the largest force at both ends of a test that runs through zero at another place
 _BOTH_WAYS = 0.3

@@ -85,9 +85,10 @@ def phases_of(displacement_mm: Array) -> tuple[Phase, ...]:
 
 #: share of the travel within which a machine stands
 _STANDS = 1e-3
-#: share of the rows of a loading that stand at its end at least: a sine that ends there, and one
-#: that turns there, have fewer
-_HELD_AT_END, _HELD_AT_TURN = 0.01, 0.1
+#: share of the rows of a last loading that stand at its end, at least
+_HELD_AT_END = 0.01
+#: the same of a loading with a way back: of a sine, 4 % stand where it turns
+_HELD_AT_TURN = 0.1
 
 
 def _held(phase: Phase, d: Array, back: Phase | None = None) -> tuple[Phase, ...]:
