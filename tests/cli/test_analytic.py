@@ -192,7 +192,8 @@ def test_a_limit_of_depth_that_is_lifted_is_said(home: Path) -> None:
     write(home, options=f'{options}\ndepth_limit = "0.8 mm"', height=60, depth=1.0)
     lifted = study("calibrate", "file.toml", "--json")
     (test,) = lifted.json["tests"]
-    assert (test["depth_limit_mm"], test["rows_outside"]) == (0.8, 10)
+    assert test["limits"][0] == {"limit": "calibration.depth_limit", "depth_mm": 0.8}
+    assert test["rows_outside"] == 10
     assert test["youngs_modulus"]["median_kPa"] == pytest.approx(TRUTH_KPA, rel=2e-3)
     assert "lifts the limit from 0.5 to 0.8 mm" in lifted.err
     assert "d/R <= 0.1" in lifted.err

@@ -268,11 +268,11 @@ def multiplied(
     position: PositionAccuracy, force: ForceAccuracy, multiple: float
 ) -> tuple[PositionAccuracy, ForceAccuracy]:
     """Return both sensors with all errors so many times as large."""
-    return _multiplied(position, multiple), _multiplied(force, multiple)
 
+    def times(sensor: Sensor) -> Sensor:
+        return replace(sensor, **{name: multiple * error for name, error in asdict(sensor).items()})
 
-def _multiplied(sensor: Sensor, multiple: float) -> Sensor:
-    return replace(sensor, **{name: multiple * error for name, error in asdict(sensor).items()})
+    return times(position), times(force)
 
 
 # Read a file for ``study require``: a problem with its constants, two sensors, what is asked.

@@ -328,7 +328,7 @@ class IndentationModulus:
     theory: str
     poisson_ratio: float
     height_mm: float
-    #: Depths at which assumptions end, the least first.
+    #: Depths at which assumptions end, the least first; one that was asked for before them.
     limits: tuple[ValidityLimit, ...]
     curves: tuple[FittedCurve, ...]
     #: Column of the units; every curve is one where it is None.
@@ -338,8 +338,6 @@ class IndentationModulus:
     #: Median over units; None where no curve could be fitted.
     estimate: MedianEstimate | None
     warnings: tuple[str, ...]
-    #: Depth that the user asked for in place of the limits.
-    depth_limit_mm: float | None = None
 
     @property
     def rows(self) -> int:
@@ -366,7 +364,6 @@ class IndentationModulus:
             "poisson_ratio": self.poisson_ratio,
             "height_mm": self.height_mm,
             "limits": [limit.to_json() for limit in self.limits],
-            **({} if self.depth_limit_mm is None else {"depth_limit_mm": self.depth_limit_mm}),
             "youngs_modulus": self._estimate(1.0),
             "shear_modulus": self._estimate(1 / (2 * (1 + self.poisson_ratio))),
             "block": self.block,
@@ -451,9 +448,15 @@ class IndentationTest:
     #: Depth up to which rows are fitted; None where the assumptions say it.
     depth_limit_mm: float | None = None
 
+    @property
+    def lifted(self) -> tuple[ValidityLimit, ...]:
+        """Limit that the user asked for in place of the others."""
+        depth = self.depth_limit_mm
+        return () if depth is None else (ValidityLimit("calibration.depth_limit", depth),)
+
     def deepest_mm(self, validity: Sequence[ValidityLimit]) -> float:
         """Depth up to which rows are fitted."""
-        return validity[0].depth_mm if self.depth_limit_mm is None else self.depth_limit_mm
+        return (*self.lifted, *validity)[0].depth_mm
 
 
 def indentation_modulus(
@@ -482,13 +485,12 @@ def indentation_modulus(
         theory=test.theory,
         poisson_ratio=test.layer.poisson_ratio,
         height_mm=height,
-        limits=validity,
+        limits=(*test.lifted, *validity),
         curves=fitted,
         block=test.spec.block,
         unit_moduli_MPa=units,
         estimate=_estimate(fitted, units),
         warnings=tuple(_warnings(test, fitted, validity, law, deepest)),
-        depth_limit_mm=test.depth_limit_mm,
     )
     return result, notes
 
@@ -532,7 +534,7 @@ def _warnings(
     outside = sum(curve.found.rows_outside for curve in fitted)
     limit_mm, first = test.deepest_mm(validity), validity[0]
     if outside:
-        what = first.what if test.depth_limit_mm is None else "calibration.depth_limit"
+        what = (*test.lifted, first)[0].what
         lines.append(
             f"{100 * outside / rows:.3g} % of the rows in contact ({outside} of {rows}) lie deeper "
             f"than {limit_mm:.4g} mm ({what}) and are not fitted"
