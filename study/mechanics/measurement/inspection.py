@@ -631,7 +631,10 @@ def _zero_of(
     largest = float(np.abs(f).max())
     rows = _first_rows(moved, f)
     slope, scatter = slope_with_error(moved[rows], f[rows])
-    if _approach(moved, f, rows) and (is_far or abs(slope) <= 2.0 * scatter):
+    away = np.abs(f - f[0])
+    # the first tenth of the travel to the largest force carries none
+    is_flat = away.argmax() >= _BLOCK and away[rows].max() < NO_FORCE * TURN * away.max()
+    if is_flat and (is_far or abs(slope) <= 2.0 * scatter):
         table["displacement_zero"] = "contact"
         notes.append("the force is flat at first: displacement counts from contact")
         if abs(float(f[rows].mean())) > OFFSET_SHARE * largest:
@@ -660,10 +663,3 @@ def _first_rows(moved: Array, f: Array) -> Ints:
     end = moved[0] + TURN * float(moved[:peak].max() - moved[0])
     rows = np.flatnonzero(moved[:peak] <= end)
     return rows if rows.size >= _BLOCK else np.arange(_BLOCK)
-
-
-def _approach(moved: Array, f: Array, rows: Ints) -> bool:
-    """Whether the first tenth of the travel to the largest force carries none."""
-    peak = int(np.argmax(np.abs(f - f[0])))
-    y = f[rows] - f[0]
-    return peak >= _BLOCK and float(np.abs(y).max()) < NO_FORCE * TURN * abs(float(f[peak] - f[0]))
