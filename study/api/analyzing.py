@@ -367,6 +367,7 @@ def analyze(
     *,
     results: str | Path = Path("results"),
     decimal: str = ".",
+    sheet: str = "",
     **options: Unpack[AnovaOptions],
 ) -> TableAnalysis:
     """Analyze one response of a finished study, of a CSV file or of a table.
@@ -384,6 +385,8 @@ def analyze(
         Folder of the results, where ``source`` is the name of a study.
     decimal : {".", ","}
         Decimal mark of a CSV.
+    sheet : str
+        Sheet of a workbook that has several.
     **options : optional
         As for :func:`study.anova`: ``block``, ``unit``, ``whole_plot``, ``replicates``,
         ``type``, ``model``, ``error``, ``practical``, ``transform``, ``alpha``, ``seed``.
@@ -410,7 +413,9 @@ def analyze(
     if is_table(source):
         _check_named(response, factors)
         blocks, unit = options.get("block"), options.get("unit")
-        frame = read_tidy_csv(Path(source), str(response), list(factors), blocks, unit, decimal)
+        frame = read_tidy_csv(
+            Path(source), str(response), list(factors), blocks, unit, decimal, sheet=sheet
+        )
         return TableAnalysis.of(_analysis_table(frame, response, factors, options))
     return TableAnalysis.of(_study(source, response, factors, results, options))
 

@@ -260,6 +260,10 @@ def _correlated(name: str, fit: Mapping[str, Any]) -> dict[str, float]:
     return {other: float(r) for other, r in pairs if other != name and r is not None}
 
 
+#: verdict of a fit whose rows the model describes
+DESCRIBES = "describes"
+
+
 def _scaled(value: float | None, scale: float) -> float | None:
     return None if value is None else scale * value
 
@@ -285,9 +289,25 @@ def _checks(study: StudyResult) -> Iterator[Check]:
         yield Check("what the chosen cells tell apart", "caution", scheme.summary, mixed)
     fits = {f["key"]: f for r in study.plain for f in (r.fit or {}).values()}
     if fits:
+        if any(fit.get("verdict", DESCRIBES) != DESCRIBES for fit in fits.values()):
+            yield _adequacy(fits)
         yield _identifiability(fits)
         yield _stability(fits)
     yield from checks_of_paths(study.plain, [r.name for r in study.design.responses])
+
+
+def _adequacy(fits: Mapping[str, Mapping[str, Any]]) -> Check:
+    """Count the fits that do not describe their rows, with the words of the first, worst."""
+    doubtful = [fit for fit in fits.values() if fit.get("verdict", DESCRIBES) == "doubtful"]
+    bad = [fit for fit in fits.values() if fit.get("verdict") == "does not describe"]
+    good = len(fits) - len(doubtful) - len(bad)
+    finding = (
+        f"{good} of {len(fits)} calibrations describe their rows, {len(doubtful)} are doubtful"
+    )
+    return Check(
+        "fits describe their data", "caution", f"{finding}, {len(bad)} do not",
+        f"of the first, {(bad or doubtful)[0]['misfit']}",
+    )  # fmt: skip
 
 
 def _identifiability(fits: Mapping[str, Mapping[str, Any]]) -> Check:

@@ -428,6 +428,7 @@ def _test_of(test: CalibratedTest, asked: Fitting, where: str) -> IndentationTes
         theory=asked.theory,
         paraboloid=asked.profile == "paraboloid",
         find_contact=asked.contact == "fitted",
+        depth_limit_mm=asked.depth_limit,
     )
 
 

@@ -97,6 +97,7 @@ Alpha = Annotated[
     float | None, typer.Option(help="Size of the tests; intervals have the level 1 - alpha.")
 ]
 Decimal = Annotated[str, typer.Option(help="Decimal mark of a CSV: . or ,")]
+Sheet = Annotated[str, typer.Option(help="Sheet of a workbook that has several.")]
 Reference = Annotated[
     str | None, typer.Option(help="Level that the others are compared with (Dunnett).")
 ]
@@ -138,6 +139,7 @@ def analyze(
     transform: Transform = None,
     alpha: Alpha = None,
     decimal: Decimal = ".",
+    sheet: Sheet = "",
     reference: Reference = None,
     report: ReportFolder = None,
     formats: Formats = "",
@@ -176,10 +178,14 @@ def analyze(
         "--transform": transform,
         "--alpha": None if alpha is None else repr(alpha), "--reference": reference,
         "--decimal": None if decimal == "." else decimal,
+        "--sheet": sheet or None,
         "--report": None if report is None else str(report),
         "--format": formats, "--random": random, "--covariates": covariates,
         "--contrast": "; ".join(contrast or ()),
     }  # fmt: skip
+    if sheet and (summary or numeric or error == "reml"):
+        rule = "is read with an analysis of variance of labeled factors alone"
+        raise InputError(Fault("--sheet", rule, "save the sheet as CSV"))
     if summary:
         _show_moments(source, names(summary), flags | {"--numeric": numeric}, alpha, as_json)
         return
@@ -203,7 +209,7 @@ def analyze(
     options = _options(flags, alpha)
     analysis = api.analyze(
         source, response, [*names(factors), *names(numeric)], results=results, decimal=decimal,
-        **options,
+        sheet=sheet, **options,
     )  # fmt: skip
     if contrast:
         analysis = replace(analysis, contrasts=api.contrasts(analysis, contrast))

@@ -324,6 +324,8 @@ def _case(state: CaseState) -> Iterator[Block]:
     for specimen, fit in (record.fit or {}).items():
         ended = fit.get("message", "how it ended is not known")
         yield Verbatim(f"calibration on {specimen}: {ended}; {fit.get('reason') or 'identifiable'}")
+        if "misfit" in fit:
+            yield Verbatim(f"  {fit['misfit']}")
         if "stability" in fit:  # a fit to resampled residuals is not judged
             yield Verbatim(f"  {fit['stability']}")
     if "traceback" in record.extra:

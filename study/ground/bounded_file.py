@@ -230,8 +230,12 @@ def decoded(data: bytes, source: str, declared: str = "") -> tuple[str, str]:
             mend = "leave measurements.encoding out: it is found"
             raise InputError(Fault(f"{source}:{line}", rule, mend)) from error
     encoding = "UTF-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "UTF-8"
+    codec = "utf-16" if encoding == "UTF-16" else "utf-8-sig"
+    for order, half in (("utf-16-le", data[1:200:2]), ("utf-16-be", data[:200:2])):
+        if half and not any(half):  # ASCII in two bytes each, without the mark that says so
+            encoding, codec = "UTF-16", order
     try:
-        text = data.decode("utf-16" if encoding == "UTF-16" else "utf-8-sig")
+        text = data.decode(codec)
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         place, rule = f"{source}:{line}", f"byte {data[error.start]:#04x} is not {encoding}"

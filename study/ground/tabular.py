@@ -406,6 +406,7 @@ def _plain(cells: Sequence[str], decimal: str, thousands: str = "") -> list[str]
     groups = _GROUPS[decimal]
     plain = []
     for cell in cells:
+        cell = cell.replace("\u2212", "-")
         match = groups.fullmatch(cell)
         if match and (match[1] != other or shown or cell.count(other) > 1):
             cell = cell.replace(match[1], "")
@@ -466,14 +467,16 @@ def read_tidy_csv(
     unit: str | None = None,
     decimal: str = ".",
     covariates: Sequence[str] = (),
+    sheet: str = "",
 ) -> pd.DataFrame:
-    """Read the named columns of a tidy CSV strictly."""
+    """Read the named columns of a tidy CSV, or of a sheet of a workbook, strictly."""
     import pandas as pd
 
     others = [*names_of(block), *([unit] if unit else [])]
     table = read_csv(
-        Path(path), numbers=[response, *covariates], decimal=decimal, declared_by="--decimal ,"
-    )
+        Path(path), numbers=[response, *covariates], decimal=decimal, declared_by="--decimal ,",
+        sheet=sheet,
+    )  # fmt: skip
     _check_names(table.source, list(table.columns), response, factors, others, covariates)
     labels = list(dict.fromkeys([*factors, *others]))
     faults = [fault for name in labels for fault in _empty_labels(table, name)]

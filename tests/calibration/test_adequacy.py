@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+import study
+from study.api.assemble import _checks
 from study.ground.curve import Curve
 from study.mechanics.calibration.fit import fit
 from study.mechanics.calibration.fit_influence import with_serial_correlation
@@ -10,6 +12,7 @@ from study.mechanics.calibration.lack_of_fit import adequacy
 from study.mechanics.calibration.residual_function import LOSS_LIMIT, MeasuredCurve
 from study.mechanics.calibration.serial_correlation import row_noise
 from tests.calibration.cylinder import predictor
+from tests.cli import small
 
 TRUTH = {"C10": 15e-3, "C20": 3e-3}
 KINDS = ("white", "drift", "proportional")
@@ -153,3 +156,24 @@ def test_noise_of_rows_and_its_power_of_the_force(power):
     assert np.mean(powers) == pytest.approx(power, abs=0.1)
     # a mean of 40 medians of 200 rows scatters by 1 to 2 %
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.06)
+
+
+def test_a_study_says_which_of_its_fits_do_not_describe(tmp_path):
+    """One row five times too large: the fits to its specimen name it."""
+    small.write_files(tmp_path)
+    data = tmp_path / "data" / "tests.csv"
+    rows = data.read_text().splitlines()
+    places = [k for k, row in enumerate(rows) if row.startswith(("M1,A,1,2.0000", "M1,A,2,2.0000"))]
+    for k in places:
+        label, force = rows[k].rsplit(",", 1)
+        rows[k] = f"{label},{5 * float(force):.10f}"
+    data.write_text("\n".join(rows) + "\n")
+    ran = study.run(
+        tmp_path / "small.toml", data=data.parent, results=tmp_path / "r", reports=None, jobs=1
+    )
+    fits = {fit["key"]: fit for one in ran.records for fit in (one.fit or {}).values()}
+    bad = [fit for fit in fits.values() if fit.get("verdict") == "does not describe"]
+    assert len(bad) == 4  # two energies over two ranges
+    assert all("is off by up to" in fit["misfit"] for fit in bad)
+    (check,) = [one for one in _checks(ran) if one.name == "fits describe their data"]
+    assert "4 do not" in check.finding

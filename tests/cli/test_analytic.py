@@ -180,6 +180,25 @@ def test_a_rounded_cone_on_a_sliding_layer(home: Path) -> None:
     assert "strains by the same amount at any depth" in answer.err
 
 
+def test_a_limit_of_depth_that_is_lifted_is_said(home: Path) -> None:
+    """The rows beyond a tenth of the radius hold the same Hertz law here: only the words differ."""
+    depth = np.linspace(0.02, 1.0, 50)
+    lines = rows("s", depth, TRUTH_KPA * sphere_mN(depth, 60))
+    (home / "curves.csv").write_text("\n".join(["curve,d,f", *lines]))
+    options = 'profile = "paraboloid"'
+    write(home, options=options, height=60, depth=1.0)
+    limited = study("calibrate", "file.toml", "--json")
+    assert limited.json["tests"][0]["rows_outside"] == 25
+    write(home, options=f'{options}\ndepth_limit = "0.8 mm"', height=60, depth=1.0)
+    lifted = study("calibrate", "file.toml", "--json")
+    (test,) = lifted.json["tests"]
+    assert test["limits"][0] == {"limit": "calibration.depth_limit", "depth_mm": 0.8}
+    assert test["rows_outside"] == 10
+    assert test["youngs_modulus"]["median_kPa"] == pytest.approx(TRUTH_KPA, rel=2e-3)
+    assert "lifts the limit from 0.5 to 0.8 mm" in lifted.err
+    assert "d/R <= 0.1" in lifted.err
+
+
 def test_many_curves(home: Path) -> None:
     """A folder of 200 curves with their contacts: the median is that of the truth."""
     (home / "curves").mkdir()

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import gzip
 import json
+import re
 
 import numpy as np
+import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
@@ -79,6 +81,141 @@ def test_the_table_reads_the_file_as_it_is(tmp_path, name):
     assert (made["rows"]["read"], made["rows"]["used"]) == (read, used)
     assert sum(one["rows"] for one in made["rows"]["set_aside"]) == read - used
     assert made["curves"][0]["r_squared"] > 0.99999
+
+
+def written(head: str, *columns: np.ndarray, sep: str = ",") -> str:
+    return head + "".join(
+        sep.join(f"{v:.6f}" for v in row) + "\n" for row in zip(*columns, strict=True)
+    )
+
+
+NOISE = 0.002 * np.random.default_rng(5).standard_normal(400)
+AWAY = np.linspace(-12.0, -0.1, 100)
+HELD = np.r_[UP, np.full(40, UP[-1]), UP[-2::-1]]
+RELAXED = np.r_[
+    force(UP), force(UP)[-1] * (0.7 + 0.3 * np.exp(-np.arange(40) / 20)), 0.65 * force(UP[-2::-1])
+]
+PRESSED = np.r_[0 * AWAY, force(UP, -1.0)] + NOISE[:141]
+BOTH = np.linspace(-6.0, 6.0, 61)
+POINTS = "".join(f"{1e3 * d:,.0f};{1e3 * f:,.0f}\n" for d, f in zip(UP, force(UP), strict=True))
+QUOTED = "".join(f'"{d:.4f}","{f:.6f}"\n' for d, f in zip(UP, force(UP), strict=True))
+#: recordings that are laid out or run otherwise than a plain test: text and kind of test
+UGLY: dict[str, tuple[bytes, str]] = {
+    "units above the names": (
+        written("mm,mN\nWeg,Kraft\n", UP, 1e3 * force(UP)).encode(), "tension"),
+    "units below a second line of names": (
+        written("Weg,Kraft\nK 1,K 2\num,mN\n", 1e3 * UP, 1e3 * force(UP)).encode(), "tension"),
+    "points between thousands alone": (
+        ("Weg [um];Kraft [mN]\n" + POINTS.replace(",", ".")).encode(), "tension"),
+    "decimal commas in quotes between commas": (
+        ("Weg,Kraft\n" + layouts.german(QUOTED).replace('".', '",')).encode(), "tension"),
+    "UTF-16 without its mark": (
+        written("Weg (mm)\tKraft (N)\n", UP, force(UP), sep="\t").encode("utf-16-le"), "tension"),
+    "typographic minus": (
+        written("position_mm;force_N\n", -UP - 5, -force(UP, -1.0), sep=";")
+        .replace("-", "\u2212").encode(), "compression"),
+    "units behind a space": (written("Weg mm,Kraft kN\n", UP, force(UP) / 1e3).encode(), "tension"),
+    "gram-force": (
+        written("Weg_mm,Load_gram-force\n", UP, force(UP) / 9.80665e-3).encode(), "tension"),
+    "grams in the row of units": (
+        written("Weg,Kraft\nmm,grams\n", UP, force(UP) / 9.80665e-3).encode(), "tension"),
+    "approach from zero, longer than the travel": (
+        written("position_mm,force_N\n", np.r_[AWAY, UP] + 12, PRESSED).encode(), "compression"),
+    "the same with a load cell that is not zeroed": (
+        written("position_mm,force_N\n", np.r_[AWAY, UP] + 12, PRESSED + 0.5).encode(),
+        "compression"),
+    "a peak that is held while the machine trembles": (
+        written("displacement_mm,force_N\n", HELD + 0.2 * NOISE[: HELD.size], RELAXED).encode(),
+        "tension"),
+    "the same without the way back": (
+        written("displacement_mm,force_N\n", HELD[:81] + 0.2 * NOISE[:81], RELAXED[:81]).encode(),
+        "tension"),
+    "a signed test about the machine's 50 mm": (
+        written("position_mm,force_N\n", 50 + BOTH, force(BOTH)).encode(), "tension"),
+    "loaded already at its first row": (
+        written("displacement_mm,force_N\n", UP + 0.8, force(UP + 0.8)).encode(), "tension"),
+    "the way back alone": (
+        written("position_mm,force_N\n", 20 + UP[::-1], force(UP)[::-1]).encode(), "tension"),
+}  # fmt: skip
+
+
+def calibrated(folder, content: bytes, kind: str):
+    (folder / "a.csv").write_bytes(content)
+    (folder / "c.toml").write_text(calibration(inspect(folder / "a.csv").toml, kind))
+    return study.calibrate(folder / "c.toml", data=folder).to_json()
+
+
+@pytest.mark.parametrize("name", UGLY)
+def test_ugly_recordings_give_the_constant_behind_them(tmp_path, name):
+    made = calibrated(tmp_path, *UGLY[name])
+    assert made["parameters"]["C10"]["value"] == pytest.approx(1e3 * C10, rel=2e-3)
+    assert made["fit"]["verdict"] == "describes"
+
+
+@pytest.mark.parametrize(
+    ("content", "rule"),
+    [
+        (written("Weg,Kraft\nmm,V\n", UP, force(UP)), "'V' of 'Kraft' is no unit"),
+        (
+            written("strain,stress_kPa\n", UP[:27], force(UP[:27])),
+            "or per cent .a stretch of 1.039",
+        ),
+    ],
+    ids=["unknown unit", "ratio or per cent"],
+)
+def test_a_unit_that_is_open_is_left_to_the_user(tmp_path, content, rule):
+    (tmp_path / "a.csv").write_text(content)
+    table = inspect(tmp_path / "a.csv").toml
+    assert re.search(rf"# .*{rule}", table)
+    printed = CliRunner().invoke(app, ["inspect", str(tmp_path / "a.csv")])
+    assert printed.exit_code == 0
+    assert table in printed.stdout
+    with pytest.raises(InputError, match="is missing|has no unit|V"):
+        calibrated(tmp_path, content.encode(), "tension")
+
+
+def test_both_directions_of_a_biaxial_test_are_known(tmp_path):
+    one, other = 1 + 0.6 * np.linspace(0.02, 1, 30), 1 + 0.3 * np.linspace(0.02, 1, 30)
+    stresses = [2e3 * C10 * (a - 1 / (a**3 * b**2)) for a, b in ((one, other), (other, one))]
+    content = written("stretch x,stretch y,stress x (kPa),stress y (kPa)\n", one, other, *stresses)
+    made = calibrated(tmp_path, content.encode(), "biaxial")
+    assert made["parameters"]["C10"]["value"] == pytest.approx(1e3 * C10, rel=1e-4)
+    assert made["rows"]["used"] == 30
+
+
+def test_a_shear_to_both_sides_and_back_is_one_test(tmp_path):
+    """To the right, back, to the left: stress is even in the amount, and so is its constant."""
+    shear = 0.5 * np.sin(np.linspace(0, 2 * np.pi, 81))
+    content = written("strain,stress_kPa\n", shear, 2e3 * C10 * shear)
+    (tmp_path / "a.csv").write_text(content)
+    table = inspect(tmp_path / "a.csv").toml.replace('"loading"', '"all"')
+    (tmp_path / "c.toml").write_text(calibration(table, "simple-shear"))
+    made = study.calibrate(tmp_path / "c.toml", data=tmp_path).to_json()
+    assert made["parameters"]["C10"]["value"] == pytest.approx(1e3 * C10, rel=1e-6)
+    assert made["rows"]["used"] == 81
+
+
+def test_a_range_may_begin_below_zero(tmp_path):
+    (tmp_path / "a.csv").write_text(written("d_mm,f_N\n", BOTH, force(BOTH)))
+    table = inspect(tmp_path / "a.csv").toml + '\nrange = ["-3 mm", "5 mm"]'
+    (tmp_path / "c.toml").write_text(calibration(table, "tension"))
+    made = study.calibrate(tmp_path / "c.toml", data=tmp_path).to_json()
+    assert made["parameters"]["C10"]["value"] == pytest.approx(1e3 * C10, rel=1e-5)
+    assert made["rows"]["used"] == int(((BOTH >= -3) & (BOTH <= 5)).sum())
+
+
+def test_a_slow_tear_is_refused(tmp_path):
+    torn = force(UP) * np.where(UP > 5, 1 - 0.9 * np.clip((UP - 5) / 0.4, 0, 1), 1)
+    with pytest.raises(InputError, match="the specimen tore"):
+        calibrated(tmp_path, written("displacement_mm,force_N\n", UP, torn).encode(), "tension")
+
+
+def test_forces_that_relax_at_each_step_are_not_averaged_in_silence(tmp_path):
+    steps = np.repeat(UP[::4], 10)
+    relaxed = force(steps) * np.tile(0.8 + 0.2 * np.exp(-np.arange(10) / 3), UP[::4].size)
+    content = written("displacement_mm,force_N\n", steps, relaxed).encode()
+    warnings = calibrated(tmp_path, content, "tension")["warnings"]
+    assert any("force falls by 19 %" in warning for warning in warnings)
 
 
 def test_what_is_seen_is_said(tmp_path):
@@ -157,3 +294,16 @@ def test_several_sheets_are_named(tmp_path):
         read_measurements(spec, tmp_path)
     spec = Spec(file="a.xlsx", columns={"displacement": "Weg", "force": "Kraft"}, sheet="two")
     assert np.isfinite(read_measurements(spec, tmp_path).curve().curve.force_N).all()
+
+
+def test_a_sheet_of_a_workbook_is_analyzed(tmp_path):
+    rows = [["group", "y"]] + [[g, float(v)] for g in "abc" for v in (1, 2, 4, "abc".index(g))]
+    book = layouts.workbook({"notes": [["nothing"]], "Run 3": rows})
+    (tmp_path / "b.xlsx").write_bytes(book)
+    by_hand = study.analyze(pd.DataFrame(rows[1:], columns=rows[0]), "y", ["group"])
+    sheet = study.analyze(tmp_path / "b.xlsx", "y", ["group"], sheet="Run 3")
+    assert sheet.to_json()["anova"] == by_hand.to_json()["anova"]
+    asked = ["analyze", str(tmp_path / "b.xlsx"), "--response", "y", "--factors", "group", "--json"]
+    assert CliRunner().invoke(app, [*asked, "--sheet", "Run 3"]).exit_code == 0
+    with pytest.raises(InputError, match="holds several sheets"):
+        study.analyze(tmp_path / "b.xlsx", "y", ["group"])

@@ -151,6 +151,9 @@ class FitDocument(TypedDict, total=False):
     n: Positive
     identifiable: bool
     reason: str
+    #: Where the model does not describe the rows, or hardly: the verdict, and why.
+    verdict: str
+    misfit: str
     stable: bool
     usable: bool
     stability: str

@@ -37,6 +37,7 @@ from study.harness.runner.staged_fit import (
 )
 from study.mechanics.calibration.fit import Fit
 from study.mechanics.calibration.fit_influence import with_serial_correlation
+from study.mechanics.calibration.lack_of_fit import adequacy
 from study.mechanics.calibration.residual_function import EvaluationFailed, MeasuredCurve
 from study.mechanics.forward import closed_form, finite_element
 from study.mechanics.material.material import ENERGIES
@@ -84,11 +85,14 @@ def fitted(task: FitTask) -> FitResult:
     )
     done = staged_fit(parts, names, first, fitted_model)
     fitted_curves = [curve for part in parts for curve in part.measured]
-    facts = described(
-        with_serial_correlation(done.fit, fitted_curves),
-        parts[0].tables,
-        task.measured[:1] if len(parts) > 1 else task.measured,
-    )
+    fit = with_serial_correlation(done.fit, fitted_curves)
+    several = len(parts) > 1
+    facts = described(fit, parts[0].tables, task.measured[:1] if several else task.measured)
+    if fit.status.usable:
+        # curves of one test are specimens or repeats: what they differ by is noise
+        judged = adequacy(fit, fitted_curves, tests=() if several else [0] * len(fitted_curves))
+        if judged.reasons:
+            facts.update({"verdict": judged.verdict, "misfit": judged.sentence})
     method = task.problem.method
     facts.update({"message": done.message, "evaluations": done.evaluations, "method": method})
     predict, predicted = done.models[0], None

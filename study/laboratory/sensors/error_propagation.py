@@ -274,15 +274,15 @@ def _chunks(sampling: Sampling, propagation: Propagation, multiple: float) -> It
     position, force = multiplied(sampling.position, sampling.force, multiple)
     drawn = replace(sampling, position=position, force=force)
     stream = (sampling.seed, round(1e6 * multiple))
-    rows = tuple(map(tuple, propagation.pseudo_inverse.tolist()))
     least = min(constant.relative for constant in propagation.constants)
     xtol = max(STEP * multiple * least, SMALLEST_STEP)
     for first in range(0, sampling.samples, CHUNK):
-        yield Chunk(drawn, stream, first, min(first + CHUNK, sampling.samples), rows, xtol)
+        last = min(first + CHUNK, sampling.samples)
+        yield Chunk(drawn, stream, first, last, propagation.pseudo_inverse, xtol)
 
 
-def _payload(chunk: Chunk) -> Callable[[Results], dict[str, object]]:
-    return lambda _: chunk.to_json()
+def _payload(chunk: Chunk) -> Callable[[Results], Chunk]:
+    return lambda _: chunk
 
 
 def _changes(result: Mapping[str, object]) -> Changes:

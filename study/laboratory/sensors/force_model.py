@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Protocol
+from typing import TYPE_CHECKING, Annotated, Protocol, TypeVar
 
 import numpy as np
 from pydantic import Field
@@ -261,24 +261,18 @@ class Requirement:
     multiples: Annotated[tuple[float, ...], Reads(_multiples)] = (1.0, 3.0)
 
 
+Sensor = TypeVar("Sensor", PositionAccuracy, ForceAccuracy)
+
+
 def multiplied(
     position: PositionAccuracy, force: ForceAccuracy, multiple: float
 ) -> tuple[PositionAccuracy, ForceAccuracy]:
     """Return both sensors with all errors so many times as large."""
-    return (
-        replace(
-            position,
-            offset_mm=multiple * position.offset_mm,
-            scale=multiple * position.scale,
-            noise_mm=multiple * position.noise_mm,
-        ),
-        replace(
-            force,
-            zero_N=multiple * force.zero_N,
-            scale=multiple * force.scale,
-            noise_N=multiple * force.noise_N,
-        ),
-    )
+
+    def times(sensor: Sensor) -> Sensor:
+        return replace(sensor, **{name: multiple * error for name, error in asdict(sensor).items()})
+
+    return times(position), times(force)
 
 
 # Read a file for ``study require``: a problem with its constants, two sensors, what is asked.
@@ -322,7 +316,8 @@ def load_requirement(path: str | Path, overrides: Sequence[str] = ()) -> Require
     position = read_table(PositionAccuracy, sections["position"], "position", faults)
     force = read_table(ForceAccuracy, sections["force"], "force", faults)
     sensors = read_table(Requirement, sections["requirement"], "requirement", faults)
-    if not faults and not _has_errors(position, force):
+    errors = [*asdict(position).values(), *asdict(force).values()]
+    if not faults and not any(errors):
         mend = 'give one, for example [position] noise = "0.1 mm"'
         faults.add("position, force", "neither sensor has an error: nothing to propagate", mend)
     renamed = [Fault(f"{source}: {f.where}", f.rule, f.mend) for f in faults]
@@ -335,11 +330,6 @@ def load_requirement(path: str | Path, overrides: Sequence[str] = ()) -> Require
     return RequirementFile(
         name, study.question, study.seed, fitted, predicted, position, force, sensors
     )
-
-
-def _has_errors(position: PositionAccuracy, force: ForceAccuracy) -> bool:
-    errors = (position.offset_mm, position.scale, position.noise_mm)
-    return any((*errors, force.zero_N, force.scale, force.noise_N))
 
 
 def _problem(

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import cast
 
 import numpy as np
 
@@ -78,34 +76,9 @@ class Chunk:
     first: int
     last: int
     #: shape (p, n); change of the constants by that of every row, to first order.
-    pseudo_inverse: tuple[tuple[float, ...], ...]
+    pseudo_inverse: Array
     #: Full step over the constants at which a fit has converged.
     xtol: float
-
-    def to_json(self) -> dict[str, object]:
-        """Plain data."""
-        return asdict(self)
-
-    @classmethod
-    def of(cls, data: Mapping[str, object]) -> Chunk:
-        """Inverse of :meth:`to_json`."""
-        drawn = cast("Mapping[str, object]", data["sampling"])
-        return cls(
-            Sampling(
-                fitted=cast("Tables", drawn["fitted"]),
-                predicted=cast("Tables", drawn["predicted"]),
-                position=PositionAccuracy(**cast("Mapping[str, float]", drawn["position"])),
-                force=ForceAccuracy(**cast("Mapping[str, float]", drawn["force"])),
-                points=cast(int, drawn["points"]),
-                samples=cast(int, drawn["samples"]),
-                seed=cast(int, drawn["seed"]),
-            ),
-            tuple(cast("list[int]", data["stream"])),
-            cast(int, data["first"]),
-            cast(int, data["last"]),
-            tuple(map(tuple, cast("list[list[float]]", data["pseudo_inverse"]))),
-            cast(float, data["xtol"]),
-        )
 
 
 @dataclass
@@ -127,11 +100,10 @@ class Changes:
         self.messages += more.messages
 
 
-def perform(task: dict[str, object]) -> dict[str, object]:
+def perform(chunk: Chunk) -> dict[str, object]:
     """Measure and fit the tests of one chunk (in a worker)."""
-    chunk = Chunk.of(task)
     sampling, changes = chunk.sampling, Changes()
-    test = _Test(sampling, np.array(chunk.pseudo_inverse), chunk.xtol)
+    test = _Test(sampling, chunk.pseudo_inverse, chunk.xtol)
     depth = np.array([depth_of(sampling.predicted)])
     predicted = force_model(sampling.predicted, float(depth[0]))
     for k in range(chunk.first, chunk.last):

@@ -328,7 +328,7 @@ class IndentationModulus:
     theory: str
     poisson_ratio: float
     height_mm: float
-    #: Depths at which assumptions end, the least first.
+    #: Depths at which assumptions end, the least first; one that was asked for before them.
     limits: tuple[ValidityLimit, ...]
     curves: tuple[FittedCurve, ...]
     #: Column of the units; every curve is one where it is None.
@@ -445,6 +445,18 @@ class IndentationTest:
     paraboloid: bool = False
     #: Whether the displacement at contact is fitted.
     find_contact: bool = False
+    #: Depth up to which rows are fitted; None where the assumptions say it.
+    depth_limit_mm: float | None = None
+
+    @property
+    def lifted(self) -> tuple[ValidityLimit, ...]:
+        """Limit that the user asked for in place of the others."""
+        depth = self.depth_limit_mm
+        return () if depth is None else (ValidityLimit("calibration.depth_limit", depth),)
+
+    def deepest_mm(self, validity: Sequence[ValidityLimit]) -> float:
+        """Depth up to which rows are fitted."""
+        return (*self.lifted, *validity)[0].depth_mm
 
 
 def indentation_modulus(
@@ -473,7 +485,7 @@ def indentation_modulus(
         theory=test.theory,
         poisson_ratio=test.layer.poisson_ratio,
         height_mm=height,
-        limits=validity,
+        limits=(*test.lifted, *validity),
         curves=fitted,
         block=test.spec.block,
         unit_moduli_MPa=units,
@@ -496,7 +508,7 @@ def _fitted(
         curve.force_N,
         law,
         poisson_ratio=test.layer.poisson_ratio,
-        deepest_mm=validity[0].depth_mm,
+        deepest_mm=test.deepest_mm(validity),
         find_contact=test.find_contact,
     )
 
@@ -520,19 +532,27 @@ def _warnings(
     lines = []
     rows = sum(curve.found.rows for curve in fitted)
     outside = sum(curve.found.rows_outside for curve in fitted)
+    limit_mm, first = test.deepest_mm(validity), validity[0]
     if outside:
+        what = (*test.lifted, first)[0].what
         lines.append(
             f"{100 * outside / rows:.3g} % of the rows in contact ({outside} of {rows}) lie deeper "
-            f"than {validity[0].depth_mm:.4g} mm ({validity[0].what}) and are not fitted"
+            f"than {limit_mm:.4g} mm ({what}) and are not fitted"
+        )
+    if limit_mm > first.depth_mm and deepest_mm > first.depth_mm:
+        broken = ", ".join(v.what for v in validity if v.depth_mm < min(limit_mm, deepest_mm))
+        lines.append(
+            f"calibration.depth_limit lifts the limit from {first.depth_mm:.4g} to {limit_mm:.4g} "
+            f"mm: the moduli rest on rows where the closed form does not hold ({broken})"
         )
     for status, count in Counter(curve.found.status for curve in fitted).items():
         if status != "fitted":
-            first = next(curve for curve in fitted if curve.found.status == status)
-            lines.append(f"{count} of {len(fitted)} curves are {status}: {first.label}: "
-                        f"{first.found.message}")  # fmt: skip
+            one = next(curve for curve in fitted if curve.found.status == status)
+            lines.append(f"{count} of {len(fitted)} curves are {status}: {one.label}: "
+                        f"{one.found.message}")  # fmt: skip
     if words := caution(test.indenter):
         lines.append(words)
-    return [*lines, *_support(test, law, min(validity[0].depth_mm, deepest_mm))]
+    return [*lines, *_support(test, law, min(limit_mm, deepest_mm))]
 
 
 def _support(test: IndentationTest, law: ContactForceLaw, depth_mm: float) -> list[str]:

@@ -25,7 +25,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from study.ground.arrays import Array
+from study.ground.arrays import Array, Ints
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
 from study.mechanics.material.homogeneous import LOADINGS
@@ -127,8 +127,6 @@ def _in_words(modulus_MPa: float) -> str:  # noqa: N803
     return f"{modulus_MPa * 1e3:.3g} kPa" if modulus_MPa >= 1e-4 else f"{modulus_MPa * 1e6:.3g} Pa"
 
 
-ZERO_RULES = ("none", "first", "fit")
-SIGNS = ("positive", "negative")
 ZERO_FIT_SHARE = 0.1
 MIN_ROWS = 3
 EQUAL_MM = 1e-9
@@ -143,11 +141,17 @@ _SAME_SIZE = 5.0
 SORTED = "rows out of order sorted by displacement"
 #: the other one: a test that was also unloaded has two forces at every displacement
 UNLOADED = "rows after the first loading left out: the loading branch is used"
+#: a specimen that was held at every displacement
+RELAXED = "test whose force falls by"
+#: share of the displacements at which it falls, at least
+_MOSTLY = 0.8
+#: share of the force by which it falls, at least
+_RELAXED = 0.02
 #: and one that asks for a rule
 OFFSET = "a load-cell offset?"
 #: and one that asks for a unit
 PERCENT = "is it in per cent?"
-_CAUTIONS = (SORTED, UNLOADED, OFFSET, IMPLAUSIBLE, PERCENT)
+_CAUTIONS = (SORTED, UNLOADED, OFFSET, IMPLAUSIBLE, PERCENT, RELAXED)
 
 
 @dataclass(frozen=True)
@@ -225,7 +229,8 @@ def condition(displacement_mm: Array, force_N: Array, rules: Rules, where: str) 
     far = int(np.argmax(np.abs(displacement_mm)))
     way_in = math.copysign(1.0, float(displacement_mm[far] * every_d[far]))
     _check_begin(*before, way_in, rules, where)
-    rules = replace(rules, low_mm=-np.inf) if _is_through_zero(*before, rules) else rules
+    if rules.low_mm >= 0 and _is_through_zero(*before, rules):
+        rules = replace(rules, low_mm=-np.inf)
     d, f = _rows_of(chosen, every_d, every_f)
     if len(chosen) == 1 and (chosen[0].kind == "unloading" or (np.diff(d) < 0).all()):
         d, f = d[::-1], f[::-1]
@@ -399,6 +404,8 @@ def _way(d: Array, f: Array) -> float:
 
 #: share of the largest force that falls away at once, for good, where a specimen tears
 _TORN = 0.5
+#: share of the rows within which it does
+_TEARING = 0.1
 #: share of the travel from zero at which a recording may begin without another look: nearer than
 #: half of the rows that tell the slope, a convex law is as flat as a late start
 _STARTS_LATE = ZERO_FIT_SHARE / 2
@@ -455,7 +462,7 @@ def _is_flat(moved: Array, f: Array, end: float) -> bool:
     if np.count_nonzero(first) < MIN_ROWS or f[peak] <= 0:
         return False
     x, y = moved[:peak][first], f[:peak][first]
-    slope, scatter = _slope(x, y)
+    slope, scatter = slope_with_error(x, y)
     secant = float(f[peak] - y[-1]) / max(float(moved[peak] - x[-1]), 1e-300)
     return slope - 2.0 * scatter <= _FLAT * secant
 
@@ -471,7 +478,7 @@ def _check_zero(d: Array, f: Array, way: float, rules: Rules, where: str) -> Non
     travel, largest = float(np.ptp(d)), float(f.max())
     x, y = _first_tenth(d, f)
     first = float(x[0])
-    slope, scatter = _slope(x, y)
+    slope, scatter = slope_with_error(x, y)
     arm = first - float(x.mean())
     # of a straight line through these rows, at the first of them, with two standard errors
     most = float(y.mean()) + slope * arm + 2.0 * scatter * math.hypot(float(np.std(x)), arm)
@@ -502,11 +509,11 @@ def _rises(d: Array, f: Array) -> float:
     """Force that some rows gain by a straight line; 0 where that may be noise."""
     if d.size < MIN_ROWS or np.ptp(d) == 0:
         return 0.0
-    slope, scatter = _slope(d, f)
+    slope, scatter = slope_with_error(d, f)
     return slope * float(np.ptp(d)) if slope > _CLEAR * scatter else 0.0
 
 
-def _slope(x: Array, y: Array) -> tuple[float, float]:
+def slope_with_error(x: Array, y: Array) -> tuple[float, float]:
     """Slope of a straight line and its standard error."""
     x = x - x.mean()
     square = max(float(x @ x), 1e-300)
@@ -524,18 +531,18 @@ def _is_through_zero(d: Array, f: Array, rules: Rules) -> bool:
 
 
 def _check_torn(d: Array, f: Array, rules: Rules, where: str) -> None:
-    """Refuse rows in the range after which the force fell away at once and stayed away."""
+    """Refuse rows in the range after which the force fell away within a few and stayed away."""
     peak = int(np.argmax(f))
-    later = f[peak + 1 : peak + 3]
-    ahead = bool(later.size) and bool((np.diff(d[peak:]) > 0).all())
     low_N = (1 - _TORN) * float(f[peak])  # noqa: N806
-    if peak < MIN_ROWS or not ahead or f[peak + 1 :].max() > low_N or f[peak - 1] < low_N:
-        return  # a single high row is none of a specimen that tears
-    if d[peak + 1] > rules.high_mm:
+    down = int(np.flatnonzero(f >= low_N)[-1]) + 1 if low_N > 0 else d.size
+    ahead = down < d.size and bool((np.diff(d[peak:]) > 0).all())
+    if peak < MIN_ROWS or not ahead or down - peak > max(1.0, _TEARING * d.size):
         return
+    if f[peak - 1] < low_N or d[peak + 1] > rules.high_mm:
+        return  # a single high row is none of a specimen that tears
     rule = (
         f"the force falls from {f[peak]:.4g} N at {_place(d[peak], rules)} to "
-        f"{f[peak + 1]:.4g} N at {_place(d[peak + 1], rules)} and stays low: the specimen tore, "
+        f"{f[down]:.4g} N at {_place(d[down], rules)} and stays low: the specimen tore, "
         f"slipped or lost contact ({d.size - peak - 1} rows)"
     )
     low = max(rules.low_mm, 0.0)
@@ -555,7 +562,7 @@ def _zero(d: Array, f: Array, rule: str) -> float:
         return float(f[0])
     if rule == "fit":
         x, y = _first_tenth(d, f)
-        return float(y.mean() + _slope(x, y)[0] * (x[0] - x.mean()))
+        return float(y.mean() + slope_with_error(x, y)[0] * (x[0] - x.mean()))
     return 0.0
 
 
@@ -594,9 +601,22 @@ def _sorted_unique(d: Array, f: Array, counts: Counter[str]) -> tuple[Array, Arr
     )
     if places.size < d.size:
         counts["rows of equal displacement averaged"] += int(repeats[repeats > 1].sum())
+        _say_relaxed(f, np.argsort(inverse, kind="stable"), repeats, counts)
         d = np.bincount(inverse, weights=d) / repeats
         f = np.bincount(inverse, weights=f) / repeats
     return d, f
+
+
+def _say_relaxed(f: Array, order: Ints, repeats: Ints, counts: Counter[str]) -> None:
+    """Count rows at one displacement over which the force falls: a specimen that was held."""
+    several = repeats > 1
+    ends = np.cumsum(repeats)
+    first, last = f[order[ends - repeats]][several], f[order[ends - 1]][several]
+    share = float(np.sum(first - last) / np.sum(np.abs(first)))
+    if np.mean(last < first) > _MOSTLY and share > _RELAXED:
+        mend = "their mean is neither: leave rows out, or name the column of time"
+        fallen = f"{RELAXED} {100 * share:.2g} % over the rows of one displacement"
+        counts[f"{fallen}, and {mend}"] += 1
 
 
 def _toe(

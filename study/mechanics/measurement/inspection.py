@@ -8,11 +8,12 @@ import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
 
-from study.ground.arrays import Array
+from study.ground.arrays import Array, Ints
 from study.ground.bounded_file import (
     is_workbook,
     read_bytes,
@@ -20,9 +21,11 @@ from study.ground.bounded_file import (
     table_text,
     unzipped,
 )
+from study.ground.canonical import plain
 from study.ground.errors import Fault, InputError, UnitError
 from study.ground.tabular import MAX_ROWS, UNIT_CELL, is_number, parsed_numbers
 from study.ground.units import unit_factor
+from study.mechanics.measurement.conditioning import OFFSET_SHARE, slope_with_error
 from study.mechanics.measurement.measurement_section import DELIMITERS, KINEMATIC, KINETIC
 from study.mechanics.measurement.phases import NO_FORCE, TURN, Phase, phases_of
 
@@ -31,7 +34,9 @@ _BLOCK = 3
 #: lines from which delimiter and decimal mark are found
 _LOOKED_AT = 3000
 #: dimension of every quantity that a column may hold
-DIMENSIONS: Mapping[str, str] = {**KINEMATIC, **KINETIC, "time": "time"}
+DIMENSIONS: Mapping[str, str] = {
+    **KINEMATIC, **KINETIC, "stretch_2": "ratio", "stress_2": "pressure", "time": "time"
+}  # fmt: skip
 #: words of column names (English, German, French) by quantity, the surest first
 _WORDS: Mapping[str, tuple[str, ...]] = {
     "true_strain": ("true strain", "log strain", "hencky"),
@@ -54,6 +59,9 @@ _ALIASES = {
     "g": "gf", "sec": "s", "S": "s", "seconds": "s", "mm/mm": "1", "-": "1", "µm": "um",
     "μm": "um", "µN": "uN", "μN": "uN", "percent": "%", "pct": "%", "N/mm²": "N/mm^2",
     "N/mm2": "N/mm^2", "newton": "N", "newtons": "N", "millimeter": "mm", "inch": "in",
+    "gram": "gf", "grams": "gf", "gram-force": "gf", "g-force": "gf", "kg": "kgf",
+    "kilogram-force": "kgf", "kp": "kgf", "lb": "lbf", "lbs": "lbf", "inches": "in",
+    "millimetre": "mm", "micron": "um", "microns": "um",
 }  # fmt: skip
 #: unit of a quantity whose file names none
 _USUAL = {
@@ -63,9 +71,19 @@ _USUAL = {
     "ratio": "1",
     "time": "s",
 }
-_NAMED_UNIT = re.compile(r"^(?P<name>.*?)[\s_]*(?:[\[(/]\s*(?P<in>[^\[\]()]{1,12})\s*[\])]?|"
-                         r"_(?P<after>[A-Za-zµμ%]{1,7}))$")  # fmt: skip
+#: strain up to which a column without a unit is a ratio
+_NOT_PERCENT = 1.0
+#: strain beyond which it is in per cent; in between either may be meant
+_PERCENT = 5.0
+_NAMED_UNIT = re.compile(
+    r"^(?P<name>.*?)[\s_]*(?:[\[(/]\s*(?P<in>[^\[\]()]{1,12})\s*[\])]?"
+    r"|_(?P<after>[A-Za-zµμ%-]{1,14})|\s(?P<apart>[A-Za-zµμ%]{1,4}))$"
+)
 _RATES = re.compile(r"rate|speed|velocity")
+#: digits in groups of three with points between them
+_GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(\.\d{3})+")
+#: share of the largest force at both ends of a test that runs through zero at another place
+_BOTH_WAYS = 0.3
 _COMMENTS = ("#", "%", "//", ";", "!", "*")
 #: columns of labels that tell tests apart, and those of repeats on one specimen
 _BLOCKS = re.compile(r"specimen|sample|probe|animal|donor|batch", re.IGNORECASE)
@@ -132,46 +150,30 @@ class Inspection:
 
     @property
     def toml(self) -> str:
-        """Table to paste into a file."""
+        """Table to paste into a file; comments say what it leaves open."""
         lines = [f"{key} = {_toml(value)}" for key, value in self.measurements.items()]
-        return "\n".join(["[measurements]", *lines])
+        open_units = [f"# {note}" for note in self.notes if ": write units." in note]
+        return "\n".join(["[measurements]", *open_units, *lines])
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Units of the columns that are read."""
-        table = self.measurements["units"]
-        return tuple(table.values()) if isinstance(table, Mapping) else ()
+        """Units of the columns that are read; a question mark where one is open."""
+        columns, units = self.measurements["columns"], self.measurements["units"]
+        if not isinstance(columns, Mapping) or not isinstance(units, Mapping):
+            return ()
+        return tuple(str(units.get(quantity, "?")) for quantity in columns)
 
     def to_json(self) -> dict[str, object]:
         """Document of ``study inspect --json``."""
-        return {
-            "file": self.file,
-            "encoding": self.encoding,
-            "sheets": list(self.sheets),
-            "delimiter": self.delimiter,
-            "decimal": self.decimal,
-            "preamble": list(self.preamble),
-            "header_line": self.header_line,
-            "unit_line": self.unit_line,
-            "first_line": self.lines[0],
-            "last_line": self.lines[1],
-            "rows": self.rows,
-            "columns": [{**vars(column), "labels": list(column.labels)} for column in self.columns],
-            "phases": [
-                {
-                    "phase": phase.phase,
-                    "cycle": phase.cycle,
-                    "lines": list(phase.lines),
-                    "from": list(phase.start),
-                    "to": list(phase.end),
-                }
-                for phase in self.phases
-            ],
-            "cycles": self.cycles,
-            "measurements": dict(self.measurements),
-            "toml": self.toml,
-            "notes": list(self.notes),
-        }
+        document = plain({**vars(self), "toml": self.toml})
+        document["first_line"], document["last_line"] = self.lines
+        del document["lines"]
+        document["phases"] = [
+            {"phase": p.phase, "cycle": p.cycle, "lines": list(p.lines),
+             "from": list(p.start), "to": list(p.end)}
+            for p in self.phases
+        ]  # fmt: skip
+        return dict(document)
 
 
 def _toml(value: object) -> str:
@@ -200,7 +202,7 @@ def inspect(path: Path, sheet: str = "") -> Inspection:
         rule = f"has {len(lines)} lines, at most {MAX_ROWS} rows are read"
         raise InputError(Fault(source, rule, "thin the recording out or split it"))
     block = _block_of(lines, source)
-    columns, numbers_of, notes = _columns(block)
+    columns, numbers_of, words, notes = _columns(block)
     table: dict[str, object] = {"file": source}
     if sheet and len(sheets) > 1:
         table["sheet"] = sheet
@@ -208,18 +210,21 @@ def inspect(path: Path, sheet: str = "") -> Inspection:
     chosen = _pair(columns, notes)
     names = {q: columns[k].name for q, k in chosen.items()}
     table["columns"] = names
-    table["units"] = {q: _unit_for(columns[k], q, numbers_of[k], notes) for q, k in chosen.items()}
+    units = {q: _unit_for(columns[k], q, numbers_of[k], words[k], notes) for q, k in chosen.items()}
+    table["units"] = {quantity: unit for quantity, unit in units.items() if unit}
     groups = _groups(columns, block, numbers_of, table)
     phases: tuple[Phase, ...] = ()
     kinematic = next((q for q in KINEMATIC if q in chosen), None)
     kinetic = next((q for q in KINETIC if q in chosen), None)
-    words: list[InspectedPhase] = []
-    if kinematic and kinetic:
+    placed: list[InspectedPhase] = []
+    if "stretch_1" in chosen:
+        notes.append("two stretches and two stresses: one biaxial test, first direction first")
+    elif kinematic and kinetic:
         d, f = numbers_of[chosen[kinematic]], numbers_of[chosen[kinetic]]
         first = _first_test(columns, block, groups)
         d, f, at = d[first], f[first], [block.at[k] for k in first]
         phases = _place(kinematic, d, f, table, notes)
-        words = [
+        placed = [
             InspectedPhase(
                 p.words, p.cycle, (at[p.first], at[p.last]),
                 (float(d[p.first]), float(f[p.first])), (float(d[p.last]), float(f[p.last])),
@@ -233,7 +238,7 @@ def inspect(path: Path, sheet: str = "") -> Inspection:
         source, encoding, sheets, block.delimiter, block.decimal,
         tuple(line.strip()[:120] for line in lines[: block.skip] if line.strip())[:8],
         block.header, block.units, (block.at[0], block.at[-1]), len(block.at),
-        tuple(columns), tuple(words), max((p.cycle for p in phases), default=0),
+        tuple(columns), tuple(placed), max((p.cycle for p in phases), default=0),
         table, tuple(notes),
     )  # fmt: skip
 
@@ -281,7 +286,8 @@ def _block_of(lines: Sequence[str], source: str) -> _Block:
     """Rows of numbers under the delimiter and decimal mark that show the most of them."""
     best: tuple[tuple[int, float, int], str, str] | None = None
     for delimiter in DELIMITERS:
-        for decimal in (mark for mark in (".", ",") if mark != DELIMITERS[delimiter]):
+        is_quoted = delimiter == "comma" and any('"' in line for line in lines[:_LOOKED_AT])
+        for decimal in (m for m in (".", ",") if is_quoted or m != DELIMITERS[delimiter]):
             pairs = [_numbers_in(_split(line, delimiter), decimal) for line in lines[:_LOOKED_AT]]
             width, start = _width_and_start([n for n, _ in pairs])
             if not width:
@@ -296,10 +302,28 @@ def _block_of(lines: Sequence[str], source: str) -> _Block:
         raise InputError(Fault(source, rule, "is it a table of a recording?"))
     _, delimiter, decimal = best
     split = [_split(line, delimiter) for line in lines]
+    if DELIMITERS[delimiter] != "," and decimal == "." and _are_grouped(split):
+        decimal = ","
     counts = [_numbers_in(cells, decimal)[0] for cells in split]
     width, start = _width_and_start(counts[:_LOOKED_AT])
     rows = [k for k in range(start, len(lines)) if counts[k] == width]
     return _with_names(lines, delimiter, decimal, rows, [_trimmed(split[k]) for k in rows])
+
+
+def _are_grouped(split: Sequence[Sequence[str]]) -> bool:
+    """Whether points part thousands in some column: 900, then 1.000.
+
+    Numbers that are written as short as they can be end in no zero, and those that are written
+    with three digits have a point in every row.
+    """
+    columns = zip_longest(*split[:_LOOKED_AT], fillvalue="")
+    for column in columns:
+        cells = [cell for cell in column if is_number(cell, ".")]
+        pointed = [cell for cell in cells if "." in cell]
+        grouped = bool(pointed) and all(_GROUPED.fullmatch(cell) for cell in pointed)
+        if grouped and len(pointed) < len(cells) and any(cell[-1] == "0" for cell in pointed):
+            return True
+    return False
 
 
 def _width_and_start(counts: Sequence[int]) -> tuple[int, int]:
@@ -326,15 +350,15 @@ def _with_names(
     """Add the lines of names and units above the rows."""
     width = max(map(len, cells))
     above = [k for k in range(rows[0] - 1, -1, -1) if lines[k].strip(" \t,;")][:2]
-    split = [_trimmed(_split(lines[k], delimiter)) for k in above]
-    units: int | None = None
-    names, unit_cells = [], []
-    if split and len(split) > 1 and _are_units(split[0]) and 2 <= len(split[1]) <= width:
-        units, above, unit_cells = above[0], above[1:], split[0]
-        split = split[1:]
-    header = above[0] if split and 2 <= len(split[0]) <= width else None
-    if header is not None:
-        names = split[0]
+    split = {k: _trimmed(_split(lines[k], delimiter)) for k in above}
+    named = [k for k in above if 2 <= len(split[k]) <= width]
+    # below the names, as instruments write them, or above
+    units = next((k for k in named if len(named) > 1 and _are_units(split[k])), None)
+    header = next((k for k in named if k != units), None)
+    if header is None or (units is None and header != above[0]):
+        header = units = None
+    names = [] if header is None else split[header]
+    unit_cells = [] if units is None else split[units]
     names = names + [""] * (width - len(names)) if names else [str(k + 1) for k in range(width)]
     held = set(rows)
     others = [k for k in range(rows[0], rows[-1]) if lines[k].strip() and k not in held]
@@ -370,10 +394,13 @@ def _known_unit(word: str) -> tuple[str, str] | None:
 # What the columns hold.
 
 
-def _columns(block: _Block) -> tuple[list[InspectedColumn], list[Array], list[str]]:
-    """Columns, their numbers (empty for labels), and notes."""
+def _columns(
+    block: _Block,
+) -> tuple[list[InspectedColumn], list[Array], list[str], list[str]]:
+    """Columns, their numbers (empty for labels), the words that stand for their units, notes."""
     columns: list[InspectedColumn] = []
     numbers: list[Array] = []
+    words: list[str] = []
     notes: list[str] = []
     for k, name in enumerate(block.names):
         cells = tuple(row[k] if k < len(row) else "" for row in block.rows)
@@ -381,15 +408,22 @@ def _columns(block: _Block) -> tuple[list[InspectedColumn], list[Array], list[st
         is_number = bool(np.isfinite(values).all())
         in_row = UNIT_CELL.fullmatch(block.unit_cells[k]) if k < len(block.unit_cells) else None
         match = _NAMED_UNIT.fullmatch(name)
-        word = (in_row[1] if in_row else "") or (match and (match["in"] or match["after"])) or ""
+        in_name = match["in"] if match else ""
+        word = (
+            (in_row[1] if in_row else "")
+            or in_name
+            or (match and (match["after"] or match["apart"]))
+            or ""
+        )
         unit = _known_unit(word) if word else None
+        words.append("" if unit else (in_row[1] if in_row else in_name) or "")
         plain = name if unit is None or match is None or in_row else match["name"]
         quantity = _quantity(plain, unit[1] if unit else "") if is_number else ""
         low, high = (float(values.min()), float(values.max())) if is_number else (None, None)
         labels = () if is_number else tuple(dict.fromkeys(cells))[:6]
         columns.append(InspectedColumn(name, unit[0] if unit else "", quantity, low, high, labels))
         numbers.append(values if is_number else np.empty(0))
-    return columns, numbers, notes
+    return columns, numbers, words, notes
 
 
 def _thousands(decimal: str) -> str:
@@ -409,6 +443,12 @@ def _quantity(name: str, dimension: str) -> str:
 
 def _pair(columns: Sequence[InspectedColumn], notes: list[str]) -> dict[str, int]:
     """Column of how far and of how hard, the surest of each; displacement and force go first."""
+    two = [
+        (quantity, [k for k, column in enumerate(columns) if column.quantity == quantity])
+        for quantity in ("stretch", "stress")
+    ]
+    if all(len(places) == 2 for _, places in two):
+        return {f"{what}_{n}": k for what, places in two for n, k in enumerate(places, 1)}
     chosen: dict[str, int] = {}
     for quantities in (KINEMATIC, KINETIC):
         for quantity in quantities:
@@ -434,13 +474,29 @@ def _rank(name: str, quantity: str) -> int:
     return next((k for k, word in enumerate(_WORDS[quantity]) if word in plain), 99)
 
 
-def _unit_for(column: InspectedColumn, quantity: str, values: Array, notes: list[str]) -> str:
+def _unit_for(
+    column: InspectedColumn, quantity: str, values: Array, word: str, notes: list[str]
+) -> str:
+    """Give the unit of a column, or the usual one; empty where the file leaves it open."""
     if column.unit:
         return column.unit
     dimension = DIMENSIONS[quantity]
     unit = _USUAL[dimension]
-    if quantity in ("strain", "true_strain") and float(np.abs(values).max()) > 5:
-        unit = "%"
+    if word:
+        notes.append(
+            f"{word!r} of {column.name!r} is no unit of {dimension}: write units.{quantity}"
+        )
+        return ""
+    if quantity in ("strain", "true_strain"):
+        largest = float(np.abs(values).max())
+        if _NOT_PERCENT < largest <= _PERCENT:
+            notes.append(
+                f"{column.name!r} goes to {largest:.4g} and names no unit: a ratio (a stretch of "
+                f"{1 + largest:.4g}) or per cent (a stretch of {1 + largest / 100:.4g}): write "
+                f'units.{quantity} = "1" or "%"'
+            )
+            return ""
+        unit = "%" if largest > _PERCENT else unit
     notes.append(f"the file names no unit of {column.name!r}: {unit} is assumed")
     return unit
 
@@ -487,12 +543,12 @@ def _layout(block: _Block, notes: list[str]) -> dict[str, object]:
         made["skip_lines"] = block.skip
     if block.header is None:
         made["header"] = False
-    if block.units is not None:
+    if block.units is not None and block.units > (block.header or 0):
         made["unit_row"] = True
     if block.decimal == ",":
         made["decimal"] = ","
-    if block.delimiter == "space":
-        made["delimiter"] = "space"
+    if block.delimiter == "space" or DELIMITERS[block.delimiter] == block.decimal:
+        made["delimiter"] = block.delimiter
     if block.comment:
         made["comment"] = block.comment
     elif block.others:
@@ -514,28 +570,43 @@ def _place(
 ) -> tuple[Phase, ...]:
     """Zero, direction, sign and branch of a recording, into the table; its phases."""
     rest = 1.0 if kinematic in ("stretch", "volume_ratio") else 0.0
+    rows = d
+    largest = float(np.abs(f).max())
+    is_return = abs(float(f[0])) > (1 - TURN) * largest and abs(float(f[-1])) < TURN * largest
+    if is_return and abs(float(d[-1] - d[0])) > (1 - TURN) * float(np.ptp(d)):
+        notes.append("the recording begins at the largest force: it is the way back alone")
+        d, f = d[::-1], f[::-1]
     travel = float(np.ptp(d))
     far = int(np.argmax(np.abs(d - d[0])))
     falls, pushes = d[far] < d[0], float(f[far] - f[0])
     through = d.min() < rest - 2 * TURN * travel and d.max() > rest + 2 * TURN * travel
-    through = through and f[int(np.argmin(d))] * f[int(np.argmax(d))] < 0
+    ends = f[[int(np.argmin(d)), int(np.argmax(d))]]
+    through = through and ends[0] * ends[1] < 0
     way = -1.0 if falls and not through else 1.0
+    is_position = kinematic == "displacement" and not d.min() < 0 < d.max()
+    if is_position and ends[0] * ends[1] < 0:
+        through = float(np.abs(ends).min()) > _BOTH_WAYS * float(np.abs(f).max())
     if not through and pushes < 0:
         table["sign"] = "negative"
         notes.append("the force falls while the specimen is loaded: sign = negative")
+    elif through and is_position:
+        k = int(np.flatnonzero(f[1:] * f[0] <= 0)[0])
+        zero = d[k] - f[k] * (d[k + 1] - d[k]) / (f[k + 1] - f[k])
+        table["displacement_zero"] = f"{zero:.6g} {_unit_of(table, 'displacement')}"
+        notes.append(
+            f"the force changes its sign at {zero:.6g}: displacement counts from there, and all "
+            "rows are one signed test; if the load cell was not zeroed, write displacement_zero = "
+            '"first row" and zero = "first"'
+        )
     elif through:
         notes.append("the test runs through zero: all of its rows are one signed test")
     if kinematic == "displacement" and not through:
-        flat = _approach(way * d, f)
-        if abs(float(d[0])) > 0.01 * travel and flat:
-            table["displacement_zero"] = "contact"
-            notes.append("the force is flat at first: displacement counts from contact")
-        elif abs(float(d[0])) > 0.01 * travel:
-            table["displacement_zero"] = "first row"
-            notes.append(f"displacement begins at {d[0]:.6g}: it counts from the first row")
+        _zero_of(way * d, f, float(d[0]), table, notes)
+        if rows is not d and "displacement_zero" in table:
+            table["displacement_zero"] = f"{d[0]:.6g} {_unit_of(table, 'displacement')}"
         if falls:
             table["direction"] = "falling"
-    phases = phases_of(way * d)
+    phases = phases_of(way * rows)
     kinds = [p.kind for p in phases]
     if len(phases) > 1:
         table["branch"] = "loading"
@@ -547,13 +618,48 @@ def _place(
     return phases
 
 
-def _approach(moved: Array, f: Array) -> bool:
-    """Whether the first tenth of the travel to the largest force carries none."""
-    peak = int(np.argmax(np.abs(f - f[0])))
-    if peak < _BLOCK:
-        return False
-    first = moved[:peak] <= moved[0] + TURN * float(moved[peak] - moved[0])
-    if np.count_nonzero(first) < _BLOCK:
-        return False
-    y = f[:peak][first] - f[0]
-    return float(np.abs(y).max()) < NO_FORCE * TURN * abs(float(f[peak] - f[0]))
+def _unit_of(table: Mapping[str, object], quantity: str) -> str:
+    units = table["units"]
+    return str(units.get(quantity, "mm")) if isinstance(units, Mapping) else "mm"
+
+
+def _zero_of(
+    moved: Array, f: Array, begins: float, table: dict[str, object], notes: list[str]
+) -> None:
+    """Where displacement counts from, into the table. Shapes: moved, f (rows,), moved rising."""
+    is_far = abs(begins) > 0.01 * float(np.ptp(moved))
+    largest = float(np.abs(f).max())
+    rows = _first_rows(moved, f)
+    slope, scatter = slope_with_error(moved[rows], f[rows])
+    away = np.abs(f - f[0])
+    # the first tenth of the travel to the largest force carries none
+    is_flat = away.argmax() >= _BLOCK and away[rows].max() < NO_FORCE * TURN * away.max()
+    if is_flat and (is_far or abs(slope) <= 2.0 * scatter):
+        table["displacement_zero"] = "contact"
+        notes.append("the force is flat at first: displacement counts from contact")
+        if abs(float(f[rows].mean())) > OFFSET_SHARE * largest:
+            table["zero"] = "fit"
+            notes.append(f"the load cell reads {f[rows].mean():.4g} before contact: subtracted")
+    elif (
+        is_far
+        and abs(float(f[0])) > OFFSET_SHARE * largest
+        and (
+            abs(float(f[rows].mean()) - slope * float(moved[rows].mean())) < 0.5 * abs(float(f[0]))
+        )
+    ):
+        notes.append(
+            f"the first row carries {f[0]:.4g} at {begins:.6g}, as a specimen does that is "
+            "unloaded at 0: the recorded zero counts; if it is not, write displacement_zero = "
+            '"first row"'
+        )
+    elif is_far:
+        table["displacement_zero"] = "first row"
+        notes.append(f"the unloaded specimen is at {begins:.6g}: displacement counts from there")
+
+
+def _first_rows(moved: Array, f: Array) -> Ints:
+    """Rows in the first tenth of the travel to the largest force, at least two."""
+    peak = max(int(np.argmax(np.abs(f - f[0]))), _BLOCK)
+    end = moved[0] + TURN * float(moved[:peak].max() - moved[0])
+    rows = np.flatnonzero(moved[:peak] <= end)
+    return rows if rows.size >= _BLOCK else np.arange(_BLOCK)

@@ -134,9 +134,8 @@ class Range:
 
     #: What ``low`` and ``high`` count.
     kind: Literal["percent", "mm"]
-    #: Ends of the range, 0 <= low < high.
+    #: Ends of the range, low < high; low is below 0 for a test that was loaded both ways.
     low: float
-    #: Ends of the range, 0 <= low < high.
     high: float
 
     def in_mm(self, height_mm: float | None = None) -> tuple[float, float]:
@@ -199,9 +198,9 @@ def read_range(value: object) -> Range:
         )
     except UnitError as error:
         raise Bad(error.faults[0].rule, mend) from error
-    if not 0 <= low < high:
+    if not low < high or high <= 0:
         raise Bad(f"must rise from 0 or more, got {shown(value)}", mend)
-    if percent[0] and high >= 100:
+    if percent[0] and max(high, -low) >= 100:
         raise Bad(f"must stay below 100 % of the height, got {shown(value)}", mend)
     return Range("percent" if percent[0] else "mm", low, high)
 
@@ -451,21 +450,6 @@ class MeasurementSpec:
             if values[key] == usual:
                 del values[key]
         return {k: v for k, v in values.items() if k not in _LAYOUT or v}
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> MeasurementSpec:
-        """Inverse of :meth:`as_dict`, also after a way through JSON."""
-        names = {key.name for key in keys_of(cls)}
-        values = {k: v for k, v in data.items() if k in names}
-        values["average"] = tuple(values.get("average") or ())
-        if values.get("range") is not None:
-            values["range"] = Range(**values["range"])
-        for key in ("fit", "score"):
-            if values.get(key) is not None:
-                values[key] = {
-                    k: tuple(v) if isinstance(v, list) else v for k, v in values[key].items()
-                }
-        return cls(**values)
 
 
 # -------------------------------------------------------------------------------------------------

@@ -70,32 +70,47 @@ def phases_of(displacement_mm: Array) -> tuple[Phase, ...]:
     ends = [-1, *turns, end]
     if not turns or min(np.diff([0, *turns])) < BRANCH_ROWS:
         return _held(Phase("loading", 1, 0, end), d)
-    phases, cycle = [], 0
+    phases: list[Phase] = []
+    cycle = 0
     for before, last in zip(ends[:-1], ends[1:], strict=True):
         is_loading = bool(d[last] > d[max(before, 0)])
         cycle += is_loading
-        phases.append(Phase("loading" if is_loading else "unloading", cycle, before + 1, last))
+        phase = Phase("loading" if is_loading else "unloading", cycle, before + 1, last)
+        if phases and not is_loading:
+            *held, phase = _held(phases.pop(), d, phase)
+            phases += held
+        phases.append(phase)
     return (*phases[:-1], *_held(phases[-1], d))
 
 
-#: share of the travel within which a machine stands, and times the rows that usually do
+#: share of the travel within which a machine stands
 _STANDS = 1e-3
-_MANY = 10.0
+#: share of the rows of a last loading that stand at its end, at least
+_HELD_AT_END = 0.01
+#: the same of a loading with a way back: of a sine, 4 % stand where it turns
+_HELD_AT_TURN = 0.1
 
 
-def _held(phase: Phase, d: Array) -> tuple[Phase, ...]:
-    """Part a last loading from the rows on which its end is held; a stress relaxes there."""
-    travel = d[phase.rows]
-    first = int(np.argmax(travel >= travel.max() - _STANDS * float(np.ptp(travel))))
-    rows = travel.size - 1 - first
-    stands = phase.kind == "loading" and bool((travel[first:] >= travel[first]).all())
-    if not stands or first < BRANCH_ROWS or rows < max(BRANCH_ROWS, _MANY * _STANDS * travel.size):
-        return (phase,)
+def _held(phase: Phase, d: Array, back: Phase | None = None) -> tuple[Phase, ...]:
+    """Part a loading, and the way back, from rows on which its end is held; a stress relaxes."""
+    both = (phase,) if back is None else (phase, back)
+    rows = slice(phase.first, both[-1].last + 1)
+    travel = d[rows]
+    stands = travel >= travel.max() - _STANDS * float(np.ptp(d[phase.rows]))
+    first = int(np.argmax(stands))
+    beyond = np.flatnonzero(~stands[first:])
+    last = travel.size - 1 if not beyond.size else first + int(beyond[0]) - 1
+    share = _HELD_AT_END if back is None else _HELD_AT_TURN
+    least = max(BRANCH_ROWS, share * (last + 1))
+    is_end = phase.kind == "loading" and (back is not None or last == travel.size - 1)
+    if not is_end or first < BRANCH_ROWS or last - first < least:
+        return both
     repeats = np.unique(travel[:first], return_counts=True)[1].max()
-    if 3 * repeats > rows:
-        return (phase,)
-    at = phase.first + first
-    return (replace(phase, last=at), replace(phase, kind="hold", first=at + 1))
+    if 3 * repeats > last - first:
+        return both
+    hold = replace(phase, kind="hold", first=phase.first + first + 1, last=phase.first + last)
+    loading = replace(phase, last=phase.first + first)
+    return (loading, hold) if back is None else (loading, hold, replace(back, first=hold.last + 1))
 
 
 def _turns(d: Array, least: float) -> list[int]:

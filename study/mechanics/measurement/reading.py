@@ -13,12 +13,10 @@ import numpy as np
 
 from study.ground.arrays import Array
 from study.ground.curve import Curve
-from study.ground.errors import Fault, InputError, nearest
+from study.ground.errors import Fault, InputError
 from study.mechanics.measurement.conditioning import (
     OFFSET,
     PERCENT,
-    SIGNS,
-    ZERO_RULES,
     Conditioned,
     Rules,
     condition,
@@ -60,10 +58,11 @@ def read_measurements(
 
     With ``own_rows``, raw rows of each test may lie at other displacements.
     """
-    rules = usual = rules_of(spec, height_mm, displacement_mm)
+    both_ways = gauge is not None and gauge.is_homogeneous
+    rules = usual = rules_of(spec, height_mm, displacement_mm, both_ways=both_ways)
     recorded = recordings or read_recordings(spec, Path(root))
     test_notes: list[str] = []
-    if gauge is not None and gauge.is_homogeneous and spec.range is None:
+    if both_ways and (spec.range is None or rules.low_mm < 0):
         rules = usual = replace(rules, is_signed=True)
     if spec.range is None and not rules.is_raw:
         rules = _begun(rules, spec, recorded, gauge)
@@ -243,30 +242,26 @@ def _same_mm(course: Curve) -> float:
 
 
 def rules_of(
-    spec: MeasurementSpec, height_mm: float | None, displacement_mm: float | None
+    spec: MeasurementSpec,
+    height_mm: float | None,
+    displacement_mm: float | None,
+    *,
+    both_ways: bool = False,
 ) -> Rules:
-    """How rows become the curve of a specimen, as a table says."""
-    sign, zero = spec.sign or "positive", spec.zero or "none"
+    """How rows become the curve of a specimen, as a table says.
+
+    A range may begin below 0 where the specimen deforms the same everywhere (``both_ways``).
+    """
     points = 0 if spec.points == "raw" else int(spec.points or 200)
-    faults = []
-    if sign not in SIGNS:
-        faults.append(Fault("measurements.sign", f"unknown value {sign!r}", nearest(sign, SIGNS)))
-    if zero not in ZERO_RULES:
-        faults.append(
-            Fault("measurements.zero", f"unknown rule {zero!r}", nearest(zero, ZERO_RULES))
-        )
-    if points < 2 and spec.points != "raw":
-        faults.append(Fault("measurements.points", f"must be at least 2, got {points}"))
     low, high = _range(spec, height_mm, displacement_mm, points)
-    if not 0 <= low < high:
-        faults.append(
-            Fault("measurements.range", f"must rise from 0 or more, got {low:.4g} to {high:.4g} mm")
-        )
-    if faults:
-        raise InputError(faults)
+    if not low < high or (low < 0 and not both_ways):
+        rule = f"must rise from 0 or more, got {low:.4g} to {high:.4g} mm"
+        mend = "rows below 0 belong to a specimen that deforms the same everywhere"
+        raise InputError(Fault("measurements.range", rule, mend))
     is_displacement = spec.columns.kinematic == "displacement"
     return Rules(
-        low, high, points, sign, zero, spec.toe, height_mm, spec.direction,
+        low, high, points, spec.sign or "positive", spec.zero or "none", spec.toe, height_mm,
+        spec.direction,
         spec.displacement_zero if is_displacement else 0.0,
         branch=Branch(spec.branch, spec.cycle),
     )  # fmt: skip

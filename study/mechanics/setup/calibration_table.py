@@ -81,6 +81,9 @@ class Fitting:
     #: Whether contact is at displacement 0, or fitted in every curve of that
     #: closed form.
     contact: Annotated[str, Reads(choice("given", "fitted"))] = "given"
+    #: Depth up to which rows are fitted there, in place of the least one at which an assumption
+    #: ends.
+    depth_limit: Annotated[float | None, Reads(lambda value: units.parse(value, "length"))] = None
 
 
 def bounds_of(names: Sequence[str] | None) -> Callable[[object], Bounds]:

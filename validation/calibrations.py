@@ -1,0 +1,172 @@
+"""Rates of what a calibration says, on drawn data whose truth is known.
+
+``python -m validation.calibrations energies 200`` draws so many noisy tests of each of four rubbers
+(tension to stretch 2 and planar tension to 1.8, 30 rows each, 1 % noise) and prints how often
+``study calibrate --energies`` recommends the energy behind them, holds it among those that cannot
+be told apart, or recommends another one.
+
+``python -m validation.calibrations coverage 200`` draws so many compressions of a bonded cylinder
+for each kind of noise. Their force is that of a mesh three times finer than any that is fitted on;
+meshes are taken in turn. It prints how often the 95 % interval of C10, noise and mesh together,
+holds the truth. Offsets are drawn in ``tests/calibration/test_nuisance.py``, eight specimens in
+``tests/calibration/test_random_effects.py``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import tempfile
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+import study
+from study.ground.arrays import Array
+from study.harness.calibration.model_comparison import choose
+from study.harness.design.load import load_calibration
+from study.mechanics.forward.finite_element import solve
+from study.mechanics.material.homogeneous import response
+from study.mechanics.material.material import Material
+from study.mechanics.setup.setup import problem_of
+
+#: energy, order and constants in MPa of four rubbers
+TRUTHS = {
+    "neo-hookean": ("neo-hookean", {"C10": 0.2}),
+    "mooney-rivlin": ("mooney-rivlin", {"C10": 0.15, "C01": 0.06}),
+    "reduced-polynomial-2": ("reduced-polynomial", {"C10": 0.18, "C20": 0.02}),
+    "gent": ("gent", {"mu": 0.35, "Jm": 12.0}),
+}
+AREA, LENGTH = 20.0, 25.0
+RADIUS, HEIGHT, PRESSED = 10.0, 15.0, 3.0
+MESHES = (1.0, 1.5, 2.0)
+C10 = 0.007
+KINDS = ("white", "correlated", "proportional")
+
+
+def noise(kind: str, force: Array, size: float, rng: np.random.Generator) -> Array:
+    """Errors of rows with a standard deviation of ``size`` over the largest force, or over each."""
+    white = rng.normal(size=force.size)
+    if kind == "proportional":
+        return np.asarray(size * force * white)
+    if kind == "correlated":
+        for k in range(1, force.size):
+            white[k] = 0.8 * white[k - 1] + 0.6 * white[k]
+    return np.asarray(size * force.max() * white)
+
+
+def _file(folder: Path, name: str, text: str) -> Path:
+    (folder / name).write_text(text, encoding="utf-8")
+    return folder / name
+
+
+def _rows(folder: Path, name: str, columns: str, *values: Array) -> None:
+    lines = (",".join(f"{v:.9g}" for v in row) for row in zip(*values, strict=True))
+    _file(folder, name, "\n".join([columns, *lines, ""]))
+
+
+def _test(kind: str, file: str, columns: str, units: str, more: str = "") -> str:
+    return (
+        f'[[tests]]\ntest = {{ kind = "{kind}"{more} }}\n'
+        f'measurements = {{ file = "{file}", columns = {{ {columns} }}, units = {{ {units} }} }}\n'
+    )
+
+
+def energies(draws: int) -> None:
+    """Print the rates of the choice of an energy."""
+    stretches = {
+        "tension": np.linspace(1.03, 2.0, 30),
+        "planar": np.linspace(1.03, 1.8, 30),
+    }
+    modes = {"tension": "uniaxial", "planar": "planar"}
+    for label, (model, constants) in TRUTHS.items():
+        rng, counts = np.random.default_rng(2011), Counter[str]()
+        material = Material(model, constants, incompressible=True)
+        for _ in range(draws):
+            with tempfile.TemporaryDirectory() as name:
+                folder = Path(name)
+                text = (
+                    f'schema = 1\n[specimen]\nshape = "homogeneous"\narea = "{AREA} mm^2"\n'
+                    f'length = "{LENGTH} mm"\n[material]\nmodel = "neo-hookean"\n'
+                    "incompressible = true\n"
+                )
+                for kind, stretch in stretches.items():
+                    stress = response(material, modes[kind], stretch).stress
+                    stress = stress + noise("white", stress, 0.01, rng)
+                    _rows(folder, f"{kind}.csv", "l,s", stretch, stress)
+                    columns = 'stretch = "l", stress = "s"'
+                    text += _test(kind, f"{kind}.csv", columns, 'stretch = "1", stress = "MPa"')
+                choice = choose(load_calibration(_file(folder, "c.toml", text)), folder)
+            counts["truth recommended"] += choice.best == label
+            counts["truth among those that cannot be told apart"] += label in choice.alike
+            counts["nothing recommended"] += choice.best is None
+            if choice.best not in (label, None):
+                counts[f"{choice.best} recommended"] += 1
+        shown = "; ".join(f"{what} {n}" for what, n in counts.most_common())
+        print(f"{label}: {draws} draws: {shown}", flush=True)
+
+
+def _cylinder(mesh: float) -> str:
+    return (
+        f'schema = 1\n[specimen]\nshape = "cylinder"\nradius = "{RADIUS} mm"\n'
+        f'height = "{HEIGHT} mm"\n[material]\nmodel = "neo-hookean"\npoisson_ratio = 0.495\n'
+        f'[model]\nspace = "axisymmetric"\nmesh_size = "{mesh} mm"\n'
+    )
+
+
+def _interval(folder: Path, text: str) -> tuple[float, float]:
+    path = _file(folder, "c.toml", text)
+    with contextlib.redirect_stderr(io.StringIO()):
+        made = study.calibrate(path, data=folder).to_json()
+    low, high = made["parameters"]["C10"]["ci95"]  # type: ignore[index]
+    return float(low), float(high)
+
+
+def _covered(draws: int, draw: Callable[[int, np.random.Generator], tuple[float, float]]) -> str:
+    rng = np.random.default_rng(2011)
+    held, widths = 0, []
+    for number in range(draws):
+        low, high = draw(number, rng)
+        held += low <= 1e3 * C10 <= high
+        widths.append((high - low) / 2 / (1e3 * C10))
+    return f"{held} of {draws} intervals hold it, median half width {100 * np.median(widths):.2f} %"
+
+
+def coverage(draws: int) -> None:
+    """Print how often intervals hold the truth."""
+    d = np.linspace(0.1, PRESSED, 40)
+    columns, units = 'displacement = "d", force = "f"', 'displacement = "mm", force = "N"'
+    moved = f', displacement = "{PRESSED} mm"'
+    bonded = _test("compression", "a.csv", columns, units, moved + ', interface = "bonded"')
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        _rows(folder, "a.csv", "d,f", d, d)
+        fine = load_calibration(_file(folder, "t.toml", _cylinder(min(MESHES) / 3) + bonded))
+        force = solve(problem_of(fine.tests[0].tables, {"C10": C10}, PRESSED)).curve.force_at(d)
+
+        def of_mesh(kind: str) -> Callable[[int, np.random.Generator], tuple[float, float]]:
+            def draw(number: int, rng: np.random.Generator) -> tuple[float, float]:
+                size = (0.002, 0.02)[number % 2]
+                _rows(folder, "a.csv", "d,f", d, force + noise(kind, force, size, rng))
+                return _interval(folder, _cylinder(MESHES[number % 3]) + bonded)
+
+            return draw
+
+        for kind in KINDS:
+            print(f"bonded, {kind} noise: {_covered(draws, of_mesh(kind))}", flush=True)
+
+
+def main() -> None:
+    """Print what the arguments ask for."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("what", choices=("energies", "coverage"))
+    parser.add_argument("draws", type=int)
+    asked = parser.parse_args()
+    (energies if asked.what == "energies" else coverage)(asked.draws)
+
+
+if __name__ == "__main__":
+    main()
