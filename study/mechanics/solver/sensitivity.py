@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from study.ground.arrays import Array
 from study.mechanics.contact.contact import TiedPoints
+from study.mechanics.material.material import Material, is_dimensionless
 from study.mechanics.solver.system import Assembly, State, System
 
 #: corrections by one factorization; after as many the tangent itself is factorized in double
@@ -215,7 +216,9 @@ def step_gradients(
     system: System, state: State, assembly: Assembly, *, wanted: tuple[str, ...]
 ) -> StepGradients:
     """Force, tangent stiffness and derivatives at a converged state just assembled."""
-    loads = _loads(system, state, assembly, wanted)
+    free = _free(system.material, wanted) if system.weight is None and not system.sticks else None
+    solved = tuple(name for name in wanted if name != free)
+    loads = _loads(system, state, assembly, solved)
     tolerance = INHERITED_RATE_TOLERANCE if system.sticks else RATE_TOLERANCE
     rates = linear_rates(system, assembly, loads, tolerance)
     scale = system.force_scale
@@ -227,13 +230,45 @@ def step_gradients(
             scale * _force(assembly, rates, axial),
             scale * _stiffness(system, assembly, rates, axial),
         )
-    return StepGradients(
-        *force,
-        {n: scale * _slope(rates, loads, j, axial) for j, n in enumerate(wanted, start=1)},
-        {n: _rate(system, rates, j) for j, n in enumerate(wanted, start=1)},
-        *work,
-        rates.excess,
-    )
+    slopes = {n: scale * _slope(rates, loads, j, axial) for j, n in enumerate(solved, start=1)}
+    by = {n: _rate(system, rates, j) for j, n in enumerate(solved, start=1)}
+    if free is not None:
+        slopes[free], by[free] = _by_euler(system, state, assembly, free, force[0], slopes, by)
+    return StepGradients(*force, slopes, by, *work, rates.excess)
+
+
+def _free(material: Material, wanted: tuple[str, ...]) -> str | None:
+    """Constant whose derivatives follow from those of the others, because all stresses scale."""
+    moduli = [name for name in material.names if not is_dimensionless(name)]
+    scales = material.bulk_modulus is None and not material.relaxation
+    if not (scales and moduli and set(moduli) <= set(wanted)):
+        return None
+    return max(moduli, key=lambda name: abs(material.constants[name]))
+
+
+def _by_euler(
+    system: System,
+    state: State,
+    assembly: Assembly,
+    free: str,
+    force_N: float,  # noqa: N803
+    slopes: dict[str, float],
+    by: dict[str, Rate],
+) -> tuple[float, Rate]:
+    """Return the derivatives by one modulus: with all of them pressures grow and nothing moves."""
+    moduli = {n: c for n, c in system.material.constants.items() if not is_dimensionless(n)}
+    size = moduli.pop(free)
+    x = state.x.copy()
+    x[: system.space.n_displacement] = 0.0
+    pressures = [touch.pressure * touch.active for touch in assembly.contact]
+    for name, modulus in moduli.items():
+        force_N -= modulus * slopes[name]
+        x -= modulus * by[name].x
+        pressures = [
+            pressure - modulus * rate
+            for pressure, rate in zip(pressures, by[name].multipliers, strict=True)
+        ]
+    return force_N / size, Rate(x / size, tuple(pressure / size for pressure in pressures))
 
 
 def _loads(system: System, state: State, assembly: Assembly, wanted: tuple[str, ...]) -> Loads:
