@@ -8,6 +8,7 @@ import pytest
 
 from study.ground.errors import InputError
 from study.mechanics.forward.closed_form import height_and_area
+from study.mechanics.setup.declaration import Length, read_section, section
 from study.mechanics.setup.geometry import Block, Cone, Cylinder, Flat
 from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import (
@@ -81,3 +82,17 @@ def test_homogeneous_is_compression_with_both_faces_free(
 ) -> None:
     test = {"kind": "compression", "displacement_mm": 1.0, **changes}
     assert Setup.of({**CONFIG, "test": test}).is_homogeneous is expected
+
+
+@section
+class Shaft:
+    """A section of which nothing has asked yet."""
+
+    length_mm: Length = 1.0
+
+
+def test_names_of_the_caller_do_not_decide_how_a_section_is_read() -> None:
+    """Pydantic builds a validator at the first use, and looks names up in the frame of the user."""
+    Length = Annotated = Reads = "mine"  # noqa: F841, N806
+    assert Shaft(length_mm=2.0).length_mm == 2.0
+    assert read_section(Shaft, {"length_mm": "3 mm"}).length_mm == 3.0

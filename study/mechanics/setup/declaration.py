@@ -42,7 +42,10 @@ class Bad(ValueError):
 @dataclass_transform(frozen_default=True, field_specifiers=(Field,))
 def section(declared: type[Kind]) -> type[Kind]:
     """Make a class a section: frozen, hashable, and without keys that it does not declare."""
-    # of 40 sections a file needs half: their validators are built when they are asked for
+    # of 40 sections a file needs half: their validators are built when they are asked for. Their
+    # annotations are read here, for pydantic would look names up in the frame that asks first.
+    annotations = typing.get_type_hints(declared, include_extras=True)
+    declared.__annotations__ = {name: annotations[name] for name in declared.__annotations__}
     config = ConfigDict(
         extra="forbid", validate_by_name=True, validate_by_alias=False, defer_build=True
     )
