@@ -278,7 +278,10 @@ def would_change(data: ReportData, all_facts: Sequence[Facts]) -> str:
         return surface_content.would_change(data)
     parts = [*_surer(data, all_facts), *_closer_to_reality(data)]
     if not parts:
-        other = "measurements of another material" if data.is_measured else "other given values"
+        measured = (
+            "rows of other conditions" if data.is_table else "measurements of another material"
+        )
+        other = measured if data.is_measured else "other given values"
         parts = [f"a different smallest difference that matters, or {other}"]
     return sentence("; ".join(parts))
 
