@@ -94,6 +94,8 @@ def test_the_command_writes_a_page_and_one_document(
     assert [one["stage"] for one in found["distance"]["stages"]] == list(virtual.STAGES)
     data = Path(found["report"].replace(".html", "-data"))
     assert json.loads((data / "numbers.json").read_text())["distance"] == found["distance"]
+    for table in data.glob("*.csv"):  # numbers in cells of their own, no values of Python
+        assert "(" not in table.read_text()
     assert run(["tracking", str(file), "--reports", str(reports)]) == 0
     assert "matters" in capsys.readouterr().out
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -11,6 +12,7 @@ from study.laboratory.shape.shape_deviation import MarkerDeviation, ShapeDeviati
 from study.laboratory.tracker.tracker_error import (
     DisplacementResult,
     DistanceResult,
+    StageDistance,
     TrackerAccuracy,
 )
 from study.laboratory.tracker.tracker_reference import LeverArm, ReferenceResult
@@ -262,8 +264,15 @@ def _stages(distance: DistanceResult, alpha: float) -> Table:
                 MISSING if stage.interval_mm is None else interval(*stage.interval_mm, "", 6)
             ),
         },
-        raw=vars,
+        raw=_raw_stage,
     )
+
+
+def _raw_stage(stage: StageDistance) -> dict[str, object]:
+    """Figures of a stage for the CSV, the ends of its interval in columns of their own."""
+    low, high = stage.interval_mm or (math.nan, math.nan)
+    figures = {k: v for k, v in vars(stage).items() if k != "interval_mm"}
+    return figures | {"interval_low_mm": low, "interval_high_mm": high}
 
 
 def _stops(displacement: DisplacementResult) -> Table:
