@@ -216,7 +216,7 @@ def test_where_a_range_fails_is_named_and_nothing_is_predicted_there(
     assert answer.code == 1
     said = " ".join(answer.out.split())
     assert "Where cases fail: Jm 0.5 to 2.375: 10 of 10; Jm 2.375 to 4.25: 9 of 10" in said
-    assert "Failing depends on Jm (p < 0.001)" in said
+    assert "Failing depends on Jm (p = .001)" in said
     least = float(answer.err.partition("no run with material.Jm below ")[2].split()[0])
     limit = 2.5**2 + 2 / 2.5 - 3
     assert limit < least < limit + 0.4

@@ -11,8 +11,8 @@ import pytest
 
 from study.ground import bounded_file, tabular
 from study.ground.errors import InputError
-from study.harness.design.cell import measurements_from
 from study.harness.design.diagnostics import Faults
+from study.harness.design.resolve import measurements_from
 from study.mechanics.measurement.measurement_section import Columns, MeasurementSpec, Range, Units
 from study.mechanics.measurement.reading import read_measurements
 from tests.record.samples import Spec

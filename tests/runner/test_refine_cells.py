@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from study.api import uncertainty
 from study.api.converging import measured_cells, refine_within
 from study.api.manifest import manifest_of
 from study.api.opened_study import load as open_study
@@ -18,7 +17,7 @@ from study.harness.design.load import loads
 from study.harness.design.spec import Design
 from study.harness.record.record import Record
 from study.harness.record.store import Store
-from study.harness.runner import refinement, study_refinement
+from study.harness.runner import refinement, study_refinement, study_uncertainty
 from study.harness.runner.batch import run_batch
 from study.harness.runner.expansion import expand
 from study.harness.runner.job import CaseJob
@@ -54,7 +53,7 @@ def test_every_cell_gets_its_series(design: Design, one_mix: Path, tmp_path: Pat
     assert {tuple(r.levels) for r in rows} == {("material", "plates")}
     assert len({tuple(r.levels.values()) for r in rows}) == 4
     # of other cases it knows nothing
-    assert uncertainty.stored_numerical(store, {"other": "hash"}) == ()
+    assert study_uncertainty.stored_numerical(store, {"other": "hash"}) == ()
 
 
 def test_a_time_budget_leaves_cells_out(one_mix: Path, tmp_path: Path) -> None:
@@ -131,7 +130,7 @@ def test_validation_adds_numerics_inputs_and_data(one_mix: Path, tmp_path: Path)
     moved = study_refinement.input_work(work)
     assert {job.origin.input for job in moved.jobs} == {"specimen.radius"}
     run_batch(moved, store, jobs=2, executor=fake(2))
-    rows = {tuple(r["levels"].values()): r for r in uncertainty.compared(work, moved, store)}
+    rows = {tuple(r["levels"].values()): r for r in study_uncertainty.compared(work, moved, store)}
     assert len(rows) == 4
     row = rows["neo-hookean", "bonded"]
     force = np.array(row["simulated_N"])
@@ -165,7 +164,7 @@ def test_where_the_meshes_are_a_factor_its_columns_are_the_numerics(
     moved = study_refinement.input_work(work)
     for part in (work, moved):
         run_batch(part, store, jobs=2, executor=fake(2))
-    rows = uncertainty.compared(work, moved, store)
+    rows = study_uncertainty.compared(work, moved, store)
     assert len(rows) == len(work.jobs) == 12
     sizes = {j.case.case_id: refinement.base_size_mm(j) for j in work.jobs}
     for row in rows:

@@ -68,9 +68,10 @@ LEAST_CONTRASTS = 7
 SKEWED = 0.05
 #: resamples of the bootstrap
 _DRAWS = 2000
-#: values from which on their sums are drawn from a normal distribution, and largest standard
-#: deviation of the sum of squares over that sum for it
-_MANY, _SMALL_SPREAD = 500, 0.06
+#: values from which on their sums are drawn from a normal distribution
+_MANY = 500
+#: largest standard deviation of the sum of squares for that, over the sum
+_SMALL_SPREAD = 0.06
 #: contrasts times rows that a rival keeps at once: 160 MB
 _MOST_VALUES = 20_000_000
 #: rows whose pairs are weighed to tell the variances of cells beside crossing blocks
