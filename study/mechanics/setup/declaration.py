@@ -7,6 +7,7 @@ unit, in Python it is a number in mm, N, MPa or deg.
 
 from __future__ import annotations
 
+import inspect
 import math
 import re
 import typing
@@ -44,8 +45,7 @@ def section(declared: type[Kind]) -> type[Kind]:
     """Make a class a section: frozen, hashable, and without keys that it does not declare."""
     # of 40 sections a file needs half: their validators are built when they are asked for. Their
     # annotations are read here, for pydantic would look names up in the frame that asks first.
-    annotations = typing.get_type_hints(declared, include_extras=True)
-    declared.__annotations__ = {name: annotations[name] for name in declared.__annotations__}
+    declared.__annotations__ = inspect.get_annotations(declared, eval_str=True)
     config = ConfigDict(
         extra="forbid", validate_by_name=True, validate_by_alias=False, defer_build=True
     )
