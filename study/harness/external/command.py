@@ -20,7 +20,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TypedDict, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -40,6 +40,7 @@ from study.harness.external.answers import (
     values_of_files,
 )
 from study.harness.external.exchange import ProgramAnswer, PythonFunction
+from study.harness.record.document import ProgramDocument, StepDocument
 from study.mechanics.setup.declaration import section_of
 from study.mechanics.setup.setup import Problem
 
@@ -223,22 +224,6 @@ _FILE_TOO_LARGE = -25  # SIGXFSZ
 _KEPT_BYTES = 50_000_000
 
 
-class StepReport(TypedDict):
-    """One command of a solution, for the record."""
-
-    argv: list[str]
-    code: int | None
-    output: str
-
-
-class ProgramReport(TypedDict):
-    """What ran, for the record."""
-
-    version: str
-    digest: str
-    steps: list[StepReport]
-
-
 @dataclass(frozen=True)
 class Command:
     """Commands that make one solution."""
@@ -260,13 +245,13 @@ class Command:
 
 def run_commands(
     command: Command, read: Callable[[Path, str], Answer]
-) -> tuple[Answer, ProgramReport, bytes]:
+) -> tuple[Answer, ProgramDocument, bytes]:
     """Run the commands in a fresh folder and read their answer; the folder goes along if kept.
 
     ``read`` gets the folder and what the commands said. A :class:`NoAnswer` carries the report and
     the folder, too.
     """
-    document: ProgramReport = {
+    document: ProgramDocument = {
         "version": said_version(command.version, command.contents),
         "digest": command.digest,
         "steps": [],
@@ -340,7 +325,7 @@ def _write(folder: Path, contents: Mapping[str, str]) -> None:
 
 def _step(
     argv: tuple[str, ...], folder: Path, command: Command, limit: float | None
-) -> tuple[StepReport, str]:
+) -> tuple[StepDocument, str]:
     """Run one command; more of what it said stands beside its report."""
     path = path_of(argv[0])
     if path is None:
@@ -351,7 +336,7 @@ def _step(
     return {"argv": list(argv), "code": ended.code, "output": ended.output}, ended.log
 
 
-def _check(step: StepReport, command: Command) -> None:
+def _check(step: StepDocument, command: Command) -> None:
     name, text = step["argv"][0], step["output"]
     if step["code"] is None:
         raise NoAnswer("timeout", f"{name}: stopped after {command.timeout_s:g} s")
@@ -393,7 +378,7 @@ class Solved:
 
     answer: ProgramAnswer
     seconds: float
-    program: ProgramReport | None = None
+    program: ProgramDocument | None = None
     #: Zip of the folder of the case, where it is kept.
     folder: bytes = b""
     #: Files that were rendered.
@@ -407,7 +392,7 @@ class ParameterAnswer:
     values: Mapping[str, float]
     curve: Curve | None
     seconds: float
-    program: ProgramReport | None = None
+    program: ProgramDocument | None = None
     folder: bytes = b""
     rendered: Mapping[str, str] = field(default_factory=dict)
 
