@@ -23,9 +23,10 @@ from pathlib import Path
 
 import numpy as np
 
+from study.api.folders import load_design
 from study.api.manifest import manifest_of
 from study.api.planning import plan, status
-from study.api.study import load_design, report, run
+from study.api.study import report, run
 from study.harness.execution.local import Loky
 from study.harness.record.store import Store
 from study.harness.runner.batch import run_batch

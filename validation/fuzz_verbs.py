@@ -21,7 +21,7 @@ from unittest import mock
 import numpy as np
 from numpy.random import Generator
 
-from study.api import study as api
+from study.api import folders
 from study.cli.app import VERBS, run
 from study.harness.design.diagnostics import dump_toml
 from study.harness.design.spec import Design
@@ -282,14 +282,14 @@ def prepare(campaign: str) -> None:
 
 def small_demo() -> AbstractContextManager[object]:
     """Context in which the study of ``study demo``, which takes minutes, has four small cells."""
-    whole = api.loads
+    whole = folders.loads
 
-    def reduced(text: str, source: str) -> Design:
+    def reduced(text: str, source: str, overrides: Sequence[str] = ()) -> Design:
         for before, after in DEMO.items():
             text = text.replace(before, after)
-        return whole(text, source, ['report.format=["csv"]'])
+        return whole(text, source, ['report.format=["csv"]', *overrides])
 
-    return mock.patch.object(api, "loads", reduced)
+    return mock.patch.object(folders, "loads", reduced)
 
 
 def _named(rng: Generator) -> str:

@@ -190,12 +190,10 @@ def _lists(curve: Any) -> tuple[list[float], list[float]]:
 
 def _read(config: Config, block: str | None, data: Path, number: int) -> Any:
     """Read the measured curve that a direction is scored on; the second is the first's reverse."""
-    from study.harness.design.spec import MeasurementSpec
     from study.mechanics.measurement.reading import read_measurements
 
     spec, height = config["measurements"], config["specimen"].get("height_mm")
-    made = spec if isinstance(spec, MeasurementSpec) else MeasurementSpec.from_dict(spec)
-    found = read_measurements(made, data, height, config["test"].get("displacement_mm"))
+    found = read_measurements(spec, data, height, config["test"].get("displacement_mm"))
     sides = [found.score or found.fit, found.fit]
     where = dict(sides[number] or {})
     return found.curve(block if found.block is not None else None, **where).curve
