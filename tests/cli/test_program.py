@@ -40,7 +40,7 @@ def test_readers_that_leave_early_are_no_error(home: Path) -> None:
     assert done.stdout.startswith("small:")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_interruption_is_130_and_resumable(home: Path, number: int) -> None:
     with subprocess.Popen(
         [*PROGRAM, "run", "small.toml", "--data", "data", "--jobs", "1"],

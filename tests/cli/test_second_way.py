@@ -128,7 +128,7 @@ def test_the_data_folder_itself_may_be_named(report: Path) -> None:
 
 
 # far below what a plot would show, above the 1e-6 that is asked for
-@pytest.mark.parametrize("column", ["relative_rms_force_error", "mu0"])
+@pytest.mark.parametrize("column", ["relative_rms_force_error", "peak_force_error", "mu0"])
 def test_a_falsified_case_is_found(report: Path, column: str) -> None:
     change(report / "small-data" / "cases.csv", scaled(column, 1 + 1e-5))
     found = second_way(report)
@@ -143,7 +143,7 @@ def test_a_falsified_curve_is_found(report: Path) -> None:
     assert "relative_rms_force_error of " in found.out
 
 
-@pytest.mark.parametrize("key", ["p", "epsilon_gg"])
+@pytest.mark.parametrize("key", ["f", "p", "epsilon_gg", "p_gg", "ss"])
 def test_a_falsified_test_is_found(report: Path, key: str) -> None:
     path = report / "small-data" / "numbers.json"
     numbers: dict[str, Any] = json.loads(path.read_text())

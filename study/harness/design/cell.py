@@ -15,9 +15,7 @@ import numpy as np
 from study.ground.canonical import Json
 from study.ground.errors import Fault, InputError
 from study.harness.design.forward_model import ForwardCell
-from study.mechanics.measurement.measurement_section import (
-    MeasurementSpec,
-)
+from study.mechanics.measurement.measurement_section import MeasurementSpec
 from study.mechanics.setup import setup
 from study.mechanics.setup.declaration import table_of, values_of
 from study.mechanics.setup.geometry import Enclosed, Specimen, Surface
@@ -95,8 +93,7 @@ def plain(value: object) -> Json:
     if isinstance(value, (list, tuple)):
         return [plain(v) for v in value]
     if isinstance(value, (np.ndarray, np.generic)):
-        made: object = value.tolist()
-        return plain(made)
+        return plain(cast("object", value.tolist()))
     if isinstance(value, (str, int)):
         return value
     if isinstance(value, float) and math.isfinite(value):
