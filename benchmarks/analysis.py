@@ -43,7 +43,7 @@ def table(rows: int, kind: str) -> pd.DataFrame:
     frame = pd.DataFrame({name: code.astype(str) for name, code in levels.items()})
     frame = frame.assign(block=(i // CELLS).astype(str), y=y)
     if kind == "unbalanced":
-        frame = frame.drop(index=rng.choice(rows, rows // 7, replace=False))
+        frame = frame.drop(index=rng.choice(rows, rows // 7, replace=False).tolist())
     return frame
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 from benchmarks.exchange import Task
 from benchmarks.peers import NAMES
@@ -94,7 +95,7 @@ CASES = (
 )  # fmt: skip
 
 
-def oriented(points, cells):  # type: ignore[no-untyped-def]
+def oriented(points: Any, cells: Any) -> Any:
     """Cells with a positive volume, which some codes insist on."""
     import numpy as np
 

@@ -71,8 +71,8 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=1)
     chosen = parser.parse_args()
     logging.disable(logging.INFO)
-    tasks = [Task.read(chosen.folder / name) for name in ("warm.npz", "task.npz")]
-    found, rank = outcome(chosen.code, *tasks, chosen.repeats)
+    warm_up, task = (Task.read(chosen.folder / name) for name in ("warm.npz", "task.npz"))
+    found, rank = outcome(chosen.code, warm_up, task, chosen.repeats)
     if rank == 0:
         write_json(chosen.result, found)
 

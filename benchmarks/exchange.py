@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, SupportsFloat
 
 import numpy as np
 
@@ -76,12 +76,15 @@ class Task:
             return float((np.pi * det * corners[:, :, 0].mean(axis=1)).sum())
         return float(det.sum() / 6)
 
-    def unsolved(self, force: float, reaction: float, volume: float) -> float:
+    def unsolved(
+        self, force: SupportsFloat, reaction: SupportsFloat, volume: SupportsFloat
+    ) -> float:
         """Force residual over reaction, or volume residual over volume: the larger one.
 
         All codes stop by this figure (norms over unknowns); it is that of `study`.
         """
-        return max(force / reaction if reaction else 1.0, volume / self.volume_mm3)
+        relative = float(force) / float(reaction) if reaction else 1.0
+        return max(relative, float(volume) / self.volume_mm3)
 
     def plate_mm(self, step: int) -> float:
         """Displacement of the plate (negative) at the end of a step counted from 1."""

@@ -17,8 +17,8 @@ from scipy.optimize import least_squares
 from study.ground.curve import Curve
 from study.harness.runner import fit_task
 from study.harness.runner.staged_fit import TOLERANCES
-from study.mechanics.calibration.fit import MeasuredCurve, fit
-from study.mechanics.calibration.residual_function import EvaluationFailed
+from study.mechanics.calibration.fit import fit
+from study.mechanics.calibration.residual_function import EvaluationFailed, MeasuredCurve
 from study.mechanics.forward import finite_element
 from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import problem_of

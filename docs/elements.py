@@ -279,7 +279,7 @@ def needed(frame: pd.DataFrame, unknown: float) -> str:
     for order, shape, formulation in ELEMENTS:
         part = series(frame, order, shape, formulation)
         part = part.assign(error=part["error"].clip(lower=unknown))
-        best = part.loc[part["error"].idxmin()]
+        best = part.loc[part["error"] == part["error"].min()].iloc[0]
         failed = frame[
             (frame["order"] == order) & (frame["shape"] == shape)
             & (frame["formulation"] == formulation) & (frame["status"] != "converged")

@@ -17,7 +17,7 @@ from study.harness.runner.response import RelativeRmsForceError
 from study.mechanics.forward.finite_element import CURVE_ERROR
 from study.mechanics.material.material import Material
 from study.mechanics.mesh.mesher import build_mesh
-from study.mechanics.setup.geometry import Block, Cone, Cylinder, Flat, Sphere
+from study.mechanics.setup.geometry import Block, Cone, Cylinder, Flat, Indenter, Sphere
 from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Test
 from study.mechanics.solver.finite_element_solution import solve
@@ -34,7 +34,7 @@ STEPS, EXACT = (5, 10, 20, 40), 160
 
 def problems() -> dict[str, Problem]:
     """Three indenters and a disc between bonded plates."""
-    pressed = {
+    pressed: dict[str, tuple[Indenter, float]] = {
         "needle, 4 mm": (Cone(30.0, 1.0, 3.0), 4.0),
         "sphere of 5 mm, 3 mm": (Sphere(5.0), 3.0),
         "rounded punch, 2 mm": (Flat(3.0, 0.3), 2.0),
@@ -61,7 +61,8 @@ def rows(problem: Problem) -> Iterator[tuple[object, ...]]:
         )  # fmt: skip
         return found.curve, found.energy.largest_mismatch
 
-    d = np.linspace(problem.test.displacement_mm / 16, problem.test.displacement_mm, 100)
+    depth = problem.test.depth_mm
+    d = np.linspace(depth / 16, depth, 100)
     exact = curve(EXACT, Options())[0].force_at(d)
     other = curve(EXACT, Options(), MEASURED)[0].force_at(d)
     measured = Curve(d, other)

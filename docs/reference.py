@@ -240,7 +240,7 @@ def _factors(table: Mapping[str, object], above: str = "") -> Iterator[str]:
             yield f"- `{above}{name}`: {levels['low']} to {levels['high']}"
         elif isinstance(levels, dict):
             yield from _factors(levels, f"{above}{name}.")
-        else:
+        elif isinstance(levels, list):
             yield f"- `{above}{name}`: {', '.join(map(str, levels))}"
 
 

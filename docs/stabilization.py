@@ -13,7 +13,7 @@ import numpy as np
 
 from study.mechanics.element.function_space import deformation_gradient
 from study.mechanics.material.material import Material
-from study.mechanics.setup.geometry import Cone, Cylinder, Flat, Sphere
+from study.mechanics.setup.geometry import Cone, Cylinder, Flat, Indenter, Sphere
 from study.mechanics.setup.setup import Model, Problem
 from study.mechanics.setup.test_kind import Test
 from study.mechanics.solver import system
@@ -22,7 +22,11 @@ from study.mechanics.solver.internal_force import EVENNESS_OF_SOLIDS, LOCAL_BULK
 from study.mechanics.solver.solution import Solution
 
 GEL = Material("neo-hookean", {"C10": 5e-3}, poisson_ratio=0.4995)
-CASES = {"cone": (Cone(30, 1, 3), 2.0), "sphere": (Sphere(5.0), 2.0), "flat": (Flat(3, 0.3), 1.0)}
+CASES: dict[str, tuple[Indenter, float]] = {
+    "cone": (Cone(30, 1, 3), 2.0),
+    "sphere": (Sphere(5.0), 2.0),
+    "flat": (Flat(3, 0.3), 1.0),
+}
 #: multiples of the local bulk modulus and of kappa
 CHANGES = {"as it is": (1, 1), "local x 10": (10, 1), "no local": (0, 1), "kappa x 10": (1, 10),
            "no kappa": (1, 0)}  # fmt: skip

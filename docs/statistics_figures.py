@@ -66,8 +66,7 @@ def mesh() -> Figure:
 
 def main() -> None:
     """Write every picture beside this file."""
-    look = {"svg.hashsalt": "study", "svg.fonttype": "none", "font.size": 9}
-    with mpl.rc_context(look):
+    with mpl.rc_context({"svg.hashsalt": "study", "svg.fonttype": "none", "font.size": 9}):
         for draw in (verdicts, replicates, mesh):
             figure = draw()
             path = HERE / f"statistics-{draw.__name__}.svg"

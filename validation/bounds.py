@@ -296,7 +296,8 @@ def _problems(count: int, seed: int) -> None:
                       f"formal {one.formal:g}, exact {one.truth:.6g}, bound {pair[0]:.3g}, "
                       f"{result.verdict}")  # fmt: skip
     for group, pairs in groups.items():
-        print(line(group, *np.array(pairs).T, width=27))
+        u, error = np.array(pairs).T
+        print(line(group, u, error, width=27))
 
 
 def main() -> None:

@@ -121,7 +121,7 @@ def _interval(folder: Path, text: str) -> tuple[float, float]:
     path = _file(folder, "c.toml", text)
     with contextlib.redirect_stderr(io.StringIO()):
         made = study.calibrate(path, data=folder).to_json()
-    low, high = made["parameters"]["C10"]["ci95"]  # type: ignore[index]
+    low, high = made["parameters"]["C10"]["ci95"]
     return float(low), float(high)
 
 

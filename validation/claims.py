@@ -289,4 +289,4 @@ def main(sets: int = 1000, words: tuple[str, ...] = ()) -> int:
 
 if __name__ == "__main__":
     given = sys.argv[1:]
-    raise SystemExit(main(*([int(given[0]), tuple(given[1:])] if given else [])))
+    raise SystemExit(main(int(given[0]), tuple(given[1:])) if given else main())

@@ -42,7 +42,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -208,7 +208,7 @@ def command(words: Sequence[str], outcome: Outcome, apart: bool = False) -> None
     outcome.codes.append(code)
     outcome.said += f"$ study {' '.join(words)}\n{texts[0]}{texts[1]}exit {code}\n"
     outcome.faults += [f"late: took {seconds:.1f} s"] if seconds > SECONDS else []
-    outcome.faults += wrong(code, *texts, words[:1] == ["serve"]) if code != -1 else []
+    outcome.faults += wrong(code, texts[0], texts[1], words[:1] == ["serve"]) if code != -1 else []
 
 
 def _processor_seconds() -> float:
@@ -234,7 +234,9 @@ def _served(
     def read_pages() -> None:
         try:
             for _ in range(200):
-                if found := re.search(rb"http://127\.0\.0\.1:\d+", out.buffer.getvalue()):
+                if found := re.search(
+                    rb"http://127\.0\.0\.1:\d+", cast(io.BytesIO, out.buffer).getvalue()
+                ):
                     break
                 time.sleep(0.05)
             else:

@@ -24,6 +24,7 @@ from numpy.random import Generator
 from study.api import folders
 from study.cli.app import VERBS, run
 from study.harness.design.diagnostics import dump_toml
+from study.harness.design.load import loads
 from study.harness.design.spec import Design
 from validation.fuzz_inputs import (
     MEASURED,
@@ -282,12 +283,11 @@ def prepare(campaign: str) -> None:
 
 def small_demo() -> AbstractContextManager[object]:
     """Context in which the study of ``study demo``, which takes minutes, has four small cells."""
-    whole = folders.loads
 
     def reduced(text: str, source: str, overrides: Sequence[str] = ()) -> Design:
         for before, after in DEMO.items():
             text = text.replace(before, after)
-        return whole(text, source, ['report.format=["csv"]', *overrides])
+        return loads(text, source, ['report.format=["csv"]', *overrides])
 
     return mock.patch.object(folders, "loads", reduced)
 
@@ -343,7 +343,13 @@ def _demo(rng: Generator, project: Path) -> Words:
     cases = project / "results/demo/cases"
     if rng.random() < 0.3:  # to be computed once more
         shutil.rmtree(cases / pick(rng, sorted(os.listdir(cases))))
-    places = ([], [], ["--reports", "pages"], ["--results", "small.toml"], ["--reports", "own.py"])
+    places: tuple[Words, ...] = (
+        [],
+        [],
+        ["--reports", "pages"],
+        ["--results", "small.toml"],
+        ["--reports", "own.py"],
+    )
     return ["demo", "--jobs", "1", *pick(rng, places)]
 
 

@@ -222,7 +222,8 @@ def _steps(found: Mapping[str, Any]) -> Iterator[tuple[float, bool]]:
 
 def label(problem: Problem) -> str:
     """Problem in a few words."""
-    model, specimen, test = problem.model, problem.specimen, problem.test
+    model, test = problem.model, problem.test
+    specimen: Any = problem.specimen
     half = specimen.radius_mm if isinstance(specimen, Cylinder) else _half_width(specimen)
     pressed = test.indenter
     what = type(pressed).__name__.lower() if pressed else test.kind

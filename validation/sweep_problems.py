@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -103,8 +104,9 @@ def pieces(problem: Problem) -> int:
     """
     test, usual = problem.test, StepSettings()
     settings = replace(usual, sticking=usual.held_face)
-    rule = problem.setup.step_rule(settings, problem.specimen.height_mm)
-    length = test.displacement_mm / test.steps
+    specimen: Any = problem.specimen
+    rule = problem.setup.step_rule(settings, specimen.height_mm)
+    length = test.depth_mm / test.steps
     depths = length * np.arange(1, test.steps + 1)
     return int(sum(math.ceil(length / rule.largest_mm(float(d)) - 1e-9) for d in depths))
 

@@ -15,6 +15,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -72,7 +73,7 @@ def load(task: Task) -> Iterator[str]:
     yield "*NODE PRINT, NSET=PLATE, TOTALS=ONLY, FREQUENCY=1\nRF\n*END STEP"
 
 
-def run(folder: Path) -> tuple[str, dict[str, float]]:
+def run(folder: Path) -> tuple[str, dict[str, Any]]:
     """Return what the program printed, and what it took."""
     began = time.perf_counter()
     with (folder / "log").open("w") as log:

@@ -61,7 +61,8 @@ class Boundary:
     """Dirichlet conditions, and the axial unknowns under the plate."""
 
     def __init__(self, task: Task, mesh: Any, space: Any) -> None:
-        dim, self.space, self.conditions = mesh.geometry.dim, space, []
+        dim, self.space = mesh.geometry.dim, space
+        self.conditions: list[Any] = []
         mesh.topology.create_connectivity(dim - 1, dim)
         self.moving = fem.Function(space.sub(0).sub(dim - 1).collapse()[0])
         still = fem.Function(self.moving.function_space)

@@ -63,7 +63,7 @@ class Forms:
         self.task, self.ub = task, skfem.Basis(mesh(*points), element, intorder=order)
         self.pb = self.ub.with_element(linear())
         self.radius = np.asarray(self.ub.global_coordinates())[0] if task.axisymmetric else None
-        self.weight = 2 * np.pi * self.radius if task.axisymmetric else 1.0
+        self.weight = 1.0 if self.radius is None else 2 * np.pi * self.radius
         self.held, self.rate, self.plate = boundary(self.ub, task)
         self.n_u = int(self.ub.N)
         self.n = self.n_u + int(self.pb.N)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from benchmarks.exchange import Answer, NoAnswerError, Task
 from study.mechanics.material.material import Material
 from study.mechanics.mesh.structured import Mesh
@@ -20,7 +22,7 @@ def problem(task: Task) -> tuple[Problem, Mesh]:
     radius, height = float(task.points[:, 0].max()), 2 * task.middle_mm
     test = Test("compression", task.displacement_mm, "bonded", "bonded", steps=task.steps)
     gel = Material("neo-hookean", {"C10": task.c10}, bulk_modulus=task.bulk)
-    space = "axisymmetric" if task.axisymmetric else "3d"
+    space: Literal["axisymmetric", "3d"] = "axisymmetric" if task.axisymmetric else "3d"
     model = Model(space, "quadratic", mesh_size_mm=1.0)
     mesh = Mesh(task.points, task.cells, half_height=True, size_mm=1.0)
     return Problem(Cylinder(radius, height), test, gel, model), mesh
