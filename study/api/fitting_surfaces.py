@@ -200,6 +200,16 @@ def runs_of(
     return Runs(response, factors, coded, values[answered], labels), answered, notes
 
 
+def settings_run(item: str, table: CsvTable) -> NumericFactor:
+    """Numeric factor of ``--numeric`` over all settings of its column."""
+    name, low, high, log = _asked(item, table)
+    if (low, high) != (None, None):
+        rule = f"takes no range for {name!r}: the runs of the table have theirs"
+        raise InputError(Fault("--numeric", rule, f"write {name}"))
+    _check_plain(table, [name])
+    return _factor(table.numbers(name), name, None, None, log)
+
+
 def _check_plain(table: CsvTable, names: Sequence[str]) -> None:
     """Refuse cells with units, once a column: they may differ from row to row."""
     faults = []
@@ -492,7 +502,9 @@ def _differences(
 # Surfaces over the numeric factors of a study's own runs.
 
 #: kinds of a design whose settings are chosen for a surface
-_FOR_SURFACES = ("central-composite", "box-behnken", "latin-hypercube", "sobol", "adaptive")
+_FOR_SURFACES = (
+    "central-composite", "box-behnken", "latin-hypercube", "sobol", "adaptive", "listed"
+)  # fmt: skip
 
 #: what stands in the place of a table of levels
 SEE_SURFACE = "its factors are numbers: see the surface"

@@ -8,16 +8,18 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from study.api.fitting_surfaces import settings_run
 from study.api.folders import RESULTS
 from study.api.opened_study import Study
 from study.api.opened_study import load as load_study
 from study.ground.canonical import digest
 from study.ground.errors import Fault, InputError, nearest
-from study.ground.tabular import CsvTable, label_fault, names_of, read_csv
+from study.ground.tabular import CsvTable, label_fault, read_csv
 from study.harness.design.factors import level_label
 from study.harness.design.forward_section import TAKEN
 from study.harness.design.load import default_name, dump, from_tables, loads
 from study.harness.design.overlay import TABLES
+from study.harness.design.parameters import is_parameter
 from study.harness.design.spec import Case, Design, cases
 from study.harness.record.document import ManifestDocument
 from study.harness.record.folder import own_folder
@@ -26,6 +28,7 @@ from study.harness.record.store import Store
 from study.harness.runner.expansion import seeded
 from study.harness.runner.job import Origin
 from study.harness.runner.provenance import versions
+from study.statistics.surfaces.surface_factors import NumericFactor
 
 #: cells of a column of failures that say that nothing failed
 _GOOD = ("", "0", "0.0", "no", "false", "ok", "converged", "done", "none")
@@ -38,6 +41,7 @@ def import_runs(
     factors: str | Sequence[str],
     responses: str | Sequence[str],
     *,
+    numeric: str | Sequence[str] = (),
     failed: str | None = None,
     block: str | None = None,
     name: str | None = None,
@@ -48,22 +52,24 @@ def import_runs(
     """Make a study of a table of runs, one row a run; rows of equal levels are replicates.
 
     Columns are a sequence or a text with commas. A response may be ``name=unit``, and
-    ``practical`` says which difference of it matters: ``peak=1 N,work=5 % of mean``. The column
+    ``practical`` says which difference of it matters: ``peak=1 N,work=5 % of mean``. Columns of
+    ``numeric`` (``speed,temp log``) are factors over the range of their settings: the study gets
+    surfaces, which predict, optimize and invert read, in place of tables of levels. The column
     ``failed`` holds a status, a reason, or nothing (also 0, no, false, ok) for runs with an answer.
     """
-    columns = names_of(factors.split(",") if isinstance(factors, str) else factors)
-    columns = tuple(column.strip() for column in columns)
+    columns, asked = _listed(factors), _listed(numeric)
     units = _units(responses)
     needed = [*columns, *units, *(c for c in (failed, block) if c is not None)]
     table = read_csv(Path(path), required=needed, numbers=(), decimal=decimal)
-    _check(table, columns, units)
-    rows = _rows(table, columns, units, failed, block)
+    ranges = [settings_run(item, table) for item in asked]
+    _check(table, columns, units, ranges)
+    rows = _rows(table, columns, units, failed, block, ranges)
     sizes = {k: size for k, size in _units(practical).items() if k}
     if unknown := [k for k in sizes if k not in units]:
         rule = f"{unknown[0]!r} is no response"
         raise InputError(Fault("--practical", rule, nearest(unknown[0], units)))
     name = name or default_name(str(path))
-    design = _design(name, columns, units, sizes, rows, Path(path).name)
+    design = _design(name, columns, ranges, units, sizes, rows, Path(path).name)
     blocks = tuple(dict.fromkeys(row.block for row in rows if row.block is not None))
     records = _records(design, blocks, rows, units, table.sha256)
     store = Store(own_folder(Path(results), design.name))
@@ -94,6 +100,12 @@ def import_runs(
     return load_study(store.path)
 
 
+def _listed(columns: str | Sequence[str]) -> tuple[str, ...]:
+    """Names of columns, of a sequence or of a text with commas."""
+    given = columns.split(",") if isinstance(columns, str) else columns
+    return tuple(column.strip() for column in given if column.strip())
+
+
 def _units(responses: str | Sequence[str]) -> dict[str, str]:
     """Read the names of responses, each with its unit, which may be left out."""
     written = responses.split(",") if isinstance(responses, str) else responses
@@ -101,8 +113,21 @@ def _units(responses: str | Sequence[str]) -> dict[str, str]:
     return {name.strip(): unit.strip() for name, _, unit in pairs}
 
 
-def _check(table: CsvTable, columns: Sequence[str], units: Mapping[str, str]) -> None:
+def _check(
+    table: CsvTable,
+    columns: Sequence[str],
+    units: Mapping[str, str],
+    ranges: Sequence[NumericFactor],
+) -> None:
     faults = []
+    for factor in ranges:
+        if not is_parameter(_key(factor)) or factor.name in (*columns, *units):
+            rule = f"{factor.name!r} cannot be a numeric factor beside the others"
+            mend = "rename the column: letters, digits, - and _ alone, such as mesh_size"
+            faults.append(Fault(table.source, rule, mend))
+        elif factor.low == factor.high:
+            rule = f"{factor.name} is the same in all runs"
+            faults.append(Fault(table.source, rule, "leave it out: a factor has two settings"))
     for name in units:
         if not re.fullmatch(r"[^\W\d][\w-]*", name) or name in TAKEN:
             rule = f"{name!r} is no name of a response"
@@ -117,7 +142,7 @@ def _check(table: CsvTable, columns: Sequence[str], units: Mapping[str, str]) ->
             for k, cell in enumerate(table.text(name))
             if not cell or label_fault(cell)
         ][:20]
-    if not columns or not units:
+    if not (columns or ranges) or not units:
         faults.append(
             Fault(table.source, "needs a factor and a response", "--factors, --responses")
         )
@@ -140,11 +165,14 @@ def _rows(
     units: Mapping[str, str],
     failed: str | None,
     block: str | None,
+    ranges: Sequence[NumericFactor],
 ) -> list[_Run]:
     """Read the runs of a table."""
     rows = []
+    settings = {_key(factor): table.numbers(factor.name).tolist() for factor in ranges}
     for k in range(len(table.lines)):
         levels = {_factor(name): _label(table.text(name)[k]) for name in columns}
+        levels |= {key: level_label(values[k]) for key, values in settings.items()}
         rows.append(_Run(levels, None if block is None else table.text(block)[k]))
     for k, row in enumerate(rows):
         said = "" if failed is None else table.text(failed)[k]
@@ -158,6 +186,11 @@ def _rows(
             elif row.status == "converged":
                 row.status, row.message = "failed", f"the table has no value of {name}"
     return rows
+
+
+def _key(factor: NumericFactor) -> str:
+    """Key of a numeric factor, which is also its name in the study."""
+    return f"parameters.{factor.name}"
 
 
 def _factor(column: str) -> str:
@@ -176,6 +209,7 @@ def _label(cell: str) -> str:
 def _design(
     name: str,
     columns: Sequence[str],
+    ranges: Sequence[NumericFactor],
     units: Mapping[str, str],
     practical: Mapping[str, str],
     rows: Sequence[_Run],
@@ -197,13 +231,22 @@ def _design(
             level: {f"parameters.{key}": numbers.get(level, f"level {level}")} for level in levels
         }
         parameters[key] = min(numbers.values()) if numbers else ""
-    cells = list({tuple(row.levels.items()): row.levels for row in rows}.values())
+    parameters |= {factor.name: factor.low for factor in ranges}
+    spans = {
+        _key(factor): {"low": factor.low, "high": factor.high,
+                       "scale": "log" if factor.log else "linear"}
+        for factor in ranges
+    }  # fmt: skip
+    cells = [
+        {name: float(label) if name in spans else label for name, label in levels}
+        for levels in dict.fromkeys(tuple(row.levels.items()) for row in rows)
+    ]
     tables: dict[str, object] = {
         "study": {"name": name, "question": f"Runs that were made elsewhere: {source}"},
         "parameters": parameters,
         "forward": {"model": "python"},
         "presets": presets,
-        "factors": labels,
+        "factors": labels | spans,
         "response": [
             {"name": n, "unit": unit} | ({"practical": practical[n]} if practical.get(n) else {})
             for n, unit in units.items()

@@ -179,8 +179,11 @@ def run(
 
 def import_(
     file: Annotated[Path, typer.Argument(help="CSV or workbook, one row a run.")],
-    factors: Annotated[str, typer.Option(help="Columns of the factors, with commas.")],
     responses: Annotated[str, typer.Option(help="Columns of the responses: peak=N,work.")],
+    factors: Annotated[str, typer.Option(help="Columns of the factors, with commas.")] = "",
+    numeric: Annotated[
+        str, typer.Option(help="Columns of factors that are numbers over a range: speed,temp log.")
+    ] = "",
     failed: Annotated[
         str | None, typer.Option(help="Column that says which runs have no answer, and why.")
     ] = None,
@@ -201,7 +204,7 @@ def import_(
 
     made = api.import_runs(
         file, factors, responses, failed=failed, block=block, name=name, decimal=decimal,
-        practical=practical, results=results,
+        practical=practical, results=results, numeric=numeric,
     )  # fmt: skip
     _finish(api.report(made.folder, reports=reports), as_json, _folders(results, reports))
 

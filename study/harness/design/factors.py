@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Collection, Mapping, Sequence
 from functools import partial
+from typing import cast
 
 from study.ground.errors import nearest
 from study.ground.units import parse, split
@@ -330,6 +331,17 @@ def _plain(text: str) -> str:
 def _range_level(key: str, text: str, unit: str) -> Level:
     written = f"{text} {unit}" if unit else float(text)
     return Level(f"{text} {unit}".strip(), {key: written})
+
+
+def setting_in(factor: Factor, raw: object) -> Level:
+    """Level of a factor with a range at one setting, as it is written: a number with its unit."""
+    span = cast("Span", factor.span)
+    value, unit = _end(raw, overlay.dimension(factor.name) or "number")
+    if unit != span.unit:
+        raise Bad(f"{shown(raw)} is not in {span.unit!r}, the unit of its range")
+    if not span.low <= value <= span.high:
+        raise Bad(f"{shown(raw)} lies outside {span.low:g} to {span.high:g}, its range")
+    return _range_level(factor.name, level_label(value), unit)
 
 
 def settings_of(factor: Factor) -> dict[str, float]:

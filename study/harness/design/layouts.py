@@ -16,7 +16,7 @@ from study.ground.errors import nearest
 from study.harness.design import generators
 from study.harness.design import generators as aliases
 from study.harness.design.diagnostics import Faults, flatten, is_known, noted
-from study.harness.design.factors import known_level, levels_at
+from study.harness.design.factors import known_level, levels_at, setting_in, settings_of
 from study.harness.design.spec import Factor, Scheme
 from study.mechanics.setup.declaration import (
     AsWritten,
@@ -96,6 +96,13 @@ def placed(
         made.append(replace(factor, levels=levels))
         columns.append(index)
     return tuple(made), tuple(zip(*columns, strict=True))
+
+
+#: of designs over ranges
+AT_EVERY_SETTING = (
+    "every setting of a range stands in one cell: no table of levels, but a surface over the "
+    "ranges tells the factors apart; study run fits it"
+)
 
 
 def _sampled(request: Request, kind: str, shares: Array, summary: str, note: str) -> Made:
@@ -267,7 +274,7 @@ def _levels_within(child: Factor, parent: Factor, value: object) -> Mapping[str,
 class Listed:
     """Exactly the treatments of a list, in its order."""
 
-    #: List of tables, each with one level of every factor.
+    #: List of tables, each with one level of every factor; of a range, a setting within it.
     treatments: _Cells
     kind: Literal["listed"] = "listed"
 
@@ -275,11 +282,13 @@ class Listed:
         """Look up the levels of every treatment."""
         if self.treatments is None:
             return request.nothing
-        factors = request.factors
-        read = partial(_treatments, factors)
-        rows = noted(read, self.treatments, "design.treatments", request.faults)
-        if rows is None:
+        read = partial(_treatments, request.factors)
+        made = noted(read, self.treatments, "design.treatments", request.faults)
+        if made is None:
             return request.nothing
+        factors, rows = made
+        if any(factor.span for factor in factors):
+            return factors, Scheme(self.kind, rows, f"{len(rows)} listed", (AT_EVERY_SETTING,))
         count = math.prod(len(factor.levels) for factor in factors)
         note = (
             "only the listed cells are run: terms that they do not separate are named by the "
@@ -289,22 +298,44 @@ class Listed:
         return factors, Scheme(self.kind, rows, summary, (note,))
 
 
-def _treatments(factors: Sequence[Factor], value: object) -> tuple[tuple[int, ...], ...]:
+def _treatments(
+    factors: Sequence[Factor], value: object
+) -> tuple[tuple[Factor, ...], tuple[tuple[int, ...], ...]]:
+    """Factors with the listed settings of their ranges as levels, and the cells."""
     if not isinstance(value, list) or not 2 <= len(value) <= MAX_CELLS:
         raise Bad(f"must list 2 to {MAX_CELLS} treatments, got {shown(value)}")
-    rows = [_row(factors, item, i) for i, item in enumerate(value)]
-    twice = next((row for i, row in enumerate(rows) if row in rows[:i]), None)
-    if twice is not None:
-        again = rows.index(twice) + 1
+    cells = [_cell(factors, item, i) for i, item in enumerate(value)]
+    factors = tuple(_with_settings(factor, [cell[factor.name] for cell in cells])
+                    for factor in factors)  # fmt: skip
+    rows = [
+        tuple(f.labels.index(known_level(cell[f.name], f)) if f.span is None
+              else f.labels.index(setting_in(f, cell[f.name]).label) for f in factors)
+        for cell in cells
+    ]  # fmt: skip
+    first: dict[tuple[int, ...], int] = {}
+    for place, row in enumerate(rows):
+        first.setdefault(row, place)
+    if len(first) < len(rows):
+        again = next(first[row] for place, row in enumerate(rows) if first[row] < place) + 1
         raise Bad(f"treatment {again} stands twice", "the same simulation is no replicate")
     for f, column in zip(factors, zip(*rows, strict=True), strict=True):
         if len(set(column)) < len(f.levels):
             unused = next(lv for i, lv in enumerate(f.labels) if i not in column)
             raise Bad(f"no treatment has {f.name} = {unused!r}", "leave the level out")
-    return tuple(rows)
+    return factors, tuple(rows)
 
 
-def _row(factors: Sequence[Factor], item: object, index: int) -> tuple[int, ...]:
+def _with_settings(factor: Factor, given: Sequence[object]) -> Factor:
+    """Copy of a factor with a range, whose levels are the settings that are given."""
+    if factor.span is None:
+        return factor
+    levels = {level.label: level for level in (setting_in(factor, raw) for raw in given)}
+    setting = settings_of(replace(factor, levels=tuple(levels.values())))
+    return replace(factor, levels=tuple(sorted(levels.values(), key=lambda x: setting[x.label])))
+
+
+def _cell(factors: Sequence[Factor], item: object, index: int) -> Mapping[str, object]:
+    """One treatment: a value of every factor."""
     given = flatten(item) if isinstance(item, Mapping) else {}
     missing = [f.name for f in factors if f.name not in given]
     extra = [key for key in given if key not in {f.name for f in factors}]
@@ -312,7 +343,7 @@ def _row(factors: Sequence[Factor], item: object, index: int) -> tuple[int, ...]
         what = f"has no {missing[0]!r}" if missing else f"names no factor with {extra[0]!r}"
         rule = f"treatment {index + 1} {what}"
         raise Bad(rule, "each treatment gives one level of every factor")
-    return tuple(f.labels.index(known_level(given[f.name], f)) for f in factors)
+    return given
 
 
 # Two-level designs with fewer cells than combinations.
@@ -573,8 +604,5 @@ def _filled(
         return request.nothing
     drawn_seed = request.seed if seed is None else seed
     words = f"{kind.replace('-', ' ')}: {runs} cells, seed {drawn_seed}".capitalize()
-    note = (
-        "every setting of a range stands in one cell: no table of levels, but a surface over the "
-        "ranges tells the factors apart; study run fits it"
-    )
-    return _sampled(request, kind, draw(len(request.factors), runs, drawn_seed), words, note)
+    shares = draw(len(request.factors), runs, drawn_seed)
+    return _sampled(request, kind, shares, words, AT_EVERY_SETTING)

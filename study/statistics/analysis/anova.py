@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.ground.arrays import Array
+from study.ground.arrays import Array, one_thread
 from study.ground.errors import Fault, InputError, RefusedError
 from study.ground.tabular import names_of
 from study.statistics.analysis import error_ledger, failures, strata
@@ -60,7 +60,7 @@ from study.statistics.analysis.power import PowerRow, planned
 from study.statistics.analysis.simple_effects import without_each
 from study.statistics.analysis.split_plot import Plots, split_plot, whole_plots
 from study.statistics.analysis.strata import own, own_groups
-from study.statistics.analysis.sums_of_squares import influence, one_thread
+from study.statistics.analysis.sums_of_squares import influence
 from study.statistics.analysis.unreplicated import (
     copies_of,
     functional_shares,

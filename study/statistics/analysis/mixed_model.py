@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import stdtr
 
-from study.ground.arrays import Array
+from study.ground.arrays import Array, one_thread
 from study.ground.contrast import Setting
 from study.ground.errors import Fault, InputError, nearest
 from study.ground.tabular import names_of
@@ -57,7 +57,7 @@ from study.statistics.analysis.simple_effects import (
     Estimates,
     SimpleEffects,
 )
-from study.statistics.analysis.sums_of_squares import Factored, factor, one_thread, term_sums
+from study.statistics.analysis.sums_of_squares import Factored, factor, term_sums
 
 if TYPE_CHECKING:
     import pandas as pd

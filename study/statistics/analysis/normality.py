@@ -10,11 +10,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from study.ground.arrays import Array
+from study.ground.arrays import Array, one_thread
 from study.ground.errors import Fault, InputError
 from study.statistics.analysis.comparisons import holm
 from study.statistics.analysis.linear_model import CellLayout, Term, balanced, span, term_name
-from study.statistics.analysis.sums_of_squares import one_thread
 
 SCORES = "Phi^-1((r - 3/8)/(n + 1/4)), tied values share the average rank"
 _ALPHAS = (0.10, 0.05, 0.01)

@@ -8,10 +8,10 @@ NIST StRD sets.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, wraps
-from typing import TYPE_CHECKING, ParamSpec, TypeVar
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -197,27 +197,6 @@ def alias_warnings(sums: Sequence[TermSum], *, partial: bool = False) -> list[st
                 f"freedom are not estimable{partly}: empty cells or a confounded design; no test"
             )
     return out
-
-
-P = ParamSpec("P")
-R = TypeVar("R")
-
-
-def one_thread(function: Callable[P, R]) -> Callable[P, R]:
-    """Run ``function`` with one linear-algebra thread.
-
-    On a busy machine the threads of a small product wait for each other (15 s instead of
-    0.5 s for 10,000 rows), and the last digits of a sum would depend on their number.
-    """
-
-    @wraps(function)
-    def limited(*args: P.args, **kwargs: P.kwargs) -> R:
-        from threadpoolctl import threadpool_limits
-
-        with threadpool_limits(limits=1):
-            return function(*args, **kwargs)
-
-    return limited
 
 
 def eta_interval(row: Row) -> tuple[float, float] | None:

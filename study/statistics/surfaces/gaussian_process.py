@@ -17,7 +17,7 @@ import numpy as np
 import scipy
 from scipy import linalg
 
-from study.ground.arrays import Array, Ints
+from study.ground.arrays import Array, Ints, one_thread
 from study.ground.errors import settled
 
 # Correlation of the functions that belong to categories: what they share, and what each has.
@@ -283,6 +283,7 @@ class GaussianProcess:
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
+@one_thread
 def fit_process(
     x: Array, y: Array, noise: Array, family: Family, seed: int = 0, sizes: Sequence[int] = ()
 ) -> GaussianProcess:
