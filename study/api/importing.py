@@ -125,9 +125,6 @@ def _check(
             rule = f"{factor.name!r} cannot be a numeric factor beside the others"
             mend = "rename the column: letters, digits, - and _ alone, such as mesh_size"
             faults.append(Fault(table.source, rule, mend))
-        elif factor.low == factor.high:
-            rule = f"{factor.name} is the same in all runs"
-            faults.append(Fault(table.source, rule, "leave it out: a factor has two settings"))
     for name in units:
         if not re.fullmatch(r"[^\W\d][\w-]*", name) or name in TAKEN:
             rule = f"{name!r} is no name of a response"

@@ -18,6 +18,7 @@ from study.api.predicting import (
     joined,
     opened,
     unknown_factors,
+    with_full_names,
 )
 from study.ground import tabular, units
 from study.ground.curve import Curve
@@ -148,6 +149,7 @@ def _known(
         rule = "has no numeric factor: there is nothing to be found"
         mend = 'write { low = "5 kPa", high = "15 kPa" } and [design] kind = "latin-hypercube"'
         raise InputError(Fault(design.name, rule, mend))
+    at = with_full_names(at, factors)
     faults = unknown_factors(at, list(factors))
     for name, factor in factors.items():
         if factor.span is None and str(at.get(name, "")) not in factor.labels:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -99,6 +99,7 @@ def given(
 ) -> tuple[dict[str, Array], dict[str, str]]:
     """Read settings of ranges in their units, and labels of the others; all faults at once."""
     factors = {factor.name: factor for factor in design.factors}
+    at = with_full_names(at, factors)
     labels = {n: str(at[n]) for n, f in factors.items() if f.span is None and n in at}
     faults = unknown_factors(at, list(factors))
     faults += [Fault(n, "has no setting", "give every factor one") for n in needed if n not in at]
@@ -123,6 +124,12 @@ def surfaces_of(study: StudyResult, response: str | None = None) -> tuple[Fitted
     if response is not None and response not in names:
         raise InputError(Fault("--response", f"there is no {response!r}", nearest(response, names)))
     return tuple(fitted for fitted in study.surfaces if response in (None, fitted.response))
+
+
+def with_full_names(at: Mapping[str, Setting], factors: Collection[str]) -> dict[str, Setting]:
+    """Key settings by factor; ``speed`` names ``parameters.speed`` where no factor is called so."""
+    full = {n: f"parameters.{n}" for n in at if n not in factors}
+    return {full[n] if full.get(n) in factors else n: setting for n, setting in at.items()}
 
 
 def unknown_factors(at: Iterable[str], factors: Sequence[str]) -> list[Fault]:

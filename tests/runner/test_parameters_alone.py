@@ -6,10 +6,14 @@ import os
 import re
 import tomllib
 
+import numpy as np
+import pandas as pd
 import pytest
+import threadpoolctl
 
 from study import api
 from study.ground import errors
+from study.statistics.surfaces import gaussian_process
 from tests.cli.small import study
 
 
@@ -449,3 +453,91 @@ def test_a_table_of_runs_that_is_wrong_is_told(tmp_path, changed, into, said):
     (tmp_path / "runs.csv").write_text(RUNS.lstrip().replace(changed, into, 1))
     with pytest.raises(errors.InputError, match=said):
         api.import_runs(tmp_path / "runs.csv", "element,mesh", "peak_force", results=tmp_path / "r")
+
+
+def _sampled_runs(folder, levels=("soft", "stiff")):
+    """Write 30 runs of a plane at settings of a sample, and return its closed form."""
+    rng = np.random.default_rng(11)
+    speed, temp = rng.uniform(1, 5, 30), rng.uniform(20, 80, 30)
+
+    def peak(speed, temp, gel):
+        return 3 * speed + 0.1 * temp + 2 * (gel == levels[-1])
+
+    rows = [f"{s:.4f},{t:.3f},{levels[k % len(levels)]}" for k, (s, t) in
+            enumerate(zip(speed, temp, strict=True))]  # fmt: skip
+    values = [peak(*map(float, row.split(",")[:2]), row.split(",")[2]) for row in rows]
+    values[4] = ""
+    table = "\n".join(f"{row},{value}" for row, value in zip(rows, values, strict=True))
+    (folder / "runs.csv").write_text(f"speed,temp,gel,peak\n{table}\n")
+    return peak
+
+
+def test_runs_of_elsewhere_that_sample_ranges_predict_and_optimize(tmp_path):
+    peak = _sampled_runs(tmp_path)
+    made = api.import_runs(
+        tmp_path / "runs.csv", "gel", "peak=N", numeric="speed,temp", practical="peak=1 N",
+        results=tmp_path / "r",
+    )  # fmt: skip
+    assert (made.total, made.failed) == (30, 1)
+    at = {"speed": 3.2, "temp": 44.0, "gel": "stiff"}
+    (seen,) = api.predict(made.folder, at)
+    assert seen.value == pytest.approx(peak(**at), abs=0.05)
+    assert seen.low <= peak(**at) <= seen.high
+    best = api.optimize(made, minimize="peak", confirming=False)
+    (lowest,) = best
+    rows = pd.read_csv(tmp_path / "runs.csv").dropna().query("gel == 'soft'")
+    assert lowest.settings["gel"] == "soft"
+    # the surface of a label ends where its runs end
+    corner = peak(rows["speed"].min(), rows["temp"].min(), "soft")
+    assert lowest.value == pytest.approx(corner, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("numeric", "said"),
+    [
+        ("speed=1..4", "takes no range"),
+        ("sped", "speed"),
+        ("gel", "must be a finite number"),
+        ("temp log,same", "is empty"),
+    ],
+)
+def test_numeric_columns_of_elsewhere_that_are_wrong_are_told(tmp_path, numeric, said):
+    _sampled_runs(tmp_path)
+    rows = (tmp_path / "runs.csv").read_text().splitlines()
+    text = "\n".join(f"{row},{'same' if k == 0 else 3}" for k, row in enumerate(rows))
+    (tmp_path / "runs.csv").write_text(text + "\n")
+    with pytest.raises(errors.InputError, match=said):
+        api.import_runs(tmp_path / "runs.csv", "", "peak", numeric=numeric, results=tmp_path / "r")
+
+
+def test_listed_cells_take_settings_of_ranges(tmp_path):
+    _sampled_runs(tmp_path)
+    design = {
+        "study": {"name": "listed"}, "forward": {"model": "python"}, "parameters": {"d": "1 mm"},
+        "factors": {"parameters.d": {"low": "1 mm", "high": "2 mm"}},
+        "design": {"kind": "listed", "treatments": [{"parameters.d": "1.7321 mm"},
+                                                    {"parameters.d": "1 mm"}]},
+        "response": [{"name": "y", "unit": "N"}],
+    }  # fmt: skip
+    (factor,) = api.load_design(design).factors
+    assert factor.labels == ("1 mm", "1.7321 mm")
+    for wrong in ("2.1 mm", "1.2 m", 1.2):
+        design["design"]["treatments"][0]["parameters.d"] = wrong
+        with pytest.raises(errors.InputError, match="design.treatments"):
+            api.load_design(design)
+
+
+def test_an_emulator_is_fitted_on_one_thread(monkeypatch):
+    threads = []
+
+    def watched(*arguments):
+        pools = threadpoolctl.threadpool_info()
+        threads.extend(pool["num_threads"] for pool in pools if pool["user_api"] == "blas")
+        return likelihood(*arguments)
+
+    likelihood = gaussian_process.log_likelihood
+    monkeypatch.setattr(gaussian_process, "log_likelihood", watched)
+    x = np.linspace(-1, 1, 12)[:, None]
+    with threadpoolctl.threadpool_limits(2):
+        gaussian_process.fit_process(x, np.sin(3 * x[:, 0]), np.zeros(12), "Matern 5/2")
+    assert set(threads) == {1}
