@@ -289,6 +289,37 @@ def test_a_fraction_with_a_lost_run_leaves_out_the_fewest_terms() -> None:
     assert found.effect("A").verdict == CANNOT_TELL
 
 
+@pytest.mark.parametrize("lost", [[], [2], [2, 9]])
+@pytest.mark.parametrize("factors", ["ABCD", "ABCDE"])
+def test_an_interaction_hidden_from_a_declared_model_withdraws_claims(
+    factors: str, lost: list[int]
+) -> None:
+    """Without repeats, complete, a fraction, or short of runs: simple effects are 1.2."""
+    table = crossed(A=2, B=2, C=2, D=2)
+    table["E"] = table[list("ABCD")].sum(axis=1) % 2
+    noise = np.random.default_rng(1).normal(0, 0.05, 16)
+    table["y"] = 10 + 0.6 * sign(table, "A", "B") + noise
+    asked = {"model": 1, "practical": 1.0, "exact": False}
+    found = anova(table.drop(index=lost), "y", list(factors), **asked)
+    assert [found.effect(f).verdict for f in "AB"] == [CANNOT_TELL, CANNOT_TELL]
+    assert any("A:B stands out" in note for note in found.notes)
+    flat = anova(table.assign(y=10 + noise).drop(index=lost), "y", list(factors), **asked)
+    assert {flat.effect(f).verdict for f in factors} == {NO_DIFFERENCE}
+
+
+def test_a_fraction_leaves_out_aliases_in_one_sentence() -> None:
+    table = crossed(A=2, B=2, C=2, D=2)
+    table["E"] = table[list("ABCD")].sum(axis=1) % 2
+    table["y"] = 10 + 2 * sign(table, "A", "B") + np.random.default_rng(1).normal(0, 0.2, 16)
+    found = anova(table, "y", list("ABCDE"), practical=1.0, exact=False)
+    declared = anova(table, "y", list("ABCDE"), model=2, practical=1.0, exact=False)
+    assert found.anova == declared.anova
+    assert {e.verdict for e in found.effects if e.is_main} == {CANNOT_TELL}
+    assert [declared.effect(f).verdict for f in "AC"] == [MATTERS, NO_DIFFERENCE]
+    assert sum("A:B:C (= D:E)" in note for note in found.notes) == 1
+    assert len(found.notes) < 5
+
+
 def test_a_level_that_fails_in_most_blocks_leaves_its_siblings() -> None:
     table = crossed(s=6, a=3)
     table["y"] = table["s"] + 2.0 * (table["a"] == 1)

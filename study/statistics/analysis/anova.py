@@ -597,23 +597,27 @@ def _with_empty_cells(
 ) -> tuple[Structure, tuple[Term, ...]]:
     """Structure without the cells that the model does not need, and the terms that are told apart.
 
-    Terms that add nothing to those before them are left out, and named. A regular fraction keeps
-    all of its terms: each is aliased with others, and it is for the analyst to name those wanted.
+    Terms that add nothing to those before them are left out, and named with their aliases.
     """
     cells = np.unique(data.cell, return_index=True)[1]
     model = factorize(model_matrix(data.layout.take(cells), terms))
+    ordered = request.model == "full" or isinstance(request.model, int)
     if model.is_full or nested_in(terms):
         return replace(structure, empty_cells=0), terms
-    told_apart = tuple(
-        t for i, t in enumerate(model.matrix.terms) if t and model.space(i, "I").basis.shape[1]
-    )
+    spaces = {t: model.space(i, "I") for i, t in enumerate(model.matrix.terms) if t}
+    told_apart = tuple(t for t, space in spaces.items() if space.basis.shape[1])
     reduced = factorize(model_matrix(data.layout.take(cells), told_apart))
-    if len(told_apart) < len(terms) and reduced.is_full and reduced.is_orthogonal():
-        return replace(structure, empty_cells=0), terms
-    ordered = request.model == "full" or isinstance(request.model, int)
+    is_fraction = reduced.is_full and reduced.is_orthogonal()
+    if is_fraction and len(told_apart) < len(terms):
+        structure = replace(structure, empty_cells=0)
     if len(told_apart) == len(terms) or not ordered or not request.any_type:
         return structure, terms
-    lost = [term_name(t) for t in terms if t not in told_apart]
+    lost = [
+        term_name(t)
+        + (f" (= {space.aliases[0]})" if space.aliases and space.nominal_df == 1 else "")
+        for t, space in spaces.items()
+        if t not in told_apart
+    ]
     listed = ", ".join(lost[:8]) + (f" and {len(lost) - 8} more" if len(lost) > 8 else "")
     order = request.lower_order
     smaller = f"--model {order}, or the terms" if order else "--model with the terms"

@@ -34,6 +34,7 @@ from study.statistics.analysis.linear_model import (
     balanced,
     model_matrix,
     span,
+    term_name,
     terms_of,
 )
 from study.statistics.analysis.simple_effects import (
@@ -288,10 +289,10 @@ def rivals_of_rows(
     full = every_term(out, out.data.layout)
     if full is not None:
         whole = factor(model_matrix(out.data.layout, full, extra=blocks), out.y)
-        p, note, other = _lack_of_fit_of_rows(out, fit, whole)
+        p, note, other, matrix = _lack_of_fit_of_rows(out, fit, whole)
         notes += [note] if note else []
         if p < DOUBT and other is not None:
-            rivals.append(Rival(f"{LACK_OF_FIT} ({note})", other, matrix=whole.matrix))
+            rivals.append(Rival(f"{LACK_OF_FIT} ({note})", other, matrix=matrix))
     return rivals, notes
 
 
@@ -365,14 +366,14 @@ def _lack_of_fit_over_blocks(fit: Factored, whole: Factored, y: Array) -> tuple[
 
 def _lack_of_fit_of_rows(
     out: AnalysisOutcome, fit: Factored, whole: Factored
-) -> tuple[float, str, Sample | None]:
-    """P of the terms left out, what is said of it, and the sample of the full model."""
+) -> tuple[float, str, Sample | None, ModelMatrix]:
+    """P of the terms left out, what is said of it, and the sample of the model with them."""
     from scipy.special import fdtrc
 
     alpha, seed = out.request.alpha, out.request.interval_seed
     df = fit.df_residual - whole.df_residual
     if df <= 0:
-        return 1.0, "", None
+        return 1.0, "", None, whole.matrix
     if whole.df_residual > 0 and whole.rss > 0:
         f = max(fit.rss - whole.rss, 0.0) / df / (whole.rss / whole.df_residual)
         p = float(fdtrc(df, whole.df_residual, f))
@@ -380,21 +381,41 @@ def _lack_of_fit_of_rows(
             f"lack of fit of the declared model: F({df:g}, {whole.df_residual:g}) = {f:.4g}, "
             f"p = {p:.2g}"
         )
-        return p, note, with_pooled_error(whole, whole.rss, whole.df_residual, alpha, seed)
-    full = terms_of(out.data.factors)
-    single = int(np.bincount(out.data.cell).max()) == 1
-    if out.data.block is not None or not (single and balanced(out.data.layout, out.data.factors)):
-        return 1.0, "", None
-    left_out = [term for term in full if term not in out.terms]
-    names, contrasts = orthonormal_contrasts(out.data.layout, left_out)
-    if len(names) < LEAST_CONTRASTS:
-        return 1.0, "", None
-    sparse = lenth(contrasts.T @ (out.y - out.y[0]), names, seed=out.request.seed)
-    p = min(sparse.p) * len(names)
-    largest = names[int(np.argmin(sparse.p))]
+        other = with_pooled_error(whole, whole.rss, whole.df_residual, alpha, seed)
+        return p, note, other, whole.matrix
+    if out.data.block is not None or int(np.bincount(out.data.cell).max()) > 1:
+        return 1.0, "", None, whole.matrix
+    whole, names, contrasts, declared = _one_df_directions(out)
+    left_out = names[declared:]
+    if len(left_out) < LEAST_CONTRASTS:
+        return 1.0, "", None, whole.matrix
+    sparse = lenth(contrasts[:, declared:].T @ (out.y - out.y[0]), left_out, seed=out.request.seed)
+    p = min(sparse.p) * len(left_out)
+    largest = left_out[int(np.argmin(sparse.p))]
     note = f"of the interactions declared negligible, {largest} stands out: p = {min(1.0, p):.2g}"
-    every = orthonormal_contrasts(out.data.layout, full)[1]
-    return p, note, with_pseudo_error(whole, every, alpha, seed, out.y)
+    other = with_pseudo_error(whole, contrasts, alpha, seed, out.y)
+    return p, note, other, whole.matrix
+
+
+def _one_df_directions(out: AnalysisOutcome) -> tuple[Factored, list[str], Array, int]:
+    """Fit all that rows without repeats tell, with its directions of one degree of freedom each.
+
+    Directions, shape (n, m), are orthonormal; those of the declared terms stand first, and the
+    number of these is last. Terms that the rows of a fraction do not tell from earlier ones have
+    none and are left out of the fit.
+    """
+    data, full = out.data, terms_of(out.data.factors)
+    ordered = [*out.terms, *(term for term in full if term not in out.terms)]
+    if balanced(data.layout, data.factors):
+        names, contrasts = orthonormal_contrasts(data.layout, ordered)
+        declared = len(orthonormal_contrasts(data.layout, out.terms)[0])
+        return factor(model_matrix(data.layout, full), out.y), names, contrasts, declared
+    every = factor(model_matrix(data.layout, ordered), out.y)
+    bases = {term: every.space(i, "I").basis for i, term in enumerate(every.matrix.terms) if term}
+    names = [term_name(term) for term, basis in bases.items() for _ in range(basis.shape[1])]
+    declared = sum(bases[term].shape[1] for term in out.terms)
+    whole = factor(model_matrix(data.layout, [t for t in ordered if bases[t].size]), out.y)
+    return whole, names, every.q @ np.hstack([*bases.values()]), declared
 
 
 def _rivals_of_cells(
