@@ -15,7 +15,7 @@ from study.api import contrasts
 from study.ground.errors import RefusedError
 from study.statistics.analysis.anova import anova
 from study.statistics.analysis.comparisons import GroupMoments
-from study.statistics.analysis.data import resolution
+from study.statistics.analysis.data import prepare, refuse_copied_rows, resolution
 from study.statistics.analysis.effects import cell_welch
 from study.statistics.analysis.equal_variance import own_variances, variances_beside_blocks
 from study.statistics.analysis.linear_model import CellLayout as Layout
@@ -153,6 +153,31 @@ def test_copied_rows_are_refused_until_they_are_said_to_be_real(times: int) -> N
     part = pd.concat([copied, groups(9, (1, 1), (0.3, 0.3))], ignore_index=True)
     with pytest.raises(RefusedError, match="repeat another of their cell"):
         anova(part, "y", ["a"], exact=False)
+
+
+@pytest.mark.parametrize(("times", "digit"), [(2, 1e-9), (2, 1e-4), (3, 1e-5), (3, 1e-3)])
+def test_copies_with_other_last_digits_are_refused(times: int, digit: float) -> None:
+    random = np.random.default_rng(2)
+    table = groups(3, (8, 8), (0.5, 0.5)).round(3)
+    copied = pd.concat([table] * times, ignore_index=True)
+    copied["y"] += digit * random.normal(size=len(copied))
+    with pytest.raises(RefusedError, match="copied rows: .* to within"):
+        anova(copied, "y", ["a"], exact=False)
+    blocks = crossed(s=5, a=4)
+    blocks["y"] = 3 * blocks["s"] + blocks["a"] + random.normal(0, 0.3, 20)
+    blocks.loc[blocks["s"] == 4, "y"] = blocks["y"][blocks["s"] == 1].to_numpy() + 1e-5
+    with pytest.raises(RefusedError, match="to within 1e-05 s 4 repeats 1"):
+        anova(blocks, "y", ["a"], block="s", exact=False)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_rows_that_are_close_by_chance_are_no_copies(seed: int) -> None:
+    """Heavy tails crowd in the middle; a step that is no decimal number ties everywhere."""
+    random = np.random.default_rng(seed)
+    heavy = pd.DataFrame({"a": np.repeat(list("abc"), 100), "y": random.standard_t(2, 300)})
+    step = np.round(random.normal(size=80), 1) * 1.2345678 + 1e-9 * random.normal(size=80)
+    for table in (heavy, pd.DataFrame({"a": np.repeat(list("abcd"), 20), "y": step})):
+        refuse_copied_rows(prepare(table, "y", ["a"]))
 
 
 def test_coarse_readings_tie_without_being_copies() -> None:
