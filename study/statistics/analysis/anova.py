@@ -541,7 +541,7 @@ def _found(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisOutcome:
     declared = data.also or (request.layout.whole_plot and request.error == "auto")
     # pooled over unequal variances the test of a true null rejects in up to .48 of cases
     if data.block is not None and not declared and request.error != "pooled":
-        mixed = incomplete_blocks(out) if plots is None else None
+        mixed = incomplete_blocks(out) if plots is None or not plots.nested else None
         if mixed is not None:
             return mixed
         tested = own(out) if plots is None or not plots.nested else own_groups(out, plots)
@@ -551,7 +551,8 @@ def _found(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisOutcome:
         if lacking:
             return pooled(out, untested=lacking)
     if plots is not None:
-        return split_plot(out, plots)
+        asked_for = request.layout.whole_plot and request.error != "pooled"
+        return (incomplete_blocks(out, plots) if asked_for else None) or split_plot(out, plots)
     return error_ledger.welch(out) if request.error == "welch" else pooled(out)
 
 
