@@ -133,8 +133,7 @@ def test_f22_a_lost_run_switches_to_type_three_and_an_empty_cell_to_type_one() -
     assert result.anova.row("a:b").df == 1
     assert result.effect("a:b").verdict == "cannot tell"
     assert any("a:b 1 of 2" in w for w in result.notes)
-    assert "a:b: the mean is not estimable at L2 L1" in result.notes
-    assert "a: the mean is not estimable at L2" in result.notes
+    assert "means are not estimable: a at L2; b at L1; a:b at L2 L1" in result.notes
     assert result.effect("a").mean[:2] != (None, None)
 
 

@@ -124,18 +124,17 @@ def _summary_of_data(out: AnalysisOutcome, model_matrix: Array | None) -> DataSu
 
 
 def _inestimable(effects: Sequence[Effect]) -> list[str]:
-    """One sentence for every term some of whose means cannot be estimated."""
-    sentences = []
-    for effect in effects:
-        lost = [
-            level for level, mean in zip(effect.levels, effect.mean, strict=True) if mean is None
-        ]
-        if lost:
-            more = f" and {len(lost) - 5} more" if len(lost) > 5 else ""
-            sentences.append(
-                f"{effect.term}: the mean is not estimable at {', '.join(lost[:5])}{more}"
-            )
-    return sentences
+    """One sentence about the means that cannot be estimated, of the terms in their order."""
+    lost = {e.term: [a for a, m in zip(e.levels, e.mean, strict=True) if m is None]
+            for e in effects}  # fmt: skip
+    places = [
+        f"{term} at {', '.join(levels[:5])}"
+        + (f" and {len(levels) - 5} more" if len(levels) > 5 else "")
+        for term, levels in lost.items()
+        if levels
+    ]
+    more = f"; and of {len(places) - 5} more terms" if len(places) > 5 else ""
+    return [f"means are not estimable: {'; '.join(places[:5])}{more}"] if places else []
 
 
 def _power(out: AnalysisOutcome) -> dict[str, tuple[PowerRow, ...]]:
