@@ -166,15 +166,6 @@ def test_constant_response_has_no_anova(noise: float) -> None:
     json.dumps(result.to_json(), allow_nan=False)
 
 
-def test_saturated_design_names_remedies() -> None:
-    result = anova(factorial({"a": 2, "b": 2}, 1, 1), "y", ["a", "b"], practical=0.1)
-    assert result.error_term.source == "E7"
-    assert all(row.f is None and row.p is None for row in result.anova.rows)
-    assert any("no residual degrees of freedom" in w for w in result.notes)
-    assert result.effect("a").verdict == "cannot tell"
-    assert result.to_json()["normality"] is None
-
-
 def test_declared_pooling_is_labelled() -> None:
     result = anova(factorial({"a": 3, "b": 4}, 1, 1), "y", ["a", "b"], model=1, exact=False)
     assert result.error_term.source == "E5"

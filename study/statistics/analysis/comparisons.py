@@ -386,8 +386,11 @@ def block_multiplier(
     safe = bonferroni(max(m, 1), b - 1 if df is None else df, alpha)
     if seed is None or m <= 1 or min(len(part) for part in parts) < FEWEST_BLOCKS:
         return safe
-    roots = [_centred(contrasts[:, part]) for part in parts]
-    z = np.concatenate(roots, axis=1)
+    blocks = [contrasts[:, part] for part in parts]
+    # roots of the covariance of each group: z z' is their covariance
+    z = np.concatenate(
+        [(v - v.mean(axis=1, keepdims=True)) / math.sqrt(v.shape[1] - 1) for v in blocks], axis=1
+    )
     spread = np.sqrt(np.sum(z**2, axis=1))
     z = z[spread > 1e-12 * spread.max(initial=0.0)]
     if not len(z):
@@ -400,12 +403,6 @@ def block_multiplier(
         largest = _largest_t(np.split(z, ends, axis=1), [len(part) for part in parts], seed)
     simulated = float(np.quantile(largest, 1 - SHARPER * alpha))
     return np.minimum(safe, simulated) if isinstance(safe, np.ndarray) else min(safe, simulated)
-
-
-def _centred(values: Array) -> Array:
-    """Root of the covariance of some blocks: z z' is their covariance, shape (m, b)."""
-    centre = values.mean(axis=1, keepdims=True)
-    return np.asarray((values - centre) / math.sqrt(values.shape[1] - 1))
 
 
 def _largest_t(roots: Sequence[Array], blocks: Sequence[int], seed: int) -> Array:

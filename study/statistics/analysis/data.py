@@ -382,6 +382,8 @@ def _copied_rows(data: Data) -> str:
 
 def _copied_within(data: Data, apart: float) -> str:
     """Describe rows of a cell that are no farther apart than this from the next one."""
+    from scipy.special import pdtrc
+
     order = np.argsort(data.y, kind="stable")
     cluster = np.zeros(data.y.size)
     cluster[order[1:]] = np.cumsum(np.diff(data.y[order]) > apart)
@@ -410,7 +412,8 @@ def _copied_within(data: Data, apart: float) -> str:
     elsewhere = float(np.sum(total * (total - 1)) / 2) - ties
     between = n * (n - 1) / 2 - within
     chance = max(_tie(data.y, sd, apart), 2 * elsewhere / between if between else 0.0)
-    if not _too_many(ties, within * chance):
+    # whether so many ties are chance, where readings cluster threefold
+    if ties == 0 or float(pdtrc(ties - 1, 3 * within * chance)) >= _CHANCE:
         return ""
     return every if times > 1 else f"{n - distinct} of {n} rows repeat another of their cell{how}"
 
@@ -419,13 +422,6 @@ def _tie(y: Array, sd: float, apart: float = 0.0) -> float:
     """Chance that two normal readings agree: step times the integral of the squared density."""
     step = (resolution(y) or 16 * float(np.spacing(np.abs(y).max()))) + 2 * apart
     return min(1.0, step / (2 * math.sqrt(math.pi) * sd)) if sd > 0 else 1.0
-
-
-def _too_many(ties: int, expected: float) -> bool:
-    """Whether so many ties are no chance, where readings cluster threefold."""
-    from scipy.special import pdtrc
-
-    return ties > 0 and float(pdtrc(ties - 1, 3 * expected)) < _CHANCE
 
 
 def _copied_blocks(data: Data, block: Ints) -> list[tuple[int, int, float]]:

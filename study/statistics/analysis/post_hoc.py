@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.ground.arrays import Array, Ints
+from study.ground.arrays import Array
 from study.statistics.analysis.anova_table import Effect, PairDifference, Row
 from study.statistics.analysis.comparisons import Comparisons, LevelPair, studentized_range_cdf
 from study.statistics.analysis.effects import own_critical, pooled_critical, t_quantile
@@ -155,20 +155,18 @@ def _own(
 
 def _by_block(analysis: AnalysisResult, layout: CellLayout) -> tuple[CellLayout, Array]:
     """Means of the cells in every complete block, shape (cells, blocks), and their levels."""
+    import pandas as pd
+
     rows = analysis.data.residuals
     names = tuple(layout.levels)
     index = layout.cell(names)
-    wide = _wide(index, rows, _working(analysis, rows["response"].to_numpy(float)))
+    y = _working(analysis, rows["response"].to_numpy(float))
+    labels = rows["block"].astype(str).to_numpy()
+    frame = pd.DataFrame({"cell": index, "block": labels, "y": y})
+    wide = frame.pivot_table("y", "cell", "block", aggfunc="mean")
     complete = wide[wide.notna().mean(axis=1) > 0.5].dropna(axis=1)
     first = np.array([int(np.flatnonzero(index == cell)[0]) for cell in complete.index])
     return layout.take(first), complete.to_numpy(float)
-
-
-def _wide(index: Ints, rows: pd.DataFrame, y: Array) -> pd.DataFrame:
-    import pandas as pd
-
-    frame = pd.DataFrame({"cell": index, "block": rows["block"].astype(str).to_numpy(), "y": y})
-    return frame.pivot_table("y", "cell", "block", aggfunc="mean")
 
 
 def _working(analysis: AnalysisResult, y: Array) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
@@ -278,8 +278,9 @@ def refuse_fake_replicates(
     unit = data.cell if data.block is None else data.layout.cell([*data.factors, data.block])
     floor = max(10 * tolerance if records else 0.0, ulp_floor(data.y))
     if records and "input_hash" in table.columns:
-        hashes = table["input_hash"].to_numpy(dtype=object)[data.rows]
-        _refuse_equal_hashes(unit, hashes)
+        hashes = map(str, table["input_hash"].to_numpy(dtype=object)[data.rows])
+        if len(set(zip(unit.tolist(), hashes, strict=True))) < unit.size:
+            raise RefusedError(f"fake replicates: two runs of a cell have equal input. {_INSTEAD}")
     notes = _refuse_copies(
         unit,
         data.y,
@@ -289,14 +290,6 @@ def refuse_fake_replicates(
     if data.block is not None:
         _refuse_copies(data.cell, data.y, floor, _LIKE_BLOCKS.format(data.block))
     return notes
-
-
-def _refuse_equal_hashes(unit: Ints, hashes: Iterable[object]) -> None:
-    seen: set[tuple[int, str]] = set()
-    for key in zip(unit.tolist(), map(str, hashes), strict=True):
-        if key in seen:
-            raise RefusedError(f"fake replicates: two runs of a cell have equal input. {_INSTEAD}")
-        seen.add(key)
 
 
 def _refuse_copies(unit: Ints, y: Array, floor: float, rule: str) -> list[str]:
