@@ -48,7 +48,7 @@ from study.statistics.analysis.simple_effects import (
     SimpleEffects,
     simple_effects,
 )
-from study.statistics.analysis.sums_of_squares import Factored, epsilon_gg, factor
+from study.statistics.analysis.sums_of_squares import Factored, extra_sum, factor, over_blocks
 from study.statistics.analysis.unreplicated import lenth, orthonormal_contrasts
 
 #: blocks or rows from which skewness can be told from chance
@@ -80,6 +80,8 @@ _MOST_PAIRS = 2000
 
 COARSE = "the readings are too coarse: with their rounding the interval does not allow the claim"
 SKEW = "the differences are skewed: an interval without a normal distribution does not allow it"
+#: how a note about it begins
+LACK = "lack of fit of the declared model"
 LACK_OF_FIT = "the declared model leaves out interactions that the data do not rule out"
 UNSURE_LIMIT = "the mean, of which the practical difference is a share, is not known well enough"
 NO_SCATTER = "the difference is the same in every block to the last digit: no scatter to judge by"
@@ -334,33 +336,27 @@ def rival_of_every_term(
         )
     if not seen.any():
         return [], []
-    note = f"lack of fit of the declared model: {int(seen.sum())} of {m} coefficients that it "
+    note = f"{LACK}: {int(seen.sum())} of {m} coefficients that it "
     note += "leaves out may not be zero"
     return [Rival(f"{LACK_OF_FIT} ({note})", at(out.request.alpha), matrix=whole.matrix)], [note]
 
 
 def _lack_of_fit_over_blocks(fit: Factored, whole: Factored, y: Array) -> tuple[float, str]:
     """P of the terms left out, all together and each direction, against their own interactions."""
-    from scipy.special import fdtrc, stdtr
+    from scipy.special import stdtr
 
     rest = span(whole.q - fit.q @ (fit.q.T @ whole.q))
     df, b = rest.shape[1], y.shape[1]
     if not df or b < 2:
         return 1.0, ""
     z = rest.T @ (y - y[0, 0])
-    centre, scatter = z.mean(axis=1), z - z.mean(axis=1, keepdims=True)
-    ss_error = float(np.sum(scatter**2))
-    if ss_error <= 0:
+    centre, test = z.mean(axis=1), over_blocks(z)
+    if test is None:
         return 0.0 if float(centre @ centre) > 0 else 1.0, "lack of fit without any scatter"
-    f = b * float(centre @ centre) / (ss_error / (b - 1))
-    epsilon = epsilon_gg(np.atleast_2d(np.cov(z)))
-    together = float(fdtrc(df * epsilon, df * (b - 1) * epsilon, f))
-    spread = np.sqrt(np.maximum(np.sum(scatter**2, axis=1), 1e-300) / (b - 1) / b)
+    spread = np.sqrt(np.maximum(z.var(axis=1, ddof=1), 1e-300) / b)
     each = 2 * stdtr(b - 1, -np.abs(centre) / spread)
-    p = min(together, df * float(each.min()))
-    return p, (
-        f"lack of fit of the declared model: F({df:g}, {df * (b - 1):g}) = {f:.4g}, "
-        f"p = {together:.2g} against the blocks"
+    return min(test.p, df * float(each.min())), (
+        f"{LACK}: F({df:g}, {df * (b - 1):g}) = {test.f:.4g}, p = {test.p:.2g} against the blocks"
     )
 
 
@@ -368,21 +364,13 @@ def _lack_of_fit_of_rows(
     out: AnalysisOutcome, fit: Factored, whole: Factored
 ) -> tuple[float, str, Sample | None, ModelMatrix]:
     """P of the terms left out, what is said of it, and the sample of the model with them."""
-    from scipy.special import fdtrc
-
     alpha, seed = out.request.alpha, out.request.interval_seed
-    df = fit.df_residual - whole.df_residual
+    df, left = fit.df_residual - whole.df_residual, whole.df_residual
     if df <= 0:
         return 1.0, "", None, whole.matrix
-    if whole.df_residual > 0 and whole.rss > 0:
-        f = max(fit.rss - whole.rss, 0.0) / df / (whole.rss / whole.df_residual)
-        p = float(fdtrc(df, whole.df_residual, f))
-        note = (
-            f"lack of fit of the declared model: F({df:g}, {whole.df_residual:g}) = {f:.4g}, "
-            f"p = {p:.2g}"
-        )
-        other = with_pooled_error(whole, whole.rss, whole.df_residual, alpha, seed)
-        return p, note, other, whole.matrix
+    if (test := extra_sum(fit.rss - whole.rss, df, whole.rss, left)) is not None:
+        note = f"{LACK}: F({df:g}, {left:g}) = {test.f:.4g}, p = {test.p:.2g}"
+        return test.p, note, with_pooled_error(whole, whole.rss, left, alpha, seed), whole.matrix
     if out.data.block is not None or int(np.bincount(out.data.cell).max()) > 1:
         return 1.0, "", None, whole.matrix
     whole, names, contrasts, declared = _one_df_directions(out)

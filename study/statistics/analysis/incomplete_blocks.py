@@ -23,6 +23,7 @@ from study.statistics.analysis.anova_table import Anova, ErrorTerm
 from study.statistics.analysis.effects import DOUBT
 from study.statistics.analysis.gate import (
     COARSE,
+    LACK,
     LACK_OF_FIT,
     Rival,
     any_shape,
@@ -156,10 +157,7 @@ def _rivals(
         every = np.hstack(bases)
         test = whole.fit.test(every)
         p = min(test.p, *(len(bases) * its_own.test(basis)[1] for basis in bases))
-        note = (
-            f"lack of fit of the declared model: F({test.count:g}, {test.df:.4g}) = {test.f:.4g}, "
-            f"p = {test.p:.2g} by REML"
-        )
+        note = f"{LACK}: F({test.count:g}, {test.df:.4g}) = {test.f:.4g}, p = {test.p:.2g} by REML"
         notes.append(note)
         if p < DOUBT:
             rivals.append(Rival(f"{LACK_OF_FIT} ({note})", whole.sample, matrix=whole.factors))

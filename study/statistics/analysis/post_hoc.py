@@ -20,13 +20,13 @@ from study.statistics.analysis.comparisons import Comparisons, LevelPair, studen
 from study.statistics.analysis.effects import own_critical, pooled_critical, t_quantile
 from study.statistics.analysis.linear_model import (
     CellLayout,
-    ModelMatrix,
     Term,
+    factorize_columns,
     model_matrix,
     nested_in,
     terms_of,
 )
-from study.statistics.analysis.sums_of_squares import factor
+from study.statistics.analysis.sums_of_squares import fitted
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -121,7 +121,7 @@ def _pooled(analysis: AnalysisResult, names: tuple[str, ...]) -> CoefficientTabl
     if matrix is None or not residual.ms:
         return CoefficientTable(reason="nothing is left over to estimate an error from")
     y = _working(analysis, analysis.data.residuals["response"].to_numpy(float))
-    fit = factor(ModelMatrix(matrix, ((),), (slice(0, matrix.shape[1]),)), y)
+    fit = fitted(factorize_columns(matrix), y)
     if not fit.is_full:
         return CoefficientTable(reason="some terms are aliased with others")
     beta = fit.coefficients()

@@ -55,8 +55,9 @@ from study.statistics.analysis.linear_model import (
     term_name,
     terms_of,
 )
-from study.statistics.analysis.split_plot import LEAST_OWN, Plots, welch_box
+from study.statistics.analysis.split_plot import Plots
 from study.statistics.analysis.sums_of_squares import (
+    LEAST_OWN,
     Factored,
     SphericityResult,
     TermSum,
@@ -66,6 +67,7 @@ from study.statistics.analysis.sums_of_squares import (
     row_of_test,
     sphericity,
     term_sums,
+    welch_box,
     with_shares,
 )
 from study.statistics.analysis.unreplicated import ulp_floor
