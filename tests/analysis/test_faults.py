@@ -71,6 +71,8 @@ def test_f17_a_group_that_does_not_vary_is_named_and_the_rest_is_reported() -> N
     table.loc[table["a"] == "L1", "y"] = 1.0
     result = anova(table, "y", ["a"], exact=False)
     assert "bartlett: not applicable: group L1 has zero variance" in result.notes
+    assert any("zero spread (ties)" in w for w in result.notes)
+    assert result.to_json()["variance"]["bartlett"] is None
     assert result.anova.row("a").f is not None
     assert result.assumptions.normality is not None
     lone = pd.concat([factorial({"a": 3}, 3, 1), pd.DataFrame([{"a": "L9", "y": 9.0}])])
@@ -132,7 +134,10 @@ def test_f22_a_lost_run_switches_to_type_three_and_an_empty_cell_to_type_one() -
     result = anova(empty, "y", ["a", "b"], exact=False)
     assert result.anova.row("a:b").df == 1
     assert result.effect("a:b").verdict == "cannot tell"
-    assert any("a:b 1 of 2" in w for w in result.notes)
+    assert any("empty cells leave: a:b 1 of 2" in w for w in result.notes)
+    third = anova(empty, "y", ["a", "b"], type="III", exact=False)
+    assert any("a:b: 1 of 2 degrees of freedom are not estimable" in w for w in third.notes)
+    assert third.anova.row("a:b").f is None
     assert "means are not estimable: a at L2; b at L1; a:b at L2 L1" in result.notes
     assert result.effect("a").mean[:2] != (None, None)
 

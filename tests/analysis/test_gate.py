@@ -14,9 +14,7 @@ from scipy.stats import t as student
 from study.api import contrasts
 from study.ground.errors import RefusedError
 from study.statistics.analysis.anova import anova
-from study.statistics.analysis.comparisons import GroupMoments
 from study.statistics.analysis.data import prepare, refuse_copied_rows, resolution
-from study.statistics.analysis.effects import cell_welch
 from study.statistics.analysis.equal_variance import own_variances, variances_beside_blocks
 from study.statistics.analysis.linear_model import CellLayout as Layout
 from study.statistics.analysis.linear_model import model_matrix
@@ -24,7 +22,6 @@ from study.statistics.analysis.simple_effects import (
     CANNOT_TELL,
     MATTERS,
     NO_DIFFERENCE,
-    Differences,
 )
 from study.statistics.analysis.sums_of_squares import factor
 
@@ -106,23 +103,6 @@ def test_welch_withdraws_what_the_pooled_variance_claims() -> None:
     assert found.effect("a").high < 2.5  # the pooled interval alone would claim
     even = groups(5, (20, 20, 4), (0.2, 0.2, 0.2))
     assert anova(even, "y", ["a"], practical=2.5, exact=False).effect("a").verdict == NO_DIFFERENCE
-
-
-def test_welch_intervals_of_one_factor_are_those_of_games_and_howell() -> None:
-    table = groups(1, (6, 4, 9), (0.3, 1.0, 2.0))
-    codes = table["a"].to_numpy()
-    y = table["y"].to_numpy()
-    layout = Layout({"a": ("0", "1", "2")}, {"a": codes})
-    fit = factor(model_matrix(layout, [("a",)]), y)
-    levels = model_matrix(Layout(layout.levels, {"a": np.arange(3)}), [("a",)]).columns
-    pairs = np.array(list(itertools.combinations(range(3), 2)))
-    asked = Differences(levels, pairs[:, 0], pairs[:, 1])
-    ours = cell_welch(fit, codes, own_variances(y, codes), 0.05, 0.0)(asked)
-    theirs = GroupMoments.of({str(k): y[codes == k] for k in range(3)})
-    theirs = theirs.pairs(0.05, equal=False).pairs
-    half = ours.error * ours.simultaneous
-    assert ours.value == pytest.approx([p.difference for p in theirs])
-    assert half == pytest.approx([(p.upper - p.lower) / 2 for p in theirs], rel=1e-6)
 
 
 def test_readings_as_coarse_as_the_differences_claim_nothing() -> None:

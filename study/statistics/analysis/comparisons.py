@@ -90,18 +90,6 @@ class GroupMoments:
     mean: Array
     variance: Array
 
-    @staticmethod
-    def of(groups: Mapping[str, ArrayLike]) -> GroupMoments:
-        """Moments of values, as differences from the first one: exact where doubles are close."""
-        values = list(_checked(groups).values())
-        shift = values[0][0]
-        return GroupMoments(
-            tuple(map(str, groups)),
-            np.array([float(v.size) for v in values]),
-            np.array([float((v - shift).mean()) for v in values]),
-            np.array([float((v - v[0]).var(ddof=1)) for v in values]),
-        )
-
     @property
     def pooled(self) -> tuple[float, float]:
         """Pooled variance and its degrees of freedom."""
