@@ -312,6 +312,19 @@ def test_an_interaction_hidden_from_a_declared_model_withdraws_claims(
     assert {flat.effect(f).verdict for f in factors} == {NO_DIFFERENCE}
 
 
+def test_an_interaction_that_main_effects_share_withdraws_claims_too() -> None:
+    """Twelve runs of Plackett and Burman, six directions left out: simple effects are 1.2."""
+    row = np.array([1, 1, -1, 1, 1, 1, -1, -1, -1, 1, -1])
+    runs = np.vstack([*(np.roll(row, k) for k in range(11)), -np.ones(11, int)])
+    table = pd.DataFrame(runs[:, :5], columns=list("ABCDE"))
+    noise = np.random.default_rng(12).normal(0, 0.05, 12)
+    table["y"] = 10 + 0.6 * table["A"] * table["B"] + noise
+    found = anova(table, "y", list("ABCDE"), model=1, practical=1.0, exact=False)
+    assert NO_DIFFERENCE not in {found.effect(f).verdict for f in "AB"}
+    flat = anova(table.assign(y=noise), "y", list("ABCDE"), model=1, practical=1.0, exact=False)
+    assert {flat.effect(f).verdict for f in "ABCDE"} == {NO_DIFFERENCE}
+
+
 def test_a_fraction_leaves_out_aliases_in_one_sentence() -> None:
     table = crossed(A=2, B=2, C=2, D=2)
     table["E"] = table[list("ABCD")].sum(axis=1) % 2

@@ -65,6 +65,10 @@ _FARTHEST = 2.0
 _ROUNDING = 1e-12
 #: contrasts that Lenth's method needs
 LEAST_CONTRASTS = 7
+#: directions that a model of a fraction leaves out from which they are looked at. In a complete
+#: factorial six or fewer widen the interval beyond any interaction among them; in twelve runs of
+#: Plackett and Burman main effects take a part of it
+LEAST_LEFT_OUT = 4
 #: size of the test that declares a sample skewed
 SKEWED = 0.05
 #: resamples of the bootstrap
@@ -375,7 +379,8 @@ def _lack_of_fit_of_rows(
         return 1.0, "", None, whole.matrix
     whole, names, contrasts, declared = _one_df_directions(out)
     left_out = names[declared:]
-    if len(left_out) < LEAST_CONTRASTS:
+    is_full = balanced(out.data.layout, out.data.factors)
+    if len(left_out) < (LEAST_CONTRASTS if is_full else LEAST_LEFT_OUT):
         return 1.0, "", None, whole.matrix
     sparse = lenth(contrasts[:, declared:].T @ (out.y - out.y[0]), left_out, seed=out.request.seed)
     p = min(sparse.p) * len(left_out)
