@@ -257,26 +257,6 @@ def test_names_are_never_code(tmp_path) -> None:
     assert not (tmp_path / "ran").exists()
 
 
-def test_pooled_blocks_are_the_mixed_model_with_random_blocks() -> None:
-    """In a balanced design REML's Wald F with a random intercept a block is the exact F.
-
-    The tolerance is that of its optimizer, which ends at a gradient, not at the estimate.
-    """
-    mixed = pytest.importorskip("statsmodels.regression.mixed_linear_model").MixedLM
-    table = factorial({"a": 3, "b": 2, "s": 8}, 1, 5)
-    shift = {level: 2.0 * i**0.5 for i, level in enumerate(table["s"].unique())}
-    table["y"] += table["s"].map(shift)
-    ours = anova(table, "y", ["a", "b"], block="s", error="pooled", exact=False)
-    a = np.eye(3)[table["a"].astype("category").cat.codes] @ np.array([[1, 0], [0, 1], [-1, -1]])
-    b = np.where(table["b"] == table["b"].iloc[0], 1.0, -1.0)[:, None]
-    columns = np.hstack([np.ones((len(table), 1)), a, b, a * b])
-    fit = mixed(table["y"].to_numpy(), columns, groups=table["s"].to_numpy()).fit(reml=True)
-    assert fit.converged
-    for term, at in {"a": [1, 2], "b": [3], "a:b": [4, 5]}.items():
-        theirs = fit.f_test(np.eye(columns.shape[1] + 1)[at])
-        assert ours.anova.row(term).f == pytest.approx(float(theirs.fvalue), rel=1e-4)
-
-
 @pytest.mark.parametrize("block", ["blk", None])
 def test_an_effect_that_an_empty_cell_leaves_in_part_has_no_p(block: str | None) -> None:
     """The note says "no test", and blocks had a p of what was left, which is not the effect."""

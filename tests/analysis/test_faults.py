@@ -14,9 +14,8 @@ from study.cli.app import run
 from study.ground.errors import InputError, RefusedError
 from study.ground.tabular import read_tidy_csv as read_csv
 from study.statistics.analysis.anova import anova
-from study.statistics.analysis.equal_variance import bartlett, levene
-from study.statistics.analysis.normality import anderson_darling, ryan_joiner
-from study.statistics.analysis.normality import shapiro_wilk as shapiro
+from study.statistics.analysis.equal_variance import levene
+from study.statistics.analysis.normality import ryan_joiner
 
 
 def factorial(shape: dict[str, int], repeats: int, seed: int, **effect: float) -> pd.DataFrame:
@@ -61,9 +60,6 @@ def test_f16_copies_have_no_pure_error() -> None:
     with pytest.raises(RefusedError, match="no pure error") as refused:
         anova(table, "y", ["a", "b"])
     assert refused.value.exit_code == 3
-    assert bartlett([[1.0, 1.0, 1.0], [1.0, 1.0, 1.0]]).p is None
-    assert shapiro([3.0] * 9).p is None
-    assert anderson_darling([3.0] * 9).p is None
 
 
 def test_f17_a_group_that_does_not_vary_is_named_and_the_rest_is_reported() -> None:
