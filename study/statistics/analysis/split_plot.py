@@ -92,16 +92,16 @@ def whole_plots(data: Data, named: Sequence[str]) -> Plots | None:
         pair = data.layout.cell([data.block, *named])
         name = ":".join([data.block, *named])
         return Plots(tuple(named), np.unique(pair, return_inverse=True)[1], name, False)
-    constant = [f for f in data.factors if _constant(data.layout.codes[f], block)]
+    # every block holds one level, and a level lies in several blocks
+    blocks, codes = np.unique(block).size, data.layout.codes
+    constant = [
+        f
+        for f in data.factors
+        if np.unique(data.layout.cell([data.block, f])).size == blocks > np.unique(codes[f]).size
+    ]
     if not constant:
         return None
     return Plots(tuple(constant), block, data.block, True)
-
-
-def _constant(codes: Ints, block: Ints) -> bool:
-    """Whether every block holds one level, and a level lies in several blocks."""
-    pairs = np.unique(np.column_stack([block, codes]), axis=0)
-    return bool(pairs.shape[0] == np.unique(block).size > np.unique(codes).size)
 
 
 def split_plot(out: AnalysisOutcome, plots: Plots) -> AnalysisOutcome:

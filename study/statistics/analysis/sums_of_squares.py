@@ -172,7 +172,7 @@ def row_of_test(
 
 
 @dataclass(frozen=True)
-class FTest:
+class FRatioTest:
     """An F test."""
 
     f: float
@@ -183,7 +183,7 @@ class FTest:
     p: float
 
 
-def extra_sum(ss: float, df: float, ss_error: float, df_error: float) -> FTest | None:
+def extra_sum(ss: float, df: float, ss_error: float, df_error: float) -> FRatioTest | None:
     """Test what a larger model adds against what it leaves; None where nothing is left to judge by.
 
     Of a declared model it is the test of its lack of fit, whatever the larger one is: all
@@ -194,7 +194,7 @@ def extra_sum(ss: float, df: float, ss_error: float, df_error: float) -> FTest |
     if min(df, df_error) < 1 or ss_error <= 0:
         return None
     f = max(ss, 0.0) / df / (ss_error / df_error)
-    return FTest(f, float(df), float(df_error), float(fdtrc(df, df_error, f)))
+    return FRatioTest(f, float(df), float(df_error), float(fdtrc(df, df_error, f)))
 
 
 def with_shares(rows: Sequence[Row], total: float) -> tuple[Row, ...]:
@@ -504,7 +504,7 @@ def welch_box(groups: Sequence[Array], weights: Array) -> tuple[float, float, fl
     return float(np.sum(theta**2)) / trace, df1, df1 * trace**2 / below
 
 
-def over_blocks(values: Array, least: float = 0.0) -> FTest | None:
+def over_blocks(values: Array, least: float = 0.0) -> FRatioTest | None:
     """Test whether contrasts of blocks have the mean zero; None where none scatters so much.
 
     Shapes: values (d, b).
@@ -515,7 +515,7 @@ def over_blocks(values: Array, least: float = 0.0) -> FTest | None:
     from scipy.special import fdtrc
 
     f, df, df_error = test
-    return FTest(f, df, df_error, float(fdtrc(df, df_error, f)))
+    return FRatioTest(f, df, df_error, float(fdtrc(df, df_error, f)))
 
 
 # -------------------------------------------------------------------------------------------------

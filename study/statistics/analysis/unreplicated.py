@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from study.ground.arrays import Array, Ints
-from study.ground.canonical import plain
 from study.ground.errors import RefusedError
 from study.statistics.analysis.data import Data
 from study.statistics.analysis.linear_model import CellLayout, Term, balanced, term_name, terms_of
@@ -54,10 +53,6 @@ class LenthResult:
     half_normal: tuple[float, ...]
     simulations: int
     seed: int
-
-    def to_json(self) -> dict[str, object]:
-        """JSON document."""
-        return dict(plain(self))
 
     @property
     def active(self) -> tuple[str, ...]:

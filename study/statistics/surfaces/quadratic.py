@@ -13,7 +13,7 @@ from scipy.special import fdtri, stdtr, stdtrit
 from study.ground.arrays import Array, Flags, Ints
 from study.ground.errors import Fault, RefusedError
 from study.statistics.analysis.linear_model import Factorization, complement, factorize_columns
-from study.statistics.analysis.sums_of_squares import FTest, extra_sum, over_blocks
+from study.statistics.analysis.sums_of_squares import FRatioTest, extra_sum, over_blocks
 from study.statistics.surfaces.emulator import EffectRange, effect_ranges
 from study.statistics.surfaces.surface_factors import (
     Runs,
@@ -190,7 +190,7 @@ def leave_one_out(columns: ModelColumns, response: Array) -> LeaveOneOut | None:
 ROUNDING = 1e-12
 
 
-def against_blocks(columns: Array, response: Array) -> FTest | None:
+def against_blocks(columns: Array, response: Array) -> FRatioTest | None:
     """Test columns against their own interaction with the blocks (Greenhouse and Geisser 1959)."""
     # Shapes: columns (n, k); response (n, b).
     parts = columns.T @ response  # (k, b): what every block says of each column
@@ -199,7 +199,7 @@ def against_blocks(columns: Array, response: Array) -> FTest | None:
     return over_blocks(parts, (ROUNDING * float(np.abs(response).max())) ** 2)
 
 
-def lack_of_fit(columns: ModelColumns, response: Array, which: Ints) -> FTest | None:
+def lack_of_fit(columns: ModelColumns, response: Array, which: Ints) -> FRatioTest | None:
     """Classical test of the model against pure error (Montgomery 2017, section 11.2)."""
     # Shapes: response (n,); which (n,).
     counts = np.bincount(which)
@@ -363,14 +363,14 @@ class QuadraticSurface:
     #: The same with intervals and p.
     terms: tuple[SurfaceTerm, ...]
     #: With blocks: all terms of a factor together.
-    factor_tests: dict[str, FTest]
+    factor_tests: dict[str, FRatioTest]
     #: {"none", "blocks", "replicates"}: what tests rest on: nothing (a deterministic surface),
     #: blocks or replicates.
     error: Error
     #: Leave-one-out errors; None where no run can be left out.
     loo: LeaveOneOut | None
     #: What the model leaves open, against blocks or pure error.
-    lack_of_fit: FTest | None
+    lack_of_fit: FRatioTest | None
     #: None where the surface is level nowhere.
     stationary: StationaryPoint | None
     #: Terms that the settings cannot tell from others.
@@ -553,7 +553,7 @@ def _with_region(point: StationaryPoint | None, member: Member | None) -> Statio
     return replace(point, region=region_of(member, point.at))
 
 
-def _factor_tests(runs: Runs, columns: ModelColumns, table: Array) -> dict[str, FTest]:
+def _factor_tests(runs: Runs, columns: ModelColumns, table: Array) -> dict[str, FRatioTest]:
     found = {}
     for j, name in enumerate(runs.names):
         own = [i for i, term in enumerate(columns.terms) if j in term.factors]
@@ -591,7 +591,7 @@ def _surface(
     terms: tuple[SurfaceTerm, ...],
     error: Error,
     *,
-    lack: FTest | None = None,
+    lack: FRatioTest | None = None,
     notes: list[str],
 ) -> QuadraticSurface:
     count = len(columns.terms)

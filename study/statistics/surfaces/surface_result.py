@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from study.ground.arrays import Array
-from study.statistics.analysis.sums_of_squares import FTest
+from study.statistics.analysis.sums_of_squares import FRatioTest
 from study.statistics.surfaces.emulator import (
     NO_INDEX,
     BlockedEmulator,
@@ -270,7 +270,7 @@ def _of_emulator(
     return judged, notes
 
 
-def _test(test: FTest | None) -> Document | None:
+def _test(test: FRatioTest | None) -> Document | None:
     if test is None:
         return None
     return {"F": test.f, "df": test.df, "df_error": test.df_error, "p": test.p}
