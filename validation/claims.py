@@ -112,6 +112,19 @@ def unreplicated(interaction: float) -> Draw:
     return draw
 
 
+def fraction(interaction: float, lost: int) -> Draw:
+    """Half of two levels of five factors, once, less some runs; A and B act together alone."""
+
+    def draw(random: np.random.Generator) -> pd.DataFrame:
+        table = crossed({"a": 2, "b": 2, "c": 2, "d": 2})
+        table["e"] = table.sum(axis=1) % 2
+        sign = (2 * table["a"] - 1) * (2 * table["b"] - 1)
+        table["y"] = 10 + interaction * sign + random.normal(0, 0.1, 16)
+        return table.drop(index=random.permutation(16)[:lost])
+
+    return draw
+
+
 def interacting(b: int, size: float, noise: float) -> Draw:
     """Two by two in blocks, with an interaction that the declared model leaves out."""
 
@@ -199,12 +212,20 @@ def normal(levels: Mapping[str, int], sd: float) -> Draw:
     return draw
 
 
+def fractions(false: tuple[str, ...]) -> Iterator[Table]:
+    """List declared models without repeats that leave out the one interaction there is."""
+    for size, lost in ((0.55, 0), (0.55, 1), (0.7, 2)):
+        yield Table(f"declared model, fraction less {lost}, {size}", fraction(size, lost),
+                    ("a", "b", "c", "d", "e"), 1.0, false, model=1, judged=("a", "b"))  # fmt: skip
+
+
 def tables() -> Iterator[Table]:
     """All kinds of tables, one rule of the gate after the other."""
     no = ("no practical difference",)
     for size in (0.5, 2.0):
         yield Table(f"unreplicated, interaction {size}", unreplicated(size), ("a", "b", "c", "d"),
                     2 * size, judged=("a", "b"))  # fmt: skip
+    yield from fractions(no)
     for noise in (0.05, 0.3, 0.5, 0.8):
         yield Table(f"declared model, noise {noise}", interacting(5, 1, noise), ("a", "b"), 1.0,
                     no, ("s",), ("a", "b"))  # fmt: skip
@@ -228,7 +249,10 @@ def tables() -> Iterator[Table]:
         yield Table(f"skewed, {b} blocks", blocks(b, skewed), ("a",), 1.0, block=("s",))
     for b, k in ((5, 3), (5, 4), (6, 4), (8, 4)):
         yield Table(f"skewed, {b} blocks of {k}", many(b, k), ("a",), 1.0, block=("s",))
-    for k, sds, limit in ((5, (0.2, 1.5), 1.5), (5, (0.3, 0.6), 0.7), (6, (0.2, 1.5), 1.5)):
+    for k, sds, limit in (
+        (4, (0.2, 1.5), 1.5), (4, (0.3, 1.0), 1.0), (5, (0.2, 1.5), 1.5), (5, (0.3, 0.6), 0.7),
+        (6, (0.2, 1.5), 1.5),
+    ):  # fmt: skip
         yield Table(f"Latin square of {k}, scatter {sds}", latin(k, sds, limit), ("a",), limit,
                     block=("r", "c"))  # fmt: skip
     yield Table("power, Latin square of 5", latin(5, (0.35, 0.35), 0.0), ("a",), 1.0,

@@ -45,7 +45,6 @@ from study.statistics.analysis.comparisons import (
     FamilyTest,
     GroupMoments,
     blocked_dunnett,
-    dunnett,
     holm_family,
 )
 from study.statistics.analysis.linear_model import Formula, read_formula
@@ -53,6 +52,7 @@ from study.statistics.analysis.mixed_model import MixedModel, mixed_model, rando
 from study.statistics.analysis.post_hoc import (
     coefficient_table,
     diagnosed_rows,
+    dunnett,
     dunnett_of_model,
     pairwise,
     unusual_observations,
@@ -103,7 +103,7 @@ def _of_rows(analysis: AnalysisResult, factor: str, reference: str) -> Compariso
         rows = rows.assign(response=np.log(rows["response"]))
     if analysis.data.block is None:
         groups = {str(k): g["response"].to_numpy() for k, g in rows.groupby(factor, sort=False)}
-        return dunnett(groups, reference, alpha=alpha, seed=seed)
+        return dunnett(groups, reference, alpha, seed)
     means = rows.pivot_table("response", "block", factor, sort=False).dropna()
     by_level = {str(name): means[name].to_numpy() for name in means.columns}
     return blocked_dunnett(by_level, reference, alpha=alpha, seed=seed)

@@ -28,16 +28,14 @@ from study.reporting.results.study_answers import (
     OnlyInOne,
     document,
 )
+from study.statistics.analysis.simple_effects import MATTERS, NO_DIFFERENCE
 
 if TYPE_CHECKING:
     from study.reporting.results.study_result import ResponseAnalysis, StudyResult
     from study.statistics.analysis.analysis_result import AnalysisResult
     from study.statistics.analysis.anova_table import Effect
 
-_MATTERS = "matters"
-_NO_DIFFERENCE = "no practical difference"
-_CANNOT_TELL = "cannot tell"
-_HOLDS = {_MATTERS: study_answers.MATTERS, _NO_DIFFERENCE: study_answers.NO_DIFFERENCE}
+_HOLDS = {MATTERS: study_answers.MATTERS, NO_DIFFERENCE: study_answers.NO_DIFFERENCE}
 
 
 @dataclass(frozen=True)
@@ -202,7 +200,7 @@ def _judge(
     if verdicts[0] != verdicts[1]:
         how = "; ".join(f"{v} under {name}" for v, name in zip(verdicts, names, strict=True))
         return f"{study_answers.DIFFERS}: {how}", False
-    if verdicts[0] == _MATTERS and same is False:
+    if verdicts[0] == MATTERS and same is False:
         lead = " and ".join(
             f"{level} under {name}" for level, name in zip(best, names, strict=True)
         )

@@ -82,6 +82,7 @@ def _cells(analysis: AnalysisResult) -> Cells:
         table["y"].to_numpy(),
         request.alpha,
         request.seed,
+        request.layout.whole_plot,
     )
     return cells if model is None else replace(cells, estimate=model.between)
 

@@ -7,12 +7,14 @@ import math
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from study import api
 from study.api.augmenting import continued
 from study.api.folders import (
     RESULTS,
@@ -22,7 +24,7 @@ from study.api.folders import (
     results_folder,
 )
 from study.api.manifest import run_changes
-from study.ground.errors import Fault, InputError, MissingDataError
+from study.ground.errors import Fault, InputError, MissingDataError, StudyError
 from study.harness.design.overview import Overview, overview
 from study.harness.design.spec import Design
 from study.harness.external.command import common_digest
@@ -264,8 +266,13 @@ def _idle_replicates(work: Work) -> list[str]:
     ]
 
 
-def status(path: str | Path, *, results: str | Path = RESULTS) -> dict[str, Any]:
+def status(
+    path: str | Path, *, results: str | Path = RESULTS, judged: bool = False
+) -> dict[str, Any]:
     """Progress of a study, from any shell: the document of ``study status --json``.
+
+    With ``judged`` a study that is finished and does not run gives its verdicts, which takes as
+    long as opening it.
 
     ``running`` holds pid, host, since and the last progress, or None; the predicted seconds are
     those that are left. Counted are the cases of the last finished run; ``unfinished`` says how
@@ -277,12 +284,16 @@ def status(path: str | Path, *, results: str | Path = RESULTS) -> dict[str, Any]
     manifest = finished_manifest(store)
     survey, later = store.survey(manifest["cases"]), store.read_unfinished()
     running = store.running()
+    verdicts: list[dict[str, object]] = []
+    if judged and running is None and later is None and not survey.missing:
+        with suppress(StudyError):  # what keeps a study from being opened is no progress of it
+            verdicts = api.load(folder, results).verdicts
     return {
         "study": manifest["name"],
         "cases": _counts(survey),
         "predicted_seconds": seconds_left(running),
         "report": None,
-        "verdicts": [],
+        "verdicts": verdicts,
         "warnings": warnings,
         "failures": dict(Counter(survey.statuses.values())),
         "running": running,

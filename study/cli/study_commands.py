@@ -221,7 +221,7 @@ def status(
     """Print the progress of a study, from another shell too."""
     from study import api
 
-    state = api.status(path, results=results)
+    state = api.status(path, results=results, judged=as_json)
     output.show(state, as_json, _status, state["warnings"])
 
 

@@ -14,9 +14,7 @@ from scipy.stats import t as student
 from study.api import contrasts
 from study.ground.errors import RefusedError
 from study.statistics.analysis.anova import anova
-from study.statistics.analysis.comparisons import GroupMoments
-from study.statistics.analysis.data import resolution
-from study.statistics.analysis.effects import cell_welch
+from study.statistics.analysis.data import prepare, refuse_copied_rows, resolution
 from study.statistics.analysis.equal_variance import own_variances, variances_beside_blocks
 from study.statistics.analysis.linear_model import CellLayout as Layout
 from study.statistics.analysis.linear_model import model_matrix
@@ -24,7 +22,6 @@ from study.statistics.analysis.simple_effects import (
     CANNOT_TELL,
     MATTERS,
     NO_DIFFERENCE,
-    Differences,
 )
 from study.statistics.analysis.sums_of_squares import factor
 
@@ -108,23 +105,6 @@ def test_welch_withdraws_what_the_pooled_variance_claims() -> None:
     assert anova(even, "y", ["a"], practical=2.5, exact=False).effect("a").verdict == NO_DIFFERENCE
 
 
-def test_welch_intervals_of_one_factor_are_those_of_games_and_howell() -> None:
-    table = groups(1, (6, 4, 9), (0.3, 1.0, 2.0))
-    codes = table["a"].to_numpy()
-    y = table["y"].to_numpy()
-    layout = Layout({"a": ("0", "1", "2")}, {"a": codes})
-    fit = factor(model_matrix(layout, [("a",)]), y)
-    levels = model_matrix(Layout(layout.levels, {"a": np.arange(3)}), [("a",)]).columns
-    pairs = np.array(list(itertools.combinations(range(3), 2)))
-    asked = Differences(levels, pairs[:, 0], pairs[:, 1])
-    ours = cell_welch(fit, codes, own_variances(y, codes), 0.05, 0.0)(asked)
-    theirs = GroupMoments.of({str(k): y[codes == k] for k in range(3)})
-    theirs = theirs.pairs(0.05, equal=False).pairs
-    half = ours.error * ours.simultaneous
-    assert ours.value == pytest.approx([p.difference for p in theirs])
-    assert half == pytest.approx([(p.upper - p.lower) / 2 for p in theirs], rel=1e-6)
-
-
 def test_readings_as_coarse_as_the_differences_claim_nothing() -> None:
     table = crossed(s=3, a=2)
     table["y"] = 7.0 + table["s"] + 2.0 * table["a"]  # one step more, in every block
@@ -153,6 +133,31 @@ def test_copied_rows_are_refused_until_they_are_said_to_be_real(times: int) -> N
     part = pd.concat([copied, groups(9, (1, 1), (0.3, 0.3))], ignore_index=True)
     with pytest.raises(RefusedError, match="repeat another of their cell"):
         anova(part, "y", ["a"], exact=False)
+
+
+@pytest.mark.parametrize(("times", "digit"), [(2, 1e-9), (2, 1e-4), (3, 1e-5), (3, 1e-3)])
+def test_copies_with_other_last_digits_are_refused(times: int, digit: float) -> None:
+    random = np.random.default_rng(2)
+    table = groups(3, (8, 8), (0.5, 0.5)).round(3)
+    copied = pd.concat([table] * times, ignore_index=True)
+    copied["y"] += digit * random.normal(size=len(copied))
+    with pytest.raises(RefusedError, match="copied rows: .* to within"):
+        anova(copied, "y", ["a"], exact=False)
+    blocks = crossed(s=5, a=4)
+    blocks["y"] = 3 * blocks["s"] + blocks["a"] + random.normal(0, 0.3, 20)
+    blocks.loc[blocks["s"] == 4, "y"] = blocks["y"][blocks["s"] == 1].to_numpy() + 1e-5
+    with pytest.raises(RefusedError, match="to within 1e-05 s 4 repeats 1"):
+        anova(blocks, "y", ["a"], block="s", exact=False)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_rows_that_are_close_by_chance_are_no_copies(seed: int) -> None:
+    """Heavy tails crowd in the middle; a step that is no decimal number ties everywhere."""
+    random = np.random.default_rng(seed)
+    heavy = pd.DataFrame({"a": np.repeat(list("abc"), 100), "y": random.standard_t(2, 300)})
+    step = np.round(random.normal(size=80), 1) * 1.2345678 + 1e-9 * random.normal(size=80)
+    for table in (heavy, pd.DataFrame({"a": np.repeat(list("abcd"), 20), "y": step})):
+        refuse_copied_rows(prepare(table, "y", ["a"]))
 
 
 def test_coarse_readings_tie_without_being_copies() -> None:
@@ -287,6 +292,50 @@ def test_a_fraction_with_a_lost_run_leaves_out_the_fewest_terms() -> None:
     assert len(found.notes) < 7
     assert found.effect("A").range == pytest.approx(1, abs=0.3)
     assert found.effect("A").verdict == CANNOT_TELL
+
+
+@pytest.mark.parametrize("lost", [[], [2], [2, 9]])
+@pytest.mark.parametrize("factors", ["ABCD", "ABCDE"])
+def test_an_interaction_hidden_from_a_declared_model_withdraws_claims(
+    factors: str, lost: list[int]
+) -> None:
+    """Without repeats, complete, a fraction, or short of runs: simple effects are 1.2."""
+    table = crossed(A=2, B=2, C=2, D=2)
+    table["E"] = table[list("ABCD")].sum(axis=1) % 2
+    noise = np.random.default_rng(1).normal(0, 0.05, 16)
+    table["y"] = 10 + 0.6 * sign(table, "A", "B") + noise
+    asked = {"model": 1, "practical": 1.0, "exact": False}
+    found = anova(table.drop(index=lost), "y", list(factors), **asked)
+    assert [found.effect(f).verdict for f in "AB"] == [CANNOT_TELL, CANNOT_TELL]
+    assert any("A:B stands out" in note for note in found.notes)
+    flat = anova(table.assign(y=10 + noise).drop(index=lost), "y", list(factors), **asked)
+    assert {flat.effect(f).verdict for f in factors} == {NO_DIFFERENCE}
+
+
+def test_an_interaction_that_main_effects_share_withdraws_claims_too() -> None:
+    """Twelve runs of Plackett and Burman, six directions left out: simple effects are 1.2."""
+    row = np.array([1, 1, -1, 1, 1, 1, -1, -1, -1, 1, -1])
+    runs = np.vstack([*(np.roll(row, k) for k in range(11)), -np.ones(11, int)])
+    table = pd.DataFrame(runs[:, :5], columns=list("ABCDE"))
+    noise = np.random.default_rng(12).normal(0, 0.05, 12)
+    table["y"] = 10 + 0.6 * table["A"] * table["B"] + noise
+    found = anova(table, "y", list("ABCDE"), model=1, practical=1.0, exact=False)
+    assert NO_DIFFERENCE not in {found.effect(f).verdict for f in "AB"}
+    flat = anova(table.assign(y=noise), "y", list("ABCDE"), model=1, practical=1.0, exact=False)
+    assert {flat.effect(f).verdict for f in "ABCDE"} == {NO_DIFFERENCE}
+
+
+def test_a_fraction_leaves_out_aliases_in_one_sentence() -> None:
+    table = crossed(A=2, B=2, C=2, D=2)
+    table["E"] = table[list("ABCD")].sum(axis=1) % 2
+    table["y"] = 10 + 2 * sign(table, "A", "B") + np.random.default_rng(1).normal(0, 0.2, 16)
+    found = anova(table, "y", list("ABCDE"), practical=1.0, exact=False)
+    declared = anova(table, "y", list("ABCDE"), model=2, practical=1.0, exact=False)
+    assert found.anova == declared.anova
+    assert {e.verdict for e in found.effects if e.is_main} == {CANNOT_TELL}
+    assert [declared.effect(f).verdict for f in "AC"] == [MATTERS, NO_DIFFERENCE]
+    assert sum("A:B:C (= D:E)" in note for note in found.notes) == 1
+    assert len(found.notes) < 5
 
 
 def test_a_level_that_fails_in_most_blocks_leaves_its_siblings() -> None:
@@ -435,16 +484,16 @@ def test_a_declared_model_of_a_split_plot_is_held_against_its_lack_of_fit() -> N
     assert sound.effect("b").verdict == NO_DIFFERENCE
 
 
-@pytest.mark.parametrize("seed", [3, 20, 21])
-def test_one_treatment_of_a_latin_square_scatters_more(seed: int) -> None:
+@pytest.mark.parametrize(("k", "seed"), [(5, 3), (5, 20), (5, 21), (4, 42), (4, 46), (4, 47)])
+def test_one_treatment_of_a_latin_square_scatters_more(k: int, seed: int) -> None:
     """Of 300 such squares, whose difference is the practical one, 46 made a claim; now 1 in 30."""
     random = np.random.default_rng([11, seed])
-    table = crossed(r=5, c=5)
-    table["v"] = random.permutation(5)[(table["r"] + table["c"]) % 5]
-    sd = np.where(table["v"] == 4, 1.5, 0.2)
-    rows, columns = random.normal(0, 1, 5), random.normal(0, 1, 5)
-    scatter = sd * random.normal(size=25)
-    table["y"] = rows[table["r"]] + columns[table["c"]] + scatter + 1.5 * (table["v"] == 4)
+    table = crossed(r=k, c=k)
+    table["v"] = random.permutation(k)[(table["r"] + table["c"]) % k]
+    sd = np.where(table["v"] == k - 1, 1.5, 0.2)
+    rows, columns = random.normal(0, 1, k), random.normal(0, 1, k)
+    scatter = sd * random.normal(size=k * k)
+    table["y"] = rows[table["r"]] + columns[table["c"]] + scatter + 1.5 * (table["v"] == k - 1)
     found = anova(table, "y", ["v"], block=["r", "c"], practical=1.5, exact=False)
     assert found.effect("v").verdict == CANNOT_TELL
     assert "scatter unequally" in found.effect("v").why

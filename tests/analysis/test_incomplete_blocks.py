@@ -41,6 +41,23 @@ def less_one_a_block(table: pd.DataFrame) -> pd.DataFrame:
     return table[(first != (3 * number) % 8).to_numpy()]
 
 
+def test_a_split_plot_without_a_row_keeps_its_means() -> None:
+    """The mean of a level does not follow the block that lacks it; F as of the same mixed model."""
+    table = gels().rename(columns={"specimen": "s"})
+    lost = table.drop(index=[9])
+    asked = {"block": "s", "practical": 1.0, "exact": False}
+    full = study.anova(table, "y", ["material", "mesh"], whole_plot="material", **asked)
+    less = study.anova(lost, "y", ["material", "mesh"], whole_plot="material", **asked)
+    mixed = study.mixed_model(lost, "y", ["material", "mesh"], block="s", random=["material"])
+    assert [less.anova.row(t.term).f for t in mixed.terms] == pytest.approx(
+        [t.f for t in mixed.terms]
+    )
+    assert less.effect("mesh").mean == pytest.approx(full.effect("mesh").mean, abs=0.02)
+    assert "s, s:material and the rest" in less.error_term.reason
+    (contrast,) = study.contrasts(less, "mesh=h1 - mesh=h0")
+    assert contrast.df == pytest.approx(less.anova.row("mesh").df_error, rel=0.01)
+
+
 def test_an_effect_is_still_tested_against_its_own_interaction() -> None:
     options = {"block": "specimen", "practical": 1, "exact": False}
     full = study.anova(gels(), "y", ["material", "mesh"], **options)

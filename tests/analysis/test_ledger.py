@@ -12,6 +12,7 @@ import pytest
 from study.ground.errors import InputError
 from study.statistics.analysis.anova import anova
 from study.statistics.analysis.error_ledger import REMEDIES
+from study.statistics.analysis.simple_effects import CANNOT_TELL
 
 
 def grid(shape: dict[str, int], repeats: int = 1, seed: int = 0) -> pd.DataFrame:
@@ -208,11 +209,14 @@ def test_a_saturated_fraction_is_judged_by_its_own_contrasts() -> None:
     by_hand = y[columns["D"] == 1].mean() - y[columns["D"] == -1].mean()
     assert result.variation.lenth.values[at] == pytest.approx(by_hand, rel=1e-9)
     assert result.anova.row("D").p == result.variation.lenth.p[at]
-    # with all interactions asked for, every contrast is aliased: said, and no p
-    full = anova(pd.DataFrame(columns).assign(y=y), "y", list("ABCDEFG"), model=2)
-    assert full.error_term.source == "E7"
-    assert any(w.startswith("D: 1 of 1 degrees") and "A:B" in w for w in full.notes)
-    assert any("every term is aliased" in w for w in full.notes)
+    # with all interactions asked for, those that are other terms are left out, and nothing is
+    # claimed; one sentence says so
+    table = pd.DataFrame(columns).assign(y=y)
+    full = anova(table, "y", list("ABCDEFG"), model=2, practical=1.0)
+    assert [row.term for row in full.anova.rows] == [*"ABCDEFG", "residual"]
+    assert full.anova.row("D").p == result.anova.row("D").p
+    assert sum("A:B (= D)" in note for note in full.notes) == 1
+    assert {e.verdict for e in full.effects} == {CANNOT_TELL}
 
 
 def test_lenth_carries_a_verdict_where_a_term_is_one_contrast() -> None:

@@ -13,7 +13,6 @@ from scipy.stats import t as student
 from study.ground.errors import InputError
 from study.statistics.analysis.comparisons import scale_rule
 from study.statistics.analysis.power import (
-    contrast_sd,
     fewest_blocks,
     planned_verdicts,
     verdict_probabilities,
@@ -98,10 +97,9 @@ def test_the_fewest_blocks_reach_what_was_wanted_and_one_less_does_not() -> None
 
 
 def test_cost_counts_every_solve() -> None:
-    plan = planned_verdicts([3, 5], 0.3, 1.0, seeds=4, sd_seed=0.2, cells=6, seconds=10.0)
-    assert [(row.cases, row.seconds) for row in plan] == [(72, 720.0), (120, 1200.0)]
-    same = verdict_probabilities(5, contrast_sd(0.3, 4, 0.2), 1.0, 0.0)
-    assert plan[1].equal == same
+    plan = planned_verdicts([3, 5], 0.3, 1.0, cells=6, seconds=10.0)
+    assert [(row.cases, row.seconds) for row in plan] == [(18, 180.0), (30, 300.0)]
+    assert plan[1].equal == verdict_probabilities(5, 0.3, 1.0, 0.0)
 
 
 @pytest.mark.parametrize(

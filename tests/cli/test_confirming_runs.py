@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -145,6 +146,18 @@ def test_indices_beside_a_list_of_levels_are_those_of_a_product(
         for row, s, t in zip(rows, first, total, strict=True):
             assert row["S_interval"][0] <= s <= row["S_interval"][1]
             assert row["T_interval"][0] <= t <= row["T_interval"][1]
+
+
+def test_the_state_of_a_finished_study_holds_its_verdicts(
+    product: tuple[Path, StudyResult],
+) -> None:
+    """Those over numbers too: one row a factor and level, each with its interval."""
+    home, found = product
+    told = study("status", "product", "--results", home / "results", "--json").json["verdicts"]
+    assert told == json.loads(json.dumps(found.verdicts))
+    assert len(told) == 6
+    assert all(len(row["ci95"]) == 2 for row in told)
+    assert public.api.status("product", results=home / "results")["verdicts"] == []
 
 
 def test_a_level_is_compared_over_the_ranges(product: tuple[Path, StudyResult]) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy import stats
 
 from study.ground.arrays import Array
 from study.ground.errors import InputError, RefusedError
@@ -104,16 +103,6 @@ def test_terms_that_cannot_be_told_are_listed() -> None:
     assert any("add runs" in note for note in found.notes)
     x = np.linspace(-1, 1, 9)
     assert "x2 = -1 x1" in fit_quadratic(unit_runs(np.column_stack([x, -x]), x + x**2)).aliases
-
-
-def test_one_column_against_blocks_is_the_paired_t_test() -> None:
-    rng = np.random.default_rng(3)
-    table = rng.normal(0.3, 1.0, (2, 7))
-    found = against_blocks(np.array([[-1.0], [1.0]]) / 2**0.5, table)
-    t = stats.ttest_rel(table[0], table[1])
-    assert found is not None
-    assert found.f == pytest.approx(t.statistic**2)
-    assert found.p == pytest.approx(t.pvalue)
 
 
 def block_runs(rng: np.random.Generator, coded: Array, true: Polynomial, blocks: int) -> Runs:

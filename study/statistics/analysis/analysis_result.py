@@ -113,7 +113,6 @@ class AnalysisResult:
 
     def to_json(self) -> dict[str, object]:
         """Document of ``study analyze --json``: JSON types only, never a bare NaN."""
-        lenth = self.variation.lenth
         return {
             "response": self.request.response,
             "transform": self.request.scale.transform,
@@ -125,7 +124,7 @@ class AnalysisResult:
             "shares": plain(self.variation.shares),
             "distinct_computations": self.data.distinct,
             "copies": plain(self.data.copies),
-            "lenth": None if lenth is None else lenth.to_json(),
+            "lenth": plain(self.variation.lenth),
             "summary": plain(self.variation.summary),
             "failure_bounds": plain(self.data.bounds),
             "nested": plain(self.data.nested),

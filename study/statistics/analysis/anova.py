@@ -124,18 +124,17 @@ def _summary_of_data(out: AnalysisOutcome, model_matrix: Array | None) -> DataSu
 
 
 def _inestimable(effects: Sequence[Effect]) -> list[str]:
-    """One sentence for every term some of whose means cannot be estimated."""
-    sentences = []
-    for effect in effects:
-        lost = [
-            level for level, mean in zip(effect.levels, effect.mean, strict=True) if mean is None
-        ]
-        if lost:
-            more = f" and {len(lost) - 5} more" if len(lost) > 5 else ""
-            sentences.append(
-                f"{effect.term}: the mean is not estimable at {', '.join(lost[:5])}{more}"
-            )
-    return sentences
+    """One sentence about the means that cannot be estimated, of the terms in their order."""
+    lost = {e.term: [a for a, m in zip(e.levels, e.mean, strict=True) if m is None]
+            for e in effects}  # fmt: skip
+    places = [
+        f"{term} at {', '.join(levels[:5])}"
+        + (f" and {len(levels) - 5} more" if len(levels) > 5 else "")
+        for term, levels in lost.items()
+        if levels
+    ]
+    more = f"; and of {len(places) - 5} more terms" if len(places) > 5 else ""
+    return [f"means are not estimable: {'; '.join(places[:5])}{more}"] if places else []
 
 
 def _power(out: AnalysisOutcome) -> dict[str, tuple[PowerRow, ...]]:
@@ -541,7 +540,7 @@ def _found(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisOutcome:
     declared = data.also or (request.layout.whole_plot and request.error == "auto")
     # pooled over unequal variances the test of a true null rejects in up to .48 of cases
     if data.block is not None and not declared and request.error != "pooled":
-        mixed = incomplete_blocks(out) if plots is None else None
+        mixed = incomplete_blocks(out) if plots is None or not plots.nested else None
         if mixed is not None:
             return mixed
         tested = own(out) if plots is None or not plots.nested else own_groups(out, plots)
@@ -551,7 +550,8 @@ def _found(table: pd.DataFrame, request: AnalysisRequest) -> AnalysisOutcome:
         if lacking:
             return pooled(out, untested=lacking)
     if plots is not None:
-        return split_plot(out, plots)
+        asked_for = request.layout.whole_plot and request.error != "pooled"
+        return (incomplete_blocks(out, plots) if asked_for else None) or split_plot(out, plots)
     return error_ledger.welch(out) if request.error == "welch" else pooled(out)
 
 
@@ -597,23 +597,27 @@ def _with_empty_cells(
 ) -> tuple[Structure, tuple[Term, ...]]:
     """Structure without the cells that the model does not need, and the terms that are told apart.
 
-    Terms that add nothing to those before them are left out, and named. A regular fraction keeps
-    all of its terms: each is aliased with others, and it is for the analyst to name those wanted.
+    Terms that add nothing to those before them are left out, and named with their aliases.
     """
     cells = np.unique(data.cell, return_index=True)[1]
     model = factorize(model_matrix(data.layout.take(cells), terms))
+    ordered = request.model == "full" or isinstance(request.model, int)
     if model.is_full or nested_in(terms):
         return replace(structure, empty_cells=0), terms
-    told_apart = tuple(
-        t for i, t in enumerate(model.matrix.terms) if t and model.space(i, "I").basis.shape[1]
-    )
+    spaces = {t: model.space(i, "I") for i, t in enumerate(model.matrix.terms) if t}
+    told_apart = tuple(t for t, space in spaces.items() if space.basis.shape[1])
     reduced = factorize(model_matrix(data.layout.take(cells), told_apart))
-    if len(told_apart) < len(terms) and reduced.is_full and reduced.is_orthogonal():
-        return replace(structure, empty_cells=0), terms
-    ordered = request.model == "full" or isinstance(request.model, int)
+    is_fraction = reduced.is_full and reduced.is_orthogonal()
+    if is_fraction and len(told_apart) < len(terms):
+        structure = replace(structure, empty_cells=0)
     if len(told_apart) == len(terms) or not ordered or not request.any_type:
         return structure, terms
-    lost = [term_name(t) for t in terms if t not in told_apart]
+    lost = [
+        term_name(t)
+        + (f" (= {space.aliases[0]})" if space.aliases and space.nominal_df == 1 else "")
+        for t, space in spaces.items()
+        if t not in told_apart
+    ]
     listed = ", ".join(lost[:8]) + (f" and {len(lost) - 8} more" if len(lost) > 8 else "")
     order = request.lower_order
     smaller = f"--model {order}, or the terms" if order else "--model with the terms"

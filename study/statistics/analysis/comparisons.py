@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -15,11 +14,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from study.ground.arrays import Array, Ints
-from study.ground.errors import Fault, InputError, RefusedError, nearest
+from study.ground.errors import Fault, InputError, nearest
 from study.statistics.analysis.simple_effects import Differences
 
 if TYPE_CHECKING:
-    from scipy.stats._common import ConfidenceInterval
+    pass
 
 
 @dataclass(frozen=True)
@@ -66,21 +65,6 @@ class Comparisons:
         return replace(self, pairs=pairs, is_ratio=True)
 
 
-def _checked(groups: Mapping[str, ArrayLike]) -> dict[str, Array]:
-    """Values of every group, two or more and finite."""
-    values = {str(k): np.asarray(v, dtype=float) for k, v in groups.items()}
-    faults = [
-        Fault(f"group {k}", f"needs at least two finite values, got {v.tolist()[:5]}")
-        for k, v in values.items()
-        if v.size < 2 or not np.all(np.isfinite(v))
-    ]
-    if len(values) < 2:
-        faults.append(Fault("groups", "at least two groups are needed"))
-    if faults:
-        raise InputError(faults)
-    return values
-
-
 @dataclass(frozen=True)
 class GroupMoments:
     """Name, size, mean and variance of some groups."""
@@ -89,18 +73,6 @@ class GroupMoments:
     n: Array
     mean: Array
     variance: Array
-
-    @staticmethod
-    def of(groups: Mapping[str, ArrayLike]) -> GroupMoments:
-        """Moments of values, as differences from the first one: exact where doubles are close."""
-        values = list(_checked(groups).values())
-        shift = values[0][0]
-        return GroupMoments(
-            tuple(map(str, groups)),
-            np.array([float(v.size) for v in values]),
-            np.array([float((v - shift).mean()) for v in values]),
-            np.array([float((v - v[0]).var(ddof=1)) for v in values]),
-        )
 
     @property
     def pooled(self) -> tuple[float, float]:
@@ -149,60 +121,6 @@ class GroupMoments:
         different = {frozenset((x.first, x.second)) for x in pairs if x.p < alpha}
         ordered = [self.names[i] for i in np.argsort(-self.mean, kind="stable")]
         return Comparisons(method, alpha, tuple(pairs), letters(ordered, different))
-
-
-def dunnett(
-    groups: Mapping[str, ArrayLike], control: str, *, alpha: float = 0.05, seed: int = 2011
-) -> Comparisons:
-    """Every group against a reference (Dunnett 1955), multivariate t by scipy, seeded.
-
-    Shapes: groups (n_i,).
-    """
-    _checked(groups)
-    others = [str(k) for k in groups if k != control]
-    p, interval = _dunnett(
-        [np.asarray(groups[k], float) for k in others], np.asarray(groups[control], float), alpha,
-        seed,
-    )  # fmt: skip
-    reference = float(np.mean(np.asarray(groups[control], float)))
-    pairs = tuple(
-        LevelPair(
-            name,
-            control,
-            float(np.mean(np.asarray(groups[name], float))) - reference,
-            float(interval.low[i]),
-            float(interval.high[i]),
-            float(p[i]),
-        )
-        for i, name in enumerate(others)
-    )
-    return Comparisons("Dunnett", alpha, pairs, {})
-
-
-#: Seeds after which an interval of Dunnett's test is refused
-_DUNNETT_SEEDS = 8
-
-
-def _dunnett(
-    samples: Sequence[Array], reference: Array, alpha: float, seed: int
-) -> tuple[Array, ConfidenceInterval]:
-    """P-values and intervals; where the noise of the integral hid the level, with other draws.
-
-    scipy integrates the multivariate t with random numbers, and warns where the level that it
-    reached is off by more than 1 % of alpha: in one of some thousand tables.
-    """
-    from scipy.stats import dunnett as scipy_dunnett
-
-    for number in range(_DUNNETT_SEEDS):
-        rng = np.random.default_rng(seed + number)
-        test = scipy_dunnett(*samples, control=reference, random_state=rng)
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
-            interval = test.confidence_interval(1 - alpha)
-        if not caught:
-            return np.asarray(test.pvalue), interval
-    rule = f"Dunnett's intervals have not reached their level in {_DUNNETT_SEEDS} integrations"
-    raise RefusedError(f"{rule}: {caught[-1].message}")
 
 
 def holm(p: ArrayLike) -> Array:
@@ -386,8 +304,11 @@ def block_multiplier(
     safe = bonferroni(max(m, 1), b - 1 if df is None else df, alpha)
     if seed is None or m <= 1 or min(len(part) for part in parts) < FEWEST_BLOCKS:
         return safe
-    roots = [_centred(contrasts[:, part]) for part in parts]
-    z = np.concatenate(roots, axis=1)
+    blocks = [contrasts[:, part] for part in parts]
+    # roots of the covariance of each group: z z' is their covariance
+    z = np.concatenate(
+        [(v - v.mean(axis=1, keepdims=True)) / math.sqrt(v.shape[1] - 1) for v in blocks], axis=1
+    )
     spread = np.sqrt(np.sum(z**2, axis=1))
     z = z[spread > 1e-12 * spread.max(initial=0.0)]
     if not len(z):
@@ -400,12 +321,6 @@ def block_multiplier(
         largest = _largest_t(np.split(z, ends, axis=1), [len(part) for part in parts], seed)
     simulated = float(np.quantile(largest, 1 - SHARPER * alpha))
     return np.minimum(safe, simulated) if isinstance(safe, np.ndarray) else min(safe, simulated)
-
-
-def _centred(values: Array) -> Array:
-    """Root of the covariance of some blocks: z z' is their covariance, shape (m, b)."""
-    centre = values.mean(axis=1, keepdims=True)
-    return np.asarray((values - centre) / math.sqrt(values.shape[1] - 1))
 
 
 def _largest_t(roots: Sequence[Array], blocks: Sequence[int], seed: int) -> Array:
@@ -569,7 +484,7 @@ def holm_family(
 #
 # Dunnett (1955), J. Amer. Statist. Assoc. 50, 1096-1121, with the largest |t| over differences
 # that depend on each other and may differ in variance; for independent groups of equal variance
-# see :func:`study.statistics.analysis.comparisons.dunnett`.
+# see :func:`study.statistics.analysis.post_hoc.dunnett`.
 
 #: smallest p that is told apart: one of the 4,000 draws of the multiplier
 _LEAST_P = 1 / 4000

@@ -277,6 +277,12 @@ _LEAST_SHARE = 0.2
 _DISTINCT_ROWS = 8
 #: pairs of blocks that are compared value by value
 _MOST_BLOCKS = 200
+#: parts of the scatter to which copies agree whose last digits were changed
+_NEAR = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
+#: rows of a table in which such copies are looked for
+_MOST_ROWS = 5000
+#: part of the interactions' scatter that a copied block may lie apart
+_FARTHEST = 1e-3
 
 
 @dataclass(frozen=True)
@@ -343,7 +349,7 @@ def _nested(data: Data) -> tuple[tuple[str, str], ...]:
 
 
 def refuse_copied_rows(data: Data) -> None:
-    """Refuse rows that repeat others in every digit, more often than their resolution explains."""
+    """Refuse rows that repeat others, more often or more closely than chance explains."""
     mend = "; where every one of them was measured, say --copies independent"
     if data.block is None:
         copies = _copied_rows(data)
@@ -355,26 +361,44 @@ def refuse_copied_rows(data: Data) -> None:
         twins = _copied_blocks(data, data.layout.codes[data.block])
         if twins:
             names = data.layout.levels[data.block]
-            listed = ", ".join(f"{names[j]} repeats {names[i]}" for i, j in twins[:5])
+            listed = ", ".join(f"{names[j]} repeats {names[i]}" for i, j, _ in twins[:5])
+            apart = max(apart for *_, apart in twins)
+            how = f"to within {apart:.2g}" if apart else "in every digit"
             raise RefusedError(
-                f"copied rows: in every digit {data.block} {listed}. Copies tell nothing new: "
+                f"copied rows: {how} {data.block} {listed}. Copies tell nothing new: "
                 f"leave them out{mend}"
             )
 
 
 def _copied_rows(data: Data) -> str:
     """Describe the copies; empty where ties are no more than the resolution makes."""
-    pairs = np.column_stack([data.cell.astype(float), data.y])
-    keys, counts = np.unique(pairs, axis=0, return_counts=True)
+    cells = np.unique(data.cell, return_inverse=True)[1]
+    shifted = data.y - data.y[0]
+    mean = np.bincount(cells, shifted) / np.bincount(cells)
+    sd = float(np.sqrt(np.mean((shifted - mean[cells]) ** 2)))
+    near = [part * sd for part in _NEAR] if data.y.size <= _MOST_ROWS else []
+    return next((text for apart in (0.0, *near) if (text := _copied_within(data, apart))), "")
+
+
+def _copied_within(data: Data, apart: float) -> str:
+    """Describe rows of a cell that are no farther apart than this from the next one."""
+    from scipy.special import pdtrc
+
+    order = np.argsort(data.y, kind="stable")
+    cluster = np.zeros(data.y.size)
+    cluster[order[1:]] = np.cumsum(np.diff(data.y[order]) > apart)
+    pairs = np.column_stack([data.cell.astype(float), cluster])
+    keys, first, counts = np.unique(pairs, axis=0, return_index=True, return_counts=True)
     index = np.unique(keys[:, 0], return_inverse=True)[1]
     varies = np.bincount(index)[index] > 1  # a cell without spread is told as such
-    index, counts, values = index[varies], counts[varies], keys[varies, 1]
+    index, counts, values = index[varies], counts[varies], data.y[first][varies]
     n, distinct = int(counts.sum()), counts.size
     if n - distinct < _LEAST_SHARE * n or n == distinct:
         return ""
     times = int(np.gcd.reduce(counts))
-    every = f"each row stands {times} times ({distinct} distinct rows of {n})"
-    if times > 1 and distinct >= _DISTINCT_ROWS:
+    how = f" to within {apart:.2g}" if apart else ""
+    every = f"each row stands {times} times{how} ({distinct} distinct rows of {n})"
+    if times > 1 and distinct >= _DISTINCT_ROWS and not apart:
         return every
     index = np.unique(index, return_inverse=True)[1]
     members, rows = np.bincount(index), np.bincount(index, counts)
@@ -382,33 +406,30 @@ def _copied_rows(data: Data) -> str:
     mean = np.bincount(index, values) / members
     sd = math.sqrt(float(np.sum((values - mean[index]) ** 2)) / free)
     within = float(np.sum(rows * (rows - 1)) / 2)
-    between = n * (n - 1) / 2 - within
-    everywhere = np.unique(values, return_inverse=True)[1]
-    total = np.bincount(everywhere, counts)
     ties = int(np.sum(counts * (counts - 1)) // 2)
     # readings that were coarse before they were computed with tie between cells as well
+    total = np.bincount(np.unique(keys[varies, 1], return_inverse=True)[1], counts)
     elsewhere = float(np.sum(total * (total - 1)) / 2) - ties
-    chance = max(_tie(data.y, sd), 2 * elsewhere / between if between else 0.0)
-    if not _too_many(ties, within * chance):
+    between = n * (n - 1) / 2 - within
+    chance = max(_tie(data.y, sd, apart), 2 * elsewhere / between if between else 0.0)
+    # whether so many ties are chance, where readings cluster threefold
+    if ties == 0 or float(pdtrc(ties - 1, 3 * within * chance)) >= _CHANCE:
         return ""
-    return every if times > 1 else f"{n - distinct} of {n} rows repeat another of their cell"
+    return every if times > 1 else f"{n - distinct} of {n} rows repeat another of their cell{how}"
 
 
-def _tie(y: Array, sd: float) -> float:
+def _tie(y: Array, sd: float, apart: float = 0.0) -> float:
     """Chance that two normal readings agree: step times the integral of the squared density."""
-    step = resolution(y) or 16 * float(np.spacing(np.abs(y).max()))
+    step = (resolution(y) or 16 * float(np.spacing(np.abs(y).max()))) + 2 * apart
     return min(1.0, step / (2 * math.sqrt(math.pi) * sd)) if sd > 0 else 1.0
 
 
-def _too_many(ties: int, expected: float) -> bool:
-    """Whether so many ties are no chance, where readings cluster threefold."""
-    from scipy.special import pdtrc
+def _copied_blocks(data: Data, block: Ints) -> list[tuple[int, int, float]]:
+    """Pairs of blocks whose values agree in every cell that both have, and how far apart they are.
 
-    return ties > 0 and float(pdtrc(ties - 1, 3 * expected)) < _CHANCE
-
-
-def _copied_blocks(data: Data, block: Ints) -> list[tuple[int, int]]:
-    """Pairs of blocks whose values agree in every cell that both have."""
+    Blocks that are alike agree in their mean as well; a copy agrees in its interaction with the
+    cells too, far below how that scatters.
+    """
     cells, index = np.unique(data.cell, return_inverse=True)
     blocks = int(block.max()) + 1
     if not 2 <= blocks <= _MOST_BLOCKS or cells.size < 2:
@@ -417,12 +438,22 @@ def _copied_blocks(data: Data, block: Ints) -> list[tuple[int, int]]:
     table[block, index] = data.y
     with np.errstate(invalid="ignore"):
         centred = table - np.nanmean(table, axis=0)
-    sd = float(np.sqrt(np.nanmean(centred**2)))
+        own = centred - np.nanmean(centred, axis=1, keepdims=True)
+    sd, interaction = (float(np.sqrt(np.nanmean(part**2))) for part in (centred, own))
     chance = blocks * (blocks - 1) / 2
     twins = []
     for i, j in combinations(range(blocks), 2):
-        both = np.isfinite(table[i]) & np.isfinite(table[j])
-        rare = chance * (3 * _tie(data.y, sd)) ** int(both.sum()) < _CHANCE
-        if rare and both.sum() >= 2 and np.array_equal(table[i][both], table[j][both]):
-            twins.append((i, j))
+        apart = np.abs(table[i] - table[j])
+        both = int(np.isfinite(apart).sum())
+        if both < 2:
+            continue
+        farthest = float(np.nanmax(apart))
+        if farthest == 0:
+            rare = (3 * _tie(data.y, sd)) ** both
+        elif farthest <= _FARTHEST * interaction:
+            rare = (3 * _tie(data.y, interaction, farthest)) ** (both - 1)
+        else:
+            continue
+        if chance * rare < _CHANCE:
+            twins.append((i, j, farthest))
     return twins

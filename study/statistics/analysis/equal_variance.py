@@ -311,6 +311,12 @@ def own_variances(y: Array, cell: Ints, shrinkage: float = 0.0) -> tuple[Array, 
 _LEAST_PART = 0.01
 #: p below which a cell beside blocks is taken to scatter more than the others
 VOLATILE = 0.10
+#: degrees of freedom of the error from which that test finds what would make a claim false
+ENOUGH_BESIDE = 12
+#: weight of the pooled variance beside the own one of a cell where they are fewer. Simulated, Latin
+#: squares of four, a level that scatters 7.5 times as much: false claims .035 (by the test alone
+#: .107), of right ones .67 stand (weight 3: .07 in 300, and .86)
+SHRUNK_BESIDE = 2.0
 
 
 def variances_beside_blocks(fit: Factored, cell: Ints) -> tuple[Array, Array]:
@@ -335,7 +341,8 @@ def variances_beside_blocks(fit: Factored, cell: Ints) -> tuple[Array, Array]:
 def volatile_beside_blocks(fit: Factored, cell: Ints) -> tuple[Array, Array] | None:
     """Variances of the cells beside blocks, where one scatters more than all others together.
 
-    Each variance is tested against that of the rest (F, Bonferroni over the cells).
+    Each variance is tested against that of the rest (F, Bonferroni over the cells). Where the error
+    has too few degrees of freedom for the test, every variance is drawn towards the pooled one.
 
     Shapes: cell (n,); returns (cells,).
     """
@@ -345,7 +352,12 @@ def volatile_beside_blocks(fit: Factored, cell: Ints) -> tuple[Array, Array] | N
     rest = np.maximum(fit.df_residual - df, 1.0)
     of_rest = np.maximum(fit.rss - df * variance, _LEAST_PART * fit.rss) / rest
     p = fdtrc(df, rest, variance / of_rest)
-    return (variance, df) if p.min() * p.size < VOLATILE else None
+    if p.min() * p.size < VOLATILE:
+        return variance, df
+    if fit.df_residual >= ENOUGH_BESIDE:
+        return None
+    pooled = fit.rss / fit.df_residual
+    return (variance + SHRUNK_BESIDE * pooled) / (1 + SHRUNK_BESIDE), (1 + SHRUNK_BESIDE) * df
 
 
 def doubted_variances(y: Array, cell: Ints) -> tuple[Array, Array] | None:

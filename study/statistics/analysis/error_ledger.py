@@ -158,7 +158,9 @@ def pooled(out: AnalysisOutcome, untested: str = "") -> AnalysisOutcome:
         # a factor given what is nested in it is nothing, so Type III would be empty
         kind, out = "II", out if even else out.warn("unbalanced and nested: Type II")
     else:
-        kind, out = kind_of(out, even, _why_uneven(out))
+        is_full = data.blocks and balanced(data.layout, data.factors)
+        adjusted = "incomplete blocks, effects are adjusted for the blocks"
+        kind, out = kind_of(out, even, adjusted if is_full else "unbalanced")
     sums = term_sums(fit, kind)
     partial = kind == "I" and out.structure.empty_cells > 0
     out = out.warn(*alias_warnings(sums, partial=partial))
@@ -182,7 +184,9 @@ def pooled(out: AnalysisOutcome, untested: str = "") -> AnalysisOutcome:
     error_rss = fit.rss * _resamples(out)
     rows = [term_row(s, df, error_rss, fit.tss, partial=partial) for s in sums]
     if lenth is not None and error.source == "E6":
-        rows = [_lenth_row(row, lenth) for row in rows]
+        p_of = dict(zip(lenth.names, lenth.p, strict=True))
+        rows = [replace(row, p=p_of[row.term], error="Lenth PSE") if row.term in p_of else row
+                for row in rows]  # fmt: skip
     ms = error_rss / df if df else None
     rows.append(Row("residual", fit.df_residual, fit.rss if df or untested else 0.0, ms))
     by_name = {row.term: row for row in rows}
@@ -285,14 +289,6 @@ def _resamples(out: AnalysisOutcome) -> float:
     return float(1 / np.mean(1 / counts[counts > 0]))
 
 
-def _why_uneven(out: AnalysisOutcome) -> str:
-    if not out.data.blocks:
-        return "unbalanced"
-    if balanced(out.data.layout, out.data.factors):
-        return "incomplete blocks, effects are adjusted for the blocks"
-    return "unbalanced"
-
-
 def _sparse_ready(out: AnalysisOutcome, fit: Factored) -> bool:
     """One row in every cell of the full grid or of a saturated orthogonal fraction, no copies."""
     data = out.data
@@ -315,12 +311,6 @@ def _with_margin(estimate: TermEstimate, lenth: LenthResult) -> TermEstimate:
         return estimate
     side = np.sign(estimate.component) / 2
     return replace(estimate, half=lenth.sme * np.abs(np.subtract.outer(side, side)))
-
-
-def _lenth_row(row: Row, lenth: LenthResult) -> Row:
-    if row.term not in lenth.names:
-        return row
-    return replace(row, p=lenth.p[lenth.names.index(row.term)], error="Lenth PSE")
 
 
 # -------------------------------------------------------------------------------------------------

@@ -238,7 +238,9 @@ def _by_cells(bad: Array, total: Array, levels: Ints, rng: np.random.Generator) 
     """Permute whole cells among the levels; arrays have shape (cells,)."""
     member = np.eye(int(levels.max()) + 1)[levels]
     drawn = []
-    for rows in _batches(levels.size):
+    step = max(1, ENTRIES // levels.size)  # as many permutations as fit into memory
+    for start in range(0, SAMPLES, step):
+        rows = min(step, SAMPLES - start)
         order = rng.permuted(np.tile(np.arange(levels.size), (rows, 1)), axis=1)
         drawn.append(_weight(bad[order] @ member, total[order] @ member))
     return _tail(_weight(bad @ member, total @ member), np.concatenate(drawn))
@@ -254,15 +256,6 @@ def _by_order(failed: Array, levels: Ints, cells: Ints, rng: np.random.Generator
         shuffled = rng.permuted(np.tile(failed[of_cell], (SAMPLES, 1)), axis=1)
         drawn += shuffled @ member[of_cell]
     return _tail(_weight(failed @ member, total), _weight(drawn, total))
-
-
-def _batches(size: int) -> Iterator[int]:
-    """Split the permutations of so many things into parts that fit into memory."""
-    left = SAMPLES
-    while left:
-        rows = min(left, max(1, ENTRIES // size))
-        left -= rows
-        yield rows
 
 
 def _weight(bad: Array, total: Array) -> Array:

@@ -34,6 +34,7 @@ from study.statistics.analysis.linear_model import (
     balanced,
     model_matrix,
     span,
+    term_name,
     terms_of,
 )
 from study.statistics.analysis.simple_effects import (
@@ -47,7 +48,7 @@ from study.statistics.analysis.simple_effects import (
     SimpleEffects,
     simple_effects,
 )
-from study.statistics.analysis.sums_of_squares import Factored, epsilon_gg, factor
+from study.statistics.analysis.sums_of_squares import Factored, extra_sum, factor, over_blocks
 from study.statistics.analysis.unreplicated import lenth, orthonormal_contrasts
 
 #: blocks or rows from which skewness can be told from chance
@@ -64,6 +65,10 @@ _FARTHEST = 2.0
 _ROUNDING = 1e-12
 #: contrasts that Lenth's method needs
 LEAST_CONTRASTS = 7
+#: directions that a model of a fraction leaves out from which they are looked at. In a complete
+#: factorial six or fewer widen the interval beyond any interaction among them; in twelve runs of
+#: Plackett and Burman main effects take a part of it
+LEAST_LEFT_OUT = 4
 #: size of the test that declares a sample skewed
 SKEWED = 0.05
 #: resamples of the bootstrap
@@ -79,6 +84,8 @@ _MOST_PAIRS = 2000
 
 COARSE = "the readings are too coarse: with their rounding the interval does not allow the claim"
 SKEW = "the differences are skewed: an interval without a normal distribution does not allow it"
+#: how a note about it begins
+LACK = "lack of fit of the declared model"
 LACK_OF_FIT = "the declared model leaves out interactions that the data do not rule out"
 UNSURE_LIMIT = "the mean, of which the practical difference is a share, is not known well enough"
 NO_SCATTER = "the difference is the same in every block to the last digit: no scatter to judge by"
@@ -288,10 +295,10 @@ def rivals_of_rows(
     full = every_term(out, out.data.layout)
     if full is not None:
         whole = factor(model_matrix(out.data.layout, full, extra=blocks), out.y)
-        p, note, other = _lack_of_fit_of_rows(out, fit, whole)
+        p, note, other, matrix = _lack_of_fit_of_rows(out, fit, whole)
         notes += [note] if note else []
         if p < DOUBT and other is not None:
-            rivals.append(Rival(f"{LACK_OF_FIT} ({note})", other, matrix=whole.matrix))
+            rivals.append(Rival(f"{LACK_OF_FIT} ({note})", other, matrix=matrix))
     return rivals, notes
 
 
@@ -333,68 +340,75 @@ def rival_of_every_term(
         )
     if not seen.any():
         return [], []
-    note = f"lack of fit of the declared model: {int(seen.sum())} of {m} coefficients that it "
+    note = f"{LACK}: {int(seen.sum())} of {m} coefficients that it "
     note += "leaves out may not be zero"
     return [Rival(f"{LACK_OF_FIT} ({note})", at(out.request.alpha), matrix=whole.matrix)], [note]
 
 
 def _lack_of_fit_over_blocks(fit: Factored, whole: Factored, y: Array) -> tuple[float, str]:
     """P of the terms left out, all together and each direction, against their own interactions."""
-    from scipy.special import fdtrc, stdtr
+    from scipy.special import stdtr
 
     rest = span(whole.q - fit.q @ (fit.q.T @ whole.q))
     df, b = rest.shape[1], y.shape[1]
     if not df or b < 2:
         return 1.0, ""
     z = rest.T @ (y - y[0, 0])
-    centre, scatter = z.mean(axis=1), z - z.mean(axis=1, keepdims=True)
-    ss_error = float(np.sum(scatter**2))
-    if ss_error <= 0:
+    centre, test = z.mean(axis=1), over_blocks(z)
+    if test is None:
         return 0.0 if float(centre @ centre) > 0 else 1.0, "lack of fit without any scatter"
-    f = b * float(centre @ centre) / (ss_error / (b - 1))
-    epsilon = epsilon_gg(np.atleast_2d(np.cov(z)))
-    together = float(fdtrc(df * epsilon, df * (b - 1) * epsilon, f))
-    spread = np.sqrt(np.maximum(np.sum(scatter**2, axis=1), 1e-300) / (b - 1) / b)
+    spread = np.sqrt(np.maximum(z.var(axis=1, ddof=1), 1e-300) / b)
     each = 2 * stdtr(b - 1, -np.abs(centre) / spread)
-    p = min(together, df * float(each.min()))
-    return p, (
-        f"lack of fit of the declared model: F({df:g}, {df * (b - 1):g}) = {f:.4g}, "
-        f"p = {together:.2g} against the blocks"
+    return min(test.p, df * float(each.min())), (
+        f"{LACK}: F({df:g}, {df * (b - 1):g}) = {test.f:.4g}, p = {test.p:.2g} against the blocks"
     )
 
 
 def _lack_of_fit_of_rows(
     out: AnalysisOutcome, fit: Factored, whole: Factored
-) -> tuple[float, str, Sample | None]:
-    """P of the terms left out, what is said of it, and the sample of the full model."""
-    from scipy.special import fdtrc
-
+) -> tuple[float, str, Sample | None, ModelMatrix]:
+    """P of the terms left out, what is said of it, and the sample of the model with them."""
     alpha, seed = out.request.alpha, out.request.interval_seed
-    df = fit.df_residual - whole.df_residual
+    df, left = fit.df_residual - whole.df_residual, whole.df_residual
     if df <= 0:
-        return 1.0, "", None
-    if whole.df_residual > 0 and whole.rss > 0:
-        f = max(fit.rss - whole.rss, 0.0) / df / (whole.rss / whole.df_residual)
-        p = float(fdtrc(df, whole.df_residual, f))
-        note = (
-            f"lack of fit of the declared model: F({df:g}, {whole.df_residual:g}) = {f:.4g}, "
-            f"p = {p:.2g}"
-        )
-        return p, note, with_pooled_error(whole, whole.rss, whole.df_residual, alpha, seed)
-    full = terms_of(out.data.factors)
-    single = int(np.bincount(out.data.cell).max()) == 1
-    if out.data.block is not None or not (single and balanced(out.data.layout, out.data.factors)):
-        return 1.0, "", None
-    left_out = [term for term in full if term not in out.terms]
-    names, contrasts = orthonormal_contrasts(out.data.layout, left_out)
-    if len(names) < LEAST_CONTRASTS:
-        return 1.0, "", None
-    sparse = lenth(contrasts.T @ (out.y - out.y[0]), names, seed=out.request.seed)
-    p = min(sparse.p) * len(names)
-    largest = names[int(np.argmin(sparse.p))]
+        return 1.0, "", None, whole.matrix
+    if (test := extra_sum(fit.rss - whole.rss, df, whole.rss, left)) is not None:
+        note = f"{LACK}: F({df:g}, {left:g}) = {test.f:.4g}, p = {test.p:.2g}"
+        return test.p, note, with_pooled_error(whole, whole.rss, left, alpha, seed), whole.matrix
+    if out.data.block is not None or int(np.bincount(out.data.cell).max()) > 1:
+        return 1.0, "", None, whole.matrix
+    whole, names, contrasts, declared = _one_df_directions(out)
+    left_out = names[declared:]
+    is_full = balanced(out.data.layout, out.data.factors)
+    if len(left_out) < (LEAST_CONTRASTS if is_full else LEAST_LEFT_OUT):
+        return 1.0, "", None, whole.matrix
+    sparse = lenth(contrasts[:, declared:].T @ (out.y - out.y[0]), left_out, seed=out.request.seed)
+    p = min(sparse.p) * len(left_out)
+    largest = left_out[int(np.argmin(sparse.p))]
     note = f"of the interactions declared negligible, {largest} stands out: p = {min(1.0, p):.2g}"
-    every = orthonormal_contrasts(out.data.layout, full)[1]
-    return p, note, with_pseudo_error(whole, every, alpha, seed, out.y)
+    other = with_pseudo_error(whole, contrasts, alpha, seed, out.y)
+    return p, note, other, whole.matrix
+
+
+def _one_df_directions(out: AnalysisOutcome) -> tuple[Factored, list[str], Array, int]:
+    """Fit all that rows without repeats tell, with its directions of one degree of freedom each.
+
+    Directions, shape (n, m), are orthonormal; those of the declared terms stand first, and the
+    number of these is last. Terms that the rows of a fraction do not tell from earlier ones have
+    none and are left out of the fit.
+    """
+    data, full = out.data, terms_of(out.data.factors)
+    ordered = [*out.terms, *(term for term in full if term not in out.terms)]
+    if balanced(data.layout, data.factors):
+        names, contrasts = orthonormal_contrasts(data.layout, ordered)
+        declared = len(orthonormal_contrasts(data.layout, out.terms)[0])
+        return factor(model_matrix(data.layout, full), out.y), names, contrasts, declared
+    every = factor(model_matrix(data.layout, ordered), out.y)
+    bases = {term: every.space(i, "I").basis for i, term in enumerate(every.matrix.terms) if term}
+    names = [term_name(term) for term, basis in bases.items() for _ in range(basis.shape[1])]
+    declared = sum(bases[term].shape[1] for term in out.terms)
+    whole = factor(model_matrix(data.layout, [t for t in ordered if bases[t].size]), out.y)
+    return whole, names, every.q @ np.hstack([*bases.values()]), declared
 
 
 def _rivals_of_cells(

@@ -23,6 +23,7 @@ from study.statistics.analysis.anova_table import Anova, ErrorTerm
 from study.statistics.analysis.effects import DOUBT
 from study.statistics.analysis.gate import (
     COARSE,
+    LACK,
     LACK_OF_FIT,
     Rival,
     any_shape,
@@ -40,6 +41,7 @@ from study.statistics.analysis.restricted_likelihood import (
     fit_restricted,
 )
 from study.statistics.analysis.simple_effects import Differences, Estimates
+from study.statistics.analysis.split_plot import Plots
 from study.statistics.analysis.sums_of_squares import (
     alias_warnings,
     factor,
@@ -52,8 +54,11 @@ from study.statistics.analysis.sums_of_squares import (
 _MOST_PRODUCTS = 20_000_000
 
 
-def incomplete_blocks(out: AnalysisOutcome) -> AnalysisOutcome | None:
-    """E1 by a mixed model; None where every block has all cells, or none can be fitted."""
+def incomplete_blocks(out: AnalysisOutcome, plots: Plots | None = None) -> AnalysisOutcome | None:
+    """E1 by a mixed model; None where every block has all cells, or none can be fitted.
+
+    Where factors were declared to be set once for a whole plot, blocks and whole plots are random.
+    """
     data, block = out.data, str(out.data.block)
     cell = np.unique(data.cell, return_inverse=True)[1]
     code = data.layout.codes[block]
@@ -63,8 +68,9 @@ def incomplete_blocks(out: AnalysisOutcome) -> AnalysisOutcome | None:
         return None
     request = out.request
     model, sandwich, sources = mixed_cells(
-        data.layout, out.terms, block, out.y, request.alpha, request.interval_seed
-    )
+        data.layout, out.terms, block, out.y, request.alpha, request.interval_seed,
+        request.layout.whole_plot,
+    )  # fmt: skip
     if model is None or sandwich is None:
         return None
     fit, fixed = model.fit, model.fixed
@@ -91,9 +97,12 @@ def incomplete_blocks(out: AnalysisOutcome) -> AnalysisOutcome | None:
     out = out.warn(*notes)
     simple = judge_factors(out, data.layout, model.of_factors, model.sample, rivals)
     b = cells.size
+    scatter = f"interactions with {b} levels of {block}"
+    if plots is not None:
+        scatter = f"{b} levels of {block} and their whole plots ({plots.name})"
     question = (
-        f"would the ranking change with another {block}? (mixed model by REML: interactions with "
-        f"{b} levels of {block} are random; Kenward and Roger)"
+        f"would the ranking change with another {block}? (mixed model by REML: {scatter} are "
+        "random; Kenward and Roger)"
     )
     reason = (
         f"{lacking} of {b} levels of {block} lack a cell; random are "
@@ -105,8 +114,8 @@ def incomplete_blocks(out: AnalysisOutcome) -> AnalysisOutcome | None:
         error=ErrorTerm("E1", question, df_error, reason),
         anova=Anova("III", with_shares(rows, within.tss), out.y.size - 1, within.tss),
         effects=model.effects(out.terms, p, out.scale, simple),
-        fit=error_ledger.within_fit(data, out.y),
-        plots=code,
+        fit=error_ledger.within_fit(data, out.y, plots=None if plots is None else plots.code),
+        plots=code if plots is None else plots.code,
     )
 
 
@@ -138,8 +147,9 @@ def _rivals(
         return rivals, notes
     request, block = out.request, str(out.data.block)
     whole, its_own, _ = mixed_cells(
-        out.data.layout, full, block, out.y, request.alpha, request.interval_seed
-    )
+        out.data.layout, full, block, out.y, request.alpha, request.interval_seed,
+        request.layout.whole_plot,
+    )  # fmt: skip
     if whole is None or its_own is None:
         return rivals, notes
     bases = [s.basis for s in term_sums(whole.fixed, "III") if s.term not in out.terms and s.df]
@@ -147,10 +157,7 @@ def _rivals(
         every = np.hstack(bases)
         test = whole.fit.test(every)
         p = min(test.p, *(len(bases) * its_own.test(basis)[1] for basis in bases))
-        note = (
-            f"lack of fit of the declared model: F({test.count:g}, {test.df:.4g}) = {test.f:.4g}, "
-            f"p = {test.p:.2g} by REML"
-        )
+        note = f"{LACK}: F({test.count:g}, {test.df:.4g}) = {test.f:.4g}, p = {test.p:.2g} by REML"
         notes.append(note)
         if p < DOUBT:
             rivals.append(Rival(f"{LACK_OF_FIT} ({note})", whole.sample, matrix=whole.factors))
@@ -158,18 +165,26 @@ def _rivals(
 
 
 def mixed_cells(
-    layout: CellLayout, terms: Sequence[Term], block: str, y: Array, alpha: float, seed: int | None
+    layout: CellLayout,
+    terms: Sequence[Term],
+    block: str,
+    y: Array,
+    alpha: float,
+    seed: int | None,
+    whole_plot: Sequence[str] = (),
 ) -> tuple[MixedCells | None, Sandwich | None, list[Term]]:
     """Mixed model of one row a cell and block, its sandwich and its random terms.
 
-    None where no model can be fitted.
+    Random are the blocks and their interactions with the terms, or the whole plots of the factors
+    named. None where no model can be fitted.
 
     Shapes: y (n,).
     """
     bare = model_matrix(layout, terms)
     shift = float(y.mean())
     fixed = factor(bare, y - shift)
-    candidates = [(block,), *((block, *term) for term in terms)]
+    inner = [tuple(whole_plot)] if whole_plot else terms
+    candidates = [(block,), *((block, *term) for term in inner)]
     codes = {t: np.unique(layout.cell(t), return_inverse=True)[1] for t in candidates}
     # what has a level of its own in every row is the scatter within
     random = [t for t in candidates if int(codes[t].max()) + 1 < y.size]

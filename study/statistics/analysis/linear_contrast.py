@@ -258,8 +258,8 @@ def _judged(
     return Contrast(
         text,
         back(estimate.value),
-        _on(back, ci),
-        _on(back, wide),
+        (back(ci[0]), back(ci[1])),
+        (back(wide[0]), back(wide[1])),
         estimate.df,
         p,
         shown,
@@ -280,7 +280,3 @@ def _verdict(
     if verdict == NOT_RESOLVED and u is None:
         return verdict, UNBOUNDED
     return verdict, "2 specimens" if scale.specimens == 2 and verdict in CLAIMS else ""
-
-
-def _on(back: Callable[[float], float], ends: tuple[float, float]) -> tuple[float, float]:
-    return back(ends[0]), back(ends[1])

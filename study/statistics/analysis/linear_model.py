@@ -461,6 +461,11 @@ def factorize(matrix: ModelMatrix) -> Factorization:
     return Factorization(matrix, q if cells is None else cells.spread(q), r, scale)
 
 
+def factorize_columns(columns: Array) -> Factorization:
+    """Factor columns without terms of factors, such as those of a polynomial; shape (n, p)."""
+    return factorize(ModelMatrix(columns, ((),), (slice(0, columns.shape[1]),)))
+
+
 def _is_regular(r: Array) -> bool:
     """Whether a square triangle is certainly of full rank: 1 / |R^-1| bounds its singular values.
 

@@ -7,26 +7,27 @@ far its mean lies from the mean of all, and the last level is minus the sum of t
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from study.ground.arrays import Array, Ints
+from study.ground.arrays import Array
+from study.ground.errors import Fault, InputError
 from study.statistics.analysis.anova_table import Effect, PairDifference, Row
 from study.statistics.analysis.comparisons import Comparisons, LevelPair, studentized_range_cdf
 from study.statistics.analysis.effects import own_critical, pooled_critical, t_quantile
 from study.statistics.analysis.linear_model import (
     CellLayout,
-    ModelMatrix,
     Term,
+    factorize_columns,
     model_matrix,
     nested_in,
     terms_of,
 )
-from study.statistics.analysis.sums_of_squares import factor
+from study.statistics.analysis.sums_of_squares import fitted
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -121,7 +122,7 @@ def _pooled(analysis: AnalysisResult, names: tuple[str, ...]) -> CoefficientTabl
     if matrix is None or not residual.ms:
         return CoefficientTable(reason="nothing is left over to estimate an error from")
     y = _working(analysis, analysis.data.residuals["response"].to_numpy(float))
-    fit = factor(ModelMatrix(matrix, ((),), (slice(0, matrix.shape[1]),)), y)
+    fit = fitted(factorize_columns(matrix), y)
     if not fit.is_full:
         return CoefficientTable(reason="some terms are aliased with others")
     beta = fit.coefficients()
@@ -155,20 +156,18 @@ def _own(
 
 def _by_block(analysis: AnalysisResult, layout: CellLayout) -> tuple[CellLayout, Array]:
     """Means of the cells in every complete block, shape (cells, blocks), and their levels."""
+    import pandas as pd
+
     rows = analysis.data.residuals
     names = tuple(layout.levels)
     index = layout.cell(names)
-    wide = _wide(index, rows, _working(analysis, rows["response"].to_numpy(float)))
+    y = _working(analysis, rows["response"].to_numpy(float))
+    labels = rows["block"].astype(str).to_numpy()
+    frame = pd.DataFrame({"cell": index, "block": labels, "y": y})
+    wide = frame.pivot_table("y", "cell", "block", aggfunc="mean")
     complete = wide[wide.notna().mean(axis=1) > 0.5].dropna(axis=1)
     first = np.array([int(np.flatnonzero(index == cell)[0]) for cell in complete.index])
     return layout.take(first), complete.to_numpy(float)
-
-
-def _wide(index: Ints, rows: pd.DataFrame, y: Array) -> pd.DataFrame:
-    import pandas as pd
-
-    frame = pd.DataFrame({"cell": index, "block": rows["block"].astype(str).to_numpy(), "y": y})
-    return frame.pivot_table("y", "cell", "block", aggfunc="mean")
 
 
 def _working(analysis: AnalysisResult, y: Array) -> Array:
@@ -218,16 +217,49 @@ def dunnett_of_model(
     means = np.array([sizes[frozenset((name, reference))][0] * (1 if pair.first == name else -1)
                       for name, pair in of_reference])  # fmt: skip
     standard_error = np.array([error[frozenset((name, reference))] for name in others])
-    largest = _largest_t(_correlation(others, standard_error, error), df, seed)
+    correlation = _correlation(others, standard_error, error)
+    names = (reference, *others)
+    compared = _dunnett(names, means, standard_error, correlation, df, alpha, seed)
+    return compared.as_ratios() if effect.is_ratio else compared
+
+
+def dunnett(groups: Mapping[str, Array], reference: str, alpha: float, seed: int) -> Comparisons:
+    """Compare groups of rows with one of them, with the variance pooled within all."""
+    values = {name: groups[name] for name in (reference, *groups)}
+    n = np.array([float(v.size) for v in values.values()])
+    df = float(n.sum() - n.size)
+    if df < 1:
+        rule = "needs two rows or more at some level: nothing scatters"
+        raise InputError(Fault("--reference", rule, "add rows, or leave it out"))
+    shift = float(groups[reference][0])
+    means = np.array([float(np.mean(v - shift)) for v in values.values()])
+    square = sum(float(np.sum((v - v.mean()) ** 2)) for v in values.values()) / df
+    share = 1 / n[1:] + 1 / n[0]
+    root = np.sqrt(share)
+    correlation = np.diag(1 / n[1:] / share) + np.outer(1 / root, 1 / root) / n[0]
+    error = root * math.sqrt(square)
+    return _dunnett(tuple(values), means[1:] - means[0], error, correlation, df, alpha, seed)
+
+
+def _dunnett(
+    names: Sequence[str],
+    means: Array,
+    standard_error: Array,
+    correlation: Array,
+    df: float,
+    alpha: float,
+    seed: int,
+) -> Comparisons:
+    """Compare with the first of the names, by correlated t of the differences from it."""
+    largest = _largest_t(correlation, df, seed)
     half = float(np.quantile(largest, 1 - alpha)) * standard_error
     p = [(1 + int(np.sum(largest >= abs(t)))) / (largest.size + 1) for t in means / standard_error]
     ends = zip(means, means - half, means + half, strict=True)
     pairs = tuple(
-        LevelPair(name, reference, float(d), float(low), float(high), float(p_of_pair))
-        for name, (d, low, high), p_of_pair in zip(others, ends, p, strict=True)
+        LevelPair(name, names[0], float(d), float(low), float(high), float(p_of_pair))
+        for name, (d, low, high), p_of_pair in zip(names[1:], ends, p, strict=True)
     )
-    compared = Comparisons("Dunnett", alpha, pairs, {})
-    return compared.as_ratios() if effect.is_ratio else compared
+    return Comparisons("Dunnett", alpha, pairs, {})
 
 
 def _correlation(

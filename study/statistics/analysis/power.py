@@ -114,7 +114,7 @@ class VerdictProbabilities:
 class PlannedVerdicts:
     """What a number of blocks and seeds would tell, and what it costs."""
 
-    #: Specimens, and mesh seeds for each.
+    #: Specimens, and mesh seeds for each: one, as a verb plans them.
     blocks: int
     seeds: int
     #: If the true difference is zero.
@@ -128,17 +128,6 @@ class PlannedVerdicts:
     def right(self) -> float:
         """Smaller probability of the right claim, over both truths."""
         return min(self.equal.no_practical_difference, self.double.matters)
-
-
-def contrast_sd(sd: float, seeds: int = 1, sd_seed: float = 0.0) -> float:
-    """Give the standard deviation over blocks of a contrast whose seeds are averaged in each block.
-
-    Examples
-    --------
-    >>> contrast_sd(3.0, 4, 8.0)
-    5.0
-    """
-    return math.hypot(sd, sd_seed / math.sqrt(seeds))
 
 
 def verdict_probabilities(
@@ -183,8 +172,6 @@ def planned_verdicts(
     sd: float,
     practical: float,
     *,
-    seeds: int = 1,
-    sd_seed: float = 0.0,
     u: float = 0.0,
     cells: int = 2,
     seconds: float | None = None,
@@ -193,16 +180,15 @@ def planned_verdicts(
 
     Units: seconds s.
     """
-    spread = contrast_sd(sd, seeds, sd_seed)
     rows = []
     for blocks in counts:
         equal, double = (
-            verdict_probabilities(blocks, spread, practical, truth, u=u)
+            verdict_probabilities(blocks, sd, practical, truth, u=u)
             for truth in (0.0, 2 * practical)
         )
-        cases = cells * blocks * seeds
+        cases = cells * blocks
         cost = None if seconds is None else cases * seconds
-        rows.append(PlannedVerdicts(blocks, seeds, equal, double, cases, cost))
+        rows.append(PlannedVerdicts(blocks, 1, equal, double, cases, cost))
     return tuple(rows)
 
 

@@ -92,16 +92,16 @@ def whole_plots(data: Data, named: Sequence[str]) -> Plots | None:
         pair = data.layout.cell([data.block, *named])
         name = ":".join([data.block, *named])
         return Plots(tuple(named), np.unique(pair, return_inverse=True)[1], name, False)
-    constant = [f for f in data.factors if _constant(data.layout.codes[f], block)]
+    # every block holds one level, and a level lies in several blocks
+    blocks, codes = np.unique(block).size, data.layout.codes
+    constant = [
+        f
+        for f in data.factors
+        if np.unique(data.layout.cell([data.block, f])).size == blocks > np.unique(codes[f]).size
+    ]
     if not constant:
         return None
     return Plots(tuple(constant), block, data.block, True)
-
-
-def _constant(codes: Ints, block: Ints) -> bool:
-    """Whether every block holds one level, and a level lies in several blocks."""
-    pairs = np.unique(np.column_stack([block, codes]), axis=0)
-    return bool(pairs.shape[0] == np.unique(block).size > np.unique(codes).size)
 
 
 def split_plot(out: AnalysisOutcome, plots: Plots) -> AnalysisOutcome:
@@ -296,53 +296,3 @@ def _rows(
         rows.append(Row(stratum.name, stratum.df, stratum.fit.rss, ms))
     rows += [Row(term_name(t), 0, 0.0) for t, s in place.items() if s is None]
     return rows, df
-
-
-# -------------------------------------------------------------------------------------------------
-# Groups of blocks with covariances of their own: Welch's idea with Box's degrees of freedom.
-#
-# Blocks (specimens) belong to groups (mixes, batches). Every block gives the contrasts B' y of a
-# term; their covariance may differ between groups, so nothing is pooled over groups.
-#
-# References: Box (1954), Ann. Math. Statist. 25, 290-302 (a quadratic form as a multiple of
-# chi-squared); Welch (1938), Biometrika 29, 350-362, and Satterthwaite (1946), Biometrics Bull.
-# 2, 110-114 (degrees of freedom of a sum of variances); Greenhouse and Geisser (1959),
-# Psychometrika 24, 95-112, which is the case of one group.
-
-#: a covariance of two blocks has one degree of freedom: smaller groups are pooled
-LEAST_OWN = 3
-
-
-def welch_box(groups: Sequence[Array], weights: Array) -> tuple[float, float, float] | None:
-    """F of weighted sums over groups of a term's mean contrasts, and its degrees of freedom.
-
-    None where nothing varies. Every group needs as many blocks as ``LEAST_OWN``.
-
-    Shapes: groups (d, n_g); weights (G,) or (k, G).
-
-    Notes
-    -----
-    With S_g the covariance in group g, theta_i = sum_g w_ig mean_g and M the covariance of all
-    theta: F = theta' theta / tr M, df1 = (tr M)^2 / tr M^2, df2 = df1 (tr M)^2 /
-    sum_g [(sum_i w_ig^2)^2 (tr S_g)^2 / n_g^2 / (n_g - 1)]. One group is Greenhouse-Geisser.
-
-    Examples
-    --------
-    >>> f, df1, df2 = welch_box([np.array([[1.0, 2.0, 4.0, 3.0]])], np.ones(1))
-    >>> round(f, 4), round(df1, 4), round(df2, 4)
-    (15.0, 1.0, 3.0)
-    """
-    w = np.atleast_2d(weights)
-    n = np.array([float(g.shape[1]) for g in groups])
-    covariance = [np.atleast_2d(np.cov(g)) for g in groups]
-    theta = w @ np.array([g.mean(axis=1) for g in groups])
-    # blocks of M are sum_g w_ig w_jg S_g / n_g; a Kronecker product for each group
-    m = sum(np.kron(np.outer(w[:, g], w[:, g]), covariance[g] / n[g]) for g in range(len(groups)))
-    trace = float(np.trace(m))
-    if not trace > 0:
-        return None
-    traces = np.array([float(np.trace(s)) for s in covariance])
-    df1 = trace**2 / float(np.sum(m * m))
-    share = (w**2).sum(axis=0) * traces / n
-    below = float(np.sum(share**2 / (n - 1)))
-    return float(np.sum(theta**2)) / trace, df1, df1 * trace**2 / below

@@ -55,8 +55,9 @@ from study.statistics.analysis.linear_model import (
     term_name,
     terms_of,
 )
-from study.statistics.analysis.split_plot import LEAST_OWN, Plots, welch_box
+from study.statistics.analysis.split_plot import Plots
 from study.statistics.analysis.sums_of_squares import (
+    LEAST_OWN,
     Factored,
     SphericityResult,
     TermSum,
@@ -66,6 +67,7 @@ from study.statistics.analysis.sums_of_squares import (
     row_of_test,
     sphericity,
     term_sums,
+    welch_box,
     with_shares,
 )
 from study.statistics.analysis.unreplicated import ulp_floor
@@ -218,8 +220,6 @@ def _sphere(part: _Part, fit: Factored) -> SphericityResult:
     return sphericity(scores @ helmert[:, 1 : scores.shape[1] + 1].T)
 
 
-#: blocks of a group that tell a scatter
-_FEWEST_IN_GROUP = 2
 _LONE_BLOCK = "a group has one block: nothing tells how another one of that group would differ"
 
 
@@ -251,7 +251,7 @@ def _effects(
     fit, added = fitted(out.terms)
     sample = over_groups(fit, added, groups, request.alpha, seed)
     notes: list[str] = []
-    if fewest < _FEWEST_IN_GROUP:
+    if fewest < 2:  # one block tells no scatter
         rivals = [refusal(_LONE_BLOCK)]
         sample = with_pooled_error(fit, fit.rss, fit.df_residual, request.alpha, seed)
     else:
@@ -367,42 +367,28 @@ def own_terms(
     partial: bool = False,
 ) -> list[OwnTerm]:
     """Test every term against its own interaction with the blocks."""
-    return [
-        _own_term(table, fit, s, block, floor, total, partial=partial) for s in term_sums(fit, kind)
-    ]
+    blocks, within = table.y.shape[1], fit.q.T @ (table.y - table.y[0, 0])
 
+    def tested(sums: TermSum) -> OwnTerm:
+        name, df, df_error = term_name(sums.term), sums.df, sums.df * (blocks - 1)
+        contrasts = sums.basis.T @ within
+        center = contrasts.mean(axis=1)
+        ss = blocks * float(center @ center)
+        ss_error = float(np.sum((contrasts - center[:, None]) ** 2))
+        error = Row(f"{block}:{name}", df_error, ss_error, ss_error / df_error if df else None)
+        if df == 0:
+            return OwnTerm(sums, Row(name, 0, 0.0), error, sphericity(np.zeros((1, blocks))))
+        row, spread = Row(name, df, ss, ss / df), sphericity(contrasts)
+        if df < sums.nominal_df and not partial:
+            # what is left is not the effect: an empty cell, or an alias
+            return OwnTerm(sums, row, error, spread)
+        if why := _no_test(fit.q, sums.basis, contrasts, floor, name, block):
+            return OwnTerm(sums, row, error, spread, why)
+        epsilon = epsilon_gg(np.atleast_2d(np.cov(contrasts)))
+        row = row_of_test(name, (df, ss), (error.term, df_error, ss_error), total, epsilon)
+        return OwnTerm(sums, row, error, spread)
 
-def _own_term(
-    table: Crossed,
-    fit: Factored,
-    sums: TermSum,
-    block: str,
-    floor: float,
-    total: float,
-    *,
-    partial: bool,
-) -> OwnTerm:
-
-    name, blocks, df = term_name(sums.term), table.y.shape[1], sums.df
-    contrasts = sums.basis.T @ (fit.q.T @ (table.y - table.y[0, 0]))
-    center = contrasts.mean(axis=1)
-    scatter = contrasts - center[:, None]
-    ss, ss_error = blocks * float(center @ center), float(np.sum(scatter**2))
-    df_error = df * (blocks - 1)
-    error = Row(f"{block}:{name}", df_error, ss_error, ss_error / df_error if df else None)
-    if df == 0:
-        return OwnTerm(sums, Row(name, 0, 0.0), error, sphericity(np.zeros((1, blocks))))
-    spread = sphericity(contrasts)
-    if (
-        df < sums.nominal_df and not partial
-    ):  # what is left is not the effect: an empty cell, or an alias
-        return OwnTerm(sums, Row(name, df, ss, ss / df), error, spread)
-    why = _no_test(fit.q, sums.basis, contrasts, floor, name, block)
-    if why:
-        return OwnTerm(sums, Row(name, df, ss, ss / df), error, spread, why)
-    epsilon = epsilon_gg(np.atleast_2d(np.cov(contrasts)))
-    row = row_of_test(name, (df, ss), (error.term, df_error, ss_error), total, epsilon)
-    return OwnTerm(sums, row, error, spread)
+    return [tested(sums) for sums in term_sums(fit, kind)]
 
 
 def _no_test(q: Array, basis: Array, contrasts: Array, floor: float, name: str, block: str) -> str:

@@ -171,6 +171,32 @@ def row_of_test(
     )
 
 
+@dataclass(frozen=True)
+class FRatioTest:
+    """An F test."""
+
+    f: float
+    #: Degrees of freedom; over blocks after Greenhouse and Geisser's correction.
+    df: float
+    df_error: float
+    #: Probability of a larger ratio where there is nothing to be found.
+    p: float
+
+
+def extra_sum(ss: float, df: float, ss_error: float, df_error: float) -> FRatioTest | None:
+    """Test what a larger model adds against what it leaves; None where nothing is left to judge by.
+
+    Of a declared model it is the test of its lack of fit, whatever the larger one is: all
+    interactions, or a mean for each setting.
+    """
+    from scipy.special import fdtrc
+
+    if min(df, df_error) < 1 or ss_error <= 0:
+        return None
+    f = max(ss, 0.0) / df / (ss_error / df_error)
+    return FRatioTest(f, float(df), float(df_error), float(fdtrc(df, df_error, f)))
+
+
 def with_shares(rows: Sequence[Row], total: float) -> tuple[Row, ...]:
     """Rows with their share of the variation and the interval of partial eta squared."""
     done = []
@@ -405,6 +431,70 @@ def _mauchly_p(chi2: float, d: int, n: int, rho: float) -> float:
     second = top / (288 * (n * d * rho) ** 2)
     first = float(chdtrc(df, chi2))
     return min(1.0, max(0.0, first + second * (float(chdtrc(df + 4, chi2)) - first)))
+
+
+# -------------------------------------------------------------------------------------------------
+# Groups of blocks with covariances of their own: Welch's idea with Box's degrees of freedom.
+#
+# Blocks (specimens) belong to groups (mixes, batches). Every block gives the contrasts B' y of a
+# term; their covariance may differ between groups, so nothing is pooled over groups.
+#
+# References: Box (1954), Ann. Math. Statist. 25, 290-302 (a quadratic form as a multiple of
+# chi-squared); Welch (1938), Biometrika 29, 350-362, and Satterthwaite (1946), Biometrics Bull.
+# 2, 110-114 (degrees of freedom of a sum of variances); Greenhouse and Geisser (1959),
+# Psychometrika 24, 95-112, which is the case of one group.
+
+#: a covariance of two blocks has one degree of freedom: smaller groups are pooled
+LEAST_OWN = 3
+
+
+def welch_box(groups: Sequence[Array], weights: Array) -> tuple[float, float, float] | None:
+    """F of weighted sums over groups of a term's mean contrasts, and its degrees of freedom.
+
+    None where nothing varies. Every group needs as many blocks as ``LEAST_OWN``.
+
+    Shapes: groups (d, n_g); weights (G,) or (k, G).
+
+    Notes
+    -----
+    With S_g the covariance in group g, theta_i = sum_g w_ig mean_g and M the covariance of all
+    theta: F = theta' theta / tr M, df1 = (tr M)^2 / tr M^2, df2 = df1 (tr M)^2 /
+    sum_g [(sum_i w_ig^2)^2 (tr S_g)^2 / n_g^2 / (n_g - 1)]. One group is Greenhouse-Geisser.
+
+    Examples
+    --------
+    >>> f, df1, df2 = welch_box([np.array([[1.0, 2.0, 4.0, 3.0]])], np.ones(1))
+    >>> round(f, 4), round(df1, 4), round(df2, 4)
+    (15.0, 1.0, 3.0)
+    """
+    w = np.atleast_2d(weights)
+    n = np.array([float(g.shape[1]) for g in groups])
+    covariance = [np.atleast_2d(np.cov(g)) for g in groups]
+    theta = w @ np.array([g.mean(axis=1) for g in groups])
+    # blocks of M are sum_g w_ig w_jg S_g / n_g; a Kronecker product for each group
+    m = sum(np.kron(np.outer(w[:, g], w[:, g]), covariance[g] / n[g]) for g in range(len(groups)))
+    trace = float(np.trace(m))
+    if not trace > 0:
+        return None
+    traces = np.array([float(np.trace(s)) for s in covariance])
+    df1 = trace**2 / float(np.sum(m * m))
+    share = (w**2).sum(axis=0) * traces / n
+    below = float(np.sum(share**2 / (n - 1)))
+    return float(np.sum(theta**2)) / trace, df1, df1 * trace**2 / below
+
+
+def over_blocks(values: Array, least: float = 0.0) -> FRatioTest | None:
+    """Test whether contrasts of blocks have the mean zero; None where none scatters so much.
+
+    Shapes: values (d, b).
+    """
+    test = welch_box([values], np.ones(1))
+    if test is None or float(np.sum(np.var(values, axis=1, ddof=1))) <= least:
+        return None
+    from scipy.special import fdtrc
+
+    f, df, df_error = test
+    return FRatioTest(f, df, df_error, float(fdtrc(df, df_error, f)))
 
 
 # -------------------------------------------------------------------------------------------------

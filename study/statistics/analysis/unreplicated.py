@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING
@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from study.ground.arrays import Array, Ints
-from study.ground.canonical import plain
 from study.ground.errors import RefusedError
 from study.statistics.analysis.data import Data
 from study.statistics.analysis.linear_model import CellLayout, Term, balanced, term_name, terms_of
@@ -54,10 +53,6 @@ class LenthResult:
     half_normal: tuple[float, ...]
     simulations: int
     seed: int
-
-    def to_json(self) -> dict[str, object]:
-        """JSON document."""
-        return dict(plain(self))
 
     @property
     def active(self) -> tuple[str, ...]:
@@ -278,8 +273,9 @@ def refuse_fake_replicates(
     unit = data.cell if data.block is None else data.layout.cell([*data.factors, data.block])
     floor = max(10 * tolerance if records else 0.0, ulp_floor(data.y))
     if records and "input_hash" in table.columns:
-        hashes = table["input_hash"].to_numpy(dtype=object)[data.rows]
-        _refuse_equal_hashes(unit, hashes)
+        hashes = map(str, table["input_hash"].to_numpy(dtype=object)[data.rows])
+        if len(set(zip(unit.tolist(), hashes, strict=True))) < unit.size:
+            raise RefusedError(f"fake replicates: two runs of a cell have equal input. {_INSTEAD}")
     notes = _refuse_copies(
         unit,
         data.y,
@@ -289,14 +285,6 @@ def refuse_fake_replicates(
     if data.block is not None:
         _refuse_copies(data.cell, data.y, floor, _LIKE_BLOCKS.format(data.block))
     return notes
-
-
-def _refuse_equal_hashes(unit: Ints, hashes: Iterable[object]) -> None:
-    seen: set[tuple[int, str]] = set()
-    for key in zip(unit.tolist(), map(str, hashes), strict=True):
-        if key in seen:
-            raise RefusedError(f"fake replicates: two runs of a cell have equal input. {_INSTEAD}")
-        seen.add(key)
 
 
 def _refuse_copies(unit: Ints, y: Array, floor: float, rule: str) -> list[str]:

@@ -8,10 +8,12 @@ from itertools import combinations
 from typing import Literal
 
 import numpy as np
-from scipy import linalg
+from scipy.special import fdtri, stdtr, stdtrit
 
 from study.ground.arrays import Array, Flags, Ints
 from study.ground.errors import Fault, RefusedError
+from study.statistics.analysis.linear_model import Factorization, complement, factorize_columns
+from study.statistics.analysis.sums_of_squares import FRatioTest, extra_sum, over_blocks
 from study.statistics.surfaces.emulator import EffectRange, effect_ranges
 from study.statistics.surfaces.surface_factors import (
     Runs,
@@ -109,42 +111,25 @@ class ModelColumns:
     terms: tuple[Term, ...]
     #: Each term left out, and the sum of kept terms that it equals at these settings.
     aliases: tuple[tuple[Term, tuple[tuple[Term, float], ...]], ...]
-    #: shape (n, p); the columns.
-    matrix: Array
-    #: shape (n, p); orthonormal columns.
-    q: Array
-    #: shape (p, p); upper triangle.
-    r: Array
-
-    @property
-    def leverage(self) -> Array:
-        """Diagonal of the hat matrix, shape (n,)."""
-        return np.asarray((self.q**2).sum(axis=1))
+    model: Factorization
 
     def coefficients(self, response: Array) -> Array:
         """Coefficients, shape (p,) or (p, m), of responses of shape (n,) or (n, m)."""
-        return np.asarray(linalg.solve_triangular(self.r, self.q.T @ response))
+        return np.asarray(self.model.inverse @ (self.model.q.T @ response))
 
     def residuals(self, response: Array) -> Array:
         """Responses without what the model says of them, in the same shape."""
-        return np.asarray(response - self.q @ (self.q.T @ response))
-
-    def inverse(self) -> Array:
-        """(X'X)^-1, shape (p, p)."""
-        half = linalg.solve_triangular(self.r, np.eye(len(self.r)))
-        return np.asarray(half @ half.T)
+        return response - self.model.projected(response)
 
     def complement(self) -> Array:
         """Orthonormal columns, shape (n, n - p), of all that the model leaves open."""
-        full, _ = linalg.qr(self.matrix)
-        return np.asarray(full[:, self.matrix.shape[1] :])
+        full = np.linalg.qr(self.model.q, mode="complete")[0]
+        return np.asarray(full[:, self.model.rank :])
 
     def alone(self, which: Sequence[int]) -> Array:
         """Orthonormal columns, shape (n, len(which)), of terms beside all the other terms."""
-        others = [j for j in range(self.matrix.shape[1]) if j not in set(which)]
-        ordered = self.matrix[:, [*others, *which]]
-        q, _ = linalg.qr(ordered, mode="economic")
-        return np.asarray(q[:, len(others) :])
+        columns = self.model.columns
+        return complement(np.delete(columns, which, axis=1), columns[:, list(which)])
 
 
 def factorize(terms: Sequence[Term], coded: Array) -> ModelColumns:
@@ -162,14 +147,13 @@ def factorize(terms: Sequence[Term], coded: Array) -> ModelColumns:
             continue
         kept.append(term)
         basis = np.column_stack([basis, rest / length])
-    matrix = model_matrix(kept, coded)
-    q, r = linalg.qr(matrix, mode="economic")
+    columns = ModelColumns(tuple(kept), (), factorize_columns(model_matrix(kept, coded)))
     aliases = []
     for term in left_out:
-        weights = linalg.solve_triangular(r, q.T @ term.column(coded))
+        weights = columns.coefficients(term.column(coded))
         sums = ((t, float(w)) for t, w in zip(kept, weights, strict=True) if abs(w) > ALIASED)
         aliases.append((term, tuple(sums)))
-    return ModelColumns(tuple(kept), tuple(aliases), matrix, np.asarray(q), np.asarray(r))
+    return replace(columns, aliases=tuple(aliases))
 
 
 @dataclass(frozen=True)
@@ -188,11 +172,12 @@ class LeaveOneOut:
 
 def leave_one_out(columns: ModelColumns, response: Array) -> LeaveOneOut | None:
     """Leave-one-out errors e/(1 - h) of a response of shape (n,); None if none can be told."""
-    free = columns.leverage < SATURATED
+    leverage = columns.model.leverage
+    free = leverage < SATURATED
     if not free.any():
         return None
     every = np.full(response.shape, np.nan)
-    every[free] = columns.residuals(response)[free] / (1.0 - columns.leverage[free])
+    every[free] = columns.residuals(response)[free] / (1.0 - leverage[free])
     errors = every[free]
     spread = float(((response[free] - response.mean()) ** 2).sum())
     q2 = 1.0 - float((errors**2).sum()) / spread if spread > 0 else float("nan")
@@ -205,53 +190,24 @@ def leave_one_out(columns: ModelColumns, response: Array) -> LeaveOneOut | None:
 ROUNDING = 1e-12
 
 
-@dataclass(frozen=True)
-class SurfaceFTest:
-    """An F test."""
-
-    f: float
-    #: Degrees of freedom; with blocks after Greenhouse and Geisser's correction.
-    df: float
-    df_error: float
-    #: Probability of a larger ratio where there is nothing to be found.
-    p: float
-
-
-def against_blocks(columns: Array, response: Array) -> SurfaceFTest | None:
+def against_blocks(columns: Array, response: Array) -> FRatioTest | None:
     """Test columns against their own interaction with the blocks (Greenhouse and Geisser 1959)."""
     # Shapes: columns (n, k); response (n, b).
-    from scipy import stats
-
-    parts = response.T @ columns  # (b, k): what every block says of each column
-    blocks, k = parts.shape
-    if k == 0 or blocks < 2:
+    parts = columns.T @ response  # (k, b): what every block says of each column
+    if min(parts.shape[0], parts.shape[1] - 1) < 1:
         return None
-    mean = parts.mean(axis=0)
-    covariance = np.atleast_2d(np.cov(parts, rowvar=False))
-    trace = float(np.trace(covariance))
-    if trace <= (ROUNDING * float(np.abs(response).max())) ** 2:
-        return None
-    epsilon = trace**2 / (k * float((covariance**2).sum()))
-    f = blocks * float(mean @ mean) / trace
-    df = epsilon * k
-    return SurfaceFTest(f, df, df * (blocks - 1), float(stats.f.sf(f, df, df * (blocks - 1))))
+    return over_blocks(parts, (ROUNDING * float(np.abs(response).max())) ** 2)
 
 
-def lack_of_fit(columns: ModelColumns, response: Array, which: Ints) -> SurfaceFTest | None:
+def lack_of_fit(columns: ModelColumns, response: Array, which: Ints) -> FRatioTest | None:
     """Classical test of the model against pure error (Montgomery 2017, section 11.2)."""
     # Shapes: response (n,); which (n,).
-    from scipy import stats
-
     counts = np.bincount(which)
     means = np.bincount(which, weights=response) / counts
     pure = float(((response - means[which]) ** 2).sum())
-    df_pure = int(response.size - counts.size)
-    df = int(counts.size - columns.matrix.shape[1])
-    if df_pure < 1 or df < 1 or pure <= 0:
-        return None
     residual = float((columns.residuals(response) ** 2).sum())
-    f = max(residual - pure, 0.0) / df / (pure / df_pure)
-    return SurfaceFTest(f, float(df), float(df_pure), float(stats.f.sf(f, df, df_pure)))
+    df, df_pure = counts.size - columns.model.rank, response.size - counts.size
+    return extra_sum(residual - pure, df, pure, df_pure)
 
 
 # Where the surface is level, and what it is there (canonical analysis).
@@ -327,10 +283,8 @@ Member = Callable[[Array], Flags]
 
 def level_by_blocks(surfaces: Sequence[QuadraticPolynomial]) -> Member:
     """95 % region in which the blocks' gradients may have the mean zero (Hotelling's T^2)."""
-    from scipy import stats
-
     b, k = len(surfaces), surfaces[0].k
-    limit = k * (b - 1) / (b - k) * stats.f.ppf(0.95, k, b - k)
+    limit = k * (b - 1) / (b - k) * fdtri(k, b - k, 0.95)
 
     def member(coded: Array) -> Flags:
         gradients = np.stack([surface.gradient(coded) for surface in surfaces])  # (b, n, k)
@@ -348,10 +302,8 @@ def level_by_residual(surface: QuadraticPolynomial, covariance: Array, df: int) 
 
     Shapes: covariance (p, p) of the coefficients of the terms.
     """
-    from scipy import stats
-
     k = surface.k
-    limit = k * float(stats.f.ppf(0.95, k, df))
+    limit = k * float(fdtri(k, df, 0.95))
     units = [replace(surface, coefficients=one) for one in np.eye(len(surface.terms))]
 
     def member(coded: Array) -> Flags:
@@ -411,14 +363,14 @@ class QuadraticSurface:
     #: The same with intervals and p.
     terms: tuple[SurfaceTerm, ...]
     #: With blocks: all terms of a factor together.
-    factor_tests: dict[str, SurfaceFTest]
+    factor_tests: dict[str, FRatioTest]
     #: {"none", "blocks", "replicates"}: what tests rest on: nothing (a deterministic surface),
     #: blocks or replicates.
     error: Error
     #: Leave-one-out errors; None where no run can be left out.
     loo: LeaveOneOut | None
     #: What the model leaves open, against blocks or pure error.
-    lack_of_fit: SurfaceFTest | None
+    lack_of_fit: FRatioTest | None
     #: None where the surface is level nowhere.
     stationary: StationaryPoint | None
     #: Terms that the settings cannot tell from others.
@@ -448,8 +400,6 @@ class QuadraticSurface:
 
     def _scatter(self, j: int) -> float:
         """Half width of every difference of two settings of one factor together."""
-        from scipy import stats
-
         covariance = np.asarray(self.covariance)
         own = [i for i, term in enumerate(self.polynomial.terms) if j in term.factors]
         p, spread = len(own), covariance[np.ix_(own, own)]
@@ -464,12 +414,12 @@ class QuadraticSurface:
             for d in [rows[a] - rows[b]]
         )
         if self.error != "blocks":
-            return largest * float(np.sqrt(p * stats.f.ppf(0.95, p, self.df)))
+            return largest * float(np.sqrt(p * fdtri(p, self.df, 0.95)))
         free = self.df + 1 - p
         if free > 0:
-            return largest * float(np.sqrt(p * self.df / free * stats.f.ppf(0.95, p, free)))
+            return largest * float(np.sqrt(p * self.df / free * fdtri(p, free, 0.95)))
         # none of 3,000 ranges over 2 or 3 normal blocks went beyond: the largest error serves all
-        return largest * float(stats.t.ppf(1 - 0.025 / len(points), self.df))
+        return largest * float(stdtrit(self.df, 1 - 0.025 / len(points)))
 
     @property
     def q2(self) -> float:
@@ -525,7 +475,7 @@ def _with_replicates(
     b = columns.coefficients(runs.response)
     df = runs.response.size - b.size
     residual = float((columns.residuals(runs.response) ** 2).sum())
-    errors = np.sqrt(np.diag(columns.inverse()) * residual / max(df, 1))
+    errors = np.sqrt(np.diag(columns.model.unscaled_covariance) * residual / max(df, 1))
     labels = _labels(runs, columns)
     terms = _estimates(labels, b[: len(labels)], errors[: len(labels)], df, alpha)
     fit = lack_of_fit(columns, runs.response, which)
@@ -587,14 +537,12 @@ def _shifted_by_blocks(runs: Runs, block: Ints, which: Ints, alpha: float) -> Qu
     """
     terms = factorize(second_order(runs.levels()), runs.coded)
     shift = np.eye(int(block.max()) + 1)[block]
-    matrix = np.hstack([terms.matrix, shift[:, :-1] - shift[:, -1:]])
-    q, r = linalg.qr(matrix, mode="economic")
-    if matrix.shape[0] < matrix.shape[1] or np.abs(np.diag(r)).min() < ALIASED * np.abs(r).max():
+    model = factorize_columns(np.hstack([terms.model.columns, shift[:, :-1] - shift[:, -1:]]))
+    if not model.is_full:
         rule = "no two have a run at every setting, and the settings do not tell their shifts"
         mend = "complete the blocks, or leave --block out"
         raise RefusedError(str(Fault("blocks", rule, mend)))
-    columns = ModelColumns(terms.terms, terms.aliases, matrix, np.asarray(q), np.asarray(r))
-    found = _with_replicates(runs, which, alpha, columns)
+    found = _with_replicates(runs, which, alpha, replace(terms, model=model))
     note = "blocks hold different settings: each shifts the response by a constant"
     return replace(found, notes=(note, *found.notes))
 
@@ -605,7 +553,7 @@ def _with_region(point: StationaryPoint | None, member: Member | None) -> Statio
     return replace(point, region=region_of(member, point.at))
 
 
-def _factor_tests(runs: Runs, columns: ModelColumns, table: Array) -> dict[str, SurfaceFTest]:
+def _factor_tests(runs: Runs, columns: ModelColumns, table: Array) -> dict[str, FRatioTest]:
     found = {}
     for j, name in enumerate(runs.names):
         own = [i for i, term in enumerate(columns.terms) if j in term.factors]
@@ -622,17 +570,15 @@ def _labels(runs: Runs, columns: ModelColumns) -> list[str]:
 def _estimates(
     labels: list[str], b: Array, errors: Array, df: int, alpha: float
 ) -> tuple[SurfaceTerm, ...]:
-    from scipy import stats
-
     if df < 1:
         return tuple(SurfaceTerm(label, float(c)) for label, c in zip(labels, b, strict=True))
-    t = float(stats.t.ppf(1.0 - alpha / 2.0, df))
+    t = float(stdtrit(df, 1.0 - alpha / 2.0))
     return tuple(
         SurfaceTerm(
             label,
             float(c),
             (float(c - t * se), float(c + t * se)),
-            float(2.0 * stats.t.sf(abs(c) / se, df)) if se > 0 else None,
+            float(2.0 * stdtr(df, -abs(c) / se)) if se > 0 else None,
         )
         for label, c, se in zip(labels, b, errors, strict=True)
     )
@@ -645,7 +591,7 @@ def _surface(
     terms: tuple[SurfaceTerm, ...],
     error: Error,
     *,
-    lack: SurfaceFTest | None = None,
+    lack: FRatioTest | None = None,
     notes: list[str],
 ) -> QuadraticSurface:
     count = len(columns.terms)
@@ -665,18 +611,18 @@ def _surface(
         said.append("as many coefficients as runs: no error of the surface can be told; add runs")
     elif not loo.q2 >= CARRIED:
         said.append(f"Q2 {loo.q2:.2f} is below .8: effects are not carried by a quadratic")
-    elif error != "blocks" and response.size - columns.matrix.shape[1] < SPARE:
+    elif error != "blocks" and response.size - columns.model.rank < SPARE:
         said.append(f"one run more than coefficients: a Q2 of {loo.q2:.2f} may be chance; add runs")
     # a stationary point needs every square
     squares = sum(len(t.factors) == 2 and t.factors[0] == t.factors[1] for t in columns.terms)
     point = stationary_point(polynomial) if squares == polynomial.k else None
-    df = response.size - columns.matrix.shape[1]
+    df = response.size - columns.model.rank
     covariance = None
     if error != "blocks" and df > 0:
         residual = float((columns.residuals(response) ** 2).sum())
         # misfit below rounding moves nothing: what scatters least stands for it
         residual = max(residual, df * (ROUNDING * float(np.abs(response).max())) ** 2)
-        covariance = columns.inverse()[:count, :count] * residual / df
+        covariance = columns.model.unscaled_covariance[:count, :count] * residual / df
         point = _with_region(point, level_by_residual(polynomial, covariance, df))
     return QuadraticSurface(
         runs, polynomial, terms, {}, error, loo, lack, point,

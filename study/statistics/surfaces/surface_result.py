@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from study.ground.arrays import Array
+from study.statistics.analysis.sums_of_squares import FRatioTest
 from study.statistics.surfaces.emulator import (
     NO_INDEX,
     BlockedEmulator,
@@ -17,7 +18,7 @@ from study.statistics.surfaces.emulator import (
     SobolIndex,
     effect_ranges,
 )
-from study.statistics.surfaces.quadratic import QuadraticSurface, StationaryPoint, SurfaceFTest
+from study.statistics.surfaces.quadratic import QuadraticSurface, StationaryPoint
 from study.statistics.surfaces.surface_factors import Extreme, Runs, extremes, never_run
 
 Document = dict[str, object]
@@ -269,7 +270,7 @@ def _of_emulator(
     return judged, notes
 
 
-def _test(test: SurfaceFTest | None) -> Document | None:
+def _test(test: FRatioTest | None) -> Document | None:
     if test is None:
         return None
     return {"F": test.f, "df": test.df, "df_error": test.df_error, "p": test.p}
