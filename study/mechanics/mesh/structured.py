@@ -39,6 +39,31 @@ MIDDLES: dict[str, list[tuple[int, ...]]] = {
     "tetra10": [*_TRIANGLE, (0, 3), (1, 3), (2, 3)],
     "hexahedron27": [*_HEX_EDGES, *_HEX_FACES, tuple(range(8))],
 }
+#: corners of a cell in the order that its mirror image needs
+_MIRRORED = {
+    "triangle": [1, 0, 2], "quad": [1, 0, 3, 2], "tetra": [0, 1, 3, 2],
+    "hexahedron": [4, 5, 6, 7, 0, 1, 2, 3],
+}  # fmt: skip
+
+
+def mirror(
+    points: Array, cells: Ints, kind: str, axis: int, level: float
+) -> tuple[Array, Ints, Ints]:
+    """Body and its image in a plane, whose points both share.
+
+    The third are the points that have an image of their own: the images follow in that order.
+
+    Units: level mm.
+    """
+    image, number = points.copy(), np.arange(len(points))
+    image[:, axis] = 2 * level - image[:, axis]
+    beyond = np.flatnonzero(np.abs(image - points)[:, axis] > 1e-9 * np.ptp(points, axis=0).max())
+    number[beyond] = len(points) + np.arange(beyond.size)
+    corners = _MIRRORED[kind.rstrip("0123456789")]
+    middles = [frozenset(m) for m in MIDDLES.get(kind, [])]
+    moved = [frozenset(corners[c] for c in middle) for middle in middles]
+    order = [*corners, *(len(corners) + middles.index(m) for m in moved)]
+    return np.vstack([points, image[beyond]]), np.vstack([cells, number[cells[:, order]]]), beyond
 
 
 def graded_line(length: float, h: float, *, towards_end: bool) -> Array:

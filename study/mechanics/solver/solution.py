@@ -245,6 +245,10 @@ def without_answer(problem: Problem, status: str, message: str, seconds: float) 
 #: what a user can do about an energy that is stretched too far
 _OUT_OF_REACH = "no finer mesh goes further; press less deep, or use another energy"
 
+#: part of the displacement up to which the specimen's surface may lie inside the moving one unsaid:
+#: where a facet bridges the edge of a punch, the force is that of a blunter one
+_INSIDE = 0.1
+
 #: force of a pin over that of the test above which a specimen is not balanced
 _UNBALANCED = 1e-3
 
@@ -483,6 +487,13 @@ class Logbook:
             said = [apart]
         elif lost:
             said.append(f"{lost}: there the answer depends on the mesh")
+        inside = max((figures.penetration_mm for _, _, figures in self.held), default=0.0)
+        if inside > _INSIDE * self._whole_mm:
+            said.append(
+                f"the specimen's surface lies up to {inside:.2g} mm inside the moving one, "
+                f"{100 * inside / self._whole_mm:.2g} % of the displacement: use a smaller "
+                "mesh_size, or press less deep"
+            )
         said += self._not_converged(curve)
         if isinstance(self.problem.specimen, Enclosed):
             said += body(self.problem.specimen).notes
