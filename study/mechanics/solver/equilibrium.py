@@ -19,7 +19,7 @@ from study.ground.arrays import Array, Flags, Ints
 from study.mechanics.contact.collocation import _ring_shares
 from study.mechanics.contact.contact import Constraints, TiedPoints, prescribed_rates
 from study.mechanics.element.function_space import _SAME, Pattern, _facet_areas, at_level
-from study.mechanics.mesh.structured import Mesh, mirror
+from study.mechanics.mesh.structured import KINDS, Mesh, mirror
 from study.mechanics.setup.setup import Problem, Setup
 from study.mechanics.setup.test_kinds import buckling_strain
 from study.mechanics.solver.internal_force import Tangent
@@ -228,7 +228,7 @@ def mirrored(
     Shapes: moved (n_points, 3); parity of that motion by axis.
     """
     points, cells = mesh.points, mesh.cells
-    kind = "hexahedron" if cells.shape[1] == 8 else "tetra"
+    kind = KINDS[(3, cells.shape[1])]
     planes = [(0, 0.0), (1, 0.0), *([(2, height_mm / 2)] if mesh.half_height else [])]
     for axis, level in planes:
         points, cells, beyond = mirror(points, cells, kind, axis, level)

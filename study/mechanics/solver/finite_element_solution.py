@@ -20,7 +20,7 @@ from study.mechanics.material.stability import stability, stable_in
 from study.mechanics.mesh.graded import turned
 from study.mechanics.mesh.mesher import build_mesh, mesh_size
 from study.mechanics.mesh.solid import surface_faults
-from study.mechanics.mesh.structured import MIDDLES, Mesh, mirror
+from study.mechanics.mesh.structured import KINDS, MIDDLES, QUADRATIC, Mesh, mirror
 from study.mechanics.setup.geometry import Enclosed, Surface
 from study.mechanics.setup.setup import Problem, Setup
 from study.mechanics.solver.equilibrium import (
@@ -203,12 +203,6 @@ def _system(problem: Problem, warm: Solution | None, options: Options, mesh: Mes
 
 # -------------------------------------------------------------------------------------------------
 # Fields of a solution for ParaView: the mesh with its mid-side nodes, displacement and stress.
-
-#: VTK's cell types by (dimension, corners, nodes that are drawn)
-_TYPES = {
-    (2, 3, 3): "triangle", (2, 3, 6): "triangle6", (2, 4, 4): "quad", (2, 4, 9): "quad9",
-    (3, 4, 4): "tetra", (3, 4, 10): "tetra10", (3, 8, 8): "hexahedron", (3, 8, 27): "hexahedron27",
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -454,9 +448,9 @@ def _cells(space: Discretization, corners: Ints) -> tuple[str, Ints]:
     """Type and nodes of the cells, the further nodes found by where they lie."""
     dim, n = space.dim, corners.shape[1]
     local = int(space.element_nodes.shape[1])
-    kind = _TYPES.get((dim, n, local), _TYPES[(dim, n, n)])  # bubbles are not drawn
-    if kind not in MIDDLES:
-        return kind, corners
+    linear, kind = KINDS[(dim, n)], QUADRATIC[KINDS[(dim, n)]]
+    if local < n + len(MIDDLES[kind]):  # bubbles are not drawn
+        return linear, corners
     own = space.element_nodes
     rest = own[~(own[:, :, None] == corners[:, None, :]).any(axis=2)].reshape(len(own), -1)
     places = space.nodes[rest]
