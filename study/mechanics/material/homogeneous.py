@@ -24,22 +24,6 @@ from study.mechanics.material.material import Material
 # Stress and tangent of a material at a deformation gradient.
 
 
-def strain_energy(material: Material, F: Array) -> Array:
-    """Strain energy per unit reference volume in MPa. Shapes: F (3, 3, ...); returns (...)."""
-    if material.small_strain:
-        strain, trace = _small_strain(F)
-        mu, pressure = material.mu0, _finite(material.bulk)
-        dev = strain - trace / 3 * _identity(F)
-        return np.asarray(mu * (dev**2).sum((0, 1)) + pressure / 2 * trace**2)
-    stretch, _, J = _spectral(F)
-    if (foam := material.compressible) is not None:
-        foam_energy = foam.energy_density(material.constants, material.compressibility, stretch)
-        return _reached(material, foam_energy)
-    bar = stretch / np.cbrt(J)
-    energy = _reached(material, material.isochoric.energy_density(material.constants, bar))
-    return energy + _finite(material.bulk) / 2 * (J - 1) ** 2
-
-
 def first_piola(material: Material, F: Array) -> Array:
     """First Piola-Kirchhoff (nominal) stress dW/dF in MPa, shape (3, 3, ...)."""
     if material.small_strain:
