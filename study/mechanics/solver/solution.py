@@ -11,6 +11,7 @@ from study.ground.arrays import Array
 from study.ground.curve import Curve, hermite_work
 from study.mechanics.setup.geometry import Enclosed
 from study.mechanics.setup.setup import Problem
+from study.mechanics.setup.test_kinds import buckling_strain
 from study.mechanics.solver.equilibrium import (
     ContactFigures,
     Equilibria,
@@ -494,10 +495,24 @@ class Logbook:
                 f"{100 * inside / self._whole_mm:.2g} % of the displacement: use a smaller "
                 "mesh_size, or press less deep"
             )
+        said += self._cannot_sway()
         said += self._not_converged(curve)
         if isinstance(self.problem.specimen, Enclosed):
             said += body(self.problem.specimen).notes
         return "; ".join(said)
+
+    def _cannot_sway(self) -> list[str]:
+        """Say that a column went past Euler's load in a model whose axis holds it straight."""
+        setup, height_mm = self.problem.setup, self.system.height_mm
+        critical = buckling_strain(setup.test, setup.specimen)
+        if self.system.space.dim == 3 or self.system.small_strain or critical is None:
+            return []
+        if not self.reached or self.reached[-1] < critical * height_mm:
+            return []
+        return [
+            f"a column of this slenderness buckles at about {critical * height_mm:.3g} mm (Euler's "
+            "load), which a model with an axis of symmetry cannot show"
+        ]
 
     def _not_converged(self, curve: Curve) -> list[str]:
         """Say which iterations beside Newton's ended before their tolerance."""
