@@ -74,10 +74,11 @@ def mirror(
 def edges_and_facets(kind: str) -> tuple[list[tuple[int, ...]], list[tuple[int, ...]]]:
     """Edges and outer facets of a cell by their corners; in a plane they are the same."""
     middles = MIDDLES[QUADRATIC[kind]]
-    edges = [m for m in middles if len(m) == 2]
+    edges: list[tuple[int, ...]] = [m for m in middles if len(m) == 2]
+    faces: list[tuple[int, ...]] = [m for m in middles if len(m) == 4]
     if kind == "tetra":
-        return edges, list(combinations(range(4), 3))
-    return edges, [m for m in middles if len(m) == 4] if kind == "hexahedron" else edges
+        return edges, [*combinations(range(4), 3)]
+    return edges, faces if kind == "hexahedron" else edges
 
 
 def graded_line(length: float, h: float, *, towards_end: bool) -> Array:
