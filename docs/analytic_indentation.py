@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from study.mechanics.indentation.contact_law import Layer, force_law
+from study.mechanics.forward.contact_law import Layer, force_law
 from study.mechanics.indentation.indentation_modulus import fit_modulus
 from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Cone, Cylinder, Flat, Indenter, Sphere

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from study.mechanics.indentation import contact_law
-from study.mechanics.indentation.contact_law import ContactForceLaw as ForceLaw
-from study.mechanics.indentation.contact_law import Layer, contact_state, force_law, transform
+from study.mechanics.forward import contact_law
+from study.mechanics.forward.contact_law import ContactForceLaw as ForceLaw
+from study.mechanics.forward.contact_law import Layer, contact_state, force_law, transform
 from study.mechanics.setup.geometry import Cone, Flat, Indenter, Sphere
 
 LAYERS = Path(__file__).resolve().parents[2] / "validation" / "layers.csv"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from study.mechanics.indentation.contact_law import Layer, force_law, limits
+from study.mechanics.forward.contact_law import Layer, force_law, limits
 from study.mechanics.indentation.indentation_modulus import (
     CurveModulus,
     fit_modulus,

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,7 +15,6 @@ from study.mechanics.forward.closed_form import indentation
 from study.mechanics.setup.geometry import Cone, Flat, Indenter, Sphere
 from study.mechanics.setup.setup import problem_of
 
-LAYERS = Path(__file__).parents[2] / "validation" / "layers.csv"
 HIGH = 1e9
 D = np.array([0.1, 1.0, 2.0])
 NEO_HOOKEAN = 6e-3
@@ -54,27 +51,13 @@ def test_half_space(indenter: Indenter, expected: np.ndarray, nu: float) -> None
 
 
 def test_a_rounded_tip_and_a_shaft() -> None:
-    """Neither matters where the cone alone is in contact; a shaft goes on as a flat punch."""
+    """A rounded tip lies its own rounding deeper than a sharp one; a shaft goes on as a punch."""
     depth = np.array([20.0, 30.0])
-    sharp = indentation(Cone(45.0), depth, height_mm=HIGH)
+    sharp = indentation(Cone(45.0), depth + (np.sqrt(2) - 1) * 0.2, height_mm=HIGH)
     rounded = indentation(Cone(45.0, tip_radius_mm=0.2), depth, height_mm=HIGH)
-    assert rounded == pytest.approx(sharp, rel=5e-3)
+    assert rounded == pytest.approx(sharp, rel=1e-4)
     shaft = indentation(Cone(45.0, shaft_radius_mm=3.0), depth, height_mm=HIGH)
     assert np.diff(shaft) == pytest.approx(2 * 3.0 * 10.0 / 0.75)
-
-
-def test_layers() -> None:
-    """A punch on a bonded layer stiffens nearly as the sphere that the series was made for."""
-    with LAYERS.open(encoding="utf-8") as file:
-        rows = [row for row in csv.DictReader(file) if row["problem"] == "punch on layer"]
-    assert len(rows) >= 15
-    for row in rows:
-        height, nu = 8.0 / float(row["ratio"]), float(row["poisson_ratio"])
-        free, bonded = (
-            float(indentation(Flat(8.0), D, height_mm=h, poisson_ratio=nu)[0])
-            for h in (HIGH, height)
-        )
-        assert 0.95 < bonded / free / float(row["value"]) < 1.4, row
 
 
 def setting(indenter: str, specimen: str, nu: float = 0.4995) -> dict[str, Any]:

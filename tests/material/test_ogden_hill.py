@@ -17,7 +17,6 @@ from study.mechanics.material.homogeneous import (
     first_piola,
     first_piola_gradient,
     response,
-    strain_energy,
 )
 from study.mechanics.material.material import Material
 from study.mechanics.material.stability import stability
@@ -73,9 +72,8 @@ def test_abaqus_has_the_same_stress_at_20_states(tmp_path: Path, poisson_ratio: 
     values = [float(v) for v in lines[lines.index("*Hyperfoam, n=2") + 1].split(",")]
     assert len(values) == 6
     foam, F = Material("ogden-hill", CONSTANTS, poisson_ratio=poisson_ratio), states()
-    ours, energy = first_piola(foam, F), strain_energy(foam, F)
+    ours = first_piola(foam, F)
     for k in range(F.shape[-1]):
-        assert energy[k] == pytest.approx(manual(values, F[..., k]), rel=1e-11)
         theirs = by_differences(lambda G: manual(values, G), F[..., k])
         assert ours[..., k] == pytest.approx(theirs, rel=1e-8, abs=1e-10)
 

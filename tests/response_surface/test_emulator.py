@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+import threadpoolctl
 from SALib.analyze import sobol as salib
 from scipy import optimize
 from scipy.stats import qmc
@@ -384,3 +385,19 @@ def test_a_search_of_length_scales_goes_on_or_is_refused(monkeypatch: pytest.Mon
     monkeypatch.setattr(gaussian_process, "MOST_STEPS", 1)
     with pytest.raises(RefusedError, match="length scales of the emulator: the search has not"):
         fit_process(x, y, noise, FAMILIES[0])
+
+
+def test_an_emulator_is_fitted_on_one_thread(monkeypatch):
+    threads = []
+
+    def watched(*arguments):
+        pools = threadpoolctl.threadpool_info()
+        threads.extend(pool["num_threads"] for pool in pools if pool["user_api"] == "blas")
+        return likelihood(*arguments)
+
+    likelihood = gaussian_process.log_likelihood
+    monkeypatch.setattr(gaussian_process, "log_likelihood", watched)
+    x = np.linspace(-1, 1, 12)[:, None]
+    with threadpoolctl.threadpool_limits(2):
+        gaussian_process.fit_process(x, np.sin(3 * x[:, 0]), np.zeros(12), "Matern 5/2")
+    assert set(threads) == {1}

@@ -9,11 +9,9 @@ import tomllib
 import numpy as np
 import pandas as pd
 import pytest
-import threadpoolctl
 
 from study import api
 from study.ground import errors
-from study.statistics.surfaces import gaussian_process
 from tests.cli.small import study
 
 
@@ -525,19 +523,3 @@ def test_listed_cells_take_settings_of_ranges(tmp_path):
         design["design"]["treatments"][0]["parameters.d"] = wrong
         with pytest.raises(errors.InputError, match="design.treatments"):
             api.load_design(design)
-
-
-def test_an_emulator_is_fitted_on_one_thread(monkeypatch):
-    threads = []
-
-    def watched(*arguments):
-        pools = threadpoolctl.threadpool_info()
-        threads.extend(pool["num_threads"] for pool in pools if pool["user_api"] == "blas")
-        return likelihood(*arguments)
-
-    likelihood = gaussian_process.log_likelihood
-    monkeypatch.setattr(gaussian_process, "log_likelihood", watched)
-    x = np.linspace(-1, 1, 12)[:, None]
-    with threadpoolctl.threadpool_limits(2):
-        gaussian_process.fit_process(x, np.sin(3 * x[:, 0]), np.zeros(12), "Matern 5/2")
-    assert set(threads) == {1}

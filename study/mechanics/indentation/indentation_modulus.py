@@ -15,7 +15,7 @@ from scipy.special import bdtr, stdtrit
 
 from study.ground.arrays import Array, Flags
 from study.ground.errors import Fault, InputError, settled
-from study.mechanics.indentation.contact_law import (
+from study.mechanics.forward.contact_law import (
     ContactForceLaw,
     Layer,
     ValidityLimit,

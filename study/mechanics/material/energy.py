@@ -352,10 +352,6 @@ class IsochoricEnergy(Energy):
     def principal_stress_gradient(self, constants: Constants, bar: Array) -> dict[str, Array]:
         """Differentiate :meth:`principal_stress` by every constant, each shape (3, ...)."""
 
-    @abstractmethod
-    def energy_density(self, constants: Constants, bar: Array) -> Array:
-        """Isochoric strain energy in MPa, shape (...)."""
-
     def always_elliptic(self, constants: Constants) -> bool:
         """Whether it is known to be strongly elliptic at every stretch; False says nothing."""
         return False
@@ -402,12 +398,6 @@ class CompressibleEnergy(Energy):
         self, constants: Constants, compressibility: Compressibility, stretch: Array
     ) -> dict[str, Array]:
         """Differentiate tau_i by every constant, each of shape (3, ...)."""
-
-    @abstractmethod
-    def energy_density(
-        self, constants: Constants, compressibility: Compressibility, stretch: Array
-    ) -> Array:
-        """Strain energy in MPa, shape (...)."""
 
     def without_poisson_ratio(self) -> Fault:
         """Return the fault of a material whose compressibility is given another way."""

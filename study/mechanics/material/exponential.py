@@ -64,11 +64,6 @@ class ExponentialEnergy(InvariantEnergy):
     def coefficient_rates(self, constants: Constants, name: str) -> Exponential:
         """Those of the derivative of W by a constant."""
 
-    def value(self, constants: Constants, a: Array, b: Array) -> Array:
-        """Written with exp(k a) - 1, which keeps its digits at small strain."""
-        c = self.coefficients(constants)
-        return np.asarray(c.p * np.expm1(c.k * a) + c.d * b)
-
     def slopes(self, constants: Constants, a: Array, b: Array) -> Slopes:
         """Of W."""
         return self.coefficients(constants).slopes(a)

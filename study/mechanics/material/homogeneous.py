@@ -18,26 +18,10 @@ from numpy.typing import ArrayLike
 
 from study.ground.arrays import Array
 from study.ground.errors import Fault, InputError, nearest
-from study.mechanics.material.energy import CompressibleEnergy, poisson_from_bulk
+from study.mechanics.material.energy import poisson_from_bulk
 from study.mechanics.material.material import Material
 
 # Stress and tangent of a material at a deformation gradient.
-
-
-def strain_energy(material: Material, F: Array) -> Array:
-    """Strain energy per unit reference volume in MPa. Shapes: F (3, 3, ...); returns (...)."""
-    if material.small_strain:
-        strain, trace = _small_strain(F)
-        mu, pressure = material.mu0, _finite(material.bulk)
-        dev = strain - trace / 3 * _identity(F)
-        return np.asarray(mu * (dev**2).sum((0, 1)) + pressure / 2 * trace**2)
-    stretch, _, J = _spectral(F)
-    if (foam := material.compressible) is not None:
-        foam_energy = foam.energy_density(material.constants, material.compressibility, stretch)
-        return _reached(material, foam_energy)
-    bar = stretch / np.cbrt(J)
-    energy = _reached(material, material.isochoric.energy_density(material.constants, bar))
-    return energy + _finite(material.bulk) / 2 * (J - 1) ** 2
 
 
 def first_piola(material: Material, F: Array) -> Array:
@@ -176,113 +160,91 @@ def response(material: Material, mode: Mode | str, stretch: ArrayLike) -> Stress
         raise InputError("an incompressible material cannot be compressed in a rigid box")
     if material.small_strain:
         return _linear(material, mode, stretches)
+    x, a, v = np.log(stretches), np.array(mode.loaded, float), np.array(mode.free, float)
+    if material.compressible is None:
+        start = -x * a.sum() / max(v.sum(), 1.0)  # the volume is nearly kept
+    else:  # the strain of small ones begins the search
+        nu = poisson_from_bulk(material.mu0, material.bulk)
+        start = -nu * a.sum() / (1 - nu * (2 - v.sum())) * x
+    return _balanced(material, a, v, a[:, None] * x, start if v.any() else np.zeros_like(x))
+
+
+def _balanced(
+    material: Material, loaded: Array, free: Array, fixed: Array, start: Array
+) -> StressResponse:
+    """State at stretches with ln l = ``fixed`` + ``free`` z, where z leaves no stress on its sides.
+
+    The slope is that by the stretch of the first direction, which turns ln l along ``loaded``.
+
+    Shapes: loaded, free (3,); fixed (3, n); start (n,).
+    """
     # unstable constants may overflow or have no equilibrium: NaN says so
     with np.errstate(all="ignore"):
-        if (foam := material.compressible) is not None:
-            return _compressible(material, foam, mode, stretches)
-        return _hyperelastic(material, mode, stretches)
+        z = _free_log_stretch(material, free, fixed, start)
+        log, stretch = fixed + free[:, None] * z, np.exp(fixed[0])
+        J, (bulk, dbulk) = np.exp(log.sum(0)), _bulk_beside(material)
+        kirchhoff, along_x, along_z = _without_bulk(material, log, np.array([loaded, free]))
+        partial = _without_bulk_gradient(material, log)
+        volumetric = bulk * (2 * J - 1) * J
+        if not free.any():
+            tau, dtau = kirchhoff[0] + bulk * J * (J - 1), along_x[0] + volumetric
+            gradient = {n: (g[0] + dbulk[n] * J * (J - 1)) / stretch for n, g in partial.items()}
+            return StressResponse(tau / stretch, (dtau - tau) / stretch**2, np.exp(z), J, gradient)
+        # the free direction's total stress is zero, so K (J-1) J = -kirchhoff[t] without cancelling
+        t = int(free.argmax())
+        tau, tau_x, tau_z = (q[0] - q[t] for q in (kirchhoff, along_x, along_z))
+        dz_dx, dz = np.full_like(J, -loaded.sum() / free.sum()), dict.fromkeys(partial, 0.0 * J)
+        if not material.incompressible:
+            by_z = along_z[t] + volumetric * free.sum()
+            dz_dx = -(along_x[t] + volumetric * loaded.sum()) / by_z
+            dz = {n: -(g[t] + dbulk[n] * J * (J - 1)) / by_z for n, g in partial.items()}
+        gradient = {n: (g[0] - g[t] + tau_z * dz[n]) / stretch for n, g in partial.items()}
+        slope = (tau_x + tau_z * dz_dx - tau) / stretch**2
+        return StressResponse(tau / stretch, slope, np.exp(z), J, gradient)
 
 
-def _compressible(
-    material: Material, energy: CompressibleEnergy, mode: Mode, stretch: Array
-) -> StressResponse:
-    """Test of an energy whose volume change belongs to all of it."""
-    x, t = np.log(stretch), 0 if mode is CONFINED else mode.free_axis
-    a, v = np.array(mode.loaded, float), np.array(mode.free, float)
-    constants_given = material.constants, material.compressibility
-
-    def at(z: Array) -> Array:
-        log = np.tile(x, z.size // x.size)
-        return np.asarray(np.exp(a[:, None] * log + v[:, None] * z))
-
-    def lateral(z: Array) -> tuple[Array, Array]:
-        sides = at(z)
-        return energy.kirchhoff(*constants_given, sides)[t], energy.kirchhoff_slope(
-            *constants_given, sides, v
-        )[t]
-
-    nu = poisson_from_bulk(material.mu0, material.bulk)
-    loaded = a.sum()  # one or two directions: the strain of small ones begins the search
-    narrower = -nu * loaded / (1 - nu * (2 - v.sum()))
-    z = np.zeros_like(x) if mode is CONFINED else _safeguarded_newton(lateral, narrower * x)
-    sides = at(z)
-    tau, partial = (
-        energy.kirchhoff(*constants_given, sides),
-        energy.kirchhoff_gradient(*constants_given, sides),
-    )
-    along_x = energy.kirchhoff_slope(*constants_given, sides, a)
-    along_z = energy.kirchhoff_slope(*constants_given, sides, v)
-    gives = np.zeros_like(x) if mode is CONFINED else along_z[0] / along_z[t]
-    gradient = {n: (g[0] - gives * g[t]) / stretch for n, g in partial.items()}
-    slope = (along_x[0] - gives * along_x[t] - tau[0]) / stretch**2
-    return StressResponse(tau[0] / stretch, slope, np.exp(z), sides.prod(0), gradient)
+def _bulk_beside(material: Material) -> tuple[float, dict[str, float]]:
+    """K and its derivatives, where a change of volume has an energy of its own; else zero."""
+    if material.compressible is not None:
+        return 0.0, dict.fromkeys(material.names, 0.0)
+    return _finite(material.bulk), material.bulk_gradient()
 
 
-def _hyperelastic(material: Material, mode: Mode, stretch: Array) -> StressResponse:
-    x = np.log(stretch)
-    a, v = np.array(mode.loaded, float), np.array(mode.free, float)
-    z = _free_log_stretch(material, mode, x)
-    log = a[:, None] * x + v[:, None] * z
-    bar, J = np.exp(deviator(log)), np.exp(log.sum(0))
-    energy, constants = material.isochoric, material.constants
-    directions = np.array([deviator(a), deviator(v)])
-    stress, slopes = energy.stress_and_slope(constants, bar, directions)
-    kirchhoff, along_x, along_z = deviator(stress), deviator(slopes[0]), deviator(slopes[1])
-    by_constant = energy.principal_stress_gradient(constants, bar)
-    partial = {n: deviator(g) for n, g in by_constant.items()}
-    if mode is CONFINED:
-        bulk, dbulk = material.bulk, material.bulk_gradient()
-        tau = kirchhoff[0] + bulk * J * (J - 1)
-        dtau = along_x[0] + bulk * (2 * J - 1) * J
-        gradient = {n: (g[0] + dbulk[n] * J * (J - 1)) / stretch for n, g in partial.items()}
-        return StressResponse(tau / stretch, (dtau - tau) / stretch**2, np.exp(z), J, gradient)
-    # the free direction's total stress is zero, so K (J-1) J = -kirchhoff[t] without cancelling
-    t = mode.free_axis
-    tau, tau_x, tau_z = (q[0] - q[t] for q in (kirchhoff, along_x, along_z))
-    dz_dx, dz_dc = _free_rates(material, mode, J, along_x[t], along_z[t], partial)
-    gradient = {n: (g[0] - g[t] + tau_z * dz_dc[n]) / stretch for n, g in partial.items()}
-    slope = (tau_x + tau_z * dz_dx - tau) / stretch**2
-    return StressResponse(tau / stretch, slope, np.exp(z), J, gradient)
+def _without_bulk(material: Material, log: Array, directions: Array) -> tuple[Array, ...]:
+    """Principal Kirchhoff stress but for that of K, and its slopes along rates of ln l."""
+    # Shapes: log (3, n), directions (k, 3); returns 1 + k of (3, n).
+    if (foam := material.compressible) is not None:
+        given = material.constants, material.compressibility, np.exp(log)
+        return foam.kirchhoff(*given), *(foam.kirchhoff_slope(*given, d) for d in directions)
+    turns = directions - np.add.reduce(directions, 1)[:, None] / 3
+    bar = np.exp(deviator(log))
+    stress, slopes = material.isochoric.stress_and_slope(material.constants, bar, turns)
+    return deviator(stress), *(deviator(slope) for slope in slopes)
 
 
-def _free_rates(
-    material: Material, mode: Mode, J: Array, by_x: Array, by_z: Array, partial: dict[str, Array]
-) -> tuple[Array, dict[str, Array]]:
-    """Differentiate the free logarithmic stretch by ln l and by every constant."""
-    loaded, free = sum(mode.loaded), sum(mode.free)
-    if material.incompressible:
-        zero = np.zeros_like(J)
-        return zero - loaded / free, dict.fromkeys(partial, zero)
-    t, volumetric = mode.free_axis, material.bulk * (2 * J - 1) * J
-    f_z = by_z + volumetric * free
-    dbulk = material.bulk_gradient()
-    dz = {n: -(g[t] + dbulk[n] * J * (J - 1)) / f_z for n, g in partial.items()}
-    return -(by_x + volumetric * loaded) / f_z, dz
+def _without_bulk_gradient(material: Material, log: Array) -> dict[str, Array]:
+    """Differentiate the stress of :func:`_without_bulk` by every constant, each (3, n)."""
+    if (foam := material.compressible) is not None:
+        return foam.kirchhoff_gradient(material.constants, material.compressibility, np.exp(log))
+    bar = np.exp(deviator(log))
+    slopes = material.isochoric.principal_stress_gradient(material.constants, bar)
+    return {name: deviator(slope) for name, slope in slopes.items()}
 
 
-def _free_log_stretch(material: Material, mode: Mode, x: Array) -> Array:
+def _free_log_stretch(material: Material, free: Array, fixed: Array, start: Array) -> Array:
     """Logarithm of the free stretch: constant volume, or zero stress by safeguarded Newton."""
-    if mode is CONFINED:
-        return np.zeros_like(x)
-    a, v = np.array(mode.loaded, float), np.array(mode.free, float)
-    z0 = -x * a.sum() / v.sum()
-    if material.incompressible:
-        return np.asarray(z0)
-    t, bulk = mode.free_axis, material.bulk
-    energy, constants = material.isochoric, material.constants
-
-    loaded, turn, sides = a[:, None] * x, deviator(v), v.sum()
+    if material.incompressible or not free.any():
+        return np.array(start)
+    t, (bulk, _) = int(free.argmax()), _bulk_beside(material)
 
     def lateral(z: Array) -> tuple[Array, Array]:
-        log = loaded if z.size == x.size else np.tile(loaded, z.size // x.size)
-        log = log + v[:, None] * z
-        volume = np.add.reduce(log)
-        bar, J = np.exp(log - volume / 3), np.exp(volume)
-        stress, along = energy.stress_and_slope(constants, bar, turn)
-        tau, slope = (q[t] - np.add.reduce(q) / 3 for q in (stress, along))
-        return tau + bulk * J * (J - 1), slope + bulk * (2 * J - 1) * J * sides
+        log = fixed if z.size == start.size else np.tile(fixed, z.size // start.size)
+        log = log + free[:, None] * z
+        J = np.exp(np.add.reduce(log))
+        stress, slope = _without_bulk(material, log, free[None])
+        return stress[t] + bulk * J * (J - 1), slope[t] + bulk * (2 * J - 1) * J * free.sum()
 
-    return _safeguarded_newton(lateral, z0)
+    return _safeguarded_newton(lateral, start)
 
 
 #: largest step of Newton's method after which the next one, about its square, is rounding
@@ -455,36 +417,10 @@ def _biaxial(material: Material, stretch: Array) -> Loaded:
         rule = f"{material.model} has no closed form of unequal stretches here"
         raise InputError(Fault("material.model", rule, "take an isochoric energy"))
     x = np.log(stretch)
-    y = np.roll(x, stretch.size // 2)
-    energy, constants, bulk = material.isochoric, material.constants, material.bulk
-    z, sides = -x - y, deviator(np.array([0.0, 0.0, 1.0]))
-
-    def thickness(z: Array) -> tuple[Array, Array]:
-        times = z.size // x.size
-        log = np.stack([np.tile(x, times), np.tile(y, times), z])
-        J = np.exp(log.sum(0))
-        stress, along = energy.stress_and_slope(constants, np.exp(deviator(log)), sides)
-        return (
-            deviator(stress)[2] + bulk * J * (J - 1),
-            deviator(along)[2] + bulk * (2 * J - 1) * J,
-        )
-
-    with np.errstate(all="ignore"):  # unstable constants may have no equilibrium: NaN says so
-        if not material.incompressible:
-            z = _safeguarded_newton(thickness, z)
-        log = np.stack([x, y, z])
-        bar, J = np.exp(deviator(log)), np.exp(log.sum(0))
-        stress, along = energy.stress_and_slope(constants, bar, sides)
-        partial = energy.principal_stress_gradient(constants, bar)
-        gradient = {n: (g[0] - g[2]) / stretch for n, g in partial.items()}
-        if not material.incompressible:
-            change = deviator(along)
-            by_z = change[2] + bulk * (2 * J - 1) * J
-            dbulk = material.bulk_gradient()
-            for n, g in partial.items():
-                dz = -(deviator(g)[2] + dbulk[n] * J * (J - 1)) / by_z
-                gradient[n] = gradient[n] + (change[0] - change[2]) * dz / stretch
-        return Loaded((stress[0] - stress[2]) / stretch, gradient)
+    fixed = np.stack([x, np.roll(x, stretch.size // 2), np.zeros_like(x)])
+    along, free = np.eye(3)[[0, 2]]
+    state = _balanced(material, along, free, fixed, -fixed.sum(0))
+    return Loaded(state.stress, state.gradient)
 
 
 def _volumetric(material: Material, stretch: Array) -> Loaded:
@@ -492,19 +428,13 @@ def _volumetric(material: Material, stretch: Array) -> Loaded:
     if material.incompressible:
         rule = "an incompressible material cannot change its volume"
         raise InputError(Fault("material", rule, "give poisson_ratio or bulk_modulus"))
-    if (foam := material.compressible) is not None:
-        return _swollen(material, foam, stretch)
+    if material.compressible is not None:
+        log = np.tile(np.log(stretch), (3, 1))
+        tau, by = _without_bulk(material, log, np.eye(3)[:1])[0], _without_bulk_gradient
+        return Loaded(tau[0] / stretch, {n: g[0] / stretch for n, g in by(material, log).items()})
     shape = (stretch**3 - 1) * stretch**2
     slopes = material.bulk_gradient()
     return Loaded(material.bulk * shape, {n: slopes[n] * shape for n in material.names})
-
-
-def _swollen(material: Material, foam: CompressibleEnergy, stretch: Array) -> Loaded:
-    """Equal stretches of an energy whose volume change belongs to all of it."""
-    all_sides, volume = np.stack([stretch] * 3), material.compressibility
-    tau = foam.kirchhoff(material.constants, volume, all_sides)[0]
-    slopes = foam.kirchhoff_gradient(material.constants, volume, all_sides)
-    return Loaded(tau / stretch, {name: slope[0] / stretch for name, slope in slopes.items()})
 
 
 def loading_in(mode: str, prestretch: float | None = None) -> Loading:

@@ -39,13 +39,6 @@ class FiniteExtensibilityEnergy(InvariantEnergy):
     def pole_rates(self, constants: Constants, name: str) -> Array:
         """Return e and A1, A2, A3 of the derivative of W by a constant, shape (4,)."""
 
-    def value(self, constants: Constants, a: Array, b: Array) -> Array:
-        """Integrate the slope."""
-        e, first, second, third = self.poles(constants)
-        s = _inverse_gap(e, a)
-        logarithm = -np.log1p(np.where(np.isnan(s), np.nan, -e * a)) / e
-        return np.asarray(first * logarithm + second * a * s + third * 0.5 * a * (2 - e * a) * s**2)
-
     def slopes(self, constants: Constants, a: Array, b: Array) -> Slopes:
         """Of W."""
         return _slopes(self.poles(constants), a)
@@ -202,12 +195,6 @@ class VanDerWaals(DeclaredConstants, InvariantEnergy):
         Constant("a", -10.0, 10.0, True),
         Constant("beta", 0.0, 1.0, True),
     )
-
-    def value(self, constants: Constants, a: Array, b: Array) -> Array:
-        """W, with ln(1 - eta) + eta negative."""
-        at = _State.of(constants, a, b)
-        chains = -at.room * (np.log1p(-at.eta) + at.eta)
-        return np.asarray(constants["mu"] * (chains - 2 / 3 * constants["a"] * (0.5 * at.x) ** 1.5))
 
     def slopes(self, constants: Constants, a: Array, b: Array) -> Slopes:
         """dW/dI = mu / 2 (1 / (1 - eta) - a sqrt((I - 3) / 2))."""

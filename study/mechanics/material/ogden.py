@@ -149,12 +149,6 @@ class Ogden(OgdenSeries, IsochoricEnergy):
             gradient[f"alpha{i}"] = 2 * mu * log**2 * _phi_slope(z)
         return gradient
 
-    def energy_density(self, constants: Constants, bar: Array) -> Array:
-        """Sum (l^a - 3) / a^2 with sum(ln l) = 0: quadratic in ln l, and finite at a = 0."""
-        log = np.log(bar)
-        terms = zip(*ogden_terms(constants), strict=True)
-        return np.asarray(sum(2 * mu * (log**2 * _phi2(alpha * log)).sum(0) for mu, alpha in terms))
-
     def always_stable(self, constants: Constants) -> bool:
         """Positive moduli: by logarithmic stretches the second derivatives are 2 mu l^alpha."""
         mu, _ = ogden_terms(constants)
@@ -199,11 +193,6 @@ def ogden_terms(constants: Constants) -> tuple[Array, Array]:
 def _phi(z: Array) -> Array:
     """(e^z - 1) / z, with its limit 1 at zero."""
     return _series_or(z, lambda k: 1.0 / (k + 1), lambda w: np.expm1(w) / w)
-
-
-def _phi2(z: Array) -> Array:
-    """(e^z - 1 - z) / z^2, with its limit 1/2 at zero."""
-    return _series_or(z, lambda k: 1.0 / ((k + 1) * (k + 2)), lambda w: (np.expm1(w) - w) / w**2)
 
 
 def _phi_slope(z: Array) -> Array:
@@ -295,18 +284,6 @@ class OgdenHill(OgdenSeries, CompressibleEnergy):
             gradient[f"alpha{k}"] = 2 * mu / alpha * (by_exponent - power / alpha)
         return gradient
 
-    def energy_density(
-        self, constants: Constants, compressibility: Compressibility, stretch: Array
-    ) -> Array:
-        """W, with ln J in place of its volume term where Poisson's ratio is zero."""
-        log, b = np.log(stretch), _volume_exponent(compressibility)
-        volume = log.sum(0)
-        total = np.zeros_like(volume)
-        for mu, alpha in zip(*ogden_terms(constants), strict=True):
-            swelling = -alpha * volume if b == 0 else np.expm1(-alpha * b * volume) / b
-            total = total + 2 * mu / alpha**2 * (np.expm1(alpha * log).sum(0) + swelling)
-        return np.asarray(total)
-
     def abaqus(self, constants: Constants, compressibility: Compressibility) -> Converted:
         """Abaqus has the same form, with a Poisson's ratio for every term."""
         terms = len(constants) // 2
@@ -390,11 +367,6 @@ class ExtendedTube(DeclaredConstants, FiniteExtensibilityEnergy):
         crosslinks = super().principal_stress_gradient(constants, bar)
         tubes = _ENTANGLEMENT.principal_stress_gradient(_term(constants), bar)
         return crosslinks | {"Ge": tubes["mu1"], "beta": -tubes["alpha1"]}
-
-    def energy_density(self, constants: Constants, bar: Array) -> Array:
-        """Of both."""
-        crosslinks = super().energy_density(constants, bar)
-        return crosslinks + _ENTANGLEMENT.energy_density(_term(constants), bar)
 
     def initial_shear_modulus(
         self, constants: Constants, compressibility: Compressibility

@@ -72,10 +72,6 @@ class InvariantEnergy(IsochoricEnergy):
     """Energy of the isochoric invariants; NaN beyond a limit of the stretch, where it has one."""
 
     @abstractmethod
-    def value(self, constants: Constants, a: Array, b: Array) -> Array:
-        """W in MPa at a = I1 - 3 and b = I2 - 3."""
-
-    @abstractmethod
     def slopes(self, constants: Constants, a: Array, b: Array) -> Slopes:
         """First derivatives of W."""
 
@@ -112,11 +108,6 @@ class InvariantEnergy(IsochoricEnergy):
         at = Invariants.of(bar)
         rates = self.slope_gradients(constants, at.a, at.b)
         return {name: _stress(at, rates[name]) for name in constants}
-
-    def energy_density(self, constants: Constants, bar: Array) -> Array:
-        """W itself."""
-        at = Invariants.of(bar)
-        return np.asarray(self.value(constants, at.a, at.b))
 
     def initial_shear_modulus(
         self, constants: Constants, compressibility: Compressibility
@@ -190,10 +181,6 @@ class TableEnergy(InvariantEnergy):
     def law_rate(self, constants: Constants, compressibility: Compressibility, name: str) -> Law:
         """Hand over the derivative of the table."""
         return Law(PointLaw.POLYNOMIAL, self.table_rate(constants, name))
-
-    def value(self, constants: Constants, a: Array, b: Array) -> Array:
-        """Sum of all terms."""
-        return np.asarray(_value(_columns(self.table(constants)), a, b) + 0.0 * a)
 
     def slopes(self, constants: Constants, a: Array, b: Array) -> Slopes:
         """Slopes of the table."""

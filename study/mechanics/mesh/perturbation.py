@@ -10,19 +10,14 @@ Midside nodes lie on straight edges and follow their ends.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from study.ground.arrays import Array, Ints
 from study.ground.errors import MeshError
+from study.mechanics.mesh.structured import KINDS, Mesh, edges_and_facets
 
-if TYPE_CHECKING:
-    from study.mechanics.mesh.structured import Mesh
-
-
-Table = dict[tuple[int, int], list[tuple[int, ...]]]
 #: longest step towards one neighbor over the length of the edge to it, by dimension; a node
 #: then moves by some 0.12 of the element size (root mean square) in both
 FRACTION = {2: 0.2, 3: 0.15}
@@ -31,21 +26,8 @@ _KEPT = 0.3
 _TRIES = 12
 #: out of the plane of a facet, over the size of the specimen
 _FLAT = 1e-9
-#: by (dimension, vertices): edges, facets, and for every corner the vertex and its neighbors
-_EDGES: Table = {
-    (2, 3): [(0, 1), (1, 2), (2, 0)],
-    (2, 4): [(0, 1), (1, 2), (2, 3), (3, 0)],
-    (3, 4): [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)],
-    (3, 8): [(0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5),
-             (2, 6), (3, 7)],
-}  # fmt: skip
-_FACETS: Table = {
-    (2, 3): [(0, 1), (1, 2), (2, 0)],
-    (2, 4): [(0, 1), (1, 2), (2, 3), (3, 0)],
-    (3, 4): [(0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3)],
-    (3, 8): [(0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)],
-}
-_CORNERS: Table = {
+#: by (dimension, vertices): for every corner the vertex and its neighbors
+_CORNERS: dict[tuple[int, int], list[tuple[int, ...]]] = {
     (2, 3): [(0, 1, 2)],
     (2, 4): [(0, 1, 3), (1, 2, 0), (2, 3, 1), (3, 0, 2)],
     (3, 4): [(0, 1, 2, 3)],
@@ -71,7 +53,9 @@ def _kind(mesh: Mesh) -> tuple[int, int]:
 
 def _steps_allowed(mesh: Mesh) -> tuple[Ints, Ints]:
     """Pairs of a node and a neighbor that it may step towards, sorted by node."""
-    edges = np.vstack([mesh.cells[:, list(edge)] for edge in _EDGES[_kind(mesh)]])
+    edges = np.vstack(
+        [mesh.cells[:, list(edge)] for edge in edges_and_facets(KINDS[_kind(mesh)])[0]]
+    )
     pairs = np.unique(np.vstack([edges, edges[:, ::-1]]), axis=0)
     corner, normal = _boundary_normals(mesh)
     first, last = (np.searchsorted(pairs[:, 0], corner, side) for side in ("left", "right"))
@@ -88,7 +72,8 @@ def _steps_allowed(mesh: Mesh) -> tuple[Ints, Ints]:
 
 def _boundary_normals(mesh: Mesh) -> tuple[Ints, Array]:
     """Nodes of boundary facets and the facets' unit normals, one row for each pair of them."""
-    facets = np.vstack([mesh.cells[:, list(facet)] for facet in _FACETS[_kind(mesh)]])
+    parts = edges_and_facets(KINDS[_kind(mesh)])[1]
+    facets = np.vstack([mesh.cells[:, list(facet)] for facet in parts])
     _, first, count = np.unique(
         np.sort(facets, axis=1), axis=0, return_index=True, return_counts=True
     )

@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import combinations, pairwise
 
 import numpy as np
 
@@ -39,6 +39,46 @@ MIDDLES: dict[str, list[tuple[int, ...]]] = {
     "tetra10": [*_TRIANGLE, (0, 3), (1, 3), (2, 3)],
     "hexahedron27": [*_HEX_EDGES, *_HEX_FACES, tuple(range(8))],
 }
+#: cells by their dimension and number of corners, as meshio names them, and those with all middles
+KINDS = {(2, 3): "triangle", (2, 4): "quad", (3, 4): "tetra", (3, 8): "hexahedron"}
+QUADRATIC = {
+    "triangle": "triangle6", "quad": "quad9", "tetra": "tetra10", "hexahedron": "hexahedron27",
+}  # fmt: skip
+#: corners of a cell in the order that its mirror image needs
+_MIRRORED = {
+    "triangle": [1, 0, 2], "quad": [1, 0, 3, 2], "tetra": [0, 1, 3, 2],
+    "hexahedron": [4, 5, 6, 7, 0, 1, 2, 3],
+}  # fmt: skip
+
+
+def mirror(
+    points: Array, cells: Ints, kind: str, axis: int, level: float
+) -> tuple[Array, Ints, Ints]:
+    """Body and its image in a plane, whose points both share.
+
+    The third are the points that have an image of their own: the images follow in that order.
+
+    Units: level mm.
+    """
+    image, number = points.copy(), np.arange(len(points))
+    image[:, axis] = 2 * level - image[:, axis]
+    beyond = np.flatnonzero(np.abs(image - points)[:, axis] > 1e-9 * np.ptp(points, axis=0).max())
+    number[beyond] = len(points) + np.arange(beyond.size)
+    corners = _MIRRORED[kind.rstrip("0123456789")]
+    middles = [frozenset(m) for m in MIDDLES.get(kind, [])]
+    moved = [frozenset(corners[c] for c in middle) for middle in middles]
+    order = [*corners, *(len(corners) + middles.index(m) for m in moved)]
+    return np.vstack([points, image[beyond]]), np.vstack([cells, number[cells[:, order]]]), beyond
+
+
+def edges_and_facets(kind: str) -> tuple[list[tuple[int, ...]], list[tuple[int, ...]]]:
+    """Edges and outer facets of a cell by their corners; in a plane they are the same."""
+    middles = MIDDLES[QUADRATIC[kind]]
+    edges: list[tuple[int, ...]] = [m for m in middles if len(m) == 2]
+    faces: list[tuple[int, ...]] = [m for m in middles if len(m) == 4]
+    if kind == "tetra":
+        return edges, [*combinations(range(4), 3)]
+    return edges, faces if kind == "hexahedron" else edges
 
 
 def graded_line(length: float, h: float, *, towards_end: bool) -> Array:

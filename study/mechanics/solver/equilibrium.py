@@ -19,7 +19,7 @@ from study.ground.arrays import Array, Flags, Ints
 from study.mechanics.contact.collocation import _ring_shares
 from study.mechanics.contact.contact import Constraints, TiedPoints, prescribed_rates
 from study.mechanics.element.function_space import _SAME, Pattern, _facet_areas, at_level
-from study.mechanics.mesh.structured import Mesh
+from study.mechanics.mesh.structured import KINDS, Mesh, mirror
 from study.mechanics.setup.setup import Problem, Setup
 from study.mechanics.setup.test_kinds import buckling_strain
 from study.mechanics.solver.internal_force import Tangent
@@ -228,26 +228,14 @@ def mirrored(
     Shapes: moved (n_points, 3); parity of that motion by axis.
     """
     points, cells = mesh.points, mesh.cells
+    kind = KINDS[(3, cells.shape[1])]
     planes = [(0, 0.0), (1, 0.0), *([(2, height_mm / 2)] if mesh.half_height else [])]
     for axis, level in planes:
-        image, shift = points.copy(), moved.copy()
-        image[:, axis] = 2 * level - image[:, axis]
-        shift *= parity[axis]
+        points, cells, beyond = mirror(points, cells, kind, axis, level)
+        shift = parity[axis] * moved[beyond]
         shift[:, axis] *= -1
-        on_plane = np.abs(points[:, axis] - level) < _SAME * height_mm
-        number = np.where(on_plane, np.arange(len(points)), 0)
-        number[~on_plane] = len(points) + np.arange(np.count_nonzero(~on_plane))
-        turned = _turned(number[cells])
-        points = np.vstack([points, image[~on_plane]])
-        moved = np.vstack([moved, shift[~on_plane]])
-        cells = np.vstack([cells, turned])
+        moved = np.vstack([moved, shift])
     return replace(mesh, points=points, cells=cells, half_height=False, is_whole=True), moved
-
-
-def _turned(cells: Array) -> Array:
-    """Mirrored cells in the order of their corners that gives a positive volume."""
-    order = [4, 5, 6, 7, 0, 1, 2, 3] if cells.shape[1] == 8 else [0, 1, 3, 2]
-    return cells[:, order]
 
 
 # Forces that hold the specimen, and figures of its contact.

@@ -20,7 +20,7 @@ from study.mechanics.material.stability import stability, stable_in
 from study.mechanics.mesh.graded import turned
 from study.mechanics.mesh.mesher import build_mesh, mesh_size
 from study.mechanics.mesh.solid import surface_faults
-from study.mechanics.mesh.structured import MIDDLES, Mesh
+from study.mechanics.mesh.structured import KINDS, MIDDLES, QUADRATIC, Mesh, mirror
 from study.mechanics.setup.geometry import Enclosed, Surface
 from study.mechanics.setup.setup import Problem, Setup
 from study.mechanics.solver.equilibrium import (
@@ -204,12 +204,6 @@ def _system(problem: Problem, warm: Solution | None, options: Options, mesh: Mes
 # -------------------------------------------------------------------------------------------------
 # Fields of a solution for ParaView: the mesh with its mid-side nodes, displacement and stress.
 
-#: VTK's cell types by (dimension, corners, nodes that are drawn)
-_TYPES = {
-    (2, 3, 3): "triangle", (2, 3, 6): "triangle6", (2, 4, 4): "quad", (2, 4, 9): "quad9",
-    (3, 4, 4): "tetra", (3, 4, 10): "tetra10", (3, 8, 8): "hexahedron", (3, 8, 27): "hexahedron27",
-}  # fmt: skip
-
 
 @dataclass(frozen=True)
 class Fields:
@@ -238,52 +232,43 @@ class Fields:
 
     def whole(self) -> Fields:
         """Mirror the part at its planes of symmetry; an axisymmetric one becomes its section."""
-        found = self
+        if not self.planes:
+            return self
+        body, made = self, "the whole body"
+        if not self.points[:, 2].any():  # either side of the axis carries half of a ring's force
+            nodal = self.nodal | {"reaction_N": self.nodal["reaction_N"] / 2}
+            body, made = replace(self, nodal=nodal), "the section through the axis"
         for axis, level in self.planes:
-            found = found._mirrored(axis, level)
-        made = "the whole body" if self.points[:, 2].any() else "the section through the axis"
-        return replace(found, symmetry=f"{made}, mirrored", planes=(), share=1.0)
+            body = body._mirrored(axis, level)
+        return replace(body, symmetry=f"{made}, mirrored", planes=(), share=1.0)
 
     def _mirrored(self, axis: int, level: float) -> Fields:
+        points, cells, beyond = mirror(self.points, self.cells, self.kind, axis, level)
         sign = np.ones(3)
         sign[axis] = -1.0
-        image = self.points * sign
-        image[:, axis] += 2 * level
         tensor = np.outer(sign, sign).ravel()
 
-        def of(name: str, values: Array) -> Array:
+        def image(name: str, values: Array) -> Array:
             columns = 1 if values.ndim == 1 else values.shape[1]
             if columns == 3 and name in _VECTORS:
                 return values * sign * (self.parity[axis] if name == "buckling_mode" else 1)
             return values * tensor if columns == 9 else values
 
-        def both(data: dict[str, Array]) -> dict[str, Array]:
-            return {name: np.concatenate([v, of(name, v)]) for name, v in data.items()}
-
-        # Nodes of a cell in the order that its mirror image needs
-        corners = _MIRRORED[self.kind.rstrip("0123456789")]
-        middles = [frozenset(m) for m in MIDDLES.get(self.kind, [])]
-        moved = [frozenset(corners[c] for c in middle) for middle in middles]
-        order = [*corners, *(len(corners) + middles.index(m) for m in moved)]
-        turned = self.cells[:, order] + len(self.points)
+        moved = np.concatenate([self.displacement, (self.displacement * sign)[beyond]])
+        nodal = {
+            name: np.concatenate([v, image(name, v)[beyond]]) for name, v in self.nodal.items()
+        }
+        shared = np.setdiff1d(np.arange(len(self.points)), beyond)
+        force = self.nodal["reaction_N"][shared]
+        nodal["reaction_N"][shared] += image("reaction_N", force)
+        cellular = {n: np.concatenate([v, image(n, v)]) for n, v in self.cellular.items()}
         return replace(
-            self,
-            points=np.vstack([self.points, image]),
-            displacement=np.vstack([self.displacement, self.displacement * sign]),
-            cells=np.vstack([self.cells, turned]),
-            nodal=both(self.nodal),
-            cellular=both(self.cellular),
+            self, points=points, displacement=moved, cells=cells, nodal=nodal, cellular=cellular
         )
 
 
 #: fields of three columns that are vectors, not three numbers
 _VECTORS = ("reaction_N", "buckling_mode")
-
-#: corners of a cell in the order that its mirror image needs
-_MIRRORED = {
-    "triangle": [1, 0, 2], "quad": [1, 0, 3, 2], "tetra": [1, 0, 2, 3],
-    "hexahedron": [4, 5, 6, 7, 0, 1, 2, 3],
-}  # fmt: skip
 
 
 def fields(solution: Solution, step: int = -1) -> Fields:
@@ -463,9 +448,9 @@ def _cells(space: Discretization, corners: Ints) -> tuple[str, Ints]:
     """Type and nodes of the cells, the further nodes found by where they lie."""
     dim, n = space.dim, corners.shape[1]
     local = int(space.element_nodes.shape[1])
-    kind = _TYPES.get((dim, n, local), _TYPES[(dim, n, n)])  # bubbles are not drawn
-    if kind not in MIDDLES:
-        return kind, corners
+    linear, kind = KINDS[(dim, n)], QUADRATIC[KINDS[(dim, n)]]
+    if local < n + len(MIDDLES[kind]):  # bubbles are not drawn
+        return linear, corners
     own = space.element_nodes
     rest = own[~(own[:, :, None] == corners[:, None, :]).any(axis=2)].reshape(len(own), -1)
     places = space.nodes[rest]

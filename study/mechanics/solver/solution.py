@@ -11,6 +11,7 @@ from study.ground.arrays import Array
 from study.ground.curve import Curve, hermite_work
 from study.mechanics.setup.geometry import Enclosed
 from study.mechanics.setup.setup import Problem
+from study.mechanics.setup.test_kinds import buckling_strain
 from study.mechanics.solver.equilibrium import (
     ContactFigures,
     Equilibria,
@@ -244,6 +245,10 @@ def without_answer(problem: Problem, status: str, message: str, seconds: float) 
 
 #: what a user can do about an energy that is stretched too far
 _OUT_OF_REACH = "no finer mesh goes further; press less deep, or use another energy"
+
+#: part of the displacement up to which the specimen's surface may lie inside the moving one unsaid:
+#: where a facet bridges the edge of a punch, the force is that of a blunter one
+_INSIDE = 0.1
 
 #: force of a pin over that of the test above which a specimen is not balanced
 _UNBALANCED = 1e-3
@@ -483,10 +488,31 @@ class Logbook:
             said = [apart]
         elif lost:
             said.append(f"{lost}: there the answer depends on the mesh")
+        inside = max((figures.penetration_mm for _, _, figures in self.held), default=0.0)
+        if inside > _INSIDE * self._whole_mm:
+            said.append(
+                f"the specimen's surface lies up to {inside:.2g} mm inside the moving one, "
+                f"{100 * inside / self._whole_mm:.2g} % of the displacement: use a smaller "
+                "mesh_size, or press less deep"
+            )
+        said += self._cannot_sway()
         said += self._not_converged(curve)
         if isinstance(self.problem.specimen, Enclosed):
             said += body(self.problem.specimen).notes
         return "; ".join(said)
+
+    def _cannot_sway(self) -> list[str]:
+        """Say that a column went past Euler's load in a model whose axis holds it straight."""
+        setup, height_mm = self.problem.setup, self.system.height_mm
+        critical = buckling_strain(setup.test, setup.specimen)
+        if self.system.space.dim == 3 or self.system.small_strain or critical is None:
+            return []
+        if not self.reached or self.reached[-1] < critical * height_mm:
+            return []
+        return [
+            f"a column of this slenderness buckles at about {critical * height_mm:.3g} mm (Euler's "
+            "load), which a model with an axis of symmetry cannot show"
+        ]
 
     def _not_converged(self, curve: Curve) -> list[str]:
         """Say which iterations beside Newton's ended before their tolerance."""

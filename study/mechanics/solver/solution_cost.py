@@ -22,7 +22,15 @@ from study.mechanics.mesh.graded import BULGE, CORE, UNDER_CONE, around, has_roo
 from study.mechanics.mesh.mesher import build_mesh, mesh_size
 from study.mechanics.mesh.size_field import SizeField
 from study.mechanics.mesh.solid import expected_unknowns as inside
-from study.mechanics.mesh.structured import CORNER_FRACTION, GROWTH, Mesh, equivalent_radius
+from study.mechanics.mesh.structured import (
+    CORNER_FRACTION,
+    GROWTH,
+    KINDS,
+    MIDDLES,
+    QUADRATIC,
+    Mesh,
+    equivalent_radius,
+)
 from study.mechanics.setup.geometry import (
     Block,
     Cylinder,
@@ -291,16 +299,6 @@ _SLENDER = 50.0
 #: counts that are kept
 _COUNTS = 256
 
-#: edges and faces of a cell by its number of corners, as pairs and fours of its corners
-_EDGES = {
-    (2, 3): [(0, 1), (1, 2), (0, 2)],
-    (2, 4): [(0, 1), (1, 2), (2, 3), (0, 3)],
-    (3, 4): [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)],
-    (3, 8): [(0, 1), (1, 2), (2, 3), (0, 3), (4, 5), (5, 6), (6, 7), (4, 7),
-             (0, 4), (1, 5), (2, 6), (3, 7)],
-}  # fmt: skip
-_FACES = [(0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (0, 3, 7, 4)]
-
 
 @dataclass(frozen=True)
 class Estimate:
@@ -386,8 +384,9 @@ def unknowns(setup: Setup, mesh: Mesh) -> int:
     mixed = model.formulation == "mixed"
     nodes = vertices
     if quadratic:
-        nodes += _distinct(cells, _EDGES[(dim, cells.shape[1])]) + (n if tensor else 0)
-        nodes += _distinct(cells, _FACES) if tensor and dim == 3 else 0
+        middles = MIDDLES[QUADRATIC[KINDS[(dim, cells.shape[1])]]]
+        for corners in {len(m) for m in middles}:  # edges, faces, cells
+            nodes += _distinct(cells, [m for m in middles if len(m) == corners])
     elif mixed and not tensor:
         nodes += n  # bubbles
     pressures = (dim + 1 if quadratic else 1) * n if tensor else vertices
