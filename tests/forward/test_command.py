@@ -20,7 +20,8 @@ import pytest
 
 from study.api.opened_study import load as open_study
 from study.ground.errors import InputError, RefusedError
-from study.harness.design.forward_section import ValueFile
+from study.harness.design.forward_section import ForwardFiles, ForwardModel, ValueFile
+from study.harness.design.parameters import ParameterProblem
 from study.harness.external import answers, command, exchange
 from study.harness.external.answers import NoAnswer, values_of_files
 from study.harness.external.command import Command
@@ -561,7 +562,9 @@ def test_a_pattern_that_would_search_for_ever_is_a_status():
 
 def test_a_digest_tells_a_rendered_file_from_a_copied_one():
     def digest_of(source):
-        table = {"model": "command", "argv": (("python", "a.py"),), "files": (("a.py", source),)}
-        return command.External.of({"forward": {**table, "contents": {"a.py": "{{ 1 }}"}}}).digest
+        found = ForwardFiles(contents=(("a.py", "{{ 1 }}"),))
+        argv, files = (("python", "a.py"),), (("a.py", source),)
+        section = ForwardModel(model="command", argv=argv, files=files, found=found)
+        return command.External.of(ParameterProblem(forward=section)).digest
 
     assert digest_of("a.py.j2") != digest_of("a.py")

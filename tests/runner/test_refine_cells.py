@@ -13,6 +13,7 @@ from study.api.converging import measured_cells, refine_within
 from study.api.manifest import manifest_of
 from study.api.opened_study import load as open_study
 from study.ground.errors import InputError
+from study.harness.design.cell import CellProblem
 from study.harness.design.load import loads
 from study.harness.design.spec import Design
 from study.harness.record.record import Record
@@ -21,6 +22,10 @@ from study.harness.runner import refinement, study_refinement, study_uncertainty
 from study.harness.runner.batch import run_batch
 from study.harness.runner.expansion import expand
 from study.harness.runner.job import CaseJob
+from study.mechanics.setup.geometry import Cone, Cylinder
+from study.mechanics.setup.material_section import CompressibilityTable, MaterialSection
+from study.mechanics.setup.setup import Model
+from study.mechanics.setup.test_section import TestSection
 from study.statistics.convergence.grid_convergence import compare
 
 from .conftest import DESIGN, fake
@@ -81,6 +86,15 @@ def test_a_time_budget_believes_what_a_mesh_took(design: Design, one_mix: Path) 
     assert [len(one.records) for one in series] == [1, 3, 3, 3]
 
 
+CONE = CellProblem(
+    Cylinder(25.0, 30.0),
+    TestSection("indentation", indenter=Cone(30.0)),
+    MaterialSection("neo-hookean", None, {"C10": 5e-3}, CompressibilityTable(bulk_modulus_MPa=10)),
+    Model(),
+    parameters={"h": 1.0},
+)
+
+
 @pytest.mark.parametrize(
     ("key", "value", "expected"),
     [
@@ -89,27 +103,22 @@ def test_a_time_budget_believes_what_a_mesh_took(design: Design, one_mix: Path) 
     ],
 )
 def test_inputs_are_moved_by_the_names_of_the_file(key: str, value: float, expected: float) -> None:
-    config = {"specimen": {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0}}
-    moved = study_refinement.shifted(config, key, value)
-    assert moved["specimen"][key.split(".")[1] + "_mm"] == expected
-    assert config["specimen"]["height_mm"] == 30.0
+    moved = study_refinement.shifted(CONE, key, value)
+    assert getattr(moved.specimen, key.split(".")[1] + "_mm") == expected
+    assert CONE.height_mm == 30.0
 
 
 def test_constants_and_indenters_are_moved_too() -> None:
-    config = {
-        "material": {"constants": {"C10": 5e-3}, "bulk_modulus_MPa": 10.0},
-        "test": {"indenter": {"half_angle_deg": 30.0}},
-    }
-    assert study_refinement.shifted(config, "material.C10", 1e-4)["material"]["constants"] == {
+    assert study_refinement.shifted(CONE, "material.C10", 1e-4).material.constants == {
         "C10": pytest.approx(5.1e-3)
     }
-    assert study_refinement.shifted(config, "material.bulk_modulus", 1)["material"][
-        "bulk_modulus_MPa"
-    ] == pytest.approx(11)
-    moved = study_refinement.shifted(config, "test.indenter.half_angle", 2)
-    assert moved["test"]["indenter"]["half_angle_deg"] == 32
+    stiffer = study_refinement.shifted(CONE, "material.bulk_modulus", 1)
+    assert stiffer.material.compressibility.bulk_modulus_MPa == pytest.approx(11)
+    moved = study_refinement.shifted(CONE, "test.indenter.half_angle", 2)
+    assert moved.test.indenter.half_angle_deg == 32
+    assert study_refinement.shifted(moved, "parameters.h", 0.5).parameters == {"h": 1.5}
     with pytest.raises(InputError, match="no value in the design"):
-        study_refinement.shifted(config, "specimen.height", 1)
+        study_refinement.shifted(CONE, "specimen.width", 1)
 
 
 def test_validation_adds_numerics_inputs_and_data(one_mix: Path, tmp_path: Path) -> None:

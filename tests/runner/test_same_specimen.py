@@ -68,11 +68,11 @@ def _fit(work: Work, way: str, block: str) -> Fit:
 
 def _done(work: Work, job: FitJob) -> Fit:
     start = None if job.start is None else _done(work, job.start).constants()
-    problem = job.problem
-    names, first = fit_task.start_values(problem.tables, job.measured, start)
+    (way,) = job.problem.tests
+    names, first = fit_task.start_values(way.problem, job.measured, start)
     data = tuple(MeasuredCurve("virtual", curve) for curve in job.measured)
     found = staged_fit(
-        [Part(problem.method, problem.tables, data)], names, first, fit_task.fitted_model
+        [Part(way.method, way.problem, data)], names, first, fit_task.fitted_model
     ).fit
     assert found.converged, found.message
     return found

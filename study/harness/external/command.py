@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import io
 import itertools
 import json
@@ -30,7 +31,8 @@ from study.ground.canonical import digest
 from study.ground.curve import Curve
 from study.ground.errors import Fault, RefusedError, StoreError
 from study.ground.working_folder import environment
-from study.harness.design.forward_section import ForwardModel
+from study.harness.design.forward_model import ForwardCell
+from study.harness.design.forward_section import ForwardFiles, ForwardModel
 from study.harness.external import exchange
 from study.harness.external.answers import (
     NoAnswer,
@@ -41,7 +43,6 @@ from study.harness.external.answers import (
 )
 from study.harness.external.exchange import ProgramAnswer, PythonFunction
 from study.harness.record.document import ProgramDocument, StepDocument
-from study.mechanics.setup.declaration import section_of
 from study.mechanics.setup.setup import Problem
 
 # One run of a program: supervised, within limits of time, output and disk, with nothing left.
@@ -397,14 +398,9 @@ class ParameterAnswer:
     rendered: Mapping[str, str] = field(default_factory=dict)
 
 
-#: forward models by the identity of their table, which is kept so that it stays its own
-_READ: dict[int, tuple[Mapping[str, object], External | None]] = {}
-_MOST_READ = 1000
-
-
 @dataclass(frozen=True)
 class External:
-    """Forward model of a resolved table."""
+    """Forward model that is not ours, with what it is on this machine."""
 
     section: ForwardModel
     #: Name and text of the files that go along.
@@ -415,28 +411,10 @@ class External:
     function: PythonFunction | None
 
     @classmethod
-    def of(cls, tables: Mapping[str, object]) -> External | None:
-        """Read the table ``forward`` of resolved tables; None where our own model predicts."""
-        table = tables.get("forward")
-        if not isinstance(table, Mapping):
-            return None
-        cached = _READ.get(id(table))
-        if cached is not None and cached[0] is table:
-            return cached[1]  # it is asked for several times a case
-        external = cls._of(table)
-        if len(_READ) > _MOST_READ:
-            _READ.clear()
-        _READ[id(table)] = table, external
-        return external
-
-    @classmethod
-    def _of(cls, table: Mapping[str, object]) -> External | None:
-        section = section_of("forward", ForwardModel, {k: _deep(v) for k, v in table.items()})
-        if not section.is_external:
-            return None
-        text, version = str(table.get("function") or ""), str(table.get("function_version") or "")
-        function = PythonFunction(text, version) if text else None
-        return cls(section, _texts(table, "contents"), _texts(table, "programs"), function)
+    def of(cls, problem: ForwardCell) -> External | None:
+        """Forward model of a cell; None where our own predicts."""
+        section = problem.forward
+        return None if section is None or not section.is_external else _external(section)
 
     @cached_property
     def digest(self) -> str:
@@ -527,15 +505,11 @@ class External:
         return files_of(self.section, self.contents, case)
 
 
-def _texts(table: Mapping[str, object], key: str) -> dict[str, str]:
-    value = table.get(key)
-    return {str(k): str(v) for k, v in value.items()} if isinstance(value, Mapping) else {}
-
-
-def _deep(value: object) -> object:
-    if isinstance(value, Mapping):
-        return {k: _deep(v) for k, v in value.items()}
-    return tuple(_deep(v) for v in value) if isinstance(value, list | tuple) else value
+@functools.lru_cache(maxsize=1000)  # it is asked for several times a case
+def _external(section: ForwardModel) -> External:
+    files = section.found or ForwardFiles()
+    function = PythonFunction(files.function, files.function_version) if files.function else None
+    return External(section, dict(files.contents), dict(files.programs), function)
 
 
 def check_allowed(models: Iterable[External], allowed: bool | str) -> None:
