@@ -30,10 +30,10 @@ def test_the_design_plans_three_tests_of_every_specimen(
     from study.ground.curve import Curve
     from study.harness.runner import virtual_specimens
 
-    def line(config: Any, *truth: Any, as_designed: bool, **_: Any) -> Curve:
+    def line(setup: Any, *truth: Any, as_designed: bool, **_: Any) -> Curve:
         assert as_designed
         d = np.linspace(0.3, 6.3, 21)
-        stiff = 2.0 if config["test"]["kind"] == "compression" else 0.5
+        stiff = 2.0 if setup.test.kind == "compression" else 0.5
         return Curve(d, stiff * d, force_gradient={"C20": 0 * d, "C30": 0 * d})
 
     monkeypatch.setattr(virtual_specimens, "reference_curve", line)
