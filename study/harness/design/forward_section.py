@@ -276,7 +276,7 @@ class ForwardModel:
     #: Whether a curve shorter than the test is a failure.
     reaches: Annotated[bool, Reads(flag)] = True
     #: What one solution takes at most, for what runs at once.
-    memory_MB: Annotated[float | None, measured("memory")] = Field(  # noqa: N815
+    memory_MB: Annotated[float, measured("memory")] | None = Field(  # noqa: N815
         default=None, validation_alias="memory"
     )
     #: Whose folders are kept beside the records.
