@@ -96,8 +96,16 @@ class ForwardCell(ABC):
         """Plain values in internal units: what is hashed, and read back from a disk."""
 
     def own_tables(self) -> dict[str, object]:
-        """Tables of the user's own that go to a program: parameters and their units."""
-        return {"parameters": dict(self.parameters), "units": dict(self.units)}
+        """Tables of the user's own that go to a program: parameters and their units.
+
+        A whole number has no decimals, in a template as in a function.
+        """
+        whole = {
+            name: int(value)
+            for name, value in self.parameters.items()
+            if isinstance(value, float) and value.is_integer() and abs(value) < 2**53
+        }
+        return {"parameters": {**self.parameters, **whole}, "units": dict(self.units)}
 
     def with_parameter(self, name: str, value: Value) -> Self:
         """Copy with another value of one parameter."""
