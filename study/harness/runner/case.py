@@ -312,10 +312,11 @@ _RENDERED = 64_000
 def _of_parameters(task: CaseTask) -> Executed:
     """Record of a case of parameters alone."""
     try:
-        answer, solver = answer_of_parameters(task.job.case.problem, task.job.case.case_id)
+        solved, solver = answer_of_parameters(task.job.case.problem, task.job.case.case_id)
     except NoAnswer as error:
         raise Stopped(error.status, str(error), error) from error
-    values = {**answer.values, "seconds": answer.seconds}
+    answer = solved.answer
+    values = {**answer.values, "seconds": solved.seconds}
     responses: dict[str, ResponseDocument] = {}
     for name, unit in task.units.items():
         value = values.get(name)
@@ -334,11 +335,11 @@ def _of_parameters(task: CaseTask) -> Executed:
             record,
             responses=responses,
             curves={} if answer.curve is None else {CurveKey("predicted", "all"): answer.curve},
-            timings={"predict": answer.seconds, "total": answer.seconds},
+            timings={"predict": solved.seconds, "total": solved.seconds},
             solver=solver,
-            extra={**record.extra, **_rendered(answer.rendered)},
+            extra={**record.extra, **_rendered(solved.rendered)},
         ),
-        answer.folder,
+        solved.folder,
     )
 
 

@@ -14,7 +14,8 @@ from study.ground.errors import Fault, InputError
 from study.harness.design.cell import CellProblem
 from study.harness.design.forward_model import ForwardCell
 from study.harness.external.answers import NoAnswer
-from study.harness.external.command import External, ParameterAnswer, Solved, steps_of
+from study.harness.external.command import External, Solved, steps_of
+from study.harness.external.exchange import ParameterAnswer, ProgramAnswer
 from study.harness.record.document import FitDocument, MarkerDocument, MeshDocument, SolverDocument
 from study.mechanics.calibration.fit import Fit
 from study.mechanics.calibration.levenberg_marquardt import Status
@@ -270,7 +271,7 @@ class InverseExternal:
         self._external, self._problem, self._names = _external(problem), problem, names
         self._grids = [curve.displacement_mm for curve in measured]
         self._points = np.unique(np.concatenate(self._grids))
-        self._last: tuple[bytes, Solved] | None = None
+        self._last: tuple[bytes, Solved[ProgramAnswer]] | None = None
         #: solutions so far
         self.solves = 0
 
@@ -287,7 +288,7 @@ class InverseExternal:
         }
         return [self._at(curve, gradient, grid) for grid in self._grids]
 
-    def _solved(self, values: Array) -> Solved:
+    def _solved(self, values: Array) -> Solved[ProgramAnswer]:
         constants = dict(zip(self._names, values.tolist(), strict=True))
         self.solves += 1
         try:
@@ -321,26 +322,26 @@ class InverseExternal:
         return predicted_of(solved, self._external)
 
 
-def predicted_of(solved: Solved, external: External) -> PredictedCurve:
+def predicted_of(solved: Solved[ProgramAnswer], external: External) -> PredictedCurve:
     """Prediction of an external forward model, for the record."""
     answer = solved.answer
-    solver: SolverDocument = {"name": _name(solved, external)}
-    if solved.program is not None:
-        solver["program"] = solved.program
     mesh: MeshDocument = {}
     if answer.dofs or answer.elements:
         mesh = {"dofs": answer.dofs, "elements": answer.elements}
     return PredictedCurve(
-        answer.curve.without_gradients(), mesh, solver, solved.seconds,
+        answer.curve.without_gradients(), mesh, _solver(solved, external), solved.seconds,
         values=answer.values, folder=solved.folder, rendered=solved.rendered,
     )  # fmt: skip
 
 
-def _name(solved: Solved | ParameterAnswer, external: External) -> str:
+def _solver(solved: Solved[object], external: External) -> SolverDocument:
+    """Say what answered, for the record."""
     if external.function is not None:
-        return f"Python function, version {external.function.version}"
-    version = "" if solved.program is None else solved.program["version"]
-    return version or external.section.argv[0][0]
+        return {"name": f"Python function, version {external.function.version}"}
+    name = external.section.argv[0][0]
+    if solved.program is None:
+        return {"name": name}
+    return {"name": solved.program["version"] or name, "program": solved.program}
 
 
 def _external(problem: ForwardCell) -> External:
@@ -352,14 +353,11 @@ def _external(problem: ForwardCell) -> External:
 
 def answer_of_parameters(
     problem: ForwardCell, case_id: str
-) -> tuple[ParameterAnswer, SolverDocument]:
+) -> tuple[Solved[ParameterAnswer], SolverDocument]:
     """Answer of a program or function for parameters alone, and how it was found."""
     external = _external(problem)
-    answer = external.answer({"case_id": case_id, **problem.own_tables()})
-    solver: SolverDocument = {"name": _name(answer, external)}
-    if answer.program is not None:
-        solver["program"] = answer.program
-    return answer, solver
+    solved = external.answer({"case_id": case_id, **problem.own_tables()})
+    return solved, _solver(solved, external)
 
 
 def external_curve(
