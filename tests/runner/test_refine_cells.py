@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from study.api.converging import measured_cells, refine_within
 from study.api.manifest import manifest_of
 from study.api.opened_study import load as open_study
 from study.ground.errors import InputError
-from study.harness.design.cell import CellProblem
+from study.harness.design.cell import Cell, CellProblem
 from study.harness.design.load import loads
 from study.harness.design.spec import Design
 from study.harness.record.record import Record
@@ -119,6 +120,17 @@ def test_constants_and_indenters_are_moved_too() -> None:
     assert study_refinement.shifted(moved, "parameters.h", 0.5).parameters == {"h": 1.5}
     with pytest.raises(InputError, match="no value in the design"):
         study_refinement.shifted(CONE, "specimen.width", 1)
+
+
+def test_an_indenter_is_moved_where_the_constants_come_from_a_compression() -> None:
+    """It was refused: the test of the constants has no indenter that could be uncertain."""
+    pressed = replace(CONE, test=TestSection("compression", displacement_mm=3.0))
+    cell = Cell(CONE, "auto", fitted_elsewhere=pressed)
+    moved = study_refinement.moved_cell(cell, "test.indenter.half_angle", 2)
+    assert moved.problem.test.indenter.half_angle_deg == 32
+    assert moved.fitted_elsewhere == pressed
+    both = study_refinement.moved_cell(cell, "specimen.height", 0.5)
+    assert (both.problem.height_mm, both.fitted_elsewhere.height_mm) == (30.5, 30.5)
 
 
 def test_validation_adds_numerics_inputs_and_data(one_mix: Path, tmp_path: Path) -> None:

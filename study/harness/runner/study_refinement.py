@@ -18,7 +18,7 @@ import numpy as np
 from study.ground.arrays import Array
 from study.ground.canonical import digest
 from study.ground.errors import Fault, InputError
-from study.harness.design.cell import CellProblem, Config, case_id, plain
+from study.harness.design.cell import Cell, CellProblem, Config, case_id, plain
 from study.harness.design.forward_model import ForwardCell
 from study.harness.design.spec import Case
 from study.harness.record.record import Record
@@ -240,26 +240,30 @@ INPUT_PURPOSE: Final = "input"
 
 def input_work(work: Work) -> Work:
     """List the cases with one input moved by its standard uncertainty, as work like any other."""
+    uncertain = {
+        key: float(amount)
+        for key, amount in work.design.uncertainty.items()
+        if amount and not key.startswith("measurements.")
+    }
     jobs = []
     for base in representatives(work):
-        for key, amount in (
-            {
-                k: float(u)
-                for k, u in work.design.uncertainty.items()
-                if u and not k.startswith("measurements.")
-            }
-        ).items():
-            # Copy a case with one input moved; the measured points stay where they are.
-            problem, other = base.case.problem, base.case.cell.fitted_elsewhere
-            fitted = other
-            if other is not None and other.value_at(key) is not None:
-                fitted = shifted(_fixed_range(other), key, amount)
-            moved = shifted(_fixed_range(problem), key, amount)
-            cell = replace(base.case.cell, problem=moved, fitted_elsewhere=fitted)
-            case = varied(base.case, cell, INPUT_PURPOSE)
+        for key, amount in uncertain.items():
+            case = varied(base.case, moved_cell(base.case.cell, key, amount), INPUT_PURPOSE)
             origin = Origin(purpose=INPUT_PURPOSE, of=base.case.case_id, input=key)
             jobs.append(case_job(case, work, origin))
     return replace(work, jobs=tuple(jobs))
+
+
+def moved_cell(cell: Cell, key: str, amount: float) -> Cell:
+    """Copy a cell with one input moved; the measured points stay where they are.
+
+    The test that gives the constants is moved too, where it has the input: an indenter it may not.
+    """
+    fitted = cell.fitted_elsewhere
+    if fitted is not None and fitted.value_at(key) is not None:
+        fitted = shifted(_fixed_range(fitted), key, amount)
+    predicted = shifted(_fixed_range(cell.problem), key, amount)
+    return replace(cell, problem=predicted, fitted_elsewhere=fitted)
 
 
 def representatives(work: Work) -> list[CaseJob]:
