@@ -210,27 +210,20 @@ class CellProblem(ForwardCell):
             return self.material.value_at(name)
         if table not in ("specimen", "test", "model"):
             return super().value_at(key)
-        holder: object = getattr(self, table)
-        for part in within:
-            holder = getattr(holder, part, None)
-        field = None if holder is None else field_named(holder, name)
-        value: object = None if field is None else getattr(holder, field)
+        value: object = getattr(self, table)
+        for part in (*within, name):
+            field = None if value is None else field_named(value, part)
+            value = None if field is None else getattr(value, field)
         return float(value) if isinstance(value, (int, float)) else None
 
     def with_value(self, key: str, value: float) -> Self:
         """Copy with another number under a dotted key that has one."""
-        table, *within, name = key.split(".")
+        table, *path = key.split(".")
         if table == "material":
-            return replace(self, material=self.material.with_value(name, value))
+            return replace(self, material=self.material.with_value(path[-1], value))
         if table == "parameters":
             return super().with_value(key, value)
-        holders: list[object] = [getattr(self, table)]
-        for part in within:
-            holders.append(getattr(holders[-1], part))
-        changed: object = value
-        for holder, part in zip(reversed(holders), reversed([*within, name]), strict=True):
-            changed = replace(holder, **{field_named(holder, part) or part: changed})  # type: ignore[type-var]
-        return replace(self, **{table: changed})  # type: ignore[arg-type]
+        return replace(self, **{table: _with_number(getattr(self, table), path, value)})  # type: ignore[arg-type]
 
     @property
     def is_homogeneous(self) -> bool:
@@ -282,6 +275,13 @@ class CellProblem(ForwardCell):
         area = float(f"{specimen.area_mm2:.12g}")
         reduced = {"area_mm2": area, "height_mm": specimen.height_mm}
         return {**document, "specimen": reduced, "test": test, "model": None}
+
+
+def _with_number(section: object, path: Sequence[str], value: float) -> object:
+    """Copy a section with another number under a path of keys, all of which it has."""
+    name = field_named(section, path[0]) or path[0]
+    inner = _with_number(getattr(section, name), path[1:], value) if path[1:] else value
+    return replace(section, **{name: inner})  # type: ignore[type-var]
 
 
 def tested(problem: ForwardCell) -> CellProblem:

@@ -217,7 +217,7 @@ def field_named(section: object, written: str) -> str | None:
 
     The length of a gauge section is also found as its height, which it is called in Python.
     """
-    keys = keys_of(type(section))
+    keys = _DECLARED.get(type(section), ())
     exact = (k.name for k in keys if k.written == written)
     return next(exact, next((k.name for k in keys if k.name == f"{written}_mm"), None))
 
