@@ -12,6 +12,7 @@ import sys
 import tempfile
 import zipfile
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -29,10 +30,7 @@ from study.harness.external.command import External
 from study.harness.external.exchange import PythonFunction
 from study.harness.runner.fit_problem import fit_key, fit_problem
 from study.harness.runner.fit_task import FitTask, fitted
-from study.mechanics.setup.geometry import Cylinder
-from study.mechanics.setup.material_section import CompressibilityTable, MaterialSection
-from study.mechanics.setup.setup import Model, problem_of
-from study.mechanics.setup.test_section import TestSection
+from study.mechanics.setup.setup import problem_of
 from tests.waiting import CAP_S, is_alive, until
 
 ROOT = Path(__file__).parents[2]
@@ -594,16 +592,15 @@ def test_the_program_of_a_fit_gets_the_parameters_of_the_user():
 
     function = exchange.PythonFunction.of(forces, "1")
     files = ForwardFiles(function=function.text, function_version="1")
+    document = {
+        "specimen": {"shape": "cylinder", "radius_mm": RADIUS, "height_mm": HEIGHT},
+        "test": {"kind": "compression", "displacement_mm": 5.0},
+        "material": {"model": "neo-hookean", "incompressible": True},
+    }
     keys = {}
     for gain in (1.0, 3.0):
-        cell = CellProblem(
-            Cylinder(RADIUS, HEIGHT),
-            TestSection("compression", displacement_mm=5.0),
-            MaterialSection("neo-hookean", None, {}, CompressibilityTable(incompressible=True)),
-            Model(),
-            forward=ForwardModel(model="python", found=files),
-            parameters={"gain": gain},
-        )
+        forward = ForwardModel(model="python", found=files)
+        cell = replace(CellProblem.of(document), forward=forward, parameters={"gain": gain})
         fit = fit_problem(Cell(cell, "auto"))
         request = {"displacement_mm": POINTS, "material": {"constants_MPa": {"C10": C10}}}
         measured = Curve(POINTS, forces({**request, **cell.own_tables()}))

@@ -9,19 +9,14 @@ from study.harness.design.load import loads
 from study.harness.runner.expansion import expand
 from study.harness.runner.job import fits_of
 from study.harness.runner.solve_task import SolveResult, SolveTask, solutions
-from study.mechanics.setup.geometry import Cylinder
-from study.mechanics.setup.material_section import CompressibilityTable, MaterialSection
-from study.mechanics.setup.setup import Model
-from study.mechanics.setup.test_section import TestSection
 
 from .conftest import DESIGN
 
-PROBLEM = CellProblem(
-    Cylinder(5.0, 5.0),
-    TestSection("compression", steps=2),
-    MaterialSection("neo-hookean", None, {}, CompressibilityTable(poisson_ratio=0.49)),
-    Model(),
-)
+PROBLEM = CellProblem.of({
+    "specimen": {"shape": "cylinder", "radius_mm": 5.0, "height_mm": 5.0},
+    "test": {"kind": "compression", "steps": 2},
+    "material": {"model": "neo-hookean", "poisson_ratio": 0.49},
+})  # fmt: skip
 
 
 def test_equal_solutions_are_made_once() -> None:

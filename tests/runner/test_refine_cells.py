@@ -23,10 +23,6 @@ from study.harness.runner import refinement, study_refinement, study_uncertainty
 from study.harness.runner.batch import run_batch
 from study.harness.runner.expansion import expand
 from study.harness.runner.job import CaseJob
-from study.mechanics.setup.geometry import Cone, Cylinder
-from study.mechanics.setup.material_section import CompressibilityTable, MaterialSection
-from study.mechanics.setup.setup import Model
-from study.mechanics.setup.test_section import TestSection
 from study.statistics.convergence.grid_convergence import compare
 
 from .conftest import DESIGN, fake
@@ -87,13 +83,11 @@ def test_a_time_budget_believes_what_a_mesh_took(design: Design, one_mix: Path) 
     assert [len(one.records) for one in series] == [1, 3, 3, 3]
 
 
-CONE = CellProblem(
-    Cylinder(25.0, 30.0),
-    TestSection("indentation", indenter=Cone(30.0)),
-    MaterialSection("neo-hookean", None, {"C10": 5e-3}, CompressibilityTable(bulk_modulus_MPa=10)),
-    Model(),
-    parameters={"h": 1.0},
-)
+CONE = replace(CellProblem.of({
+    "specimen": {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0},
+    "test": {"kind": "indentation", "indenter": {"shape": "cone", "half_angle_deg": 30.0}},
+    "material": {"model": "neo-hookean", "constants": {"C10": 5e-3}, "bulk_modulus_MPa": 10.0},
+}), parameters={"h": 1.0})  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -124,7 +118,7 @@ def test_constants_and_indenters_are_moved_too() -> None:
 
 def test_an_indenter_is_moved_where_the_constants_come_from_a_compression() -> None:
     """It was refused: the test of the constants has no indenter that could be uncertain."""
-    pressed = replace(CONE, test=TestSection("compression", displacement_mm=3.0))
+    pressed = CONE.loaded(kind="compression", indenter=None)
     cell = Cell(CONE, "auto", fitted_elsewhere=pressed)
     moved = study_refinement.moved_cell(cell, "test.indenter.half_angle", 2)
     assert moved.problem.test.indenter.half_angle_deg == 32
