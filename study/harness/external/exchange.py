@@ -245,8 +245,8 @@ class PythonFunction:
         """Values of parameters alone, or the curve; a value has the unit of its response."""
         returned = self(case)
         if isinstance(returned, Curve):
-            curve = checked_curve(returned.displacement_mm, returned.force_N, "the function")
-            return ParameterAnswer({}, curve)
+            whole = checked_curve(returned.displacement_mm, returned.force_N, "the function")
+            return ParameterAnswer({}, whole)
         if not isinstance(returned, Mapping) or not returned:
             rule = f"the function returned {type(returned).__name__}, not names with numbers"
             raise NoAnswer("failed", f'{rule}: return {{"peak": 1.5}} or a study.Curve')

@@ -16,7 +16,13 @@ from study.harness.design.forward_model import ForwardCell
 from study.harness.external.answers import NoAnswer
 from study.harness.external.command import External, Solved, steps_of
 from study.harness.external.exchange import ParameterAnswer, ProgramAnswer
-from study.harness.record.document import FitDocument, MarkerDocument, MeshDocument, SolverDocument
+from study.harness.record.document import (
+    FitDocument,
+    MarkerDocument,
+    MeshDocument,
+    ProgramDocument,
+    SolverDocument,
+)
 from study.mechanics.calibration.fit import Fit
 from study.mechanics.calibration.levenberg_marquardt import Status
 from study.mechanics.calibration.residual_function import EvaluationFailed
@@ -329,19 +335,19 @@ def predicted_of(solved: Solved[ProgramAnswer], external: External) -> Predicted
     if answer.dofs or answer.elements:
         mesh = {"dofs": answer.dofs, "elements": answer.elements}
     return PredictedCurve(
-        answer.curve.without_gradients(), mesh, _solver(solved, external), solved.seconds,
+        answer.curve.without_gradients(), mesh, _solver(solved.program, external), solved.seconds,
         values=answer.values, folder=solved.folder, rendered=solved.rendered,
     )  # fmt: skip
 
 
-def _solver(solved: Solved[object], external: External) -> SolverDocument:
+def _solver(program: ProgramDocument | None, external: External) -> SolverDocument:
     """Say what answered, for the record."""
     if external.function is not None:
         return {"name": f"Python function, version {external.function.version}"}
     name = external.section.argv[0][0]
-    if solved.program is None:
+    if program is None:
         return {"name": name}
-    return {"name": solved.program["version"] or name, "program": solved.program}
+    return {"name": program["version"] or name, "program": program}
 
 
 def _external(problem: ForwardCell) -> External:
@@ -357,7 +363,7 @@ def answer_of_parameters(
     """Answer of a program or function for parameters alone, and how it was found."""
     external = _external(problem)
     solved = external.answer({"case_id": case_id, **problem.own_tables()})
-    return solved, _solver(solved, external)
+    return solved, _solver(solved.program, external)
 
 
 def external_curve(
