@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from study.ground.curve import Curve
+from study.harness.design.cell import CellProblem
 from study.harness.runner import fit_task
 from study.harness.runner.staged_fit import TOLERANCES
 from study.mechanics.calibration.fit import fit
@@ -45,7 +46,7 @@ def ours(setting: dict[str, Any], measured: Curve, start: Array) -> tuple[float,
     """Seconds, simulations and constants of our fit."""
     names = MaterialSection.of(setting).calibrated_names
     began = time.perf_counter()
-    model = fit_task.InverseFem(setting, [measured], names)
+    model = fit_task.InverseFem(CellProblem.of(setting), [measured], names)
     data = [MeasuredCurve("virtual", measured)]
     found = fit(model, data, names, start, **TOLERANCES["inverse-fem"])
     if not found.converged:

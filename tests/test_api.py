@@ -106,12 +106,11 @@ def test_the_numbers_of_the_readme() -> None:
 
 def test_solve_a_file_a_mapping_and_a_problem(home: Path) -> None:
     from study.harness.design.load import load_problem
-    from study.mechanics.setup.setup import problem_of
 
-    config = load_problem(home / "problem.toml")
+    problem = load_problem(home / "problem.toml").problem
     forces = [
         study.solve(given, gradients=False).curve.force_N[-1]
-        for given in (home / "problem.toml", config, problem_of(config))
+        for given in (home / "problem.toml", problem.document(), problem.at())
     ]
     # 2 C10 (1/l^2 - l) on the area of the cylinder at stretch 0.9
     exact = 2 * 0.01 * (0.9**-2 - 0.9) * np.pi * 100

@@ -31,7 +31,6 @@ from study.harness.design.load import load_calibration
 from study.mechanics.forward.finite_element import solve
 from study.mechanics.material.homogeneous import response
 from study.mechanics.material.material import Material
-from study.mechanics.setup.setup import problem_of
 
 #: energy, order and constants in MPa of four rubbers
 TRUTHS = {
@@ -145,7 +144,7 @@ def coverage(draws: int) -> None:
         folder = Path(name)
         _rows(folder, "a.csv", "d,f", d, d)
         fine = load_calibration(_file(folder, "t.toml", _cylinder(min(MESHES) / 3) + bonded))
-        force = solve(problem_of(fine.tests[0].tables, {"C10": C10}, PRESSED)).curve.force_at(d)
+        force = solve(fine.tests[0].problem.at({"C10": C10}, PRESSED)).curve.force_at(d)
 
         def of_mesh(kind: str) -> Callable[[int, np.random.Generator], tuple[float, float]]:
             def draw(number: int, rng: np.random.Generator) -> tuple[float, float]:

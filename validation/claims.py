@@ -120,7 +120,7 @@ def fraction(interaction: float, lost: int) -> Draw:
         table["e"] = table.sum(axis=1) % 2
         sign = (2 * table["a"] - 1) * (2 * table["b"] - 1)
         table["y"] = 10 + interaction * sign + random.normal(0, 0.1, 16)
-        return table.drop(index=random.permutation(16)[:lost].tolist())
+        return table.loc[np.sort(random.permutation(16)[lost:])]
 
     return draw
 

@@ -10,8 +10,8 @@ from typing import Any
 
 from study.ground.errors import InputError
 from study.harness.design.study_file import simulated_at
-from study.harness.external.command import External
 from study.harness.record.document import CurveKey
+from study.mechanics.setup.declaration import table_of
 
 Config = Mapping[str, Any]
 
@@ -79,11 +79,11 @@ def _configs(design: Any, blocks: Sequence[str], data: Path | None) -> dict[Any,
     """Resolve every case, by its levels, its block and the number of its mesh."""
     from study.harness.design.spec import cases
     from study.harness.runner.expansion import seeded
-    from study.harness.runner.provenance import located
+    from study.harness.runner.provenance import located_cell
 
     places = () if data is None else (data.resolve(),)
     return {
-        _name(case.levels, case.block, origin.mesh_seed): located(case.config, places)
+        _name(case.levels, case.block, origin.mesh_seed): located_cell(case.cell, places).document()
         for case, origin in seeded(cases(design, blocks), design)
     }
 
@@ -101,7 +101,7 @@ def _job(
         left_out[why] += 1
         return None
     config = configs.get(_name(record.levels, record.block, record.extra.get("mesh_seed")))
-    if config is not None and External.of(config) is not None:
+    if config is not None and table_of(config, "forward").get("model") in ("command", "python"):
         left_out["of another program"] += 1
         return None
     if config is None:
@@ -131,11 +131,11 @@ def _is_of_a_curve(name: str) -> bool:
 
 def _sticks(test: Config) -> bool:
     """Whether an indenter holds what it touches where it meets it: load steps matter then."""
-    from study.mechanics.setup.setup import loading_of
+    from study.mechanics.setup.setup import loading_section
     from study.mechanics.setup.test_kind import IndenterContact
     from study.mechanics.setup.test_section import TEST_KINDS
 
-    made = loading_of(test).to_depth(1.0)
+    made = loading_section(test).loading().to_depth(1.0)
     contacts = TEST_KINDS[made.kind].contacts(made)
     return any(isinstance(one, IndenterContact) and one.is_bonded for one in contacts)
 

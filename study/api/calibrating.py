@@ -31,7 +31,7 @@ from study.mechanics.indentation.indentation_modulus import AnalyticCalibration,
 from study.mechanics.indentation.indentation_modulus import indentation_modulus as modulus_of
 from study.mechanics.measurement import inspection
 from study.mechanics.setup.geometry import Block, Cylinder, Sphere
-from study.mechanics.setup.material_section import CompressibilityTable, MaterialSection
+from study.mechanics.setup.material_section import CompressibilityTable
 from study.reporting.figures.axes import shown
 from study.reporting.figures.curve_figures import FitPanel, draw_fit, fit_figure
 from study.reporting.figures.registry import of_recordings
@@ -244,7 +244,7 @@ def _opened(
     config = load_calibration(source, overrides)
     root = calibration_root(config, source, data)
     places = provenance.folders(source, root)
-    tests = (replace(t, tables=provenance.located(t.tables, places)) for t in config.tests)
+    tests = (replace(t, problem=provenance.located(t.problem, places)) for t in config.tests)
     return replace(config, tests=tuple(tests)), root
 
 
@@ -418,7 +418,7 @@ def _test_of(test: CalibratedTest, asked: Fitting, where: str) -> IndentationTes
         rule = f"dimitriadis is a series for spheres, got {pressed.shape}"
         mend = 'write theory = "integral-equation"'
         raise InputError(Fault("calibration.theory", rule, mend))
-    nu = _poisson_ratio(MaterialSection.of(test.tables).compressibility)
+    nu = _poisson_ratio(test.problem.material.compressibility)
     return IndentationTest(
         indenter=pressed,
         layer=Layer(specimen.height_mm, nu, setup.test.base == "bonded"),

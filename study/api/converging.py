@@ -12,13 +12,15 @@ from typing import TYPE_CHECKING, ClassVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from study.api.folders import RESULTS, data_root, design_root, problem_tables
+from study.api.folders import RESULTS, data_root, design_root, loaded_problem
 from study.api.opened_study import load as load_study
 from study.ground.arrays import Array
 from study.ground.canonical import digest, plain
 from study.ground.errors import Fault, InputError
-from study.harness.design.cell import case_id
+from study.harness.design.cell import CellProblem, case_id, tested
+from study.harness.design.forward_model import ForwardCell
 from study.harness.design.load import file_kind, load
+from study.harness.design.spec import LoadedProblem
 from study.harness.design.study_file import Converge
 from study.harness.execution.task import Executor
 from study.harness.record.folder import own_folder
@@ -45,7 +47,7 @@ from study.harness.runner.solve_task import SolveTask, by_workers, in_process, k
 from study.harness.runner.study_uncertainty import uncertainties
 from study.harness.runner.tasks import default_jobs
 from study.mechanics.forward.closed_form import height_and_area
-from study.mechanics.setup.setup import Setup, Tables, problem_of
+from study.mechanics.setup.setup import Problem, Tables
 from study.reporting.figures.axes import shown
 from study.reporting.figures.convergence_figures import draw_values, value_points
 from study.reporting.output.convergence_page import write_convergence
@@ -98,10 +100,10 @@ class CostFront:
 
 @dataclass(frozen=True)
 class Convergence:
-    """Series of one problem, or of the cells of a design, with the tables of each."""
+    """Series of one problem, or of the cells of a design, with the problem of each."""
 
     cells: tuple[SeriesJudgement, ...]
-    tables: tuple[Tables, ...]
+    problems: tuple[ForwardCell, ...]
     #: What an accuracy costs, for cells without measurements.
     fronts: tuple[CostFront, ...] | None = None
     #: Cells of a study that the time budget did not allow.
@@ -126,7 +128,7 @@ class Convergence:
         """Write the page where a folder is given."""
         if reports is None:
             return self
-        pictures, window = meshes(self.cells, self.tables)
+        pictures, window = meshes(self.cells, self.problems)
         folder = reports / slug(name)
         page = write_convergence(name, question, self.to_json(), folder, pictures, window)
         return replace(self, report=page)
@@ -142,7 +144,7 @@ _SHAPES = {3: "triangles", 4: "quadrilaterals"}
 
 
 def meshes(
-    cells: Sequence[SeriesJudgement], tables: Sequence[Tables]
+    cells: Sequence[SeriesJudgement], problems: Sequence[ForwardCell]
 ) -> tuple[list[tuple[str, Array, NDArray[np.int64]]], Array | None]:
     """Coarsest and finest plane mesh of cells with different meshes, and the window to see.
 
@@ -152,26 +154,27 @@ def meshes(
 
     drawn: dict[str, tuple[str, Array, NDArray[np.int64]]] = {}
     window = None
-    for cell, its_tables in zip(cells, tables, strict=True):
+    for cell, problem in zip(cells, problems, strict=True):
         sizes = [level.mesh_size_mm for level in cell.meshes if level.result.converged]
-        if Setup.of(its_tables).model.space == "3d" or not sizes or len(drawn) >= 2 * SHOWN:
+        if not isinstance(problem, CellProblem) or problem.model.space == "3d":
+            continue
+        if not sizes or len(drawn) >= 2 * SHOWN:
             continue
         for size in (sizes[-1], sizes[0]):
-            mesh = build_mesh(problem_of(SolveTask.of(its_tables, size).tables).setup)
+            mesh = build_mesh(SolveTask.of(problem, size).problem.at().setup)
             elements = f"{size:.3g} mm, {len(mesh.cells)} elements"
             label = f"{_SHAPES[mesh.cells.shape[1]]}, {elements}"
             picture = label, np.asarray(mesh.points), np.asarray(mesh.cells)
             drawn.setdefault(mesh.digest(), picture)
-        window = near(its_tables) if window is None else window
+        window = near(problem.at()) if window is None else window
     return list(drawn.values()), window
 
 
-def near(tables: Tables) -> Array:
+def near(made: Problem) -> Array:
     """Corner of the section that matters: under an indenter, or where plate and side meet.
 
     Shapes: returns (2, 2), mm.
     """
-    made = problem_of(tables)
     height, area = height_and_area(made.specimen)
     radius = float(np.sqrt(area / np.pi))
     if made.test.indenter is not None:
@@ -244,19 +247,19 @@ def problem_cells(
     """Judge every cell of a design without measurements, and what each accuracy costs."""
     spec = design.converge
     places = provenance.folders(design.source, data_root(design.source))
-    tables = [provenance.located(t.config, places) for t in design.treatments]
+    problems = [provenance.located(tested(t.cell.problem), places) for t in design.treatments]
     labels = [dict(treatment.levels) for treatment in design.treatments]
     solver = solve or kept(by_workers(jobs), store_of(results, design.name))
-    formal = [promised(problem_of(cell_tables)) for cell_tables in tables]
+    formal = [promised(one.at()) for one in problems]
     budget = Budget(spec.budget_s, memory_MB)
-    cells, judged = _judged(tables, spec, formal, labels, budget, solver, progress)
+    cells, judged = _judged(problems, spec, formal, labels, budget, solver, progress)
     fronts = cost_fronts(cells, judged, spec.tolerance or USUAL_ACCURACY)
-    convergence = Convergence(tuple(judged), tuple(tables), tuple(fronts))
+    convergence = Convergence(tuple(judged), tuple(problems), tuple(fronts))
     return convergence.written(design.name, design.question, reports)
 
 
 def _judged(
-    tables: Sequence[Tables],
+    problems: Sequence[CellProblem],
     spec: Converge,
     formal: Sequence[FormalOrder],
     labels: Sequence[Mapping[str, str]],
@@ -269,7 +272,7 @@ def _judged(
     refinement.quantity(spec.qoi)
     cells = [
         series_of(cell, spec, order, budget, its_labels)
-        for cell, order, its_labels in zip(tables, formal, labels, strict=True)
+        for cell, order, its_labels in zip(problems, formal, labels, strict=True)
     ]
     refine(cells, solving(solver, progress))
     judged = [judge(cell, order, tolerance) for cell, order in zip(cells, formal, strict=True)]
@@ -281,6 +284,10 @@ def _judged(
     ]
 
 
+#: tables that say which cells are one test, on whatever mesh
+_PHYSICS = ("specimen", "test", "material")
+
+
 def cost_fronts(
     cells: Sequence[RefinementSeries], judged: Sequence[SeriesJudgement], accuracy: float
 ) -> list[CostFront]:
@@ -288,7 +295,7 @@ def cost_fronts(
     groups: dict[str, list[int]] = {}
     for k, cell in enumerate(cells):
         groups.setdefault(
-            case_id({k: cell.tables.get(k) for k in ("specimen", "test", "material")}), []
+            case_id({k: v for k, v in cell.problem.document().items() if k in _PHYSICS}), []
         ).append(k)
     names = [" / ".join(cell.levels_of.values()) or f"cell {k + 1}" for k, cell in enumerate(cells)]
     fronts = [
@@ -388,7 +395,7 @@ def measured_cells(
     judged = [case_series.judge(design.converge, work.responses) for case_series in series]
     convergence = Convergence(
         tuple(judged),
-        tuple(case_series.base.case.config for case_series in series),
+        tuple(case_series.base.case.problem for case_series in series),
         left_out=tuple(case_series.base for case_series in every if case_series not in series),
     )
     return convergence.written(design.name, design.question, reports)
@@ -486,8 +493,10 @@ def converge(
     if not isinstance(source, Mapping) and not Path(source).is_file():
         return SeriesDocument(stored(source, results))
     if isinstance(source, Mapping) or file_kind(source) != "design":
-        convergence = problem(
-            source, overrides, formal_order, tolerance, results=results, reports=reports,
+        name = "problem" if isinstance(source, Mapping) else Path(source).stem
+        loaded = loaded_problem(source, overrides)
+        convergence = refined(
+            loaded, name, formal_order, tolerance, results=results, reports=reports,
             progress=say, memory_MB=memory_MB,
         )  # fmt: skip
         return SeriesDocument(convergence.to_json())
@@ -522,9 +531,9 @@ def stored(source: str | Path, results: Path = RESULTS) -> dict[str, object]:
     return {"cells": cells}
 
 
-def problem(
-    source: str | Path | Tables,
-    overrides: Sequence[str] = (),
+def refined(
+    loaded: LoadedProblem,
+    name: str,
     formal_order: float | None = None,
     tolerance: float = 0.0,
     *,
@@ -535,14 +544,11 @@ def problem(
     solve: Solver | None = None,
 ) -> Convergence:
     """Refine one problem until its meshes are enough, and study the other errors besides."""
-    tables = problem_tables(source, overrides)
-    name = "problem" if isinstance(source, Mapping) else Path(source).stem
-    spec = tables.get("converge")
-    spec = spec if isinstance(spec, Converge) else Converge()  # tables of the program have none
-    formal = promised(problem_of(tables))
+    spec, cell = loaded.converge, loaded.problem
+    formal = promised(cell.at())
     if formal_order is not None:
         formal = FormalOrder(formal_order, "as given")
     solver = solve or kept(in_process, store_of(results, name))
     budget = Budget(spec.budget_s, memory_MB)
-    _, judged = _judged([tables], spec, [formal], [{}], budget, solver, progress, tolerance or None)
-    return Convergence(tuple(judged), (tables,), is_problem=True).written(name, "", reports)
+    _, judged = _judged([cell], spec, [formal], [{}], budget, solver, progress, tolerance or None)
+    return Convergence(tuple(judged), (cell,), is_problem=True).written(name, "", reports)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from study.ground.errors import Fault, InputError
 from study.harness.design.calibration_section import CalibrationDesign
-from study.harness.design.cell import Config
+from study.harness.design.cell import CellProblem
 from study.harness.design.load import (
     from_tables,
     load,
@@ -16,7 +17,7 @@ from study.harness.design.load import (
     loads,
     loads_problem,
 )
-from study.harness.design.spec import Design
+from study.harness.design.spec import Design, LoadedProblem
 from study.harness.record.document import ManifestDocument
 from study.harness.record.store import Store
 from study.harness.runner import provenance
@@ -110,15 +111,16 @@ def _holds(folder: Path, files: Iterable[MeasurementSpec]) -> bool:
     return True
 
 
-def problem_tables(source: str | Path | Tables, overrides: Sequence[str] = ()) -> Config:
+def loaded_problem(source: str | Path | Tables, overrides: Sequence[str] = ()) -> LoadedProblem:
     """Read a problem, from its file or from tables as a file has them, and find its surface."""
     if isinstance(source, Mapping):
         if "displacement_mm" in table_of(source, "test"):
-            return dict(source)
-        tables, place = loads_problem(from_tables(source), "problem", overrides), Path("problem")
+            return LoadedProblem(CellProblem.of(source))
+        loaded, place = loads_problem(from_tables(source), "problem", overrides), Path("problem")
     else:
-        tables, place = load_problem(source, overrides), Path(source)
-    return provenance.located(tables, provenance.folders(place, data_root(place)))
+        loaded, place = load_problem(source, overrides), Path(source)
+    found = provenance.located(loaded.problem, provenance.folders(place, data_root(place)))
+    return replace(loaded, problem=found)
 
 
 def design_root(design: Design, data: str | Path | None = None) -> Path:

@@ -17,7 +17,7 @@ from study.ground.arrays import Array
 from study.ground.bounded_file import UnreadableError, read_json
 from study.ground.errors import Fault, InputError, nearest
 from study.harness.design import load
-from study.harness.design.cell import Config
+from study.harness.design.cell import CellProblem, tested
 from study.harness.design.load import default_name
 from study.harness.design.spec import Design
 from study.harness.record.atomic_files import write_atomic
@@ -49,8 +49,7 @@ from study.mechanics.material import material as conversions
 from study.mechanics.material.input_file import abaqus_text, febio_text, material_name, remarks
 from study.mechanics.material.material import Material, is_dimensionless
 from study.mechanics.material.stability import check, stability
-from study.mechanics.setup.material_section import MaterialSection
-from study.mechanics.setup.setup import Problem, Tables, problem_of
+from study.mechanics.setup.setup import Problem
 from study.reporting.content.numbers import THIN, duration
 from study.reporting.figures.registry import slug
 from study.reporting.output.accuracy_page import shape_page, tracker_page
@@ -156,8 +155,8 @@ def material_of(path: Path, case: str, test: int, overrides: Sequence[str]) -> t
         return case_source.name, case_source.problem.material
     document = _document(path)
     values, _ = _constants(cast("Mapping[str, Mapping[str, object]]", document["parameters"]))
-    tables = _test_of(document, path, test)
-    return str(document["name"]), MaterialSection.of(tables).material(values)
+    section = _test_of(document, path, test).material
+    return str(document["name"]), section.material(values)
 
 
 def _written(path: Path, overrides: Sequence[str]) -> ForceLawSource:
@@ -170,15 +169,15 @@ def _written(path: Path, overrides: Sequence[str]) -> ForceLawSource:
     if kind == "design":
         mend = "run it and name one: study export results/NAME --case ID"
         raise InputError(Fault(str(path), "is a design of many cases", mend))
-    config = load.load_problem(path, overrides)
-    config = provenance.located(config, provenance.folders(path, data_root(path)))
-    return ForceLawSource(load.default_name(str(path)), problem_of(config))
+    problem = load.load_problem(path, overrides).problem
+    problem = provenance.located(problem, provenance.folders(path, data_root(path)))
+    return ForceLawSource(load.default_name(str(path)), problem.at())
 
 
 def _calibrated(path: Path, number: int) -> ForceLawSource:
     """Test of a finished calibration, with the constants and their covariance."""
     calibration = _document(path)
-    tables = _test_of(calibration, path, number)
+    tested = _test_of(calibration, path, number)
     values, errors = _constants(
         cast("Mapping[str, Mapping[str, object]]", calibration["parameters"])
     )
@@ -189,29 +188,29 @@ def _calibrated(path: Path, number: int) -> ForceLawSource:
     name = str(calibration["name"])
     return ForceLawSource(
         f"{name}-test-{number}" if len(cast("list[object]", calibration["tests"])) > 1 else name,
-        problem_of(tables, values),
+        tested.at(values),
         _half_ranges(values, errors),
         covariance if np.isfinite(covariance).all() else None,
     )
 
 
-def _test_of(calibration: Mapping[str, object], path: Path, number: int) -> Tables:
-    """Tables of a test of a calibration, counted from 1."""
-    tests = cast("Sequence[Tables]", calibration["tests"])
+def _test_of(calibration: Mapping[str, object], path: Path, number: int) -> CellProblem:
+    """Test of a calibration, counted from 1."""
+    tests = cast("Sequence[Mapping[str, object]]", calibration["tests"])
     if not 1 <= number <= len(tests):
         rule = f"there is no test {number} in {path}, which has {len(tests)}"
         raise InputError(Fault("--test", rule, f"1 to {len(tests)}"))
-    return tests[number - 1]
+    return CellProblem.of(tests[number - 1])
 
 
-def _config_of(record: Record, design: Design, blocks: Sequence[str]) -> Config:
-    """Document of the cell that a case is of, or repeats on another mesh."""
-    cases_of = cases_by_id(design, blocks).get(record.case_id)
-    if cases_of is not None:
-        return cases_of.config
-    for cell in design.treatments:
-        if cell.levels == record.levels:
-            return cell.config
+def _problem_of(record: Record, design: Design, blocks: Sequence[str]) -> CellProblem:
+    """Problem of the cell that a case is of, or repeats on another mesh."""
+    case = cases_by_id(design, blocks).get(record.case_id)
+    if case is not None:
+        return case.tested
+    for treatment in design.treatments:
+        if treatment.levels == record.levels:
+            return tested(treatment.cell.problem)
     mend = "name another of its cases (see `study why`)"
     raise InputError(Fault(f"--case {record.case_id}", "is of no cell of the design", mend))
 
@@ -268,11 +267,11 @@ def _recorded(path: Path, case: str) -> ForceLawSource:
         rule = f"the case ended as {record.status}: {record.message}"
         raise InputError(Fault(f"--case {case}", rule, "name one that has an answer"))
     design = load.loads(manifest["design"], manifest["source"])
-    config = _config_of(record, design, manifest["blocks"])
+    cell = _problem_of(record, design, manifest["blocks"])
     values, errors = _constants(record.parameters)
     fitted = {n: v for n, v in values.items() if n != "mu0"}
-    config = provenance.located(config, provenance.folders(design.source, folder))
-    problem = problem_of(config, fitted or None)
+    cell = provenance.located(cell, provenance.folders(design.source, folder))
+    problem = cell.at(fitted or None)
     return ForceLawSource(
         f"{design.name}-{record.case_id[:8]}", problem, _half_ranges(fitted, errors)
     )
@@ -415,14 +414,14 @@ def require(
     """
     file = load_requirement(source, overrides)
     places = provenance.folders(source, data_root(source))
-    file = replace(
-        file,
-        fitted=provenance.located(file.fitted, places),
-        predicted=provenance.located(file.predicted, places),
+    fitted, predicted = (
+        provenance.located(CellProblem.of(tables), places)
+        for tables in (file.fitted, file.predicted)
     )
+    file = replace(file, fitted=fitted.document(), predicted=predicted.document())
     workers, tests = jobs or default_jobs(), file.asked.samples * len(file.asked.multiples)
     if progress is not None and tests:
-        seconds = tests * SOLUTIONS_A_TEST * Costs().solve_seconds(file.fitted) / workers
+        seconds = tests * SOLUTIONS_A_TEST * Costs().solve_seconds(fitted) / workers
         time = duration(seconds).replace(THIN, " ")
         progress(f"{tests} simulated tests on {workers} workers, predicted to take {time}")
     sensors = sensor_requirement(file, workers, progress)

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, cast
 from study.ground.bounded_file import read_json
 from study.ground.canonical import digest
 from study.ground.errors import Fault, InputError, RefusedError, nearest
-from study.harness.design.cell import plain
 from study.harness.design.load import dump, loads
 from study.harness.record.document import ManifestDocument
 from study.harness.record.store import Store
@@ -218,7 +217,7 @@ def mixed_meshes(work: Work, store: Store) -> list[str]:
             fits = [() if pair.fit is None else pair.fit.measured for pair in job.directions]
             fitted = [[float(curve.displacement_mm.max()) for curve in curves] for curves in fits]
             scored = [pair.depth_mm for pair in job.directions]
-            name = digest([plain(job.case.config), job.forward, scored, fitted], 32)
+            name = digest([job.case.cell.content_key, job.forward, scored, fitted], 32)
             meshes_of[name].add(mesh)
             labels.setdefault(name, job.case.label)
     mixed = [labels[name] for name, several in meshes_of.items() if len(several) > 1]

@@ -62,7 +62,7 @@ def controls_of(work: Work, store: Store) -> list[CaseJob]:
 def control_seconds(controls: Sequence[CaseJob], workers: int) -> float:
     """Wall time of the cells of the spaces' control."""
     costs = Costs()
-    seconds_each = [costs.solve_seconds(job.case.config, job.depth_mm) for job in controls]
+    seconds_each = [costs.solve_seconds(job.case.tested, job.depth_mm) for job in controls]
     return costs.side_by_side(seconds_each, workers)
 
 
@@ -241,10 +241,10 @@ def _counted(
     seconds = costs.total_seconds(fits, todo, workers)
     seconds += refinement_seconds(work, store, workers)
     seconds += control_seconds(controls, workers)
-    found_models = externals(job.case.config for job in work.jobs)
+    found_models = externals(job.case.problem for job in work.jobs)
     commands = [program for program in found_models if program.section.model == "command"]
     memory = workers * max(
-        (costs.memory_MB(job.case.config) for job in [*todo, *controls]), default=0.0
+        (costs.memory_MB(job.case.problem) for job in [*todo, *controls]), default=0.0
     )
     return Plan(
         work.design, described, work.blocks, len(work.jobs), len(survey.done),

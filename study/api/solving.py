@@ -12,7 +12,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from study.api.folders import problem_tables
+from study.api.folders import loaded_problem
 from study.ground.errors import Fault, InputError
 from study.harness.design import plausibility
 from study.harness.design.load import load_problem
@@ -24,7 +24,7 @@ from study.mechanics.forward import closed_form, finite_element
 from study.mechanics.forward.finite_element import at_steps
 from study.mechanics.material.stability import check
 from study.mechanics.setup.material_section import MaterialSection
-from study.mechanics.setup.setup import Problem, Setup, Tables, problem_of, specimen_of
+from study.mechanics.setup.setup import Problem, Tables, problem_of, specimen_of
 from study.mechanics.solver.solution import Solution
 from study.reporting.figures.axes import shown
 from study.reporting.figures.curve_figures import draw_curve
@@ -142,13 +142,12 @@ def solve(
 
 def cautions(problem: str | Path, overrides: Sequence[str] = ()) -> tuple[str, ...]:
     """Sentences about moduli and sizes in a file that no soft material or specimen has."""
-    tables = load_problem(problem, overrides)
-    return plausibility.cautions(Setup.of(tables), MaterialSection.of(tables))
+    return plausibility.cautions_of(load_problem(problem, overrides).problem)
 
 
 def _problem(problem: Problem | Tables | str | Path, overrides: Sequence[str]) -> Problem:
     if not isinstance(problem, Problem):
-        problem = problem_of(problem_tables(problem, overrides))
+        problem = loaded_problem(problem, overrides).problem.at()
     import numpy as np
 
     height = float(getattr(problem.specimen, "height_mm", 0.0))

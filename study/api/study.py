@@ -169,12 +169,12 @@ def run(
     store = Store(own_folder(Path(results), loaded.name), warn=warnings.append)
     with uncollected():
         work = expand(continued(loaded, store), root, allowed)
-    check_allowed(externals(job.case.config for job in work.jobs), allow_commands)
+    check_allowed(externals(job.case.problem for job in work.jobs), allow_commands)
     clock.mark("reading")
     # one executor for cells and refined cases alike, so that all of them fit into the memory
     executor = None if room is None else processes(jobs or default_jobs(), timeout_s, room)
     if engine is not None:
-        read = {path for job in work.jobs for path in surface_files(job.case.config)}
+        read = {path for job in work.jobs for path in surface_files(job.case.cell)}
         executor, jobs = computing_on(engine, jobs, timeout_s, sorted(read))
     with store.lock():
         warnings += check_stale(work, store, stale)

@@ -15,7 +15,6 @@ from study.harness.design.load import loads
 from study.mechanics.forward import closed_form
 from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Cylinder
-from study.mechanics.setup.setup import problem_of
 from study.mechanics.solver.finite_element_solution import solve
 from study.reporting.results.study_result import StudyResult
 from tests.pages import both_pages
@@ -273,10 +272,10 @@ def test_refits_by_simulation_scatter_as_their_standard_error(tmp_path: Path) ->
     text += '[[response]]\nname = "C10"\n'
     folder = tmp_path / "data"
     folder.mkdir()
-    config = loads(text).treatments[1].config
-    assert config["model"]["element_order"] == "quadratic"
+    problem = loads(text).treatments[1].cell.problem
+    assert problem.model.element_order == "quadratic"
     d = np.linspace(0.3, 3.0, 60)
-    curve = solve(problem_of(config, {"C10": 8e-3})).curve
+    curve = solve(problem.at({"C10": 8e-3})).curve
     force = curve.force_at(d) + 0.02 * np.random.default_rng(2).standard_normal(d.size)
     lines = [f"{x:.9f},{f:.10f}" for x, f in zip(d, force, strict=True)]
     (folder / "tests.csv").write_text("d_mm,f_N\n0,0\n" + "\n".join(lines) + "\n3.1,12\n")

@@ -131,9 +131,9 @@ def test_a_preset_of_a_table_is_laid_over_it() -> None:
         '[factors]\nmaterial = ["soft", "ogden"]\n'
     )
     soft, ogden = load.loads(text).treatments
-    assert soft.config["material"]["constants"] == {"C10": 0.001}
-    assert soft.config["material"]["poisson_ratio"] == 0.4995
-    assert ogden.config["material"]["constants"] == {"mu1": 0.005, "alpha1": 3.0}
+    assert soft.cell.document()["material"]["constants"] == {"C10": 0.001}
+    assert soft.cell.document()["material"]["poisson_ratio"] == 0.4995
+    assert ogden.cell.document()["material"]["constants"] == {"mu1": 0.005, "alpha1": 3.0}
 
 
 def test_a_key_takes_away_what_cannot_stand_beside_it() -> None:
@@ -153,13 +153,13 @@ def test_indenters_as_presets() -> None:
     base = text.replace("[material]", 'indenter = { shape = "flat", radius = "5 mm" }\n[material]')
     for source in (text, base):
         cone, ball = load.loads(source).treatments
-        assert cone.config["test"]["indenter"] == {
+        assert cone.cell.document()["test"]["indenter"] == {
             "shape": "cone",
             "half_angle_deg": 30.0,
             "tip_radius_mm": 0.0,
             "shaft_radius_mm": None,
         }
-        assert ball.config["test"]["indenter"] == {"shape": "sphere", "radius_mm": 5.0}
+        assert ball.cell.document()["test"]["indenter"] == {"shape": "sphere", "radius_mm": 5.0}
 
 
 def test_indentation_is_one_computation_a_cell() -> None:
@@ -182,8 +182,8 @@ def test_overrides(override: str, section: str, key: str, value: object) -> None
     text = BASE.replace("[model]\nmesh", "[model]\nelement_order = 'linear'\n# mesh") + SPACES
     study = load.loads(text, overrides=[override])
     for cell in study.treatments:
-        assert cell.config[section][key] == value
-        assert key != "mesh_size_mm" or "mesh" not in cell.config[section]
+        assert cell.cell.document()[section][key] == value
+        assert key != "mesh_size_mm" or "mesh" not in cell.cell.document()[section]
 
 
 def test_levels_and_lists_can_be_overridden() -> None:

@@ -49,7 +49,7 @@ def test_the_ecoflex_matrix(ecoflex: Design) -> None:
 
 
 def test_sections_are_plain_values_in_mm_and_mpa(ecoflex: Design) -> None:
-    config = ecoflex.treatments[-1].config
+    config = ecoflex.treatments[-1].cell.document()
     assert config["specimen"] == {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0}
     assert config["test"] == {
         "kind": "compression",
@@ -115,7 +115,7 @@ def test_conical_calibration_is_compression(conical: Design) -> None:
     assert fitted["test"]["kind"] == "compression"
     assert fitted["test"]["base"] == "frictionless"
     assert fitted["test"]["displacement_mm"] == 12.0  # 30 % of 40 mm
-    assert fitted["specimen"] == cells[0].config["specimen"]  # inherited
+    assert fitted["specimen"] == cells[0].cell.document()["specimen"]  # inherited
     assert fitted["measurements"].files == "conical/compression-{specimen}.csv"
     # the closed form knows nothing of space, order and mesh: one fit a material
     assert overview.calibration_factors(conical) == ("material",)
@@ -186,7 +186,7 @@ def test_every_design_that_ships_is_read(path: Path) -> None:
     elif kind == "tracker study":
         assert load_tracking(path).distance
     elif kind == "problem":
-        assert load.load_problem(path)["test"]
+        assert load.load_problem(path).problem
     else:
         assert load.load(path).treatments
 

@@ -20,8 +20,6 @@ from study.harness.design.load import (
     loads_calibration,
     loads_problem,
 )
-from study.mechanics.setup.material_section import MaterialSection
-from study.mechanics.setup.setup import Setup
 
 PROBLEM = """
 schema = 1
@@ -55,7 +53,7 @@ def faults(load, text: str, *args: object) -> dict[str, str]:  # type: ignore[no
 
 
 def test_the_problem_itself_is_fine() -> None:
-    config = loads_problem(PROBLEM)
+    config = loads_problem(PROBLEM).problem.document()
     assert config["material"] == {
         "model": "reduced-polynomial",
         "order": 2,
@@ -86,7 +84,7 @@ def test_synonyms() -> None:
         ("quadrilateral", "tensor"),
         ("hexahedron", "tensor"),
     ):
-        config = loads_problem(text + f'element_shape = "{written}"\n')
+        config = loads_problem(text + f'element_shape = "{written}"\n').problem.document()
         assert config["model"]["element_shape"] == meant
         assert config["test"]["interface"] == "frictionless"
 
@@ -161,8 +159,7 @@ def test_files_of_another_kind_are_named() -> None:
 def test_plausibility_warns_of_units() -> None:
     wrong = PROBLEM.replace('"5 kPa"', '"5 GPa"').replace('"10 MPa"', '"1 TPa"')
     told, none = (
-        plausibility.cautions(Setup.of(tables), MaterialSection.of(tables))
-        for tables in map(loads_problem, (wrong, PROBLEM))
+        plausibility.cautions_of(loaded.problem) for loaded in map(loads_problem, (wrong, PROBLEM))
     )
     assert "is the unit right?" in told[0]
     assert none == ()

@@ -66,7 +66,7 @@ def test_a_range_has_two_levels_in_a_factorial() -> None:
     study = load(TWO)
     assert len(study.treatments) == 16
     assert study.factors[-1].labels == ("28 mm", "32 mm")
-    heights = {cell.config["specimen"]["height_mm"] for cell in study.treatments}
+    heights = {cell.cell.document()["specimen"]["height_mm"] for cell in study.treatments}
     assert heights == {28.0, 32.0}
     assert study.scheme.rows is None
 
@@ -137,9 +137,9 @@ def test_every_kind_loads_again_from_its_dump(factors: str, table: str, cells: i
 def test_response_surfaces_stay_in_their_ranges() -> None:
     for kind in ("central-composite", "box-behnken"):
         for cell in load(RANGES, f'kind = "{kind}"').treatments:
-            assert 28 <= cell.config["specimen"]["height_mm"] <= 32
-            assert 24 <= cell.config["specimen"]["radius_mm"] <= 26
-            assert 0.49 <= cell.config["material"]["poisson_ratio"] <= 0.499
+            assert 28 <= cell.cell.document()["specimen"]["height_mm"] <= 32
+            assert 24 <= cell.cell.document()["specimen"]["radius_mm"] <= 26
+            assert 0.49 <= cell.cell.document()["material"]["poisson_ratio"] <= 0.499
     center = load(RANGES, 'kind = "box-behnken"')
     labels = [cell.label for cell in center.treatments]
     assert labels.count("30 mm / 2.5 cm / 0.4945") == 1

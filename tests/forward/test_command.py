@@ -19,12 +19,17 @@ import numpy as np
 import pytest
 
 from study.api.opened_study import load as open_study
+from study.ground.curve import Curve
 from study.ground.errors import InputError, RefusedError
-from study.harness.design.forward_section import ValueFile
+from study.harness.design.cell import Cell, CellProblem
+from study.harness.design.forward_section import ForwardFiles, ForwardModel, ValueFile
+from study.harness.design.parameters import ParameterProblem
 from study.harness.external import answers, command, exchange
 from study.harness.external.answers import NoAnswer, values_of_files
-from study.harness.external.command import Command
+from study.harness.external.command import External
 from study.harness.external.exchange import PythonFunction
+from study.harness.runner.fit_problem import fit_key, fit_problem
+from study.harness.runner.fit_task import FitTask, fitted
 from study.mechanics.setup.setup import problem_of
 from tests.waiting import CAP_S, is_alive, until
 
@@ -33,12 +38,19 @@ HEIGHT, RADIUS, C10, C20 = 25.0, 14.5, 0.006, 0.0011
 POINTS = np.linspace(0.0, 5.0, 6)[1:]
 
 
+def commands(argv, contents, **more: object) -> External:
+    """Forward model of commands that find some files in their folder."""
+    return External(ForwardModel(model="command", argv=argv, **more), contents, {}, None)
+
+
 def solve_by_command(made, given, points):
     """Curve of a program that exchanges problem.json and curve.csv, and the report of its run."""
     written = json.dumps(exchange.request(given, points), indent=1)
-    asked = replace(made, contents={**made.contents, exchange.PROBLEM_FILE: written})
+    contents = {**made.contents, exchange.PROBLEM_FILE: written}
     answer, document, _ = command.run_commands(
-        asked, lambda folder, said: exchange.answer(command.curve_files(folder), points)
+        made.section,
+        contents,
+        lambda folder, said: exchange.answer(command.curve_files(folder), points),
     )
     return answer, document
 
@@ -112,11 +124,11 @@ def force(d: float) -> float:
     return math.pi * RADIUS**2 * slope * (C10 + 2 * C20 * invariant)
 
 
-def script(text: str, **more: object) -> Command:
-    return Command((("python", "run.py"),), {"run.py": text}, **more)
+def script(text: str, **more: object) -> External:
+    return commands((("python", "run.py"),), {"run.py": text}, **more)
 
 
-def refusal(made: Command, seconds: float | None = None) -> NoAnswer:
+def refusal(made: External, seconds: float | None = None) -> NoAnswer:
     with pytest.raises(NoAnswer) as caught:
         solve_by_command(made, problem(C10=C10), POINTS)
     return caught.value
@@ -127,7 +139,7 @@ REPLACES = "import os, shutil; d = os.getcwd(); shutil.rmtree(d); os.symlink('/e
 CURVE = "displacement_mm,force_N\n1,1\n3,8\n5,20\n"
 
 
-def answer(facts: str) -> Command:
+def answer(facts: str) -> External:
     """A program with a good curve, and facts that a Python expression gives."""
     return script(WRITES.format(CURVE) + f"open('facts.json', 'w').write({facts})\n")
 
@@ -135,7 +147,7 @@ def answer(facts: str) -> Command:
 @pytest.mark.parametrize(
     ("made", "status", "said"),
     [
-        (Command((("no-such-program-8141",),), {}), "failed", "no such program"),
+        (commands((("no-such-program-8141",),), {}), "failed", "no such program"),
         (script("raise SystemExit(3)"), "failed", "return code 3"),
         (script(""), "failed", "wrote no curve.csv"),
         (script("print('*ERROR reading')", failure="*ERROR"), "failed", "*ERROR reading"),
@@ -179,8 +191,8 @@ def answer(facts: str) -> Command:
         (script("import os, shutil; shutil.rmtree(os.getcwd())"), "failed", "no curve.csv"),
         (script(REPLACES), "failed", "no curve.csv"),
         (script("import os; os.kill(os.getppid(), 9)"), "failed", "supervised it was killed"),
-        (Command((("./run.py",),), {"run.py": "x"}), "failed", "no such program"),
-        (Command((("python", "x" * 3_000_000),), {}), "failed", "could not be run"),
+        (commands((("./run.py",),), {"run.py": "x"}), "failed", "no such program"),
+        (commands((("python", "x" * 3_000_000),), {}), "failed", "could not be run"),
     ],
 )
 def test_what_a_program_does_wrong_is_a_status_that_says_it(made, status, said):
@@ -310,7 +322,7 @@ def test_a_disk_is_not_filled(monkeypatch, deed, said):
 
 def test_a_file_larger_than_the_folder_may_be_is_said(monkeypatch):
     monkeypatch.setattr(command, "FOLDER_BYTES", 10_000_000)
-    found = refusal(Command((("dd", "if=/dev/zero", "of=big", "bs=1M", "count=100"),), {}))
+    found = refusal(commands((("dd", "if=/dev/zero", "of=big", "bs=1M", "count=100"),), {}))
     assert "wrote a file of more than 0.01 GB" in str(found)
 
 
@@ -352,14 +364,14 @@ def test_limits_hold_in_threads_that_hear_no_signal(monkeypatch):
 
 def test_no_shell_reads_the_words(tmp_path):
     planted = tmp_path / "planted"
-    made = Command((("python", "run.py", f"; touch {planted}"),), {"run.py": ""})
+    made = commands((("python", "run.py", f"; touch {planted}"),), {"run.py": ""})
     assert refusal(made).status == "failed"
     assert not planted.exists()
 
 
 def test_forces_of_the_shipped_closed_form_are_those_of_ours():
     text = (ROOT / "designs/solvers/closed_form.py").read_text()
-    made = Command((("python", "closed_form.py", "gradients"),), {"closed_form.py": text})
+    made = commands((("python", "closed_form.py", "gradients"),), {"closed_form.py": text})
     found, document = solve_by_command(made, problem(C10=C10, C20=C20), POINTS)
     np.testing.assert_allclose(found.curve.force_N, [force(d) for d in POINTS], rtol=1e-12)
     assert found.gradients == ("C10", "C20")
@@ -519,7 +531,8 @@ def test_calculix_gives_the_closed_form_between_lubricated_plates(order, close):
         ("ccx", "-i", "model"),
         ("python", "calculix.py", "curve"),
     )
-    made = Command(argv, {"calculix.py": text}, ("ccx", "-v"), "Job finished", "*ERROR")
+    said = {"version": ("ccx", "-v"), "success": "Job finished", "failure": "*ERROR"}
+    made = commands(argv, {"calculix.py": text}, **said)
     given = problem_of(tables)
     found, document = solve_by_command(made, given, np.array([1.5, 3.75]))
     from study.mechanics.forward.closed_form import compression
@@ -546,8 +559,8 @@ def test_a_folder_is_kept_whatever_its_names_and_depth(tmp_path):
         "for _ in range(1200): os.mkdir('d'); os.chdir('d')\n"
         "open('deep.txt', 'w').write('deep')\n"
     )
-    made = Command((("python", "make.py"),), {"make.py": code}, keep="all")
-    _, _, packed = command.run_commands(made, lambda folder, said: None)
+    made = commands((("python", "make.py"),), {"make.py": code}, keep="all")
+    _, _, packed = command.run_commands(made.section, made.contents, lambda folder, said: None)
     names = zipfile.ZipFile(io.BytesIO(packed)).namelist()
     assert {"make.py", "odd-?.txt"} <= set(names)
     assert [name for name in names if name.endswith("d/deep.txt")]
@@ -561,7 +574,38 @@ def test_a_pattern_that_would_search_for_ever_is_a_status():
 
 def test_a_digest_tells_a_rendered_file_from_a_copied_one():
     def digest_of(source):
-        table = {"model": "command", "argv": (("python", "a.py"),), "files": (("a.py", source),)}
-        return command.External.of({"forward": {**table, "contents": {"a.py": "{{ 1 }}"}}}).digest
+        found = ForwardFiles(contents=(("a.py", "{{ 1 }}"),))
+        argv, files = (("python", "a.py"),), (("a.py", source),)
+        section = ForwardModel(model="command", argv=argv, files=files, found=found)
+        return External.of(ParameterProblem(forward=section)).digest
 
     assert digest_of("a.py.j2") != digest_of("a.py")
+
+
+def test_the_program_of_a_fit_gets_the_parameters_of_the_user():
+    """It got none, while the prediction with the fitted constants got all of them."""
+
+    def forces(case):
+        stretch = 1 - np.asarray(case["displacement_mm"]) / HEIGHT
+        gain, constant = case["parameters"]["gain"], case["material"]["constants_MPa"]["C10"]
+        return gain * 2 * math.pi * RADIUS**2 * constant * (stretch**-2 - stretch)
+
+    function = exchange.PythonFunction.of(forces, "1")
+    files = ForwardFiles(function=function.text, function_version="1")
+    document = {
+        "specimen": {"shape": "cylinder", "radius_mm": RADIUS, "height_mm": HEIGHT},
+        "test": {"kind": "compression", "displacement_mm": 5.0},
+        "material": {"model": "neo-hookean", "incompressible": True},
+    }
+    keys = {}
+    for gain in (1.0, 3.0):
+        forward = ForwardModel(model="python", found=files)
+        cell = replace(CellProblem.of(document), forward=forward, parameters={"gain": gain})
+        fit = fit_problem(Cell(cell, "auto"))
+        request = {"displacement_mm": POINTS, "material": {"constants_MPa": {"C10": C10}}}
+        measured = Curve(POINTS, forces({**request, **cell.own_tables()}))
+        assert fit.method == "external"
+        found = fitted(FitTask(fit, (measured,)))
+        assert found.constants == pytest.approx({"C10": C10}, rel=1e-4), found.message
+        keys[gain] = fit_key(fit, [measured])
+    assert keys[1.0] != keys[3.0]

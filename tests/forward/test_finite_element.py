@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -120,7 +121,8 @@ def test_predictions_are_those_of_cold_solutions(work: Work, whole: list[Record]
         job = next(j for j in work.jobs if j.case.case_id == record.case_id)
         assert record.fit is not None
         (fit,) = record.fit.values()
-        cold = Anchors().predict(job.case.config, fit["values"], 1.0, None).solution
+        problem_at = partial(job.case.tested.at, depth_mm=1.0)
+        cold = Anchors().predict(problem_at, fit["values"], None).solution
         predicted = record.curves[CurveKey("predicted", "all")].force_N
         np.testing.assert_allclose(predicted, cold.curve.force_N, rtol=1e-6)
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from study.ground.curve import Curve
+from study.harness.design.cell import Cell, CellProblem
 from study.harness.runner import fit_task
 from study.harness.runner.fit_problem import fit_problem
 from study.mechanics.forward import finite_element
@@ -69,8 +70,12 @@ def setting(indenter: str, specimen: str, nu: float = 0.4995) -> dict[str, Any]:
                  "indenter": INDENTERS[indenter]},
         "material": {"model": "neo-hookean", "constants": {}, "poisson_ratio": nu},
         "model": {"space": "axisymmetric", "element_order": "quadratic", "mesh": "coarse"},
-        "calibration": {"method": "auto"},
     }  # fmt: skip
+
+
+def calibrated(document: dict[str, Any], measured: Curve) -> fit_task.FitResult:
+    problem = fit_problem(Cell(CellProblem.of(document), "auto"))
+    return fit_task.fitted(fit_task.FitTask(problem, (measured,)))
 
 
 def virtual(config: dict[str, Any]) -> Curve:
@@ -85,9 +90,9 @@ def test_an_indentation_fit_starts_near_its_end(indenter: str, specimen: str) ->
     """Large strains, a layer and a finite width are in the data: a factor of 1.25 at most."""
     config = setting(indenter, specimen)
     measured = virtual(config)
-    _, start = fit_task.start_values(config, [measured], None)
+    _, start = fit_task.start_values(CellProblem.of(config), [measured], None)
     assert 1 / 1.25 < start[0] / NEO_HOOKEAN < 1.25
-    found = fit_task.fitted(fit_task.FitTask(fit_problem(config), (measured,)))
+    found = calibrated(config, measured)
     assert found.status == "converged"
     assert found.constants["C10"] == pytest.approx(NEO_HOOKEAN, rel=1e-6)
     # the force is proportional to C10
@@ -99,7 +104,7 @@ def test_a_start_that_is_far_too_soft_comes_back_to_the_truth() -> None:
     config = setting("needle", "thick cylinder")
     measured = virtual(config)
     given = {**config, "material": {**config["material"], "constants": {"C10": 2.2e-4}}}
-    found = fit_task.fitted(fit_task.FitTask(fit_problem(given), (measured,)))
+    found = calibrated(given, measured)
     assert found.status == "converged"
     assert found.constants["C10"] == pytest.approx(NEO_HOOKEAN, rel=1e-6)
     assert found.fit["solves"] == 1

@@ -13,10 +13,11 @@ import pytest
 from study import api
 from study.cli.app import run
 from study.ground.errors import InputError
-from study.harness.calibration import calibrate_tests, measured_tests, model_comparison
+from study.harness.calibration import calibrate_tests, model_comparison
 from study.harness.calibration.calibration_result import CalibrationResult
 from study.harness.design.load import load_calibration
 from study.harness.runner import fit_task, staged_fit
+from study.harness.runner.fit_problem import FitProblem, fitted_test
 from study.mechanics.calibration.levenberg_marquardt import Status
 from study.mechanics.forward import closed_form
 from study.mechanics.material.material import Material
@@ -441,9 +442,9 @@ def test_a_kink_is_called_alike_in_every_verb(
     assert document["status"] == "at-kink"
     assert document["parameters"]["C10"]["standard_error"] is None
     assert document["mu0"] == pytest.approx(14.0, abs=0.1)
-    tables = load_calibration(path).tests[0].tables
+    way = fitted_test("auto", load_calibration(path).tests[0].problem)
     measured = api.calibrate(path, data=tmp_path).curves[0].measured.curve
-    found = fit_task.fitted(fit_task.FitTask(measured_tests.problem_of(tables), (measured,)))
+    found = fit_task.fitted(fit_task.FitTask(FitProblem(way.method, (way,)), (measured,)))
     assert found.status == document["status"]
     assert found.converged  # there are constants, as before
     assert found.fit["values"]["C10"] == pytest.approx(7e-3, rel=0.01)

@@ -5,8 +5,9 @@ import json
 import pytest
 
 from study.cli.app import run
-from study.harness.calibration.measured_tests import in_order, problem_of, read_tests
+from study.harness.calibration.measured_tests import in_order, read_tests
 from study.harness.design.load import load_calibration
+from study.harness.runner.fit_problem import FitProblem, fitted_test
 from study.harness.runner.fit_task import FitTask, fitted
 from tests.runner.test_calibrate import RP2, case, write
 
@@ -21,7 +22,8 @@ def test_a_fit_of_a_study_and_the_verb_give_one_interval(tmp_path, capsys, point
     document = json.loads(capsys.readouterr().out)
     tests = load_calibration(path).tests
     (curve,) = in_order(read_tests(tests, tmp_path)[0])
-    task = FitTask(problem_of(tests[0].tables), (curve.measured.curve,))
+    way = fitted_test("auto", tests[0].problem)
+    task = FitTask(FitProblem(way.method, (way,)), (curve.measured.curve,))
     found = fitted(task)
     for name, one in document["parameters"].items():
         wanted = [1e-3 * value for value in one["ci95"]]

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from study.ground.curve import Curve
+from study.harness.design.cell import Cell, CellProblem
 from study.harness.runner import fit_task
-from study.harness.runner.fit_problem import fit_key, fit_problem, start_problem
+from study.harness.runner.fit_problem import FitProblem, fit_key, fit_problem, start_problem
 from study.harness.runner.fit_summary import FitResult
 from study.harness.runner.fit_task import FitTask, fitted
 from study.mechanics.forward import closed_form, finite_element
@@ -31,8 +32,11 @@ def config(model: str, interface: str, **more: Any) -> dict[str, Any]:
                  "displacement_mm": 6.0, "steps": 10},
         "material": {"model": model, "constants": {}, "poisson_ratio": 0.4995, **more},
         "model": {"space": "3d", "element_order": "linear", "mesh": "coarse"},
-        "calibration": {"method": "auto", "problem": None},
     }  # fmt: skip
+
+
+def calibration_of(document: dict[str, Any]) -> FitProblem:
+    return fit_problem(Cell(CellProblem.of(document), "auto"))
 
 
 def curve(model: str, constants: dict[str, float]) -> Curve:
@@ -55,7 +59,7 @@ def curve(model: str, constants: dict[str, float]) -> Curve:
 def test_closed_form_recovers_the_constants_of_exact_data(
     model: str, order: int | None, truth: dict[str, float]
 ) -> None:
-    problem = fit_problem(config(model, "frictionless", order=order))
+    problem = calibration_of(config(model, "frictionless", order=order))
     assert problem.method == "closed-form"
     found = fitted(FitTask(problem, (curve(model, truth),)))
     assert found.status == "converged", found.message
@@ -70,7 +74,7 @@ def test_inverse_fem_recovers_constants_through_the_solver(monkeypatch: pytest.M
     base = curve("reduced-polynomial", truth)
     factor = BONDED * (1 + 1e-3 * _size())
     measured = Curve(base.displacement_mm, factor * base.force_N)
-    problem = fit_problem(config("reduced-polynomial", "bonded", order=2))
+    problem = calibration_of(config("reduced-polynomial", "bonded", order=2))
     before = start_problem(problem)
     assert before is not None
     start = fitted(FitTask(before, (measured,)))
@@ -97,7 +101,7 @@ def test_equal_problems_of_one_constant_are_solved_once(monkeypatch: pytest.Monk
         return solve(problem, **options)
 
     monkeypatch.setattr(finite_element, "solve", counted)
-    problem = fit_problem(config("neo-hookean", "bonded"))
+    problem = calibration_of(config("neo-hookean", "bonded"))
     base = curve("neo-hookean", {"C10": 8e-3})
     factor = BONDED * (1 + 1e-3 * _size())
     for share in (1.0, 2.5):
@@ -131,7 +135,7 @@ def test_a_solver_that_stops_is_a_rejected_step_and_a_status(
         return found
 
     monkeypatch.setattr(finite_element, "solve", stops)
-    problem = fit_problem(of_two_constants())
+    problem = calibration_of(of_two_constants())
     found = fitted(FitTask(problem, (curve("neo-hookean", {"C10": 8e-3}),)))
     assert found.status == "not-converged"
     assert len(calls) > 2  # it tried shorter steps before it gave up
@@ -150,7 +154,7 @@ def test_a_solver_that_stops_from_a_warm_start_is_asked_again(
     base = curve("reduced-polynomial", truth)
     measured = Curve(base.displacement_mm, BONDED * (1 + 1e-3 * _size()) * base.force_N)
     monkeypatch.setattr(finite_element, "solve", lost)
-    problem = fit_problem(of_two_constants())
+    problem = calibration_of(of_two_constants())
     found = fitted(FitTask(problem, (measured,)))
     assert found.status == "converged", found.message
     assert found.constants == pytest.approx(truth, rel=2e-3)
@@ -159,7 +163,7 @@ def test_a_solver_that_stops_from_a_warm_start_is_asked_again(
 
 
 def test_a_failed_start_is_told_and_not_replaced_by_another() -> None:
-    problem = fit_problem(config("mooney-rivlin", "bonded"))
+    problem = calibration_of(config("mooney-rivlin", "bonded"))
     start = FitResult.from_json({"status": "crashed", "message": "crashed (signal 9), twice"})
     task = FitTask(problem, (curve("neo-hookean", {"C10": 8e-3}),), start)
     found = fitted(task)
@@ -172,17 +176,17 @@ def test_space_and_elements_do_not_enter_a_closed_form() -> None:
     other["model"] = {"space": "axisymmetric", "element_order": "quadratic", "mesh": "fine"}
     other["test"]["steps"] = 20
     data = [curve("neo-hookean", {"C10": 8e-3})]
-    assert fit_key(fit_problem(one), data) == fit_key(fit_problem(other), data)
-    bonded = [fit_problem({**c, "test": {**c["test"], "interface": "bonded"}})
+    assert fit_key(calibration_of(one), data) == fit_key(calibration_of(other), data)
+    bonded = [calibration_of({**c, "test": {**c["test"], "interface": "bonded"}})
               for c in (one, other)]  # fmt: skip
     assert fit_key(bonded[0], data) != fit_key(bonded[1], data)
 
 
 def test_a_bonded_fit_starts_from_the_fit_that_is_one_order_lower() -> None:
     data = [curve("neo-hookean", {"C10": 8e-3})]
-    third = fit_problem(config("reduced-polynomial", "bonded", order=3))
-    second = fit_problem(config("reduced-polynomial", "bonded", order=2))
-    first = fit_problem(config("neo-hookean", "bonded"))
+    third = calibration_of(config("reduced-polynomial", "bonded", order=3))
+    second = calibration_of(config("reduced-polynomial", "bonded", order=2))
+    first = calibration_of(config("neo-hookean", "bonded"))
     for problem, start in ((third, second), (second, first)):
         before = start_problem(problem)
         assert before is not None
@@ -192,14 +196,18 @@ def test_a_bonded_fit_starts_from_the_fit_that_is_one_order_lower() -> None:
 
 def test_higher_constants_start_at_zero() -> None:
     names, start = fit_task.start_values(
-        config("reduced-polynomial", "bonded", order=3), [], {"C10": 6e-3}
+        CellProblem.of(config("reduced-polynomial", "bonded", order=3)), [], {"C10": 6e-3}
     )
     assert dict(zip(names, start, strict=True)) == {"C10": 6e-3, "C20": 0.0, "C30": 0.0}
     names, start = fit_task.start_values(
-        config("reduced-polynomial", "bonded", order=3), [], {"C10": 6e-3, "C20": -4e-4}
+        CellProblem.of(config("reduced-polynomial", "bonded", order=3)),
+        [],
+        {"C10": 6e-3, "C20": -4e-4},
     )
     assert start.tolist() == [6e-3, -4e-4, 0.0]
-    names, start = fit_task.start_values(config("ogden", "bonded", order=2), [], {"C10": 6e-3})
+    names, start = fit_task.start_values(
+        CellProblem.of(config("ogden", "bonded", order=2)), [], {"C10": 6e-3}
+    )
     assert start[list(names).index("mu1")] == pytest.approx(6e-3)  # mu0 = 12 kPa in two terms
 
 
@@ -209,4 +217,4 @@ def test_a_force_that_pulls_is_refused_by_name() -> None:
     base = curve("neo-hookean", {"C10": 8e-3})
     pulling = Curve(base.displacement_mm, -base.force_N)
     with pytest.raises(InputError, match="sign"):
-        fitted(FitTask(fit_problem(config("neo-hookean", "frictionless")), (pulling,)))
+        fitted(FitTask(calibration_of(config("neo-hookean", "frictionless")), (pulling,)))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from study.ground.curve import Curve
+from study.harness.design.cell import CellProblem
 from study.harness.runner import fit_task
 from study.harness.runner.staged_fit import TOLERANCES, staged_fit
 from study.harness.runner.staged_fit import FitPart as Part
@@ -53,7 +54,7 @@ def fitted(
     setting: dict[str, Any], measured: Curve, start: Any
 ) -> tuple[Fit, fit_task.InverseFem, Any]:
     names = MaterialSection.of(setting).calibrated_names
-    model = fit_task.InverseFem(setting, [measured], names)
+    model = fit_task.InverseFem(CellProblem.of(setting), [measured], names)
     data = [MeasuredCurve("virtual", measured)]
     return fit(model, data, names, start, **TOLERANCE), model, names
 
@@ -173,7 +174,9 @@ def test_coverage_of_intervals_over_300_fem_fits() -> None:
     names = MaterialSection.of(setting).calibrated_names
     clean, rng = curve(setting, RP2[2]), np.random.default_rng(2011)
     noise = 0.02
-    model = fit_task.InverseFem(setting, [clean], names)  # one mesh and factorization for all
+    model = fit_task.InverseFem(
+        CellProblem.of(setting), [clean], names
+    )  # one mesh and factorization for all
     covered, chi = np.zeros(2), 0.0
     for _ in range(300):
         force = clean.force_N + noise * rng.normal(size=len(clean))

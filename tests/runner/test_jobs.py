@@ -4,41 +4,41 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from study.harness.design.cell import Cell, CellProblem
 from study.harness.design.load import loads
 from study.harness.runner.expansion import expand
 from study.harness.runner.job import fits_of
-from study.harness.runner.problem_tables import on_mesh
 from study.harness.runner.solve_task import SolveResult, SolveTask, solutions
 
 from .conftest import DESIGN
 
+PROBLEM = CellProblem.of({
+    "specimen": {"shape": "cylinder", "radius_mm": 5.0, "height_mm": 5.0},
+    "test": {"kind": "compression", "steps": 2},
+    "material": {"model": "neo-hookean", "poisson_ratio": 0.49},
+})  # fmt: skip
+
 
 def test_equal_solutions_are_made_once() -> None:
-    cylinder = {"shape": "cylinder", "radius_mm": 5.0, "height_mm": 5.0}
-    test = {"kind": "compression", "steps": 2}
-    tables = {"specimen": cylinder, "test": test, "material": {}, "model": {}}
-    tasks = [SolveTask.of(tables, size) for size in (1.0, 2.0, 1.0)]
+    tasks = [SolveTask.of(PROBLEM, size) for size in (1.0, 2.0, 1.0)]
     asked: list[str] = []
 
     def solve(some: list[SolveTask]) -> list[tuple[str, SolveResult]]:
         asked.extend(task.key for task in some)
         # the last one first, as workers may give them
-        return [(t.key, SolveResult(f"{t.tables['model']['mesh_size_mm']:g}")) for t in some[::-1]]
+        return [(t.key, SolveResult(f"{t.problem.model.mesh_size_mm:g}")) for t in some[::-1]]
 
     assert [one.status for one in solutions(solve, tasks)] == ["1", "2", "1"]
     assert len(asked) == 2
 
 
 def test_a_mesh_is_changed_in_the_problem_of_the_calibration_too() -> None:
-    tables = {
-        "model": {"mesh": "fine"},
-        "calibration": {"method": "auto", "problem": {"model": {"mesh": "fine"}, "test": {}}},
-    }
-    found = on_mesh(tables, mesh=None, mesh_size_mm=2.0)
-    both = found["model"], found["calibration"]["problem"]["model"]
-    assert both == ({"mesh": None, "mesh_size_mm": 2.0},) * 2
-    assert found["calibration"]["problem"]["test"] == {}
-    assert tables["model"] == {"mesh": "fine"}
+    cell = Cell(PROBLEM, "auto", fitted_elsewhere=PROBLEM.loaded(steps=7))
+    found = cell.sized(2.0)
+    both = found.problem.model, found.fitted_elsewhere.model
+    assert [model.mesh_size_mm for model in both] == [2.0, 2.0]
+    assert found.fitted_elsewhere.test.steps == 7
+    assert cell.problem.model.mesh_size_mm is None
 
 
 def test_fits_that_start_others_come_first_and_shared_ones_once(one_mix: Path) -> None:

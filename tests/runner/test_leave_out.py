@@ -9,6 +9,7 @@ import pytest
 
 from study.ground.errors import InputError
 from study.harness.design import load
+from study.harness.design.cell import Cell, CellProblem
 from study.harness.runner.cost import Costs
 from study.harness.runner.expansion import expand
 from study.harness.runner.fit_problem import fit_problem, together
@@ -123,8 +124,8 @@ def test_a_test_is_scored_with_the_constants_of_the_other_tests(tmp_path: Path) 
     assert direction.fit_label == "all other tests"
     problem = work.fits[direction.fit_key or ""].problem
     assert problem.method == "together"
-    assert [t["specimen"]["height_mm"] for t in problem.tables["tests"]] == [30.0, 50.0]
-    assert [t["method"] for t in problem.tables["tests"]] == ["closed-form", "closed-form"]
+    assert [t.problem.height_mm for t in problem.tests] == [30.0, 50.0]
+    assert [t.method for t in problem.tests] == ["closed-form", "closed-form"]
     found = constants(work, direction.fit_key or "")
     assert found.converged
     # one force for two heights: 20 % of each, so that the constants lie between both
@@ -142,9 +143,12 @@ def test_a_fit_to_several_tests_costs_what_its_tests_do() -> None:
     tests = [
         {"specimen": cylinder, "test": {**test, "displacement_mm": depth}} for depth in (1.0, 2.0)
     ]
-    both = together(shared, [*tests, {**tests[0], "test": {**test, "interface": "frictionless"}}])
-    assert [method for method, _ in both.tests] == ["inverse-fem", "inverse-fem", "closed-form"]
-    alone, costs = [fit_problem({**shared, **one}) for one in tests], Costs()
+    problems = [CellProblem.of({**shared, **one}) for one in tests]
+    cells = [Cell(problem, "auto") for problem in problems]
+    slipping = problems[0].loaded(interface="frictionless")
+    both = together(cells[0], [*problems, slipping])
+    assert [one.method for one in both.tests] == ["inverse-fem", "inverse-fem", "closed-form"]
+    alone, costs = [fit_problem(cell) for cell in cells], Costs()
     apart = [costs.fit_seconds(one) for one in alone]
     assert costs.fit_seconds(both) == pytest.approx(sum(apart), rel=0.1)
     assert costs.fit_seconds(both) > 1.5 * max(apart)

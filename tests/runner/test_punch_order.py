@@ -13,7 +13,7 @@ from study.harness.runner import judgement
 from study.harness.runner.refinement import edge_rules, formal_order, refine, series_sizes, solving
 from study.harness.runner.solve_task import in_process
 from study.mechanics.setup.geometry import Cylinder, Flat, Sphere
-from study.mechanics.setup.setup import Model, Setup, problem_of
+from study.mechanics.setup.setup import Model, Setup
 from study.mechanics.setup.test_kind import Test
 
 PUNCH = """
@@ -53,9 +53,9 @@ def punch_series(
         order=order, shape=shape, interface=interface, modulus=2e3 * (1 + nu), volume=volume,
         ratio=ratio, levels=levels,
     )  # fmt: skip
-    config = loads_problem(text, "punch.toml")
-    formal = formal_order(problem_of(config))
-    one = judgement.series_of(config, config["converge"], formal)
+    loaded = loads_problem(text, "punch.toml")
+    formal = formal_order(loaded.problem.at())
+    one = judgement.series_of(loaded.problem, loaded.converge, formal)
     refine([one], solving(in_process))
     found: dict[str, Any] = judgement.judge(one, formal).to_json()
     unit = 4.0 / (1 - nu)  # 4 mu a d / (1 - nu), N
@@ -88,7 +88,7 @@ def test_a_deep_punch_into_rubber_is_told_what_may_hide_the_order(depth: float, 
     ).replace("0.001 mm", f"{depth} mm")  # fmt: skip
     law = 'model = "neo-hookean"\nC10 = "0.5 MPa"\nbulk_modulus = "1000 MPa"\n'
     text = text.replace('model = "linear-elastic"\nyoungs_modulus = "1 MPa"\n', law)
-    found = formal_order(problem_of(loads_problem(text, "punch.toml")))
+    found = formal_order(loads_problem(text, "punch.toml").problem.at())
     assert found.order == 1.0
     assert ("large strains" in found.why) is said
 

@@ -31,13 +31,13 @@ def test_the_bonded_cells_of_the_first_block_are_refined(
               if job.case.block == "M1" and job.case.levels["plates"] == "bonded"]  # fmt: skip
     assert {job.case.case_id for job in chosen} == {job.case.case_id for job in bonded}
     finer = study_refinement.refinement_work(work)
-    sizes = [job.case.config["model"]["mesh_size_mm"] for job in finer.jobs]
+    sizes = [job.case.tested.model.mesh_size_mm for job in finer.jobs]
     base = refinement.base_size_mm(chosen[0])
     assert sizes == pytest.approx([base / 1.5, base / 1.5**2] * len(chosen))
     monkeypatch.setattr(study_refinement, "ALL_CELLS_S", 0.0)
     few = study_refinement.chosen(work)
-    constants = [len(job.case.material.calibrated_names) for job in bonded]
-    found = [len(job.case.material.calibrated_names) for job in few]
+    constants = [len(job.case.problem.calibrated_names) for job in bonded]
+    found = [len(job.case.problem.calibrated_names) for job in few]
     assert found == [min(constants), max(constants)]
     assert not set(finer.input_hashes) & set(work.input_hashes)
 
@@ -47,7 +47,7 @@ def test_the_price_of_all_cells_is_not_that_of_the_first(tmp_path: Path) -> None
     work = expand(load(DESIGNS / "needle-geometry.toml"), tmp_path)
     cells, costs = study_refinement.meshed_cells(work), Costs()
     finest = [study_refinement.refined_series(work, cell, 2, {}).jobs[-1] for cell in cells]
-    seconds = [costs.solve_seconds(job.case.config) for job in finest]
+    seconds = [costs.solve_seconds(job.case.tested) for job in finest]
     assert len(cells) * seconds[0] < study_refinement.ALL_CELLS_S < 0.5 * sum(seconds)
     assert len(study_refinement.chosen(work)) == study_refinement.FEW_CELLS
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from study.api.converging import measured_cells, refine_within
 from study.api.manifest import manifest_of
 from study.api.opened_study import load as open_study
 from study.ground.errors import InputError
+from study.harness.design.cell import Cell, CellProblem
 from study.harness.design.load import loads
 from study.harness.design.spec import Design
 from study.harness.record.record import Record
@@ -81,6 +83,13 @@ def test_a_time_budget_believes_what_a_mesh_took(design: Design, one_mix: Path) 
     assert [len(one.records) for one in series] == [1, 3, 3, 3]
 
 
+CONE = replace(CellProblem.of({
+    "specimen": {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0},
+    "test": {"kind": "indentation", "indenter": {"shape": "cone", "half_angle_deg": 30.0}},
+    "material": {"model": "neo-hookean", "constants": {"C10": 5e-3}, "bulk_modulus_MPa": 10.0},
+}), parameters={"h": 1.0})  # fmt: skip
+
+
 @pytest.mark.parametrize(
     ("key", "value", "expected"),
     [
@@ -89,27 +98,33 @@ def test_a_time_budget_believes_what_a_mesh_took(design: Design, one_mix: Path) 
     ],
 )
 def test_inputs_are_moved_by_the_names_of_the_file(key: str, value: float, expected: float) -> None:
-    config = {"specimen": {"shape": "cylinder", "radius_mm": 25.0, "height_mm": 30.0}}
-    moved = study_refinement.shifted(config, key, value)
-    assert moved["specimen"][key.split(".")[1] + "_mm"] == expected
-    assert config["specimen"]["height_mm"] == 30.0
+    moved = study_refinement.shifted(CONE, key, value)
+    assert getattr(moved.specimen, key.split(".")[1] + "_mm") == expected
+    assert CONE.height_mm == 30.0
 
 
 def test_constants_and_indenters_are_moved_too() -> None:
-    config = {
-        "material": {"constants": {"C10": 5e-3}, "bulk_modulus_MPa": 10.0},
-        "test": {"indenter": {"half_angle_deg": 30.0}},
-    }
-    assert study_refinement.shifted(config, "material.C10", 1e-4)["material"]["constants"] == {
+    assert study_refinement.shifted(CONE, "material.C10", 1e-4).material.constants == {
         "C10": pytest.approx(5.1e-3)
     }
-    assert study_refinement.shifted(config, "material.bulk_modulus", 1)["material"][
-        "bulk_modulus_MPa"
-    ] == pytest.approx(11)
-    moved = study_refinement.shifted(config, "test.indenter.half_angle", 2)
-    assert moved["test"]["indenter"]["half_angle_deg"] == 32
+    stiffer = study_refinement.shifted(CONE, "material.bulk_modulus", 1)
+    assert stiffer.material.compressibility.bulk_modulus_MPa == pytest.approx(11)
+    moved = study_refinement.shifted(CONE, "test.indenter.half_angle", 2)
+    assert moved.test.indenter.half_angle_deg == 32
+    assert study_refinement.shifted(moved, "parameters.h", 0.5).parameters == {"h": 1.5}
     with pytest.raises(InputError, match="no value in the design"):
-        study_refinement.shifted(config, "specimen.height", 1)
+        study_refinement.shifted(CONE, "specimen.width", 1)
+
+
+def test_an_indenter_is_moved_where_the_constants_come_from_a_compression() -> None:
+    """It was refused: the test of the constants has no indenter that could be uncertain."""
+    pressed = CONE.loaded(kind="compression", indenter=None)
+    cell = Cell(CONE, "auto", fitted_elsewhere=pressed)
+    moved = study_refinement.moved_cell(cell, "test.indenter.half_angle", 2)
+    assert moved.problem.test.indenter.half_angle_deg == 32
+    assert moved.fitted_elsewhere == pressed
+    both = study_refinement.moved_cell(cell, "specimen.height", 0.5)
+    assert (both.problem.height_mm, both.fitted_elsewhere.height_mm) == (30.5, 30.5)
 
 
 def test_validation_adds_numerics_inputs_and_data(one_mix: Path, tmp_path: Path) -> None:

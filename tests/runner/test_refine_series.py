@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from study.api.converging import problem, problem_cells
+from study.api.converging import problem_cells, refined
 from study.ground.curve import Curve
 from study.ground.errors import InputError
 from study.harness.design.load import loads, loads_problem
@@ -58,7 +58,7 @@ class Fake:
             yield task.key, self.one(task)
 
     def one(self, task: SolveTask) -> SolveResult:
-        h, steps = task.tables["model"]["mesh_size_mm"], task.tables["test"]["steps"]
+        h, steps = task.problem.model.mesh_size_mm, task.problem.test.steps
         if steps == 5 and task.looser == 1.0:
             self.sizes.append(h)
         if any(abs(h - bad) < 1e-9 for bad in self.wish.get("fails", ())):
@@ -67,7 +67,7 @@ class Fake:
         scale = 10 * (1 + self.error * h**self.order)
         scale *= 1 + self.wish.get("loose", 1e-9) * (task.looser - 1)
         scale *= 1 + self.wish.get("stepping", 0.0) / steps
-        scale *= 1 + (self.wish.get("seeded", 0.0) if task.tables["model"].get("mesh_seed") else 0)
+        scale *= 1 + (self.wish.get("seeded", 0.0) if task.problem.model.mesh_seed else 0)
         curve = Curve(d, scale * d, np.full(steps, scale))
         elements = self.wish.get("elements") or round(1e4 / h**2)
         return SolveResult(
@@ -77,7 +77,7 @@ class Fake:
 
 
 def converged(fake: Fake, text: str = "", **options: Any) -> dict[str, Any]:
-    found = problem(loads_problem(PROBLEM + text, "p.toml"), solve=fake, **options)
+    found = refined(loads_problem(PROBLEM + text, "p.toml"), "p", solve=fake, **options)
     return dict(found.to_json())
 
 
@@ -197,9 +197,10 @@ def test_a_surface_knows_how_far_two_meshes_of_one_size_differ(tmp_path: Path) -
     write(tmp_path / "box.stl", box(10, 8, 6))
     cylinder = 'shape = "cylinder"\nradius = "25 mm"\nheight = "30 mm"'
     text = PROBLEM.replace(cylinder, 'shape = "surface"\nfile = "box.stl"\nunit = "mm"')
-    config = located(loads_problem(text, "p.toml"), (tmp_path,))
-    alike = problem(config, solve=Fake()).to_json()
-    found = problem(config, solve=Fake(seeded=0.01)).to_json()
+    loaded = loads_problem(text, "p.toml")
+    loaded = replace(loaded, problem=located(loaded.problem, (tmp_path,)))
+    alike = refined(loaded, "p", solve=Fake()).to_json()
+    found = refined(loaded, "p", solve=Fake(seeded=0.01)).to_json()
     (row,) = [
         r for r in found["sources"]
         if (r["source"], r["quantity"]) == ("another mesh", "peak_force")
@@ -214,13 +215,13 @@ def test_a_surface_knows_how_far_two_meshes_of_one_size_differ(tmp_path: Path) -
 def test_stored_solutions_are_not_solved_again(tmp_path: Path) -> None:
     first, second = Fake(), Fake()
     config = loads_problem(PROBLEM, "p.toml")
-    one = problem(config, solve=kept(first, Store(tmp_path)))
-    two = problem(config, solve=kept(second, Store(tmp_path)))
+    one = refined(config, "p", solve=kept(first, Store(tmp_path)))
+    two = refined(config, "p", solve=kept(second, Store(tmp_path)))
     assert len(first.sizes) == 3
     assert second.sizes == []
     assert one.to_json() == two.to_json()
     finer = loads_problem(PROBLEM + "levels = 4", "p.toml")
-    problem(finer, solve=kept(second, Store(tmp_path)))
+    refined(finer, "p", solve=kept(second, Store(tmp_path)))
     assert second.sizes == pytest.approx([4 / 1.5**3])
 
 
@@ -230,7 +231,7 @@ def test_a_quantity_that_needs_measurements_is_refused() -> None:
 
 
 def test_keys_of_solutions_tell_everything_apart() -> None:
-    config = loads_problem(PROBLEM, "p.toml")
+    config = loads_problem(PROBLEM, "p.toml").problem
     tasks = [SolveTask.of(config, 4), SolveTask.of(config, 3),
              SolveTask.of(config, 4, more_steps=2), SolveTask.of(config, 4, looser=10)]  # fmt: skip
     assert len({task.key for task in tasks}) == 4
@@ -238,7 +239,7 @@ def test_keys_of_solutions_tell_everything_apart() -> None:
 
 
 def test_one_real_solution() -> None:
-    result = solved(SolveTask.of(loads_problem(PROBLEM, "p.toml"), 6.0))
+    result = solved(SolveTask.of(loads_problem(PROBLEM, "p.toml").problem, 6.0))
     assert result.converged
     assert result.elements > 10
     assert result.seconds > 0
@@ -317,7 +318,7 @@ def test_budget_counts_from_its_start() -> None:
     ],
 )  # fmt: skip
 def test_formal_orders(change: dict[str, dict[str, Any]], order: float, why: str) -> None:
-    config = loads_problem(PROBLEM, "p.toml")
+    config = loads_problem(PROBLEM, "p.toml").problem.document()
     for name, section in change.items():
         config = {**config, name: {**config[name], "base": None, **section}}
     found = formal_order(problem_of(config))
@@ -348,7 +349,7 @@ class TwoElements(Fake):
     """Quadratic elements: a twentieth of the error, three times the seconds."""
 
     def one(self, task: SolveTask) -> SolveResult:
-        quadratic = task.tables["model"]["element_order"] == "quadratic"
+        quadratic = task.problem.model.element_order == "quadratic"
         self.error = 5e-4 if quadratic else 1e-2
         result = super().one(task)
         return replace(result, seconds=result.seconds * (3 if quadratic else 1))

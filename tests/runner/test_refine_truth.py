@@ -17,7 +17,6 @@ from study.harness.design.load import loads_problem
 from study.harness.runner import judgement
 from study.harness.runner.refinement import formal_order, refine, solving
 from study.harness.runner.solve_task import in_process
-from study.mechanics.setup.setup import problem_of
 from tests.fem.answers import layers
 
 DISC = """
@@ -57,9 +56,9 @@ def volume_law(nu: float) -> str:
 
 
 def series(text: str) -> dict[str, Any]:
-    config = loads_problem(text, "known.toml")
-    formal = formal_order(problem_of(config))
-    one = judgement.series_of(config, config["converge"], formal)
+    loaded = loads_problem(text, "known.toml")
+    formal = formal_order(loaded.problem.at())
+    one = judgement.series_of(loaded.problem, loaded.converge, formal)
     with warnings.catch_warnings():  # a Newton step that fails on its way may overflow
         warnings.simplefilter("ignore", RuntimeWarning)
         refine([one], solving(in_process))

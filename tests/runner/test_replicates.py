@@ -11,6 +11,7 @@ import pytest
 
 from study.ground.curve import Curve
 from study.ground.errors import InputError
+from study.harness.design.cell import Cell, CellProblem
 from study.harness.design.load import loads
 from study.harness.record.document import FitDocument
 from study.harness.record.record import Record, table
@@ -105,7 +106,7 @@ def test_mesh_seeds_make_cases_whose_meshes_differ(one_mix: Path) -> None:
     work = expand(loads(DESIGN + MESHES), one_mix)
     assert len(work.jobs) == len(work.input_hashes) == 4 * 5
     assert [job.origin.mesh_seed for job in work.jobs] == 4 * [1, 2, 3, 4, 5]
-    seeds = {job.case.config["model"]["mesh_seed"] for job in work.jobs}
+    seeds = {job.case.tested.model.mesh_seed for job in work.jobs}
     assert len(seeds) == 20  # meshes of two cells have nothing to do with each other
     # a fit on a mesh is one of its own, one without a mesh is shared by all
     plates = {f: len({j.needs for j in work.jobs if j.case.levels["plates"] == f})
@@ -124,8 +125,8 @@ def test_the_refined_mesh_keeps_its_seed_and_one_cell_of_a_kind_is_refined(one_m
         expand(loads(DESIGN), one_mix)).jobs})  # fmt: skip
     known = {job.case.case_id: job for job in work.jobs}
     for job in finer.jobs:
-        of = known[job.origin.of].case.config["model"]
-        assert job.case.config["model"]["mesh_seed"] == of["mesh_seed"]
+        base = known[job.origin.of].case.tested.model
+        assert job.case.tested.model.mesh_seed == base.mesh_seed
 
 
 def test_too_many_replicates_are_refused(one_mix: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -149,12 +150,12 @@ def fitted(
                  "displacement_mm": 6.0, "steps": 10},
         "material": {"model": model, "constants": {}, "poisson_ratio": poisson_ratio,
                      "order": order},
-        "model": {}, "calibration": {"method": "auto", "problem": None},
+        "model": {},
     }  # fmt: skip
     truth = Material("neo-hookean", {"C10": 8e-3}, poisson_ratio=0.4995)
     exact = closed_form.compression(specimen_of(SPECIMEN), truth, DEPTHS).force_N
     noise_N = 0.02 * np.random.default_rng(seed).standard_normal(DEPTHS.size)  # noqa: N806
-    problem = fit_problem(config)
+    problem = fit_problem(Cell(CellProblem.of(config), "auto"))
     measured = Curve(DEPTHS, exact + noise_N)
     return problem, measured, fit_task.fitted(FitTask(problem, (measured,)))
 

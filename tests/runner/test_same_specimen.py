@@ -30,10 +30,10 @@ def test_the_design_plans_three_tests_of_every_specimen(
     from study.ground.curve import Curve
     from study.harness.runner import virtual_specimens
 
-    def line(config: Any, *truth: Any, as_designed: bool, **_: Any) -> Curve:
+    def line(setup: Any, *truth: Any, as_designed: bool, **_: Any) -> Curve:
         assert as_designed
         d = np.linspace(0.3, 6.3, 21)
-        stiff = 2.0 if config["test"]["kind"] == "compression" else 0.5
+        stiff = 2.0 if setup.test.kind == "compression" else 0.5
         return Curve(d, stiff * d, force_gradient={"C20": 0 * d, "C30": 0 * d})
 
     monkeypatch.setattr(virtual_specimens, "reference_curve", line)
@@ -68,11 +68,11 @@ def _fit(work: Work, way: str, block: str) -> Fit:
 
 def _done(work: Work, job: FitJob) -> Fit:
     start = None if job.start is None else _done(work, job.start).constants()
-    problem = job.problem
-    names, first = fit_task.start_values(problem.tables, job.measured, start)
+    (way,) = job.problem.tests
+    names, first = fit_task.start_values(way.problem, job.measured, start)
     data = tuple(MeasuredCurve("virtual", curve) for curve in job.measured)
     found = staged_fit(
-        [Part(problem.method, problem.tables, data)], names, first, fit_task.fitted_model
+        [Part(way.method, way.problem, data)], names, first, fit_task.fitted_model
     ).fit
     assert found.converged, found.message
     return found

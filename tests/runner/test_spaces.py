@@ -99,7 +99,7 @@ def test_the_cylinder_has_the_blocks_section_and_the_cells_constants(
     (pair,) = pairs(work, records)
     assert pair.levels == {}
     for task, space in zip(pair.tasks, ("axisymmetric", "3d"), strict=True):
-        config = task.tables
+        config = task.problem.document()
         assert config["model"]["space"] == space
         assert config["specimen"]["radius_mm"] == pytest.approx(24 / 3.141592653589793**0.5)
         assert config["test"]["displacement_mm"] == pytest.approx(1.0, rel=0.05)
@@ -171,9 +171,9 @@ def test_a_plan_counts_what_is_still_to_be_solved(
     assert (before.controls, before.to_json()["controls"]) == (2, 2)
     # the longer of the two, the solid, runs beside the other
     both = upcoming(work, {}, lambda _: False)
-    assert [job.case.config["model"]["space"] for job in both] == ["axisymmetric", "3d"]
+    assert [job.case.tested.model.space for job in both] == ["axisymmetric", "3d"]
     costs = Costs()
-    seconds = [costs.solve_seconds(job.case.config, job.depth_mm) for job in both]
+    seconds = [costs.solve_seconds(job.case.tested, job.depth_mm) for job in both]
     assert seconds[1] > seconds[0]
     cases = Costs().total_seconds(work.fits.values(), work.jobs, 2)
     finer = refinement_work(work.plain())

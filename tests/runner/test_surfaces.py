@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,6 @@ from study.harness.runner.job import CaseJob
 from study.harness.runner.staged_fit import FitPart as Part
 from study.harness.runner.staged_fit import cheaper
 from study.harness.runner.study_refinement import chosen_series, refinement_work
-from study.mechanics.setup.setup import Setup, specimen_of
 from tests.fem.surfaces import box, write
 
 PROBLEM = """
@@ -130,7 +130,7 @@ def test_the_table_arrives(home: Path) -> None:
     path = home / "problem.toml"
     more = 'unit = "cm"\naxis = "-x"\nclamp_below = "-3 mm"\npress_x = "1 mm"\n'
     path.write_text(PROBLEM.replace('unit = "mm"\n', more))
-    made = specimen_of(load_problem(path)["specimen"])
+    made = load_problem(path).problem.specimen
     assert (made.unit, made.axis, made.clamp_below_mm) == ("cm", "-x", -3)  # type: ignore[union-attr]
     assert (made.press_x_mm, made.press_y_mm) == (1, None)  # type: ignore[union-attr]
 
@@ -168,12 +168,13 @@ def test_content_names_a_case_and_its_place_does_not(home: Path, tmp_path: Path)
 
 def test_a_fit_of_a_surface_starts_from_no_cylinder(home: Path) -> None:
     work = expand(load(home / "design.toml"), home.parent / "measurements")
-    tables = fit_problem(work.jobs[0].case.config).tables
-    assert not Setup.of(tables).is_homogeneous  # whatever the plates: only the file knows the shape
-    assert tables["specimen"]["height_mm"] == pytest.approx(6)
-    part = cheaper(Part("inverse-fem", {**tables, "model": {"space": "3d", "mesh": "fine"}}, ()))
+    problem = fit_problem(work.jobs[0].case.cell).tests[0].problem
+    # whatever the plates: only the file knows the shape
+    assert not problem.setup.is_homogeneous
+    assert problem.height_mm == pytest.approx(6)
+    part = cheaper(Part("inverse-fem", problem.on_mesh(mesh="fine", mesh_size_mm=None), ()))
     assert part is not None
-    assert part.tables["model"] == {"space": "3d", "mesh": "coarse"}
+    assert (part.problem.model.space, part.problem.model.mesh) == ("3d", "coarse")
 
 
 CALIBRATION = (
@@ -211,8 +212,8 @@ def test_numerical_uncertainty_knows_how_far_two_meshes_of_a_size_differ(home: P
     work = expand(load(home / "design.toml"), home.parent / "measurements")
     series = chosen_series(work, {})[0]
     assert series.other is not None
-    base, again = (job.case.config["model"] for job in (series.base, series.other))
-    assert again == {**base, "mesh_seed": 1}
+    base, again = (job.case.tested.model for job in (series.base, series.other))
+    assert again == replace(base, mesh_seed=1)
     assert series.other in refinement_work(work).jobs
 
     def record(job: CaseJob, mu0: float) -> Record:

@@ -14,7 +14,7 @@ from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import (
     Setup,
     indenter_of,
-    loading_of,
+    loading_section,
     model_of,
     problem_of,
     specimen_of,
@@ -41,12 +41,12 @@ def test_every_section_arrives() -> None:
 def test_base_follows_interface_in_compression_and_holds_in_indentation() -> None:
     test = {"kind": "indentation", "displacement_mm": 2.0, "indenter": {"shape": "flat",
             "radius_mm": 3.0}}  # fmt: skip
-    made = loading_of(test).to_depth()
+    made = loading_section(test).loading().to_depth()
     assert made.base == "bonded"
     assert made.interface == "frictionless"
     assert made.indenter == Flat(3.0)
-    assert loading_of(CONFIG["test"]).to_depth().base == "bonded"
-    assert loading_of({"kind": "compression"}).to_depth(1.0).base == "frictionless"
+    assert loading_section(CONFIG["test"]).loading().to_depth().base == "bonded"
+    assert loading_section({"kind": "compression"}).loading().to_depth(1.0).base == "frictionless"
 
 
 def test_shapes_and_synonyms() -> None:
@@ -61,7 +61,7 @@ def test_shapes_and_synonyms() -> None:
 
 def test_what_is_missing_is_named() -> None:
     with pytest.raises(InputError, match="displacement"):
-        loading_of({"kind": "compression"}).to_depth()
+        loading_section({"kind": "compression"}).loading().to_depth()
     with pytest.raises(InputError, match="constants"):
         MaterialSection.of({"material": {"model": "neo-hookean", "poisson_ratio": 0.49}}).material()
     with pytest.raises(InputError, match="height_mm"):

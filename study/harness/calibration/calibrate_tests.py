@@ -23,7 +23,6 @@ from study.harness.calibration.measured_tests import (
     left_out,
     of_specimens,
     parts_of,
-    problem_of,
     read_tests,
     warnings_of,
 )
@@ -40,7 +39,7 @@ from study.harness.calibration.resampling import (
 )
 from study.harness.design.calibration_section import CalibratedTest, CalibrationDesign
 from study.harness.runner import fit_task
-from study.harness.runner.fit_problem import FitProblem, start_problem
+from study.harness.runner.fit_problem import FitProblem, fitted_test, start_problem
 from study.harness.runner.fit_summary import stability_over, status_of
 from study.harness.runner.provenance import code_version
 from study.harness.runner.staged_fit import (
@@ -214,16 +213,17 @@ def _start(
     """Find the start: the given constants, or those of a simpler fit of one fitted test."""
     # A homogeneous test is preferred: its closed form costs nothing.
     fitted = list(dict.fromkeys(c.test for c in in_order(curves)))
-    problems = {number: problem_of(tests[number].tables) for number in fitted}
-    closed = [number for number in fitted if problems[number].method == "closed-form"]
+    ways = {number: fitted_test("auto", tests[number].problem) for number in fitted}
+    closed = [number for number in fitted if ways[number].method == "closed-form"]
     number = (closed or fitted)[0]
-    problem = problems[number]
+    problem = FitProblem(ways[number].method, (ways[number],))
     part = parts_of(tests, [c for c in in_order(curves) if c.test == number])[0]
     measured = [m.curve for m in part.measured]
     constants: dict[str, float] | None = None
     for before in _simpler(problem):
-        names, first = fit_task.start_values(before.tables, measured, constants)
-        simpler_part = replace(part, tables=before.tables)
+        begun = before.tests[0].problem
+        names, first = fit_task.start_values(begun, measured, constants)
+        simpler_part = replace(part, problem=begun)
         stage = f"start ({before.material.model}, {len(names)} constants)"
         search = StagedSearch(names, fit_task.fitted_model, None, progress, checkpoint)
         stage_parts = [cheaper(simpler_part) or simpler_part]
@@ -232,7 +232,7 @@ def _start(
             message = f"the {stage} did not converge: {simpler.message}"
             raise InputError(Fault("calibration", message, "give constants to start from"))
         constants = simpler.constants()
-    return fit_task.start_values(problem.tables, measured, constants)
+    return fit_task.start_values(ways[number].problem, measured, constants)
 
 
 def _simpler(problem: FitProblem) -> list[FitProblem]:
@@ -323,7 +323,7 @@ def _checkpoint(
     if folder is None:
         return Checkpoint(limits=limits)
     data = [[c.label, c.role, c.weight, c.measured.curve.as_dict()] for c in curves]
-    problems = [problem_of(test.tables).tables for test in config.tests]
+    problems = [fitted_test("auto", test.problem).name for test in config.tests]
     key = digest([problems, config.document, data, code_version()], 32)
     return Checkpoint(folder / "calibration.checkpoint.json", key, limits)
 
@@ -484,9 +484,9 @@ def _result(setting: Setting, curves: Sequence[FitCurve], done: Staged) -> Calib
         warnings=(*warnings_of(curves), *cautions),
         tests=tuple(
             {
-                table: table_of(test.tables, table)
+                table: table_of(document, table)
                 for table in ("specimen", "test", "material", "model")
             }
-            for test in setting.tests
+            for document in (test.problem.document() for test in setting.tests)
         ),
     )

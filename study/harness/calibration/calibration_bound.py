@@ -23,15 +23,13 @@ from study.harness.calibration.measured_tests import in_order, parts_of, read_te
 from study.harness.design.calibration_section import CalibrationDesign
 from study.harness.runner import fit_task
 from study.harness.runner.fit_task import InverseFem
-from study.harness.runner.problem_tables import on_mesh
 from study.harness.runner.refinement import formal_order
 from study.harness.runner.response import in_shown_units
 from study.harness.runner.staged_fit import FitPart, Predict, Progress, StagedSearch, single_stage
 from study.mechanics.calibration.covariance import scaled_inverse
 from study.mechanics.calibration.identifiability import fitted_rows
 from study.mechanics.calibration.residual_function import EvaluationFailed
-from study.mechanics.setup.declaration import with_table
-from study.mechanics.setup.setup import MESH_LEVELS, Setup, problem_of
+from study.mechanics.setup.setup import MESH_LEVELS
 from study.statistics.convergence.grid_convergence import grid_convergence
 
 if TYPE_CHECKING:
@@ -113,7 +111,7 @@ def numerical_bound(
     simulated = [part for part in parts if part.method == "inverse-fem"]
     if not simulated:
         return ConstantBound(names, (), np.zeros((0, len(names))), zero, zero)
-    model = Setup.of(simulated[0].tables).model
+    model = simulated[0].problem.model
     base, levels = (0, (1, 0, -1)) if model.mesh_size_mm is not None else (model.level, (2, 1, 0))
     # from coarse to fine, and the own mesh again with more steps
     made = [[_on_level(part, step) for part in parts] for step in levels]
@@ -173,10 +171,8 @@ def estimated_bound(
             here, size = model(constants), model.mesh_size_mm or 0.0
             order = _order(part, names, constants) or _LOWEST_ORDER
             share = _SAFETY / (_RATIO**order - 1)
-            coarse = on_mesh(part.tables, mesh_size_mm=_RATIO * size)
-            mesh += [
-                share * e for e in _moved(replace(part, tables=coarse), names, constants, here)
-            ]
+            coarse = replace(part, problem=part.problem.on_mesh(mesh_size_mm=_RATIO * size))
+            mesh += [share * e for e in _moved(coarse, names, constants, here)]
             steps += _moved(_with_more_steps(part), names, constants, here)
     except (EvaluationFailed, InputError) as error:
         why = f"a coarser mesh, or more load steps, has no answer ({error})"
@@ -215,24 +211,24 @@ def _on_level(part: FitPart, level: int) -> FitPart:
     """Put a part on a mesh; a given size is multiplied, a name is replaced."""
     if part.method != "inverse-fem":
         return part
-    size = Setup.of(part.tables).model.mesh_size_mm
+    size = part.problem.model.mesh_size_mm
     if size is not None:
         changes: dict[str, object] = {"mesh_size_mm": size * _RATIO**level}
     else:
         changes = {"mesh": MESH_LEVELS[len(MESH_LEVELS) - 1 - level]}
-    return replace(part, tables=on_mesh(part.tables, **changes))
+    return replace(part, problem=part.problem.on_mesh(**changes))
 
 
 def _with_more_steps(part: FitPart) -> FitPart:
-    steps = _MORE_STEPS * Setup.of(part.tables).test.steps
-    return replace(part, tables=with_table(part.tables, "test", steps=steps))
+    steps = _MORE_STEPS * part.problem.test.steps
+    return replace(part, problem=part.problem.loaded(steps=steps))
 
 
 def _order(part: FitPart, names: tuple[str, ...], values: Array) -> float | None:
     """Order that the elements promise for the force of a test, and so for its constants."""
     depth = max(float(curve.curve.displacement_mm.max()) for curve in part.measured)
     constants = dict(zip(names, values.tolist(), strict=True))
-    return formal_order(problem_of(part.tables, constants, depth)).order
+    return formal_order(part.problem.at(constants, depth)).order
 
 
 def _u(sizes: Sequence[float], values: Array, place: int, order: float | None) -> float:

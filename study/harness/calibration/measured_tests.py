@@ -13,8 +13,8 @@ from study.ground.arrays import Array
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
 from study.harness.design.calibration_section import CalibratedTest, Role
-from study.harness.runner.fit_problem import FitProblem, fit_problem
-from study.harness.runner.problem_tables import gauge_of
+from study.harness.runner.fit_problem import fitted_test
+from study.harness.runner.job import gauge_of
 from study.harness.runner.staged_fit import FitPart
 from study.mechanics.calibration.lack_of_fit import Repeated
 from study.mechanics.calibration.residual_function import LOSS_LIMIT, MeasuredCurve
@@ -23,7 +23,6 @@ from study.mechanics.measurement import conditioning
 from study.mechanics.measurement.measured_test import MeasuredTest, Measurements
 from study.mechanics.measurement.reading import read_measurements
 from study.mechanics.setup.calibration_table import Loss
-from study.mechanics.setup.setup import Tables
 
 #: ratio of the largest forces of two fitted tests from which equal weights hide the smaller
 _UNEVEN = 5.0
@@ -116,20 +115,15 @@ def noise_of(measured: MeasuredTest, grows: float = math.inf) -> Array | None:
     return np.sqrt(np.mean(np.square(deviations), axis=0) / len(recordings)) if deviations else None
 
 
-def problem_of(tables: Tables) -> FitProblem:
-    """Fit problem of one ``[[tests]]`` table."""
-    return fit_problem({**tables, "calibration": {"method": "auto"}})
-
-
 def parts_of(tests: Sequence[CalibratedTest], curves: Sequence[FitCurve]) -> list[FitPart]:
     """Parts of a fit to the given curves, one for each test that has any."""
     parts = []
     for number, test in enumerate(tests):
         of_test = [c for c in curves if c.test == number]
         if of_test:
-            problem = problem_of(test.tables)
+            fitted = fitted_test("auto", test.problem)
             measured = tuple(_measured_curve(c) for c in of_test)
-            parts.append(FitPart(problem.method, problem.tables, measured))
+            parts.append(FitPart(fitted.method, fitted.problem, measured))
     return parts
 
 

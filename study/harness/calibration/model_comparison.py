@@ -15,13 +15,13 @@ from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, RefusedError
 from study.harness.calibration.calibrate_tests import calibrate
 from study.harness.calibration.calibration_result import CalibrationResult, parameters
-from study.harness.calibration.measured_tests import in_order, parts_of, problem_of, read_tests
+from study.harness.calibration.measured_tests import in_order, parts_of, read_tests
 from study.harness.calibration.resampling import OPEN
 from study.harness.design.calibration_section import CalibrationDesign
 from study.harness.record.record import plain
 from study.harness.runner import fit_task
+from study.harness.runner.fit_problem import fitted_test
 from study.harness.runner.fit_task import fitted_model
-from study.harness.runner.problem_tables import on_mesh
 from study.harness.runner.response import ConstantResponse, scale_of
 from study.harness.runner.staged_fit import Progress
 from study.mechanics.calibration.fit import Fit, fit
@@ -35,7 +35,6 @@ from study.mechanics.calibration.lack_of_fit import (
 )
 from study.mechanics.calibration.residual_function import EvaluationFailed
 from study.mechanics.material.material import is_dimensionless
-from study.mechanics.setup.declaration import with_table
 
 # Constants of one test to first order around those of all tests: one Gauss-Newton step from the
 # common estimate (Rao 1948, Proc. Camb. Phil. Soc. 44, 50), where Wald's statistic rejects too
@@ -120,14 +119,14 @@ def mesh_error(
 def _coarser(config: CalibrationDesign) -> CalibrationDesign | None:
     """Calibration of one test on a mesh that is coarser; None where there is no mesh."""
     (test,) = config.tests
-    if problem_of(test.tables).method != "inverse-fem":
+    if fitted_test("auto", test.problem).method != "inverse-fem":
         return None
     coarser = test.setup.model.coarser(_RATIO)
     if coarser is None:
         mend = 'write mesh = "medium" or "fine" in [model]'
         raise InputError(Fault("model.mesh", "none is coarser, to tell its error from", mend))
-    mesh = {"mesh": coarser.mesh, "mesh_size_mm": coarser.mesh_size_mm}
-    return replace(config, tests=(replace(test, tables=on_mesh(test.tables, **mesh)),))
+    problem = replace(test.problem, model=coarser)
+    return replace(config, tests=(replace(test, problem=problem),))
 
 
 #: difference of two curves over the larger force that is rounding
@@ -396,11 +395,11 @@ def _of_one_sign(
 def _is_even(config: CalibrationDesign, fit: Fit, k: int) -> bool:
     """Whether the closed form of a test is the same for the other sign of one constant."""
     (test,) = config.tests
-    problem = problem_of(test.tables)
-    if problem.method != "closed-form":
+    fitted = fitted_test("auto", test.problem)
+    if fitted.method != "closed-form":
         return False
     grids = [Curve(c.displacement_mm, c.force_N, time_s=c.time_s) for c in fit.curves]
-    predict = fitted_model(problem.method, problem.tables, grids, fit.names)
+    predict = fitted_model(fitted.method, fitted.problem, grids, fit.names)
     other = fit.values.copy()
     other[k] *= -1
     try:
@@ -586,16 +585,15 @@ def choose(
     """Fit every candidate to the tests of a calibration, each asked as the file asks."""
     results: dict[str, CalibrationResult] = {}
     failures: dict[str, str] = {}
-    problems = (problem_of(test.tables) for test in config.tests)
+    ways = [fitted_test("auto", test.problem).method for test in config.tests]
     compressible = config.material.compressibility.poisson_ratio is not None
     for model, order, label in (
         *CANDIDATES,
-        *(FOAMS if (compressible and all(p.method == "closed-form" for p in problems)) else ()),
+        *(FOAMS if (compressible and all(method == "closed-form" for method in ways)) else ()),
     ):
-        changes: dict[str, object] = {"model": model, "order": order, "constants": {}}
+        material = replace(config.material, model=model, order=order, constants={})
         tests = tuple(
-            replace(test, tables=with_table(test.tables, "material", **changes))
-            for test in config.tests
+            replace(test, problem=replace(test.problem, material=material)) for test in config.tests
         )
         try:
             design = replace(config, tests=tests, bounds={})

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import cast
 
 import numpy as np
 
 from study.ground.arrays import Array
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
-from study.harness.calibration.measured_tests import FitCurve, problem_of
+from study.harness.calibration.measured_tests import FitCurve
 from study.harness.design.calibration_section import CalibratedTest
+from study.harness.design.cell import CellProblem
 from study.harness.runner import fit_task
-from study.harness.runner.problem_tables import value_named
+from study.harness.runner.fit_problem import fitted_test
 from study.harness.runner.staged_fit import TOLERANCES, FitPart
 from study.mechanics.calibration.covariance import scaled_inverse
 from study.mechanics.calibration.fit import Fit, fit
@@ -27,8 +27,6 @@ from study.mechanics.calibration.residual_function import (
     pseudo_jacobian,
 )
 from study.mechanics.calibration.serial_correlation import row_noise
-from study.mechanics.setup.declaration import table_of, with_table
-from study.mechanics.setup.setup import Tables
 
 OFFSET = "displacement_offset"
 ZERO = "force_zero"
@@ -116,34 +114,16 @@ def _expected(test: CalibratedTest, key: str) -> float:
     value = test.nuisance[key].value
     if value is not None:
         return value
-    table, name = _located(test.tables, key)
-    return float(cast(float, table[name]))
+    return _input(test.problem, key)
 
 
-def _located(test: Tables, key: str) -> tuple[Mapping[str, object], str]:
-    """Return the table of an input, and its name there."""
-    *path, last = key.split(".")
-    table: Mapping[str, object] = test
-    for part in path:
-        table = table_of(table, part)
-    entry = value_named(table, last)
-    if entry is not None:
-        return table, entry[0]
-    mend = "declare it in the [[tests]] that have it: nuisance = { ... }"
-    raise InputError(Fault(f"nuisance.{key}", "is no input of this test", mend))
-
-
-def moved(test: Tables, key: str, amount: float) -> Tables:
-    """Copy of the tables of a test with one input changed. Units: amount mm, mm^2, MPa."""
-    table, name = _located(test, key)
-    *path, _ = key.split(".")
-    changed: Mapping[str, object] = {**table, name: float(cast(float, table[name])) + amount}
-    for depth in range(len(path), 0, -1):
-        outer: Mapping[str, object] = test
-        for part in path[: depth - 1]:
-            outer = table_of(outer, part)
-        changed = {**outer, path[depth - 1]: changed}
-    return changed
+def _input(test: CellProblem, key: str) -> float:
+    """Return an input of a test, in internal units."""
+    value = test.value_at(key)
+    if value is None:
+        mend = "declare it in the [[tests]] that have it: nuisance = { ... }"
+        raise InputError(Fault(f"nuisance.{key}", "is no input of this test", mend))
+    return value
 
 
 # Predicted curves of tests with unknown offset d0, zero z and friction phi: F(d) = f(d + d0) + z,
@@ -160,21 +140,21 @@ _SMALL = 1e-4
 class _Homogeneous:
     """Closed form at any displacements."""
 
-    def __init__(self, tables: Tables, names: Sequence[str]) -> None:
-        self._tables, self._names = tables, names
+    def __init__(self, problem: CellProblem, names: Sequence[str]) -> None:
+        self._problem, self._names = problem, names
 
     def at(self, values: Array, grids: Sequence[Array]) -> list[Curve]:
         """Predict forces at displacements, mm; negative ones pull what others press."""
         empty = [Curve(grid, np.zeros_like(grid)) for grid in grids]
-        return fit_task.closed_form_model(self._tables, empty, self._names)(values)
+        return fit_task.closed_form_model(self._problem, empty, self._names)(values)
 
 
 class _Simulated(fit_task.InverseFem):
     """Simulation at any displacements up to a depth, solved once for each set of constants."""
 
-    def __init__(self, tables: Tables, names: Sequence[str], depth_mm: float) -> None:
+    def __init__(self, problem: CellProblem, names: Sequence[str], depth_mm: float) -> None:
         end = np.array([depth_mm])
-        super().__init__(tables, [Curve(end, np.zeros(1))], names)
+        super().__init__(problem, [Curve(end, np.zeros(1))], names)
         self._solutions: dict[bytes, Curve] = {}
 
     def at(self, values: Array, grids: Sequence[Array]) -> list[Curve]:
@@ -270,17 +250,17 @@ class NuisancePredictions:
     ) -> _Homogeneous | _Simulated:
         name = (number, plate, "" if param is None else param.key, sign)
         if name not in self._made:
-            tables = self._tests[number].tables
+            problem = self._tests[number].problem
             if param is not None:
-                tables = moved(tables, param.key, sign * param.step)
+                moved = _input(problem, param.key) + sign * param.step
+                problem = problem.with_value(param.key, moved)
             if plate:
-                tables = with_table(tables, "test", interface=plate, base=plate)
-            reached = with_table(tables, "test", displacement_mm=self._depth(part))
-            problem = problem_of(reached)
-            if problem.method == "closed-form":
-                self._made[name] = _Homogeneous(problem.tables, self._names)
+                problem = problem.loaded(interface=plate, base=plate)
+            fitted = fitted_test("auto", problem.loaded(displacement_mm=self._depth(part)))
+            if fitted.method == "closed-form":
+                self._made[name] = _Homogeneous(fitted.problem, self._names)
             else:
-                self._made[name] = _Simulated(problem.tables, self._names, self._depth(part))
+                self._made[name] = _Simulated(fitted.problem, self._names, self._depth(part))
         return self._made[name]
 
     def _depth(self, part: FitPart) -> float:

@@ -28,8 +28,6 @@ from study.mechanics.calibration.residual_function import EvaluationFailed
 from study.mechanics.material.energy import Energy
 from study.mechanics.material.material import ENERGIES
 from study.mechanics.material.relaxation import is_of_relaxation
-from study.mechanics.setup.declaration import with_table
-from study.mechanics.setup.setup import Setup
 
 if TYPE_CHECKING:
     from study.mechanics.calibration.fit import Fit
@@ -279,13 +277,13 @@ def _at_equal_strain(part: FitPart) -> FitPart | None:
     """Part in closed form, as if its faces did not stick; None where it has no closed form."""
     if part.method == "closed-form":
         return part
-    setup = Setup.of(part.tables)
+    setup = part.problem.setup
     if part.method != "inverse-fem" or setup.height_mm is None or not setup.kind.compresses:
         return None
-    tables = with_table(part.tables, "test", interface="frictionless", base="frictionless")
-    if not Setup.of(tables).is_homogeneous:
+    problem = part.problem.loaded(interface="frictionless", base="frictionless")
+    if not problem.is_homogeneous:
         return None
-    return replace(part, method="closed-form", tables=tables)
+    return replace(part, method="closed-form", problem=problem)
 
 
 def best(staged: Sequence[Staged]) -> Staged:

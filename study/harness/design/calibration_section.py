@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Annotated, Literal
 
 from study.ground import units
 from study.ground.errors import nearest
+from study.harness.design.cell import CellProblem
 from study.harness.design.diagnostics import Faults, entries, noted, read_table, with_values
 from study.mechanics.measurement.measurement_section import MeasurementSpec
 from study.mechanics.setup.calibration_table import Bounds, Fitting
@@ -24,7 +24,7 @@ from study.mechanics.setup.declaration import (
     written_keys,
 )
 from study.mechanics.setup.material_section import MaterialSection
-from study.mechanics.setup.setup import Setup, Tables
+from study.mechanics.setup.setup import Setup
 
 # The table ``[nuisance]`` of a calibration file: what moves the constants and is none of them.
 
@@ -189,8 +189,7 @@ Role = Literal["fit", "held-out"]
 class CalibratedTest:
     """One of the ``[[tests]]`` of a calibration."""
 
-    #: Document of its problem, in mm, N, MPa and deg: what is hashed and sent to a worker.
-    tables: Tables
+    problem: CellProblem
     measurements: MeasurementSpec
     #: Whether its curves enter the fit, or are only predicted.
     role: Role = "fit"
@@ -200,10 +199,10 @@ class CalibratedTest:
     #: What is not known exactly of it, by key.
     nuisance: Mapping[str, NuisanceInput] = field(default_factory=dict)
 
-    @cached_property
+    @property
     def setup(self) -> Setup:
         """Specimen, test and discretization."""
-        return Setup.of(self.tables)
+        return self.problem.setup
 
     @property
     def file(self) -> str:
@@ -224,10 +223,10 @@ class CalibrationDesign:
     #: Least and largest value of a constant, MPa, exponents plain.
     bounds: Bounds = field(default_factory=dict)
 
-    @cached_property
+    @property
     def material(self) -> MaterialSection:
         """Energy of all tests, and the constants to start from where the file gives them."""
-        return MaterialSection.of(self.tests[0].tables)
+        return self.tests[0].problem.material
 
     @property
     def document(self) -> dict[str, object]:

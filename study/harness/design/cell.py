@@ -5,22 +5,22 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, is_dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, is_dataclass, replace
 from functools import cached_property
-from typing import cast, overload
+from typing import Self, cast, overload
 
 import numpy as np
 
 from study.ground.canonical import Json
 from study.ground.errors import Fault, InputError
-from study.harness.design.forward_model import ForwardCell
+from study.harness.design.forward_model import ForwardCell, PlacedFile
 from study.mechanics.measurement.measurement_section import MeasurementSpec
 from study.mechanics.setup import setup
-from study.mechanics.setup.declaration import table_of, values_of
-from study.mechanics.setup.geometry import Enclosed, Specimen, Surface
+from study.mechanics.setup.declaration import field_named, section_of, table_of, values_of
+from study.mechanics.setup.geometry import SPECIMENS, Enclosed, Specimen, Surface
 from study.mechanics.setup.material_section import MaterialSection
-from study.mechanics.setup.setup import Model, Setup
+from study.mechanics.setup.setup import Model, Problem, Setup
 from study.mechanics.setup.test_kind import Test
 from study.mechanics.setup.test_section import TestSection
 
@@ -103,8 +103,8 @@ def plain(value: object) -> Json:
 
 #: types that are plain as they are, asked for first: nine values in ten
 _ATOMS = frozenset({str, int, bool, type(None)})
-#: Document of a cell or of a file, in mm, N, MPa and deg: what leaves this room, to be hashed and
-#: to be computed. Inside the room a cell is a value of the classes below.
+#: Document of a cell or of a file, in mm, N, MPa and deg: what is hashed and what lies on a disk.
+#: Everywhere else a cell is a value of the classes below.
 Config = dict[str, object]
 #: keys of a test that few have: its course in time, a stretch before it; left out where they say
 #: nothing
@@ -119,6 +119,21 @@ class CellProblem(ForwardCell):
     test: TestSection
     material: MaterialSection
     model: Model
+    #: File of a surface; None where nobody has looked for it.
+    surface_file: PlacedFile | None = None
+
+    @classmethod
+    def of(cls, document: Mapping[str, object]) -> CellProblem:
+        """Read a problem back from its document: what lies on a disk, or is given as numbers."""
+        table = table_of(document, "specimen")
+        placed = {key: table[key] for key in ("path", "sha256", "height_mm") if key in table}
+        return cls(
+            section_of("specimen", SPECIMENS[str(table["shape"])], table),
+            setup.loading_section(table_of(document, "test")),
+            MaterialSection.of(document),
+            setup.model_of(table_of(document, "model")),
+            PlacedFile(**placed) if placed.get("path") else None,  # type: ignore[arg-type]
+        )
 
     @property
     def calibrated_names(self) -> tuple[str, ...]:
@@ -150,15 +165,65 @@ class CellProblem(ForwardCell):
             faults.append(("measurements.columns.time", rule, mend))
         return faults
 
-    @property
+    @cached_property
     def setup(self) -> Setup:
-        """Specimen, test and discretization."""
-        return Setup(self.specimen, self.test.loading(), self.model, self.height_mm)
+        """Specimen, test and discretization; a surface is read from where it was found."""
+        specimen, file = self.specimen, self.surface_file
+        if isinstance(specimen, Surface) and file is not None:
+            specimen = replace(specimen, file=file.path)
+        return Setup(specimen, self.test.loading(), self.model, self.height_mm)
 
     @property
     def height_mm(self) -> float | None:
         """Height of the specimen; only the file of a surface knows it."""
-        return None if isinstance(self.specimen, Surface) else self.specimen.height_mm
+        if isinstance(self.specimen, Surface):
+            return None if self.surface_file is None else self.surface_file.height_mm
+        return self.specimen.height_mm
+
+    def at(
+        self, constants: Mapping[str, float] | None = None, depth_mm: float | None = None
+    ) -> Problem:
+        """Problem with given or fitted constants in MPa, and another depth of its test."""
+        return self.setup.problem(self.material.material(constants), depth_mm)
+
+    def with_placeholder(self, depth_mm: float | None = None, C10_MPa: float = 1.0) -> Problem:  # noqa: N803
+        """Problem with a neo-Hookean material in place of one that has yet to be found."""
+        solid = replace(self.material, model="neo-hookean", order=None, constants={})
+        return self.setup.problem(solid.material({"C10": C10_MPa}), depth_mm)
+
+    def on_mesh(self, **changes: object) -> Self:
+        """Copy with other values of its discretization."""
+        return replace(self, model=replace(self.model, **changes))  # type: ignore[arg-type]
+
+    def loaded(self, **changes: object) -> Self:
+        """Copy with other values of its test."""
+        return replace(self, test=replace(self.test, **changes))  # type: ignore[arg-type]
+
+    def alone(self) -> Self:
+        """Copy without what is measured: the problem that a solver gets."""
+        return replace(self, measurements=None, markers=None, parameters={}, units={})
+
+    def value_at(self, key: str) -> float | None:
+        """Return the number under a dotted key of the file, in internal units; None without one."""
+        table, *within, name = key.split(".")
+        if table == "material":
+            return self.material.value_at(name)
+        if table not in ("specimen", "test", "model"):
+            return super().value_at(key)
+        value: object = getattr(self, table)
+        for part in (*within, name):
+            field = None if value is None else field_named(value, part)
+            value = None if field is None else getattr(value, field)
+        return float(value) if isinstance(value, (int, float)) else None
+
+    def with_value(self, key: str, value: float) -> Self:
+        """Copy with another number under a dotted key that has one."""
+        table, *path = key.split(".")
+        if table == "material":
+            return replace(self, material=self.material.with_value(path[-1], value))
+        if table == "parameters":
+            return super().with_value(key, value)
+        return replace(self, **{table: _with_number(getattr(self, table), path, value)})  # type: ignore[arg-type]
 
     @property
     def is_homogeneous(self) -> bool:
@@ -188,9 +253,11 @@ class CellProblem(ForwardCell):
         if self.units:
             others["units"] = dict(self.units)
         if self.markers is not None:
-            others["markers"] = self.markers.as_dict()
+            found = {} if self.marker_file is None else self.marker_file.document()
+            others["markers"] = {**self.markers.as_dict(), **found}
+        surface = {} if self.surface_file is None else self.surface_file.document()
         return {
-            "specimen": values_of(self.specimen),
+            "specimen": {**values_of(self.specimen), **surface},
             "test": test,
             "material": _material(self.material),
             "model": _model(self.model),
@@ -208,6 +275,20 @@ class CellProblem(ForwardCell):
         area = float(f"{specimen.area_mm2:.12g}")
         reduced = {"area_mm2": area, "height_mm": specimen.height_mm}
         return {**document, "specimen": reduced, "test": test, "model": None}
+
+
+def _with_number(section: object, path: Sequence[str], value: float) -> object:
+    """Copy a section with another number under a path of keys, all of which it has."""
+    name = field_named(section, path[0]) or path[0]
+    inner = _with_number(getattr(section, name), path[1:], value) if path[1:] else value
+    return replace(section, **{name: inner})  # type: ignore[type-var]
+
+
+def tested(problem: ForwardCell) -> CellProblem:
+    """Take a problem for that of a specimen; raises :class:`TypeError` of parameters alone."""
+    if not isinstance(problem, CellProblem):
+        raise TypeError("parameters alone have no specimen, test or material")
+    return problem
 
 
 def _material(section: MaterialSection) -> Config:
@@ -229,7 +310,8 @@ def _material(section: MaterialSection) -> Config:
 def _model(model: Model) -> Config:
     """Discretization with one size: that of its elements, or that of a named mesh."""
     named = ("mesh", "mesh_ratio") if model.mesh_size_mm is None else ("mesh_size_mm",)
-    keys = ("space", "element_order", "element_shape", "formulation", *named)
+    seeded = () if model.mesh_seed is None else ("mesh_seed",)
+    keys = ("space", "element_order", "element_shape", "formulation", *named, *seeded)
     return {key: value for key, value in values_of(model).items() if key in keys}
 
 
@@ -255,6 +337,16 @@ class Cell:
     def is_calibrated(self) -> bool:
         """Whether constants are fitted at all."""
         return self.method != "none"
+
+    def changed(self, change: Callable[[CellProblem], CellProblem]) -> Cell:
+        """Copy with a change of its test, and of that which it is fitted to."""
+        problems = (self.problem, self.fitted_elsewhere)
+        made = [change(p) if isinstance(p, CellProblem) else p for p in problems]
+        return replace(self, problem=made[0], fitted_elsewhere=made[1])  # type: ignore[arg-type]
+
+    def sized(self, mesh_size_mm: float) -> Cell:
+        """Copy with elements of another size."""
+        return self.changed(lambda problem: problem.on_mesh(mesh_size_mm=mesh_size_mm))
 
     def document(self) -> Config:
         """Plain values in internal units."""

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Self
 
 if TYPE_CHECKING:
     from study.harness.design.forward_section import ForwardModel
@@ -30,25 +30,23 @@ class Refinement:
     #: Order in it that the solver promises; None where nobody says.
     formal_order: float | None = None
 
-    def size(self, document: Mapping[str, object]) -> float:
-        """Value of the parameter in the document of a case, in its own unit."""
-        return float(_parameters(document)[self.name])  # type: ignore[arg-type]
-
-    def refined(self, document: Mapping[str, object], size: float) -> dict[str, object]:
-        """Copy of a document with another value."""
-        return {**document, "parameters": {**_parameters(document), self.name: size}}
-
-    def without(self, document: Mapping[str, object]) -> dict[str, object]:
-        """Copy of a document without the parameter: cases that differ in it alone have one."""
-        left = {k: v for k, v in _parameters(document).items() if k != self.name}
-        return {**document, "parameters": left}
+    def size(self, problem: ForwardCell) -> float:
+        """Value of the parameter in a problem, in its own unit."""
+        return float(problem.parameters[self.name])
 
 
-def _parameters(document: Mapping[str, object]) -> Mapping[str, object]:
-    values = document["parameters"]
-    if not isinstance(values, Mapping):
-        raise TypeError("the document of a case has no table of parameters")
-    return values
+@dataclass(frozen=True)
+class PlacedFile:
+    """A file that a case reads, as it was found on this machine."""
+
+    path: str
+    sha256: str
+    #: Of the body that a surface encloses; other files have none.
+    height_mm: float | None = None
+
+    def document(self) -> dict[str, object]:
+        """Plain values; the path names nothing, the sha256 does."""
+        return {key: value for key, value in vars(self).items() if value is not None}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,6 +61,8 @@ class ForwardCell(ABC):
     #: Where measured curves are, and markers inside a specimen.
     measurements: MeasurementSpec | None = None
     markers: MarkerSpec | None = None
+    #: File of the markers; None where nobody has looked for it.
+    marker_file: PlacedFile | None = None
     #: The parameter that refines it; None where its mesh does, or nothing.
     refinement: Refinement | None = None
 
@@ -93,7 +93,33 @@ class ForwardCell(ABC):
 
     @abstractmethod
     def document(self) -> dict[str, object]:
-        """Plain values in internal units: what is hashed and handed to a worker."""
+        """Plain values in internal units: what is hashed, and read back from a disk."""
+
+    def own_tables(self) -> dict[str, object]:
+        """Tables of the user's own that go to a program: parameters and their units.
+
+        A whole number has no decimals, in a template as in a function.
+        """
+        whole = {
+            name: int(value)
+            for name, value in self.parameters.items()
+            if isinstance(value, float) and value.is_integer() and abs(value) < 2**53
+        }
+        return {"parameters": {**self.parameters, **whole}, "units": dict(self.units)}
+
+    def with_parameter(self, name: str, value: Value) -> Self:
+        """Copy with another value of one parameter."""
+        return replace(self, parameters={**self.parameters, name: value})
+
+    def value_at(self, key: str) -> float | None:
+        """Return the number under a dotted key of the file, in internal units; None without one."""
+        table, _, name = key.partition(".")
+        value = self.parameters.get(name) if table == "parameters" else None
+        return float(value) if type(value) in (int, float) else None  # type: ignore[arg-type]
+
+    def with_value(self, key: str, value: float) -> Self:
+        """Copy with another number under a dotted key that has one."""
+        return self.with_parameter(key.partition(".")[2], value)
 
     def physical(self) -> dict[str, object]:
         """Part of the document that can change an answer: of a stranger's program all of it."""

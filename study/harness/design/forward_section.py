@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from pydantic import Field
@@ -11,6 +12,7 @@ from pydantic import Field
 from study.ground import units
 from study.ground.errors import Fault
 from study.mechanics.setup.declaration import (
+    DERIVED,
     Bad,
     Duration,
     Reads,
@@ -225,6 +227,26 @@ class ValueFile:
         return {key: unit for key, unit, *_ in self.names}
 
 
+@dataclass(frozen=True)
+class ForwardFiles:
+    """What a forward model was found to be on this machine: name and content of what it runs."""
+
+    #: sha256 of every program; empty where it is missing.
+    programs: tuple[tuple[str, str], ...] = ()
+    #: Text of every file that goes along.
+    contents: tuple[tuple[str, str], ...] = ()
+    #: Function of ``model = "python"`` as text, and its version; empty until one is given.
+    function: str = ""
+    function_version: str = ""
+
+    def document(self, model: Kind) -> dict[str, object]:
+        """Plain values of what a kind of forward model has."""
+        if model == "command":
+            return {"programs": dict(self.programs), "contents": dict(self.contents)}
+        given = {"function": self.function, "function_version": self.function_version}
+        return dict(given) if self.function else {}
+
+
 @section
 class ForwardModel:
     """What predicts a curve, values, or both."""
@@ -254,11 +276,13 @@ class ForwardModel:
     #: Whether a curve shorter than the test is a failure.
     reaches: Annotated[bool, Reads(flag)] = True
     #: What one solution takes at most, for what runs at once.
-    memory_MB: Annotated[float | None, measured("memory")] = Field(  # noqa: N815
+    memory_MB: Annotated[float, measured("memory")] | None = Field(  # noqa: N815
         default=None, validation_alias="memory"
     )
     #: Whose folders are kept beside the records.
     keep: Annotated[Literal["all", "failed", "none"], word("all", "failed", "none")] = "none"
+    #: What it is on this machine; None where nobody has looked.
+    found: Annotated[ForwardFiles | None, DERIVED] = None
 
     @property
     def is_external(self) -> bool:
@@ -288,10 +312,13 @@ class ForwardModel:
         document: dict[str, object] = {}
         for key in keys_of(ForwardModel):
             value = getattr(self, key.name)
-            if key.name in ("memory_MB", "keep") or value == later.get(key.name, ...):
+            if key.name in ("memory_MB", "keep", "found") or value == later.get(key.name, ...):
                 continue
             document[key.name] = _plain_section(value)
-        return document
+        if self.found is None:
+            return document
+        written = {key: value for key, value in document.items() if value is not None}
+        return written | self.found.document(self.model)
 
     def fault(self, where: str) -> Fault | None:
         """Say what is missing for its kind, or stands in the way of its answer."""

@@ -17,7 +17,7 @@ from study.ground.contrast import sides_of
 from study.ground.errors import Fault, InputError, nearest
 from study.harness.design import diagnostics, overlay, plausibility
 from study.harness.design.calibration_section import CalibrationDesign
-from study.harness.design.cell import Cell, Config
+from study.harness.design.cell import Cell
 from study.harness.design.diagnostics import (
     Faults,
     Table,
@@ -56,7 +56,7 @@ from study.harness.design.resolve import (
     resolve_calibration,
     resolve_problem,
 )
-from study.harness.design.spec import Design, Level
+from study.harness.design.spec import Design, Level, LoadedProblem
 from study.harness.design.study_file import (
     MARKED,
     RESPONSES,
@@ -328,14 +328,14 @@ def dump(design: Design) -> str:
     return diagnostics.dump_toml(design.config)
 
 
-def load_problem(path: str | Path, overrides: Sequence[str] = ()) -> Config:
+def load_problem(path: str | Path, overrides: Sequence[str] = ()) -> LoadedProblem:
     """Load a problem for one forward simulation."""
     return loads_problem(diagnostics.read_text(path), str(path), overrides)
 
 
 def loads_problem(
     text: str | bytes, source: str = "<string>", overrides: Sequence[str] = ()
-) -> Config:
+) -> LoadedProblem:
     """Load a problem from a text; see :func:`load_problem`."""
     _, tables, file, faults = _opened(ProblemFile, text, source, overrides)
     uncertainty_from(file.uncertainty, (), tables, faults)
@@ -349,9 +349,7 @@ def loads_problem(
         faults.add("material", "has no constants", 'for example C10 = "5 kPa"')
     plausibility.check_stability(problem, faults)
     _refuse(faults, source)
-    document = problem.document()
-    del document["measurements"]
-    return {**document, "converge": file.converge}
+    return LoadedProblem(problem, file.converge)
 
 
 def load_calibration(path: str | Path, overrides: Sequence[str] = ()) -> CalibrationDesign:

@@ -394,7 +394,7 @@ def resolve_calibration(
         return CalibrationDesign(name, ())
     tests = tuple(
         CalibratedTest(
-            problem.document(),
+            problem,
             spec,
             "fit" if test.role == "fit" else "held-out",
             test.weight,

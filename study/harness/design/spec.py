@@ -10,9 +10,9 @@ from functools import cached_property
 
 from study.ground.errors import Fault, InputError
 from study.harness.design import overlay
-from study.harness.design.cell import Cell, Config, block_ids
+from study.harness.design.cell import Cell, CellProblem, block_ids, tested
 from study.harness.design.diagnostics import Faults, Table
-from study.harness.design.forward_model import Value
+from study.harness.design.forward_model import ForwardCell, Value
 from study.harness.design.material_table import InputDistribution
 from study.harness.design.parameters import (
     Constraint,
@@ -36,8 +36,6 @@ from study.mechanics.material.material import is_constant
 from study.mechanics.measurement.measurement_section import MeasurementSpec
 from study.mechanics.setup.calibration_table import Calibration
 from study.mechanics.setup.declaration import Bad
-from study.mechanics.setup.material_section import MaterialSection
-from study.mechanics.setup.setup import Setup
 
 
 @dataclass(frozen=True)
@@ -318,11 +316,6 @@ class Treatment(Combination):
 
     cell: Cell
 
-    @cached_property
-    def config(self) -> Config:
-        """Document of the cell."""
-        return self.cell.document()
-
 
 @dataclass(frozen=True)
 class Case:
@@ -330,38 +323,44 @@ class Case:
 
     treatment: Treatment
     block: str | None
-    #: Document that is computed: of the cell, or with files found and meshes seeded.
-    config: Config
+    #: What is computed: the cell of its treatment, or one with files found and meshes seeded.
+    cell: Cell
     #: A hash of what decides its numbers.
     case_id: str
+
+    @property
+    def problem(self) -> ForwardCell:
+        """What is predicted."""
+        return self.cell.problem
+
+    @property
+    def tested(self) -> CellProblem:
+        """What is predicted, of a case that is a test of a specimen."""
+        return tested(self.cell.problem)
 
     @property
     def levels(self) -> Mapping[str, str]:
         """Label of every factor."""
         return self.treatment.levels
 
-    @cached_property
-    def setup(self) -> Setup:
-        """Specimen, test and discretization, typed."""
-        return Setup.of(self.config)
-
-    @cached_property
-    def material(self) -> MaterialSection:
-        """Energy and constants, as far as these are given."""
-        return MaterialSection.of(self.config)
-
     @property
     def is_refinable(self) -> bool:
         """Whether its answer has a numerical error that a refinement shows."""
-        problem = self.treatment.cell.problem
-        if "specimen" not in self.config:
-            return problem.refinement is not None
-        return not self.setup.is_homogeneous
+        return not self.problem.is_homogeneous
 
     @property
     def label(self) -> str:
         """Labels of the levels, and the block."""
         return " / ".join([self.treatment.label, *([] if self.block is None else [self.block])])
+
+
+@dataclass(frozen=True)
+class LoadedProblem:
+    """What a file of one forward simulation holds."""
+
+    problem: CellProblem
+    #: How its mesh is refined.
+    converge: Converge = Converge()
 
 
 # Cells -> cases: every cell in every block, named by its content.
@@ -379,7 +378,7 @@ def cases(design: Design, blocks: Sequence[str] = ()) -> tuple[Case, ...]:
         raise InputError(Fault("factors", rule, "use fewer levels, or several studies"))
     places = tuple(blocks) or (None,)
     return tuple(
-        Case(cell, block, cell.config, name)
-        for cell in cells
-        for block, name in zip(places, block_ids(cell.config, places), strict=True)
+        Case(treatment, block, treatment.cell, name)
+        for treatment in cells
+        for block, name in zip(places, block_ids(treatment.cell.document(), places), strict=True)
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import io
 import itertools
 import json
@@ -20,17 +21,17 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from study.ground.arrays import Array
 from study.ground.bounded_file import read_regular
 from study.ground.canonical import digest
-from study.ground.curve import Curve
 from study.ground.errors import Fault, RefusedError, StoreError
 from study.ground.working_folder import environment
-from study.harness.design.forward_section import ForwardModel
+from study.harness.design.forward_model import ForwardCell
+from study.harness.design.forward_section import ForwardFiles, ForwardModel
 from study.harness.external import exchange
 from study.harness.external.answers import (
     NoAnswer,
@@ -39,9 +40,8 @@ from study.harness.external.answers import (
     read_text,
     values_of_files,
 )
-from study.harness.external.exchange import ProgramAnswer, PythonFunction
+from study.harness.external.exchange import ParameterAnswer, ProgramAnswer, PythonFunction
 from study.harness.record.document import ProgramDocument, StepDocument
-from study.mechanics.setup.declaration import section_of
 from study.mechanics.setup.setup import Problem
 
 # One run of a program: supervised, within limits of time, output and disk, with nothing left.
@@ -224,45 +224,29 @@ _FILE_TOO_LARGE = -25  # SIGXFSZ
 _KEPT_BYTES = 50_000_000
 
 
-@dataclass(frozen=True)
-class Command:
-    """Commands that make one solution."""
-
-    argv: tuple[tuple[str, ...], ...]
-    #: Name and text of every file that they find in their folder.
-    contents: Mapping[str, str]
-    #: Command that says the version of the program; may be empty.
-    version: tuple[str, ...] = ()
-    #: Text that one of the commands must say, and text that none may say.
-    success: str = ""
-    failure: str = ""
-    #: Name of commands, files and programs by their content.
-    digest: str = ""
-    timeout_s: float | None = None
-    #: Whose folders are kept.
-    keep: str = "none"
-
-
 def run_commands(
-    command: Command, read: Callable[[Path, str], Answer]
+    command: ForwardModel,
+    contents: Mapping[str, str],
+    read: Callable[[Path, str], Answer],
+    digest: str = "",
 ) -> tuple[Answer, ProgramDocument, bytes]:
     """Run the commands in a fresh folder and read their answer; the folder goes along if kept.
 
-    ``read`` gets the folder and what the commands said. A :class:`NoAnswer` carries the report and
-    the folder, too.
+    ``contents`` are names and texts of the files of that folder. ``read`` gets the folder and what
+    the commands said. A :class:`NoAnswer` carries the report and the folder, too.
     """
     document: ProgramDocument = {
-        "version": said_version(command.version, command.contents),
-        "digest": command.digest,
+        "version": said_version(command.version, contents),
+        "digest": digest,
         "steps": [],
     }
     limit = None if command.timeout_s is None else time.monotonic() + command.timeout_s
     with fresh_folder() as folder:
-        _write(folder, command.contents)
+        _write(folder, contents)
         try:
             logs = []
             for argv in command.argv:
-                step, log = _step(argv, folder, command, limit)
+                step, log = _step(argv, folder, contents, limit)
                 document["steps"].append(step)
                 logs.append(log)
                 _check(step, command)
@@ -324,19 +308,19 @@ def _write(folder: Path, contents: Mapping[str, str]) -> None:
 
 
 def _step(
-    argv: tuple[str, ...], folder: Path, command: Command, limit: float | None
+    argv: tuple[str, ...], folder: Path, contents: Mapping[str, str], limit: float | None
 ) -> tuple[StepDocument, str]:
     """Run one command; more of what it said stands beside its report."""
     path = path_of(argv[0])
     if path is None:
         raise NoAnswer("failed", f"{argv[0]}: there is no such program on this machine")
-    ended = run([path, *argv[1:]], folder, limit, environment=_environment(argv, command.contents))
+    ended = run([path, *argv[1:]], folder, limit, environment=_environment(argv, contents))
     if ended.excess:
         raise NoAnswer("failed", f"{argv[0]}: was ended, for {ended.excess}")
     return {"argv": list(argv), "code": ended.code, "output": ended.output}, ended.log
 
 
-def _check(step: StepDocument, command: Command) -> None:
+def _check(step: StepDocument, command: ForwardModel) -> None:
     name, text = step["argv"][0], step["output"]
     if step["code"] is None:
         raise NoAnswer("timeout", f"{name}: stopped after {command.timeout_s:g} s")
@@ -373,10 +357,10 @@ STEP = 1e-3
 
 
 @dataclass(frozen=True)
-class Solved:
-    """Curve of an external forward model, and how it was found."""
+class Solved(Generic[Answer]):
+    """Answer of an external forward model, and how it was found."""
 
-    answer: ProgramAnswer
+    answer: Answer
     seconds: float
     program: ProgramDocument | None = None
     #: Zip of the folder of the case, where it is kept.
@@ -386,25 +370,8 @@ class Solved:
 
 
 @dataclass(frozen=True)
-class ParameterAnswer:
-    """What a program or function found for parameters alone."""
-
-    values: Mapping[str, float]
-    curve: Curve | None
-    seconds: float
-    program: ProgramDocument | None = None
-    folder: bytes = b""
-    rendered: Mapping[str, str] = field(default_factory=dict)
-
-
-#: forward models by the identity of their table, which is kept so that it stays its own
-_READ: dict[int, tuple[Mapping[str, object], External | None]] = {}
-_MOST_READ = 1000
-
-
-@dataclass(frozen=True)
 class External:
-    """Forward model of a resolved table."""
+    """Forward model that is not ours, with what it is on this machine."""
 
     section: ForwardModel
     #: Name and text of the files that go along.
@@ -415,28 +382,10 @@ class External:
     function: PythonFunction | None
 
     @classmethod
-    def of(cls, tables: Mapping[str, object]) -> External | None:
-        """Read the table ``forward`` of resolved tables; None where our own model predicts."""
-        table = tables.get("forward")
-        if not isinstance(table, Mapping):
-            return None
-        cached = _READ.get(id(table))
-        if cached is not None and cached[0] is table:
-            return cached[1]  # it is asked for several times a case
-        external = cls._of(table)
-        if len(_READ) > _MOST_READ:
-            _READ.clear()
-        _READ[id(table)] = table, external
-        return external
-
-    @classmethod
-    def _of(cls, table: Mapping[str, object]) -> External | None:
-        section = section_of("forward", ForwardModel, {k: _deep(v) for k, v in table.items()})
-        if not section.is_external:
-            return None
-        text, version = str(table.get("function") or ""), str(table.get("function_version") or "")
-        function = PythonFunction(text, version) if text else None
-        return cls(section, _texts(table, "contents"), _texts(table, "programs"), function)
+    def of(cls, problem: ForwardCell) -> External | None:
+        """Forward model of a cell; None where our own predicts."""
+        section = problem.forward
+        return None if section is None or not section.is_external else _external(section)
 
     @cached_property
     def digest(self) -> str:
@@ -464,27 +413,16 @@ class External:
         shown = [f"runs: {' '.join(argv)}" for argv in self.section.argv]
         return [*shown, *(f"with the file {name}" for name in self.contents)]
 
-    def command(self, contents: Mapping[str, str]) -> Command:
-        """Commands of one solution with the files of its folder."""
-        section = self.section
-        return Command(
-            section.argv, contents, section.version, section.success, section.failure, self.digest,
-            section.timeout_s, section.keep,
-        )  # fmt: skip
-
     def solve(
         self, problem: Problem, displacement_mm: Array, extra: Mapping[str, object] | None = None
-    ) -> Solved:
+    ) -> Solved[ProgramAnswer]:
         """Solve one problem; ``extra`` are tables of the user's own."""
         # Shapes: displacement_mm (n,).
-        began, section = time.perf_counter(), self.section
+        section = self.section
         request = {**exchange.request(problem, displacement_mm), **(extra or {})}
-        if section.model == "python":
-            answer = self._called.solve(request, displacement_mm, section.units)
-            return Solved(answer, time.perf_counter() - began)
-        context = {"case_id": digest(request), **exchange.context_of(request)}
-        contents, rendered = files_of(section, self.contents, context)
-        contents[exchange.PROBLEM_FILE] = json.dumps(request, indent=1)
+
+        def context() -> dict[str, object]:
+            return {"case_id": digest(request), **exchange.context_of(request)}
 
         def read(folder: Path, text: str) -> ProgramAnswer:
             values = {} if section.values is None else values_of_files(section.values, folder, text)
@@ -496,8 +434,41 @@ class External:
                 )
             return replace(curve, values=values)
 
-        solved, document, kept_folder = run_commands(self.command(contents), read)
-        return Solved(solved, time.perf_counter() - began, document, kept_folder, rendered)
+        def call(function: PythonFunction) -> ProgramAnswer:
+            return function.solve(request, displacement_mm, section.units)
+
+        return self._asked(call, context, (exchange.PROBLEM_FILE, request), read)
+
+    def answer(self, case: Mapping[str, object]) -> Solved[ParameterAnswer]:
+        """Ask for the values and the curve of parameters alone."""
+        section = self.section
+
+        def read(folder: Path, text: str) -> ParameterAnswer:
+            values = {} if section.values is None else values_of_files(section.values, folder, text)
+            curve = None if section.curve is None else curve_of(section.curve, folder)
+            return ParameterAnswer(values, curve)
+
+        def call(function: PythonFunction) -> ParameterAnswer:
+            return function.values(case, section.units)
+
+        return self._asked(call, lambda: case, (exchange.CASE_FILE, case), read)
+
+    def _asked(
+        self,
+        call: Callable[[PythonFunction], Answer],
+        context: Callable[[], Mapping[str, object]],
+        file: tuple[str, Mapping[str, object]],
+        read: Callable[[Path, str], Answer],
+    ) -> Solved[Answer]:
+        """Call the function, or run the commands with their templates and the file of the case."""
+        began, section = time.perf_counter(), self.section
+        if section.model == "python":
+            answer = call(self._called)
+            return Solved(answer, time.perf_counter() - began)
+        contents, rendered = self.rendered(context())
+        contents[file[0]] = json.dumps(file[1], indent=1)
+        answer, document, folder = run_commands(section, contents, read, self.digest)
+        return Solved(answer, time.perf_counter() - began, document, folder, rendered)
 
     @property
     def _called(self) -> PythonFunction:
@@ -505,37 +476,16 @@ class External:
             raise NoAnswer("failed", "no function was given: study.run(..., forward=f)")
         return self.function
 
-    def answer(self, case: Mapping[str, object]) -> ParameterAnswer:
-        """Ask for the values and the curve of parameters alone."""
-        began, section = time.perf_counter(), self.section
-        if section.model == "python":
-            values, curve = self._called.values(case, section.units)
-            return ParameterAnswer(values, curve, time.perf_counter() - began)
-        contents, rendered = self.rendered(case)
-        contents[exchange.CASE_FILE] = json.dumps(case, indent=1)
-
-        def read(folder: Path, text: str) -> tuple[dict[str, float], Curve | None]:
-            values = {} if section.values is None else values_of_files(section.values, folder, text)
-            return values, None if section.curve is None else curve_of(section.curve, folder)
-
-        (values, curve), document, kept_folder = run_commands(self.command(contents), read)
-        seconds = time.perf_counter() - began
-        return ParameterAnswer(values, curve, seconds, document, kept_folder, rendered)
-
     def rendered(self, case: Mapping[str, object]) -> tuple[dict[str, str], dict[str, str]]:
-        """Files of the folder of a case of parameters alone, and those that were rendered."""
+        """Files of the folder of a case, and those that were rendered."""
         return files_of(self.section, self.contents, case)
 
 
-def _texts(table: Mapping[str, object], key: str) -> dict[str, str]:
-    value = table.get(key)
-    return {str(k): str(v) for k, v in value.items()} if isinstance(value, Mapping) else {}
-
-
-def _deep(value: object) -> object:
-    if isinstance(value, Mapping):
-        return {k: _deep(v) for k, v in value.items()}
-    return tuple(_deep(v) for v in value) if isinstance(value, list | tuple) else value
+@functools.lru_cache(maxsize=1000)  # it is asked for several times a case
+def _external(section: ForwardModel) -> External:
+    files = section.found or ForwardFiles()
+    function = PythonFunction(files.function, files.function_version) if files.function else None
+    return External(section, dict(files.contents), dict(files.programs), function)
 
 
 def check_allowed(models: Iterable[External], allowed: bool | str) -> None:

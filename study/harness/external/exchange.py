@@ -64,6 +64,14 @@ class ProgramAnswer:
     values: Mapping[str, float] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class ParameterAnswer:
+    """What a program or function found for parameters alone."""
+
+    values: Mapping[str, float]
+    curve: Curve | None = None
+
+
 def request(problem: Problem, displacement_mm: Array) -> dict[str, Json]:
     """Document of a problem, complete in itself. Shapes: displacement_mm (n,)."""
     material, test = problem.material, problem.test
@@ -233,13 +241,12 @@ class PythonFunction:
         columns = _python_function_columns(cast("ArrayLike", returned), displacement_mm)
         return replace(at_points(columns, displacement_mm, {}), values=values)
 
-    def values(
-        self, case: Mapping[str, object], units: Mapping[str, str]
-    ) -> tuple[dict[str, float], Curve | None]:
+    def values(self, case: Mapping[str, object], units: Mapping[str, str]) -> ParameterAnswer:
         """Values of parameters alone, or the curve; a value has the unit of its response."""
         returned = self(case)
         if isinstance(returned, Curve):
-            return {}, checked_curve(returned.displacement_mm, returned.force_N, "the function")
+            whole = checked_curve(returned.displacement_mm, returned.force_N, "the function")
+            return ParameterAnswer({}, whole)
         if not isinstance(returned, Mapping) or not returned:
             rule = f"the function returned {type(returned).__name__}, not names with numbers"
             raise NoAnswer("failed", f'{rule}: return {{"peak": 1.5}} or a study.Curve')
@@ -252,7 +259,8 @@ class PythonFunction:
             returned = {k: v for k, v in returned.items() if k not in (DISPLACEMENT, FORCE)}
         scalars = {str(k): getattr(v, "item", lambda v=v: v)() if np.ndim(v) == 0 else v
                    for k, v in returned.items()}  # fmt: skip
-        return {k: quantity_in(v, units.get(k, ""), k) for k, v in scalars.items()}, curve
+        values = {k: quantity_in(v, units.get(k, ""), k) for k, v in scalars.items()}
+        return ParameterAnswer(values, curve)
 
 
 def _unpickled(text: str) -> Function:

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
+from study.harness.design.cell import Cell, tested
 from study.harness.design.study_file import FINER_MESH, LONGER_LIMIT, MORE_MEMORY, SMALLER_STEPS
 from study.harness.execution.task import Document, Executor, Outcome, Results, Task
 from study.harness.external.command import check_allowed
@@ -26,11 +27,9 @@ from study.harness.runner.fit_problem import externals
 from study.harness.runner.fit_summary import FitResult
 from study.harness.runner.fit_task import FitTask
 from study.harness.runner.job import CaseJob, CaseTask, FitJob, Work, fits_of
-from study.harness.runner.problem_tables import on_mesh, with_both
 from study.harness.runner.refinement import base_size_mm
 from study.harness.runner.solve_task import LASTING
 from study.harness.runner.tasks import adapted, default_jobs, limit_of, processes
-from study.mechanics.setup.setup import Setup, Tables
 
 # What is tried when a case has no answer: declared in the design, by cause, and never silent.
 #
@@ -126,32 +125,30 @@ def _applies(change: str, job: CaseJob, limited: bool) -> bool:
 
 def _changed(job: CaseJob, changes: Sequence[str], work: Work) -> tuple[CaseJob, str]:
     """Job of a case with changes, and the last of them in numbers; its name stays."""
-    tables: Tables = job.case.config
-    what = ""
+    cell, what = job.case.cell, ""
     for change in changes:
         if change == SMALLER_STEPS:
-            tables, what = _with_steps(tables)
+            cell, what = _with_steps(cell)
         elif change == FINER_MESH:
             old = base_size_mm(job)
             size = old / work.design.converge.ratio
-            tables = on_mesh(tables, mesh=None, mesh_size_mm=size)
+            cell = cell.sized(size)
             what = f"elements of {size:.4g} mm instead of {old:.4g} mm"
         elif change == LONGER_LIMIT:
             what = f"a limit {LIMIT_FACTOR:g} times as long"
         else:
             what = "computed with nothing else beside it"
-    if tables is job.case.config:
+    if cell is job.case.cell:
         return job, what
-    case = replace(job.case, config=dict(tables))
-    made = case_job(case, work, job.origin)
+    made = case_job(replace(job.case, cell=cell), work, job.origin)
     return replace(made, input_hash=job.input_hash), what
 
 
-def _with_steps(tables: Tables) -> tuple[Tables, str]:
-    """Copy tables with smaller load steps, in the problem of the calibration too."""
-    old = Setup.of(tables).test.steps
+def _with_steps(cell: Cell) -> tuple[Cell, str]:
+    """Copy a cell with smaller load steps, in the test of the calibration too."""
+    old = tested(cell.problem).test.steps
     new = STEPS_FACTOR * old
-    return with_both(tables, "test", steps=new), f"{new} load steps instead of {old}"
+    return cell.changed(lambda p: p.loaded(steps=new)), f"{new} load steps instead of {old}"
 
 
 #: what may go better next time: memory and time depend on the machine
@@ -231,7 +228,7 @@ def run_batch(
     """Compute every case of ``work`` that the store does not hold yet."""
     with store.lock(), _terminate_is_interrupt():
         todo = missing(work, store)
-        check_allowed(externals(job.case.config for job in todo), work.allowed.commands)
+        check_allowed(externals(job.case.problem for job in todo), work.allowed.commands)
         workers, report = jobs or default_jobs(), progress or (lambda _: None)
         place = executor or processes(workers, timeout_s, memory_MB)
         first = _Batch(work, store, todo, report).execute(workers, place)

@@ -6,6 +6,7 @@ import base64
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -14,6 +15,7 @@ import numpy as np
 from study.ground.arrays import Array, Flags
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, RefusedError, nearest
+from study.harness.design.cell import CellProblem
 from study.harness.design.study_file import is_simulated, simulated_at
 from study.harness.external.answers import NoAnswer
 from study.harness.external.command import External
@@ -41,9 +43,8 @@ from study.mechanics.forward import closed_form
 from study.mechanics.forward.finite_element import Anchors, load_compiled, solve
 from study.mechanics.measurement.marker_states import MarkerStates, read_markers
 from study.mechanics.measurement.measurement_section import MarkerSpec
-from study.mechanics.setup.declaration import table_of, with_table
 from study.mechanics.setup.geometry import Block
-from study.mechanics.setup.setup import Problem, Setup, Tables, problem_of
+from study.mechanics.setup.setup import Problem
 
 if TYPE_CHECKING:
     from study.mechanics.solver.load_path import MovedPlate, PrescribedMotion
@@ -209,16 +210,18 @@ def _standard_errors(slope: Array, errors: Array) -> Array:
 
 
 def predicted_markers(
-    tables: Tables, constants: Mapping[str, float] | None, label: str, depth_mm: float
+    cell: CellProblem, constants: Mapping[str, float] | None, label: str, depth_mm: float
 ) -> PredictedCurve:
     """Predict a state of a marked specimen and compare all markers; constants MPa."""
     from study.mechanics.solver.load_path import NoEquilibrium
 
-    began, spec = time.perf_counter(), MarkerSpec.from_dict(table_of(tables, "markers"))
-    problem = problem_of(with_table(tables, "test", displacement_mm=depth_mm), constants)
+    began, problem = time.perf_counter(), cell.loaded(displacement_mm=depth_mm).at(constants)
+    spec, file = cell.markers, cell.marker_file
+    if spec is None or file is None:
+        raise ValueError("this problem has no markers whose file was found")
     if not isinstance(problem.specimen, Block):
         raise InputError(Fault("specimen.shape", "markers lie in a block", 'write "block"'))
-    markers = read_markers(spec, Path(str(table_of(tables, "markers")["path"])), problem.specimen)
+    markers = read_markers(spec, Path(file.path), problem.specimen)
     load_compiled(problem)
     solution = solve(problem, gradients=False)
     if solution.status != "converged":
@@ -236,9 +239,9 @@ def predicted_markers(
     return replace(predicted, markers=document)
 
 
-def marker_responses(tables: Tables, document: MarkerDocument) -> dict[str, Quantity]:
+def marker_responses(cell: CellProblem, document: MarkerDocument) -> dict[str, Quantity]:
     """Errors of the markers, with the plate that the study asks for, mm."""
-    plate = MarkerSpec.from_dict(table_of(tables, "markers")).plate
+    plate = None if cell.markers is None else cell.markers.plate
     # of all markers first; then, where layers are named, of those outside them
     errors = [fit["error_mm"] for fit in document["fits"] if fit["plate"] == plate]
     return {
@@ -288,7 +291,7 @@ def executed(task: CaseTask) -> Executed:
     try:
         for direction in task.job.directions:
             _check_fit(task.fit(direction), direction)
-        if "specimen" not in task.tables:
+        if not isinstance(task.job.case.problem, CellProblem):
             return _of_parameters(task)
         return _predicted(task) if task.job.origin.predicts else Executed(_refitted(task))
     except Stopped as stop:
@@ -309,10 +312,11 @@ _RENDERED = 64_000
 def _of_parameters(task: CaseTask) -> Executed:
     """Record of a case of parameters alone."""
     try:
-        answer, solver = answer_of_parameters(task.tables, task.job.case.case_id)
+        solved, solver = answer_of_parameters(task.job.case.problem, task.job.case.case_id)
     except NoAnswer as error:
         raise Stopped(error.status, str(error), error) from error
-    values = {**answer.values, "seconds": answer.seconds}
+    answer = solved.answer
+    values = {**answer.values, "seconds": solved.seconds}
     responses: dict[str, ResponseDocument] = {}
     for name, unit in task.units.items():
         value = values.get(name)
@@ -331,11 +335,11 @@ def _of_parameters(task: CaseTask) -> Executed:
             record,
             responses=responses,
             curves={} if answer.curve is None else {CurveKey("predicted", "all"): answer.curve},
-            timings={"predict": answer.seconds, "total": answer.seconds},
+            timings={"predict": solved.seconds, "total": solved.seconds},
             solver=solver,
-            extra={**record.extra, **_rendered(answer.rendered)},
+            extra={**record.extra, **_rendered(solved.rendered)},
         ),
-        answer.folder,
+        solved.folder,
     )
 
 
@@ -369,7 +373,7 @@ def _predicted(task: CaseTask) -> Executed:
     means |= {"seconds": {"value": seconds["total"], "unit": "s"}}
     marked = [prediction.markers for prediction in predictions if prediction.markers is not None]
     for document in marked:
-        means |= marker_responses(task.tables, document)
+        means |= marker_responses(task.problem, document)
     means |= {"dofs": {"value": predictions[-1].mesh.get("dofs"), "unit": ""}}
     for name in predictions[0].values:
         every = [prediction.values[name] for prediction in predictions if name in prediction.values]
@@ -431,13 +435,14 @@ def _predict(task: CaseTask, direction: ScorePair) -> PredictedCurve:
         # the last solution of the fit is the prediction: same geometry, same constants
         return fit.prediction
     constants = None if fit is None else fit.constants
-    if task.tables.get("markers"):
+    if task.problem.markers is not None:
         return _marked(task, constants, direction.depth_mm)
     if task.job.forward == "closed-form":
         return _closed_form(task, constants, direction)
-    if task.job.forward == "external" or External.of(task.tables) is not None:
-        return _external(task.tables, constants, direction)
-    anchored = _ANCHORS.predict(task.tables, constants, direction.depth_mm, task.anchor)
+    if task.job.forward == "external" or External.of(task.problem) is not None:
+        return _external(task.problem, constants, direction)
+    problem_at = partial(task.problem.at, depth_mm=direction.depth_mm)
+    anchored = _ANCHORS.predict(problem_at, constants, task.anchor)
     solution = anchored.solution
     if solution.status != "converged":
         raise Stopped(solution.status, f"{solution.message} (reached {solution.reached_mm:g} mm)")
@@ -449,22 +454,22 @@ def _marked(
 ) -> PredictedCurve:
     """Curve of a specimen with markers, and what these say of it."""
     try:
-        return predicted_markers(task.tables, constants, str(task.job.case.block), depth_mm)
+        return predicted_markers(task.problem, constants, str(task.job.case.block), depth_mm)
     except NoAnswer as error:
         raise Stopped(error.status, str(error)) from error
 
 
 def _external(
-    tables: Tables, constants: Mapping[str, float] | None, direction: ScorePair
+    problem: CellProblem, constants: Mapping[str, float] | None, direction: ScorePair
 ) -> PredictedCurve:
     """Curve of another program, at the measured displacements or at the load steps."""
     if direction.measured is not None:
         at = direction.measured.displacement_mm
     else:
-        steps = Setup.of(tables).test.steps
+        steps = problem.test.steps
         at = direction.depth_mm * np.arange(1, steps + 1) / steps
     try:
-        return external_curve(tables, constants, at)
+        return external_curve(problem, constants, at)
     except NoAnswer as error:
         raise Stopped(error.status, str(error), error) from error
 
@@ -478,7 +483,7 @@ def _closed_form(
     task: CaseTask, constants: Mapping[str, float] | None, direction: ScorePair
 ) -> PredictedCurve:
     """Curve at the measured displacements, or at the load steps."""
-    problem, measured = problem_of(task.tables, constants, direction.depth_mm), direction.measured
+    problem, measured = task.problem.at(constants, direction.depth_mm), direction.measured
     if measured is None:
         test = replace(problem.test, steps=max(problem.test.steps, _STEPS))
         solution = closed_form.solution(replace(problem, test=test))
@@ -497,7 +502,7 @@ def _closed_form(
 
 def _step_uncertainty(task: CaseTask, predictions: Sequence[PredictedCurve]) -> dict[str, float]:
     """Return what half the load steps change in every response, as a mean over directions."""
-    if External.of(task.tables) is not None:
+    if External.of(task.problem) is not None:
         each = [response.splined_uncertainty(p.curve, task.units) for p in predictions]
     else:
         each = [

@@ -110,7 +110,7 @@ class CaseSeries:
     @property
     def formal(self) -> FormalOrder:
         """Order that the elements of the study's mesh promise, or a stranger's solver."""
-        refinement = self.base.case.treatment.cell.problem.refinement
+        refinement = self.base.case.problem.refinement
         if refinement is not None:
             order = refinement.formal_order
             given = f"as [converge] says of parameters.{refinement.name}"
@@ -139,13 +139,13 @@ class CaseSeries:
     def sizes(self, records: Sequence[Record]) -> tuple[float, ...]:
         """Mesh sizes of some records by the elements of their meshes, the first as asked for."""
         job_of = {job.case.case_id: job for job in self.jobs}
-        if self.base.case.treatment.cell.problem.refinement is not None:
+        if self.base.case.problem.refinement is not None:
             return tuple(size_of(job_of[record.case_id]) for record in records)
         # another program does not say what its mesh is: it was asked for this one
         sizes = [float(r.mesh.get("mesh_size_mm") or base_size_mm(job_of[r.case_id]))
                  for r in records]  # fmt: skip
         elements = [int(record.mesh.get("elements", 0)) for record in records]
-        return tuple(series_sizes(sizes, elements, self.base.case.setup, anchor=0))
+        return tuple(series_sizes(sizes, elements, self.base.case.tested.setup, anchor=0))
 
     def half_width(
         self, values: Sequence[float], sizes: Sequence[float], formal: float | None
@@ -199,7 +199,7 @@ class CaseSeries:
 
     def _note(self, meshes: int) -> str:
         """Which meshes an uncertainty rests on."""
-        refinement = self.base.case.treatment.cell.problem.refinement
+        refinement = self.base.case.problem.refinement
         if refinement is not None:
             sizes = [f"{size_of(job):.4g}" for job, _ in self.good]
             of = self.base.case.label if self.own == "coarsest" else "the study's own cells"
@@ -255,8 +255,8 @@ class CaseSeries:
         qoi = spec.qoi if spec.qoi in values else next(iter(values))
         elements = [int(record.mesh.get("elements", 0)) for record in records]
         sizes = [size_of(job) for job, _ in self.good]
-        if self.base.case.treatment.cell.problem.refinement is None:
-            sizes = series_sizes(sizes, elements, self.base.case.setup)
+        if self.base.case.problem.refinement is None:
+            sizes = series_sizes(sizes, elements, self.base.case.tested.setup)
         results = judged(sizes, values, formal.order, TOLERANCE)
         return combined(facts, qoi, results, spec.tolerance, warnings)
 
@@ -273,15 +273,15 @@ class CaseSeries:
 
     def _named(self, job: CaseJob) -> str:
         """Size of a mesh with its unit, or the parameter that stands for it."""
-        refinement = job.case.treatment.cell.problem.refinement
+        refinement = job.case.problem.refinement
         unit = "mm" if refinement is None else f"({refinement.name})"
         return f"{size_of(job):.4g} {unit}"
 
 
 def size_of(job: CaseJob) -> float:
     """Size of the mesh of a case in mm, or the value of the parameter that refines it."""
-    refinement = job.case.treatment.cell.problem.refinement
-    return base_size_mm(job) if refinement is None else refinement.size(job.case.config)
+    refinement = job.case.problem.refinement
+    return base_size_mm(job) if refinement is None else refinement.size(job.case.problem)
 
 
 def quantities(records: Sequence[Record], units: Mapping[str, str]) -> Values:

@@ -6,14 +6,13 @@ from collections.abc import Iterable, Sequence
 
 from study.ground.canonical import digest
 from study.ground.errors import InputError
+from study.harness.design.cell import CellProblem
+from study.harness.design.forward_model import ForwardCell
 from study.harness.design.forward_section import FUNCTION_SECONDS
 from study.harness.external.command import External
-from study.harness.runner.fit_problem import FitProblem
+from study.harness.runner.fit_problem import FitProblem, FittedTest
 from study.harness.runner.fit_summary import USUAL_EVALUATIONS
 from study.harness.runner.job import CaseJob, FitJob
-from study.harness.runner.problem_tables import with_placeholder
-from study.mechanics.setup.material_section import MaterialSection
-from study.mechanics.setup.setup import Setup, Tables
 
 #: what any computation takes besides solving: hashing, scoring, writing
 _OVERHEAD_S = 0.02
@@ -49,32 +48,35 @@ class Costs:
     def fit_seconds(self, problem: FitProblem) -> float:
         """Seconds of one calibration."""
         names = problem.material.calibrated_names
-        return _OVERHEAD_S + sum(self._test_seconds(*test, names) for test in problem.tests)
+        return _OVERHEAD_S + sum(self._test_seconds(test, names) for test in problem.tests)
 
-    def _test_seconds(self, method: str, tables: Tables, names: Sequence[str]) -> float:
+    def _test_seconds(self, test: FittedTest, names: Sequence[str]) -> float:
         """Seconds that one test of a fit takes: nothing where it has a closed form."""
-        external = External.of(tables)
-        if method == "external" and external is not None:
+        external = External.of(test.problem)
+        if test.method == "external" and external is not None:
             return _evaluations(names) * external.section.price_s
-        if method != "inverse-fem":
+        if test.method != "inverse-fem":
             return 0.0
         solves = (
             _SOLVES_LINEAR if _scales(names) else _SOLVES_FIRST + _SOLVES_PER_CONSTANT * len(names)
         )
-        return solves * self.solve_seconds(tables)
+        return solves * self.solve_seconds(test.problem)
 
     def case_seconds(self, job: CaseJob) -> float:
         """Seconds of one case without its fits."""
-        config, external = job.case.config, External.of(job.case.config)
+        problem = job.case.problem
+        external = External.of(problem)
         if external is not None and job.origin.predicts and job.forward == "external":
-            quick = external.section.model == "python" and "specimen" not in config
+            is_tested = isinstance(problem, CellProblem)
+            quick = external.section.model == "python" and not is_tested
             overhead = FUNCTION_SECONDS if quick else _OVERHEAD_S
             return overhead + job.predictions * external.section.price_s
         if not job.origin.predicts or job.forward != "simulation":
             return _OVERHEAD_S
-        solve_s, solves = self.solve_seconds(config, job.depth_mm), float(job.predictions)
+        solve_s = self.solve_seconds(job.case.tested, job.depth_mm)
+        solves = float(job.predictions)
         if job.group:
-            solves = _from_anchor(config) * solves + (job.group not in self._anchored)
+            solves = _from_anchor(job.case.tested) * solves + (job.group not in self._anchored)
             self._anchored.add(job.group)
         return _OVERHEAD_S + solves * solve_s
 
@@ -95,34 +97,34 @@ class Costs:
         """
         return max(sum(seconds) / jobs, max(seconds, default=0.0))
 
-    def solve_seconds(self, config: Tables, depth_mm: float | None = None) -> float:
+    def solve_seconds(self, problem: CellProblem, depth_mm: float | None = None) -> float:
         """Seconds of one forward solution."""
-        return self._estimate(config, depth_mm)[0]
+        return self._estimate(problem, depth_mm)[0]
 
-    def memory_MB(self, config: Tables) -> float:  # noqa: N802
-        """Peak memory of one worker at this configuration."""
-        external = External.of(config)
-        if external is not None and (external.section.memory_MB or "specimen" not in config):
-            return external.section.memory_MB or 0.0
-        return self._estimate(config, None)[1]
+    def memory_MB(self, problem: ForwardCell) -> float:  # noqa: N802
+        """Peak memory of one worker at this problem."""
+        stated = None if problem.forward is None else problem.forward.memory_MB
+        if stated or not isinstance(problem, CellProblem):
+            return stated or 0.0
+        return self._estimate(problem, None)[1]
 
     def fit_memory_MB(self, problem: FitProblem) -> float:  # noqa: N802
         """Peak memory of one calibration."""
-        simulated = [tables for method, tables in problem.tests if method == "inverse-fem"]
+        simulated = [test.problem for test in problem.tests if test.method == "inverse-fem"]
         return max(map(self.memory_MB, simulated), default=0.0)
 
     def case_memory_MB(self, job: CaseJob) -> float:  # noqa: N802
         """Peak memory of one case; none worth counting without a simulation of its own."""
         simulated = job.forward == "simulation" and job.origin.predicts
         if job.forward == "external":
-            external = External.of(job.case.config)
+            external = External.of(job.case.problem)
             return 0.0 if external is None else external.section.memory_MB or 0.0
-        return self.memory_MB(job.case.config) if simulated else 0.0
+        return self.memory_MB(job.case.problem) if simulated else 0.0
 
-    def _estimate(self, config: Tables, depth_mm: float | None) -> tuple[float, float]:
-        key = same_model(config)
+    def _estimate(self, problem: CellProblem, depth_mm: float | None) -> tuple[float, float]:
+        key = same_model(problem)
         if key not in self._known:
-            seconds, memory, spent = _estimated(config, depth_mm, self._patience_s)
+            seconds, memory, spent = _estimated(problem, depth_mm, self._patience_s)
             self._known[key], self._patience_s = (seconds, memory), self._patience_s - spent
         return self._known[key]
 
@@ -132,7 +134,7 @@ def fit_calls(problem: FitProblem) -> int:
 
     A program that writes its gradients takes fewer; nobody knows before it has run.
     """
-    external = sum(method == "external" for method, _ in problem.tests)
+    external = sum(test.method == "external" for test in problem.tests)
     return external * _evaluations(problem.material.calibrated_names)
 
 
@@ -153,28 +155,29 @@ def _scales(names: Sequence[str]) -> bool:
     return len(names) == 1
 
 
-def _from_anchor(config: Tables) -> float:
+def _from_anchor(problem: CellProblem) -> float:
     # weight stays what it is where a modulus doubles, so that nothing scales
-    setup = Setup.of(config)
-    if _scales(MaterialSection.of(config).calibrated_names) and not setup.test.weight_N_mm3:
+    setup = problem.setup
+    if _scales(problem.calibrated_names) and not setup.test.weight_N_mm3:
         return _SCALED
     return _FROM_ANCHOR_INDENTED if setup.kind.takes_indenter else _FROM_ANCHOR
 
 
-def same_model(config: Tables) -> str:
+def same_model(problem: CellProblem) -> str:
     """Name of all that differ in their material alone."""
-    return digest([{k: config.get(k) for k in ("specimen", "test", "model")}])
+    document = problem.document()
+    return digest([{k: document[k] for k in ("specimen", "test", "model")}])
 
 
 def _estimated(
-    config: Tables, depth_mm: float | None, patience_s: float
+    cell: CellProblem, depth_mm: float | None, patience_s: float
 ) -> tuple[float, float, float]:
     """Seconds and memory of a solution, and the seconds that it took to count its unknowns."""
     from study.mechanics.solver.solution_cost import estimate
 
-    depth = depth_mm or 0.2 * (Setup.of(config).height_mm or 1.0)
+    depth = depth_mm or 0.2 * (cell.height_mm or 1.0)
     try:
-        problem = with_placeholder(config, depth, C10_MPa=0.005)
+        problem = cell.with_placeholder(depth, C10_MPa=0.005)
         estimated = estimate(problem.setup, patience_s=patience_s)
         return float(estimated.seconds), float(estimated.memory_MB), estimated.counting_s
     except (InputError, ValueError, RuntimeError):

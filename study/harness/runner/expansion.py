@@ -14,7 +14,8 @@ from pathlib import Path
 from study.ground.canonical import canonical, digest
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
-from study.harness.design.cell import Config, plain
+from study.harness.design.cell import Cell, CellProblem, plain
+from study.harness.design.forward_model import ForwardCell
 from study.harness.design.spec import MAX_CASES, Case, Design, Treatment, cases
 from study.harness.record.record import Record
 from study.harness.runner import provenance
@@ -40,13 +41,11 @@ from study.harness.runner.job import (
     Work,
     repeated,
 )
-from study.harness.runner.problem_tables import measurements_of, on_mesh
 from study.harness.runner.provenance import code_version
 from study.harness.runner.response import units_of
 from study.mechanics.measurement.measured_test import MeasuredTest, Measurements, Selection
 from study.mechanics.setup.calibration_table import NOTHING as calibration_NOTHING
-from study.mechanics.setup.declaration import table_of
-from study.mechanics.setup.setup import Tables
+from study.mechanics.setup.declaration import values_of
 
 # Repeats of every cell for an error term: other meshes, or fits to resampled noise.
 
@@ -64,14 +63,15 @@ def seeded(distinct: Sequence[Case], design: Design) -> tuple[tuple[Case, Origin
         return tuple((case, Origin()) for case in distinct)
     _check_count(len(distinct) * seeds)
     return tuple(
-        # the seed of its mesh stands in its tables, and so in its name
-        (
-            repeated(case, ["mesh seed", seed], on_mesh(case.config, mesh_seed=seed)),
-            Origin(mesh_seed=number),
-        )
+        (repeated(case, ["mesh seed", seed], meshed(case.cell, seed)), Origin(mesh_seed=number))
         for case in distinct
         for number, seed in enumerate(_seeds(design, case, seeds), 1)
     )
+
+
+def meshed(cell: Cell, seed: int) -> Cell:
+    """Copy a cell on the mesh of its size with some seed."""
+    return cell.changed(lambda problem: problem.on_mesh(mesh_seed=seed))
 
 
 def _reseeded(cases: Sequence[Case], design: Design, name: str) -> tuple[tuple[Case, Origin], ...]:
@@ -84,9 +84,8 @@ def _reseeded(cases: Sequence[Case], design: Design, name: str) -> tuple[tuple[C
     made = []
     for case in cases:
         for number, seed in enumerate(_seeds(design, case, count), 1):
-            parameters = {**table_of(case.config, "parameters"), name: seed}
-            config = {**case.config, "parameters": parameters}
-            again = repeated(case, ["replicate", number, seed], config)
+            cell = replace(case.cell, problem=case.problem.with_parameter(name, seed))
+            again = repeated(case, ["replicate", number, seed], cell)
             made.append((again, Origin(replicate=number)))
     return tuple(made)
 
@@ -99,7 +98,7 @@ def _check_count(count: int) -> None:
 
 def _seeds(design: Design, case: Case, count: int) -> list[int]:
     """Seeds of the repeats of a case: hashes of the study's seed, the cell and the number."""
-    cell = [canonical(design.seed), canonical(plain(case.config))]
+    cell = [canonical(design.seed), canonical(plain(case.cell.document()))]
     return [int(digest([*cell, number], 8), 16) for number in range(1, count + 1)]
 
 
@@ -163,21 +162,16 @@ def held_out(
     return "specimen" if sees_the_scored and blocks >= FEWEST_BLOCKS else None
 
 
-def distinct_tests(configs: Sequence[Tables]) -> tuple[Tables, ...]:
+def distinct_tests(problems: Iterable[ForwardCell]) -> tuple[CellProblem, ...]:
     """List the tests of a study: its different specimens, tests and measurements."""
-    tested = [config for config in configs if "test" in config]
-    by_name = {
-        _name(config): {key: config[key] for key in ("specimen", "test", "measurements")}
-        for config in tested
-    }
-    return tuple(by_name.values())
+    return tuple({_name(p): p for p in problems if isinstance(p, CellProblem)}.values())
 
 
 def _without_specimen(
     case: Case, problem: FitProblem, scored: Measurements, data: DataCache
 ) -> list[ScorePair]:
     """Every scored curve of a specimen, with the fit to all other specimens."""
-    calibrated = data.calibrated(case.config)
+    calibrated = data.calibrated(case.cell)
     fitted = scored if calibrated is None else calibrated
     others = [block for block in fitted.blocks if block != case.block]
     if not others or case.block is None:
@@ -196,7 +190,7 @@ def _without_specimen(
 
 def _without_test(case: Case, scored: Measurements, data: DataCache) -> ScorePair:
     """Scored curve of a test, with the fit to all other tests of the study."""
-    name = _name(case.config)
+    name = _name(case.tested)
     others = [test for test in data.tests if _name(test) != name]
     if not others:
         rule = "leaves one test out, but the design has only one"
@@ -209,22 +203,21 @@ def _without_test(case: Case, scored: Measurements, data: DataCache) -> ScorePai
             raise InputError(Fault("measurements", "are missing for one of the tests"))
         block = case.block if measured.block is not None else None
         curves.append(measured.curve(block, **dict(measured.fit or {})).curve)
-    fit = fit_job(together(case.config, others), tuple(curves), case.label)
+    fit = fit_job(together(case.cell, others), tuple(curves), case.label)
     where = scored.score or scored.fit
     pair = _pair(scored.curve(case.block, **dict(where or {})), where, fit)
     return replace(pair, fit_label="all other tests")
 
 
-def _name(config: Tables) -> str:
-    spec = measurements_of(config)
-    test = {k: v for k, v in table_of(config, "test").items() if k != "steps"}
-    return digest([config["specimen"], test, None if spec is None else spec.as_dict()])
+def _name(problem: CellProblem) -> str:
+    spec, test = problem.measurements, values_of(replace(problem.test, steps=1))
+    return digest([plain(problem.specimen), plain(test), None if spec is None else spec.as_dict()])
 
 
 def expand(design: Design, data_root: Path, allowed: Allowed = NOTHING) -> Work:
     """List every case and every fit of a design."""
     cells = design.treatments
-    data = DataCache(data_root, distinct_tests([cell.config for cell in cells]))
+    data = DataCache(data_root, distinct_tests(cell.cell.problem for cell in cells))
     blocks = _common_blocks(cells, data)
     places = provenance.folders(design.source, data_root)
     # a replicate is named by what was written, not by where its surface was found
@@ -233,7 +226,7 @@ def expand(design: Design, data_root: Path, allowed: Allowed = NOTHING) -> Work:
     shared: dict[int, Computed] = {}
 
     def job(case: Case, origin: Origin) -> CaseJob:
-        place = id(case.config)  # one for all blocks of a cell, kept alive by its cases
+        place = id(case.cell)  # one for all blocks of a cell, kept alive by its cases
         if place not in shared:
             shared[place] = Computed.of(_located(case, places, forwards), list(asked))
         return _job(case, data, design, origin, shared[place])
@@ -279,8 +272,8 @@ def _is_of(record: Record, design: Design) -> bool:
 class Computed:
     """What a case computes before anything is measured: the same in every block of its cell."""
 
-    #: Document of the cell, with its files found.
-    config: Config
+    #: With its files found.
+    cell: Cell
     problem: FitProblem
     #: Where its predicted curves come from.
     forward: Forward
@@ -290,9 +283,9 @@ class Computed:
     @classmethod
     def of(cls, case: Case, asked: Sequence[str]) -> Computed:
         """Work out what the cases of a cell share, from one whose files were found."""
-        problem = fit_problem(case.config)
-        names = (code_version(), *provenance.fingerprints(case.config), *identity(case.config))
-        return cls(case.config, problem, _forward_of(case, problem), (sorted(asked), *names))
+        problem, cell = fit_problem(case.cell), case.cell
+        names = (code_version(), *provenance.fingerprints(cell), *identity(cell.problem))
+        return cls(cell, problem, _forward_of(case, problem), (sorted(asked), *names))
 
 
 def units_asked(design: Design) -> dict[str, str]:
@@ -310,7 +303,7 @@ def _common_blocks(cells: Sequence[Treatment], data: DataCache) -> tuple[str, ..
     """Labels of the blocks, the same in the measurements of every treatment."""
     common: tuple[str, ...] | None = None
     for cell in cells:
-        measured, marked = data.scored(cell.config), cell.cell.problem.markers
+        measured, marked = data.scored(cell.cell.problem), cell.cell.problem.markers
         labels = () if measured is None else measured.blocks
         labels = labels if marked is None else marked.labels
         if common is not None and labels != common:
@@ -333,12 +326,13 @@ def _distinct(repeated_cases: Sequence[Case]) -> tuple[Case, ...]:
 
 def _located(case: Case, places: Sequence[Path], forwards: Forwards) -> Case:
     """Copy a case with its surfaces, and the files of its forward model, found and checked."""
-    config = provenance.with_markers(provenance.located(case.config, places), places)
-    section = case.treatment.cell.problem.forward
+    cell = provenance.located_cell(case.cell, places)
+    section = cell.problem.forward
     if section is not None and section.is_external:
-        config = {**config, "forward": forwards.table(section)}
-        check_templates(config, case.case_id)
-    return replace(case, config=config)
+        problem = replace(cell.problem, forward=forwards.placed(section))
+        check_templates(problem, case.case_id)
+        cell = replace(cell, problem=problem)
+    return replace(case, cell=cell)
 
 
 def case_job(case: Case, work: Work, origin: Origin) -> CaseJob:
@@ -351,7 +345,7 @@ def _job(
     case: Case, data: DataCache, design: Design, origin: Origin, computed: Computed
 ) -> CaseJob:
     """Job of a case, from what it shares with those of its cell."""
-    placed = replace(case, config=computed.config)
+    placed = replace(case, cell=computed.cell)
     pairs = tuple(_score_pairs(placed, computed.problem, data, design))
     content = [case.case_id, [pair.identity for pair in pairs], *computed.names]
     return CaseJob(placed, pairs, digest(content), computed.forward, origin)
@@ -361,22 +355,21 @@ def _forward_of(case: Case, problem: FitProblem) -> Forward:
     """Where the predicted curves of a case come from."""
     if problem.method in ("inverse-fem", "external") and problem.shares_scored_problem:
         return "fit"
-    if "specimen" not in case.config:
-        return "external"
-    forward = case.treatment.cell.problem.forward
+    forward = case.problem.forward
     if forward is not None:
         return "closed-form" if forward.model == "closed-form" else "external"
-    is_analytic = case.treatment.cell.method == "analytic" and case.setup.is_homogeneous
-    return "closed-form" if is_analytic or case.setup.has_no_elements else "simulation"
+    is_analytic = case.cell.method == "analytic" and case.problem.is_homogeneous
+    has_none = case.tested.setup.has_no_elements
+    return "closed-form" if is_analytic or has_none else "simulation"
 
 
 def _score_pairs(
     case: Case, problem: FitProblem, data: DataCache, design: Design
 ) -> list[ScorePair]:
     """Say what is fitted and what is scored in a case."""
-    if "specimen" not in case.config:
+    if not isinstance(case.problem, CellProblem):
         return [ScorePair("all", None, None)]
-    scored = data.scored(case.config)
+    scored = data.scored(case.problem)
     if scored is None:
         return [_simulated(case, problem)]
     if problem.method == "none":
@@ -396,7 +389,7 @@ def _score_pairs(
 
 def _simulated(case: Case, problem: FitProblem) -> ScorePair:
     """Prediction that nothing was measured beside."""
-    depth, marked = case.setup.test.displacement_mm, case.treatment.cell.problem.markers
+    depth, marked = case.problem.depth_mm, case.problem.markers
     if marked is not None and case.block is not None:  # each state is a block
         depth = marked.state(case.block).displacement_mm
     if problem.method != "none" or depth is None:
@@ -408,7 +401,7 @@ def _simulated(case: Case, problem: FitProblem) -> ScorePair:
 
 def _held_out(case: Case, scored: Measurements, design: Design) -> str | None:
     """Say what is left out of the fits; a study of constants alone fits each curve by itself."""
-    cell = case.treatment.cell
+    cell = case.cell
     if cell.leave_out is None and not design.asks_for_scores:
         return None
     return held_out(
@@ -421,7 +414,7 @@ def _fitted_pairs(
     case: Case, problem: FitProblem, scored: Measurements, data: DataCache
 ) -> list[ScorePair]:
     """Pairs whose constants come from the curves that the study file selects."""
-    other = data.calibrated(case.config)
+    other = data.calibrated(case.cell)
     if other is not None:
         fitted = other.curve(
             case.block if other.block is not None else None, **dict(other.fit or {})
@@ -478,7 +471,7 @@ def _anchored(unanchored: Iterable[CaseJob]) -> tuple[CaseJob, ...]:
     """
     jobs = tuple(unanchored)
     groups = [
-        digest([plain(job.case.config), job.depth_mm], 32) if _may_share_a_start(job) else ""
+        digest([job.case.cell.content_key, job.depth_mm], 32) if _may_share_a_start(job) else ""
         for job in jobs
     ]
     solutions: Counter[str] = Counter()
@@ -501,4 +494,6 @@ def _with_anchor(job: CaseJob, group: str, leader: CaseJob) -> CaseJob:
 def _may_share_a_start(job: CaseJob) -> bool:
     """Whether predictions, all of one depth, may start from another specimen's load steps."""
     one_depth = len({pair.depth_mm for pair in job.directions}) == 1
-    return one_depth and job.forward == "simulation" and not job.case.setup.has_close_equilibria
+    return (
+        one_depth and job.forward == "simulation" and not job.case.tested.setup.has_close_equilibria
+    )

@@ -11,18 +11,25 @@ import numpy as np
 from study.ground.arrays import Array
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
+from study.harness.design.cell import CellProblem
+from study.harness.design.forward_model import ForwardCell
 from study.harness.external.answers import NoAnswer
-from study.harness.external.command import External, ParameterAnswer, Solved, steps_of
-from study.harness.record.document import FitDocument, MarkerDocument, MeshDocument, SolverDocument
-from study.harness.runner.problem_tables import own_tables
+from study.harness.external.command import External, Solved, steps_of
+from study.harness.external.exchange import ParameterAnswer, ProgramAnswer
+from study.harness.record.document import (
+    FitDocument,
+    MarkerDocument,
+    MeshDocument,
+    ProgramDocument,
+    SolverDocument,
+)
 from study.mechanics.calibration.fit import Fit
 from study.mechanics.calibration.levenberg_marquardt import Status
 from study.mechanics.calibration.residual_function import EvaluationFailed
 from study.mechanics.material.homogeneous import MODES, sheared_stretches
 from study.mechanics.material.material import Material
 from study.mechanics.material.stability import StabilityResult, stability
-from study.mechanics.setup.material_section import MaterialSection
-from study.mechanics.setup.setup import Setup, Tables, problem_of
+from study.mechanics.setup.setup import Setup
 
 if TYPE_CHECKING:
     from study.mechanics.solver.solution import Solution
@@ -176,7 +183,7 @@ class FitResult:
         )
 
 
-def described(fit: Fit, tables: Tables, measured: Sequence[Curve]) -> FitDocument:
+def described(fit: Fit, problem: CellProblem, measured: Sequence[Curve]) -> FitDocument:
     """Describe a fit."""
     names = fit.names
     document: FitDocument = {
@@ -196,19 +203,20 @@ def described(fit: Fit, tables: Tables, measured: Sequence[Curve]) -> FitDocumen
         "evaluations": int(fit.evaluations),
     }
     if fit.status.usable:
-        document.update(_stability(tables, fit.constants(), measured))
+        document.update(_stability(problem, fit.constants(), measured))
     return document
 
 
 def _stability(
-    tables: Tables, constants: Mapping[str, float], measured: Sequence[Curve]
+    problem: CellProblem, constants: Mapping[str, float], measured: Sequence[Curve]
 ) -> FitDocument:
     """Mu0 and whether the material is stable over the range that was measured."""
-    material = MaterialSection.of(tables).material(constants)
+    material = problem.material.material(constants)
     if material.mu0 <= 0:
         raise InputError(Fault("fit", f"ended at a shear modulus of {material.mu0:g} MPa"))
-    setup = Setup.of(tables)
-    judged = stability_over(material, [(setup, curve.displacement_mm) for curve in measured])
+    judged = stability_over(
+        material, [(problem.setup, curve.displacement_mm) for curve in measured]
+    )
     # only uniaxial failure inside the range makes the answer itself meaningless; the other
     # modes are a warning about using the constants elsewhere
     return {
@@ -263,14 +271,13 @@ class InverseExternal:
     The program is asked for the forces at the measured displacements themselves.
     """
 
-    def __init__(self, tables: Tables, measured: Sequence[Curve], names: Sequence[str]) -> None:
-        external = External.of(tables)
-        if external is None:
-            raise ValueError("these tables name no external forward model")
-        self._external, self._tables, self._names = external, tables, names
+    def __init__(
+        self, problem: CellProblem, measured: Sequence[Curve], names: Sequence[str]
+    ) -> None:
+        self._external, self._problem, self._names = _external(problem), problem, names
         self._grids = [curve.displacement_mm for curve in measured]
         self._points = np.unique(np.concatenate(self._grids))
-        self._last: tuple[bytes, Solved] | None = None
+        self._last: tuple[bytes, Solved[ProgramAnswer]] | None = None
         #: solutions so far
         self.solves = 0
 
@@ -287,12 +294,12 @@ class InverseExternal:
         }
         return [self._at(curve, gradient, grid) for grid in self._grids]
 
-    def _solved(self, values: Array) -> Solved:
+    def _solved(self, values: Array) -> Solved[ProgramAnswer]:
         constants = dict(zip(self._names, values.tolist(), strict=True))
         self.solves += 1
         try:
-            problem = problem_of(self._tables, constants, float(self._points[-1]))
-            return self._external.solve(problem, self._points, own_tables(self._tables))
+            problem = self._problem.at(constants, float(self._points[-1]))
+            return self._external.solve(problem, self._points, self._problem.own_tables())
         except (InputError, NoAnswer) as error:
             raise EvaluationFailed(str(error)) from error
 
@@ -321,49 +328,51 @@ class InverseExternal:
         return predicted_of(solved, self._external)
 
 
-def predicted_of(solved: Solved, external: External) -> PredictedCurve:
+def predicted_of(solved: Solved[ProgramAnswer], external: External) -> PredictedCurve:
     """Prediction of an external forward model, for the record."""
     answer = solved.answer
-    solver: SolverDocument = {"name": _name(solved, external)}
-    if solved.program is not None:
-        solver["program"] = solved.program
     mesh: MeshDocument = {}
     if answer.dofs or answer.elements:
         mesh = {"dofs": answer.dofs, "elements": answer.elements}
     return PredictedCurve(
-        answer.curve.without_gradients(), mesh, solver, solved.seconds,
+        answer.curve.without_gradients(), mesh, _solver(solved.program, external), solved.seconds,
         values=answer.values, folder=solved.folder, rendered=solved.rendered,
     )  # fmt: skip
 
 
-def _name(solved: Solved | ParameterAnswer, external: External) -> str:
+def _solver(program: ProgramDocument | None, external: External) -> SolverDocument:
+    """Say what answered, for the record."""
     if external.function is not None:
-        return f"Python function, version {external.function.version}"
-    version = "" if solved.program is None else solved.program["version"]
-    return version or external.section.argv[0][0]
+        return {"name": f"Python function, version {external.function.version}"}
+    name = external.section.argv[0][0]
+    if program is None:
+        return {"name": name}
+    return {"name": program["version"] or name, "program": program}
 
 
-def answer_of_parameters(tables: Tables, case_id: str) -> tuple[ParameterAnswer, SolverDocument]:
-    """Answer of a program or function for parameters alone, and how it was found."""
-    external = External.of(tables)
+def _external(problem: ForwardCell) -> External:
+    external = External.of(problem)
     if external is None:
-        raise ValueError("these tables name no external forward model")
-    answer = external.answer({"case_id": case_id, **own_tables(tables)})
-    solver: SolverDocument = {"name": _name(answer, external)}
-    if answer.program is not None:
-        solver["program"] = answer.program
-    return answer, solver
+        raise ValueError("this problem names no external forward model")
+    return external
+
+
+def answer_of_parameters(
+    problem: ForwardCell, case_id: str
+) -> tuple[Solved[ParameterAnswer], SolverDocument]:
+    """Answer of a program or function for parameters alone, and how it was found."""
+    external = _external(problem)
+    solved = external.answer({"case_id": case_id, **problem.own_tables()})
+    return solved, _solver(solved.program, external)
 
 
 def external_curve(
-    tables: Tables, constants: Mapping[str, float] | None, displacement_mm: Array
+    cell: CellProblem, constants: Mapping[str, float] | None, displacement_mm: Array
 ) -> PredictedCurve:
     """Curve of a case by its external forward model; constants MPa; displacement_mm (n,)."""
-    external = External.of(tables)
-    if external is None:
-        raise ValueError("these tables name no external forward model")
-    problem = problem_of(tables, constants, float(displacement_mm[-1]))
-    solved = external.solve(problem, displacement_mm, own_tables(tables))
+    external = _external(cell)
+    problem = cell.at(constants, float(displacement_mm[-1]))
+    solved = external.solve(problem, displacement_mm, cell.own_tables())
     prediction = predicted_of(solved, external)
     mesh = prediction.mesh
     if mesh and problem.model.mesh_size_mm is not None:

@@ -18,6 +18,7 @@ from study.ground.arrays import Array
 from study.ground.canonical import digest
 from study.ground.curve import Curve, spline_from_origin
 from study.ground.errors import InputError
+from study.harness.design.cell import CellProblem
 from study.harness.record.document import FitDocument
 from study.harness.runner.fit_problem import FitProblem
 from study.harness.runner.fit_summary import (
@@ -41,9 +42,8 @@ from study.mechanics.calibration.lack_of_fit import adequacy
 from study.mechanics.calibration.residual_function import EvaluationFailed, MeasuredCurve
 from study.mechanics.forward import closed_form, finite_element
 from study.mechanics.material.material import ENERGIES
-from study.mechanics.setup.declaration import with_table
 from study.mechanics.setup.material_section import MaterialSection
-from study.mechanics.setup.setup import Problem, Setup, Tables, problem_of
+from study.mechanics.setup.setup import Problem
 
 if TYPE_CHECKING:
     from study.mechanics.solver.solution import Solution
@@ -81,13 +81,13 @@ def fitted(task: FitTask) -> FitResult:
         return FitResult.without_answer(start.status, why)
     parts = parts_of(task)
     names, first = start_values(
-        parts[0].tables, task.measured, None if start is None else start.constants
+        parts[0].problem, task.measured, None if start is None else start.constants
     )
     done = staged_fit(parts, names, first, fitted_model)
     fitted_curves = [curve for part in parts for curve in part.measured]
     fit = with_serial_correlation(done.fit, fitted_curves)
     several = len(parts) > 1
-    facts = described(fit, parts[0].tables, task.measured[:1] if several else task.measured)
+    facts = described(fit, parts[0].problem, task.measured[:1] if several else task.measured)
     if fit.status.usable:
         # curves of one test are specimens or repeats: what they differ by is noise
         judged = adequacy(fit, fitted_curves, tests=() if several else [0] * len(fitted_curves))
@@ -114,12 +114,15 @@ def parts_of(task: FitTask) -> list[FitPart]:
         for k, curve in enumerate(task.measured)
     ]
     if len(tests) == 1:
-        return [FitPart(*tests[0], tuple(data))]
-    return [FitPart(*test, (curve,)) for test, curve in zip(tests, data, strict=True)]
+        return [FitPart(tests[0].method, tests[0].problem, tuple(data))]
+    return [
+        FitPart(test.method, test.problem, (curve,))
+        for test, curve in zip(tests, data, strict=True)
+    ]
 
 
 def start_values(
-    tables: Tables, measured: Sequence[Curve], neo_hookean: Mapping[str, float] | None
+    problem: CellProblem, measured: Sequence[Curve], neo_hookean: Mapping[str, float] | None
 ) -> tuple[tuple[str, ...], Array]:
     """Names of the constants and where the fit starts.
 
@@ -128,13 +131,15 @@ def start_values(
 
     Shapes: neo_hookean MPa; returns (p,), MPa, s.
     """
-    section = MaterialSection.of(tables)
+    section = problem.material
     names, fading = section.calibrated_names, section.starts_of_relaxation()
     if section.constants:
         return names, np.array([float({**section.constants, **fading}[n]) for n in names])
     if neo_hookean is None:
         first = measured[0]
-        neo_hookean = closed_form.neo_hookean_start(tables, first.displacement_mm, first.force_N)
+        neo_hookean = closed_form.neo_hookean_start(
+            problem.setup, section.compressibility, first.displacement_mm, first.force_N
+        )
     energy, shear_modulus = ENERGIES[section.model], 2 * float(neo_hookean["C10"])
     elastic = [name for name in names if name not in fading]
     values = {**neo_hookean, **energy.starting_values(elastic, shear_modulus), **fading}
@@ -142,25 +147,27 @@ def start_values(
 
 
 def fitted_model(
-    method: str, tables: Tables, measured: Sequence[Curve], names: Sequence[str]
+    method: str, problem: CellProblem, measured: Sequence[Curve], names: Sequence[str]
 ) -> Predict:
     """Model of one test, for the optimizer."""
     if method == "external":
-        return InverseExternal(tables, measured, names)
+        return InverseExternal(problem, measured, names)
     if method == "closed-form":
-        return closed_form_model(tables, measured, names)
-    make = ProportionalFem if is_proportional(tables, names) else InverseFem
-    return make(tables, measured, names)
+        return closed_form_model(problem, measured, names)
+    make = ProportionalFem if is_proportional(problem, names) else InverseFem
+    return make(problem, measured, names)
 
 
 def models_of(parts: Sequence[FitPart], names: Sequence[str]) -> list[Predict]:
     """Models of the parts of a fit."""
-    return [fitted_model(part.method, part.tables, part.curves, names) for part in parts]
+    return [fitted_model(part.method, part.problem, part.curves, names) for part in parts]
 
 
-def closed_form_model(tables: Tables, measured: Sequence[Curve], names: Sequence[str]) -> Predict:
+def closed_form_model(
+    problem: CellProblem, measured: Sequence[Curve], names: Sequence[str]
+) -> Predict:
     """Model of a homogeneous test, for the optimizer."""
-    setup, section = Setup.of(tables), MaterialSection.of(tables)
+    setup, section = problem.setup, problem.material
 
     def predict(values: Array) -> list[Curve]:
         constants = dict(zip(names, values.tolist(), strict=True))
@@ -185,8 +192,10 @@ class InverseFem:
     otherwise the optimizer would chase the difference of two interpolations.
     """
 
-    def __init__(self, tables: Tables, measured: Sequence[Curve], names: Sequence[str]) -> None:
-        self._tables, self._names = tables, names
+    def __init__(
+        self, problem: CellProblem, measured: Sequence[Curve], names: Sequence[str]
+    ) -> None:
+        self._problem, self._names = problem, names
         self._grids = [curve.displacement_mm for curve in measured]
         self._depth = max(float(grid.max()) for grid in self._grids)
         self._base: Curve | None = None
@@ -208,7 +217,7 @@ class InverseFem:
     def _solved(self, values: Array) -> Curve:
         constants = dict(zip(self._names, values.tolist(), strict=True))
         try:
-            problem = problem_of(self._tables, constants, self._depth)
+            problem = self._problem.at(constants, self._depth)
             solution = self._simulated(problem, self._last)
             if solution.status == "not-converged" and self._last is not None:
                 # the way from the solution before was too long: that says nothing of the constants
@@ -267,11 +276,12 @@ _MOST_SOLUTIONS = 256
 _unit_solutions: dict[str, _UnitSolution] = {}
 
 
-def _unit_solution(tables: Tables, name: str, depth_mm: float) -> _UnitSolution:
+def _unit_solution(cell: CellProblem, name: str, depth_mm: float) -> _UnitSolution:
     """Solution at a constant of 1 MPa, which a process finds once for equal problems."""
-    key = digest([with_table(tables, "material", constants=None), depth_mm], 32)
+    nameless = replace(cell.alone(), material=replace(cell.material, constants={}))
+    key = digest([nameless.document(), depth_mm], 32)
     if key not in _unit_solutions:
-        problem = problem_of(tables, {name: 1.0}, depth_mm)
+        problem = cell.at({name: 1.0}, depth_mm)
         solution = finite_element.solve(problem, gradients=False, cutbacks=_CUTBACKS)
         while len(_unit_solutions) >= _MOST_SOLUTIONS:
             del _unit_solutions[next(iter(_unit_solutions))]
@@ -299,7 +309,7 @@ class ProportionalFem(InverseFem):
             raise EvaluationFailed(f"{name} must be above 0, got {modulus:.6g} MPa")
         if self._unit is None:
             try:
-                self._unit = _unit_solution(self._tables, name, self._depth)
+                self._unit = _unit_solution(self._problem, name, self._depth)
             except InputError as error:
                 raise EvaluationFailed(str(error)) from error
             self.solves, self.newton_iterations = 1, self._unit.newton_iterations
@@ -414,19 +424,19 @@ def refitted(task: FitTask) -> FitResult:
     ]
     again, made = _with_forces(parts, drawn), iter(models)
     done = single_stage("resampled", again, start, StagedSearch(names, lambda *_: next(made)))
-    document = _described(done.fit, parts[0].tables, residuals)
+    document = _described(done.fit, parts[0].problem.material, residuals)
     document.update({"method": task.problem.method, "seconds": time.perf_counter() - began})
     return FitResult(status_of(done.fit), document)
 
 
-def _described(fit: Fit, tables: Tables, residuals: Sequence[Residuals]) -> FitDocument:
+def _described(fit: Fit, section: MaterialSection, residuals: Sequence[Residuals]) -> FitDocument:
     """Describe a refit; unstable constants stay, for they are part of the scatter."""
     constants = fit.constants()
     return {
         "message": fit.message,
         "names": list(fit.names),
         "values": constants,
-        "mu0": float(MaterialSection.of(tables).material(constants).mu0),
+        "mu0": float(section.material(constants).mu0),
         "identifiable": fit.converged,
         "reason": "" if fit.converged else fit.status.sentence,
         "evaluations": int(fit.evaluations),

@@ -10,29 +10,24 @@ from typing import Literal
 
 from study.ground.canonical import digest
 from study.ground.curve import Curve
-from study.harness.design.cell import case_id, plain
+from study.harness.design.cell import Cell, CellProblem, Config, case_id
+from study.harness.design.forward_model import ForwardCell
 from study.harness.design.spec import Case, Design
 from study.harness.record.record import Record, is_repeat
 from study.harness.runner import provenance
 from study.harness.runner.fit_problem import NOTHING, Allowed, FitProblem, fit_key
 from study.harness.runner.fit_summary import FitResult
-from study.harness.runner.problem_tables import (
-    PROBLEM,
-    calibrated_test,
-    gauge_of,
-    measurements_of,
-)
 from study.harness.runner.provenance import versions
 from study.harness.runner.response import Scored
+from study.mechanics.forward.closed_form import height_and_area
 from study.mechanics.forward.finite_element import Anchor
 from study.mechanics.measurement import conditioning
 from study.mechanics.measurement.conditioning import is_caution
 from study.mechanics.measurement.measured_test import Measurements
 from study.mechanics.measurement.measurement_section import MeasurementSpec
 from study.mechanics.measurement.reading import read_measurements
-from study.mechanics.measurement.recording import Recordings, read_recordings
-from study.mechanics.setup.material_section import MaterialSection
-from study.mechanics.setup.setup import Setup, Tables
+from study.mechanics.measurement.recording import Gauge, Recordings, read_recordings
+from study.mechanics.setup.setup import Setup
 
 # A case as it goes to a worker: what is known of its record, its problem, its fits.
 
@@ -76,27 +71,35 @@ class Origin:
 TRUTH_SUFFIX = ".virtual.json"
 
 
+def gauge_of(setup: Setup) -> Gauge | None:
+    """Return what turns recorded strain and stress into displacement and force."""
+    if setup.height_mm is None:
+        return None
+    height, area = height_and_area(setup.specimen)
+    return Gauge(area, height, setup.kind.mode, setup.kind.sense, setup.is_homogeneous)
+
+
 class DataCache:
     """Measured tests of a study."""
 
-    def __init__(self, root: Path, tests: Sequence[Tables] = ()) -> None:
+    def __init__(self, root: Path, tests: Sequence[CellProblem] = ()) -> None:
         self.root, self.tests = root, tests
         self._read: dict[str, Measurements] = {}
         self._recorded: dict[str, Recordings] = {}
-        # what was asked for already, by the tables themselves, which are kept so that their
+        # what was asked for already, by the problems themselves, which are kept so that their
         # identity stays their own
-        self._asked: dict[int, tuple[Tables, Measurements]] = {}
+        self._asked: dict[int, tuple[ForwardCell, Measurements]] = {}
 
-    def scored(self, tables: Tables) -> Measurements | None:
+    def scored(self, problem: ForwardCell) -> Measurements | None:
         """Measurements that a case is scored on."""
-        return self._get(tables)
-
-    def calibrated(self, tables: Tables) -> Measurements | None:
-        """Measurements that only the calibration uses."""
-        problem = calibrated_test(tables)
-        if not problem or problem.get("measurements") == tables.get("measurements"):
-            return None
         return self._get(problem)
+
+    def calibrated(self, cell: Cell) -> Measurements | None:
+        """Measurements that only the calibration uses."""
+        other = cell.fitted_elsewhere
+        if other is None or other.measurements == cell.problem.measurements:
+            return None
+        return self._get(other)
 
     def notes(self) -> tuple[str, ...]:
         """Count what every rule did to the data, each once."""
@@ -106,20 +109,20 @@ class DataCache:
         """Name of each file read and its sha256."""
         return {name: sha for data in self._read.values() for name, sha in data.files.items()}
 
-    def _get(self, tables: Tables) -> Measurements | None:
-        spec = measurements_of(tables)
-        if spec is None:
+    def _get(self, problem: ForwardCell) -> Measurements | None:
+        spec = problem.measurements
+        if spec is None or not isinstance(problem, CellProblem):
             return None
-        if id(tables) not in self._asked:  # one document for all blocks of a cell
-            setup = Setup.of(tables)
+        if id(problem) not in self._asked:  # one problem for all blocks of a cell
+            setup = problem.setup
             height, depth, gauge = setup.height_mm, setup.test.displacement_mm, gauge_of(setup)
             key = digest([spec.as_dict(), height, depth, None if gauge is None else asdict(gauge)])
             if key not in self._read:
                 rows = self._recordings(spec)
                 measurements = read_measurements(spec, self.root, height, depth, gauge, rows)
                 self._read[key] = conditioning.checked(measurements, setup)
-            self._asked[id(tables)] = tables, self._read[key]
-        return self._asked[id(tables)][1]
+            self._asked[id(problem)] = problem, self._read[key]
+        return self._asked[id(problem)][1]
 
     def _recordings(self, spec: MeasurementSpec) -> Recordings:
         """Rows of the files, read once for all ranges that are cut out of them."""
@@ -270,7 +273,7 @@ class Work:
     @property
     def cautions(self) -> tuple[str, ...]:
         """What was done to measurements and surfaces that may not be what they seem."""
-        mended = provenance.surface_notes([job.case.config for job in self.jobs])
+        mended = provenance.surface_notes(job.case.cell for job in self.jobs)
         return (*(note for note in self.notes if is_caution(note)), *mended)
 
     @property
@@ -308,24 +311,18 @@ class CaseTask:
     @classmethod
     def of(cls, job: CaseJob, work: Work, fits: Mapping[str, FitResult]) -> CaseTask:
         """Task of a case whose fits are done: a worker needs of each fit its name and outcome."""
-        names = (*PROBLEM, "markers", "parameters", "units")
-        # the forward model is one value for all cases, which go to a worker together
-        tables: dict[str, object] = {
-            k: v if k == "forward" else plain(v) for k, v in job.case.config.items() if k in names
-        }
         pairs = tuple(
             replace(pair, fit=pair.fit and replace(pair.fit, measured=(), start=None))
             for pair in job.directions
         )
         anchor = job.anchor and replace(job.anchor, measured=(), start=None)
-        case = replace(job.case, config=tables)
-        sent = replace(job, case=case, directions=pairs, anchor=anchor)
+        sent = replace(job, directions=pairs, anchor=anchor)
         return cls(sent, work.design.name, work.responses, fits)
 
     @property
-    def tables(self) -> Tables:
-        """Document of the problem."""
-        return self.job.case.config
+    def problem(self) -> CellProblem:
+        """What is predicted, of a case that is a test of a specimen."""
+        return self.job.case.tested
 
     @property
     def scored(self) -> tuple[ScorePair, ...]:
@@ -352,11 +349,11 @@ class CaseTask:
         return None if pair.fit is None else self.fits[pair.fit.key]
 
     def compared(self, pair: ScorePair, predicted: Curve | None = None) -> Scored:
-        """Collect what responses are computed from; given constants stand in the tables."""
+        """Collect what responses are computed from; given constants stand in the material."""
         fit = self.fit(pair)
         if fit is not None:
             return Scored(pair.measured, predicted, fit.constants, fit.fit.get("mu0"))
-        material = MaterialSection.of(self.tables).material()
+        material = self.problem.material.material()
         return Scored(pair.measured, predicted, material.constants, material.mu0)
 
     def record(
@@ -395,13 +392,13 @@ def fits_of(jobs: Iterable[CaseJob]) -> dict[str, FitJob]:
     return dict(sorted(by_key.items(), key=lambda item: item[0] not in starts))
 
 
-def repeated(case: Case, way: Sequence[object], tables: Tables | None = None) -> Case:
+def repeated(case: Case, way: Sequence[object], cell: Cell | None = None) -> Case:
     """Copy a case that repeats it in some way; its name is made of the case's and of the way."""
-    config = case.config if tables is None else dict(tables)
-    return replace(case, config=config, case_id=case_id([case.case_id, *way]))
+    return replace(case, cell=cell or case.cell, case_id=case_id([case.case_id, *way]))
 
 
-def varied(case: Case, tables: Tables, purpose: str) -> Case:
-    """Copy a case with other tables; its name is made of them and of the purpose."""
-    name = case_id({**tables, "block": case.block, "purpose": purpose})
-    return replace(case, config=dict(tables), case_id=name)
+def varied(case: Case, cell: Cell, purpose: str, named: Config | None = None) -> Case:
+    """Copy a case with another cell; its name is made of its document and of the purpose."""
+    document = named or cell.document()
+    name = case_id({**document, "block": case.block, "purpose": purpose})
+    return replace(case, cell=cell, case_id=name)

@@ -8,10 +8,11 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 from study.ground.canonical import plain
+from study.harness.design.cell import CellProblem
 from study.harness.design.study_file import Converge
-from study.harness.runner.problem_tables import OTHER_MESH, on_mesh
 from study.harness.runner.refinement import (
     FEWEST,
+    OTHER_MESH,
     QUANTITIES,
     Budget,
     FormalOrder,
@@ -25,7 +26,7 @@ from study.harness.runner.refinement import (
 )
 from study.harness.runner.solve_task import Solver, SolveResult, SolveTask, solutions
 from study.mechanics.setup.geometry import Enclosed
-from study.mechanics.setup.setup import Setup, Tables, problem_of
+from study.mechanics.setup.setup import Setup
 from study.statistics.convergence.grid_convergence import (
     CAUTIOUS,
     ConvergenceResult,
@@ -63,22 +64,22 @@ class ErrorSource:
     relative: float | None
 
 
-def source_tasks(tables: Tables, size_mm: float) -> list[SolveTask]:
+def source_tasks(problem: CellProblem, size_mm: float) -> list[SolveTask]:
     """Solutions that the studies of steps, tolerance and another mesh need, the usual one first."""
-    usual = [SolveTask.of(tables, size_mm)]
-    usual += [SolveTask.of(tables, size_mm, more_steps=k) for k in STEPS[1:]]
-    usual += [SolveTask.of(tables, size_mm, looser=k) for k in LOOSER[1:]]
-    if isinstance(Setup.of(tables).specimen, Enclosed):
-        usual.append(SolveTask.of(on_mesh(tables, mesh_seed=OTHER_MESH), size_mm))
+    usual = [SolveTask.of(problem, size_mm)]
+    usual += [SolveTask.of(problem, size_mm, more_steps=k) for k in STEPS[1:]]
+    usual += [SolveTask.of(problem, size_mm, looser=k) for k in LOOSER[1:]]
+    if isinstance(problem.specimen, Enclosed):
+        usual.append(SolveTask.of(problem.on_mesh(mesh_seed=OTHER_MESH), size_mm))
     return usual
 
 
 def other_sources(
-    tables: Tables, size_mm: float, solve: Solver
+    problem: CellProblem, size_mm: float, solve: Solver
 ) -> tuple[list[ErrorSource], list[str]]:
     """Errors of every source for every quantity, and which solutions failed."""
-    results = solutions(solve, source_tasks(tables, size_mm))
-    count = Setup.of(tables).test.steps
+    results = solutions(solve, source_tasks(problem, size_mm))
+    count = problem.test.steps
     steps = [(float(count * k), r) for k, r in zip(STEPS, results, strict=False)]
     first = len(STEPS) + len(LOOSER) - 1
     looser = list(zip(LOOSER, [results[0], *results[len(STEPS) : first]], strict=True))
@@ -209,7 +210,7 @@ def outlook(
 
 
 def series_of(
-    tables: Tables,
+    problem: CellProblem,
     spec: Converge,
     formal: FormalOrder,
     budget: Budget | None = None,
@@ -218,9 +219,10 @@ def series_of(
     """Make the series of a problem, from its own mesh size."""
     from study.mechanics.mesh.mesher import mesh_size
 
-    first = float(mesh_size(problem_of(tables).setup))
-    seen = partial(outlook, setup=Setup.of(tables), wanted=spec.tolerance, formal=formal.order)
-    return RefinementSeries(tables, spec, first, budget or Budget(), seen, levels_of or {})
+    first = float(mesh_size(problem.at().setup))
+    setup = problem.setup
+    seen = partial(outlook, setup=setup, wanted=spec.tolerance, formal=formal.order)
+    return RefinementSeries(problem, spec, first, budget or Budget(), seen, levels_of or {})
 
 
 @dataclass(frozen=True)
@@ -344,7 +346,7 @@ def with_sources(
 
     What another mesh of the problem's own size moves widens the uncertainty on that mesh.
     """
-    rows, warnings = other_sources(series.tables, series.good[0].mesh_size_mm, solve)
+    rows, warnings = other_sources(series.problem, series.good[0].mesh_size_mm, solve)
     table = one_table(judgement.quantities, rows)
     given, key = judgement.given, ("another mesh", judgement.main.qoi)
     other = next((row.u for row in rows if (row.source, row.quantity) == key), None)

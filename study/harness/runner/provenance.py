@@ -7,23 +7,20 @@ import contextlib
 import functools
 import hashlib
 import platform
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
-from typing import TypeGuard, cast
 
 import study
 from study.ground.bounded_file import sha256_of
 from study.ground.errors import Fault, InputError, MissingDataError, StoreError, nearest
-from study.harness.design.cell import Config
+from study.harness.design.cell import Cell, CellProblem
+from study.harness.design.forward_model import ForwardCell, PlacedFile
 from study.harness.record.atomic_files import write_atomic
-from study.harness.runner.problem_tables import calibrated_test, with_placeholder
 from study.mechanics.measurement.marker_states import read_markers
-from study.mechanics.measurement.measurement_section import MarkerSpec
 from study.mechanics.measurement.recording import check_relative, locate
-from study.mechanics.setup.declaration import table_of
-from study.mechanics.setup.geometry import Block, Enclosed
-from study.mechanics.setup.setup import Setup, Tables, specimen_of
+from study.mechanics.setup.geometry import Block, Enclosed, Surface
 
 #: Modules that do the tasks of a worker; what they import decides the numbers.
 _TASKS = (
@@ -39,6 +36,7 @@ _NUMERIC_ROOMS = (
     "study.ground.compilation",
     "study.ground.curve",
     "study.ground.units",
+    "study.harness.design.cell",
     "study.harness.external",
     "study.harness.runner",
     "study.mechanics.calibration",
@@ -194,53 +192,52 @@ def folders(source: str | Path, data_root: Path) -> tuple[Path, ...]:
     return tuple(dict.fromkeys(folder.resolve() for folder in places))
 
 
-def located(config: Tables, places: Sequence[Path]) -> Config:
-    """Copy a configuration with every surface in it found and checked."""
-    if "specimen" not in config:
-        return dict(config)
-    config_found = cast(Config, _walked(config, places))
-    if _is_surface(config_found.get("specimen")):
-        # Refuse what cannot be meshed or held, with placeholders for what a fit will find.
-        from study.mechanics.solver.finite_element_solution import check
+def located(problem: CellProblem, places: Sequence[Path]) -> CellProblem:
+    """Copy a problem with its surface found, and checked; another specimen has no file."""
+    if not isinstance(problem.specimen, Surface):
+        return problem
+    from study.mechanics.solver.finite_element_solution import check
 
-        setup = Setup.of(config_found)
-        depth = setup.test.displacement_mm or _USUAL_DEPTH * (setup.height_mm or 1.0)
-        check(with_placeholder(config_found, depth, C10_MPa=0.005))
-    return config_found
+    placed = replace(problem, surface_file=_surface_file(problem.specimen, places))
+    # Refuse what cannot be meshed or held, with placeholders for what a fit will find.
+    depth = placed.depth_mm or _USUAL_DEPTH * (placed.height_mm or 1.0)
+    check(placed.with_placeholder(depth, C10_MPa=0.005))
+    return placed
 
 
-def _is_surface(section: object) -> TypeGuard[Tables]:
-    return isinstance(section, Mapping) and section.get("shape") == "surface"
+def _surface_file(surface: Surface, places: Sequence[Path]) -> PlacedFile:
+    from study.mechanics.surface.closed_surface import height_of
+
+    path = find(surface.file, places)
+    height = height_of(replace(surface, file=str(path)))
+    return PlacedFile(str(path), sha256_of(path), height)
 
 
-def _walked(value: object, places: Sequence[Path]) -> object:
-    if _is_surface(value):
-        from study.mechanics.surface.closed_surface import height_of
+def located_cell(cell: Cell, places: Sequence[Path]) -> Cell:
+    """Copy a cell with its surfaces and the file of its markers found."""
+    other = cell.fitted_elsewhere
+    if isinstance(other, CellProblem) and isinstance(other.specimen, Surface):
+        other = replace(other, surface_file=_surface_file(other.specimen, places))
+    problem = cell.problem
+    if isinstance(problem, CellProblem):
+        problem = _with_markers(located(problem, places), places)
+    return replace(cell, problem=problem, fitted_elsewhere=other)
 
-        path = find(str(value["file"]), places)
-        whole = {**value, "path": str(path), "sha256": sha256_of(path)}
-        return {**whole, "height_mm": height_of(specimen_of(whole))}
-    if isinstance(value, Mapping):
-        return {k: _walked(v, places) for k, v in value.items()}
-    return [_walked(v, places) for v in value] if isinstance(value, list) else value
 
-
-def with_markers(config: Config, places: Sequence[Path]) -> Config:
-    """Copy a configuration with the file of its markers found."""
-    table = table_of(config, "markers")
-    if not table:
-        return config
-    name, where, missing = str(table["file"]), "markers.file", list[Fault]()
+def _with_markers(problem: CellProblem, places: Sequence[Path]) -> CellProblem:
+    """Copy a problem with the file of its markers found."""
+    spec, where, missing = problem.markers, "markers.file", list[Fault]()
+    if spec is None:
+        return problem
     for folder in places:
         try:
-            path = locate(name, folder, citation=str(table["citation"]), where=where)
+            path = locate(spec.file, folder, citation=spec.citation, where=where)
         except MissingDataError as error:
             missing += error.faults
             continue
-        specimen = specimen_of(table_of(config, "specimen"))
-        if isinstance(specimen, Block):  # what is wrong with the file is told before a run
-            read_markers(MarkerSpec.from_dict(table), path, specimen)
-        return {**config, "markers": {**table, "path": str(path), "sha256": sha256_of(path)}}
+        if isinstance(problem.specimen, Block):  # what is wrong with it is told before a run
+            read_markers(spec, path, problem.specimen)
+        return replace(problem, marker_file=PlacedFile(str(path), sha256_of(path)))
     raise MissingDataError(missing[:1])
 
 
@@ -264,36 +261,32 @@ def find(name: str, places: Sequence[Path]) -> Path:
     raise InputError(Fault(_WHERE, f"there is no file {name!r} below {looked}", mend))
 
 
-def surface_notes(configs: Sequence[Tables]) -> tuple[str, ...]:
-    """List what was mended in the surfaces of some configurations, each once."""
-    return tuple(dict.fromkeys(note for config in configs for note in _notes(config)))
+def surface_notes(cells: Iterable[Cell]) -> tuple[str, ...]:
+    """List what was mended in the surfaces of some cells, each once."""
+    return tuple(dict.fromkeys(note for cell in cells for note in _notes(cell)))
 
 
-def _notes(config: Tables) -> Iterator[str]:
-    specimen = table_of(config, "specimen")
-    if _is_surface(specimen):
+def _notes(cell: Cell) -> Iterator[str]:
+    if isinstance(cell.problem, CellProblem) and isinstance(cell.problem.specimen, Surface):
         from study.mechanics.surface.closed_surface import body
 
-        made = specimen_of(specimen)
+        made = cell.problem.setup.specimen
         if isinstance(made, Enclosed):
             yield from body(made).notes
 
 
-def fingerprints(config: Tables) -> list[str]:
-    """Hashes of the files of surfaces and markers that a configuration uses."""
-    calibrated = calibrated_test(config)
-    sections = [table_of(config, name) for name in ("specimen", "markers")]
-    sections.append(table_of(calibrated, "specimen"))
-    return [str(section["sha256"]) for section in sections if section.get("sha256")]
+def fingerprints(cell: Cell) -> list[str]:
+    """Hashes of the files of surfaces and markers that a cell uses."""
+    other = cell.fitted_elsewhere
+    files = [_surface_of(cell.problem), cell.problem.marker_file, _surface_of(other)]
+    return [file.sha256 for file in files if file is not None]
 
 
-def surface_files(config: object) -> set[Path]:
-    """Files of the surfaces in a configuration that was :func:`located`."""
-    if _is_surface(config):
-        return {Path(str(config["path"]))} if config.get("path") else set()
-    values: Sequence[object] = ()
-    if isinstance(config, Mapping):
-        values = tuple(config.values())
-    elif isinstance(config, list):
-        values = config
-    return {path for value in values for path in surface_files(value)}
+def surface_files(cell: Cell) -> set[Path]:
+    """Files of the surfaces of a cell whose files were found."""
+    files = (_surface_of(cell.problem), _surface_of(cell.fitted_elsewhere))
+    return {Path(file.path) for file in files if file is not None}
+
+
+def _surface_of(problem: ForwardCell | None) -> PlacedFile | None:
+    return problem.surface_file if isinstance(problem, CellProblem) else None

@@ -12,7 +12,6 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
 import numpy as np
@@ -21,11 +20,11 @@ from study.ground.arrays import Array
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, nearest
 from study.ground.memory import free_memory_MB
-from study.harness.runner.problem_tables import with_placeholder
+from study.harness.design.cell import CellProblem
 from study.harness.runner.solve_task import Solver, SolveResult, SolveTask, solutions
 from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Cylinder, Enclosed, Flat
-from study.mechanics.setup.setup import Problem, Setup, Tables
+from study.mechanics.setup.setup import Problem, Setup
 from study.mechanics.setup.test_kind import ClampedCorner, RoundedEdge, SharpEdge, Singularity
 
 if TYPE_CHECKING:
@@ -60,6 +59,9 @@ def refine(
         for (member, step), result in zip(due, results, strict=True):
             member.add(step, result)
 
+
+#: seed of the other mesh of a surface, whose difference tells how far a choice of meshes moves it
+OTHER_MESH = 1
 
 #: an order needs as many meshes, and no series gets longer than this
 FEWEST = 3
@@ -147,7 +149,7 @@ class Outlook:
 class RefinementSeries:
     """Refinement of one problem, coarse to fine."""
 
-    tables: Tables
+    problem: CellProblem
     #: Ratio, number of meshes, wanted accuracy.
     spec: Converge
     #: Element size of the problem, the coarsest of the series.
@@ -160,10 +162,10 @@ class RefinementSeries:
     levels: list[MeshLevel] = field(default_factory=list)
     stopped: str = ""
 
-    @cached_property
+    @property
     def setup(self) -> Setup:
-        """Problem that is refined."""
-        return Setup.of(self.tables)
+        """Specimen, test and discretization of what is refined."""
+        return self.problem.setup
 
     @property
     def good(self) -> list[MeshLevel]:
@@ -176,7 +178,7 @@ class RefinementSeries:
         if self.stopped:
             return []
         size = float(self.first_mm / self.spec.ratio ** len(self.levels))
-        return [PlannedMesh(size, SolveTask.of(self.tables, size), self.predicted())]
+        return [PlannedMesh(size, SolveTask.of(self.problem, size), self.predicted())]
 
     def add(self, step: PlannedMesh, result: SolveResult) -> None:
         """Take a solution."""
@@ -465,7 +467,7 @@ def base_size_mm(job: CaseJob) -> float:
 
 def _in_mind(job: CaseJob) -> Problem:
     """Problem of a case whose constants are not known yet."""
-    return with_placeholder(job.case.config, job.depth_mm if job.directions else 1.0)
+    return job.case.tested.with_placeholder(job.depth_mm if job.directions else 1.0)
 
 
 # Meshes of a series that can be judged, and the sizes by which they are.

@@ -14,17 +14,15 @@ import numpy as np
 
 from study.ground.canonical import digest
 from study.ground.curve import Curve
+from study.harness.design.cell import CellProblem
 from study.harness.execution.local import Loky
 from study.harness.execution.task import Executor, Results, Task
 from study.harness.external.command import External
 from study.harness.record.folder import own_folder
 from study.harness.record.store import Store
-from study.harness.runner.problem_tables import PROBLEM, on_mesh
 from study.harness.runner.provenance import code_version
 from study.mechanics.forward import finite_element
 from study.mechanics.forward.finite_element import load_compiled
-from study.mechanics.setup.declaration import with_table
-from study.mechanics.setup.setup import Setup, Tables, problem_of
 
 if TYPE_CHECKING:
     from study.mechanics.solver.newton import Options
@@ -34,8 +32,8 @@ if TYPE_CHECKING:
 class SolveTask:
     """A solution as it goes to a worker, complete in itself."""
 
-    #: The problem, with its element size and number of load steps.
-    tables: Tables
+    #: With its element size and number of load steps.
+    problem: CellProblem
     #: How much the solver's tolerance is multiplied by.
     looser: float = 1.0
     #: By how much what sticks divides the steps that it takes whatever is asked for.
@@ -43,17 +41,16 @@ class SolveTask:
 
     @classmethod
     def of(
-        cls, tables: Tables, size_mm: float, *, more_steps: int = 1, looser: float = 1.0
+        cls, problem: CellProblem, size_mm: float, *, more_steps: int = 1, looser: float = 1.0
     ) -> SolveTask:
         """Make the task of a problem."""
-        problem = {name: tables[name] for name in PROBLEM if name in tables}
-        problem = with_table(problem, "test", steps=Setup.of(tables).test.steps * more_steps)
-        return cls(on_mesh(problem, mesh=None, mesh_size_mm=size_mm), looser, more_steps)
+        stepped = problem.alone().loaded(steps=problem.test.steps * more_steps)
+        return cls(stepped.on_mesh(mesh_size_mm=size_mm), looser, more_steps)
 
     @property
     def key(self) -> str:
         """Name of the solution: a hash of the problem and of the code."""
-        return digest([self.tables, self.looser, self.more_steps, code_version()], 32)
+        return digest([self.problem.document(), self.looser, self.more_steps, code_version()], 32)
 
 
 def _no_curve() -> Curve:
@@ -112,9 +109,9 @@ def perform(task: SolveTask) -> dict[str, object]:
 
 def solved(task: SolveTask) -> SolveResult:
     """Solve; what did not converge is a status."""
-    if External.of(task.tables) is not None:
+    if External.of(task.problem) is not None:
         return SolveResult("failed", "another program predicts here; this solves with ours alone")
-    problem = problem_of(task.tables)
+    problem = task.problem.at()
     load_compiled(problem)
     with contextlib.suppress(OSError), open("/proc/self/clear_refs", "w") as stream:
         stream.write("5")

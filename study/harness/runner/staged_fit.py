@@ -24,16 +24,15 @@ from study.ground.arrays import Array
 from study.ground.bounded_file import read_json
 from study.ground.curve import Curve
 from study.ground.errors import StoreError
+from study.harness.design.cell import CellProblem
 from study.harness.record.atomic_files import write_atomic
-from study.harness.runner.problem_tables import on_mesh
 from study.mechanics.calibration.fit import fit
 from study.mechanics.calibration.levenberg_marquardt import Iteration, Status
 from study.mechanics.calibration.residual_function import EvaluationFailed
 from study.mechanics.material.material import ENERGIES, constant_names
 from study.mechanics.material.relaxation import is_of_relaxation
-from study.mechanics.setup.declaration import table_of
 from study.mechanics.setup.material_section import MaterialSection
-from study.mechanics.setup.setup import MESH_LEVELS, Setup, Tables
+from study.mechanics.setup.setup import MESH_LEVELS, Setup
 
 if TYPE_CHECKING:
     from study.mechanics.calibration.fit import Fit
@@ -157,11 +156,11 @@ class FitPart:
     """One test of a fit: how it is predicted, and the curves measured in it."""
 
     method: str
-    tables: Tables
+    problem: CellProblem
     #: Curves of this test, of one or several specimens of equal size.
     measured: tuple[MeasuredCurve, ...]
-    #: Tables of the wanted problem, where this is a cheaper one.
-    wanted: Tables | None = None
+    #: The wanted problem, where this is a cheaper one.
+    wanted: CellProblem | None = None
 
     @property
     def curves(self) -> list[Curve]:
@@ -180,8 +179,8 @@ class FitStep:
 
 Progress = Callable[[FitStep], None]
 
-#: method, tables, measured curves and names -> model
-MakeModel = Callable[[str, Tables, Sequence[Curve], Sequence[str]], Predict]
+#: method, problem, measured curves and names -> model
+MakeModel = Callable[[str, CellProblem, Sequence[Curve], Sequence[str]], Predict]
 
 
 @dataclass(frozen=True)
@@ -334,14 +333,14 @@ def cheaper(part: FitPart) -> FitPart | None:
     """Make the same part axisymmetric, or on a coarse mesh; None where nothing is cheaper."""
     if part.method != "inverse-fem":
         return None
-    setup = Setup.of(part.tables)
+    setup = part.problem.setup
     if setup.model.space == "3d" and not setup.is_whole:
         changes: dict[str, object] | None = {"space": "axisymmetric"}
     else:
         changes = _coarse(setup)
     if changes is None:
         return None
-    return replace(part, tables=on_mesh(part.tables, **changes), wanted=part.tables)
+    return replace(part, problem=part.problem.on_mesh(**changes), wanted=part.problem)
 
 
 def model_of(part: FitPart, names: Sequence[str], make: MakeModel) -> Predict:
@@ -351,11 +350,11 @@ def model_of(part: FitPart, names: Sequence[str], make: MakeModel) -> Predict:
     known once for all constants.
     """
     curves = part.curves
-    model = make(part.method, part.tables, curves, names)
+    model = make(part.method, part.problem, curves, names)
     if part.wanted is None:
         return model
     try:
-        cheap = _neo_hookean(part.tables, curves, make)
+        cheap = _neo_hookean(part.problem, curves, make)
         wanted = _neo_hookean(part.wanted, curves, make)
     except EvaluationFailed:
         return model
@@ -377,22 +376,18 @@ def model_of(part: FitPart, names: Sequence[str], make: MakeModel) -> Predict:
     return predict
 
 
-def _neo_hookean(tables: Tables, curves: Sequence[Curve], make: MakeModel) -> list[Array]:
+def _neo_hookean(problem: CellProblem, curves: Sequence[Curve], make: MakeModel) -> list[Array]:
     """Predict the forces of a neo-Hookean solid of C10 = 1 MPa at the measured points, N."""
-    kept = {k: v for k, v in table_of(tables, "material").items() if k in _OF_VOLUME}
-    alone = {**tables, "material": {"model": "neo-hookean", **kept}}
+    solid = MaterialSection("neo-hookean", None, {}, problem.material.compressibility)
+    alone = replace(problem, material=solid)
     if not is_proportional(alone, ("C10",)):
         raise EvaluationFailed("its force is not proportional to its constant")
     return [curve.force_N for curve in make("inverse-fem", alone, curves, ("C10",))(np.ones(1))]
 
 
-#: keys of a material that say how it resists a change of volume
-_OF_VOLUME = ("poisson_ratio", "incompressible", "bulk_modulus_MPa")
-
-
-def is_proportional(tables: Tables, names: Sequence[str]) -> bool:
+def is_proportional(problem: CellProblem, names: Sequence[str]) -> bool:
     """Whether all stresses scale with the one constant that is fitted, hence the force, too."""
-    section, test = MaterialSection.of(tables), Setup.of(tables).test
+    section, test = problem.material, problem.setup.test
     fixed = section.compressibility.bulk_modulus_MPa is not None or section.relaxation
     one_modulus = (
         tuple(names) == constant_names(section.model, section.order)

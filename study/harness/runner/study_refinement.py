@@ -11,33 +11,26 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final, Literal
+from typing import Final, Literal, cast
 
 import numpy as np
 
 from study.ground.arrays import Array
 from study.ground.canonical import digest
 from study.ground.errors import Fault, InputError
-from study.harness.design.cell import case_id, plain
+from study.harness.design.cell import Cell, CellProblem, Config, case_id, plain
+from study.harness.design.forward_model import ForwardCell
 from study.harness.design.spec import Case
 from study.harness.record.record import Record
 from study.harness.runner.case_series import CaseSeries, force_at_places, size_of
 from study.harness.runner.cost import Costs
-from study.harness.runner.expansion import case_job
+from study.harness.runner.expansion import case_job, meshed
 from study.harness.runner.job import CaseJob, Origin, Work, varied
-from study.harness.runner.problem_tables import (
-    OTHER_MESH,
-    calibrated_test,
-    measurements_of,
-    on_mesh,
-    value_named,
-)
-from study.harness.runner.refinement import FEWEST, base_size_mm
+from study.harness.runner.refinement import FEWEST, OTHER_MESH, base_size_mm
 from study.harness.runner.solve_task import SolveResult, SolveTask
 from study.mechanics.measurement.measurement_section import Range
 from study.mechanics.setup.declaration import table_of, with_table
-from study.mechanics.setup.geometry import Block, Enclosed
-from study.mechanics.setup.setup import Setup, Tables, known_height_mm
+from study.mechanics.setup.geometry import Block, Cylinder, Enclosed
 
 PURPOSE: Final = "refinement"
 
@@ -131,9 +124,9 @@ def _series(
     """Series with its records; of a surface with another mesh of the study's own size."""
     base = jobs[0 if end == "coarsest" else -1]
     other = None
-    alone = "specimen" not in base.case.config
-    if not alone and isinstance(base.case.setup.specimen, Enclosed):
-        case = varied(base.case, on_mesh(base.case.config, mesh_seed=OTHER_MESH), PURPOSE)
+    problem = base.case.problem
+    if isinstance(problem, CellProblem) and isinstance(problem.specimen, Enclosed):
+        case = varied(base.case, meshed(base.case.cell, OTHER_MESH), PURPOSE)
         origin = Origin(purpose=PURPOSE, of=base.case.case_id, level=0)
         other = case_job(case, work, origin)
     series = CaseSeries(jobs, work.design.converge.ratio, end, other=other)
@@ -152,15 +145,13 @@ def chosen(work: Work) -> list[CaseJob]:
     """
     groups: dict[str, list[CaseJob]] = {}
     for job in meshed_cells(work):
-        problem = job.case.treatment.cell.problem
-        kind = problem.discretization if problem.refinement else discretization_key(job.case.config)
+        problem = job.case.problem
+        kind = problem.discretization if problem.refinement else discretization_key(problem)
         groups.setdefault(kind, []).append(job)
     costs = Costs()
     cells = []
     for jobs in groups.values():
-        ordered = sorted(
-            jobs, key=lambda job: len(job.case.treatment.cell.problem.calibrated_names)
-        )
+        ordered = sorted(jobs, key=lambda job: len(job.case.problem.calibrated_names))
         priced = _spread(ordered, PRICED_CELLS)
         finest = [_refined_seconds(work, job, costs) for job in priced]
         cheap = len(jobs) * float(np.mean(finest)) <= ALL_CELLS_S
@@ -185,47 +176,54 @@ def meshed_cells(work: Work) -> list[CaseJob]:
 
 def _refinements(work: Work, job: CaseJob, costs: Costs) -> int:
     """Count the refinements: two where the second is cheap, one elsewhere."""
-    if job.case.treatment.cell.problem.refinement is not None:
+    if job.case.problem.refinement is not None:
         return max(2, work.design.converge.levels - 1)
     return 2 if _refined_seconds(work, job, costs) < CHEAP_S else 1
 
 
 def _refined_seconds(work: Work, job: CaseJob, costs: Costs) -> float:
     """Seconds of a case on the second finer mesh; of a stranger's solver those it says."""
-    if job.case.treatment.cell.problem.refinement is not None:
+    if job.case.problem.refinement is not None:
         return costs.case_seconds(job)
     finer = refined(job.case, size_of(job) / work.design.converge.ratio**2)
-    return costs.solve_seconds(finer.config)
+    return costs.solve_seconds(finer.tested)
 
 
 def refined(case: Case, size: float) -> Case:
     """Copy a case with another mesh in mm, or another value of the parameter that refines it."""
-    refinement = case.treatment.cell.problem.refinement
+    refinement = case.problem.refinement
     if refinement is not None:
-        return varied(case, refinement.refined(case.config, size), PURPOSE)
-    return varied(case, on_mesh(case.config, mesh=None, mesh_size_mm=size), PURPOSE)
+        problem = case.problem.with_parameter(refinement.name, size)
+        return varied(case, replace(case.cell, problem=problem), PURPOSE)
+    cell, other = case.cell.document(), case.cell.fitted_elsewhere
+    # a size stands beside no named mesh: the names of records have been made so
+    named = with_table(cell, "model", mesh=None, mesh_size_mm=size)
+    if other is not None:
+        fitted = with_table(other.document(), "model", mesh=None, mesh_size_mm=size)
+        named = with_table(named, "calibration", problem=fitted)
+    return varied(case, case.cell.sized(size), PURPOSE, named)
 
 
-def discretization_key(tables: Tables) -> str:
+def discretization_key(problem: ForwardCell) -> str:
     """Name of a kind of discretization: cells that share it share their mesh error."""
-    apart = ("mesh_ratio", "mesh_seed")
-    return case_id({k: v for k, v in table_of(tables, "model").items() if k not in apart})
+    apart, model = ("mesh_ratio", "mesh_seed"), table_of(problem.document(), "model")
+    return case_id({k: v for k, v in model.items() if k not in apart})
 
 
 def _column(job: CaseJob) -> str:
     """Name of a column: everything but the mesh, that of the calibration left out too."""
-    tables, refinement = job.case.config, job.case.treatment.cell.problem.refinement
-    if refinement is not None:
-        return digest(plain(refinement.without(tables)))
-    other = calibrated_test(tables)
-    rest = {k: v for k, v in tables.items() if k not in ("model", "calibration")}
-    return digest(
-        [plain(rest), _meshless(table_of(tables, "model")), _meshless(table_of(other, "model"))]
-    )
+    problem, other = job.case.problem, job.case.cell.fitted_elsewhere
+    document = plain(problem.document())
+    if problem.refinement is not None:
+        return digest(_without(document, "parameters", problem.refinement.name))
+    fitted = {} if other is None else _without(plain(other.document()), "model", *_MESH_KEYS)
+    return digest([_without(document, "model", *_MESH_KEYS), fitted.get("model")])
 
 
-def _meshless(model: Tables) -> dict[str, object]:
-    return {k: v for k, v in model.items() if k not in _MESH_KEYS}
+def _without(document: Mapping[str, object], table: str, *keys: str) -> Config:
+    """Copy a document without some keys of one of its tables."""
+    left = {k: v for k, v in table_of(document, table).items() if k not in keys}
+    return {**document, table: left}
 
 
 # What the uncertainty of the inputs does: cases computed again with one input moved.
@@ -242,25 +240,30 @@ INPUT_PURPOSE: Final = "input"
 
 def input_work(work: Work) -> Work:
     """List the cases with one input moved by its standard uncertainty, as work like any other."""
+    uncertain = {
+        key: float(amount)
+        for key, amount in work.design.uncertainty.items()
+        if amount and not key.startswith("measurements.")
+    }
     jobs = []
     for base in representatives(work):
-        for key, amount in (
-            {
-                k: float(u)
-                for k, u in work.design.uncertainty.items()
-                if u and not k.startswith("measurements.")
-            }
-        ).items():
-            # Copy a case with one input moved; the measured points stay where they are.
-            config = shifted(_fixed_range(base.case.config), key, amount)
-            calibrated = calibrated_test(config)
-            if calibrated and key.split(".")[0] in calibrated:
-                inner = shifted(_fixed_range(calibrated), key, amount)
-                config = with_table(config, "calibration", problem=inner)
-            case = varied(base.case, config, INPUT_PURPOSE)
+        for key, amount in uncertain.items():
+            case = varied(base.case, moved_cell(base.case.cell, key, amount), INPUT_PURPOSE)
             origin = Origin(purpose=INPUT_PURPOSE, of=base.case.case_id, input=key)
             jobs.append(case_job(case, work, origin))
     return replace(work, jobs=tuple(jobs))
+
+
+def moved_cell(cell: Cell, key: str, amount: float) -> Cell:
+    """Copy a cell with one input moved; the measured points stay where they are.
+
+    The test that gives the constants is moved too, where it has the input: an indenter it may not.
+    """
+    fitted = cell.fitted_elsewhere
+    if fitted is not None and fitted.value_at(key) is not None:
+        fitted = shifted(_fixed_range(fitted), key, amount)
+    predicted = shifted(_fixed_range(cell.problem), key, amount)
+    return replace(cell, problem=predicted, fitted_elsewhere=fitted)
 
 
 def representatives(work: Work) -> list[CaseJob]:
@@ -282,41 +285,23 @@ def physics_of(levels: Mapping[str, str]) -> Physics:
     )
 
 
-def shifted(config: Tables, key: str, amount: float) -> Tables:
-    """Copy of a configuration with one value moved, named as in the file.
-
-    Examples
-    --------
-    >>> shifted({"specimen": {"height_mm": 30.0}}, "specimen.height", 0.5)
-    {'specimen': {'height_mm': 30.5}}
-    """
-    path = key.split(".")
-    return _shifted(config, path, amount, key)
+def shifted(problem: ForwardCell, key: str, amount: float) -> ForwardCell:
+    """Copy of a problem with one number moved, named as in the file."""
+    value = problem.value_at(key)
+    if value is None:
+        rule = "has no value in the design that could be uncertain"
+        raise InputError(Fault(f"uncertainty.{key}", rule, "give the input, or leave this out"))
+    return problem.with_value(key, value + amount)
 
 
-def _shifted(section: Tables, path: Sequence[str], amount: float, key: str) -> Tables:
-    inner = table_of(section, path[0])
-    if len(path) > 1 and inner:
-        return {**section, path[0]: _shifted(inner, path[1:], amount, key)}
-    constants = section.get("constants")
-    if isinstance(constants, Mapping) and path[-1] in constants:
-        return {**section, "constants": _shifted(constants, path[-1:], amount, key)}
-    entry = value_named(section, path[-1])
-    if entry is not None:
-        return {**section, entry[0]: entry[1] + amount}
-    rule = "has no value in the design that could be uncertain"
-    raise InputError(Fault(f"uncertainty.{key}", rule, "give the input, or leave this out"))
-
-
-def _fixed_range(config: Tables) -> Tables:
+def _fixed_range(problem: ForwardCell) -> ForwardCell:
     """Say the measured range in mm, so that another height does not move it."""
-    made, height = measurements_of(config), known_height_mm(table_of(config, "specimen"))
-    if made is None or height is None or made.range is None:
-        return config
-    if made.range.kind == "mm":
-        return config
+    made = problem.measurements
+    height = problem.height_mm if isinstance(problem, CellProblem) else None
+    if made is None or height is None or made.range is None or made.range.kind == "mm":
+        return problem
     low, high = made.range.in_mm(height)
-    return {**config, "measurements": replace(made, range=Range("mm", low, high))}
+    return replace(problem, measurements=replace(made, range=Range("mm", low, high)))
 
 
 def input_shares(work: Work, moved: Work, records: Mapping[str, Record]) -> dict[Physics, Array]:
@@ -391,8 +376,8 @@ def upcoming(
 def in_blocks(work: Work) -> list[CaseJob]:
     """List the cells whose specimen has no axis, in the first block of the study."""
     cells = meshed_cells(work)
-    ours = [job for job in cells if "forward" not in job.case.config]
-    return [job for job in ours if isinstance(job.case.setup.specimen, Block)]
+    ours = [job for job in cells if job.case.problem.forward is None]
+    return [job for job in ours if isinstance(job.case.tested.specimen, Block)]
 
 
 def _chosen(
@@ -404,7 +389,7 @@ def _chosen(
         kinds.setdefault(_levels(job), []).append(job)
     for levels, jobs in kinds.items():
         flat, solid = (
-            [job for job in jobs if job.case.setup.model.space == space] for space in SPACES
+            [job for job in jobs if job.case.tested.model.space == space] for space in SPACES
         )
         if flat and solid:
             yield dict(levels), (min(flat, key=_preference), min(solid, key=_preference))
@@ -418,16 +403,20 @@ def _levels(job: CaseJob) -> tuple[tuple[str, str], ...]:
 
 
 def _preference(job: CaseJob) -> tuple[int, str, float]:
-    material = job.case.material
+    material = job.case.tested.material
     return len(material.calibrated_names), material.model, base_size_mm(job)
 
 
 def _task(job: CaseJob, constants: Mapping[str, float]) -> SolveTask:
-    depth = job.case.setup.test.displacement_mm
-    changed = {**job.case.config, "specimen": _equivalent_cylinder(job.case.setup)}
-    changed = with_table(changed, "material", constants=dict(constants))
-    changed = with_table(changed, "test", displacement_mm=job.depth_mm if depth is None else depth)
-    return SolveTask.of(changed, base_size_mm(job))
+    from study.mechanics.mesh.structured import equivalent_radius
+
+    problem = job.case.tested
+    # of the same cross-section and height
+    cylinder = Cylinder(equivalent_radius(problem.specimen), cast("float", problem.height_mm))
+    material = replace(problem.material, constants=dict(constants))
+    changed = replace(problem, specimen=cylinder, material=material)
+    depth = job.depth_mm if problem.depth_mm is None else problem.depth_mm
+    return SolveTask.of(changed.loaded(displacement_mm=depth), base_size_mm(job))
 
 
 def _constants(record: Record | None) -> dict[str, float]:
@@ -435,14 +424,6 @@ def _constants(record: Record | None) -> dict[str, float]:
     if record is None or not record.converged or not record.fits:
         return {}
     return record.fits[0]["values"]
-
-
-def _equivalent_cylinder(setup: Setup) -> Tables:
-    """Cylinder of the same cross-section and height."""
-    from study.mechanics.mesh.structured import equivalent_radius
-
-    radius = equivalent_radius(setup.specimen)
-    return {"shape": "cylinder", "radius_mm": radius, "height_mm": setup.height_mm}
 
 
 @dataclass(frozen=True)
@@ -465,7 +446,7 @@ def compared(pair: SpacePair, flat: SolveResult, solid: SolveResult) -> SpaceCom
     row = SpaceComparison(
         pair.levels,
         (flat.dofs, solid.dofs),
-        Setup.of(pair.tasks[0].tables).test.depth_mm,
+        pair.tasks[0].problem.setup.test.depth_mm,
     )
     failed = [result.message for result in (flat, solid) if not result.converged]
     if failed:

@@ -77,7 +77,7 @@ def compare_spaces(
     workers, costs, began = jobs or default_jobs(), Costs(), time.monotonic()
     # the solids take longest: all of them first
     tasks = [pair.tasks[k] for k in (1, 0) for pair in pairs]
-    left_s = {t.key: costs.solve_seconds(t.tables) for t in tasks if not is_kept(t, store)}
+    left_s = {t.key: costs.solve_seconds(t.problem) for t in tasks if not is_kept(t, store)}
     total, results = len(left_s), dict[str, SolveResult]()
 
     def report() -> None:
@@ -321,7 +321,7 @@ def compared(work: Work, moved: Work, store: Store) -> list[dict[str, object]]:
         if record is None or not record.converged:
             continue
         # where the deformation is the same everywhere no mesh matters
-        share = np.zeros(PLACES.size) if job.case.setup.is_homogeneous else mesh(job)
+        share = np.zeros(PLACES.size) if job.case.problem.is_homogeneous else mesh(job)
         relabeled_record = replace(record, levels=job.case.levels)
         physics = inputs.get(physics_of(job.case.levels))
         rows.append(_row(relabeled_record, share, physics, work.design.uncertainty))
@@ -356,8 +356,8 @@ def _mesh_shares(
     of_model = {}
     for case_series in series:
         share = case_series.shares().get(case_series.base.case.case_id)
-        of_model[study_refinement.discretization_key(case_series.base.case.config)] = share
-    return lambda job: of_model.get(study_refinement.discretization_key(job.case.config))
+        of_model[study_refinement.discretization_key(case_series.base.case.problem)] = share
+    return lambda job: of_model.get(study_refinement.discretization_key(job.case.problem))
 
 
 def _cell(job: CaseJob) -> frozenset[tuple[str, str]]:

@@ -21,6 +21,7 @@ from study.ground.arrays import Array
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, nearest
 from study.ground.units import parse
+from study.harness.design.cell import CellProblem
 from study.harness.design.spec import Design
 from study.harness.design.study_file import Virtual
 from study.harness.execution.local import Loky
@@ -28,14 +29,13 @@ from study.harness.execution.task import Task
 from study.harness.record.atomic_files import write_atomic, write_new
 from study.harness.runner import provenance
 from study.harness.runner.job import TRUTH_SUFFIX
-from study.harness.runner.problem_tables import calibrated_test, measurements_of
 from study.harness.runner.solve_task import SolveResult
 from study.mechanics.forward import finite_element
 from study.mechanics.material.homogeneous import LOADINGS
 from study.mechanics.material.material import Material, unit_shown
 from study.mechanics.measurement.measurement_section import MeasurementSpec
 from study.mechanics.setup.geometry import Block, Enclosed
-from study.mechanics.setup.setup import MeshName, Model, Order, Problem, Setup, Tables
+from study.mechanics.setup.setup import MeshName, Model, Order, Problem, Setup
 
 #: what a fit should find
 TRUTH = Material("gent", {"mu": 0.03, "Jm": 8.0}, poisson_ratio=0.495)
@@ -143,7 +143,7 @@ def truth(name: str) -> Truth:
 
 
 def reference_curve(
-    tables: Tables,
+    setup: Setup,
     material: Truth,
     poisson_ratio: float,
     *,
@@ -151,12 +151,12 @@ def reference_curve(
     virtual: Virtual | None = None,
 ) -> Curve:
     """Solve for the reference force and its gradient, in a worker of one thread."""
-    task = _task(tables, material, poisson_ratio, as_designed, virtual)
+    task = _task(setup, material, poisson_ratio, as_designed, virtual)
     return _solved(task, "the reference curve")
 
 
 def reference_error(
-    tables: Tables,
+    setup: Setup,
     material: Truth,
     poisson_ratio: float,
     curve: Curve,
@@ -168,7 +168,7 @@ def reference_error(
 
     The error of the reference itself is less wherever a finer mesh is a better one.
     """
-    task = _task(tables, material, poisson_ratio, as_designed, virtual)
+    task = _task(setup, material, poisson_ratio, as_designed, virtual)
     coarser = replace(task, refined=task.refined - 1, gradients=False)
     other = _solved(coarser, "the reference curve on the next coarser mesh")
     change = other.force_at(curve.displacement_mm) - curve.force_N
@@ -176,13 +176,13 @@ def reference_error(
 
 
 def _task(
-    tables: Tables,
+    setup: Setup,
     material: Truth,
     poisson_ratio: float,
     as_designed: bool,
     asked_for: Virtual | None,
 ) -> ReferenceTask:
-    virtual, setup = asked_for or Virtual(), Setup.of(tables)
+    virtual = asked_for or Virtual()
     loaded = setup.test if as_designed else replace(setup.test, interface="bonded", base="bonded")
     # the grid runs a little past the range, as a real test does
     depth_mm = 1.03 * setup.test.depth_mm
@@ -314,7 +314,7 @@ def usual_generator(
 ) -> Generator:
     """Numbers that suit a design: an indentation is measured with a smaller load cell."""
     usual = Generator(seed=design.seed, truth=truth_name)
-    if any(Setup.of(c).kind.takes_indenter for _, c in _sources(design)):
+    if any(problem.setup.kind.takes_indenter for _, problem in _sources(design)):
         usual = replace(
             usual, noise_N=0.0, noise_share=0.003, zero_share=0.002, position_mm=0.005, repeats=1
         )
@@ -327,17 +327,17 @@ def write_virtual(design: Design, out: Path, generator: Generator | None = None)
     if design.measurements is None:
         raise InputError(Fault("measurements", "the design reads no measurements to imitate"))
     places = provenance.folders(design.source, out)
-    sources = [(spec, provenance.located(config, places)) for spec, config in _sources(design)]
+    sources = [(spec, provenance.located(problem, places)) for spec, problem in _sources(design)]
     written = []
     several = len(sources) > 1
-    for number, (spec, config) in enumerate(sources):
-        given = (config, truth(generator.truth), generator.poisson_ratio)
+    for number, (spec, problem) in enumerate(sources):
+        given = (problem.setup, truth(generator.truth), generator.poisson_ratio)
         reference = reference_curve(*given, as_designed=several, virtual=design.virtual)
         stated = {}
         if design.virtual is not None:
             change = reference_error(*given, reference, as_designed=several, virtual=design.virtual)
             stated = {"reference": {**asdict(design.virtual), "change_by_coarser_mesh": change}}
-        weighs = Setup.of(config).test.gravity is not None
+        weighs = problem.test.gravity is not None
         which = number if several else None
         tests = list(generate(reference, generator, spec, noise=which, weighs=weighs))
         for name, rows in _files(spec, tests).items():
@@ -355,35 +355,34 @@ def write_virtual(design: Design, out: Path, generator: Generator | None = None)
     return written
 
 
-def _sources(design: Design) -> list[tuple[MeasurementSpec, Tables]]:
+def _sources(design: Design) -> list[tuple[MeasurementSpec, CellProblem]]:
     """Each file that a design reads, with the deepest test and the finest mesh that read it."""
-    sources: dict[str, tuple[MeasurementSpec, Tables]] = {}
+    sources: dict[str, tuple[MeasurementSpec, CellProblem]] = {}
     for treatment in design.treatments:
-        calibrated = calibrated_test(treatment.config)
-        for config in (treatment.config, calibrated):
-            spec = measurements_of(config)
-            if spec is None:
+        for problem in (treatment.cell.problem, treatment.cell.fitted_elsewhere):
+            if not isinstance(problem, CellProblem) or problem.measurements is None:
                 continue
-            _depth(config)
+            _depth(problem)
+            spec = problem.measurements
             name = str(spec.file or spec.files)
             if name in sources:  # every treatment reads its own range from the same file
-                deepest = max(config, sources[name][1], key=_depth)
-                finest = min(sources[name][1], config, key=_coarseness)
-                config = {**deepest, "model": finest["model"]}
-                spec = measurements_of(config) or spec
-            sources[name] = (spec, config)
+                deepest = max(problem, sources[name][1], key=_depth)
+                finest = min(sources[name][1], problem, key=_coarseness)
+                problem = replace(deepest, model=finest.model)
+                spec = deepest.measurements or spec
+            sources[name] = (spec, problem)
     return list(sources.values())
 
 
-def _coarseness(tables: Tables) -> tuple[float, int]:
+def _coarseness(problem: CellProblem) -> tuple[float, int]:
     """Order of meshes: a given size, else the named level."""
-    model = Setup.of(tables).model
+    model = problem.model
     size = model.mesh_size_mm
     return (np.inf if size is None else size, model.level)
 
 
-def _depth(config: Tables) -> float:
-    depth = Setup.of(config).test.displacement_mm
+def _depth(problem: CellProblem) -> float:
+    depth = problem.depth_mm
     if depth is None:
         rule = "is missing: measurements that are yet to be made cannot say how far a test goes"
         raise InputError(Fault("test.displacement", rule, 'write displacement = "10 mm"'))

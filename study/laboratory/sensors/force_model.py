@@ -337,11 +337,12 @@ def _problem(
 ) -> Tables | None:
     """Resolve a problem; None, and its faults, where it has any."""
     try:
-        config = loads_problem(diagnostics.dump_toml(tables), source, overrides)
+        loaded = loads_problem(diagnostics.dump_toml(tables), source, overrides)
     except InputError as error:
         faults += error.faults
         return None
-    return {name: config[name] for name in _SHARED}
+    document = loaded.problem.document()
+    return {name: document[name] for name in _SHARED}
 
 
 def _predicted(

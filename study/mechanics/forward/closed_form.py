@@ -21,8 +21,8 @@ from study.mechanics.forward.contact_law import Layer, force_law
 from study.mechanics.material.homogeneous import LOADINGS, loading_in
 from study.mechanics.material.material import Material
 from study.mechanics.setup.geometry import Enclosed, Indenter, Specimen
-from study.mechanics.setup.material_section import MaterialSection
-from study.mechanics.setup.setup import Problem, Setup, Tables
+from study.mechanics.setup.material_section import CompressibilityTable
+from study.mechanics.setup.setup import Problem, Setup
 from study.mechanics.setup.test_section import course_of
 
 if TYPE_CHECKING:
@@ -174,7 +174,9 @@ def compression(specimen: Specimen, material: Material, displacement_mm: Array) 
     return homogeneous(specimen, material, displacement_mm)
 
 
-def neo_hookean_start(config: Tables, displacement_mm: Array, force_N: Array) -> dict[str, float]:
+def neo_hookean_start(
+    setup: Setup, volume: CompressibilityTable, displacement_mm: Array, force_N: Array
+) -> dict[str, float]:
     """C10 (MPa) of the closed form that fits a measured curve best.
 
     The force is linear in C10 where Poisson's ratio is given, so one linear least squares
@@ -182,7 +184,7 @@ def neo_hookean_start(config: Tables, displacement_mm: Array, force_N: Array) ->
 
     Shapes: displacement_mm, force_N (n,).
     """
-    model = _force_per_C10(config, np.asarray(displacement_mm, dtype=float))
+    model = _force_per_C10(setup, volume, np.asarray(displacement_mm, dtype=float))
     c10 = float(model @ force_N / (model @ model))
     if not np.isfinite(c10) or c10 <= 0:
         raise InputError(
@@ -195,18 +197,16 @@ def neo_hookean_start(config: Tables, displacement_mm: Array, force_N: Array) ->
     return {"C10": c10}
 
 
-def _force_per_C10(config: Tables, d: Array) -> Array:  # noqa: N802
+def _force_per_C10(setup: Setup, volume: CompressibilityTable, d: Array) -> Array:  # noqa: N802
     """Force over C10 of a neo-Hookean specimen, mm^2, shape (n,): nearly, or exactly."""
     # a neo-Hookean solid of nearly the same Poisson's ratio, for the size of the modulus
     unit = Material("neo-hookean", {"C10": 1.0}, incompressible=True)
-    setup = Setup.of(config)
     if LOADINGS[setup.kind.mode].is_volumetric:  # the volume is all that changes
-        volume = MaterialSection.of(config).compressibility
         unit = Material("neo-hookean", {"C10": 1.0}, volume.bulk_modulus_MPa, volume.poisson_ratio)
     pressed = setup.test.indenter
     if pressed is None:
         return _elastic(setup, unit, d).force_N
-    nu = MaterialSection.of(config).compressibility.poisson_ratio or 0.5
+    nu = volume.poisson_ratio or 0.5
     height = setup.height_mm
     per_modulus = indentation(
         pressed,

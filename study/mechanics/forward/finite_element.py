@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from study.mechanics.forward import closed_form
-from study.mechanics.setup.setup import Problem, Tables, problem_of
+from study.mechanics.setup.setup import Problem
 from study.mechanics.setup.test_kind import StepSettings
 
 if TYPE_CHECKING:
@@ -41,6 +41,10 @@ class Anchor:
     constants: Mapping[str, float] | None = None
 
 
+#: makes the problem of a cell with given constants, MPa
+ProblemAt = Callable[[Mapping[str, float] | None], Problem]
+
+
 class Anchors:
     """The anchor of the cell that this worker is busy with; one at a time is kept."""
 
@@ -51,44 +55,40 @@ class Anchors:
 
     def predict(
         self,
-        config: Tables,
+        problem_at: ProblemAt,
         constants: Mapping[str, float] | None,
-        depth_mm: float,
         anchor: Anchor | None,
     ) -> Prediction:
         """Solve for one specimen, from the anchor of its cell where there is one.
 
         Units: constants MPa.
         """
+        problem = problem_at(constants)
         if anchor is None:
-            return _cold(config, constants, depth_mm, gradients=False)
-        self._prepare(config, depth_mm, anchor)
+            return _cold(problem, gradients=False)
+        self._prepare(problem_at, anchor)
         if self._solution is None:
-            return _cold(config, constants, depth_mm, gradients=False)
+            return _cold(problem, gradients=False)
         if constants == anchor.constants:
             return Prediction(self._solution, self._seconds)
         from study.mechanics.solver.newton import Options
 
-        problem = problem_of(config, constants, depth_mm)
         apart = Options(same_points=False)
         solution = solve(problem, gradients=False, warm=self._solution, options=apart)
         if solution.status != "converged":
-            return _cold(config, constants, depth_mm, gradients=False)
+            return _cold(problem, gradients=False)
         return Prediction(solution, self._seconds)
 
-    def _prepare(self, config: Tables, depth_mm: float, anchor: Anchor) -> None:
+    def _prepare(self, problem_at: ProblemAt, anchor: Anchor) -> None:
         if anchor.group == self._group:
             return
         self._solution = None  # its memory goes before the next one comes
-        made = _cold(config, anchor.constants, depth_mm, gradients=True)
+        made = _cold(problem_at(anchor.constants), gradients=True)
         self._group, self._seconds = anchor.group, made.cold_seconds
         self._solution = made.solution if made.solution.status == "converged" else None
 
 
-def _cold(
-    config: Tables, constants: Mapping[str, float] | None, depth_mm: float, *, gradients: bool
-) -> Prediction:
-    problem = problem_of(config, constants, depth_mm)
+def _cold(problem: Problem, *, gradients: bool) -> Prediction:
     load_compiled(problem)
     began = time.perf_counter()
     solution = solve(problem, gradients=gradients)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -20,7 +20,6 @@ from study.mechanics.setup.declaration import (
     choice,
     flag,
     integer,
-    keys_of,
     name,
     names,
     relative_path,
@@ -555,15 +554,3 @@ class MarkerSpec:
     def as_dict(self) -> dict[str, object]:
         """Plain values, for JSON and for the names of cases."""
         return {**asdict(self), "states": [asdict(state) for state in self.states]}
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> MarkerSpec:
-        """Inverse of :meth:`as_dict`, also after a way through JSON; it may hold more."""
-        fields = {key.name for key in keys_of(cls)}
-        values = {k: v for k, v in data.items() if k in fields}
-        values["rest"], values["fit"] = tuple(values["rest"]), tuple(values.get("fit") or ())
-        values["states"] = tuple(
-            MarkedState(s["label"], tuple(s["columns"]), s["displacement_mm"])
-            for s in values["states"]
-        )
-        return cls(**values)

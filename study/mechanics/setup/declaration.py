@@ -212,6 +212,16 @@ def values_of(value: object) -> dict[str, object]:
     return {key.name: getattr(value, key.name) for key in keys_of(type(value))}
 
 
+def field_named(section: object, written: str) -> str | None:
+    """Name of the field of a section that a file has under a key; None where there is none.
+
+    The length of a gauge section is also found as its height, which it is called in Python.
+    """
+    keys = _DECLARED.get(type(section), ())
+    exact = (k.name for k in keys if k.written == written)
+    return next(exact, next((k.name for k in keys if k.name == f"{written}_mm"), None))
+
+
 def read_section(kind: type[Kind], table: Mapping[str, object]) -> Kind:
     """Read one table of a file."""
     validator = kind.__pydantic_validator__  # type: ignore[attr-defined]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, cast
 
 from pydantic import Field
@@ -16,6 +16,7 @@ from study.mechanics.setup.declaration import (
     Bad,
     Pressure,
     Reads,
+    field_named,
     flag,
     number,
     section,
@@ -101,6 +102,21 @@ class MaterialSection:
         """Names of the constants that a calibration of this material finds."""
         names = tuple(self.constants or constant_names(self.model, self.order))
         return (*names, *self.starts_of_relaxation())
+
+    def value_at(self, key: str) -> float | None:
+        """Return a constant, or the number that says how volume changes; None without one."""
+        name = field_named(self.compressibility, key)
+        if name is None:
+            return self.constants.get(key)
+        value: float | None = getattr(self.compressibility, name)
+        return None if isinstance(value, bool) else value
+
+    def with_value(self, key: str, value: float) -> MaterialSection:
+        """Copy with another value of a number that it has."""
+        name = field_named(self.compressibility, key)
+        if name is None:
+            return replace(self, constants={**self.constants, key: value})
+        return replace(self, compressibility=replace(self.compressibility, **{name: value}))  # type: ignore[arg-type]
 
     def starts_of_relaxation(self) -> dict[str, float]:
         """Shares, and times that are to be found, where a fit of them starts."""

@@ -106,7 +106,7 @@ class Setup:
         """Make the setup of resolved tables ``specimen``, ``test`` and ``model``, in mm and N."""
         return cls(
             specimen_of(table_of(resolved, "specimen")),
-            loading_of(table_of(resolved, "test")),
+            loading_section(table_of(resolved, "test")).loading(),
             model_of(table_of(resolved, "model")),
             known_height_mm(table_of(resolved, "specimen")),
         )
@@ -219,7 +219,7 @@ def model_of(resolved: Mapping[str, object]) -> Model:
     return section_of("model", Model, resolved)
 
 
-def loading_of(resolved: Mapping[str, object]) -> Test:
+def loading_section(resolved: Mapping[str, object]) -> TestSection:
     """Test of its resolved table; its displacement may still be open."""
     pressed = resolved.get("indenter")
     made = indenter_of(pressed) if isinstance(pressed, Mapping) and pressed else None
@@ -228,7 +228,7 @@ def loading_of(resolved: Mapping[str, object]) -> Test:
     heavy = resolved.get("gravity")
     gravity = section_of("test.gravity", Gravity, heavy) if isinstance(heavy, Mapping) else None
     table = {**resolved, "indenter": made, "motion": besides, "gravity": gravity}
-    return section_of("test", TestSection, table).loading()
+    return section_of("test", TestSection, table)
 
 
 def indenter_of(resolved: Mapping[str, object]) -> Indenter:
