@@ -514,7 +514,7 @@ def slack_end(moved: Array, f: Array) -> float | None:
 
     def squares(columns: list[Array]) -> tuple[float, Array]:
         basis = np.column_stack(columns)
-        constants = np.linalg.lstsq(basis, y, rcond=None)[0]
+        constants: Array = np.asarray(np.linalg.lstsq(basis, y, rcond=None)[0], dtype=np.float64)
         left = y - basis @ constants
         return float(left @ left), constants
 
