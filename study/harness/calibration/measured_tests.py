@@ -12,7 +12,7 @@ import numpy as np
 from study.ground.arrays import Array
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
-from study.harness.design.calibration_section import CalibratedTest, Role
+from study.harness.design.calibration_section import OFFSET, CalibratedTest, Role
 from study.harness.runner.fit_problem import FitProblem, fit_problem
 from study.harness.runner.problem_tables import gauge_of
 from study.harness.runner.staged_fit import FitPart
@@ -80,7 +80,10 @@ def read_tests(
 def _read(test: CalibratedTest, root: Path) -> Measurements:
     setup = test.setup
     depth, gauge = setup.test.displacement_mm, gauge_of(setup)
-    rows = read_measurements(test.measurements, root, setup.height_mm, depth, gauge, own_rows=True)
+    rows = read_measurements(
+        test.measurements, root, setup.height_mm, depth, gauge,
+        own_rows=True, fits_zero=OFFSET in test.nuisance,
+    )  # fmt: skip
     return conditioning.checked(rows, setup)
 
 

@@ -177,6 +177,8 @@ class Rules:
     displacement_zero: str | float | None = None
     #: Whether rows on both sides of zero belong to one test, and no range says which are meant.
     is_signed: bool = False
+    #: Whether a specimen that is not loaded at first is a fault: not where contact is fitted.
+    judges_slack: bool = False
     #: Which rows of a test that was also unloaded count.
     branch: Branch = field(default_factory=Branch)
 
@@ -371,7 +373,8 @@ def _check_begin(d: Array, f: Array, way: float, rules: Rules, where: str) -> No
     """Refuse rows whose zero is none of the specimen. Shapes: d, f (rows,), first loading."""
     if rules.displacement_zero is None and rules.direction == "auto" and rules.toe_N is None:
         _check_zero(d, f, way, rules, where)
-        _check_slack(d, f, way, rules, where)
+        if rules.judges_slack:
+            _check_slack(d, f, way, rules, where)
     if _is_through_zero(d, f, rules) and rules.zero != "none":
         rule = "the test runs through zero: neither its first row nor its first tenth is unloaded"
         mend = "subtract the reading of the unloaded load cell in the file, and leave zero out"
