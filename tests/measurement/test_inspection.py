@@ -97,6 +97,7 @@ RELAXED = np.r_[
 ]
 PRESSED = np.r_[0 * AWAY, force(UP, -1.0)] + NOISE[:141]
 BOTH = np.linspace(-6.0, 6.0, 61)
+SINE = 3 + 3 * np.sin(0.1 * np.arange(200))
 POINTS = "".join(f"{1e3 * d:,.0f};{1e3 * f:,.0f}\n" for d, f in zip(UP, force(UP), strict=True))
 QUOTED = "".join(f'"{d:.4f}","{f:.6f}"\n' for d, f in zip(UP, force(UP), strict=True))
 #: recordings that are laid out or run otherwise than a plain test: text and kind of test
@@ -149,6 +150,9 @@ UGLY: dict[str, tuple[bytes, str]] = {
     "a column of events that is empty but once": (
         ("d_mm,f_N,event\n0,0,TRIGGER\n" + written("", UP[1:], force(UP[1:])).replace("\n", ",\n"))
         .encode(), "tension"),
+    "bars between the cells": (written("d_mm|f_N\n", UP, force(UP), sep="|").encode(), "tension"),
+    "a sine that begins in its middle": (
+        written("d_mm,f_N\n", SINE, force(SINE)).encode(), "tension"),
     "slack of a twentieth of the travel": (
         written("d_mm,f_N\n", np.r_[0.0, 0.1, 0.2, UP + 0.33], np.r_[np.zeros(3), force(UP)])
         .encode(), "tension"),

@@ -33,6 +33,8 @@ from study.mechanics.measurement.phases import NO_FORCE, TURN, Phase, phases_of
 _BLOCK = 3
 #: rows whose middle force is that of the unloaded specimen
 _FIRST = 5
+#: a file shows a bar by itself
+_DELIMITERS = {**DELIMITERS, "bar": "|"}
 #: lines from which delimiter and decimal mark are found
 _LOOKED_AT = 3000
 #: dimension of every quantity that a column may hold
@@ -279,7 +281,7 @@ class _Block:
 
 
 def _split(line: str, delimiter: str) -> list[str]:
-    sign = DELIMITERS[delimiter]
+    sign = _DELIMITERS[delimiter]
     if sign is None:
         return line.split()
     if '"' in line:
@@ -296,9 +298,9 @@ def _trimmed(cells: list[str]) -> list[str]:
 def _block_of(lines: Sequence[str], source: str) -> _Block:
     """Rows of numbers under the delimiter and decimal mark that show the most of them."""
     best: tuple[tuple[int, float, int], str, str] | None = None
-    for delimiter in DELIMITERS:
+    for delimiter in _DELIMITERS:
         is_quoted = delimiter == "comma" and any('"' in line for line in lines[:_LOOKED_AT])
-        for decimal in (m for m in (".", ",") if is_quoted or m != DELIMITERS[delimiter]):
+        for decimal in (m for m in (".", ",") if is_quoted or m != _DELIMITERS[delimiter]):
             pairs = [_numbers_in(_split(line, delimiter), decimal) for line in lines[:_LOOKED_AT]]
             width, start = _width_and_start([n for n, _ in pairs])
             if not width:
@@ -313,7 +315,7 @@ def _block_of(lines: Sequence[str], source: str) -> _Block:
         raise InputError(Fault(source, rule, "is it a table of a recording?"))
     _, delimiter, decimal = best
     split = [_split(line, delimiter) for line in lines]
-    if DELIMITERS[delimiter] != "," and decimal == "." and _are_grouped(split):
+    if _DELIMITERS[delimiter] != "," and decimal == "." and _are_grouped(split):
         decimal = ","
     places = [_places_of_numbers(cells, decimal) for cells in split]
     counts = [len(at) for at in places]
@@ -594,7 +596,7 @@ def _layout(block: _Block, notes: list[str]) -> dict[str, object]:
         made["unit_row"] = True
     if block.decimal == ",":
         made["decimal"] = ","
-    if block.delimiter == "space" or DELIMITERS[block.delimiter] == block.decimal:
+    if block.delimiter == "space" or _DELIMITERS[block.delimiter] == block.decimal:
         made["delimiter"] = block.delimiter
     if block.comment:
         made["comment"] = block.comment
@@ -625,6 +627,9 @@ def _place(
         d, f = d[::-1], f[::-1]
     travel = float(np.ptp(d))
     far = int(np.argmax(np.abs(d - d[0])))
+    if min(d.max() - d[0], d[0] - d.min()) > _BOTH_WAYS * travel:
+        # it begins in the middle: loading goes where the force is larger
+        far = max(int(np.argmin(d)), int(np.argmax(d)), key=lambda k: abs(float(f[k])))
     # of the first rows the middle one: a single row may be a trigger
     falls, pushes = d[far] < d[0], float(f[far] - np.median(f[:_FIRST]))
     through = d.min() < rest - 2 * TURN * travel and d.max() > rest + 2 * TURN * travel
