@@ -19,8 +19,7 @@ from study.harness.runner.staged_fit import FitPart
 from study.mechanics.calibration.lack_of_fit import Repeated
 from study.mechanics.calibration.residual_function import LOSS_LIMIT, MeasuredCurve
 from study.mechanics.calibration.serial_correlation import row_noise
-from study.mechanics.measurement import conditioning
-from study.mechanics.measurement.measured_test import MeasuredTest, Measurements
+from study.mechanics.measurement.measured_test import MeasuredTest, Measurements, checked
 from study.mechanics.measurement.reading import read_measurements
 from study.mechanics.setup.calibration_table import Loss
 from study.mechanics.setup.setup import Tables
@@ -84,7 +83,7 @@ def _read(test: CalibratedTest, root: Path) -> Measurements:
         test.measurements, root, setup.height_mm, depth, gauge,
         own_rows=True, fits_zero=OFFSET in test.nuisance,
     )  # fmt: skip
-    return conditioning.checked(rows, setup)
+    return checked(rows, setup)
 
 
 def _weight(weight: float | str, measured: MeasuredTest, where: str) -> float | Array:
