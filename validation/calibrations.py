@@ -1,7 +1,7 @@
 """Rates of what a calibration says, on drawn data whose truth is known.
 
-``python -m validation.calibrations energies 200`` draws so many noisy tests of each of four rubbers
-(tension to stretch 2 and planar tension to 1.8, 30 rows each, 1 % noise) and prints how often
+``python -m validation.calibrations energies 200`` draws so many noisy tests of each of five rubbers
+(tension to stretch 2 and planar tension to 1.8, 30 rows each, 1 and 3 % noise) and prints how often
 ``study calibrate --energies`` recommends the energy behind them, holds it among those that cannot
 be told apart, or recommends another one.
 
@@ -20,6 +20,7 @@ import io
 import tempfile
 from collections import Counter
 from collections.abc import Callable
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -32,13 +33,16 @@ from study.mechanics.forward.finite_element import solve
 from study.mechanics.material.homogeneous import response
 from study.mechanics.material.material import Material
 
-#: energy, order and constants in MPa of four rubbers
+#: energy and constants in MPa of five rubbers
 TRUTHS = {
     "neo-hookean": ("neo-hookean", {"C10": 0.2}),
     "mooney-rivlin": ("mooney-rivlin", {"C10": 0.15, "C01": 0.06}),
-    "reduced-polynomial-2": ("reduced-polynomial", {"C10": 0.18, "C20": 0.02}),
+    "reduced-polynomial-3": ("reduced-polynomial", {"C10": 0.18, "C20": -0.01, "C30": 0.006}),
+    "ogden-1": ("ogden", {"mu1": 0.36, "alpha1": 3.2}),
     "gent": ("gent", {"mu": 0.35, "Jm": 12.0}),
 }
+#: standard deviation of the rows over the largest stress
+LEVELS = (0.01, 0.03)
 AREA, LENGTH = 20.0, 25.0
 RADIUS, HEIGHT, PRESSED = 10.0, 15.0, 3.0
 MESHES = (1.0, 1.5, 2.0)
@@ -81,7 +85,7 @@ def energies(draws: int) -> None:
         "planar": np.linspace(1.03, 1.8, 30),
     }
     modes = {"tension": "uniaxial", "planar": "planar"}
-    for label, (model, constants) in TRUTHS.items():
+    for level, (label, (model, constants)) in product(LEVELS, TRUTHS.items()):
         rng, counts = np.random.default_rng(2011), Counter[str]()
         material = Material(model, constants, incompressible=True)
         for _ in range(draws):
@@ -94,7 +98,7 @@ def energies(draws: int) -> None:
                 )
                 for kind, stretch in stretches.items():
                     stress = response(material, modes[kind], stretch).stress
-                    stress = stress + noise("white", stress, 0.01, rng)
+                    stress = stress + noise("white", stress, level, rng)
                     _rows(folder, f"{kind}.csv", "l,s", stretch, stress)
                     columns = 'stretch = "l", stress = "s"'
                     text += _test(kind, f"{kind}.csv", columns, 'stretch = "1", stress = "MPa"')
@@ -105,7 +109,7 @@ def energies(draws: int) -> None:
             if choice.best not in (label, None):
                 counts[f"{choice.best} recommended"] += 1
         shown = "; ".join(f"{what} {n}" for what, n in counts.most_common())
-        print(f"{label}: {draws} draws: {shown}", flush=True)
+        print(f"{label}, {100 * level:g} % noise: {draws} draws: {shown}", flush=True)
 
 
 def _cylinder(mesh: float) -> str:

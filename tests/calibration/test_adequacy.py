@@ -92,6 +92,7 @@ def test_a_row_five_times_too_large_is_named():
         assert found.verdict == "does not describe"
         assert [row.row for row in found.rows] == [place + 1]
         assert "soft-l1" in found.sentence
+        assert "e+" not in found.sentence
 
 
 def test_a_constant_at_its_bound_is_doubtful():

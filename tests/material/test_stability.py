@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from study.ground.errors import InputError
-from study.harness.runner.fit_summary import stability_over
+from study.harness.runner.fit_summary import judged_where_simulated, stability_over
 from study.mechanics.material.homogeneous import UNIAXIAL, response
 from study.mechanics.material.material import Material, is_constant
 from study.mechanics.material.polynomial import index_pair
@@ -118,6 +119,34 @@ def test_every_loading_is_judged_over_the_stretches_of_its_tests():
     assert judged.stable
     assert "equibiaxial loading from stretch 1 to 1.2" in judged.sentence
     assert "uniaxial loading from stretch 0.7 to" in judged.sentence
+
+
+def test_a_loss_of_ellipticity_is_said_too():
+    """Hencky's quadratic logarithm: Drucker holds, ellipticity ends at a ratio of stretches."""
+    hencky = Material("ogden", {"mu1": 1.0, "alpha1": 1e-3}, incompressible=True)
+    half = brentq(lambda d: d * np.tanh(d) - 1, 0.5, 2.0)
+    lost = np.exp(2 * half) ** (2 / 3)  # of stretches l and l^-1/2
+    for share, stable in ((0.98, True), (1.02, False)):
+        tension = (homogeneous("tension"), np.linspace(0, 10 * (share * lost - 1), 9))
+        judged = stability_over(hencky, [tension])
+        assert judged.stable == stable
+    end = float(judged.sentence.partition("not elliptic in uniaxial loading at stretch ")[2])
+    assert end == pytest.approx(lost, rel=0.01)
+
+
+@pytest.mark.parametrize(("depth", "stable"), [(3.0, True), (7.0, False)])
+def test_a_fit_is_judged_over_what_is_simulated_with_it(depth, stable):
+    """Stable to a third of the height, where its data end; simulated further."""
+    tables = {
+        "specimen": {"shape": "homogeneous", "area_mm2": 20.0, "height_mm": 10.0},
+        "test": {"kind": "compression"},
+        "material": {"model": "reduced-polynomial", "order": 2, "incompressible": True},
+    }
+    fit = {"values": {"C10": 1.0, "C20": -0.05}, "stable": True, "stability": "stable to 0.7"}
+    judged = judged_where_simulated(fit, tables, depth)
+    assert judged["stable"] == stable
+    sentence = "over its data: stable to 0.7; in the simulated test: unstable (Drucker)"
+    assert judged["stability"].startswith("stable to 0.7" if stable else sentence)
 
 
 def homogeneous(kind):

@@ -97,6 +97,7 @@ RELAXED = np.r_[
 ]
 PRESSED = np.r_[0 * AWAY, force(UP, -1.0)] + NOISE[:141]
 BOTH = np.linspace(-6.0, 6.0, 61)
+SINE = 3 + 3 * np.sin(0.1 * np.arange(200))
 POINTS = "".join(f"{1e3 * d:,.0f};{1e3 * f:,.0f}\n" for d, f in zip(UP, force(UP), strict=True))
 QUOTED = "".join(f'"{d:.4f}","{f:.6f}"\n' for d, f in zip(UP, force(UP), strict=True))
 #: recordings that are laid out or run otherwise than a plain test: text and kind of test
@@ -136,6 +137,25 @@ UGLY: dict[str, tuple[bytes, str]] = {
         written("displacement_mm,force_N\n", UP + 0.8, force(UP + 0.8)).encode(), "tension"),
     "the way back alone": (
         written("position_mm,force_N\n", 20 + UP[::-1], force(UP)[::-1]).encode(), "tension"),
+    "thousandths of an inch and gram-force": (
+        written("Extension (mil),Load (gf)\n", UP / 0.0254, force(UP) / 9.80665e-3).encode(),
+        "tension"),
+    "units in words": (
+        written("displacement microns,force mN\n", 1e3 * UP, 1e3 * force(UP)).encode(), "tension"),
+    "names of one letter and units in the plural": (
+        written("pos,F\nMillimeters,Newtons\n", UP, force(UP)).encode(), "tension"),
+    "two specimens side by side": (
+        written("A,,B,\nd (mm),F (N),d (mm),F (N)\n", UP, force(UP), UP, 1.1 * force(UP)).encode(),
+        "tension"),
+    "a column of events that is empty but once": (
+        ("d_mm,f_N,event\n0,0,TRIGGER\n" + written("", UP[1:], force(UP[1:])).replace("\n", ",\n"))
+        .encode(), "tension"),
+    "bars between the cells": (written("d_mm|f_N\n", UP, force(UP), sep="|").encode(), "tension"),
+    "a sine that begins in its middle": (
+        written("d_mm,f_N\n", SINE, force(SINE)).encode(), "tension"),
+    "slack of a twentieth of the travel": (
+        written("d_mm,f_N\n", np.r_[0.0, 0.1, 0.2, UP + 0.33], np.r_[np.zeros(3), force(UP)])
+        .encode(), "tension"),
 }  # fmt: skip
 
 
@@ -172,6 +192,31 @@ def test_a_unit_that_is_open_is_left_to_the_user(tmp_path, content, rule):
     assert table in printed.stdout
     with pytest.raises(InputError, match="is missing|has no unit|V"):
         calibrated(tmp_path, content.encode(), "tension")
+
+
+@pytest.mark.parametrize(
+    ("rows", "rule"),
+    [
+        (written("", UP, np.minimum(force(UP), 2.8)), "the load cell was at its limit.*range = "),
+        (written("", np.r_[0, UP + 0.4], np.r_[0, force(UP)]), "displacement_zero = "),
+        (written("", UP, force(UP)) + "Maximum,6.0,5.0\n", "a.csv:43: has 3 cells"),
+    ],
+    ids=["saturated", "slack", "line of results"],
+)
+def test_what_no_reading_mends_is_refused_with_what_to_write(tmp_path, rows, rule):
+    (tmp_path / "a.csv").write_text("d_mm,f_N\n" + rows)
+    table = inspect(tmp_path / "a.csv").toml.replace('displacement_zero = "contact"', "")
+    (tmp_path / "c.toml").write_text(calibration(table, "tension"))
+    with pytest.raises(InputError, match=f"(?s){rule}"):
+        study.calibrate(tmp_path / "c.toml", data=tmp_path)
+
+
+def test_lines_that_are_no_rows_are_named_and_a_single_row_turns_no_sign(tmp_path):
+    text = written("d_mm,f_N\n0,10\n", UP[1:], force(UP[1:])) + "\nMaximum,6.0,5.0\nEnd of test\n"
+    (tmp_path / "a.csv").write_text(text)
+    found = inspect(tmp_path / "a.csv")
+    assert any("are no rows: 44, 45: delete them" in note for note in found.notes)
+    assert (found.rows, "sign" in found.measurements) == (41, False)
 
 
 def test_both_directions_of_a_biaxial_test_are_known(tmp_path):

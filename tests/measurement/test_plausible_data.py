@@ -10,15 +10,18 @@ import pytest
 from study.ground.errors import InputError
 from study.mechanics.measurement.conditioning import (
     OFFSET,
-    SOFT_MPA,
     UNLOADED,
     Rules,
-    apparent_modulus,
-    checked,
     condition,
     is_caution,
 )
-from study.mechanics.measurement.measured_test import Measurements, SingleTest
+from study.mechanics.measurement.measured_test import (
+    SOFT_MPA,
+    Measurements,
+    SingleTest,
+    apparent_modulus,
+    checked,
+)
 from study.mechanics.measurement.phases import phases_of
 from study.mechanics.setup.setup import Setup
 

@@ -9,6 +9,7 @@ import pytest
 
 from study.ground.errors import InputError
 from study.harness.design.overlay import may_vary
+from study.mechanics.measurement.conditioning import slack_end
 from study.mechanics.measurement.measurement_section import MeasurementSpec, Range
 from study.mechanics.measurement.reading import read_measurements
 from study.mechanics.measurement.recording import Gauge
@@ -78,6 +79,32 @@ def test_an_approach_of_any_length_is_set_aside_and_counted(tmp_path, approach, 
     write(tmp_path, place + 80.0, turn * force)
     value, rows = stiffness(tmp_path, sign=sign, displacement_zero="contact")
     assert (value, rows) == (pytest.approx(STIFFNESS, rel=1e-6), 25)
+
+
+#: force over the largest one at a share of the travel; whether it rises at once
+LAWS = {
+    "rubber in tension": (lambda x: x + 1 - (1 + x) ** -2.0, True),
+    "rubber in compression": (lambda x: (1 - 0.3 * x) ** -2.0 - 1 + 0.3 * x, True),
+    "tissue that stiffens": (lambda x: np.expm1(5 * x), False),
+    "a sphere on a half-space": (lambda x: x**1.5, False),
+    "a cone on a half-space": (lambda x: x**2.0, False),
+}
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_slack_is_told_from_a_law_that_is_soft_at_first(law):
+    """Noise of .2 % among 120 rows, 40 draws: no sound test is called slack; 6 % is found."""
+    curve, at_once = LAWS[law]
+    rng, x = np.random.default_rng(8), np.linspace(0.0, 1.0, 120)
+    ends = {}
+    for slack in (0.0, 0.06):
+        force = curve(np.maximum(x - slack, 0.0) / (1 - slack)) / curve(1.0)
+        draws = [slack_end(x, force + 0.002 * rng.normal(size=x.size)) for _ in range(40)]
+        ends[slack] = [end for end in draws if end is not None]
+    assert not ends[0.0]
+    if at_once:
+        assert len(ends[0.06]) == 40
+        assert ends[0.06] == pytest.approx([0.06] * 40, abs=0.01)
 
 
 def test_contact_needs_an_approach(tmp_path):

@@ -1,5 +1,6 @@
 """Energies with exponents: the right minimum is found on either side of zero, or named as open."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -112,3 +113,61 @@ def test_minima_that_cannot_be_told_apart_are_named(tmp_path: Path) -> None:
     assert len(found.minima) == 2
     assert not found.fit.identifiable
     assert "another minimum describes the rows as well: mu1" in found.fit.reason
+
+
+STUDY = """
+schema = 1
+[study]
+name = "signs"
+question = "Does the energy matter?"
+[specimen]
+shape = "cylinder"
+radius = "25 mm"
+height = "30 mm"
+[test]
+kind = "compression"
+interface = "bonded"
+displacement = "9 mm"
+steps = 8
+[model]
+mesh_size = "7 mm"
+[material]
+poisson_ratio = 0.4995
+[presets.material.neo-hookean]
+model = "neo-hookean"
+[presets.material.ogden]
+model = "ogden"
+order = 1
+[measurements]
+file = "data.csv"
+columns = { displacement = "d", force = "f" }
+units = { displacement = "mm", force = "N" }
+points = 30
+[calibration]
+method = "inverse-fem"
+[factors]
+material = ["neo-hookean", "ogden"]
+[[response]]
+name = "relative_rms_force_error"
+practical = "0.5 pp"
+[report]
+format = ["csv"]
+"""
+
+
+def test_a_study_looks_at_both_signs_too(tmp_path: Path) -> None:
+    d, force = true_curve(tmp_path, "bonded", 14.0, -6.0)
+    rng = np.random.default_rng(5)
+    noisy = force + 0.01 * force.max() * rng.normal(size=d.size)
+    rows = "\n".join(f"{a:.17g},{b:.17g}" for a, b in zip(d, noisy, strict=True))
+    (tmp_path / "data.csv").write_text(f"d,f\n{rows}\n", encoding="utf-8")
+    path = tmp_path / "signs.toml"
+    path.write_text(STUDY, encoding="utf-8")
+    study.run(path, results=tmp_path / "results", jobs=1)
+    paths = tmp_path.glob("results/*/fits/*.json")
+    fits = [json.loads(path.read_text("utf-8"))["content"] for path in paths]
+    ogden = [one["values"] for one in fits if "alpha1" in one["values"]]
+    assert ogden
+    for values in ogden:
+        assert values["alpha1"] == pytest.approx(-6.0, rel=0.1)
+        assert 1e3 * values["mu1"] == pytest.approx(14.0, rel=0.1)

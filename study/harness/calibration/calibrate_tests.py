@@ -28,15 +28,7 @@ from study.harness.calibration.measured_tests import (
 )
 from study.harness.calibration.nuisance import predicted, with_nuisance
 from study.harness.calibration.optimal_tests import next_tests
-from study.harness.calibration.resampling import (
-    Starts,
-    best,
-    bootstrap,
-    excluded,
-    looked_for,
-    rivals,
-    scattered,
-)
+from study.harness.calibration.resampling import Starts, bootstrap, excluded, scattered
 from study.harness.design.calibration_section import CalibratedTest, CalibrationDesign
 from study.harness.runner import fit_task
 from study.harness.runner.fit_problem import FitProblem, fitted_test, start_problem
@@ -52,6 +44,8 @@ from study.harness.runner.staged_fit import (
     begun_stage,
     cheaper,
     gentler,
+    least_minimum,
+    named_open,
     staged_fit,
 )
 from study.mechanics.calibration.fit_influence import population, with_serial_correlation
@@ -63,7 +57,6 @@ from study.mechanics.calibration.lack_of_fit import (
     pattern,
     same_constants,
 )
-from study.mechanics.calibration.levenberg_marquardt import Status
 from study.mechanics.calibration.residual_function import EvaluationFailed
 from study.mechanics.material.material import Material, is_dimensionless
 from study.mechanics.material.stability import check
@@ -162,46 +155,19 @@ def from_all_starts(
     """
     count, seed = setting.config.asked.starts, setting.config.asked.seed
     rng, parts = np.random.default_rng(seed), parts_of(setting.tests, in_order(curves))
-    energy, quiet = setting.config.material.model, replace(setting, progress=None)
-    drawn = [
-        scattered(energy, setting.names, setting.start, parts, setting.bounds, rng)
-        for _ in range(count - 1)
-    ]
-    tried = [first, *(replace(quiet, start=start).fitted(curves) for start in drawn)]
-    looks = looked_for(energy, setting.names, setting.start, parts, setting.bounds)
-    candidates = list(tried)
-    for start in looks:
-        if not setting.limits.is_late:
-            candidates.append(_from_look(quiet, start, curves, first))
-    chosen = best(candidates)
-    evaluations = sum(candidate.evaluations for candidate in candidates if candidate is not chosen)
+    search = StagedSearch(
+        setting.names, fit_task.fitted_model, setting.bounds,
+        checkpoint=Checkpoint(limits=setting.limits),
+    )  # fmt: skip
+
+    def fit_from(start: Array) -> Staged:
+        return replace(setting, progress=None, start=start).fitted(curves)
+
+    drawn = [scattered(search, setting.start, parts, rng) for _ in range(count - 1)]
+    tried = [first, *map(fit_from, drawn)]
+    chosen, others = least_minimum(tried, parts, setting.start, search, fit_from)
     rss = tuple(start.fit.rss if start.fit.converged else None for start in tried)
-    others = rivals(chosen, [candidate for candidate in candidates if candidate is not chosen])
-    chosen = replace(chosen, fruitless=chosen.fruitless + evaluations)
     return chosen, Starts(seed, rss) if count > 1 else None, others
-
-
-#: sum of squares of a start on a cheaper mesh over that of the fit, from which it ends there
-_HOPELESS_START = 2.0
-
-
-def _from_look(setting: Setting, start: Array, curves: Sequence[FitCurve], first: Staged) -> Staged:
-    """Fit from one look; on the cheaper mesh alone where that tells it from the fit."""
-    parts = parts_of(setting.tests, in_order(curves))
-    cheap = [cheaper(part) for part in parts]
-    if first.rough is not None and first.rough.status.usable:
-        start_parts = [other or part for other, part in zip(cheap, parts, strict=True)]
-        starts = gentler(setting.names, start, setting.bounds)
-        search = StagedSearch(
-            setting.names, fit_task.fitted_model, setting.bounds, None,
-            Checkpoint(limits=setting.limits)
-        )  # fmt: skip
-        rough = begun_stage("look", start_parts, starts, search)
-        if not rough.fit.converged or rough.fit.rss > _HOPELESS_START * first.rough.rss:
-            aside = replace(rough.fit, status=Status.stopped)
-            return replace(rough, fit=aside)
-        start = rough.fit.values
-    return replace(setting, start=start).fitted(curves)
 
 
 def _start(
@@ -273,8 +239,7 @@ def calibrate(
     specimens = tuple(_partial(setting, label, group) for label, group in by_specimen.items())
     cross = tuple(_partial(setting, label, group) for label, group in left)
     result = _result(setting, curves, done)
-    if others:
-        result = replace(result, fit=_open(fit, others))
+    result = replace(result, fit=named_open(fit, others))
     parts = parts_of(setting.tests, in_order(curves))
     numerical = estimated_bound(fit, parts, done.models) if fit.converged else None
     if numerical is not None:
@@ -301,20 +266,6 @@ def calibrate(
     )
     checkpoint.clear()
     return result
-
-
-def _open(fit: Fit, others: Sequence[Staged]) -> Fit:
-    """Fit that names its rivals: constants that describe the rows as well are not told apart."""
-    rivals_text = "; ".join(
-        ", ".join(
-            f"{name} {value:.4g}" if is_dimensionless(name) else f"{name} {1e3 * value:.4g} kPa"
-            for name, value in rival.fit.constants().items()
-        )
-        for rival in others
-    )
-    why = f"another minimum describes the rows as well: {rivals_text}"
-    reason = f"{why}; {fit.reason}" if fit.reason else why
-    return replace(fit, identifiable=False, reason=reason)
 
 
 def _checkpoint(

@@ -12,15 +12,14 @@ import numpy as np
 from study.ground.arrays import Array
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError
-from study.harness.design.calibration_section import CalibratedTest, Role
+from study.harness.design.calibration_section import OFFSET, CalibratedTest, Role
 from study.harness.runner.fit_problem import fitted_test
 from study.harness.runner.job import gauge_of
 from study.harness.runner.staged_fit import FitPart
 from study.mechanics.calibration.lack_of_fit import Repeated
 from study.mechanics.calibration.residual_function import LOSS_LIMIT, MeasuredCurve
 from study.mechanics.calibration.serial_correlation import row_noise
-from study.mechanics.measurement import conditioning
-from study.mechanics.measurement.measured_test import MeasuredTest, Measurements
+from study.mechanics.measurement.measured_test import MeasuredTest, Measurements, checked
 from study.mechanics.measurement.reading import read_measurements
 from study.mechanics.setup.calibration_table import Loss
 
@@ -79,8 +78,11 @@ def read_tests(
 def _read(test: CalibratedTest, root: Path) -> Measurements:
     setup = test.setup
     depth, gauge = setup.test.displacement_mm, gauge_of(setup)
-    rows = read_measurements(test.measurements, root, setup.height_mm, depth, gauge, own_rows=True)
-    return conditioning.checked(rows, setup)
+    rows = read_measurements(
+        test.measurements, root, setup.height_mm, depth, gauge,
+        own_rows=True, fits_zero=OFFSET in test.nuisance,
+    )  # fmt: skip
+    return checked(rows, setup)
 
 
 def _weight(weight: float | str, measured: MeasuredTest, where: str) -> float | Array:

@@ -16,14 +16,13 @@ from study.ground.errors import Fault, InputError, RefusedError
 from study.harness.calibration.calibrate_tests import calibrate
 from study.harness.calibration.calibration_result import CalibrationResult, parameters
 from study.harness.calibration.measured_tests import in_order, parts_of, read_tests
-from study.harness.calibration.resampling import OPEN
 from study.harness.design.calibration_section import CalibrationDesign
 from study.harness.record.record import plain
 from study.harness.runner import fit_task
 from study.harness.runner.fit_problem import fitted_test
 from study.harness.runner.fit_task import fitted_model
 from study.harness.runner.response import ConstantResponse, scale_of
-from study.harness.runner.staged_fit import Progress
+from study.harness.runner.staged_fit import OPEN, Progress
 from study.mechanics.calibration.fit import Fit, fit
 from study.mechanics.calibration.fit_influence import with_serial_correlation
 from study.mechanics.calibration.lack_of_fit import (

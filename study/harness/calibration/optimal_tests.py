@@ -261,8 +261,8 @@ class _TestSearch:
             strain = min(largest, self.conditions.strain)
             if not strain > 0:
                 continue
-            added = self._added(kind, strain)
-            if added is None:
+            (added,) = self._added(kind, np.array([strain]))
+            if not np.isfinite(added).all():
                 continue
             after = _covariance(self.known + added)
             left = self._left(after)
@@ -290,22 +290,24 @@ class _TestSearch:
 
     def _needed(self, kind: str, largest: float) -> float | None:
         """Smallest strain from which every constant is known, to the width of the search."""
-        for strain in largest * np.geomspace(0.005, 1.0, _STRAINS):
-            added = self._added(kind, float(strain))
-            if added is None:
+        strains = largest * np.geomspace(0.005, 1.0, _STRAINS)
+        for strain, added in zip(strains, self._added(kind, strains), strict=True):
+            if not np.isfinite(added).all():
                 return None
             error = np.sqrt(np.diag(_covariance(self.known + added)))
             if np.all(error <= KNOWN * np.abs(self.values)):
                 return float(strain)
         return None
 
-    def _added(self, kind: str, strain: float) -> Array | None:
-        """Information matrix of a test, 1 / MPa^2; None where the material has no answer."""
+    def _added(self, kind: str, strains: Array) -> Array:
+        """Information matrices of tests to some strains, 1 / MPa^2; NaN where there is no answer.
+
+        Shapes: strains (k,); returns (k, p, p).
+        """
         at = self.conditions
-        slopes = _slopes(self.material, kind, strain * np.arange(1, at.rows + 1) / at.rows, at)
-        if not np.isfinite(slopes).all():
-            return None
-        return np.asarray(at.worth / at.noise_N**2 * slopes.T @ slopes)
+        rows = np.outer(strains, np.arange(1, at.rows + 1) / at.rows)
+        slopes = _slopes(self.material, kind, rows.ravel(), at).reshape(*rows.shape, -1)
+        return np.asarray(at.worth / at.noise_N**2 * slopes.transpose(0, 2, 1) @ slopes)
 
 
 def _slopes(material: Material, kind: str, strain: Array, at: _Conditions) -> Array:

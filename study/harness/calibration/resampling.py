@@ -22,11 +22,14 @@ from study.harness.design.calibration_section import CalibratedTest, Calibration
 from study.harness.runner import fit_task
 from study.harness.runner.fit_task import Residuals, resampled, residuals_of
 from study.harness.runner.response import in_shown_units
-from study.harness.runner.staged_fit import FitPart, Staged, StagedSearch, single_stage
-from study.mechanics.calibration.fit import residual_function
-from study.mechanics.calibration.residual_function import EvaluationFailed
-from study.mechanics.material.energy import Energy
-from study.mechanics.material.material import ENERGIES
+from study.harness.runner.staged_fit import (
+    FitPart,
+    StagedSearch,
+    energy_of,
+    single_stage,
+    with_moduli,
+    within,
+)
 from study.mechanics.material.relaxation import is_of_relaxation
 
 if TYPE_CHECKING:
@@ -168,24 +171,6 @@ def _of_specimens(
 
 #: sums of squares that differ by less are the same minimum
 SAME_MINIMUM = 1e-3
-#: relative difference of constants from which two minima are two
-_APART = 0.02
-#: difference of AICc up to which two minima cannot be told apart (Burnham and Anderson 2002, 2.6)
-OPEN = 6.0
-
-
-def rivals(chosen: Staged, others: Sequence[Staged]) -> tuple[Staged, ...]:
-    """Other minima that the rows cannot tell from the one chosen, the best first."""
-    out: list[Staged] = []
-    for candidate in sorted(others, key=lambda staged: staged.fit.rss):
-        apart = all(_differ(candidate.fit.values, other.fit.values) for other in (chosen, *out))
-        if candidate.fit.converged and apart and candidate.fit.aicc - chosen.fit.aicc < OPEN:
-            out.append(candidate)
-    return tuple(out)
-
-
-def _differ(first: Array, other: Array) -> bool:
-    return bool(np.any(np.abs(first - other) > _APART * np.maximum(np.abs(first), np.abs(other))))
 
 
 @dataclass(frozen=True)
@@ -216,114 +201,17 @@ class Starts:
 
 
 def scattered(
-    name: str,
-    names: Sequence[str],
-    start: Array,
-    parts: Sequence[FitPart],
-    bounds: Sequence[tuple[float, float]] | None,
-    rng: np.random.Generator,
+    search: StagedSearch, start: Array, parts: Sequence[FitPart], rng: np.random.Generator
 ) -> Array:
     """Draw a start. Shapes: start (p,), MPa; returns (p,)."""
-    energy = ENERGIES[name]
-    constants = dict(zip(names, start.tolist(), strict=True))
-    drawn = energy.scattered({n: v for n, v in constants.items() if not is_of_relaxation(n)}, rng)
-    values = _inside(np.array([{**constants, **drawn}[n] for n in names]), bounds)
+    constants = dict(zip(search.names, start.tolist(), strict=True))
+    elastic = {n: v for n, v in constants.items() if not is_of_relaxation(n)}
+    drawn = energy_of(parts).scattered(elastic, rng)
+    values = within(np.array([{**constants, **drawn}[n] for n in search.names]), search.bounds)
     closed = [part for part in parts if part.method == "closed-form"]
     if not closed:
         return values
-    return _inside(_with_moduli(energy, names, values, closed)[0], bounds)
-
-
-#: looks that are fitted at most of one exponent
-_LOOKED = 6
-#: the same of several, each with other signs
-_LOOKED_OF_SEVERAL = 3
-
-
-def looked_for(
-    name: str,
-    names: Sequence[str],
-    start: Array,
-    parts: Sequence[FitPart],
-    bounds: Sequence[tuple[float, float]] | None,
-) -> list[Array]:
-    """List starts on every side of zero of the exponents, the best of each, by cheap looks.
-
-    A look is a linear fit of the moduli beside given exponents, in closed form; a specimen that
-    sticks to its plates is taken at equal strain, which leaves exponents near enough to begin with.
-    """
-    energy, first = ENERGIES[name], dict(zip(names, start.tolist(), strict=True))
-    plain = {n for n in names if energy.is_dimensionless(n) and not is_of_relaxation(n)}
-    looks = [look for look in energy.looks(names) if set(look) == plain] if plain else []
-    free = [made for part in parts if (made := _at_equal_strain(part)) is not None]
-    seen: list[tuple[float, Array]] = []
-    for look in looks:
-        values, squares = (_inside(np.array([{**first, **look}[n] for n in names]), bounds), np.inf)
-        if free:
-            values, squares = _with_moduli(energy, names, values, free)
-        seen.append((squares, _inside(values, bounds)))
-    if len(plain) == 1 and free:  # every dip of the sum of squares along the exponent
-        sums = [np.inf, *(squares for squares, _ in seen), np.inf]
-        seen = [look for k, look in enumerate(seen) if look[0] <= min(sums[k], sums[k + 2])]
-        return [values for _, values in sorted(seen, key=lambda pair: pair[0])[:_LOOKED]]
-    places = [k for k, name in enumerate(names) if name in plain]
-    best_of: dict[tuple[bool, ...], Array] = {}
-    for _, values in sorted(seen, key=lambda pair: pair[0]):
-        best_of.setdefault(tuple(sorted(values[places] > 0)), values)
-    return list(best_of.values())[:_LOOKED_OF_SEVERAL]
-
-
-def _at_equal_strain(part: FitPart) -> FitPart | None:
-    """Part in closed form, as if its faces did not stick; None where it has no closed form."""
-    if part.method == "closed-form":
-        return part
-    setup = part.problem.setup
-    if part.method != "inverse-fem" or setup.height_mm is None or not setup.kind.compresses:
-        return None
-    problem = part.problem.loaded(interface="frictionless", base="frictionless")
-    if not problem.is_homogeneous:
-        return None
-    return replace(part, method="closed-form", problem=problem)
-
-
-def best(staged: Sequence[Staged]) -> Staged:
-    """Fit with the least sum of squares among those that converged, else the first."""
-    usable = [candidate for candidate in staged if candidate.fit.converged]
-    return min(usable, key=lambda candidate: candidate.fit.rss) if usable else staged[0]
-
-
-def _inside(values: Array, bounds: Sequence[tuple[float, float]] | None) -> Array:
-    if bounds is None:
-        return values
-    return np.asarray(np.clip(values, *np.array(bounds, float).T))
-
-
-def _with_moduli(
-    energy: Energy, names: Sequence[str], values: Array, parts: Sequence[FitPart]
-) -> tuple[Array, float]:
-    """Moduli that fit best beside these plain numbers, and their sum of squares.
-
-    Where the model has no answer, or resists nothing, they are unchanged and the sum is infinite.
-    """
-    moduli = [k for k, n in enumerate(names)
-              if not (energy.is_dimensionless(n) or is_of_relaxation(n))]  # fmt: skip
-    models = fit_task.models_of(parts, names)
-    measured = [m for part in parts for m in part.measured]
-    residual = residual_function(
-        lambda x: [curve for model in models for curve in model(x)], measured, names
-    )
-    try:
-        r, jacobian = residual(values)
-    except EvaluationFailed:
-        return values, np.inf
-    step, *_ = np.linalg.lstsq(jacobian[:, moduli], -r, rcond=None)
-    left = r + jacobian[:, moduli] @ step
-    moved = values.copy()
-    moved[moduli] += step
-    # a modulus of a single term must stay positive, or nothing resists
-    if len(moduli) > 1 or (moved[moduli] > 0).all():
-        return moved, float(left @ left)
-    return values, np.inf
+    return within(with_moduli(search, values, closed)[0], search.bounds)
 
 
 def excluded(name: str, value: float, bounds: tuple[float, float]) -> Fault:

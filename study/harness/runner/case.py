@@ -37,8 +37,9 @@ from study.harness.runner.fit_summary import (
     PredictedCurve,
     answer_of_parameters,
     external_curve,
+    judged_where_simulated,
 )
-from study.harness.runner.job import CaseTask, ScorePair
+from study.harness.runner.job import CONSTANTS, CaseTask, ScorePair
 from study.mechanics.forward import closed_form
 from study.mechanics.forward.finite_element import Anchors, load_compiled, solve
 from study.mechanics.measurement.marker_states import MarkerStates, read_markers
@@ -578,7 +579,10 @@ def _fits(task: CaseTask) -> dict[str, FitDocument] | None:
         if name in described and described[name]["key"] != key:
             # with one specimen left out, both directions fit "all but" it, to other curves
             name = f"{name}, to score {direction.label}"
-        described[name] = {**fit.fit, "key": key}
+        document, cell = fit.fit, task.job.case.cell
+        if direction.role != CONSTANTS and isinstance(cell, CellProblem):
+            document = judged_where_simulated(document, cell, direction.depth_mm)
+        described[name] = {**document, "key": key}
     return described or None
 
 

@@ -28,7 +28,7 @@ from study.mechanics.calibration.levenberg_marquardt import Status
 from study.mechanics.calibration.residual_function import EvaluationFailed
 from study.mechanics.material.homogeneous import MODES, sheared_stretches
 from study.mechanics.material.material import Material
-from study.mechanics.material.stability import StabilityResult, stability
+from study.mechanics.material.stability import StabilityResult, ellipticity_end, stability
 from study.mechanics.setup.setup import Setup
 
 if TYPE_CHECKING:
@@ -227,10 +227,26 @@ def _stability(
     }
 
 
+def judged_where_simulated(fit: FitDocument, problem: CellProblem, depth_mm: float) -> FitDocument:
+    """Fit that is unstable, or not elliptic, in the test that is simulated, though not in its data.
+
+    A prediction beyond the stretches of the data is one beyond what they say of the material.
+    """
+    if not fit.get("stable", False):
+        return fit
+    material = problem.material.material(fit["values"])
+    judged = stability_over(material, [(problem.setup, np.array([depth_mm]))])
+    if judged.stable:
+        return fit
+    beyond = f"over its data: {fit['stability']}; in the simulated test: {judged.sentence}"
+    return {**fit, "stable": False, "stability": beyond}
+
+
 def stability_over(material: Material, tests: Sequence[tuple[Setup, Array]]) -> StabilityResult:
     """Drucker's criterion over the stretches of tests, each in its loading, and in the others.
 
-    A loading that no test holds is judged over the stretches of all of them.
+    A loading that no test holds is judged over the stretches of all of them. Ellipticity is judged
+    in the loadings that they hold.
     """
     held: dict[str, tuple[float, float]] = {}
     for setup, places in tests:
@@ -247,7 +263,16 @@ def stability_over(material: Material, tests: Sequence[tuple[Setup, Array]]) -> 
         held[mode] = (min(low, before[0]), max(high, before[1]))
     if not held:
         return stability(material)
-    return stability(material, np.array(list(held.values())), held)
+    judged = stability(material, np.array(list(held.values())), held)
+    lost = [
+        f"in {name} loading at stretch {end:.4g}"
+        for name, ends in held.items()
+        if (end := ellipticity_end(material, MODES[name], *ends)) is not None
+    ]
+    if not lost:
+        return judged
+    sentence = f"{judged.sentence}; not elliptic {', '.join(lost)}"
+    return replace(judged, stable=False, sentence=sentence)
 
 
 def _finite(value: float) -> float | None:

@@ -33,6 +33,8 @@ from study.harness.runner.staged_fit import (
     Predict,
     StagedSearch,
     is_proportional,
+    least_minimum,
+    named_open,
     single_stage,
     staged_fit,
 )
@@ -83,9 +85,13 @@ def fitted(task: FitTask) -> FitResult:
     names, first = start_values(
         parts[0].problem, task.measured, None if start is None else start.constants
     )
-    done = staged_fit(parts, names, first, fitted_model)
+    done, rivals = least_minimum(
+        [staged_fit(parts, names, first, fitted_model)],
+        parts, first, StagedSearch(names, fitted_model),
+        lambda values: staged_fit(parts, names, values, fitted_model),
+    )  # fmt: skip
     fitted_curves = [curve for part in parts for curve in part.measured]
-    fit = with_serial_correlation(done.fit, fitted_curves)
+    fit = named_open(with_serial_correlation(done.fit, fitted_curves), rivals)
     several = len(parts) > 1
     facts = described(fit, parts[0].problem, task.measured[:1] if several else task.measured)
     if fit.status.usable:

@@ -21,9 +21,8 @@ from study.harness.runner.provenance import versions
 from study.harness.runner.response import Scored
 from study.mechanics.forward.closed_form import height_and_area
 from study.mechanics.forward.finite_element import Anchor
-from study.mechanics.measurement import conditioning
 from study.mechanics.measurement.conditioning import is_caution
-from study.mechanics.measurement.measured_test import Measurements
+from study.mechanics.measurement.measured_test import Measurements, checked
 from study.mechanics.measurement.measurement_section import MeasurementSpec
 from study.mechanics.measurement.reading import read_measurements
 from study.mechanics.measurement.recording import Gauge, Recordings, read_recordings
@@ -120,7 +119,7 @@ class DataCache:
             if key not in self._read:
                 rows = self._recordings(spec)
                 measurements = read_measurements(spec, self.root, height, depth, gauge, rows)
-                self._read[key] = conditioning.checked(measurements, setup)
+                self._read[key] = checked(measurements, setup)
             self._asked[id(problem)] = problem, self._read[key]
         return self._asked[id(problem)][1]
 

@@ -26,10 +26,10 @@ from study.ground.curve import Curve
 from study.ground.errors import StoreError
 from study.harness.design.cell import CellProblem
 from study.harness.record.atomic_files import write_atomic
-from study.mechanics.calibration.fit import fit
+from study.mechanics.calibration.fit import fit, residual_function
 from study.mechanics.calibration.levenberg_marquardt import Iteration, Status
 from study.mechanics.calibration.residual_function import EvaluationFailed
-from study.mechanics.material.material import ENERGIES, constant_names
+from study.mechanics.material.material import ENERGIES, constant_names, is_dimensionless
 from study.mechanics.material.relaxation import is_of_relaxation
 from study.mechanics.setup.material_section import MaterialSection
 from study.mechanics.setup.setup import MESH_LEVELS, Setup
@@ -37,6 +37,7 @@ from study.mechanics.setup.setup import MESH_LEVELS, Setup
 if TYPE_CHECKING:
     from study.mechanics.calibration.fit import Fit
     from study.mechanics.calibration.residual_function import MeasuredCurve
+    from study.mechanics.material.energy import Energy
 
 
 # Starts of a fit, the wanted one first, then gentler ones for where the model has no answer.
@@ -482,3 +483,181 @@ class StagedSearch:
     bounds: Sequence[tuple[float, float]] | None = None
     progress: Progress | None = None
     checkpoint: Checkpoint = field(default_factory=Checkpoint)
+
+
+# Energies with exponents have minima on both sides of zero: a fit begins on each, unasked.
+
+#: looks that are fitted at most of one exponent
+_LOOKED = 6
+#: the same of several, each with other signs
+_LOOKED_OF_SEVERAL = 3
+#: looks that are simulated at most, where no test has a closed form
+_SIMULATED = 10
+#: sum of squares of a start on a cheaper mesh over that of the fit, from which it ends there
+_HOPELESS_START = 2.0
+#: relative difference of constants from which two minima are two
+_APART = 0.02
+#: difference of AICc up to which two minima cannot be told apart (Burnham and Anderson 2002, 2.6)
+OPEN = 6.0
+
+
+def least_minimum(
+    tried: Sequence[Staged],
+    parts: Sequence[FitPart],
+    start: Array,
+    search: StagedSearch,
+    fit_from: Callable[[Array], Staged],
+) -> tuple[Staged, tuple[Staged, ...]]:
+    """Fit from cheap looks too; the least sum of squares, and minima that cannot be told from it.
+
+    ``tried`` are the fits so far, that from ``start`` (p,), MPa, first; ``fit_from`` fits from
+    another start.
+    """
+    candidates = list(tried)
+    for look in _looked_for(parts, start, search):
+        if not search.checkpoint.limits.is_late:
+            candidates.append(_from_look(parts, look, search, tried[0], fit_from))
+    usable = [candidate for candidate in candidates if candidate.fit.converged]
+    chosen = min(usable, key=lambda candidate: candidate.fit.rss) if usable else candidates[0]
+    others = [candidate for candidate in candidates if candidate is not chosen]
+    fruitless = chosen.fruitless + sum(candidate.evaluations for candidate in others)
+    rivals: list[Staged] = []
+    for candidate in sorted(others, key=lambda staged: staged.fit.rss):
+        apart = all(_differ(candidate.fit.values, other.fit.values) for other in (chosen, *rivals))
+        if candidate.fit.converged and apart and candidate.fit.aicc - chosen.fit.aicc < OPEN:
+            rivals.append(candidate)
+    return replace(chosen, fruitless=fruitless), tuple(rivals)
+
+
+def named_open(fitted: Fit, rivals: Sequence[Staged]) -> Fit:
+    """Fit that names its rivals: constants that describe the rows as well are not told apart."""
+    if not rivals:
+        return fitted
+    rivals_text = "; ".join(
+        ", ".join(
+            f"{name} {value:.4g}" if is_dimensionless(name) else f"{name} {1e3 * value:.4g} kPa"
+            for name, value in rival.fit.constants().items()
+        )
+        for rival in rivals
+    )
+    why = f"another minimum describes the rows as well: {rivals_text}"
+    reason = f"{why}; {fitted.reason}" if fitted.reason else why
+    return replace(fitted, identifiable=False, reason=reason)
+
+
+def _differ(first: Array, other: Array) -> bool:
+    return bool(np.any(np.abs(first - other) > _APART * np.maximum(np.abs(first), np.abs(other))))
+
+
+def _from_look(
+    parts: Sequence[FitPart],
+    start: Array,
+    search: StagedSearch,
+    first: Staged,
+    fit_from: Callable[[Array], Staged],
+) -> Staged:
+    """Fit from one look; on the cheaper mesh alone where that tells how it ends."""
+    if first.rough is not None and first.rough.status.usable:
+        cheap = [cheaper(part) or part for part in parts]
+        starts = gentler(search.names, start, search.bounds)
+        aside = replace(
+            search, progress=None, checkpoint=Checkpoint(limits=search.checkpoint.limits)
+        )
+        rough = begun_stage("look", cheap, starts, aside)
+        is_hopeless = rough.fit.rss > _HOPELESS_START * first.rough.rss
+        is_same = first.fit.converged and not _differ(rough.fit.values, first.rough.values)
+        if not rough.fit.converged or is_hopeless or is_same:
+            return replace(rough, fit=replace(rough.fit, status=Status.stopped))
+        start = rough.fit.values
+    return fit_from(start)
+
+
+def _looked_for(parts: Sequence[FitPart], start: Array, search: StagedSearch) -> list[Array]:
+    """List starts on every side of zero of the exponents, the best of each, by cheap looks.
+
+    A look is a linear fit of the moduli beside given exponents, in closed form; a specimen that
+    sticks to its plates is taken at equal strain, which leaves exponents near enough to begin
+    with. Where no test has a closed form, fewer looks are simulated on a coarse mesh.
+    """
+    names, first = search.names, dict(zip(search.names, start.tolist(), strict=True))
+    energy = energy_of(parts)
+    plain = {n for n in names if energy.is_dimensionless(n) and not is_of_relaxation(n)}
+    looks = [look for look in energy.looks(names) if set(look) == plain] if plain else []
+    if not looks:
+        return []
+    free = [made for part in parts if (made := _at_equal_strain(part)) is not None]
+    if not free:
+        free = [cheaper(part) or part for part in parts if part.method == "inverse-fem"]
+        step = math.ceil(len(looks) / _SIMULATED)
+        looks = looks[step // 2 :: step]
+    if not free:
+        return []
+    seen: list[tuple[float, Array]] = []
+    for look in looks:
+        values = within(np.array([{**first, **look}[n] for n in names]), search.bounds)
+        values, squares = with_moduli(search, values, free)
+        seen.append((squares, within(values, search.bounds)))
+    if len(plain) == 1:  # every dip of the sum of squares along the exponent
+        sums = [np.inf, *(squares for squares, _ in seen), np.inf]
+        seen = [look for k, look in enumerate(seen) if look[0] <= min(sums[k], sums[k + 2])]
+        return [values for _, values in sorted(seen, key=lambda pair: pair[0])[:_LOOKED]]
+    places = [k for k, name in enumerate(names) if name in plain]
+    best_of: dict[tuple[bool, ...], Array] = {}
+    for _, values in sorted(seen, key=lambda pair: pair[0]):
+        best_of.setdefault(tuple(sorted(values[places] > 0)), values)
+    return list(best_of.values())[:_LOOKED_OF_SEVERAL]
+
+
+def _at_equal_strain(part: FitPart) -> FitPart | None:
+    """Part in closed form, as if its faces did not stick; None where it has no closed form."""
+    if part.method == "closed-form":
+        return part
+    setup = part.problem.setup
+    if part.method != "inverse-fem" or setup.height_mm is None or not setup.kind.compresses:
+        return None
+    problem = part.problem.loaded(interface="frictionless", base="frictionless")
+    if not problem.is_homogeneous:
+        return None
+    return replace(part, method="closed-form", problem=problem)
+
+
+def energy_of(parts: Sequence[FitPart]) -> Energy:
+    """Energy that all parts of a fit share."""
+    return ENERGIES[parts[0].problem.material.model]
+
+
+def within(values: Array, bounds: Sequence[tuple[float, float]] | None) -> Array:
+    """Values moved into their bounds."""
+    if bounds is None:
+        return values
+    return np.asarray(np.clip(values, *np.array(bounds, float).T))
+
+
+def with_moduli(
+    search: StagedSearch, values: Array, parts: Sequence[FitPart]
+) -> tuple[Array, float]:
+    """Moduli that fit best beside these plain numbers, and their sum of squares.
+
+    Every energy is linear in its moduli where K scales with them. Where the model has no answer,
+    or resists nothing, they are unchanged and the sum is infinite.
+    """
+    energy, names = energy_of(parts), search.names
+    moduli = [k for k, n in enumerate(names)
+              if not (energy.is_dimensionless(n) or is_of_relaxation(n))]  # fmt: skip
+    models = [search.make(part.method, part.problem, part.curves, names) for part in parts]
+    measured = [m for part in parts for m in part.measured]
+    residual = residual_function(
+        lambda x: [curve for model in models for curve in model(x)], measured, names
+    )
+    try:
+        r, jacobian = residual(values)
+    except EvaluationFailed:
+        return values, np.inf
+    step, *_ = np.linalg.lstsq(jacobian[:, moduli], -r, rcond=None)
+    left = r + jacobian[:, moduli] @ step
+    moved = values.copy()
+    moved[moduli] += step
+    # a modulus of a single term must stay positive, or nothing resists
+    if len(moduli) > 1 or (moved[moduli] > 0).all():
+        return moved, float(left @ left)
+    return values, np.inf

@@ -344,11 +344,12 @@ def _of_rows(recording: _Recording, robust: Collection[str]) -> list[_Finding]:
         0 if recording.label in robust else 2 if gone > 0.5 and size.max() > 0.2 * largest else 1
     )
     is_one = places.size == 1
+    shown = f"{100 * gone:.0f}" if gone > 0.1 else f"{100 * gone:.2g}"
     why = (
         f"{recording.label}: {'row' if is_one else 'rows'} {listed} of "
         f"{recording.rows.places.size} "
         f"{'is' if is_one else 'are'} off by up to {size.max():.3g} N where neighbors scatter by "
-        f"{float(np.median(noise.deviation)):.2g} N, {100 * gone:.2g} % of the sum of squares: "
+        f"{float(np.median(noise.deviation)):.2g} N, {shown} % of the sum of squares: "
         f"{mend}"
     )
     return [(grade, why, rows)]

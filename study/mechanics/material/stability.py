@@ -249,6 +249,21 @@ def ellipticity(material: Material, stretches: Array) -> Array:
     return worst
 
 
+def ellipticity_end(material: Material, mode: Mode, low: float, high: float) -> float | None:
+    """Stretch nearest to 1, to a 200th of the range, at which ellipticity is lost; None if kept."""
+    a, v = np.array(mode.loaded, float), np.array(mode.free, float)
+    if material.compressible is not None or always_elliptic(material) or not v.any():
+        return None
+    ends: list[float] = []
+    for end in (low, high):
+        x = np.log(np.geomspace(1.0, end, 201))
+        sides = np.exp(a[:, None] * x - v[:, None] * x * a.sum() / v.sum())
+        with np.errstate(all="ignore"):
+            lost = np.flatnonzero(~(ellipticity(material, sides) > 0))
+        ends += [float(np.exp(x[lost[0]]))] if lost.size else []
+    return min(ends, key=lambda stretch: abs(np.log(stretch))) if ends else None
+
+
 def _apart(bar: Array) -> Array:
     """Sorted stretches, the largest first, no two of them equal."""
     ordered = np.sort(bar, axis=0)[::-1].copy()

@@ -7,7 +7,7 @@ import json
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import zip_longest
 from pathlib import Path
 
@@ -25,12 +25,16 @@ from study.ground.canonical import plain
 from study.ground.errors import Fault, InputError, UnitError
 from study.ground.tabular import MAX_ROWS, UNIT_CELL, is_number, parsed_numbers
 from study.ground.units import unit_factor
-from study.mechanics.measurement.conditioning import OFFSET_SHARE, slope_with_error
+from study.mechanics.measurement.conditioning import OFFSET_SHARE, slack_end, slope_with_error
 from study.mechanics.measurement.measurement_section import DELIMITERS, KINEMATIC, KINETIC
 from study.mechanics.measurement.phases import NO_FORCE, TURN, Phase, phases_of
 
 #: rows in a row that a block of numbers has at least
 _BLOCK = 3
+#: rows whose middle force is that of the unloaded specimen
+_FIRST = 5
+#: a file shows a bar by itself
+_DELIMITERS = {**DELIMITERS, "bar": "|"}
 #: lines from which delimiter and decimal mark are found
 _LOOKED_AT = 3000
 #: dimension of every quantity that a column may hold
@@ -54,14 +58,22 @@ _WORDS: Mapping[str, tuple[str, ...]] = {
         "disp", "gap",
     ),
 }  # fmt: skip
+#: columns that are named by a symbol alone, in lower case
+_SYMBOLS = {
+    "f": "force", "p": "force", "d": "displacement", "x": "displacement", "u": "displacement",
+    "z": "displacement", "pos": "displacement", "t": "time", "eps": "strain", "epsilon": "strain",
+    "\u03b5": "strain", "\u03bb": "stretch", "sigma": "stress", "\u03c3": "stress",
+}  # fmt: skip
 #: how files write units that the program knows by another name
 _ALIASES = {
-    "g": "gf", "sec": "s", "S": "s", "seconds": "s", "mm/mm": "1", "-": "1", "µm": "um",
+    "g": "gf", "sec": "s", "S": "s", "mm/mm": "1", "-": "1", "µm": "um",
     "μm": "um", "µN": "uN", "μN": "uN", "percent": "%", "pct": "%", "N/mm²": "N/mm^2",
-    "N/mm2": "N/mm^2", "newton": "N", "newtons": "N", "millimeter": "mm", "inch": "in",
-    "gram": "gf", "grams": "gf", "gram-force": "gf", "g-force": "gf", "kg": "kgf",
-    "kilogram-force": "kgf", "kp": "kgf", "lb": "lbf", "lbs": "lbf", "inches": "in",
-    "millimetre": "mm", "micron": "um", "microns": "um",
+    "N/mm2": "N/mm^2", "newton": "N", "millimeter": "mm", "inch": "in",
+    "gram": "gf", "gram-force": "gf", "g-force": "gf", "kg": "kgf",
+    "kilogram-force": "kgf", "kp": "kgf", "lb": "lbf", "inches": "in",
+    "millimetre": "mm", "micron": "um", "mil": "thou", "in.": "in", "micrometer": "um",
+    "centimeter": "cm", "millinewton": "mN", "kilonewton": "kN", "kilopascal": "kPa",
+    "megapascal": "MPa", "pound": "lbf", "sek": "s", "second": "s", "minute": "min",
 }  # fmt: skip
 #: unit of a quantity whose file names none
 _USUAL = {
@@ -77,7 +89,7 @@ _NOT_PERCENT = 1.0
 _PERCENT = 5.0
 _NAMED_UNIT = re.compile(
     r"^(?P<name>.*?)[\s_]*(?:[\[(/]\s*(?P<in>[^\[\]()]{1,12})\s*[\])]?"
-    r"|_(?P<after>[A-Za-zµμ%-]{1,14})|\s(?P<apart>[A-Za-zµμ%]{1,4}))$"
+    r"|_(?P<after>[A-Za-zµμ%-]{1,14})|\s(?P<apart>[A-Za-zµμ%.]{1,14}))$"
 )
 _RATES = re.compile(r"rate|speed|velocity")
 #: digits in groups of three with points between them
@@ -208,9 +220,10 @@ def inspect(path: Path, sheet: str = "") -> Inspection:
         table["sheet"] = sheet
     table |= _layout(block, notes)
     chosen = _pair(columns, notes)
-    names = {q: columns[k].name for q, k in chosen.items()}
-    table["columns"] = names
     units = {q: _unit_for(columns[k], q, numbers_of[k], words[k], notes) for q, k in chosen.items()}
+    if max(Counter(filter(None, block.names)).values(), default=0) > 1:
+        columns = _numbered(columns, chosen, block, table, notes)
+    table["columns"] = {q: columns[k].name for q, k in chosen.items()}
     table["units"] = {quantity: unit for quantity, unit in units.items() if unit}
     groups = _groups(columns, block, numbers_of, table)
     phases: tuple[Phase, ...] = ()
@@ -268,7 +281,7 @@ class _Block:
 
 
 def _split(line: str, delimiter: str) -> list[str]:
-    sign = DELIMITERS[delimiter]
+    sign = _DELIMITERS[delimiter]
     if sign is None:
         return line.split()
     if '"' in line:
@@ -285,9 +298,9 @@ def _trimmed(cells: list[str]) -> list[str]:
 def _block_of(lines: Sequence[str], source: str) -> _Block:
     """Rows of numbers under the delimiter and decimal mark that show the most of them."""
     best: tuple[tuple[int, float, int], str, str] | None = None
-    for delimiter in DELIMITERS:
+    for delimiter in _DELIMITERS:
         is_quoted = delimiter == "comma" and any('"' in line for line in lines[:_LOOKED_AT])
-        for decimal in (m for m in (".", ",") if is_quoted or m != DELIMITERS[delimiter]):
+        for decimal in (m for m in (".", ",") if is_quoted or m != _DELIMITERS[delimiter]):
             pairs = [_numbers_in(_split(line, delimiter), decimal) for line in lines[:_LOOKED_AT]]
             width, start = _width_and_start([n for n, _ in pairs])
             if not width:
@@ -302,11 +315,15 @@ def _block_of(lines: Sequence[str], source: str) -> _Block:
         raise InputError(Fault(source, rule, "is it a table of a recording?"))
     _, delimiter, decimal = best
     split = [_split(line, delimiter) for line in lines]
-    if DELIMITERS[delimiter] != "," and decimal == "." and _are_grouped(split):
+    if _DELIMITERS[delimiter] != "," and decimal == "." and _are_grouped(split):
         decimal = ","
-    counts = [_numbers_in(cells, decimal)[0] for cells in split]
+    places = [_places_of_numbers(cells, decimal) for cells in split]
+    counts = [len(at) for at in places]
     width, start = _width_and_start(counts[:_LOOKED_AT])
-    rows = [k for k in range(start, len(lines)) if counts[k] == width]
+    full = [k for k in range(start, len(lines)) if counts[k] == width]
+    # a line of results below the rows has as many numbers, in other columns
+    usual = Counter(places[k] for k in full).most_common(1)[0][0]
+    rows = [k for k in full if places[k] == usual]
     return _with_names(lines, delimiter, decimal, rows, [_trimmed(split[k]) for k in rows])
 
 
@@ -340,8 +357,12 @@ def _width_and_start(counts: Sequence[int]) -> tuple[int, int]:
 
 def _numbers_in(cells: Sequence[str], decimal: str) -> tuple[int, int]:
     """How many cells are numbers, and how many are filled."""
-    filled = [cell for cell in cells if cell]
-    return sum(is_number(cell, decimal, _thousands(decimal)) for cell in filled), len(filled)
+    return len(_places_of_numbers(cells, decimal)), sum(map(bool, cells))
+
+
+def _places_of_numbers(cells: Sequence[str], decimal: str) -> tuple[int, ...]:
+    mark = _thousands(decimal)
+    return tuple(k for k, cell in enumerate(cells) if is_number(cell, decimal, mark))
 
 
 def _with_names(
@@ -361,7 +382,7 @@ def _with_names(
     unit_cells = [] if units is None else split[units]
     names = names + [""] * (width - len(names)) if names else [str(k + 1) for k in range(width)]
     held = set(rows)
-    others = [k for k in range(rows[0], rows[-1]) if lines[k].strip() and k not in held]
+    others = [k for k in range(rows[0], len(lines)) if lines[k].strip() and k not in held]
     marks = [
         m for m in _COMMENTS if others and all(lines[k].lstrip().startswith(m) for k in others)
     ]
@@ -381,7 +402,12 @@ def _are_units(cells: Sequence[str]) -> bool:
 
 def _known_unit(word: str) -> tuple[str, str] | None:
     """Give the unit as the program writes it, and its dimension."""
-    unit = _ALIASES.get(word.strip(), _ALIASES.get(word.strip().lower(), word.strip()))
+    plain = word.strip()
+    lower = plain.lower()
+    unit = next(
+        (_ALIASES[form] for form in (plain, lower, lower.removesuffix("s")) if form in _ALIASES),
+        plain,
+    )
     for dimension in _USUAL:
         try:
             unit_factor(unit, dimension)
@@ -435,6 +461,7 @@ def _quantity(name: str, dimension: str) -> str:
     plain = re.sub(r"[_\s]+", " ", name).strip().lower()
     for quantity, words in _WORDS.items():
         named = any(word in plain for word in words) and not _RATES.search(plain)
+        named = named or _SYMBOLS.get(plain) == quantity
         if named and (not dimension or DIMENSIONS[quantity] == dimension):
             return quantity
     usual = {"length": "displacement", "force": "force", "pressure": "stress", "time": "time"}
@@ -474,6 +501,26 @@ def _rank(name: str, quantity: str) -> int:
     return next((k for k, word in enumerate(_WORDS[quantity]) if word in plain), 99)
 
 
+def _numbered(
+    columns: Sequence[InspectedColumn], chosen: Mapping[str, int], block: _Block,
+    table: dict[str, object], notes: list[str],
+) -> list[InspectedColumn]:  # fmt: skip
+    """Columns by their number, for a header that gives a name twice: tests side by side."""
+    table |= {"header": False, "skip_lines": block.at[0] - 1}
+    table.pop("unit_row", None)
+    taken = " and ".join(str(k + 1) for k in chosen.values())
+    others = [
+        str(k + 1)
+        for k, column in enumerate(columns)
+        if column.quantity in chosen and k not in chosen.values()
+    ]
+    notes.append(
+        f"the header gives a name twice, so that columns are named by their number: {taken} are "
+        f"taken; {', '.join(others) or 'no others'} hold the same of other tests"
+    )
+    return [replace(column, name=str(k + 1)) for k, column in enumerate(columns)]
+
+
 def _unit_for(
     column: InspectedColumn, quantity: str, values: Array, word: str, notes: list[str]
 ) -> str:
@@ -508,12 +555,14 @@ def _groups(
     table: dict[str, object],
 ) -> list[int]:
     """Columns whose labels tell tests apart; ``block`` and ``average`` go into the table."""
+    counted = [Counter(row[k] if k < len(row) else "" for row in block.rows)
+               for k in range(len(columns))]  # fmt: skip
     several = [
         k for k, column in enumerate(columns)
         if column.name and not _WITHIN.search(column.name)
         and (column.labels or not column.quantity)
         and (_BLOCKS.search(column.name) or _REPEATS.search(column.name) or column.labels)
-        and 1 < len({row[k] if k < len(row) else "" for row in block.rows}) <= len(block.rows) // 3
+        and len(counted[k]) > 1 and "" not in counted[k] and min(counted[k].values()) >= _BLOCK
     ]  # fmt: skip
     blocks = [k for k in several if _BLOCKS.search(columns[k].name)] or several[:1]
     if blocks:
@@ -547,13 +596,13 @@ def _layout(block: _Block, notes: list[str]) -> dict[str, object]:
         made["unit_row"] = True
     if block.decimal == ",":
         made["decimal"] = ","
-    if block.delimiter == "space" or DELIMITERS[block.delimiter] == block.decimal:
+    if block.delimiter == "space" or _DELIMITERS[block.delimiter] == block.decimal:
         made["delimiter"] = block.delimiter
     if block.comment:
         made["comment"] = block.comment
     elif block.others:
         shown = ", ".join(map(str, block.others[:6]))
-        notes.append(f"lines between the rows that hold no numbers: {shown}: delete them")
+        notes.append(f"lines among or below the rows that are no rows: {shown}: delete them")
     cells = [cell for row in block.rows for cell in row]
     other = _thousands(block.decimal)
     if any(other in cell for cell in cells) and not any(block.decimal in cell for cell in cells):
@@ -578,7 +627,11 @@ def _place(
         d, f = d[::-1], f[::-1]
     travel = float(np.ptp(d))
     far = int(np.argmax(np.abs(d - d[0])))
-    falls, pushes = d[far] < d[0], float(f[far] - f[0])
+    if min(d.max() - d[0], d[0] - d.min()) > _BOTH_WAYS * travel:
+        # it begins in the middle: loading goes where the force is larger
+        far = max(int(np.argmin(d)), int(np.argmax(d)), key=lambda k: abs(float(f[k])))
+    # of the first rows the middle one: a single row may be a trigger
+    falls, pushes = d[far] < d[0], float(f[far] - np.median(f[:_FIRST]))
     through = d.min() < rest - 2 * TURN * travel and d.max() > rest + 2 * TURN * travel
     ends = f[[int(np.argmin(d)), int(np.argmax(d))]]
     through = through and ends[0] * ends[1] < 0
@@ -634,7 +687,9 @@ def _zero_of(
     away = np.abs(f - f[0])
     # the first tenth of the travel to the largest force carries none
     is_flat = away.argmax() >= _BLOCK and away[rows].max() < NO_FORCE * TURN * away.max()
-    if is_flat and (is_far or abs(slope) <= 2.0 * scatter):
+    if slack_end(moved, f if f[away.argmax()] > 0 else -f) is not None or (
+        is_flat and (is_far or abs(slope) <= 2.0 * scatter)
+    ):
         table["displacement_zero"] = "contact"
         notes.append("the force is flat at first: displacement counts from contact")
         if abs(float(f[rows].mean())) > OFFSET_SHARE * largest:

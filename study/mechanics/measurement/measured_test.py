@@ -6,16 +6,20 @@ Repeats on one specimen are nested in it: they are averaged, never counted as in
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from study.ground.arrays import Array
 from study.ground.curve import Curve
 from study.ground.errors import Fault, InputError, nearest
+from study.mechanics.material.homogeneous import LOADINGS
 from study.mechanics.measurement.measurement_section import Labels
 from study.mechanics.measurement.phases import RowCount, SpecimenRows
+from study.mechanics.setup.geometry import Cone, Enclosed, Flat, Indenter, Sphere
+from study.mechanics.setup.setup import Setup
 
 #: labels that are wanted of grouping columns; a number stands for the text that a file has of it
 Label = Labels | float | Sequence[str | float]
@@ -255,3 +259,95 @@ def _words(block: str | None, where: Selection) -> str:
     if block is not None and not any(item.endswith(f"= {block}") for item in items):
         items.insert(0, f"block = {block}")
     return ", ".join(items) or "the study"
+
+
+# Measured forces that no soft material gives: a unit or a size may be wrong.
+#
+# The modulus behind a curve is estimated from one point in the middle of it: nominal stress over
+# nominal strain where plates load a specimen, and the half-spaces of Boussinesq (flat), Hertz
+# (sphere) and Love (cone) where an indenter does (Sneddon 1965, Int. J. Eng. Sci. 3, 47, with
+# Poisson's ratio 1/2). A specimen that is bonded or thin is some times stiffer than that; a window
+# of five decades does not mind.
+
+#: Young's moduli of tissue, gels, silicone and rubber, MPa: 0.1 kPa to 30 MPa
+SOFT_MPA = (1e-4, 30.0)
+#: 1 - nu^2 of what keeps its volume
+_PLANE = 0.75
+_THOUSAND = 1000.0
+
+#: how a note of this module can be told from others
+IMPLAUSIBLE = "no soft material"
+
+
+def apparent_modulus(setup: Setup, displacement_mm: float, force_N: float) -> float | None:  # noqa: N803
+    """Young's modulus in MPa that one point of a curve speaks for.
+
+    Examples
+    --------
+    A cylinder of 10 mm radius and 20 mm height, pressed 2 mm by 3.1416 N: 10 kPa over 10 %.
+
+    >>> from study.mechanics.setup.setup import Setup
+    >>> cylinder = {"shape": "cylinder", "radius_mm": 10.0, "height_mm": 20.0}
+    >>> setup = Setup.of({"specimen": cylinder, "test": {"kind": "compression"}})
+    >>> round(apparent_modulus(setup, 2.0, 3.1416), 4)
+    0.1
+    """
+    indenter = setup.test.indenter
+    if indenter is not None:
+        return force_N * _PLANE / _half_space(indenter, displacement_mm)
+    if setup.height_mm is None or isinstance(setup.specimen, Enclosed):
+        return None
+    if LOADINGS[setup.kind.mode].is_volumetric:
+        return None  # a bulk modulus, which soft materials have in gigapascals
+    strain = displacement_mm / setup.height_mm
+    return force_N / setup.specimen.area_mm2 / strain
+
+
+def _half_space(indenter: Indenter, depth_mm: float) -> float:
+    """Force over plane-strain modulus at a depth, mm^2."""
+    if isinstance(indenter, Flat):
+        return 2 * indenter.radius_mm * depth_mm
+    if isinstance(indenter, Sphere):
+        return 4 / 3 * math.sqrt(indenter.radius_mm * depth_mm**3)
+    if isinstance(indenter, Cone):
+        return 2 / math.pi * math.tan(math.radians(indenter.half_angle_deg)) * depth_mm**2
+    raise TypeError(f"no half-space is known for {type(indenter).__name__}")
+
+
+def checked(measurements: Measurements, setup: Setup) -> Measurements:
+    """Copy measurements with a note on every test whose modulus no soft material has."""
+    low, high = SOFT_MPA
+    odd: list[tuple[float, float, float]] = []
+    for test in measurements.tests:
+        rows = test.recorded.displacement_mm if measurements.own_rows and test.recorded else None
+        places = measurements.displacement_mm if rows is None else rows
+        place, force = float(places[len(places) // 2]), float(test.force_N[len(places) // 2])
+        modulus = apparent_modulus(setup, place, force) if place > 0 and force > 0 else None
+        if modulus is not None and not low <= modulus <= high:
+            odd.append((place, force, modulus))
+    if not odd:
+        return measurements
+    return replace(measurements, notes=(*measurements.notes, _sentence(odd, measurements)))
+
+
+def _sentence(odd: list[tuple[float, float, float]], measurements: Measurements) -> str:
+    """Say which forces are meant, and what would make them plausible."""
+    place, force, modulus = odd[0]
+    low, high = SOFT_MPA
+    factor = _THOUSAND if modulus < low else 1 / _THOUSAND
+    likely = low <= modulus * factor <= high
+    size = "1000 times larger" if factor > 1 else "1000 times smaller"
+    hint = f"; a force {size} would be one of a soft material" if likely else ""
+    return (
+        f"{', '.join(sorted(measurements.files)[:2])}: {force:.4g} N at {place:.4g} mm means a "
+        f"Young's modulus of about {_in_words(modulus)}, that of {IMPLAUSIBLE} ("
+        f"{_in_words(low)} to {_in_words(high)}; in {len(odd)} of {len(measurements.tests)} tests)"
+        f"{hint}: check "
+        "measurements.units and the size of the specimen"
+    )
+
+
+def _in_words(modulus_MPa: float) -> str:  # noqa: N803
+    if modulus_MPa >= 1:
+        return f"{modulus_MPa:.3g} MPa"
+    return f"{modulus_MPa * 1e3:.3g} kPa" if modulus_MPa >= 1e-4 else f"{modulus_MPa * 1e6:.3g} Pa"
