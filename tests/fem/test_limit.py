@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import meshio
@@ -23,6 +24,7 @@ from study.mechanics.solver.finite_element_solution import follow, solve
 from study.mechanics.solver.linear_solver import pardiso_available
 from study.mechanics.solver.load_path import gives_way, smallest_stiffness
 from study.mechanics.solver.newton import Options
+from study.mechanics.solver.solution import Solution
 from study.mechanics.solver.system import System
 from tests.fem.problems import GEL, compression
 
@@ -105,9 +107,15 @@ def test_a_quarter_of_a_column_is_refused_at_eulers_load(
     assert np.abs(found.instability.mode[:, 1]).max() == pytest.approx(1.0, abs=0.02)
 
 
+@cache
+def swaying() -> Solution:
+    """Quarter of a column that sways."""
+    return solve(_column(4.0, 10, order="linear"), gradients=False)
+
+
 def test_the_whole_straight_column_loses_stability_where_its_quarter_says() -> None:
     problem = _column(4.0, 10, order="linear")
-    part = solve(problem, gradients=False).instability
+    part = swaying().instability
     assert part is not None
     quarter = build_mesh(problem.setup)
     whole, _ = mirrored(quarter, np.zeros(quarter.points.shape), (1, 1, 1), COLUMN.height_mm)
@@ -122,6 +130,8 @@ def test_the_whole_straight_column_loses_stability_where_its_quarter_says() -> N
     assert found.instability.displacement_mm == pytest.approx(part.displacement_mm, rel=1e-3)
 
 
+@pytest.mark.slow
+@pytest.mark.verify
 def test_the_branch_behind_is_followed_on_the_whole_body() -> None:
     problem = _column(4.5, 3, order="linear")
     euler = np.pi**2 * 2 * 1.45 * 2 * 0.01 * (12 * 8**3 / 12) / (90 / 2) ** 2
@@ -205,7 +215,7 @@ def test_slender_columns_are_cautioned_about_before_solving() -> None:
 
 
 def test_a_buckled_column_is_drawn_and_written_with_its_mode(tmp_path: Path) -> None:
-    found = solve(_column(4.0, 4, order="linear"), gradients=False)
+    found = swaying()
     solving.write_picture(found, tmp_path / "bent.svg")
     assert "<svg" in (tmp_path / "bent.svg").read_text()
     solving.write_vtu(found, tmp_path / "bent.vtu", whole=True)
