@@ -116,6 +116,8 @@ def virtual(
         )
 
 
+#: the parser of all verbs, which takes 0.1 s to make
+_parser = cache(get_command)
 INTERRUPTED = 130
 #: a polite kill and a terminal that is closed end as Ctrl-C does
 POLITE = (signal.SIGTERM, signal.SIGHUP)
@@ -214,7 +216,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     typed = list(sys.argv[1:] if arguments is None else arguments)
     try:
         given = [_with_digest(word) for word in typed]
-        code = _parser()(given, prog_name="study", standalone_mode=False)
+        code = _parser(app)(given, prog_name="study", standalone_mode=False)
     except StudyError as error:
         complain(error)
         if not isinstance(error, StoppedError) or not is_resumable(typed):
@@ -237,12 +239,6 @@ def run(arguments: Sequence[str] | None = None) -> int:
         with suppress(OSError):  # a terminal that was closed cannot be written to
             print(interrupted(typed), file=sys.stderr)
     return code if isinstance(code, int) else 0
-
-
-@cache
-def _parser() -> Callable[..., object]:
-    """Parser of all verbs, made once a process: it takes 0.1 s."""
-    return get_command(app)
 
 
 def _with_digest(word: str) -> str:

@@ -10,7 +10,6 @@ import re
 import textwrap
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -159,8 +158,7 @@ def files(law: ForceLaw, folder: Path) -> dict[Path, str]:
     return {folder / f"{stem}.{suffix}": content for suffix, content in made.items()}
 
 
-@cache
-def _environment() -> Environment:
+def _rendered(template: str, law: ForceLaw) -> str:
     environment = Environment(
         loader=PackageLoader("study.laboratory.haptics"),
         undefined=StrictUndefined,
@@ -170,20 +168,12 @@ def _environment() -> Environment:
     environment.filters["number"] = _number
     environment.filters["folded"] = lambda line, mark: f"\n{mark}".join(textwrap.wrap(line, WIDTH))
     environment.filters["numbers"] = lambda values: ", ".join(map(_number, values))
-    return environment
-
-
-def _rendered(template: str, law: ForceLaw) -> str:
-    return (
-        _environment()
-        .get_template(template)
-        .render(
-            law=law,
-            name=law.name,
-            stem=stem_of(law.name),
-            sentences=sentences(law),
-            made_by=f"Made by study {study.__version__}.",
-        )
+    return environment.get_template(template).render(
+        law=law,
+        name=law.name,
+        stem=stem_of(law.name),
+        sentences=sentences(law),
+        made_by=f"Made by study {study.__version__}.",
     )
 
 
