@@ -102,7 +102,7 @@ def _tasks_in_this_process() -> Iterator[None]:
 
     def run(self: Loky, tasks: Any, finished: Any = None) -> Any:
         perform = self.perform
-        if _apart or self.limit_s is not None or perform.__module__ != "study.harness.runner.tasks":
+        if _apart or self.limit_s is not None or not perform.__module__.startswith("study."):
             return in_processes(self, tasks, finished)
 
         def quietly(task: Any) -> Any:

@@ -62,12 +62,6 @@ def test_a_loaded_design_is_the_same_study(home: Path, outcome: api.study.StudyR
     assert other.missing == 12
 
 
-def test_a_study_opens_by_name_folder_and_file(home: Path, outcome: api.study.StudyResult) -> None:
-    for path in ("small", home / "results" / "small", home / "small.toml"):
-        found = api.load(path, home / "results")
-        pd.testing.assert_frame_equal(found.table, outcome.table)
-
-
 def test_analyze_a_study_and_a_table_agree(home: Path, outcome: api.study.StudyResult) -> None:
     own = study.analyze(home / "results" / "small", "work_error")
     named = study.analyze(outcome.folder, "work_error", ["material", "range"])
@@ -147,16 +141,6 @@ def test_data_stand_in_the_named_folder_else_beside_the_design(tmp_path: Path) -
     assert data_root(source, tmp_path) == tmp_path
     with pytest.raises(InputError, match="no folder"):
         data_root(source, tmp_path / "nowhere")
-
-
-def test_a_report_that_cannot_be_written_costs_no_number(
-    home: Path, outcome: api.study.StudyResult
-) -> None:
-    (home / "reports").write_text("a file where the folder should be")
-    found = study.report(home / "results" / "small", reports=home / "reports")
-    assert found.report is None
-    assert any("the report could not be written" in text for text in found.warnings)
-    assert len(found.table) == 12
 
 
 def test_a_design_without_measurements_is_no_study(tmp_path: Path) -> None:

@@ -95,10 +95,10 @@ def test_a_packed_file_is_unpacked_up_to_its_limit() -> None:
         bounded_file.unzip(gzip.compress(text), "f", 4999)
 
 
-def test_a_packed_terabyte_takes_no_more_than_the_limit() -> None:
-    packer = zlib.compressobj(9, wbits=31)
+def test_a_packed_bomb_takes_no_more_than_the_limit() -> None:
+    packer = zlib.compressobj(1, wbits=31)
     zeros = bytes(1 << 24)
-    bomb = b"".join(packer.compress(zeros) for _ in range(64)) + packer.flush()
+    bomb = b"".join(packer.compress(zeros) for _ in range(24)) + packer.flush()
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     with pytest.raises(NotRegularError, match="holds more than 50 MB"):
         bounded_file.unzip(bomb, "f", 50_000_000)

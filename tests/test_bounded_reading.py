@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -109,6 +110,7 @@ def _writes(call: ast.Call) -> bool:
     return any(isinstance(m, ast.Constant) and m.value in WRITING for m in modes)
 
 
+@cache
 def found(root: Path) -> set[tuple[str, str]]:
     return {(path.as_posix(), call) for path, tree in trees(root) for call in calls_of(tree)
             if path.as_posix() != READER}  # fmt: skip

@@ -46,13 +46,6 @@ def test_public_names_are_these() -> None:
     assert set(study.__all__) == PUBLIC | {"__version__"}
 
 
-@pytest.mark.parametrize("name", sorted(PUBLIC))
-def test_public_name_is_a_documented_function(name: str) -> None:
-    function = getattr(study, name)
-    assert callable(function)
-    assert function.__doc__
-
-
 def test_unknown_name_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="analyse"):
         _ = study.analyse

@@ -70,12 +70,14 @@ def written(folder: Path, leave_out: str = "") -> Path:
     return path
 
 
-def run(folder: Path, leave_out: str = "") -> tuple[dict[tuple[str, str], Any], dict[str, Any]]:
+def run(
+    folder: Path, leave_out: str = "", kind: str = "html"
+) -> tuple[dict[tuple[str, str], Any], dict[str, Any]]:
     """Responses by energy and specimen, and what the run says of the study."""
     path = written(folder, leave_out)
     found = study(
         "run", path, "--data", folder / "measurements", "--results", folder / "results",
-        "--reports", folder / "reports", "--jobs", 1, "--json",
+        "--reports", folder / "reports", "--jobs", 1, "--json", "-s", f'report.format=["{kind}"]',
     )  # fmt: skip
     assert found.code == 0, found.err
     records = (
@@ -99,7 +101,7 @@ def test_a_score_is_that_of_the_other_specimens_and_a_constant_its_own(tmp_path:
 
 
 def test_nothing_left_out_scores_the_curve_fitted(tmp_path: Path) -> None:
-    records, said = run(tmp_path, 'leave_out = "nothing"')
+    records, said = run(tmp_path, 'leave_out = "nothing"', "csv")
     for responses in records.values():
         assert responses["relative_rms_force_error"]["value"] == pytest.approx(0.0, abs=1e-6)
     scored = {one["response"]: one["scored_on"] for one in said["verdicts"]}

@@ -68,7 +68,8 @@ def records(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, object]]
     (folder / "exact.toml").write_text(text)
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        answer = study("run", "exact.toml", "--data", "data", "--jobs", 1, "--no-refine")
+        answer = study("run", "exact.toml", "--data", "data", "--jobs", 1, "--no-refine",
+                       "-s", 'report.format=["csv"]')  # fmt: skip
     assert answer.code == 0, answer.err
     found = sorted((folder / "results").rglob("record.json"))
     return [json.loads(path.read_text())["content"] for path in found]

@@ -48,12 +48,16 @@ def test_a_constant_is_found_again(folder: Path, monkeypatch: pytest.MonkeyPatch
     assert answer.json["best_run"]["agrees"]
 
 
+LONG = (pytest.mark.slow, pytest.mark.verify)
+
+
+@pytest.mark.parametrize("runs", [0, pytest.param(2, marks=LONG)])
 def test_a_set_is_told_where_only_a_product_is_determined(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
+    folder: Path, monkeypatch: pytest.MonkeyPatch, runs: int
 ) -> None:
     """At a known height the force is that of C10 times the square of the radius."""
     monkeypatch.chdir(folder)
-    known = ("--at", "specimen.height=19.5 mm")
+    known = ("--at", "specimen.height=19.5 mm", *(() if runs else ("--no-confirm",)))
     answer = study("invert", "ranges", "--to", "m.csv", *known, "--json")
     assert answer.code == 0, answer.err
     found = {one["name"]: one for one in answer.json["inputs"]}
@@ -69,7 +73,7 @@ def test_a_set_is_told_where_only_a_product_is_determined(
         other = {"low": "high", "high": "low"}[end]
         radius = found["specimen.radius"][other]
         assert found["material.C10"][end] == pytest.approx(7.3 * (1.02 / radius) ** 2, rel=2e-3)
-    assert len(answer.json["end_runs"]) == 2
+    assert len(answer.json["end_runs"]) == runs
     assert all(run["agrees"] for run in answer.json["end_runs"])
     assert "it determines material.C10 * specimen.radius^2" in answer.json["sentence"]
     members = answer.json["members"]

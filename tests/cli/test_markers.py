@@ -117,7 +117,7 @@ def test_a_plate_that_moves_as_said_predicts_too(virtual: Path, tmp_path: Path) 
     """Both errors are known where nothing is fitted: the plate can be a factor."""
     kept = ["--results", tmp_path / "results", "--reports", tmp_path / "reports"]
     found = study("run", virtual / "design.toml", "--data", virtual, "--jobs", 1, *kept,
-                  "-s", 'markers.plate="nominal"', "--json",
+                  "-s", 'markers.plate="nominal"', "-s", 'model.mesh_size="40 mm"', "--json",
                   "--no-refine")  # fmt: skip
     assert found.code == 0, found.err
     for record in documents(tmp_path):

@@ -30,8 +30,8 @@ steps = 2
 model = "neo-hookean"
 C10 = "5 kPa"
 incompressible = true
-[model]
-mesh_size = "10 mm"
+[forward]
+model = "closed-form"
 [factors]
 material.C10 = { low = "5 kPa", high = "10 kPa" }
 specimen.radius = { low = "0.9 cm", high = "1.1 cm" }

@@ -40,7 +40,10 @@ def test_readers_that_leave_early_are_no_error(home: Path) -> None:
     assert done.stdout.startswith("small:")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+HANGUP = pytest.param(signal.SIGHUP, marks=(pytest.mark.slow, pytest.mark.verify))
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, HANGUP])
 def test_interruption_is_130_and_resumable(home: Path, number: int) -> None:
     with subprocess.Popen(
         [*PROGRAM, "run", "small.toml", "--data", "data", "--jobs", "1"],

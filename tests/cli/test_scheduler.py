@@ -166,6 +166,8 @@ def test_a_study_that_loses_its_scheduler_keeps_what_is_finished_and_resumes(
     assert {path: path.read_bytes() for path in kept} == kept
 
 
+@pytest.mark.slow
+@pytest.mark.verify
 def test_ctrl_c_stops_a_study_on_a_cluster_and_leaves_the_cluster(
     held: Path, tmp_path: Path
 ) -> None:

@@ -24,7 +24,8 @@ def test_hash_seed_language_and_clock_change_no_digit(tmp_path: Path) -> None:
         home = tmp_path / str(number)
         home.mkdir()
         write_files(home)
-        command = [sys.executable, "-m", "study", "run", "small.toml", "--data", "data", "--json"]
+        command = [sys.executable, "-m", "study", "run", "small.toml", "--data", "data",
+                   "--jobs", "1", "--json"]  # fmt: skip
         surroundings = {**os.environ, **changed, "PYTHONPATH": str(Path(__file__).parents[2])}
         done = subprocess.run(command, cwd=home, env=surroundings, capture_output=True, check=True)
         verdicts = json.loads(done.stdout)["verdicts"]

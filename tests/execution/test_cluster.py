@@ -95,6 +95,8 @@ def test_tasks_of_a_group_stay_with_one_process_of_one_thread(cluster: Loopback)
     assert processes["a"] != processes["b"]
 
 
+@pytest.mark.slow
+@pytest.mark.verify
 def test_a_worker_that_its_nanny_starts_again_goes_on(tmp_path: Path) -> None:
     """As `dask worker` starts them: children of a nanny, which may have no children of theirs."""
     with loopback(tmp_path, workers=0) as made:

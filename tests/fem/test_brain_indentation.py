@@ -25,7 +25,7 @@ from study.mechanics.setup.test_kind import Test
 from study.mechanics.solver.finite_element_solution import solve
 from study.mechanics.solver.solution_cost import unknowns
 from study.mechanics.surface.closed_surface import body
-from tests.fem.problems import GEL
+from tests.fem.problems import GEL, LONG
 from tests.fem.surfaces import box, sphere, write
 
 BRAIN = Brain(80, 60, 50, 4, clamp_below_mm=15, press_x_mm=10, press_y_mm=-14)
@@ -55,8 +55,16 @@ def test_elements_are_small_where_the_indenter_comes_down() -> None:
     assert np.quantile(far, 0.9) < 6
 
 
-@pytest.mark.parametrize("place", [(10.0, -14.0), (-12.0, 12.0), (25.0, 5.0)])
-@pytest.mark.parametrize("indenter", [Flat(8, 4), Sphere(8), Cone(60, 8)])
+PLACES = [(10.0, -14.0), (-12.0, 12.0), (25.0, 5.0)]
+INDENTERS = [Flat(8, 4), Sphere(8), Cone(60, 8)]
+PRESSED = [  # each place and each indenter once in the suite, all pairs in the long verification
+    pytest.param(place, indenter, marks=() if i == k else LONG)
+    for i, place in enumerate(PLACES)
+    for k, indenter in enumerate(INDENTERS)
+]
+
+
+@pytest.mark.parametrize(("place", "indenter"), PRESSED)
 @pytest.mark.parametrize(("order", "mesh"), [("linear", "medium"), ("quadratic", "coarse")])
 def test_unknowns_are_expected_before_meshing(
     place: tuple[float, float], indenter: Indenter, order: Order, mesh: MeshName
@@ -69,7 +77,7 @@ def test_unknowns_are_expected_before_meshing(
     assert expected_unknowns(setup) == pytest.approx(real, rel=0.2)
 
 
-@pytest.mark.parametrize("order", ["linear", "quadratic"])
+@pytest.mark.parametrize("order", ["linear", pytest.param("quadratic", marks=LONG)])
 def test_a_clamp_carries_what_the_indenter_presses(order: str) -> None:
     # on a slope, in both orders: held bubbles of linear elements once took 6 % of it
     top, below = force(pressed(BRAIN, 0.5, element_order=order))
@@ -85,27 +93,23 @@ def test_weight_is_carried_by_the_clamp_too() -> None:
     assert top < force(problem)[0]  # the surface has sagged away from the indenter
 
 
-def test_a_place_moves_with_its_body(tmp_path: Path) -> None:
-    points, triangles = sphere(10, 4)
-    write(tmp_path / "a.ply", (points, triangles))
-    write(tmp_path / "b.ply", (points + [5.0, -7.0, 3.0], triangles))
-    here = Surface(str(tmp_path / "a.ply"), clamp_below_mm=-2.0, press_x_mm=3.0, press_y_mm=2.0)
-    there = Surface(str(tmp_path / "b.ply"), clamp_below_mm=1.0, press_x_mm=8.0, press_y_mm=-5.0)
-    first, second = (force(pressed(one, 0.4))[0] for one in (here, there))
-    assert second == pytest.approx(first, rel=1e-6)
-
-
-def test_a_body_may_be_turned_about_the_axis(tmp_path: Path) -> None:
+def test_a_place_moves_and_turns_with_its_body(tmp_path: Path) -> None:
     points, triangles = sphere(10, 4)
     turned = points[:, [1, 0, 2]] * [-1.0, 1.0, 1.0]  # a quarter turn: (x, y) goes to (-y, x)
-    write(tmp_path / "a.ply", (points, triangles))
-    write(tmp_path / "b.ply", (turned, triangles))
-    here = Surface(str(tmp_path / "a.ply"), clamp_below_mm=-2.0, press_x_mm=3.0, press_y_mm=2.0)
-    there = Surface(str(tmp_path / "b.ply"), clamp_below_mm=-2.0, press_x_mm=-2.0, press_y_mm=3.0)
-    first, second = (force(pressed(one, 0.4))[0] for one in (here, there))
-    assert second == pytest.approx(first, rel=1e-6)
+    forces = []
+    for place, clamp, (x, y) in (
+        (points, -2.0, (3.0, 2.0)),
+        (points + [5.0, -7.0, 3.0], 1.0, (8.0, -5.0)),
+        (turned, -2.0, (-2.0, 3.0)),
+    ):
+        file = write(tmp_path / f"{len(forces)}.ply", (place, triangles))
+        body_there = Surface(file, clamp_below_mm=clamp, press_x_mm=x, press_y_mm=y)
+        forces.append(force(pressed(body_there, 0.4))[0])
+    assert forces == pytest.approx([forces[0]] * 3, rel=1e-6)
 
 
+@pytest.mark.slow
+@pytest.mark.verify
 def test_a_sphere_on_a_ball_is_hertz_contact(tmp_path: Path) -> None:
     """Two spheres that touch, 1/R = 1/R1 + 1/R2 (Hertz 1882), one of them rigid."""
     ball = Surface(write(tmp_path / "ball.stl", sphere(40, 5)), clamp_below_mm=-15.0)

@@ -32,7 +32,7 @@ from study.mechanics.solver.finite_element_solution import check
 from study.mechanics.solver.solution_cost import estimate, expected_unknowns, memory_MB, unknowns
 from study.mechanics.solver.system import System
 from study.mechanics.surface.closed_surface import body
-from tests.fem.problems import GEL
+from tests.fem.problems import GEL, LONG
 from tests.fem.surfaces import Shape, box, sphere, write
 
 COMPRESSED = (Cylinder(25, 30), Test("compression", 3, "bonded", "bonded", 5))
@@ -126,7 +126,7 @@ def surface(folder: Path, shape: Shape, **given: float) -> Surface:
     return Surface(write(folder / "body.obj", shape), **given)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("bonded", [False, True])
+@pytest.mark.parametrize("bonded", [False, pytest.param(True, marks=LONG)])
 def test_a_plate_thinner_than_its_elements_has_those_of_its_faces(tmp_path, bonded):
     thin = surface(tmp_path, box(60, 60, 0.3))
     face = "bonded" if bonded else "frictionless"

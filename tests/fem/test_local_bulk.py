@@ -113,6 +113,8 @@ def test_residuals_have_exact_rates_with_the_constants(material: Material) -> No
     assert 1.9 <= slopes.min() <= slopes.max() <= 2.1
 
 
+@pytest.mark.slow
+@pytest.mark.verify
 def test_quadratic_tetrahedra_do_not_lock_at_nearly_constant_volume() -> None:
     """An unbounded share of K gave +7.8 % at 0.499999 under a sphere.
 

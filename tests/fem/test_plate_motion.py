@@ -150,6 +150,8 @@ def test_forces_and_moments_of_plate_and_base_balance():
     assert curve.force_gradient["C10"][-1] == pytest.approx(change / 2e-5, rel=1e-3)
 
 
+@pytest.mark.slow
+@pytest.mark.verify
 def test_a_shifted_plate_presses_with_its_axial_reaction_alone():
     thin = moved(0.01, FaceMotion(x_mm=1.0), specimen=Block(24, 24, 6),
                  model=replace(MODEL, mesh_size_mm=3.0))  # fmt: skip

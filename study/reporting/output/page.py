@@ -9,7 +9,7 @@ import gzip
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -319,6 +319,7 @@ def _warnings(contents: Contents) -> tuple[str, ...]:
     return (*dict.fromkeys(contents.data.warnings), *folded(pairs, contents.data))
 
 
+@cache  # a template is compiled once a process
 def _environment() -> Environment:
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
