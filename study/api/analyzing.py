@@ -27,7 +27,7 @@ from study.harness.runner.record_analysis import analyze_records, effects_of_rec
 from study.harness.runner.response import CURVE_RESPONSES
 from study.reporting.content.report_facts import facts
 from study.reporting.figures.effect_figures import shown_effect_sizes
-from study.reporting.output.analysis_page import AnalysisReport, write_analysis
+from study.reporting.output.analysis_page import write_analysis
 from study.reporting.output.notebook import Shown
 from study.reporting.results.study_result import (
     FITTED_CURVE,
@@ -50,13 +50,7 @@ from study.statistics.analysis.comparisons import (
 )
 from study.statistics.analysis.linear_model import Formula, read_formula
 from study.statistics.analysis.mixed_model import MixedModel, mixed_model, random_terms
-from study.statistics.analysis.post_hoc import (
-    coefficient_table,
-    diagnosed_rows,
-    dunnett_of_model,
-    pairwise,
-    unusual_observations,
-)
+from study.statistics.analysis.post_hoc import dunnett_of_model
 from study.statistics.analysis.simple_effects import CANNOT_TELL, claim
 
 if TYPE_CHECKING:
@@ -162,16 +156,8 @@ def write_page(
     """Write the page of an analysis, with the CSV of its tables and figures beside it."""
     check_taken(analysis.request.factors)
     given = source or AnalysisSource()
-    report = AnalysisReport(
-        analysis,
-        report_data(analysis, given),
-        coefficient_table(analysis),
-        pairwise(analysis),
-        unusual_observations(analysis),
-        diagnosed_rows(analysis),
-        None if reference is None else against_reference(analysis, reference),
-    )
-    return write_analysis(report, out_dir, formats)
+    compared = None if reference is None else against_reference(analysis, reference)
+    return write_analysis(analysis, report_data(analysis, given), out_dir, formats, compared)
 
 
 def check_taken(factors: Sequence[str]) -> None:

@@ -25,10 +25,9 @@ from study.reporting.results.study_result import Check, ReportData
 
 
 @pytest.fixture
-def quick(monkeypatch, contents: page.Contents, both: tuple[str, str]) -> None:
+def quick(monkeypatch, contents: page.Pages) -> None:
     """Reuse the report of the session: these tests are about files."""
     monkeypatch.setattr(write, "prepare", lambda data, worker: contents)
-    monkeypatch.setattr(write, "pages", lambda made: both)
 
 
 @pytest.mark.usefixtures("quick")
@@ -84,7 +83,7 @@ def drawings() -> set[int]:
 def test_reference_cycles_are_looked_for_again_after_a_report(
     tmp_path: Path, data: ReportData, monkeypatch: pytest.MonkeyPatch
 ):
-    def broken(contents: page.Contents, beside: Path) -> None:
+    def broken(data: ReportData, beside: Path) -> None:
         assert not gc.isenabled()
         raise OSError("disk full")
 

@@ -282,9 +282,9 @@ def table(comparison: Beside, labels: Labels = None) -> Table:
         ),
     }
     main = _sides((row for group in groups for row in shown(group)), comparison)
-    made = Table.of("beside", main, columns, left=5, tail=1)
+    made = Table.of("beside", main, columns, left=5, tail=1, grouped=True)
     every = _sides((row for group in groups for row in group), comparison)
-    return replace(made, raw=tuple(map(_raw, every)), grouped=True)
+    return replace(made, raw=tuple(map(_raw, every)))
 
 
 def _raw(of: Side) -> dict[str, object]:

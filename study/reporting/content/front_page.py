@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 
 from study.reporting.content import (
     comparison_content,
@@ -13,7 +12,7 @@ from study.reporting.content import (
     sentences,
     surface_content,
 )
-from study.reporting.content.analysis_content import CheckGroup
+from study.reporting.content.blocks import Card, CheckGroup, Checks
 from study.reporting.content.report_facts import Facts
 from study.reporting.content.text import count, listing, sentence
 from study.reporting.results.study_result import ReportData
@@ -22,15 +21,6 @@ from study.reporting.results.study_result import ReportData
 MOST_SENTENCES = 5
 MOST_RESPONSES = 3
 _END = re.compile(r"(?<=[.?!])\s+(?=[A-Z\N{MULTIPLICATION SIGN}])")
-
-
-@dataclass(frozen=True)
-class CardLine:
-    """One check of the report card: its outcome, and what that means for the answer."""
-
-    outcome: str
-    name: str
-    meaning: str
 
 
 def short_answer(data: ReportData, all_facts: Sequence[Facts]) -> tuple[str, ...]:
@@ -69,23 +59,22 @@ def in_few(lines: Iterable[str]) -> tuple[str, ...]:
     return tuple(shown)
 
 
-def report_card(groups: Sequence[CheckGroup], data: ReportData) -> tuple[CardLine, ...]:
+def report_card(checks: Checks, data: ReportData) -> Card:
     """Return one line a check, the worst first, and one for the notes of the second page."""
-    lines = [_card_line(group) for group in groups]
+    lines = [_card_line(group) for group in checks.groups]
     if data.warnings or data.data_notes:
         notes = count(len(data.warnings) + len(data.data_notes), "note")
-        lines.append(CardLine("note", "Notes", f"{notes} on the data and the run, "
-                              "on the second page."))  # fmt: skip
-    return tuple(lines)
+        lines.append(("note", "Notes", f"{notes} on the data and the run, on the second page."))
+    return Card(lines)
 
 
-def _card_line(group: CheckGroup) -> CardLine:
+def _card_line(group: CheckGroup) -> tuple[str, str, str]:
     worst = [check for check in group.items if check.outcome == group.outcome]
     meaning = worst[0].consequence or worst[0].finding
     named = listing([check.of for check in worst if check.of])
     if named and len(worst) < len(group.items):
         meaning = f"{named}: {meaning}"
-    return CardLine(group.outcome, sentence(group.name).rstrip("."), sentence(meaning))
+    return group.outcome, sentence(group.name).rstrip("."), sentence(meaning)
 
 
 def what_to_do(data: ReportData, all_facts: Sequence[Facts]) -> tuple[str, ...]:

@@ -325,22 +325,21 @@ def of_response(data: ReportData, facts: Facts, without: Collection[str] = ()) -
     return made(chosen, slug(facts.name), facts.title)
 
 
-def overview(data: ReportData, all_facts: Sequence[Facts]) -> dict[str, Figure]:
-    """Figure of the first page: every effect against what matters; none without an effect."""
+def overview(data: ReportData, all_facts: Sequence[Facts]) -> Figure | None:
+    """Figure of the first page: every effect against what matters; None without an effect."""
     analyzed = [facts for facts in all_facts if facts.terms]
     limited = [facts for facts in analyzed if any(e.practical is not None for e in facts.effects)]
     # without a limit there is no common scale: the first response stands for itself
     shown = limited or analyzed[:1]
     if not any(effect.range is not None for facts in shown for effect in facts.terms):
-        return {}
-
+        return None
     plot: Plot = (
         "Every effect against what matters" if limited else "Every effect",
         lambda: effect_figures.against_limits(shown, data.labels),
         lambda frame: effect_figures.draw_against_limits(frame, shown),
         lambda frame: _against_limits(frame, analyzed, shown),
     )
-    return {"overview": make("overview", plot)}
+    return make("overview", plot)
 
 
 def _against_limits(frame: pd.DataFrame, analyzed: Sequence[Facts], shown: Sequence[Facts]) -> str:
